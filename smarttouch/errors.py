@@ -197,6 +197,22 @@ class SequenceLateError(BoardRestartedError):
     """A sequence was too late to be sent, and was dropped: begin again at intensity 0."""
 
 
+class BoardFaultError(BoardError):
+    """A board delivered current that was not sent, or contradicts itself: it is latched."""
+
+
+class KernelTableError(BoardFaultError):
+    """A board keeps other kernels than those that it was sent."""
+
+
+class EmergencyStopError(BoardError):
+    """The emergency switch of a board is open: close it, then begin again."""
+
+
+class BoardLatchedError(BoardError):
+    """A board is refused because of an earlier fault, until a person clears it."""
+
+
 class BoardStoppedError(BoardError):
     """A board was stopped, and is at zero: nothing is sent to it any more."""
 

@@ -7,7 +7,7 @@ import select
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,6 +20,8 @@ ENDS_WITHIN_S = 0.7
 """Time limit from a signal to the end of the process."""
 RUNS_ON_S = 5.0
 """Additional time for a process that is not blocked, but slow or on a busy machine."""
+PROGRAM_ENDS_WITHIN_S = 5.0
+"""Time limit from a signal to the end of a program that handles none itself."""
 ZERO_WITHIN_S = 5.0
 """Time to wait at the end for a board that does not confirm zero."""
 SIGNALS = {
@@ -118,6 +120,8 @@ class SignalWatch:
         Request to set.
     give_up : callable
         Ends the process by force, given the number of the signal.
+    numbers : iterable of Signals
+        Signals to handle: all of `SIGNALS` if not given.
 
     Attributes
     ----------
@@ -130,7 +134,13 @@ class SignalWatch:
         From a signal to the end by force.
     """
 
-    def __init__(self, stop: StopRequest, give_up: Callable[[int], None]) -> None:
+    def __init__(
+        self,
+        stop: StopRequest,
+        give_up: Callable[[int], None],
+        numbers: Iterable[signal.Signals] = tuple(SIGNALS),
+    ) -> None:
+        self._numbers = frozenset(numbers)
         self.number = 0
         self.orderly = False
         self.patience_s = ENDS_WITHIN_S
@@ -152,7 +162,7 @@ class SignalWatch:
         self._thread = threading.Thread(target=self._watch, name="signals", daemon=True)
         self._thread.start()
         self._wakeup_before = signal.set_wakeup_fd(self._write_end, warn_on_full_buffer=False)
-        self._before = {number: signal.signal(number, self._handle) for number in SIGNALS}
+        self._before = {number: signal.signal(number, self._handle) for number in self._numbers}
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -184,7 +194,7 @@ class SignalWatch:
             for number in os.read(self._read_end, 64):
                 if number == 0:
                     return
-                if number not in SIGNALS:
+                if number not in self._numbers:
                     continue
                 # A second one ends what takes long.
                 again = not math.isinf(ends_s)
@@ -214,3 +224,33 @@ class SignalWatch:
             self._stop.ask(SIGNALS[signal.Signals(number)])
         finally:
             self._at_zero.set()
+
+
+@contextmanager
+def ended_by_signals(stop: StopRequest) -> Iterator[None]:
+    """Let SIGTERM and SIGHUP end a run in order, in a program that leaves them as they are.
+
+    A program that handles them itself, or runs in another thread, keeps what it has.
+
+    Raises
+    ------
+    SystemExit
+        After the block, if one has come.
+    """
+    wakeup = -2
+    if threading.current_thread() is threading.main_thread():
+        wakeup = signal.set_wakeup_fd(-1)
+        signal.set_wakeup_fd(wakeup)
+    usual = [each for each in SIGNALS if signal.getsignal(each) is signal.SIG_DFL]
+    if wakeup != -1 or not usual:
+        yield
+        return
+    with SignalWatch(stop, lambda number: os._exit(128 + number), usual) as watch:
+        watch.orderly, watch.patience_s = True, PROGRAM_ENDS_WITHIN_S
+        try:
+            yield
+        except SmartTouchError:
+            if not watch.number:
+                raise
+    if watch.number:
+        raise SystemExit(128 + watch.number)

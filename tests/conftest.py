@@ -137,10 +137,12 @@ def one_at_a_time(request):
 
 
 @pytest.fixture(scope="session", autouse=True)
-def one_thread():
+def one_thread(tmp_path_factory):
     """Tests run beside each other: threads of one would wait for those of another."""
     cv2.setNumThreads(1)
     with threadpool_limits(limits=1, user_api="blas"), pytest.MonkeyPatch.context() as patch:
+        # Runs and boards of one worker are none of another's, nor of whoever tests.
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         # For the programs that tests start.
         patch.setenv("OPENBLAS_NUM_THREADS", "1")
         patch.setenv("OPENCV_FOR_THREADS_NUM", "1")

@@ -1,5 +1,6 @@
 """Interface and safety gate of every display board."""
 
+import contextlib
 from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Any, ClassVar, Self, final
@@ -10,8 +11,16 @@ from numpy.typing import NDArray
 from smarttouch.boards.capabilities import BOTH, BoardReport, Capabilities, Polarity
 from smarttouch.boards.host_statistics import HostStatistics
 from smarttouch.boards.impedance import Impedance
+from smarttouch.boards.latch import latch, refuse_latched
+from smarttouch.boards.open_boards import OpenBoard
 from smarttouch.boards.timely import Timely
-from smarttouch.errors import BoardError, BoardRestartedError, LineLostError, SequenceLateError
+from smarttouch.errors import (
+    BoardError,
+    BoardFaultError,
+    BoardRestartedError,
+    LineLostError,
+    SequenceLateError,
+)
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.profile.device import Output
 from smarttouch.registry import replaced_finals
@@ -104,6 +113,7 @@ class Board(Timely, ABC):
             self.capabilities = Capabilities(**(known | capabilities))
         self._gate = SafetyGate(limits.on(output), self._time())
         self._opened = False
+        self._entry: OpenBoard | None = None
 
     @final
     def open(self) -> None:
@@ -112,11 +122,18 @@ class Board(Timely, ABC):
             raise BoardError(
                 "the board is open already: close it first", about="board", problem="open"
             )
+        refuse_latched(self.device)
         # A new run starts from zero intensity, and its time may start anew.
         self._gate.begin_session()
         self._begin_unless_halted()
         self._host_statistics = HostStatistics(self._gate.limits.electrodes)
-        self._open()
+        if self.on_a_finger:
+            self._entry = OpenBoard(self.halt, self._most_ma())
+        try:
+            self._open()
+        except BaseException:
+            self._leave()
+            raise
         self._opened = True
         if not isinstance(getattr(self, "capabilities", None), Capabilities):
             self.close()
@@ -214,6 +231,31 @@ class Board(Timely, ABC):
         return self.clock
 
     @property
+    def device(self) -> str | None:
+        """What a fault of this board is recorded by: its USB serial number, else its port.
+
+        None where there is no device.
+        """
+        return None
+
+    @final
+    def _latch(self, reason: str) -> BoardFaultError:
+        """Put the board at zero for good and record its fault; return the error to raise."""
+        self._fault_found = BoardFaultError(
+            f"{reason}: the board is at zero and latched; have it checked, then clear it with "
+            "smarttouch board clear",
+            about="board",
+            problem="fault",
+            value=reason,
+            remedy="smarttouch board clear",
+        )
+        with contextlib.suppress(BoardError):
+            self.halt()
+        if self.device is not None:
+            latch(self.device, reason)
+        return self._fault_found
+
+    @property
     def refused_packets(self) -> int:
         """Number of packets from the board that were old, of another session, or unrequested."""
         return 0
@@ -276,7 +318,22 @@ class Board(Timely, ABC):
             try:
                 self.stop()
             finally:
-                self._close()
+                try:
+                    self._close()
+                finally:
+                    self._leave()
+            if self._fault_found is not None:
+                raise self._fault_found
+
+    def _most_ma(self) -> float:
+        """Return the most current that it may drive, mA; 0 where another board drives it."""
+        return self._gate.limits.total_ua / 1000
+
+    @final
+    def _leave(self) -> None:
+        if self._entry is not None:
+            self._entry.close()
+            self._entry = None
 
     def keep_kernels(self, table: KernelTable) -> None:
         """Give the board the kernels of the sequences to come, if it keeps any.

@@ -37,6 +37,10 @@ class Capabilities:
     """Whether it has mechanical vibrators."""
     recharges: bool = False
     """Whether it can end a scan with a recharge phase."""
+    emergency_switch: bool = False
+    """Whether it has an emergency switch."""
+    protocol: str = ""
+    """Protocol that it speaks, with the version."""
     kernel_bytes: int = 0
     """Room for kernels that it keeps."""
     most_kernels: int = 0
@@ -100,10 +104,12 @@ class Capabilities:
         told = compress(names, (self.acknowledges, self.measures, self.force))
         return [
             ("firmware", self.firmware),
+            *([("protocol", self.protocol)] if self.protocol else []),
             ("electrodes", f"{self.electrodes}, {self.output}, {' or '.join(self.polarities)}"),
             ("current", f"at most {self.max_current_ma:.1f} mA"),
             ("clock", f"the {self.clock}'s"),
             ("host lost", silence),
+            *([("emergency", "switch, closed")] if self.emergency_switch else []),
             ("while it scans", "tells of " + (", ".join(told) or "nothing")),
         ]
 

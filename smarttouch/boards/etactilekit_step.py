@@ -22,6 +22,7 @@ from smarttouch.boards.scan_lock import WIDEST, ScanLock, Span
 from smarttouch.boards.single_source import one_against_all
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
 
 LOW, HIGH = 4, 12
 """Readings below the first had no pulse, those from the second on had one: .3 and 1 V."""
@@ -237,6 +238,7 @@ class SteppedKit(ETactileKitLine):
             unseen_ns = shown.unseen_ns - 1000 * slots * self._settings.scan_us(1, 25)
             since = Span(max(since.early, unseen_ns), max(since.late, unseen_ns))
         least, most = self._lock.starts(since, told or Span(begun_ns, self._clock.now_ns()))
+        foreign = certain & self._unused(sequence)
         if readings is not None:
             electrode, current_ua = one_against_all(sequence)
             readings, level_ua = readings[self._wiring[electrode]], int(np.abs(current_ua).max())
@@ -250,7 +252,17 @@ class SteppedKit(ETactileKitLine):
                 self._note_volts(shown.job, current_ua, readings)
         with self._news:
             self._books.add(sequence, least, again=True, most=max(least, most))
+        if foreign.any():
+            raise self._latch(
+                f"output {foreign.argmax()} pulsed, and its pattern has no pulse there"
+            )
         return felt
+
+    def _unused(self, sequence: ScanSequence) -> NDArray[np.bool_]:
+        """Return which outputs a sequence does not pulse."""
+        unused = np.ones(self._outputs, bool)
+        unused[self._wiring[sequence.site]] = False
+        return unused
 
     def _give_up(self) -> None:
         """Record the scans that are possible before a lost board was back, at zero."""

@@ -60,6 +60,7 @@ class HybridBoard(Board):
     simulated_time: ClassVar[bool] = _electric("simulated_time")
     on_a_finger: ClassVar[bool] = _electric("on_a_finger")
     capabilities: Capabilities = _vibrating()
+    device: str | None = _electric("device")
 
     def __init__(self, electric: Board, shaking: VibratorBoard) -> None:
         self.electric, self.shaking = electric, shaking
@@ -68,6 +69,9 @@ class HybridBoard(Board):
         self.notes = electric.notes
         self.notes += shaking.notes
         shaking.share_notes(self.notes)
+
+    def _most_ma(self) -> float:
+        return 0.0
 
     def _time(self) -> Now | None:
         return self.electric._time()

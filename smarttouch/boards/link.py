@@ -1,5 +1,6 @@
 """Driver of boards that implement our own protocol over a serial line."""
 
+import time
 from collections import deque
 from dataclasses import replace
 from typing import Any, Never
@@ -15,7 +16,7 @@ from smarttouch.boards.link_line import ANSWER_S, LinkLine
 from smarttouch.boards.link_lists import encode_lists
 from smarttouch.boards.link_offer import accepted
 from smarttouch.boards.link_protocol import Kind, Refusal, Rule
-from smarttouch.boards.link_sequence import decode_volts, encode_sequence
+from smarttouch.boards.link_sequence import decode_volts
 from smarttouch.boards.link_session import Message
 from smarttouch.boards.link_setup import (
     OVERHEAD,
@@ -29,14 +30,27 @@ from smarttouch.boards.probe import probe_sequences
 from smarttouch.boards.recovery import start_anew
 from smarttouch.boards.slow_line import slow_line_notes
 from smarttouch.clock import LATE_NS
-from smarttouch.errors import BoardError, LineLostError
+from smarttouch.errors import (
+    BoardError,
+    BoardFaultError,
+    EmergencyStopError,
+    KernelTableError,
+    LineLostError,
+)
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.kernel_table import KernelTable
 from smarttouch.stimulation.limits import parts_per_billion
 from smarttouch.stimulation.safety import Rise, SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.framing import LARGEST_PACKET
-from smarttouch.wire.port import Port, UsbIdentity, identity_of, open_port, reopen_port
+from smarttouch.wire.port import (
+    Port,
+    UsbIdentity,
+    device_of,
+    identity_of,
+    open_port,
+    reopen_port,
+)
 
 RECOVER_S = 3.0
 """Time to wait for a lost port."""
@@ -44,6 +58,12 @@ AGAIN_S = 0.04
 """Time after which a sequence without an ACK is sent again, unless it is too late for it."""
 IN_FLIGHT = 1
 """Sequences sent but not yet begun: the board has one place for them."""
+OLD_PACKETS = slice(8, 10)
+"""Places of packets refused as old and as of another session in a board's account."""
+AFTER_ZERO_S = 0.02
+"""Time after a stop in which the board's count of slots must stand still: a period at 50 Hz."""
+MOST_COMPLIANCES = 2.1
+"""Bound of a slot's voltage: sources of both poles at their limit reach twice the compliance."""
 OPEN_SHARE = 0.97
 """Part of the compliance: if every slot reaches it, nothing touches the electrodes."""
 
@@ -70,7 +90,15 @@ class LinkBoard(Board):
         self._in_flight: dict[int, bytes] = {}
         self._repeated: deque[int] = deque(maxlen=64)
         """Sequences sent more than once: they may be answered more than once."""
-        self._packets_before = 0
+        self._account_before: tuple[Any, ...] = ()
+        """Account of the board when it was opened, or opened again after its line was lost."""
+        self._slots_sent = 0
+        """Slots sent since then, repetitions included."""
+        self._unsafe_refused = 0
+        """Sequences refused as unsafe since then, and those sent again: they may count twice."""
+        self._stop_answered = False
+        self._suspicion = ""
+        """Fault found by the thread that reads, until the board is latched."""
         self._identity: UsbIdentity | None = None
         self._in_flight_due_ns = 0
         self._in_flight_ppb = 0
@@ -86,6 +114,10 @@ class LinkBoard(Board):
 
     # -- the contract ------------------------------------------------------
 
+    @property
+    def device(self) -> str | None:
+        return device_of(self._line.name) if self._line.name else None
+
     def _open(self) -> None:
         if not self._line.name:
             raise BoardError(
@@ -93,15 +125,19 @@ class LinkBoard(Board):
             )
         port = open_port(self._line.name)
         self._identity = identity_of(port)
+        self._packets_before = 0
         self._start(port)
-        self._packets_before = sum(self._status()[-2:])
+        self._packets_before = sum(self._account_before[OLD_PACKETS])
 
     def _start(self, port: Port, known: Capabilities | None = None) -> None:
         self._in_flight.clear()
         self._rise.restart()
+        self._stop_answered, self._suspicion = False, ""
         self._line.open(port)
         try:
             self._shake_hands(known)
+            self._account_before = self._status()
+            self._slots_sent = self._unsafe_refused = 0
         except BaseException:
             self._line.close()
             raise
@@ -128,6 +164,7 @@ class LinkBoard(Board):
             self._in_flight_due_ns, self._in_flight_ppb = self._due_ns, ppb
             self._again_s = self._line.now_s() + AGAIN_S
             self._sent.append((self._number, sequence))
+            self._slots_sent += sequence.slots * times
         if not self._write_in_time(self._number, payload):
             with self._line.news:
                 self._in_flight.pop(self._number, None)
@@ -136,15 +173,9 @@ class LinkBoard(Board):
 
     def _encoded(self, sequence: ScanSequence, times: int) -> bytes:
         can = self.capabilities
-        if self._line.session.version == protocol.NEWEST:
-            room = (can.packet_bytes or LARGEST_PACKET) - OVERHEAD
-            switched = self._kind != "weighted"
-            return encode_lists(sequence, times, can.measures, switched, self._image, room)
-        return encode_sequence(
-            self._kind, sequence.period_us, sequence.width_us, sequence.discharge_us,
-            sequence.site, sequence.current_ua, times, can.measures,
-            sequence.recharge_ua, sequence.recharge_us,
-        )  # fmt: skip
+        room = (can.packet_bytes or LARGEST_PACKET) - OVERHEAD
+        switched = self._kind != "weighted"
+        return encode_lists(sequence, times, can.measures, switched, self._image, room)
 
     def keep_kernels(self, table: KernelTable) -> None:
         self._table = table
@@ -157,7 +188,10 @@ class LinkBoard(Board):
         if self._table is None or not can.kernel_bytes or not can.packet_bytes:
             return
         image = KernelImage.of(self._table, can.kernel_bytes, can.most_kernels)
-        give_kernels(self._line, image, can.packet_bytes, self._go_on_unless_stopped)
+        try:
+            give_kernels(self._line, image, can.packet_bytes, self._go_on_unless_stopped)
+        except KernelTableError as other:
+            raise self._latch(str(other)) from None
         self._image = image
 
     def _drop_late(self) -> Never:
@@ -199,6 +233,9 @@ class LinkBoard(Board):
 
         It has the same number: the board recognizes it if only the ACK was lost.
         """
+        if self._suspicion:
+            self._line.fail(self._latch(self._suspicion))
+            return
         # Nothing newer can go out between the look and the write.
         with self._line.writing:
             with self._line.news:
@@ -208,6 +245,7 @@ class LinkBoard(Board):
                 self._again_s = now_s + AGAIN_S
                 number, payload = next(iter(self._in_flight.items()))
                 self._repeated.append(number)
+                self._unsafe_refused += 1
             self._write_in_time(number, payload)
 
     def _stop(self) -> None:
@@ -219,17 +257,56 @@ class LinkBoard(Board):
             return
         try:
             self._line.ask(Kind.STOP)
+            self._stop_answered = True
         except BoardError:
             # A lost board has been reported, or will be at the next send.
             if self._line.fault is None:
                 raise
 
     def _close(self) -> None:
-        self._line.close()
+        try:
+            # Who halts does not wait, and a fault is one already.
+            if self._stop_answered and not self._halted and self._line.fault is None:
+                self._check_zero()
+        finally:
+            self._line.close()
+
+    def _check_zero(self) -> None:
+        """Latch the board if it delivers slots after it has confirmed a stop."""
+        try:
+            slots = self._checked_account()[1]
+            time.sleep(AFTER_ZERO_S)
+            if self._checked_account()[1] != slots:
+                raise self._latch("the board delivered pulses after it had confirmed zero")
+        except BoardFaultError:
+            raise
+        except BoardError:
+            # It has confirmed zero; what has become of the line since then changes nothing.
+            return
+
+    def _checked_account(self) -> tuple[Any, ...]:
+        """Return the board's account; latch the board if it tells of what was not sent."""
+        told, before, limits = self._status(), self._account_before, self._gate.limits
+        violations, slots = told[3] - before[3], told[1] - before[1]
+        largest_ma = limits.total_ua / 1000 if limits.one_source else limits.current_ua.max() / 1000
+        if violations > self._unsafe_refused:
+            raise self._latch(
+                f"the board counted {violations} violations of its own rules, and refused "
+                f"{self._unsafe_refused} sequences for one"
+            )
+        if slots > self._slots_sent:
+            raise self._latch(
+                f"the board delivered {slots} slots where {self._slots_sent} were sent"
+            )
+        if told[4] > max(before[4], largest_ma):
+            raise self._latch(
+                f"the board delivered {told[4]:g} mA, above the {largest_ma:g} mA that may be sent"
+            )
+        return told
 
     def report(self) -> BoardReport:
-        told = self._status()
-        refused = max(0, sum(told[-2:]) - self._packets_before)
+        told = self._checked_account()
+        refused = max(0, sum(told[OLD_PACKETS]) - self._packets_before)
         return replace(BoardReport(*told[:7]), refused_packets=refused)
 
     def drain(self, timeout_s: float = ANSWER_S) -> None:
@@ -281,9 +358,8 @@ class LinkBoard(Board):
 
     def _shake_hands(self, known: Capabilities | None) -> None:
         self._line.begin(lambda offer: self._take_offer(offer, known), self._stopped)
-        if self._line.session.version == protocol.NEWEST:
-            give_limits(self._line, self._gate.limits)
-            self._give_kernels()
+        give_limits(self._line, self._gate.limits)
+        self._give_kernels()
         self.notes += slow_line_notes(self._status)
 
     def _take_offer(self, answer: Message, known: Capabilities | None) -> None:
@@ -296,6 +372,8 @@ class LinkBoard(Board):
 
     def _hear(self, message: Message) -> None:
         """Handle an unrequested packet."""
+        if message.state & protocol.SWITCH_OPEN and self._has_switch:
+            self._line.fail(self._emergency())
         match message.kind:
             case Kind.ALIVE:
                 if len(message.payload) == protocol.ALIVE.size:
@@ -328,13 +406,33 @@ class LinkBoard(Board):
             return self._line.session.refuse()
         volts = decode_volts(message.payload)
         if len(volts) == sequence.slots and len(volts):
-            self._measured.append((sequence, volts))
             compliance = self.capabilities.compliance_v
+            if compliance is not None and volts.max() > MOST_COMPLIANCES * compliance:
+                self._suspicion = (
+                    f"the board measured {volts.max():.0f} V with a source of {compliance:g} V"
+                )
+            self._measured.append((sequence, volts))
             self.lifted = compliance is not None and bool((volts >= OPEN_SHARE * compliance).all())
         return None
 
+    @property
+    def _has_switch(self) -> bool:
+        return hasattr(self, "capabilities") and self.capabilities.emergency_switch
+
+    def _emergency(self) -> EmergencyStopError:
+        return EmergencyStopError(
+            f"the emergency switch of the board at {self._line.name} was opened: all electrodes "
+            "are at zero; close it, then begin again",
+            about="board",
+            problem="emergency",
+            value=self._line.name,
+        )
+
     def _refused(self, message: Message) -> None:
         why, rule, words = reason_of(message)
+        if why == Refusal.EMERGENCY:
+            self._line.fail(self._emergency())
+            return
         if why in (Refusal.GARBLED, Refusal.OLD, Refusal.FOREIGN):
             # Our own part of it is sent again; REPORT counts the rest.
             return
@@ -343,6 +441,7 @@ class LinkBoard(Board):
         self.refused += 1
         line = self._line
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):
+            self._unsafe_refused += 1
             # Clocks differ: what rose too fast for the board's begins anew at zero.
             fault = line.lost if rule == Rule.RISE else line.gone
             line.fail(fault(f"refused sequence {message.about} as unsafe: {words}", "refused"))

@@ -1,13 +1,14 @@
-"""Kernels as ``link`` of version 4 keeps them on a board: see ``docs/reference/link.md``."""
+"""Kernels as a ``link`` board keeps them: see ``docs/reference/link.md``."""
 
+import hashlib
 import struct
-import zlib
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.boards.link_protocol import IDENTITY_BYTES
 from smarttouch.stimulation.kernel_table import KernelTable
 
 _HEAD = struct.Struct("<HH")
@@ -29,15 +30,15 @@ class KernelImage:
     count : int
         Kernels that the board has room for: the first of the table.
     data : bytes
-    identity : int
-        CRC-32 of it.
+    identity : bytes
+        First 16 bytes of its SHA-256.
     """
 
     table: KernelTable
     own: KernelTable
     count: int
     data: bytes
-    identity: int
+    identity: bytes
 
     @classmethod
     def of(cls, table: KernelTable, room: int, most: int) -> Self:
@@ -55,7 +56,15 @@ class KernelImage:
         count = len(parts) - 1
         parts[0] = _HEAD.pack(own.weights.shape[1], count)
         data = b"".join(parts)
-        return cls(table, own, count, data, zlib.crc32(data))
+        return cls(table, own, count, data, digest_of(data))
+
+    def proof(self, session: int) -> bytes:
+        """Return what a board that keeps just these kernels answers in a session."""
+        return digest_of(session.to_bytes(8, "little") + self.data)
+
+
+def digest_of(data: bytes) -> bytes:
+    return hashlib.sha256(data).digest()[:IDENTITY_BYTES]
 
 
 def _record(weights: NDArray[np.int16], site: int) -> bytes:

@@ -5,8 +5,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.link_protocol import Kind
+from smarttouch.boards.link_protocol import VERSION, Kind
 from smarttouch.boards.link_session import ANSWERS, HostSession, Message, draw_half
 from smarttouch.errors import BoardError, BoardStoppedError, LineLostError
 from smarttouch.realtime import prioritized
@@ -50,11 +49,7 @@ class LinkLine:
         Longest wait for an answer.
     silence_s : float
         Longest silence of the board in a session.
-    newest : int
-        Version that boards are asked for first.
     """
-
-    newest = protocol.NEWEST
 
     def __init__(
         self,
@@ -65,7 +60,7 @@ class LinkLine:
         draw: Callable[[], int] = draw_half,
     ) -> None:
         self.name = name
-        self.session = HostSession(draw, self.newest)
+        self.session = HostSession(draw)
         self.answer_s, self.silence_s = ANSWER_S, SILENCE_S
         self._draw = draw
         self.news = threading.Condition()
@@ -96,7 +91,7 @@ class LinkLine:
         self._port = port
         self._closing.clear()
         self.fault, self.overtaken = None, False
-        self._refused_before, self.session = self.refused, HostSession(self._draw, self.newest)
+        self._refused_before, self.session = self.refused, HostSession(self._draw)
         self._deframer = Deframer()
         self._answers.clear()
         self._last_written = self.now_s()
@@ -151,11 +146,7 @@ class LinkLine:
         deadline = self.now_s() + self.answer_s
         offer = None
         while self.now_s() < deadline:
-            asked = self.session.version
             offer = self._ask_once(Kind.HELLO, stopped=stopped) or offer
-            if offer is not None and asked != offer.version in protocol.VERSIONS:
-                # An older board: it is asked again in its own version.
-                offer = None
             if offer is None:
                 continue
             accept(offer)
@@ -193,12 +184,12 @@ class LinkLine:
     ) -> Message | None:
         """Send a query; return an answer to it, or to one sent since ``first``."""
         first = first or self.session.sent + 1
-        kind, version = ANSWERS[question], self.session.version
+        kind = ANSWERS[question]
 
         def answered() -> bool:
             found = self._answers.get(kind)
             # Another version's answer may be about nothing.
-            return found is not None and (found.about >= first or found.version != version)
+            return found is not None and (found.about >= first or found.version != VERSION)
 
         # The zero in front ends whatever half packet stands on the line.
         self.send(question, payload=payload, start=b"\0")
@@ -218,7 +209,7 @@ class LinkLine:
     def _no_answer(self) -> BoardError:
         return BoardError(
             f"the board at {self.name} does not answer: check that it is on and speaks link "
-            f"version {' or '.join(map(str, protocol.VERSIONS))}",
+            f"version {VERSION}",
             about="board",
             problem="mute",
             value=self.name,

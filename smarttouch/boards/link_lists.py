@@ -1,4 +1,4 @@
-"""The payloads of SEQUENCE and LIMITS in ``link`` of version 4: see ``docs/reference/link.md``."""
+"""The payloads of SEQUENCE and LIMITS in ``link``: see ``docs/reference/link.md``."""
 
 import math
 import struct
@@ -26,12 +26,16 @@ _U16_MAX = 0xFFFF
 
 
 def encode_limits(limits: SafetyLimits) -> bytes:
-    """Return the payload of LIMITS."""
+    """Return the payload of LIMITS: nothing in it allows more than the limits do."""
+    part, whole = limits.duty_ratio
     head = protocol.LIMITS.pack(
-        limits.period_us, limits.total_ua, int(limits.charge_pc.max()), limits.pulse_whole_us,
-        math.ceil(limits.full_ua), math.ceil(limits.rounding_ua), math.ceil(limits.full_us or 0),
+        limits.period_us, limits.total_ua, limits.pulse_whole_us, math.ceil(limits.full_ua),
+        math.ceil(limits.rounding_ua), math.ceil(limits.full_us or 0),
+        math.ceil(limits.ramp_ns / 1e6), min(_U16_MAX, math.ceil(limits.session_s)),
+        math.ceil(1000 * limits.session_mc), math.ceil(100 * part / whole), 0, 0,
     )  # fmt: skip
-    return head + limits.current_ua.astype("<u2").tobytes()
+    each = (limits.current_ua, "<u2"), (limits.felt_ua, "<u2"), (limits.charge_pc, "<u4")
+    return head + b"".join(values.astype(kind).tobytes() for values, kind in each)
 
 
 def encode_lists(

@@ -4,9 +4,8 @@ from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.capabilities import Capabilities
 from smarttouch.boards.link_protocol import Feature
 from smarttouch.boards.link_session import Message
-from smarttouch.errors import BoardError, OtherDeviceError
+from smarttouch.errors import BoardError, EmergencyStopError, OtherDeviceError
 from smarttouch.profile.device import Output
-from smarttouch.wire.framing import LARGEST_PACKET
 
 
 def accepted(
@@ -31,18 +30,17 @@ def accepted(
     known : Capabilities, optional
         Those from before the line was lost.
     """
-    if answer.version not in protocol.VERSIONS:
+    if answer.version != protocol.VERSION:
         raise BoardError(
             f"the board at {name} speaks link version {answer.version}, this "
-            f"program {' and '.join(map(str, protocol.VERSIONS))}: bring both to the same",
+            f"program {protocol.VERSION}: bring both to the same",
             about="version",
             problem="conflict",
             value=answer.version,
-            allowed=protocol.VERSIONS,
+            allowed=protocol.VERSION,
         )
     head = protocol.CAPABILITIES.size
-    newest = answer.version == protocol.NEWEST
-    if len(answer.payload) < head + newest * protocol.KEEPING.size:
+    if len(answer.payload) < head + protocol.KEEPING.size:
         raise malformed(name)
     outputs, output, features, current_ua, slots, zero_ms, volts = (
         protocol.CAPABILITIES.unpack_from(answer.payload)
@@ -56,10 +54,8 @@ def accepted(
             allowed=protocol.OUTPUTS,
         )
     kind = protocol.OUTPUTS[output]
-    room, packet, kernels = 0, LARGEST_PACKET, 0
-    if newest:
-        room, packet, kernels = protocol.KEEPING.unpack_from(answer.payload, head)
-        head += protocol.KEEPING.size
+    room, packet, kernels = protocol.KEEPING.unpack_from(answer.payload, head)
+    head += protocol.KEEPING.size
     if not features & Feature.KERNELS:
         room = kernels = 0
     found = Capabilities(
@@ -73,10 +69,19 @@ def accepted(
         force=bool(features & Feature.FORCE),
         compliance_v=float(volts) or None,
         recharges=bool(features & Feature.RECHARGE),
+        emergency_switch=bool(features & Feature.EMERGENCY),
+        protocol=f"link {protocol.VERSION}",
         kernel_bytes=room,
         most_kernels=kernels,
         packet_bytes=packet,
     )
+    if found.emergency_switch and answer.state & protocol.SWITCH_OPEN:
+        raise EmergencyStopError(
+            f"the emergency switch of the board at {name} is open: close it, then begin again",
+            about="board",
+            problem="emergency",
+            value=name,
+        )
     if known not in (None, found):
         raise OtherDeviceError(
             f"the board at {name} now is another: only HELLO was sent to it",

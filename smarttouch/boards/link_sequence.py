@@ -1,18 +1,13 @@
-"""The payloads of ``link`` that carry scans: SEQUENCE and VOLTAGES (see `protocol`)."""
+"""Parts of the payloads of ``link`` that carry scans: states, voltages, a sequence as it came."""
 
-import struct
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.boards.link_protocol import Output
 from smarttouch.errors import BoardError
-from smarttouch.wire.framing import LARGEST_PACKET
 
-_SEQUENCE = struct.Struct("<IHHBBH")
-_MEASURE, _RECHARGE = 1, 2
 _VOLT = 100
 _U16_MAX = 0xFFFF
 
@@ -39,109 +34,6 @@ class WireSequence:
     state: NDArray[np.int8] | None
     recharge_ua: NDArray[np.int16] | None = None
     recharge_us: int = 0
-
-
-def encode_sequence(
-    output: Output,
-    period_us: int,
-    width_us: NDArray[np.uint16],
-    discharge_us: NDArray[np.uint16],
-    site: NDArray[np.uint16],
-    current_ua: NDArray[np.int16],
-    times: int = 1,
-    measure: bool = False,
-    recharge_ua: NDArray[np.int16] | None = None,
-    recharge_us: int = 0,
-) -> bytes:
-    """Return the payload of a SEQUENCE; the columns are those of a scan sequence.
-
-    Raises
-    ------
-    BoardError
-        If it is larger than a packet, needs a stronger source than the wire can say, or asks a
-        switched board for a recharge phase.
-    """
-    slots, electrodes = current_ua.shape
-    if slots > _U16_MAX:
-        raise BoardError(
-            f"{slots} slots are above the limit of {_U16_MAX}: scan fewer points",
-            about="slots",
-            problem="too many",
-            value=slots,
-            allowed=_U16_MAX,
-        )
-    switched = output != "weighted"
-    if switched and recharge_ua is not None:
-        raise BoardError(
-            f"a recharge phase needs a source for each electrode, and this board is {output}: "
-            "leave it out",
-            about="recharge_ua",
-            problem="impossible",
-        )
-    flags = _MEASURE * measure | _RECHARGE * (recharge_ua is not None)
-    parts = [
-        _SEQUENCE.pack(period_us, slots, electrodes, switched, flags, times),
-        width_us.astype("<u2", copy=False).tobytes(),
-        discharge_us.astype("<u2", copy=False).tobytes(),
-        site.astype("<u2", copy=False).tobytes(),
-    ]
-    if switched:
-        parts += [source_of(current_ua).tobytes(), pack_states(np.sign(current_ua))]
-    else:
-        parts.append(current_ua.astype("<i2", copy=False).tobytes())
-    if recharge_ua is not None:
-        parts += [_u16(np.array([recharge_us])), recharge_ua.astype("<i2", copy=False).tobytes()]
-    payload = b"".join(parts)
-    if len(payload) > LARGEST_PACKET:
-        raise BoardError(
-            f"a packet of {len(payload)} bytes is above the limit of {LARGEST_PACKET}: "
-            "scan fewer points at once",
-            about="packet",
-            problem="too large",
-            value=len(payload),
-            allowed=LARGEST_PACKET,
-        )
-    return payload
-
-
-def decode_sequence(payload: bytes) -> WireSequence:
-    """Return the sequence in a payload.
-
-    Raises
-    ------
-    ValueError
-        If the payload is not exactly one sequence.
-    """
-    if len(payload) < _SEQUENCE.size:
-        raise ValueError(f"{len(payload)} bytes are no sequence")
-    period_us, slots, electrodes, kind, flags, times = _SEQUENCE.unpack_from(payload)
-    packed = -(-electrodes // 4)
-    row = 6 + (2 * electrodes if kind == 0 else 2 + packed)
-    recharges = bool(flags & _RECHARGE)
-    if not times or flags > (_MEASURE | _RECHARGE) or kind > 1 or (kind == 1 and recharges):
-        raise ValueError(f"{times} times, flags {flags}, kind {kind} are no sequence")
-    end = _SEQUENCE.size + slots * row
-    if len(payload) != end + recharges * 2 * (1 + electrodes):
-        raise ValueError(
-            f"{len(payload)} bytes are not {slots} slots of {electrodes} electrodes, kind {kind}"
-        )
-    columns = np.frombuffer(payload, "<u2", (4 if kind else 3) * slots, _SEQUENCE.size)
-    rest = payload[_SEQUENCE.size + columns.nbytes : end]
-    width, discharge, site = columns[: 3 * slots].reshape(3, slots)
-    current = source = state = None
-    if kind == 0:
-        current = np.frombuffer(rest, "<i2").reshape(slots, electrodes)
-    else:
-        source = columns[3 * slots :]
-        state = unpack_states(np.frombuffer(rest, np.uint8).reshape(slots, packed), electrodes)
-    recharge_us, recharge = 0, None
-    if recharges:
-        recharge_us = int.from_bytes(payload[end : end + 2], "little")
-        recharge = np.frombuffer(payload, "<i2", electrodes, end + 2)
-    return WireSequence(
-        period_us, times, bool(flags & _MEASURE), electrodes, width, discharge, site, current,
-        source, state, recharge, recharge_us,
-    )  # fmt: skip
 
 
 def encode_volts(volts: NDArray[np.float64]) -> bytes:

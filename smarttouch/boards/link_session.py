@@ -5,11 +5,11 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from smarttouch.boards.link_protocol import HALF, LAST_NUMBER, VERSION, VERSIONS, Kind
+from smarttouch.boards.link_protocol import HALF, LAST_NUMBER, VERSION, Kind
 from smarttouch.errors import LineLostError
 from smarttouch.wire.framing import HEAD_BYTES, Packet, frame_packet, parse_head
 
-_HEAD = struct.Struct("<QII")
+_HEAD = struct.Struct("<BQII")
 WHOLE_HEAD_BYTES = HEAD_BYTES + _HEAD.size
 """Bytes of a decoded packet before its payload."""
 ANSWERS = {
@@ -34,6 +34,7 @@ class Message:
     about: int = 0
     payload: bytes = b""
     version: int = VERSION
+    state: int = 0
 
 
 def encode(
@@ -43,19 +44,20 @@ def encode(
     heard: int = 0,
     about: int = 0,
     payload: bytes = b"",
-    version: int = VERSION,
+    state: int = 0,
 ) -> bytes:
     """Return a packet in its wire format."""
-    return frame_packet(version, kind, number, _HEAD.pack(session, heard, about), payload)
+    head = _HEAD.pack(state, session, heard, about)
+    return frame_packet(VERSION, kind, number, head, payload)
 
 
 def decode(packet: Packet) -> Message:
     """Return a packet as a message; one that is too short has session 0, which is never valid."""
-    if packet.version not in VERSIONS or len(packet.payload) < _HEAD.size:
+    if packet.version != VERSION or len(packet.payload) < _HEAD.size:
         return Message(packet.kind, packet.number, version=packet.version)
-    session, heard, about = _HEAD.unpack_from(packet.payload)
+    state, session, heard, about = _HEAD.unpack_from(packet.payload)
     payload = packet.payload[_HEAD.size :]
-    return Message(packet.kind, packet.number, session, heard, about, payload, packet.version)
+    return Message(packet.kind, packet.number, session, heard, about, payload, VERSION, state)
 
 
 def decode_head(head: bytes) -> Message:
@@ -75,8 +77,6 @@ class HostSession:
     ----------
     draw : callable
         Returns 32 random bits that are not all 0.
-    version : int
-        To begin with; that of the board once it has answered HELLO, if both speak it.
 
     Attributes
     ----------
@@ -88,8 +88,8 @@ class HostSession:
         Packets that were not taken.
     """
 
-    def __init__(self, draw: Callable[[], int] = draw_half, version: int = VERSION) -> None:
-        self.number, self.version = draw(), version
+    def __init__(self, draw: Callable[[], int] = draw_half) -> None:
+        self.number = draw()
         self.begun = False
         self.refused = 0
         self._sent = self._taken = self._offered = 0
@@ -119,7 +119,7 @@ class HostSession:
         if kind in ANSWERS:
             self._asked[self._sent] = ANSWERS[kind]
         session = self.number & HALF if kind == Kind.HELLO else self.number
-        return encode(kind, session, self._sent, self._taken, about, payload, self.version)
+        return encode(kind, session, self._sent, self._taken, about, payload)
 
     def take(self, packet: Packet) -> Message | None:
         """Return a packet as a message, or None if it is refused."""
@@ -129,7 +129,7 @@ class HostSession:
         elif taken := (
             message.session == self.number
             and message.number > self._taken
-            and message.version == self.version
+            and message.version == VERSION
         ):
             self._taken = message.number
             if message.kind in _ANSWERS:
@@ -144,17 +144,9 @@ class HostSession:
         self.refused += self.number > HALF
 
     def _take_capabilities(self, message: Message) -> bool:
-        if message.version not in VERSIONS:
-            # An old board has no sessions: its fault must still be reported.
+        if message.version != VERSION:
+            # A board of another version is reported by its version.
             return not self.begun
-        if message.version != self.version:
-            # A board of version 3 does not read the half in a HELLO of another version. It is
-            # asked again in its own.
-            own = message.session & HALF in (0, self.number & HALF)
-            if self.begun or not own or not self._was_asked(message):
-                return False
-            self.version = message.version
-            return True
         if message.session & HALF != self.number & HALF or not self._was_asked(message):
             return False
         if self.begun or message.about < self._offered:

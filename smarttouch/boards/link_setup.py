@@ -1,4 +1,4 @@
-"""Limits and kernels for a ``link`` board of version 4, and its numbers read."""
+"""Limits and kernels for a ``link`` board, and its numbers read."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,7 +10,7 @@ from smarttouch.boards.link_lists import encode_limits
 from smarttouch.boards.link_offer import malformed
 from smarttouch.boards.link_protocol import NOTHING, Kind, Rule
 from smarttouch.boards.link_session import Message
-from smarttouch.errors import BoardError
+from smarttouch.errors import BoardError, KernelTableError
 from smarttouch.stimulation.limits import SafetyLimits
 
 OVERHEAD = 64
@@ -39,7 +39,14 @@ _RULES = {
     Rule.MEAN: "too much charge in one period, pC",
     Rule.INTENSITY: "more than the stated intensity allows, µA or pC",
     Rule.RISE: "a rise that is too fast, of 65,535",
-    Rule.RECHARGE: "a recharge phase that is too long or without slots, µs",
+    Rule.RECHARGE: "a recharge phase that is too long, without slots, or takes back too much",
+    Rule.FELT: "too many felt pulses in one period",
+    Rule.FELT_IN_SECOND: "too many felt pulses in a second",
+    Rule.CHARGE_IN_SECOND: "too much charge in a second, pC",
+    Rule.NET_IN_SECOND: "too much net charge in a second, pC",
+    Rule.OFTEN: "too many sequences in a second",
+    Rule.SESSION_TIME: "too long a session, s",
+    Rule.SESSION_CHARGE: "too much charge in the session, µC",
 }
 
 
@@ -82,9 +89,17 @@ def give_kernels(
         answer = line.ask(Kind.KERNELS, head + data).payload
         if len(answer) != protocol.KEPT.size:
             raise malformed(line.name)
-        identity, kept, whole = protocol.KEPT.unpack(answer)
+        identity, kept, whole, proof = protocol.KEPT.unpack(answer)
         if identity == image.identity and whole:
-            return
+            if proof == image.proof(line.session.number):
+                return
+            raise KernelTableError(
+                f"the board at {line.name} keeps other kernels than it was sent",
+                about="kernels",
+                problem="another",
+                value=proof.hex(),
+                allowed=image.proof(line.session.number).hex(),
+            )
         # The first question has nothing in it, and finds out where to begin.
         kept = kept if identity == image.identity and kept < len(image.data) else 0
         idle = 0 if kept > at else idle + 1
@@ -98,32 +113,25 @@ def give_kernels(
 
 
 def account_of(answer: Message, name: str) -> tuple[Any, ...]:
-    """Return a REPORT of either version: counts, mA and µC, as of version 3.
+    """Return a REPORT: counts, mA and µC, in the order of `protocol.REPORT`.
 
     Raises
     ------
     BoardError
         If it is none.
     """
-    newest = answer.version == protocol.NEWEST
-    form = protocol.ACCOUNT if newest else protocol.REPORT
-    if len(answer.payload) != form.size:
+    if len(answer.payload) != protocol.REPORT.size:
         raise malformed(name)
-    told = form.unpack(answer.payload)
-    if not newest:
-        return told
+    told = protocol.REPORT.unpack(answer.payload)
     strongest_ua, charge_pc, net_pc = told[4:7]
     return (*told[:4], strongest_ua / 1e3, charge_pc / 1e6, net_pc / 1e6, *told[7:])
 
 
 def reason_of(refusal: Message) -> tuple[int, int, str]:
-    """Return reason and rule of a NAK of either version, and words for the rest of it."""
-    payload = refusal.payload
-    if refusal.version != protocol.NEWEST:
-        return (payload[0] if payload else 0), Rule.NONE, payload[1:].decode("utf-8", "replace")
-    if len(payload) != protocol.NAK.size:
+    """Return reason and rule of a NAK, and words for the rest of it."""
+    if len(refusal.payload) != protocol.NAK.size:
         return 0, Rule.NONE, ""
-    reason, rule, slot, electrode, value, allowed = protocol.NAK.unpack(payload)
+    reason, rule, slot, electrode, value, allowed = protocol.NAK.unpack(refusal.payload)
     words = _RULES[Rule(rule)] if rule in _RULES else "malformed" if not rule else f"rule {rule}"
     words += f": {value}, allowed {allowed}" if value or allowed else ""
     words += f", slot {slot}" if slot != NOTHING else ""

@@ -22,6 +22,7 @@ from smarttouch.wire.port import (
     LINE_ERRORS,
     Port,
     UsbIdentity,
+    device_of,
     identity_of,
     open_port,
     reason,
@@ -97,6 +98,10 @@ class StreamedBoard(Board):
         self._thread: threading.Thread | None = None
 
     # -- the contract ------------------------------------------------------
+
+    @property
+    def device(self) -> str | None:
+        return device_of(self._port_name)
 
     def _open(self) -> None:
         self._books = HostStatistics(self._gate.limits.electrodes)

@@ -4,7 +4,7 @@ import threading
 from typing import ClassVar, final
 
 from smarttouch.clock import LATE_NS, Clock, MonotonicClock
-from smarttouch.errors import BoardStoppedError, SequenceLateError
+from smarttouch.errors import BoardFaultError, BoardStoppedError, SequenceLateError
 
 
 class Timely:
@@ -24,6 +24,8 @@ class Timely:
         """Planned start of the present sequence, by the clock."""
         self._stopped = threading.Event()
         self._halted = False
+        self._fault_found: BoardFaultError | None = None
+        """Fault that latched the board."""
 
     @property
     @final
@@ -42,6 +44,8 @@ class Timely:
     @final
     def _go_on_unless_stopped(self) -> None:
         if self._stopped.is_set():
+            if self._fault_found is not None:
+                raise self._fault_found
             raise BoardStoppedError(
                 "the board was stopped, all electrodes are at zero: open it again before sending",
                 about="board",

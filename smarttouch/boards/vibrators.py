@@ -112,6 +112,9 @@ class VibratorBoard(Board):
         """Write warnings into another list from now on."""
         self.notes = self._shaking.notes = notes
 
+    def _most_ma(self) -> float:
+        return 0.0
+
     def _time(self) -> None:
         """Return the clock of the sequences, as vibrators carry no current."""
 

@@ -56,6 +56,20 @@ def stop(url: _Url, profile: ProfileOption = None) -> None:
 
 
 @board.command()
+def clear(url: _Url, profile: ProfileOption = None) -> None:
+    """Clear the fault of a board that was found and latched, once it has been checked."""
+    from smarttouch.boards.latch import clear_latch
+    from smarttouch.running.display import open_display
+
+    device = open_display(url, profile).board.device
+    found = None if device is None else clear_latch(device)
+    if found is None:
+        typer.echo(f"{url} is not latched.")
+    else:
+        typer.echo(f"Cleared ({found.device}): {found.reason}, {found.date}.")
+
+
+@board.command()
 @drives_a_board
 def measure(
     url: _Url,

@@ -8,7 +8,7 @@ def stop() -> None:
 
     What was started before and has not begun yet does not begin.
     """
-    from smarttouch.running.announced import stop_all
+    from smarttouch.boards.open_boards import stop_all
 
     asked = stop_all()
     typer.echo(f"{asked} stopped." if asked else "Nothing runs.")

@@ -53,9 +53,6 @@ def emulate_board(
     discovery_port: Annotated[
         int | None, typer.Option(metavar="N", help="With --tcp: UDP port to answer ETK? on.")
     ] = None,
-    version: Annotated[
-        int, typer.Option("--link-version", metavar="N", help="Of a link board: 4 or 3.")
-    ] = 4,
     ramp_ms: Annotated[
         int, typer.Option(metavar="N", help="Least time to full of a link board; 0 for tests.")
     ] = 500,
@@ -64,7 +61,8 @@ def emulate_board(
         typer.Option(
             metavar="TEXT",
             help="What happens to the finger: '2 lift', '3 touch', '0 force 0.6', "
-            "'0 drift 12 4 60', '5 peel 7 0.3', '5 open 7', '5 short 7', '5 heal 7'",
+            "'0 drift 12 4 60', '5 peel 7 0.3', '5 open 7', '5 short 7', '5 heal 7', "
+            "'6 emergency', '7 release'",
         ),
     ] = None,
     compliance: Annotated[
@@ -84,9 +82,8 @@ def emulate_board(
     from smarttouch.boards.emulator.finger import Finger
     from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
     from smarttouch.boards.emulator.link import LinkFirmware
-    from smarttouch.boards.emulator.link4 import Link4Firmware
     from smarttouch.boards.emulator.skin import COMPLIANCE_V
-    from smarttouch.boards.link_protocol import NEWEST, OUTPUTS, VERSIONS, Output
+    from smarttouch.boards.link_protocol import OUTPUTS, Output
 
     if name not in _ELECTRODES:
         raise not_offered("emulator", name, _ELECTRODES)
@@ -128,13 +125,8 @@ def emulate_board(
         device = ETactileKitFirmware(kept, finger, volts, firmware or "71adee2")
     else:
         kind: Output = next(each for each in OUTPUTS if each == output)
-        if version not in VERSIONS:
-            raise not_offered("link_version", str(version), tuple(map(str, VERSIONS)))
         require_within(SmartTouchError, "ramp_ms", ramp_ms, 0, 10_000)
-        if version == NEWEST:
-            device = Link4Firmware(electrodes, kind, kept, finger, volts, ramp_ms=ramp_ms)
-        else:
-            device = LinkFirmware(electrodes, kind, kept, finger, volts)
+        device = LinkFirmware(electrodes, kind, kept, finger, volts, ramp_ms=ramp_ms)
 
     def advice(port: str) -> str:
         return (

@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
+from smarttouch.boards.announced import announced, refuse_if_stopped
 from smarttouch.errors import BoardError, BoardStoppedError
 from smarttouch.monitor import keyboard
 from smarttouch.outlet import never_waiting
-from smarttouch.running.announced import announced, refuse_if_stopped
 from smarttouch.stopping import RunStopped, SignalWatch, StopRequest
 
 if TYPE_CHECKING:
@@ -137,6 +137,7 @@ def _told_as_stopped(watch: SignalWatch) -> Iterator[None]:
     except BoardStoppedError:
         if watch.number:
             raise RunStopped(watch.number) from None
+        refuse_if_stopped()
         raise
 
 

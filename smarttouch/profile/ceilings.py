@@ -22,6 +22,7 @@ class Ceiling(NamedTuple):
 
 CEILING_MA = 5.0
 CEILING_TOTAL_MA = 10.0
+CEILING_USER_MA = 20.0
 CEILING_PULSE_US = 200.0
 CEILING_CHARGE_UC = 0.5
 CEILING_DENSITY_UC_CM2 = 100.0
@@ -51,6 +52,13 @@ CEILINGS = (
         "mA",
         "Ours: what AS 60601.2.10 (201.7.9.2.101) lets an output carry without being stated. A "
         "full frame of every shipped profile needs at most 9.98 mA.",
+    ),
+    Ceiling(
+        "current of all open displays of a user",
+        CEILING_USER_MA,
+        "mA",
+        "Ours: what two displays may drive at once. Their clocks cannot be interleaved, so what "
+        "each may drive is added up.",
     ),
     Ceiling(
         "pulse width",

@@ -6,6 +6,7 @@ from typing import Any
 
 from smarttouch.boards.board import Board
 from smarttouch.boards.open import default_profile, make_board, require_gate
+from smarttouch.boards.open_boards import ending_a_run
 from smarttouch.closing import Closing
 from smarttouch.errors import SmartTouchError
 from smarttouch.profile import Profile, load_profile
@@ -92,11 +93,16 @@ class Display(Closing):
     def stop(self) -> None:
         """End the run with all electrodes at zero, from any thread; for good."""
         self._stop.ask("the display was stopped")
+        self.board.halt()
 
     @contextmanager
     def opened(self, stop: StopRequest) -> Iterator[Board]:
         """Open the board for a block; a stop puts it at zero at once, also while it opens."""
-        with stop.telling(self.board.halt), self.board:
+        with (
+            ending_a_run(lambda: stop.ask("smarttouch stop")),
+            stop.telling(self.board.halt),
+            self.board,
+        ):
             yield self.board
 
     def close(self) -> None:

@@ -29,7 +29,7 @@ from smarttouch.running.step import StepResult
 from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.source import Source, StimulusSource
 from smarttouch.stimulation.limits import rms_ma_cm2
-from smarttouch.stopping import StopRequest
+from smarttouch.stopping import StopRequest, ended_by_signals
 
 MakeControls = Callable[[ControlState, tuple[Mode, ...]], Controls]
 """Makes controls from a first state and the modes that are offered."""
@@ -106,6 +106,7 @@ class Runner:
             Whatever keeps the run from beginning or going on; the display is at zero.
         """
         with contextlib.ExitStack() as stack:
+            stack.enter_context(ended_by_signals(self._stop))
             ending = self.display.stopping
             stack.enter_context(ending.telling(lambda: self._stop.ask(ending.reason)))
             for listener in reversed(self._listeners):

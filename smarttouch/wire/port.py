@@ -1,5 +1,6 @@
 """Serial lines and TCP connections by name, with errors a user can act on."""
 
+import contextlib
 import ctypes
 import errno
 import os
@@ -96,6 +97,14 @@ def identity_of(port: Port) -> UsbIdentity | None:
         return _usb_identity(os.ttyname(port.fileno()))
     except LINE_ERRORS:
         return None
+
+
+def device_of(name: str) -> str:
+    """Return what identifies the device at a port: its USB serial number, else the port's name."""
+    with contextlib.suppress(*LINE_ERRORS):
+        if found := _usb_identity(name):
+            return f"USB {found.vendor:04x}:{found.product:04x} {found.serial_number}"
+    return os.path.realpath(name) if Path(name).exists() else name
 
 
 def _usb_identity(name: str) -> UsbIdentity | None:

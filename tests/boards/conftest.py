@@ -42,7 +42,7 @@ def claimed_time(request, monkeypatch):
     if "wall_clock" not in request.keywords:
         monkeypatch.setattr(Board, "_time", lambda self: None)
         monkeypatch.setattr("smarttouch.stimulation.safety.LATE_NS", 3600 * SECOND)
-        monkeypatch.setattr("smarttouch.boards.emulator.checks.RAMP_MS", 0)
+        monkeypatch.setattr("smarttouch.boards.emulator.second.RAMP_MS", 0)
 
 
 @pytest.fixture(scope="session")

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from smarttouch.boards.emulator.checks import Complaint, Load
 from smarttouch.boards.emulator.delivery_log import read_slots, read_state
-from smarttouch.boards.emulator.rules import Rules
+from smarttouch.boards.link_protocol import Rule
 from smarttouch.boards.open import make_board
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
@@ -259,10 +260,10 @@ class TestSimulated(TestMemory):
     def test_what_the_firmware_refuses_ends_it(self, make_board, monkeypatch):
         with make_board() as board:
             board.send(self.sequence(0))
-            why = "too much"
-            monkeypatch.setattr(Rules, "complaint", lambda rules, sequence: why)
+            refused = Complaint(Rule.TOTAL, value=1234), Load.none(self.electrodes)
+            monkeypatch.setattr("smarttouch.boards.emulator.link.complaint", lambda *_: refused)
             with raises(BoardError, about="board", problem="refused", value=2) as error:
                 board.send(self.sequence(1))
-            assert why in str(error.value)
+            assert "1234" in str(error.value)
             assert (board.refused, board.report().violations) == (1, 1)
         self.assert_silent()

@@ -16,13 +16,14 @@ from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.skin import COMPLIANCE_V
 from smarttouch.boards.link_protocol import Kind
-from smarttouch.boards.link_sequence import decode_volts, encode_sequence
+from smarttouch.boards.link_sequence import decode_volts
 from smarttouch.boards.link_session import HostSession
 from smarttouch.boards.probe import one_each
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.wire.framing import Deframer
+from tests.boards.payloads import limits_payload, sequence_payload
 
 SECONDS = float(os.environ.get("SMARTTOUCH_DRIFT_SECONDS", "1.2"))
 DRIFTING, STEADY = 6, 9
@@ -37,18 +38,19 @@ class ToldLink:
     def __init__(self, limits, kind, folder, events):
         self.books = DeliveryLog(limits.electrodes, folder)
         finger = Finger(limits.electrodes, events)
-        self._firmware = LinkFirmware(limits.electrodes, kind, self.books, finger)
+        self._firmware = LinkFirmware(limits.electrodes, kind, self.books, finger, ramp_ms=0)
         self._gate, self._kind = SafetyGate(limits), kind
         self._session, self._deframer = HostSession(), Deframer()
         self._now_ns = self._number = 0
         self._say(Kind.HELLO)
         self._say(Kind.BEGIN)
+        self._say(Kind.LIMITS, payload=limits_payload(limits.electrodes))
 
     def send(self, sequence):
         """Deliver a sequence; return what each of its slots needed, V."""
         sequence = self._gate.prove(sequence)
         self._number += 1
-        payload = encode_sequence(
+        payload = sequence_payload(
             self._kind, sequence.period_us, sequence.width_us, sequence.discharge_us,
             sequence.site, sequence.current_ua, measure=True,
         )  # fmt: skip

@@ -4,8 +4,8 @@
 """
 
 import contextlib
+import hashlib
 import os
-import zlib
 
 import numpy as np
 import pytest
@@ -19,17 +19,19 @@ from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.lists import Keep, decode_lists
 from smarttouch.boards.emulator.session import BoardSession
 from smarttouch.boards.link_protocol import Kind
-from smarttouch.boards.link_sequence import decode_sequence, decode_volts, encode_sequence
+from smarttouch.boards.link_sequence import decode_volts
 from smarttouch.boards.link_session import decode, encode
 from smarttouch.errors import SmartTouchError
 from smarttouch.wire.framing import Deframer
+
+from .payloads import limits_payload, sequence_payload
 
 BYTES = int(os.environ.get("SMARTTOUCH_FUZZ_BYTES", "50000"))
 MS = 1_000_000
 CURRENT = np.array([[300, -100, -100, -100]], np.int16)
 COLUMN = np.full(1, 100, np.uint16)
 HALF, SESSION = 5, 5 << 32 | 5
-PAYLOAD = encode_sequence("weighted", 5000, COLUMN, COLUMN, COLUMN * 0, CURRENT, 3, True)
+PAYLOAD = sequence_payload("weighted", 5000, COLUMN, COLUMN, COLUMN * 0, CURRENT, 3, True)
 LISTS = bytes.fromhex("88130000 0100 ffff 00 01 64003200 01 00 0200 00007800 01005a00")
 KERNELS = bytes.fromhex("04000200 00000100 00000200 ff7f0180 01000200 00000100 0100 02000100 ffff")
 SEEDS = {
@@ -37,7 +39,8 @@ SEEDS = {
         encode(Kind.HELLO, HALF, 1),
         encode(Kind.BEGIN, SESSION, 2),
         encode(Kind.STATUS, SESSION, 3),
-        encode(Kind.SEQUENCE, SESSION, 4, about=1, payload=PAYLOAD),
+        encode(Kind.LIMITS, SESSION, 4, payload=limits_payload(4)),
+        encode(Kind.SEQUENCE, SESSION, 5, about=1, payload=PAYLOAD),
     ],
     "kajimoto61": [b"\xff" + bytes(61), b"\xff" + bytes([100] * 61), b"\xfe"],
     "etactilekit": [b"\xf5\xfc\x04\xf4", b"\xfa\x64\x00\xf7\x32\xf6\x3c\x00", b"\xfe" + bytes(8)],
@@ -65,20 +68,18 @@ def pieces(seed, whole):
         yield bytes(piece)
 
 
-def decode_newest(payload):
+def decode_sequences(payload):
     decode_lists(payload, 4, False)
     decode_lists(payload, 4, True)
 
 
 def keep_kernels(payload):
     keep = Keep(4, 1000, 10)
-    keep.take(zlib.crc32(payload), len(payload), 0, payload)
+    keep.take(hashlib.sha256(payload).digest()[:16], len(payload), 0, payload)
     assert keep.weights is None or not keep.weights.sum(axis=1).any()
 
 
-@pytest.mark.parametrize(
-    "parse", [decode_sequence, decode_volts, parse_answer, decode_newest, keep_kernels]
-)
+@pytest.mark.parametrize("parse", [decode_volts, parse_answer, decode_sequences, keep_kernels])
 def test_payloads(parse):
     for piece in pieces(1, [*SEEDS["link"], PAYLOAD, LISTS, KERNELS]):
         with contextlib.suppress(ValueError):
@@ -91,7 +92,7 @@ def test_the_deframer_and_what_it_finds():
         for packet in deframer.feed(piece):
             found += 1
             with contextlib.suppress(ValueError):
-                decode_sequence(decode(packet).payload)
+                decode_sequences(decode(packet).payload)
     assert found > 10
     assert deframer.errors > 10
 
@@ -108,7 +109,7 @@ def firmware(name):
     books = DeliveryLog({"kajimoto61": 61}.get(name, 4))
     if name == "link":
         # Always the same challenge, so that each BEGIN after a silence opens a session.
-        return LinkFirmware(4, "weighted", books, session=BoardSession(lambda: HALF))
+        return LinkFirmware(4, "weighted", books, session=BoardSession(lambda: HALF), ramp_ms=0)
     if name == "kajimoto61":
         return Kajimoto61Firmware(books)
     # The newest: noise makes the others scan for too long, which they do not come back from.

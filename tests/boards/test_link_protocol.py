@@ -11,18 +11,15 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from smarttouch.boards import link_protocol as protocol
+from smarttouch.boards.emulator.lists import decode_lists
 from smarttouch.boards.link_protocol import Kind
-from smarttouch.boards.link_sequence import (
-    decode_sequence,
-    decode_volts,
-    encode_sequence,
-    encode_volts,
-)
+from smarttouch.boards.link_sequence import decode_volts, encode_volts
 from smarttouch.boards.link_session import WHOLE_HEAD_BYTES, decode, decode_head, encode
 from smarttouch.errors import BoardError
 from smarttouch.wire.framing import LARGEST_PACKET, Deframer, Packet
 
 from ..raising import raises
+from .payloads import sequence_payload
 
 u16 = st.integers(0, 65535)
 currents = hnp.arrays(
@@ -37,6 +34,10 @@ def only(packets):
     return packet
 
 
+def decode_sequence(payload, electrodes, output="weighted"):
+    return decode_lists(payload, electrodes, output != "weighted").sequence
+
+
 def columns(current, seed=0):
     slots = len(current)
     random = np.random.default_rng(seed)
@@ -46,12 +47,12 @@ def columns(current, seed=0):
 @given(current=currents, number=st.integers(0, 2**32 - 1), period=st.integers(0, 2**32 - 1))
 def test_weighted_survives_the_wire(current, number, period):
     width, discharge, site = columns(current)
-    payload = encode_sequence("weighted", period, width, discharge, site, current)
+    payload = sequence_payload("weighted", period, width, discharge, site, current)
     packet = only(Deframer().feed(encode(Kind.SEQUENCE, 2**64 - 1, 5, 6, number, payload)))
     message = decode(packet)
     assert (message.kind, message.session, message.number) == (Kind.SEQUENCE, 2**64 - 1, 5)
     assert (message.heard, message.about, message.version) == (6, number, protocol.VERSION)
-    wire = decode_sequence(message.payload)
+    wire = decode_sequence(message.payload, current.shape[1])
     assert (wire.period_us, wire.electrodes) == (period, current.shape[1])
     for got, sent in ((wire.width_us, width), (wire.discharge_us, discharge), (wire.site, site)):
         np.testing.assert_array_equal(got, sent)
@@ -61,8 +62,8 @@ def test_weighted_survives_the_wire(current, number, period):
 @pytest.mark.parametrize("output", ["three-state", "one-against-all"])
 @given(current=currents)
 def test_switched_survives_the_wire(output, current):
-    payload = encode_sequence(output, 9000, *columns(current), current)
-    wire = decode_sequence(payload)
+    payload = sequence_payload(output, 9000, *columns(current), current)
+    wire = decode_sequence(payload, current.shape[1], output)
     np.testing.assert_array_equal(wire.state, np.sign(current))
     np.testing.assert_array_equal(wire.source_ua, np.maximum(current, 0).sum(axis=1))
 
@@ -70,20 +71,21 @@ def test_switched_survives_the_wire(output, current):
 def test_a_source_beyond_the_wire_is_refused_and_never_wraps():
     current = np.array([[5000] * 14 + [-5000] * 14], np.int16)
     with raises(BoardError, about="source_ua", value=70_000, allowed=65_535, slot=0):
-        encode_sequence("three-state", 9000, *columns(current), current)
+        sequence_payload("three-state", 9000, *columns(current), current)
 
 
 @pytest.mark.parametrize(
     ("slots", "electrodes", "attributes"),
     [
-        (2049, 1024, {"about": "packet", "allowed": LARGEST_PACKET}),
+        (600, 1024, {"about": "packet", "allowed": 1 << 20}),
         (70_000, 1, {"about": "slots", "value": 70_000, "allowed": 65_535}),
     ],
 )
 def test_a_packet_beyond_the_limit_is_refused(slots, electrodes, attributes):
     current = np.zeros((slots, electrodes), np.int16)
+    column = np.full(slots, 100, np.uint16)
     with raises(BoardError, **attributes):
-        encode_sequence("weighted", 9000, *columns(current), current)
+        sequence_payload("weighted", 9000, column, column, 0 * column, current)
 
 
 @given(pieces=st.lists(st.binary(max_size=60)))
@@ -112,7 +114,7 @@ def test_packets_may_come_in_any_pieces(cuts):
 @given(st.binary(max_size=80))
 def test_decoding_a_payload_gives_a_sequence_or_a_value_error(payload):
     with contextlib.suppress(ValueError):
-        decode_sequence(payload)
+        decode_sequence(payload, 3)
 
 
 @given(position=st.integers(0, 40), flip=st.integers(1, 255))
@@ -141,50 +143,50 @@ def test_voltages_survive_the_wire(volts):
 
 @given(current=currents, times=st.integers(1, 65535), measure=st.booleans())
 def test_repetition_and_measuring_survive_the_wire(current, times, measure):
-    payload = encode_sequence("weighted", 9000, *columns(current), current, times, measure)
-    wire = decode_sequence(payload)
+    payload = sequence_payload("weighted", 9000, *columns(current), current, times, measure)
+    wire = decode_sequence(payload, current.shape[1])
     assert (wire.times, wire.measure) == (times, measure)
 
 
 @given(current=currents, seed=st.integers(0, 9), width_us=st.integers(0, 65535))
 def test_a_recharge_phase_survives_the_wire(current, seed, width_us):
     recharge = np.random.default_rng(seed).integers(-500, 501, current.shape[1]).astype(np.int16)
-    payload = encode_sequence(
+    payload = sequence_payload(
         "weighted", 9000, *columns(current), current, 2, True, recharge, width_us
     )
-    wire = decode_sequence(payload)
+    wire = decode_sequence(payload, current.shape[1])
     assert (wire.measure, wire.times, wire.recharge_us) == (True, 2, width_us)
     np.testing.assert_array_equal(wire.recharge_ua, recharge)
     np.testing.assert_array_equal(wire.current_ua, current)
     for wrong in (payload[:-1], payload + b"\0", payload[: -2 * current.shape[1]]):
         with pytest.raises(ValueError):
-            decode_sequence(wrong)
+            decode_sequence(wrong, current.shape[1])
 
 
-def test_without_a_recharge_phase_the_bytes_are_those_of_before():
-    width, discharge, site = (np.array([each], np.uint16) for each in (100, 50, 1))
+def test_the_bytes_are_those_of_the_page():
     current = np.array([[300, -300]], np.int16)
-    payload = encode_sequence("weighted", 9000, width, discharge, site, current, 3, True)
-    assert payload == struct.pack("<IHHBBHHHHhh", 9000, 1, 2, 0, 1, 3, 100, 50, 1, 300, -300)
-    assert decode_sequence(payload).recharge_ua is None
+    payload = sequence_payload("weighted", 9000, [100], [50], [1], current, 3, True)
+    head = struct.pack("<IHHBBHH", 9000, 3, 0xFFFF, 1, 1, 100, 50)
+    assert payload == head + struct.pack("<BBHHhh", 2, 0, 1, 1, 300, -300)
+    assert decode_sequence(payload, 2).recharge_ua is None
 
 
 def test_one_source_makes_no_recharge_phase():
     current = np.array([[300, -300]], np.int16)
     with pytest.raises(BoardError):
-        encode_sequence("three-state", 9000, *columns(current), current, 1, False, current[0], 9)
-    payload = bytearray(encode_sequence("three-state", 9000, *columns(current), current))
-    payload[9] |= 2
+        sequence_payload("three-state", 9000, *columns(current), current, 1, False, current[0], 9)
+    payload = bytearray(sequence_payload("three-state", 9000, *columns(current), current))
+    payload[8] |= 2
     with pytest.raises(ValueError):
-        decode_sequence(bytes(payload) + bytes(6))
+        decode_sequence(bytes(payload), 2, "three-state")
 
 
 def test_no_times_at_all_is_no_sequence():
     current = np.zeros((1, 4), np.int16)
-    payload = encode_sequence("weighted", 9000, *columns(current), current, 0)
-    assert decode_sequence(encode_sequence("weighted", 9000, *columns(current), current, 1))
+    payload = sequence_payload("weighted", 9000, *columns(current), current, 0)
+    assert decode_sequence(sequence_payload("weighted", 9000, *columns(current), current, 1), 4)
     with pytest.raises(ValueError):
-        decode_sequence(payload)
+        decode_sequence(payload, 4)
 
 
 @given(payload=st.binary(max_size=600), cut=st.integers(0, 700), session=st.integers(0, 2**64 - 1))

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from smarttouch.boards.announced import announced, running
 from smarttouch.boards.emulator.delivery_log import read_state
-from smarttouch.running.announced import announced, running
 from smarttouch.wire.pty_line import PtyLine
 
 from ..forks import PROGRAM, Forked

@@ -7,8 +7,7 @@ import numpy as np
 
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
-from smarttouch.boards.emulator.link import NAME
-from smarttouch.boards.emulator.link4 import Link4Firmware
+from smarttouch.boards.emulator.link import NAME, LinkFirmware
 from smarttouch.boards.emulator.session import BoardSession
 from smarttouch.boards.emulator.skin import COMPLIANCE_V, Skin
 from smarttouch.boards.link_kernels import KernelImage
@@ -172,8 +171,8 @@ class Emulated:
     def __init__(self, electrodes, output="weighted", ramp_ms=500, worn=False):
         self._books = PulseBooks(electrodes)
         self._books.worn, self._books.kept, self._books.measured = worn, [], []
-        session = BoardSession(itertools.count(1).__next__, protocol.NEWEST)
-        self._board = Link4Firmware(
+        session = BoardSession(itertools.count(1).__next__)
+        self._board = LinkFirmware(
             electrodes, output, self._books, session=session, ramp_ms=ramp_ms
         )
 
@@ -251,14 +250,14 @@ class Both:
 class Talk:
     """A host that talks to a board, packet by packet."""
 
-    def __init__(self, board, half=0x5EED, version=protocol.NEWEST):
+    def __init__(self, board, half=0x5EED):
         self.board, self.now_us = board, 0
-        self.half, self.version = half, version
+        self.half = half
 
     def begin(self, limits=None, image=None):
         """Begin a session; give limits and kernels if there are any."""
         self.half += 1
-        self.host = HostSession(lambda: self.half, self.version)
+        self.host = HostSession(lambda: self.half)
         self.deframer = Deframer()
         self.say(Kind.HELLO)
         self.say(Kind.BEGIN)

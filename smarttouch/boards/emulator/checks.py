@@ -1,4 +1,4 @@
-"""Rules of the ``link`` board of version 4, in whole numbers and in the order of the page."""
+"""Rules of the ``link`` board for one sequence, in whole numbers and in the order of the page."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -7,30 +7,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards.emulator.lists import MOST_AMPLITUDE, Keep, Lists, rounded, summed
-from smarttouch.boards.emulator.rules import (
-    MAX_CHARGE_PC,
-    MAX_CURRENT_UA,
-    MAX_RECHARGE_PC,
-    MAX_RECHARGE_UA,
-    MAX_RECHARGE_US,
-    MAX_SLOTS,
-    MAX_WIDTH_US,
-    MIN_PERIOD_US,
-)
 from smarttouch.boards.link_protocol import LIMITS, NOTHING, Output, Rule
 
+MAX_CURRENT_UA = 5000
 MAX_TOTAL_UA = 10_000
+MAX_WIDTH_US = 200
+MAX_CHARGE_PC = 500_000
+MIN_PERIOD_US = 5000
+MAX_SLOTS = 4096
 MIN_DISCHARGE_US = 20
 MAX_DUTY_PERCENT = 80
 MAX_MEAN_UA = 500
+MAX_FELT_UA = 2500
+MAX_PULSES_HZ = 1500
 BURST_US = 40_000
+MIN_RAMP_MS, MAX_RAMP_MS = 500, 10_000
+MAX_SESSION_S, MAX_SESSION_UC = 3600, 1_800_000
+MAX_RECHARGE_UA = 500
+"""Limit of a recharge phase, a tenth of the strongest pulse, as the board has no thresholds."""
+MAX_RECHARGE_US = 20_000
+MAX_RECHARGE_PC = 2_000_000
 FULL = 0xFFFF
-RAMP_MS = 500
-"""Least time from zero to full."""
-CATCH_UP_MS = 150
-"""Time by which a rise may be ahead of that, as packets may be late."""
-_LEEWAY = 2
-"""Of an intensity in 1/65,535, for its rounding."""
 
 
 class Complaint(NamedTuple):
@@ -49,67 +46,107 @@ class SessionLimits:
 
     period_us: int
     total_ua: int
-    charge_pc: int
     width_us: int
     full_ua: int
     rounding_ua: int
     full_us: int
+    ramp_ms: int
+    session_us: int
+    session_pc: int
+    duty_percent: int
     current_ua: NDArray[np.int64]
+    felt_ua: NDArray[np.int64]
+    charge_pc: NDArray[np.int64]
 
     @classmethod
-    def of(cls, payload: bytes, electrodes: int) -> "SessionLimits | None":
+    def of(cls, payload: bytes, electrodes: int, output: Output) -> "SessionLimits | None":
         """Return the limits in a payload; None if it is none."""
-        if len(payload) != LIMITS.size + 2 * electrodes:
+        if len(payload) != LIMITS.size + 8 * electrodes:
             return None
-        period, total, charge, width, full, rounding, full_us = LIMITS.unpack_from(payload)
-        each = np.frombuffer(payload, "<u2", offset=LIMITS.size).astype(np.int64)
+        (
+            period, total, width, full, rounding, full_us, ramp, session_s, session_uc, duty, _, _,
+        ) = LIMITS.unpack_from(payload)  # fmt: skip
+        at = LIMITS.size
+        current = np.frombuffer(payload, "<u2", electrodes, at).astype(np.int64)
+        felt = np.frombuffer(payload, "<u2", electrodes, at + 2 * electrodes).astype(np.int64)
+        charge = np.frombuffer(payload, "<u4", electrodes, at + 4 * electrodes).astype(np.int64)
+        most = MAX_TOTAL_UA if output == "weighted" else MAX_CURRENT_UA
         return cls(
-            max(period, MIN_PERIOD_US), min(total, MAX_TOTAL_UA), min(charge, MAX_CHARGE_PC),
-            min(width, MAX_WIDTH_US), full, rounding, full_us, np.minimum(each, MAX_CURRENT_UA),
+            max(period, MIN_PERIOD_US), min(total, most), min(width, MAX_WIDTH_US),
+            min(full, MAX_CURRENT_UA), min(rounding, -(-electrodes // 2) + 1),
+            min(full_us, MAX_WIDTH_US), max(ramp or MAX_RAMP_MS, MIN_RAMP_MS),
+            10**6 * min(session_s, MAX_SESSION_S), 10**6 * min(session_uc, MAX_SESSION_UC),
+            min(duty, MAX_DUTY_PERCENT), np.minimum(current, MAX_CURRENT_UA),
+            np.minimum(felt, MAX_FELT_UA), np.minimum(charge, MAX_CHARGE_PC),
         )  # fmt: skip
 
 
-class Ramp:
-    """Rise of intensity on the board's own clock."""
+@dataclass(eq=False)
+class Load:
+    """What one pass of a sequence brings to each electrode, (E,) int64.
 
-    def __init__(self, ramp_ms: int = RAMP_MS) -> None:
-        self._ramp_us = 1000 * ramp_ms
-        self.restart()
+    Attributes
+    ----------
+    felt : ndarray
+        Pulses that count as felt.
+    charge_pc, net_pc : ndarray, pC
+        Of either sign, and signed, positive cathodic; the recharge phase included.
+    flows : bool
+        Whether any current flows.
+    """
 
-    def restart(self) -> None:
-        self._level, self._since_us = 0, -1
+    felt: NDArray[np.int64]
+    charge_pc: NDArray[np.int64]
+    net_pc: NDArray[np.int64]
+    flows: bool = False
 
-    def _risen(self, now_us: int) -> int:
-        if self._since_us < 0:
-            return self._level
-        spent_us = now_us - self._since_us
-        if spent_us >= self._ramp_us:
-            return FULL
-        return min(FULL, self._level + spent_us * FULL // self._ramp_us)
+    @classmethod
+    def none(cls, electrodes: int) -> "Load":
+        return cls(*np.zeros((3, electrodes), np.int64))
 
-    def allowed(self, now_us: int) -> int:
-        """Return the largest intensity that may be accepted now."""
-        if not self._ramp_us:
-            return FULL
-        ahead = CATCH_UP_MS * 1000 * FULL // self._ramp_us
-        return min(FULL, max(self._level, self._risen(now_us) + ahead) + _LEEWAY)
-
-    def note(self, intensity: int, now_us: int) -> None:
-        self._level = min(intensity, max(self._level, self._risen(now_us)))
-        self._since_us = now_us
+    def add(
+        self, signed_ua: NDArray[np.int64], width_us: NDArray[np.int64], felt_ua: NDArray[np.int64]
+    ) -> None:
+        """Add slots: currents (S, E) µA and widths (S,) µs."""
+        each = np.abs(signed_ua)
+        self.felt += ((each >= felt_ua) & (each > 0)).sum(axis=0)
+        self.charge_pc += width_us @ each
+        self.net_pc += width_us @ signed_ua
+        self.flows |= bool(each.any())
 
 
 def complaint(
-    lists: Lists, limits: SessionLimits, keep: Keep, output: Output, most_intensity: int
-) -> Complaint | None:
-    """Fill in what kernels make, and return the first rule that is broken, if any."""
+    lists: Lists, limits: SessionLimits, keep: Keep, output: Output, carried_pc: NDArray[np.int64]
+) -> tuple[Complaint | None, Load]:
+    """Fill in what kernels make; return the first rule that is broken, if any, and the load.
+
+    Parameters
+    ----------
+    carried_pc : ndarray, (E,) int64, pC
+        Net charge of the session so far, positive cathodic.
+    """
     sequence = lists.sequence
-    period_us, slots = sequence.period_us, lists.slots
+    load = Load.none(sequence.electrodes)
+    width = sequence.width_us.astype(np.int64)
+    if found := _times(lists, limits, width):
+        return found, load
+    peaks = _all_at_once(lists, limits, keep, width, load) if output == "weighted" else None
+    if peaks is None:
+        load = Load.none(sequence.electrodes)
+        found, peaks = _slot_by_slot(lists, limits, keep, output, width, load)
+        if found:
+            return found, load
+    return _whole(lists, limits, load, peaks, carried_pc), load
+
+
+def _times(lists: Lists, limits: SessionLimits, width: NDArray[np.int64]) -> Complaint | None:
+    """Return the first broken rule about times."""
+    sequence, slots = lists.sequence, lists.slots
+    period_us = sequence.period_us
     if slots > MAX_SLOTS:
         return Complaint(Rule.SLOTS, value=slots, allowed=MAX_SLOTS)
     if period_us < limits.period_us:
         return Complaint(Rule.PERIOD, value=_i32(period_us), allowed=_i32(limits.period_us))
-    width = sequence.width_us.astype(np.int64)
     discharge = sequence.discharge_us.astype(np.int64)
     for slot in range(slots):
         if not 0 < width[slot] <= limits.width_us:
@@ -117,55 +154,72 @@ def complaint(
         if discharge[slot] < MIN_DISCHARGE_US:
             rest_us = int(discharge[slot])
             return Complaint(Rule.DISCHARGE, slot, value=rest_us, allowed=MIN_DISCHARGE_US)
-    busy_us = int((width + discharge).sum()) + sequence.recharge_us
+    busy_us = int((width + discharge).sum())
+    if sequence.recharge_ua is not None:
+        busy_us += sequence.recharge_us + MIN_DISCHARGE_US
     if busy_us > period_us:
         return Complaint(Rule.FIT, value=_i32(busy_us), allowed=_i32(period_us))
-    pulses_us = int(width.sum())
-    if 100 * pulses_us > MAX_DUTY_PERCENT * period_us:
-        allowed = period_us * MAX_DUTY_PERCENT // 100
+    pulses_us = int(width.sum()) + sequence.recharge_us
+    if 100 * pulses_us > limits.duty_percent * period_us:
+        allowed = period_us * limits.duty_percent // 100
         return Complaint(Rule.DUTY, value=_i32(pulses_us), allowed=_i32(allowed))
-    if (sums := _all_at_once(lists, limits, keep, width)) is not None and output == "weighted":
-        return _whole(lists, limits, *sums, most_intensity)
-    passed_pc = np.zeros(sequence.electrodes, np.int64)
+    return None
+
+
+def _slot_by_slot(
+    lists: Lists,
+    limits: SessionLimits,
+    keep: Keep,
+    output: Output,
+    width: NDArray[np.int64],
+    load: Load,
+) -> tuple[Complaint | None, tuple[int, int]]:
+    """Return the first broken rule of a slot, and the strongest current and charge."""
+    sequence = lists.sequence
     peak_ua = peak_pc = slot = 0
     for group in lists.groups:
         if (group.kind == 3) != (output != "weighted"):
-            return Complaint(Rule.KIND, slot, value=group.kind)
+            return Complaint(Rule.KIND, slot, value=group.kind), (0, 0)
         for index in range(group.slots):
             if group.kind < 2:
                 every = slice(None) if group.kind else slice(index, index + 1)
                 kernel, amplitude = group.kernel[every], group.amplitude[every]
                 if found := _unkept(kernel, amplitude, keep, slot):
-                    return found
+                    return found, (0, 0)
                 assert keep.weights is not None
                 assert sequence.current_ua is not None
                 sequence.current_ua[slot] = summed(keep.weights, kernel, amplitude)
                 sequence.site[slot] = keep.site[kernel[0]]
+            charged_ua: NDArray[np.int64] | int
             if group.kind == 3:
                 assert sequence.source_ua is not None
                 assert sequence.state is not None
                 state, source = sequence.state[slot], int(sequence.source_ua[slot])
-                found, each = _switched(state, source, output, limits, slot)
+                found, signed = _switched(state, source, output, limits, slot)
+                # Any electrode may be the last that still touches the skin.
+                charged_ua = np.where(state == 0, 0, source)
             else:
                 assert sequence.current_ua is not None
-                found, each = _weighted(sequence.current_ua[slot], limits, slot)
+                found, signed = _weighted(sequence.current_ua[slot], limits, slot)
+                charged_ua = np.abs(signed)
             if found:
-                return found
-            most = int(each.max(initial=0))
-            charge = most * int(width[slot])
-            if charge > limits.charge_pc:
-                electrode = int(each.argmax())
-                return Complaint(Rule.CHARGE, slot, electrode, charge, limits.charge_pc)
-            peak_ua, peak_pc = max(peak_ua, most), max(peak_pc, charge)
-            passed_pc += each * int(width[slot])
+                return found, (0, 0)
+            charge = charged_ua * int(width[slot])
+            if len(over := np.flatnonzero(charge > limits.charge_pc)):
+                electrode = int(over[0])
+                value, most_pc = int(charge[electrode]), int(limits.charge_pc[electrode])
+                return Complaint(Rule.CHARGE, slot, electrode, value, most_pc), (0, 0)
+            most = int(np.abs(signed).max(initial=0))
+            peak_ua, peak_pc = max(peak_ua, most), max(peak_pc, most * int(width[slot]))
+            load.add(signed[None], width[slot : slot + 1], limits.felt_ua)
             slot += 1
-    return _whole(lists, limits, passed_pc, (peak_ua, peak_pc), most_intensity)
+    return None, (peak_ua, peak_pc)
 
 
 def _all_at_once(
-    lists: Lists, limits: SessionLimits, keep: Keep, width_us: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], tuple[int, int]] | None:
-    """Return the charge of each electrode and the peaks; None if a slot may break a rule.
+    lists: Lists, limits: SessionLimits, keep: Keep, width_us: NDArray[np.int64], load: Load
+) -> tuple[int, int] | None:
+    """Return the strongest current and charge; None if a slot may break a rule.
 
     Which one, and which rule, is then found slot by slot.
     """
@@ -189,36 +243,48 @@ def _all_at_once(
             every = every.sum(axis=0, keepdims=True)
         current_ua[rows] = rounded(every)
         sequence.site[rows] = keep.site[group.kernel[: group.slots]]
-    each = np.abs(current_ua.astype(np.int64))
-    charge_pc = each.max(axis=1, initial=0) * width_us
+    signed = current_ua.astype(np.int64)
+    each = np.abs(signed)
+    charge_pc = each * width_us[:, None]
     if (
-        current_ua.sum(axis=1, dtype=np.int64).any()
+        signed.sum(axis=1).any()
         or (each > limits.current_ua).any()
         or int(each.sum(axis=1).max(initial=0)) // 2 > limits.total_ua
-        or int(charge_pc.max(initial=0)) > limits.charge_pc
+        or (charge_pc > limits.charge_pc).any()
     ):
         return None
-    return width_us @ each, (int(each.max(initial=0)), int(charge_pc.max(initial=0)))
+    load.add(signed, width_us, limits.felt_ua)
+    return int(each.max(initial=0)), int(charge_pc.max(initial=0))
 
 
 def _whole(
     lists: Lists,
     limits: SessionLimits,
-    passed_pc: NDArray[np.int64],
+    load: Load,
     peaks: tuple[int, int],
-    most_intensity: int,
+    carried_pc: NDArray[np.int64],
 ) -> Complaint | None:
-    """Return the first broken rule of those about the whole sequence."""
+    """Return the first broken rule of those about the whole sequence, by itself."""
     sequence, (peak_ua, peak_pc) = lists.sequence, peaks
     if sequence.recharge_ua is not None:
-        if found := _recharged(sequence.recharge_ua, sequence.recharge_us, lists.slots, limits):
+        if found := _recharged(lists, limits, load, carried_pc):
             return found
-        passed_pc = passed_pc + np.abs(sequence.recharge_ua.astype(np.int64)) * sequence.recharge_us
-    allowed = MAX_MEAN_UA * min(sequence.period_us, BURST_US)
-    over = np.flatnonzero(passed_pc > allowed)
+        recharge_pc = sequence.recharge_ua.astype(np.int64) * sequence.recharge_us
+        load.charge_pc += np.abs(recharge_pc)
+        load.net_pc += recharge_pc
+    burst_us = min(sequence.period_us, BURST_US)
+    allowed = MAX_MEAN_UA * burst_us
+    over = np.flatnonzero(load.charge_pc > allowed)
     if len(over):
         electrode = int(over[0])
-        return Complaint(Rule.MEAN, NOTHING, electrode, _i32(int(passed_pc[electrode])), allowed)
+        return Complaint(
+            Rule.MEAN, NOTHING, electrode, _i32(int(load.charge_pc[electrode])), allowed
+        )
+    over = np.flatnonzero(load.felt * 10**6 > MAX_PULSES_HZ * burst_us)
+    if len(over):
+        electrode = int(over[0])
+        allowed = MAX_PULSES_HZ * burst_us // 10**6
+        return Complaint(Rule.FELT, NOTHING, electrode, int(load.felt[electrode]), allowed)
     strongest_ua = limits.full_ua + limits.rounding_ua
     if limits.full_us:
         allowed = strongest_ua * limits.full_us * 1001 * lists.intensity // (1000 * FULL)
@@ -229,8 +295,6 @@ def _whole(
         allowed = limits.full_ua * lists.intensity // FULL + limits.rounding_ua
     if peak_ua > allowed:
         return Complaint(Rule.INTENSITY, value=peak_ua, allowed=allowed)
-    if lists.intensity > most_intensity:
-        return Complaint(Rule.RISE, value=lists.intensity, allowed=most_intensity)
     return None
 
 
@@ -249,24 +313,25 @@ def _unkept(
 def _weighted(
     current_ua: NDArray[np.int16], limits: SessionLimits, slot: int
 ) -> tuple[Complaint | None, NDArray[np.int64]]:
-    """Return the first broken rule of a slot's currents, and their magnitudes."""
-    each = np.abs(current_ua.astype(np.int64))
+    """Return the first broken rule of a slot's currents, and the currents."""
+    signed = current_ua.astype(np.int64)
+    each = np.abs(signed)
     if net := int(current_ua.sum(dtype=np.int64)):
-        return Complaint(Rule.BALANCE, slot, value=net), each
+        return Complaint(Rule.BALANCE, slot, value=net), signed
     over = np.flatnonzero(each > limits.current_ua)
     if len(over):
         electrode = int(over[0])
         most = int(limits.current_ua[electrode])
-        return Complaint(Rule.CURRENT, slot, electrode, int(each[electrode]), most), each
+        return Complaint(Rule.CURRENT, slot, electrode, int(each[electrode]), most), signed
     if (total := int(each.sum()) // 2) > limits.total_ua:
-        return Complaint(Rule.TOTAL, slot, value=total, allowed=limits.total_ua), each
-    return None, each
+        return Complaint(Rule.TOTAL, slot, value=total, allowed=limits.total_ua), signed
+    return None, signed
 
 
 def _switched(
     state: NDArray[np.int8], source_ua: int, output: Output, limits: SessionLimits, slot: int
 ) -> tuple[Complaint | None, NDArray[np.int64]]:
-    """Return the first broken rule of a slot's states, and the nominal currents, rounded up."""
+    """Return the first broken rule of a slot's states, and its currents, rounded away from 0."""
     cathodes, anodes = int((state == 1).sum()), int((state == -1).sum())
     wrong = bool((state == 2).any()) or not cathodes or not anodes
     if output == "one-against-all":
@@ -275,31 +340,48 @@ def _switched(
     if wrong:
         return Complaint(Rule.STATES, slot), each
     each[state == 1], each[state == -1] = -(-source_ua // cathodes), -(-source_ua // anodes)
+    signed = np.where(state == -1, -each, each)
     over = np.flatnonzero(each > limits.current_ua)
     if len(over):
         electrode = int(over[0])
         most = int(limits.current_ua[electrode])
-        return Complaint(Rule.CURRENT, slot, electrode, int(each[electrode]), most), each
+        return Complaint(Rule.CURRENT, slot, electrode, int(each[electrode]), most), signed
     if source_ua > limits.total_ua:
-        return Complaint(Rule.TOTAL, slot, value=source_ua, allowed=limits.total_ua), each
-    return None, each
+        return Complaint(Rule.TOTAL, slot, value=source_ua, allowed=limits.total_ua), signed
+    return None, signed
 
 
 def _recharged(
-    current_ua: NDArray[np.int16], width_us: int, slots: int, limits: SessionLimits
+    lists: Lists, limits: SessionLimits, load: Load, carried_pc: NDArray[np.int64]
 ) -> Complaint | None:
-    """Return the first broken rule of a recharge phase."""
-    if not slots or not 0 < width_us <= MAX_RECHARGE_US:
+    """Return the first broken rule of a recharge phase after slots of a load."""
+    sequence = lists.sequence
+    current_ua, width_us = sequence.recharge_ua, sequence.recharge_us
+    assert current_ua is not None
+    if not lists.slots or not 0 < width_us <= MAX_RECHARGE_US:
         return Complaint(Rule.RECHARGE, value=width_us, allowed=MAX_RECHARGE_US)
-    each = np.abs(current_ua.astype(np.int64))
-    if net := int(current_ua.sum(dtype=np.int64)):
+    signed = current_ua.astype(np.int64)
+    each = np.abs(signed)
+    if net := int(signed.sum()):
         return Complaint(Rule.BALANCE, value=net)
-    allowed = min(MAX_RECHARGE_UA, MAX_RECHARGE_PC // width_us)
+    allowed = np.minimum(min(MAX_RECHARGE_UA, MAX_RECHARGE_PC // width_us), limits.current_ua)
     over = np.flatnonzero(each > allowed)
     if len(over):
-        return Complaint(Rule.CURRENT, NOTHING, int(over[0]), int(each[over[0]]), allowed)
+        electrode = int(over[0])
+        value, most = int(each[electrode]), int(allowed[electrode])
+        return Complaint(Rule.CURRENT, NOTHING, electrode, value, most)
     if (total := int(each.sum()) // 2) > limits.total_ua:
         return Complaint(Rule.TOTAL, value=total, allowed=limits.total_ua)
+    phase_pc = signed * width_us
+    for passes in (0, sequence.times - 1):
+        before_pc = carried_pc + passes * (load.net_pc + phase_pc) + load.net_pc
+        after = np.abs(before_pc + phase_pc)
+        most_pc = np.maximum(np.abs(before_pc), MAX_RECHARGE_PC)
+        over = np.flatnonzero(after > most_pc)
+        if len(over):
+            electrode = int(over[0])
+            value, most = _i32(int(after[electrode])), _i32(int(most_pc[electrode]))
+            return Complaint(Rule.RECHARGE, NOTHING, electrode, value, most)
     return None
 
 

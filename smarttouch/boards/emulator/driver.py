@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from smarttouch.boards.emulator import checks
+from smarttouch.boards.emulator import second
 from smarttouch.boards.link import LinkBoard
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
@@ -40,6 +40,7 @@ class EmulatorBoard(LinkBoard):
     """
 
     on_a_finger = False
+    device = None
 
     def __init__(
         self,
@@ -54,7 +55,7 @@ class EmulatorBoard(LinkBoard):
         self._line.answer_s = self._line.silence_s = _SPEAKS_WITHIN_S
         kind = "weighted" if output is None else output.kind
         options = f"--electrodes={limits.electrodes} --output={kind} --linger=0.2 --port-only"
-        options += f" --ramp-ms={checks.RAMP_MS}"
+        options += f" --ramp-ms={second.RAMP_MS}"
         self._command = [sys.executable, "-m", "smarttouch.emulator", "board", "link"]
         self._command += options.split()
         self._command += [f"--event={event}" for event in events]

@@ -10,6 +10,8 @@ Events are texts, a time in seconds and what happens then::
     5 open 7            electrode 7 is cut off
     5 short 7           electrode 7 has a few ohm to the tissue
     5 heal 7            electrode 7 is as it was
+    6 emergency         the emergency switch is opened, by this finger's other hand
+    7 release           and closed
 """
 
 import math
@@ -40,6 +42,8 @@ FORMS = {
     "open": "ELECTRODE",
     "short": "ELECTRODE",
     "heal": "ELECTRODE",
+    "emergency": "",
+    "release": "",
 }
 
 
@@ -107,7 +111,11 @@ class Finger:
                     value=event.electrode,
                     allowed=electrodes - 1,
                 )
-        self._due = deque(parsed)
+        switch = ("emergency", "release")
+        self._due = deque(event for event in parsed if event.kind not in switch)
+        self._switched = [
+            (event.time_s, event.kind == "emergency") for event in parsed if event.kind in switch
+        ]
         self._touches, self._pressure_n = True, FORCE_N
         self._drifts: dict[int, _Drift] = {}
         self._drifted, self._area = np.ones(electrodes), np.ones(electrodes)
@@ -117,6 +125,14 @@ class Finger:
     @property
     def force_n(self) -> float:
         return self._pressure_n if self._touches else 0.0
+
+    def opens_switch(self, now_s: float) -> bool:
+        """Return whether the emergency switch is open at a time."""
+        opened = False
+        for time_s, is_open in self._switched:
+            if time_s <= now_s:
+                opened = is_open
+        return opened
 
     def at(self, now_s: float, skin: Skin) -> None:
         """Apply all events to the skin that are due; times must not decrease."""

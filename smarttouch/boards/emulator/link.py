@@ -10,24 +10,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards import link_protocol as protocol
+from smarttouch.boards.emulator.checks import (
+    MAX_CURRENT_UA,
+    MAX_SLOTS,
+    Complaint,
+    Load,
+    SessionLimits,
+    complaint,
+)
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.firmware import Firmware
-from smarttouch.boards.emulator.rules import MAX_CURRENT_UA, MAX_SLOTS, Rules
+from smarttouch.boards.emulator.lists import Keep, decode_lists
+from smarttouch.boards.emulator.second import RAMP_MS, Ramp, Second
 from smarttouch.boards.emulator.session import BoardSession
 from smarttouch.boards.emulator.skin import COMPLIANCE_V, Skin
-from smarttouch.boards.link_protocol import SILENCE_MS, Feature, Kind, Output, Refusal
-from smarttouch.boards.link_sequence import WireSequence, decode_sequence, encode_volts
+from smarttouch.boards.link_protocol import (
+    SILENCE_MS,
+    SWITCH_OPEN,
+    Feature,
+    Kind,
+    Output,
+    Refusal,
+    Rule,
+)
+from smarttouch.boards.link_sequence import WireSequence, encode_volts
 from smarttouch.boards.link_session import WHOLE_HEAD_BYTES, Message, decode
 from smarttouch.wire.framing import Deframer
 
 NAME = "SmartTouch board emulator 1"
-_WHY = {
-    Refusal.OLD: "an old packet",
-    Refusal.FOREIGN: "a packet of another session",
-    Refusal.STOPPED: "say HELLO and BEGIN first",
-    Refusal.SILENCE: "say HELLO and BEGIN first",
-}
+PACKET_BYTES = 1 << 20
+KERNEL_BYTES = 1 << 23
+MOST_KERNELS = 4096
 
 
 @dataclass
@@ -36,6 +50,8 @@ class _Table:
 
     number: int
     sequence: WireSequence
+    load: Load | None
+    """Of a pass; None without slots."""
     left: int
     """Number of remaining scans, with the current one."""
     start_ns: int = 0
@@ -45,6 +61,15 @@ class _Table:
     volts: list[float] = field(default_factory=list)
     recharge_ns: int | None = None
     """Start of its recharge phase, until that has been recorded."""
+
+    @property
+    def over_ns(self) -> int:
+        """End of the last slot or recharge phase of the pass at hand."""
+        sequence = self.sequence
+        busy_us = int(
+            sequence.width_us.sum(dtype=np.int64) + sequence.discharge_us.sum(dtype=np.int64)
+        )
+        return self.start_ns + 1000 * (busy_us + sequence.recharge_us)
 
     def begin(self, start_ns: int) -> None:
         sequence = self.sequence
@@ -74,6 +99,15 @@ class LinkFirmware(Firmware):
         The most its sources can give.
     session : BoardSession, optional
         Session that filters packets.
+    ramp_ms : int
+        Least time from zero to full intensity; 0 for tests whose time is what they claim.
+    kernel_bytes : int
+        Room for kernels.
+
+    Attributes
+    ----------
+    switch_open : bool
+        Whether somebody holds its emergency switch open.
     """
 
     books: DeliveryLog
@@ -86,9 +120,15 @@ class LinkFirmware(Firmware):
         finger: Finger | None = None,
         compliance_v: float = COMPLIANCE_V,
         session: BoardSession | None = None,
+        ramp_ms: int = RAMP_MS,
+        kernel_bytes: int = KERNEL_BYTES,
     ) -> None:
         self._electrodes, self._output, self.books = electrodes, output, books
-        self._rules = Rules(electrodes, output)
+        self._kernel_bytes = kernel_bytes
+        self._keep = Keep(electrodes, kernel_bytes, MOST_KERNELS)
+        self._ramp, self._second = Ramp(ramp_ms), Second(electrodes)
+        self._limits: SessionLimits | None = None
+        self.switch_open = False
         self._skin = Skin(electrodes, compliance_v=compliance_v)
         self._finger = finger or Finger(electrodes)
         self._compliance_v = compliance_v
@@ -130,7 +170,7 @@ class LinkFirmware(Firmware):
             for packet in self._deframer.feed(piece):
                 self._answer(decode(packet), now_ns)
         if self._deframer.errors > garbled and self._greeted:
-            self._refuse(0, Refusal.GARBLED, "no packet")
+            self._refuse(0, Refusal.GARBLED)
         head = self._deframer.head(WHOLE_HEAD_BYTES)
         if head is not None and self._session.promises(head, self._packet_ns, now_ns):
             self._heard_ns = now_ns
@@ -150,6 +190,12 @@ class LinkFirmware(Firmware):
         return answers
 
     def _advance(self, now_ns: int) -> None:
+        opened = self.switch_open or self._finger.opens_switch(now_ns / 1e9)
+        self._session.state = SWITCH_OPEN * opened
+        if opened and self._refusing is None:
+            self.zero("emergency", now_ns)
+            self._refuse(0, Refusal.EMERGENCY)
+            self._end(Refusal.EMERGENCY)
         deadline_ns = self._heard_ns + SILENCE_MS * 1_000_000
         self._execute(min(now_ns, deadline_ns))
         if now_ns >= deadline_ns and self._refusing is None:
@@ -157,7 +203,7 @@ class LinkFirmware(Firmware):
             self.zero("silence", now_ns)
             self._end(Refusal.SILENCE)
             if dropped is not None:
-                self._refuse(dropped.number, Refusal.SILENCE, "dropped")
+                self._refuse(dropped.number, Refusal.SILENCE)
         if self._greeted and now_ns - self._alive_ns >= protocol.ALIVE_MS * 1_000_000:
             self._alive_ns = now_ns
             self._finger.at(now_ns / 1e9, self._skin)
@@ -181,6 +227,7 @@ class LinkFirmware(Firmware):
         """Drop everything that waits and short all electrodes."""
         if self._running is not None:
             self._recharge(self._running, self._executed_ns)
+            self._second.end(min(now_ns, self._running.over_ns) // 1000)
         self._running = self._waiting = None
         self.books.state, self.books.reason = "shorted", reason
         self.books.zero_after_ms = (now_ns - self._heard_ns) / 1e6
@@ -202,8 +249,9 @@ class LinkFirmware(Firmware):
             volts = encode_volts(np.array(table.volts))
             self._say(Kind.VOLTAGES, table.number, volts)
         table.left -= 1
+        self._second.end(table.over_ns // 1000)
         if table.left and self._waiting is None:
-            table.begin(table.end_ns)
+            self._begin_pass(table, table.end_ns)
             return
         self.books.sequences += 1
         self._running, waiting = None, self._waiting
@@ -213,8 +261,12 @@ class LinkFirmware(Firmware):
         else:
             self._begin(waiting, table.end_ns)
 
-    def _begin(self, table: _Table, start_ns: int) -> None:
+    def _begin_pass(self, table: _Table, start_ns: int) -> None:
         table.begin(start_ns)
+        self._second.begin(start_ns // 1000, table.sequence.period_us, table.load)
+
+    def _begin(self, table: _Table, start_ns: int) -> None:
+        self._begin_pass(table, start_ns)
         self._running = table
         self._last = (table.number, True)
         self._say(Kind.ACK, table.number)
@@ -263,12 +315,21 @@ class LinkFirmware(Firmware):
             else:
                 self._turn_away(Refusal.FOREIGN)
             return None
+        if (
+            message.kind == Kind.BEGIN
+            and self._session.state
+            and self._session.would_begin(message)
+        ):
+            self._answers.append(self._session.refuse_begin(message))
+            return None
         if message.kind == Kind.BEGIN and self._session.begin(message):
             # A new host starts from zero, whatever the one before left.
             if self._running is not None:
                 self.zero("begin", now_ns)
             self._refusing, self._last, self._greeted = None, (-1, False), True
-            self._begun()
+            self._limits = None
+            self._ramp.restart(0)
+            self._second.begin_session()
         elif refusal := self._session.take(message, self._packet_ns):
             return self._turn_away(refusal)
         self._heard_ns = now_ns
@@ -283,15 +344,25 @@ class LinkFirmware(Firmware):
             self._say(Kind.STOPPED, message.number)
         elif message.kind == Kind.STATUS:
             self._say(Kind.REPORT, message.number, self._report())
-        else:
-            self._answer_more(message)
+        elif message.kind == Kind.LIMITS:
+            if self._limits is None:
+                limits = SessionLimits.of(message.payload, self._electrodes, self._output)
+                self._limits = limits
+                self._ramp.restart(0 if limits is None else limits.ramp_ms)
+            self._say(Kind.LIMITED, message.number, bytes([self._limits is not None]))
+        elif message.kind == Kind.KERNELS:
+            self._take_kernels(message)
         return None
 
-    def _begun(self) -> None:
-        """Begin anew with a session; for newer versions."""
-
-    def _answer_more(self, message: Message) -> None:
-        """Answer a packet of another kind; for newer versions."""
+    def _take_kernels(self, message: Message) -> None:
+        size, keep = protocol.KERNELS.size, self._keep
+        # What a sequence is made of stays as it is until that is over.
+        if len(message.payload) >= size and not self.at_hand and self._refusing is None:
+            identity, whole_size, offset = protocol.KERNELS.unpack_from(message.payload)
+            keep.take(identity, whole_size, offset, message.payload[size:])
+        whole, proof = keep.weights is not None, keep.proof(self._session.number)
+        kept = protocol.KEPT.pack(keep.identity, keep.received, whole, proof)
+        self._say(Kind.KEPT, message.number, kept)
 
     def _accept(self, message: Message, now_ns: int) -> None:
         number = message.about
@@ -305,50 +376,70 @@ class LinkFirmware(Firmware):
             self._session.old += 1
             return self._turn_away(Refusal.OLD)
         if self._waiting is not None:
-            return self._refuse(number, Refusal.BUSY, "one executing and one waiting")
-        sequence = self._judged(number, message.payload, now_ns)
-        if sequence is None:
+            return self._refuse(number, Refusal.BUSY)
+        table = self._judged(number, message.payload, now_ns)
+        if table is None:
             self.books.violations += 1
             return None
         self._last = (number, False)
-        table = _Table(number, sequence, sequence.times)
         if self._running is None:
             self._begin(table, now_ns)
         else:
             self._waiting = table
         return self._execute(now_ns)
 
-    def _judged(self, number: int, payload: bytes, now_ns: int) -> WireSequence | None:
-        """Return the sequence in a payload, or refuse it."""
+    def _judged(self, number: int, payload: bytes, now_ns: int) -> _Table | None:
+        """Return what a payload asks for, or refuse it."""
         try:
-            sequence = decode_sequence(payload)
-        except ValueError as error:
-            self._refuse(number, Refusal.MALFORMED, str(error))
+            lists = decode_lists(payload, self._electrodes, self._output != "weighted")
+        except ValueError:
+            self._refuse(number, Refusal.MALFORMED)
             return None
-        if complaint := self._rules.complaint(sequence):
-            self._refuse(number, Refusal.UNSAFE, complaint)
+        sequence, load = lists.sequence, None
+        start_ns = now_ns if self._running is None else max(now_ns, self._running.end_ns)
+        # Time that stood still with this process has passed on the skin.
+        rise_us = start_ns // 1000 + round(1000 * self.books.stood_still_ms)
+        if self._limits is None:
+            found: Complaint | None = Complaint(Rule.LIMITS)
+        else:
+            found, load = complaint(
+                lists, self._limits, self._keep, self._output, self._second.net_pc
+            )
+            allowed = self._ramp.allowed(rise_us)
+            if found is None and lists.intensity > allowed:
+                found = Complaint(Rule.RISE, value=lists.intensity, allowed=allowed)
+            found = found or self._second.complaint(
+                start_ns // 1000, sequence.period_us, sequence.times,
+                load if lists.slots else None, self._limits,
+            )  # fmt: skip
+        if found is not None:
+            self._say(Kind.NAK, number, protocol.NAK.pack(Refusal.UNSAFE, *found))
             return None
-        return sequence
+        assert load is not None
+        span_us = sequence.times * sequence.period_us if load.flows else 0
+        self._ramp.note(lists.intensity, rise_us, span_us)
+        return _Table(number, sequence, load if lists.slots else None, sequence.times)
 
     def _turn_away(self, reason: Refusal) -> None:
         if self._session.live:
             self._refuse(0, reason)
 
-    def _refuse(self, number: int, reason: Refusal, text: str = "") -> None:
-        words = text or _WHY[reason]
-        self._say(Kind.NAK, number, bytes([reason]) + words.encode())
+    def _refuse(self, number: int, reason: Refusal) -> None:
+        self._say(Kind.NAK, number, protocol.NAK.pack(reason, *Complaint(Rule.NONE)))
 
     def _say(self, kind: Kind, about: int = 0, payload: bytes = b"") -> None:
         self._answers.append(self._session.encode(kind, about, payload))
 
     def _capabilities(self) -> bytes:
-        return self._able() + NAME.encode()
-
-    def _able(self, more: int = 0) -> bytes:
-        return protocol.CAPABILITIES.pack(
-            self._electrodes, protocol.OUTPUTS.index(self._output),
-            Feature.VOLTAGE | Feature.FORCE | self._recharging | more, MAX_CURRENT_UA, MAX_SLOTS,
-            protocol.SILENCE_MS, round(self._compliance_v),
+        able = Feature.VOLTAGE | Feature.FORCE | self._recharging
+        able |= Feature.KERNELS | Feature.EMERGENCY
+        return (
+            protocol.CAPABILITIES.pack(
+                self._electrodes, protocol.OUTPUTS.index(self._output), able, MAX_CURRENT_UA,
+                MAX_SLOTS, SILENCE_MS, round(self._compliance_v),
+            )
+            + protocol.KEEPING.pack(self._kernel_bytes, PACKET_BYTES, MOST_KERNELS)
+            + NAME.encode()
         )  # fmt: skip
 
     def account(self) -> tuple[int, int, int, int, float, float, float, int]:
@@ -360,7 +451,11 @@ class LinkFirmware(Firmware):
         )  # fmt: skip
 
     def _report(self) -> bytes:
-        *delivered, _ = self.account()
+        books, second = self.books, self._second
         return protocol.REPORT.pack(
-            *delivered, self.at_hand, self._session.old, self._session.foreign
-        )
+            books.sequences, books.slots, books.pulses, books.violations,
+            round(1000 * books.max_current_ma), round(1e6 * books.max_charge_uc),
+            round(1e6 * books.max_net_charge_uc), self.at_hand, self._session.old,
+            self._session.foreign, second.most_net_pc, -(-second.session_us // 10**6),
+            -(-int(second.session_pc.max()) // 10**6),
+        )  # fmt: skip

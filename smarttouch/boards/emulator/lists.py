@@ -1,10 +1,10 @@
-"""Kernels and lists of them as an emulated board of ``link`` version 4 reads them.
+"""Kernels and lists of them as an emulated board of ``link`` reads them.
 
 In code of its own, as are its rules: what the host computes is not what is checked here.
 """
 
+import hashlib
 import struct
-import zlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +15,7 @@ from smarttouch.boards.link_sequence import WireSequence, unpack_states
 _HEAD = struct.Struct("<IHHBB")
 _GROUP = struct.Struct("<BBH")
 _PAIR = struct.Struct("<HH")
+_NOTHING = bytes(16)
 MOST_AMPLITUDE = 0xFFFF
 """Largest sum of a slot's amplitudes."""
 
@@ -140,8 +141,9 @@ class Keep:
 
     Attributes
     ----------
-    identity, size : int
-        Of what is being kept; 0 if nothing.
+    identity : bytes
+        First 16 bytes of the SHA-256 of what is being kept; zeros if nothing.
+    size : int
     weights : ndarray or None, (K, E) int16
         Once all of it is there.
     site : ndarray, (K,) uint16
@@ -150,7 +152,7 @@ class Keep:
     def __init__(self, electrodes: int, room: int, most: int) -> None:
         self._electrodes, self._room, self._most = electrodes, room, most
         self._data = bytearray()
-        self.identity = self.size = 0
+        self.identity, self.size = _NOTHING, 0
         self.weights: NDArray[np.int16] | None = None
         self.site = np.zeros(0, np.uint16)
 
@@ -158,7 +160,7 @@ class Keep:
     def received(self) -> int:
         return len(self._data)
 
-    def take(self, identity: int, size: int, offset: int, data: bytes) -> None:
+    def take(self, identity: bytes, size: int, offset: int, data: bytes) -> None:
         """Take a part; what does not follow the one before is left out."""
         if (identity, size) != (self.identity, self.size):
             self._forget()
@@ -176,13 +178,19 @@ class Keep:
             except ValueError:
                 self._forget()
 
+    def proof(self, session: int) -> bytes:
+        """Return what shows the host of a session what is kept; zeros if it is not whole."""
+        if self.weights is None:
+            return _NOTHING
+        return hashlib.sha256(session.to_bytes(8, "little") + self._data).digest()[:16]
+
     def _forget(self) -> None:
         self._data.clear()
-        self.identity = self.size = 0
+        self.identity, self.size = _NOTHING, 0
         self.weights = None
 
     def _read(self, data: bytes) -> None:
-        if zlib.crc32(data) != self.identity:
+        if hashlib.sha256(data).digest()[:16] != self.identity:
             raise ValueError("another identity")
         electrodes, count = _PAIR.unpack(_part(data, 0, 4))
         if electrodes != self._electrodes or count > self._most:

@@ -8,10 +8,12 @@ from smarttouch.boards.link_protocol import (
     HALF,
     LATE_MS,
     LONGEST_PACKET_MS,
-    NEWEST,
+    NAK,
+    NOTHING,
     VERSION,
     Kind,
     Refusal,
+    Rule,
 )
 from smarttouch.boards.link_session import Message, decode_head, draw_half, encode
 
@@ -27,8 +29,6 @@ class BoardSession:
     ----------
     draw : callable
         Returns 32 random bits that are not all 0, each time others.
-    version : int
-        Of the protocol.
 
     Attributes
     ----------
@@ -38,10 +38,12 @@ class BoardSession:
         Whether its host is there; what ends it sets this to False.
     old, foreign : int
         Packets refused, as old and as of another session.
+    state : int
+        Of the board, in each of its packets.
     """
 
-    def __init__(self, draw: Callable[[], int] = draw_half, version: int = VERSION) -> None:
-        self._version = version
+    def __init__(self, draw: Callable[[], int] = draw_half) -> None:
+        self.state = 0
         self.number = self.old = self.foreign = 0
         self.live = False
         self._draw = draw
@@ -55,7 +57,7 @@ class BoardSession:
     def encode(self, kind: Kind, about: int = 0, payload: bytes = b"") -> bytes:
         """Return the board's next packet of the session."""
         self._said += 1
-        return encode(kind, self.number, self._said, self._taken, about, payload, self._version)
+        return encode(kind, self.number, self._said, self._taken, about, payload, self.state)
 
     def encode_alive(self, payload: bytes, now_ns: int) -> bytes:
         """Return the next ALIVE; its echo dates what the host has received."""
@@ -69,7 +71,7 @@ class BoardSession:
         if self.live:
             self.foreign += 1
             return None
-        if hello.version == self._version:
+        if hello.version == VERSION:
             last, count = self._hellos.get(half, (0, 0))
             if hello.number <= last:
                 self.old += 1
@@ -78,13 +80,21 @@ class BoardSession:
                 self._count_strangers()
             self._hellos[half] = hello.number, count + 1
         session = self._challenge << 32 | half
-        return encode(Kind.CAPABILITIES, session, 0, 0, hello.number, capabilities, self._version)
+        return encode(Kind.CAPABILITIES, session, 0, 0, hello.number, capabilities, self.state)
+
+    def would_begin(self, begin: Message) -> bool:
+        """Return whether a BEGIN may open a session."""
+        fits = begin.session >> 32 == self._challenge and bool(begin.session & HALF)
+        return not self.live and fits and begin.version == VERSION
+
+    def refuse_begin(self, begin: Message) -> bytes:
+        """Return the answer to a BEGIN while the emergency switch is open; nothing changes."""
+        payload = NAK.pack(Refusal.EMERGENCY, Rule.NONE, NOTHING, NOTHING, 0, 0)
+        return encode(Kind.NAK, begin.session, 0, 0, begin.number, payload, self.state)
 
     def begin(self, begin: Message) -> bool:
         """Return whether a BEGIN opens a session, and open it."""
-        if self.live or begin.session >> 32 != self._challenge or not begin.session & HALF:
-            return False
-        if begin.version != self._version:
+        if not self.would_begin(begin):
             return False
         half = begin.session & HALF
         self._hellos.pop(half, None)
@@ -122,11 +132,10 @@ class BoardSession:
         """Return whether an incomplete packet is a sign of life: those that are long."""
         message, early = decode_head(head), now_ns - began_ns <= LONGEST_PACKET_MS * _MS
         fresh = self._judge(message, began_ns) is None
-        long = {Kind.SEQUENCE, *((Kind.KERNELS,) if self._version == NEWEST else ())}
-        return message.kind in long and early and fresh
+        return message.kind in (Kind.SEQUENCE, Kind.KERNELS) and early and fresh
 
     def _judge(self, message: Message, began_ns: int) -> Refusal | None:
-        if message.version != self._version or not self.number or message.session != self.number:
+        if message.version != VERSION or not self.number or message.session != self.number:
             return Refusal.FOREIGN
         if message.number <= self._taken:
             return Refusal.OLD

@@ -9,18 +9,19 @@ from numpy.typing import NDArray
 
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.board import Board, BoardReport, Capabilities
+from smarttouch.boards.emulator.checks import MAX_CURRENT_UA, MAX_SLOTS
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.link import LinkFirmware
-from smarttouch.boards.emulator.rules import MAX_CURRENT_UA, MAX_SLOTS
+from smarttouch.boards.link_lists import encode_limits, encode_lists
 from smarttouch.boards.link_protocol import Kind
-from smarttouch.boards.link_sequence import encode_sequence
 from smarttouch.boards.link_session import HostSession
+from smarttouch.boards.link_setup import reason_of
 from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
 from smarttouch.registry import refuse_rest
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
-from smarttouch.wire.framing import Deframer
+from smarttouch.wire.framing import LARGEST_PACKET, Deframer
 
 _BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2
 """Longest time that the host says nothing."""
@@ -101,10 +102,11 @@ class SimulatedBoard(Board):
         with self._speaking:
             self._exchange(self._session.encode(Kind.HELLO))
             self._exchange(self._session.encode(Kind.BEGIN))
+            self._exchange(self._session.encode(Kind.LIMITS, 0, encode_limits(self._gate.limits)))
 
     def _power_up(self) -> None:
         self._books = _KeptBooks(self._gate.limits.electrodes)
-        self._firmware = LinkFirmware(self._books.electrodes, self._kind, self._books)
+        self._firmware = LinkFirmware(self._books.electrodes, self._kind, self._books, ramp_ms=0)
         self._deframer = Deframer()
         self._session = HostSession()
         self._now_ns = self._number = 0
@@ -112,11 +114,8 @@ class SimulatedBoard(Board):
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         self._number += 1
-        payload = encode_sequence(
-            self._kind, sequence.period_us, sequence.width_us, sequence.discharge_us,
-            sequence.site, sequence.current_ua, times, False,
-            sequence.recharge_ua, sequence.recharge_us,
-        )  # fmt: skip
+        switched = self._kind != "weighted"
+        payload = encode_lists(sequence, times, False, switched, None, LARGEST_PACKET)
         with self._speaking:
             self._exchange(self._session.encode(Kind.SEQUENCE, self._number, payload))
             end_ns = self._now_ns + sequence.period_us * times * 1000
@@ -139,7 +138,7 @@ class SimulatedBoard(Board):
                 self.acknowledged += 1
             elif message.kind == Kind.NAK:
                 self.refused += 1
-                words = message.payload[1:].decode("utf-8", "replace")
+                _, _, words = reason_of(message)
                 raise BoardError(
                     f"the simulated board refused sequence {message.about}: {words}",
                     about="board",

@@ -11,10 +11,11 @@ from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.link import LinkFirmware
-from smarttouch.boards.link_protocol import ALIVE, Kind, Refusal
-from smarttouch.boards.link_sequence import decode_volts, encode_sequence
+from smarttouch.boards.link_protocol import ALIVE, Kind, Refusal, Rule
+from smarttouch.boards.link_sequence import decode_volts
 from smarttouch.boards.link_session import HostSession
 from smarttouch.wire.framing import Deframer, frame_packet
+from tests.boards.payloads import limits_payload, sequence_payload
 
 MS = 1_000_000
 
@@ -26,7 +27,7 @@ class Rig:
         self.output = output
         self.alive = []
         self.books = DeliveryLog(electrodes)
-        self.board = LinkFirmware(electrodes, output, self.books, finger)
+        self.board = LinkFirmware(electrodes, output, self.books, finger, ramp_ms=0)
         self.host = HostSession()
         if begun:
             self.begin(0)
@@ -35,6 +36,7 @@ class Rig:
         self.host = HostSession()
         self.say(now_ms, Kind.HELLO)
         self.say(now_ms, Kind.BEGIN)
+        self.say(now_ms, Kind.LIMITS, payload=limits_payload(self.books.electrodes))
 
     def say(self, now_ms, kind, about=0, payload=b""):
         return self.feed(now_ms, self.host.encode(kind, about, payload))
@@ -63,7 +65,7 @@ class Rig:
     ):
         current = np.asarray(current, np.int16)
         column = np.ones(len(current), np.uint16)
-        payload = encode_sequence(
+        payload = sequence_payload(
             output or self.output, period, column * width, column * discharge,
             column, current, times, measure,
         )  # fmt: skip
@@ -279,11 +281,10 @@ def test_unsafe_is_refused_counted_and_never_executed(output, current, options):
 
 def test_an_unknown_state_is_refused():
     rig = Rig(output="three-state")
-    payload = struct.pack("<IHHBBH", 10_000, 1, 4, 1, 0, 1) + bytes(
-        [100, 0, 50, 0, 0, 0, 100, 0, 0b00_11_10_01]
-    )
+    head = struct.pack("<IHHBBHH", 10_000, 1, 0xFFFF, 0, 1, 100, 50)
+    payload = head + struct.pack("<BBHHHB", 3, 0, 1, 0, 100, 0b00_11_10_01)
     (answer,) = rig.say(0, Kind.SEQUENCE, 5, payload)
-    assert (answer.kind, answer.payload[0]) == (Kind.NAK, Refusal.UNSAFE)
+    assert protocol.NAK.unpack(answer.payload)[:2] == (Refusal.UNSAFE, Rule.STATES)
     assert rig.books.slots == 0
 
 

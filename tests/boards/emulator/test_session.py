@@ -8,9 +8,9 @@ from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.session import MOST_HOSTS, BoardSession
 from smarttouch.boards.link_protocol import ALIVE_MS, LATE_MS, LONGEST_PACKET_MS, Kind, Refusal
-from smarttouch.boards.link_sequence import encode_sequence
 from smarttouch.boards.link_session import HostSession, Message, decode
 from smarttouch.wire.framing import Deframer
+from tests.boards.payloads import limits_payload, sequence_payload
 
 MS = 1_000_000
 COLUMN = np.full(1, 100, np.uint16)
@@ -18,7 +18,7 @@ CURRENT = np.array([[300, -100, -100, -100]], np.int16)
 
 
 def payload(times=1):
-    return encode_sequence("weighted", 10_000, COLUMN, COLUMN, COLUMN * 0, CURRENT, times)
+    return sequence_payload("weighted", 10_000, COLUMN, COLUMN, COLUMN * 0, CURRENT, times)
 
 
 class Rig:
@@ -26,7 +26,7 @@ class Rig:
 
     def __init__(self):
         self.books = DeliveryLog(4)
-        self.board = LinkFirmware(4, "weighted", self.books)
+        self.board = LinkFirmware(4, "weighted", self.books, ramp_ms=0)
         self.now_ms, self.sent = 0, []
         self.host = self.begin()
 
@@ -34,6 +34,7 @@ class Rig:
         self.host = HostSession()
         self.say(Kind.HELLO)
         self.say(Kind.BEGIN)
+        self.say(Kind.LIMITS, data=limits_payload(4))
         return self.host
 
     def say(self, kind, about=0, data=b"", host=None):
@@ -264,5 +265,5 @@ def test_a_report_tells_what_was_refused():
     rig.feed(rig.sent[0])
     rig.feed(rig.sent[1])
     (report,) = rig.say(Kind.STATUS)
-    *_, old, foreign = protocol.REPORT.unpack(report.payload)
+    old, foreign = protocol.REPORT.unpack(report.payload)[8:10]
     assert (old, foreign) == rig.counted == (1, 1)

@@ -4,7 +4,6 @@ import random
 import struct
 import zlib
 from collections import Counter
-from functools import partial
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from cobs import cobs
 
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.link import LinkFirmware
-from smarttouch.boards.emulator.link4 import Link4Firmware
 from smarttouch.boards.emulator.session import BoardSession
 from smarttouch.boards.link import LinkBoard
 from smarttouch.boards.link_line import LinkLine
@@ -40,9 +38,9 @@ def parse(piece):
         body = cobs.decode(piece)
     except cobs.DecodeError:
         return None
-    if len(body) < 26 or zlib.crc32(body[:-4]) != int.from_bytes(body[-4:], "little"):
+    if len(body) < 27 or zlib.crc32(body[:-4]) != int.from_bytes(body[-4:], "little"):
         return None
-    _, kind, number, session = struct.unpack_from("<BBIQ", body)
+    _, kind, number, _, session = struct.unpack_from("<BBIBQ", body)
     return body, kind, number, session
 
 
@@ -138,13 +136,12 @@ class Middle:
 class World:
     """One board, the hosts that come to it one after another, and who sits in between."""
 
-    def __init__(self, seed, version):
-        self.random, self.version = random.Random(seed), version
+    def __init__(self, seed):
+        self.random = random.Random(seed)
         self.books = KeptBooks(4)
         self.books.kept = []
-        session = BoardSession(self.draw, version)
-        make = partial(Link4Firmware, ramp_ms=0) if version == 4 else LinkFirmware
-        self.firmware = make(4, "weighted", self.books, session=session)
+        session = BoardSession(self.draw)
+        self.firmware = LinkFirmware(4, "weighted", self.books, session=session, ramp_ms=0)
         self.to_board, self.to_host = Middle(self.random), Middle(self.random)
         self.heard, self.said = Stream(), Stream()
         self.now_ns, self.host, self.written, self.half = 0, None, b"", 0
@@ -250,8 +247,7 @@ class ToldLine(LinkLine):
 
     def __init__(self, world, board):
         super().__init__("the middle", board._hear, board._aftermath, board._send_again, world.draw)
-        # HELLO of another version leaves nothing with a board that it could count.
-        self._world, self.newest = world, world.version
+        self._world = world
 
     def _listen(self):
         self._world.host, self._world.said.waiting = self, b""
@@ -268,12 +264,12 @@ class ToldLine(LinkLine):
         return True
 
 
-@pytest.fixture(params=[3, 4])
-def make_world(request, monkeypatch):
+@pytest.fixture
+def make_world(monkeypatch):
     """Return a maker of boards with someone in the middle; the last one made is what is opened."""
 
     def make(seed):
-        world = World(seed, request.param)
+        world = World(seed)
         monkeypatch.setattr("smarttouch.boards.link.open_port", lambda name: world)
         monkeypatch.setattr("smarttouch.boards.link.reopen_port", lambda *_: world)
         return world

@@ -136,7 +136,7 @@ def test_a_board_of_another_version_is_told_in_a_sentence(world, monkeypatch):
     monkeypatch.setattr(world.firmware, "feed", old_board)
     monkeypatch.setattr(world.firmware, "advance", lambda now_ns: b"")
     monkeypatch.setattr(world, "answer", lambda data: world.to_host.due.append((0, data)))
-    with raises(BoardError, about="version", value=2, allowed=protocol.VERSIONS):
+    with raises(BoardError, about="version", value=2, allowed=protocol.VERSION):
         world.make_board()._open()
 
 

@@ -1,6 +1,7 @@
-"""The emulated board of version 4 on a clock of the test's own: kernels, limits, rules."""
+"""The emulated link board on a clock of the test's own: kernels, limits, rules."""
 
-import zlib
+import hashlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,17 +9,19 @@ import pytest
 from smarttouch.afferent import Afferent
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
-from smarttouch.boards.emulator.link4 import Link4Firmware
+from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.link_kernels import KernelImage
 from smarttouch.boards.link_lists import encode_limits, encode_lists
 from smarttouch.boards.link_protocol import NOTHING, Kind, Refusal, Rule
-from smarttouch.boards.link_session import HostSession
+from smarttouch.boards.link_session import HostSession, decode
 from smarttouch.stimulation.kernel_table import KernelLists, KernelTable
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.framing import Deframer
 
 E = 6
+NOBODY, FIVE = bytes(16), bytes([5] * 16)
+"""Identities: of nothing, and of a table that is not there."""
 MS = 1_000_000
 LIMITS = SafetyLimits(E, 3.0, 200, 0.5, 200, 0.8, 0.5, 2.4)
 
@@ -43,7 +46,7 @@ class Rig:
         self.books = KeptBooks(E)
         self.books.kept = []
         self.output = output
-        self.board = Link4Firmware(E, output, self.books, kernel_bytes=kernel_bytes, **given)
+        self.board = LinkFirmware(E, output, self.books, kernel_bytes=kernel_bytes, **given)
         self.begin()
         self.limits = limits
         if limits is not None:
@@ -53,7 +56,7 @@ class Rig:
         self.image = KernelImage.of(self.table, kernel_bytes, 100)
 
     def begin(self, now_ms=0):
-        self.host = HostSession(version=4)
+        self.host = HostSession()
         assert [each.kind for each in self.say(now_ms, Kind.HELLO)] == [Kind.CAPABILITIES]
         assert [each.kind for each in self.say(now_ms, Kind.BEGIN)] == [Kind.BEGUN]
 
@@ -67,7 +70,8 @@ class Rig:
         size = len(self.image.data) if size is None else size
         head = protocol.KERNELS.pack(identity, size, offset)
         (answer,) = self.say(now_ms, Kind.KERNELS, payload=head + data)
-        return protocol.KEPT.unpack(answer.payload)
+        *kept, self.proof = protocol.KEPT.unpack(answer.payload)
+        return tuple(kept)
 
     def send(self, sequence, now_ms=0, number=1, image=None):
         payload = encode_lists(sequence, 1, False, self.output != "weighted", image, 10**6)
@@ -132,8 +136,8 @@ def test_another_table_takes_its_place_but_not_while_a_sequence_executes():
     rig = Rig(ramp_ms=0)
     rig.give(rig.image.data)
     assert rig.send(listed(rig.table, [[(0, 4000)]]), image=rig.image) is None
-    assert rig.give(b"", identity=5, size=9, now_ms=1)[0] == rig.image.identity
-    assert rig.give(b"", identity=5, size=9, now_ms=11) == (5, 0, 0)
+    assert rig.give(b"", identity=FIVE, size=9, now_ms=1)[0] == rig.image.identity
+    assert rig.give(b"", identity=FIVE, size=9, now_ms=11) == (FIVE, 0, 0)
 
 
 @pytest.mark.parametrize("at", [0, 3, 5, 9, 20])
@@ -141,15 +145,16 @@ def test_what_is_no_table_is_not_kept(at):
     rig = Rig()
     broken = bytearray(rig.image.data)
     broken[at] ^= 1
-    assert rig.give(bytes(broken)) == (0, 0, 0)
-    assert rig.give(bytes(broken), identity=zlib.crc32(broken)) == (0, 0, 0)
+    assert rig.give(bytes(broken)) == (NOBODY, 0, 0)
+    own = hashlib.sha256(broken).digest()[:16]
+    assert rig.give(bytes(broken), identity=own) == (NOBODY, 0, 0)
 
 
 def test_more_than_there_is_room_for_is_left_out():
     rig = Rig(kernel_bytes=50)
     assert rig.image.count == 2
     assert rig.give(rig.image.data)[2] == 1
-    assert rig.give(b"", identity=9, size=51) == (0, 0, 0)
+    assert rig.give(b"", identity=FIVE, size=51) == (NOBODY, 0, 0)
     sequence = listed(rig.table, [[(4, 4000)], [(0, 3000)]])
     payload = encode_lists(sequence, 1, False, False, rig.image, 10**6)
     # The one goes as currents, the other as a kernel.
@@ -275,20 +280,44 @@ def test_without_limits_and_without_kernels_nothing_flows():
     assert found == (Refusal.UNSAFE, Rule.SUM, 0, NOTHING, 200_000, 65_535)
 
 
+WEAK = [2, -2, 0, 0, 0, 0]
+
+
 def test_a_rise_is_the_boards_to_allow():
     rig = Rig()
-    assert rig.send(plain([], intensity=1.0))[:2] == (Refusal.UNSAFE, Rule.RISE)
-    assert rig.send(plain([], intensity=0.0)) is None
-    assert rig.send(plain([], intensity=0.29), 1, number=2) is None
-    assert rig.send(plain([], intensity=0.9), 30, number=3)[1] == Rule.RISE
-    for step in range(1, 26):
-        now_ms = 30 + 20 * step
+    assert rig.send(plain([WEAK], intensity=1.0))[:2] == (Refusal.UNSAFE, Rule.RISE)
+    assert rig.send(plain([WEAK], intensity=0.0)) is None
+    assert rig.send(plain([WEAK], intensity=0.29), 11, number=2) is None
+    assert rig.send(plain([WEAK], intensity=0.9), 30, number=3)[1] == Rule.RISE
+    for step in range(1, 51):
+        now_ms = 30 + 10 * step
         rig.say(now_ms, Kind.HEARTBEAT)
-        found = rig.send(plain([], intensity=min(1.0, 0.04 * step)), now_ms, number=3 + step)
+        found = rig.send(plain([WEAK], intensity=min(1.0, 0.02 * step)), now_ms, number=3 + step)
         assert found is None, step
     # It may fall at once, and comes back as slowly as it rose.
-    assert rig.send(plain([], intensity=0.1), 550, number=40) is None
-    assert rig.send(plain([], intensity=1.0), 560, number=41)[1] == Rule.RISE
+    assert rig.send(plain([WEAK], intensity=0.1), 540, number=60) is None
+    assert rig.send(plain([WEAK], intensity=1.0), 551, number=61)[1] == Rule.RISE
+
+
+def quiet(rig, start_ms, end_ms, number):
+    """Keep a board alive without current, with sequences of full intensity that claim it."""
+    for now_ms in range(start_ms, end_ms, 50):
+        assert rig.send(plain([], intensity=0.2), now_ms, number=number) is None
+        number += 1
+    return number
+
+
+@pytest.mark.parametrize(("silent_ms", "kept"), [(14_900, True), (15_100, False)])
+def test_a_level_is_opened_by_current_and_closed_by_a_long_silence(silent_ms, kept):
+    rig = Rig()
+    number = quiet(rig, 0, 2000, 1)
+    assert rig.send(plain([WEAK], intensity=0.4), 2000, number=number)[1] == Rule.RISE
+    for step in range(50):
+        sequence = plain([WEAK], intensity=min(1.0, 0.02 * step))
+        assert rig.send(sequence, 2000 + 10 * step, number=100 + step) is None
+    number = quiet(rig, 2500, 2500 + silent_ms, 200)
+    found = rig.send(plain([WEAK], intensity=1.0), 2500 + silent_ms, number=number)
+    assert (found is None) == kept
 
 
 def test_recharge_phases_are_checked():
@@ -299,7 +328,128 @@ def test_recharge_phases_are_checked():
     found = rig.send(plain([GOOD], recharge_ua=over, recharge_us=500), 1, number=2)
     assert found == (Refusal.UNSAFE, Rule.CURRENT, NOTHING, 0, 600, 500)
     found = rig.send(plain([GOOD], recharge_ua=back, recharge_us=9900), 1, number=2)
-    assert found == (Refusal.UNSAFE, Rule.FIT, NOTHING, NOTHING, 10_050, 10_000)
+    assert found == (Refusal.UNSAFE, Rule.FIT, NOTHING, NOTHING, 10_070, 10_000)
+
+
+def repeated(rig, sequence, count, step_ms=10, number=1):
+    """Send a sequence again and again; return the first refusal, and how many were taken before."""
+    for index in range(count):
+        found = rig.send(sequence, step_ms * index, number=number + index)
+        if found is not None:
+            return found, index
+        rig.board.advance(int((step_ms * index + step_ms / 2) * MS))
+    return None, count
+
+
+def test_what_a_second_brings_is_bounded():
+    """Each is within the bounds of its own period."""
+    strong = plain([[1000, -1000, 0, 0, 0, 0]] * 3 + [[-1000, 1000, 0, 0, 0, 0]] * 3)
+    assert repeated(Rig(ramp_ms=0), strong, 200) == (None, 200)
+    net = plain([[2400, -2400, 0, 0, 0, 0]], width_us=np.array([200], np.uint16))
+    found, taken = repeated(Rig(ramp_ms=0), net, 200)
+    assert (found[1], found[3], taken) == (Rule.NET_IN_SECOND, 0, 104)
+    often = plain([[1300, -1300, 0, 0, 0, 0], [-1300, 1300, 0, 0, 0, 0]] * 27, period_us=40_000)
+    assert repeated(Rig(ramp_ms=0), often, 60, 40) == (None, 60)
+    # Sessions that follow one another cut what executes.
+    rig, found, taken = Rig(ramp_ms=0), None, -1
+    while found is None:
+        taken += 1
+        rig.say(taken, Kind.STOP)
+        rig.begin(taken)
+        rig.say(taken, Kind.LIMITS, payload=encode_limits(LIMITS))
+        found = rig.send(plain([]), taken)
+    assert (found[:2], found[4:], taken) == ((Refusal.UNSAFE, Rule.OFTEN), (202, 201), 201)
+
+
+def test_repetitions_are_judged_before_the_first_begins():
+    rig = Rig(ramp_ms=0)
+    net = plain([[2400, -2400, 0, 0, 0, 0]], width_us=np.array([200], np.uint16))
+    payload = encode_lists(replace(net, period_us=9000), 112, False, False, None, 10**6)
+    found = rig.refused(rig.say(0, Kind.SEQUENCE, 1, payload))
+    assert found[:2] == (Refusal.UNSAFE, Rule.NET_IN_SECOND)
+    assert rig.books.slots == 0
+
+
+def test_a_session_ends():
+    limits = SafetyLimits(E, 3.0, 200, 0.5, 200, 0.8, 0.5, 2.4, session_s=2, session_mc=0.004)
+    rig = Rig(limits=limits, ramp_ms=0)
+    both = plain([[1000, -1000, 0, 0, 0, 0], [-1000, 1000, 0, 0, 0, 0]])
+    found, taken = repeated(rig, both, 100)
+    assert (found[1], found[4:], taken) == (Rule.SESSION_CHARGE, (5, 4), 20)
+    rig = Rig(limits=limits, ramp_ms=0)
+    payload = encode_lists(plain([WEAK]), 201, False, False, None, 10**6)
+    found = rig.refused(rig.say(0, Kind.SEQUENCE, 1, payload))
+    assert (found[1], found[4:]) == (Rule.SESSION_TIME, (3, 2))
+
+
+def test_what_limits_ask_for_is_capped_and_what_is_left_out_is_safe():
+    full = plain([[2600, -2600, 0, 0, 0, 0]], width_us=np.array([20], np.uint16), intensity=0.1)
+    for name, value in (("full", 65_535), ("rounding", 5000), ("ramp", 0)):
+        rig = Rig(limits=None, ramp_ms=500 if name == "ramp" else 0)
+        fields = dict(zip(NAMES, protocol.LIMITS.unpack_from(encode_limits(LIMITS)), strict=True))
+        head = protocol.LIMITS.pack(*(fields | {name: value}).values())
+        rig.say(0, Kind.LIMITS, payload=head + encode_limits(LIMITS)[protocol.LIMITS.size :])
+        if name == "ramp":
+            # A ramp that is left out is the longest.
+            assert rig.send(plain([WEAK], intensity=0.1))[1] == Rule.RISE
+        else:
+            assert rig.send(full)[1] == Rule.INTENSITY, name
+    for name in ("total", "width", "full", "session_s", "session_uc", "duty"):
+        rig = Rig(limits=None, ramp_ms=0)
+        fields = dict(zip(NAMES, protocol.LIMITS.unpack_from(encode_limits(LIMITS)), strict=True))
+        head = protocol.LIMITS.pack(*(fields | {name: 0}).values())
+        rig.say(0, Kind.LIMITS, payload=head + encode_limits(LIMITS)[protocol.LIMITS.size :])
+        assert rig.send(plain([GOOD]))[0] == Refusal.UNSAFE, name
+
+
+NAMES = ("period", "total", "width", "full", "rounding", "full_us", "ramp", "session_s",
+         "session_uc", "duty", "none", "nothing")  # fmt: skip
+
+
+def test_one_source_counts_as_one_electrode():
+    shared = plain([[3000, -750, -750, -750, -750, 0]])
+    rig = Rig("three-state", ramp_ms=0)
+    split = plain([[1500, 1500, -3000, 0, 0, 0]], width_us=np.array([170], np.uint16))
+    assert rig.send(shared)[1] in (Rule.CURRENT, Rule.INTENSITY)
+    found = rig.send(split, number=2)
+    assert found[:2] == (Refusal.UNSAFE, Rule.CHARGE)
+
+
+def test_a_proof_is_of_the_table_and_the_session():
+    rig = Rig(ramp_ms=0)
+    rig.give(rig.image.data)
+    assert rig.proof == rig.image.proof(rig.host.number) != NOBODY
+    before = rig.proof
+    rig.say(1, Kind.STOP)
+    rig.begin(1)
+    rig.give(b"", now_ms=1)
+    assert rig.proof == rig.image.proof(rig.host.number) != before
+
+
+def test_an_emergency_switch_ends_a_session_at_once():
+    rig = Rig(ramp_ms=0)
+    assert rig.send(plain([GOOD] * 30)) is None
+    rig.board.advance(2 * MS)
+    flowed = rig.books.slots
+    rig.board.switch_open = True
+    answers = [rig.host.take(each) for each in Deframer().feed(rig.board.advance(3 * MS))]
+    told = [each for each in answers if each.kind == Kind.NAK]
+    assert [protocol.NAK.unpack(each.payload)[0] for each in told] == [Refusal.EMERGENCY]
+    assert all(each.state == protocol.SWITCH_OPEN for each in answers)
+    assert (rig.books.state, rig.books.reason) == ("shorted", "emergency")
+    assert rig.send(plain([GOOD]), 4, number=2)[0] == Refusal.EMERGENCY
+    host = HostSession()
+    data = rig.board.feed(host.encode(Kind.HELLO), 5 * MS)
+    host.take(*Deframer().feed(data))
+    data = rig.board.feed(host.encode(Kind.BEGIN), 5 * MS)
+    (answer,) = [each for each in map(decode, Deframer().feed(data)) if each.kind == Kind.NAK]
+    assert protocol.NAK.unpack(answer.payload)[0] == Refusal.EMERGENCY
+    rig.board.switch_open = False
+    rig.board.advance(6 * MS)
+    assert rig.send(plain([GOOD]), 7, number=3)[0] == Refusal.EMERGENCY, "until BEGIN"
+    rig.begin(8)
+    rig.board.advance(20 * MS)
+    assert rig.books.slots == flowed
 
 
 @pytest.mark.parametrize("output", ["three-state", "one-against-all"])

@@ -5,7 +5,6 @@ import os
 import signal
 import stat
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,8 +16,6 @@ from smarttouch.errors import SmartTouchError
 from smarttouch.posix import fcntl
 from smarttouch.stopping import RunStopped
 
-ENDED_WITHIN_S = 3.0
-"""Of being asked by `stop_all`."""
 _MARK = "stopped"
 _MARK_BYTES = 200
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
@@ -38,7 +35,7 @@ def announced() -> Iterator[None]:
         If they cannot: a run that could not be stopped from elsewhere does not begin.
     """
     try:
-        path = _folder() / f"{os.getpid()}.run"
+        path = state_folder() / f"{os.getpid()}.run"
         number, hidden = _new_file()
         try:
             # Held as long as we live, however we end: a file that nobody holds means nothing.
@@ -70,11 +67,11 @@ def running() -> list[int]:
     Whatever else lies in their folder is passed over.
     """
     found = []
-    for path in _listed():
+    for path in listed():
         process, dot, ending = path.name.partition(".")
         if not (process.isascii() and process.isdigit() and dot + ending == ".run"):
             continue
-        with _regular(path) as number:
+        with regular(path) as number:
             if number is None:
                 continue
             try:
@@ -87,45 +84,6 @@ def running() -> list[int]:
     return found
 
 
-def stop_all() -> int:
-    """End every run of this user with all electrodes at zero; return how many there were.
-
-    What was started before and has not begun yet does not begin.
-
-    Raises
-    ------
-    SmartTouchError
-        If some have not ended in time, or those that are just starting could not be kept from it.
-    """
-    # First the mark: who is not listed yet will find it before it begins.
-    no_mark: SmartTouchError | None = None
-    try:
-        leave_mark()
-    except SmartTouchError as error:
-        no_mark = error
-    asked = running()
-    for process in asked:
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(process, signal.SIGTERM)
-    deadline = time.monotonic() + ENDED_WITHIN_S
-    while (left := running()) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    if left:
-        raise SmartTouchError(
-            f"{len(left)} of {len(asked)} runs have not ended within {ENDED_WITHIN_S:g} s (process "
-            f"{left[0]}): switch the board off",
-            about="runs",
-            problem="late",
-            value=tuple(left),
-            allowed=ENDED_WITHIN_S,
-        )
-    if no_mark is not None:
-        raise no_mark
-    # Who is started after this is newer than the mark, in the system's steps of 10 ms too.
-    time.sleep(0.02)
-    return len(asked)
-
-
 def leave_mark() -> int:
     """Let no process that has been started until now begin current; return the time, ns.
 
@@ -136,7 +94,7 @@ def leave_mark() -> int:
     """
     time_ns = now_ns()
     try:
-        mark = _folder() / _MARK
+        mark = state_folder() / _MARK
         number, hidden = _new_file()
         with os.fdopen(number, "w") as file:
             file.write(f"{_boot()} {time_ns}")
@@ -165,9 +123,14 @@ def refuse_if_stopped() -> None:
     RunStopped
         As if it had been in time to be asked by a signal: no current is to begin.
     """
-    mark_ns = _mark_ns()
-    if mark_ns is not None and started_ns() < mark_ns <= now_ns():
+    if is_stopped():
         raise RunStopped(signal.SIGTERM, "smarttouch stop")
+
+
+def is_stopped() -> bool:
+    """Return whether ``smarttouch stop`` came after this process was started."""
+    mark_ns = _mark_ns()
+    return mark_ns is not None and started_ns() < mark_ns <= now_ns()
 
 
 def started_ns() -> int:
@@ -181,7 +144,7 @@ def started_ns() -> int:
 
 def _mark_ns() -> int | None:
     """Return the time of the last stop since the machine was started, None if there was none."""
-    with _regular(_folder() / _MARK) as number:
+    with regular(state_folder() / _MARK) as number:
         if number is None:
             return None
         words = os.read(number, _MARK_BYTES).decode("ascii", "replace").split()
@@ -198,9 +161,19 @@ def _boot() -> str:
         return "-"
 
 
-def _folder() -> Path:
+def state_folder() -> Path:
+    """Return the folder of this user's runs and open boards, which nobody else can enter.
+
+    Raises
+    ------
+    SmartTouchError
+        If it cannot be made.
+    """
     try:
-        return user_state_path("smarttouch", appauthor=False, ensure_exists=True)
+        folder = user_state_path("smarttouch", appauthor=False, ensure_exists=True)
+        if folder.stat().st_mode & 0o077:
+            folder.chmod(0o700)
+        return folder
     except OSError as error:
         message = f"cannot make the folder {error.filename} for the state of runs: {error.strerror}"
         raise SmartTouchError(
@@ -208,9 +181,10 @@ def _folder() -> Path:
         ) from None
 
 
-def _listed() -> list[Path]:
+def listed() -> list[Path]:
+    """Return all files of that folder."""
     try:
-        return sorted(_folder().iterdir())
+        return sorted(state_folder().iterdir())
     except OSError as error:
         message = f"cannot look for runs in {error.filename}: {error.strerror}"
         raise SmartTouchError(
@@ -220,12 +194,12 @@ def _listed() -> list[Path]:
 
 def _new_file() -> tuple[int, Path]:
     """Return a new file's descriptor and its path, a name that nothing else has."""
-    number, path = tempfile.mkstemp(prefix=".", suffix=".new", dir=_folder())
+    number, path = tempfile.mkstemp(prefix=".", suffix=".new", dir=state_folder())
     return number, Path(path)
 
 
 @contextmanager
-def _regular(path: Path) -> Iterator[int | None]:
+def regular(path: Path) -> Iterator[int | None]:
     """Open a file for reading; None for what is no file, cannot be read, or would block."""
     try:
         number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)

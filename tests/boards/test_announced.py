@@ -6,16 +6,16 @@ import time
 
 import pytest
 
-from smarttouch.clock import now_ns
-from smarttouch.errors import SmartTouchError
-from smarttouch.running import announced as module
-from smarttouch.running.announced import (
+from smarttouch.boards import announced as module
+from smarttouch.boards.announced import (
     announced,
     leave_mark,
     refuse_if_stopped,
     running,
     started_ns,
 )
+from smarttouch.clock import now_ns
+from smarttouch.errors import SmartTouchError
 from smarttouch.stopping import RunStopped
 
 from ..raising import raises

@@ -1,0 +1,95 @@
+"""Faults that latch a board: it is refused until a person clears it, after a restart, too.
+
+A record is a small file in the user's state folder, named by a digest of the device: its USB
+vendor, product and serial number, else its port.
+"""
+
+import hashlib
+import json
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from platformdirs import user_state_path
+
+from smarttouch.errors import BoardLatchedError
+from smarttouch.files import write_bytes
+
+_MOST_BYTES = 10_000
+
+
+@dataclass(frozen=True)
+class Latch:
+    """Record of a fault.
+
+    Attributes
+    ----------
+    device : str
+        Board that it is of.
+    reason : str
+        What was found.
+    date : str
+        Local time, to the second.
+    """
+
+    device: str
+    reason: str
+    date: str
+
+
+def latch(device: str, reason: str) -> None:
+    """Record a fault of a board; the first one stays.
+
+    Raises
+    ------
+    SmartTouchError
+        If it cannot be written.
+    """
+    if find_latch(device) is None:
+        path = _path(device)
+        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        record = Latch(device, reason, time.strftime("%Y-%m-%d %H:%M:%S"))
+        write_bytes(path, json.dumps(asdict(record)).encode())
+
+
+def find_latch(device: str) -> Latch | None:
+    """Return the record of a board; one that cannot be read counts as a fault."""
+    try:
+        with _path(device).open("rb") as file:
+            record = json.loads(file.read(_MOST_BYTES))
+        return Latch(device, str(record["reason"]), str(record["date"]))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        return Latch(device, f"its record {_path(device)} cannot be read ({error})", "?")
+
+
+def clear_latch(device: str) -> Latch | None:
+    """Remove the record of a board; return it, or None if there is none."""
+    found = find_latch(device)
+    if found is not None:
+        _path(device).unlink(missing_ok=True)
+    return found
+
+
+def refuse_latched(device: str | None) -> None:
+    """Raise if a board is latched.
+
+    Raises
+    ------
+    BoardLatchedError
+    """
+    if device is not None and (found := find_latch(device)) is not None:
+        raise BoardLatchedError(
+            f"the board ({device}) is latched since {found.date}: {found.reason}; have it checked, "
+            "then clear it with smarttouch board clear",
+            about="board",
+            problem="latched",
+            value=found.reason,
+            remedy="smarttouch board clear",
+        )
+
+
+def _path(device: str) -> Path:
+    name = hashlib.sha256(device.encode()).hexdigest()[:32]
+    return user_state_path("smarttouch", appauthor=False) / "latched" / f"{name}.json"

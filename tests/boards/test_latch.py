@@ -1,0 +1,119 @@
+"""A board that delivers what was not sent is latched until a person clears it."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from smarttouch.boards.etactilekit import ETactileKitBoard
+from smarttouch.boards.latch import clear_latch, find_latch, latch
+from smarttouch.boards.link import LinkBoard
+from smarttouch.errors import BoardError, BoardFaultError, BoardLatchedError
+from smarttouch.profile.device import Output
+
+from ..forks import PROGRAM, Forked
+
+FAULTY = str(Path(__file__).with_name("faulty_board.py"))
+
+
+@pytest.fixture(autouse=True)
+def own_state(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+@pytest.fixture
+def start_faulty():
+    """Return a starter of boards with a fault; it returns their port."""
+    started = []
+
+    def start(fault, protocol, electrodes):
+        arguments = ["board", protocol, "--port-only", f"--electrodes={electrodes}", "--linger=5"]
+        arguments += ["--ramp-ms=0"] if protocol == "link" else []
+        command = [sys.executable, FAULTY, fault, *arguments]
+        process = Forked(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+        started.append(process)
+        return process.stdout.readline().strip()
+
+    yield start
+    for process in started:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def deliver(board, make_sequence, count=4, **fields):
+    """Send some sequences and wait for each."""
+    with board:
+        for step in range(count):
+            board.send(make_sequence(step, **fields))
+            board.drain()
+            time.sleep(0.02)
+        board.report()
+
+
+@pytest.mark.parametrize("fault", ["twice", "violation", "strong", "after zero", "volts"])
+def test_a_link_board_is_latched(fault, start_faulty, make_limits, make_sequence):
+    port = start_faulty(fault, "link", 8)
+    with pytest.raises(BoardFaultError) as found:
+        deliver(LinkBoard(port, make_limits()), make_sequence)
+    again = LinkBoard(port, make_limits())
+    with pytest.raises(BoardLatchedError) as refused:
+        again.open()
+    assert refused.value.value == found.value.value
+    assert clear_latch(again.device).reason == found.value.value
+    assert find_latch(again.device) is None
+
+
+def test_an_output_beside_the_pattern_latches_a_kit(start_faulty, make_limits, make_sequence):
+    port = start_faulty("beside", "etactilekit", 8)
+    output = Output(kind="one-against-all", ua_per_count=9.99)
+    board = ETactileKitBoard(port, make_limits(), output)
+    with pytest.raises(BoardFaultError):
+        deliver(board, make_sequence, 6, slots=2, period_us=50_000)
+    assert find_latch(board.device) is not None
+
+
+def test_sound_boards_stay_as_they_are(start_emulator, make_limits, make_sequence):
+    _, port = start_emulator()
+    board = LinkBoard(port, make_limits())
+    for _ in range(2):
+        deliver(board, make_sequence)
+    assert find_latch(board.device) is None
+
+
+def test_a_record_outlives_its_process_and_is_private(tmp_path, make_limits):
+    latch("USB 1234:5678 A1", "a fault")
+    latch("USB 1234:5678 A1", "a later one")
+    (record,) = tmp_path.rglob("*.json")
+    assert record.stat().st_mode & 0o077 == 0
+    assert find_latch("USB 1234:5678 A1").reason == "a fault"
+    record.write_text("nonsense")
+    assert find_latch("USB 1234:5678 A1") is not None, "a record that cannot be read is a fault"
+    assert find_latch("USB 1234:5678 A2") is None
+
+
+def test_the_command_line_refuses_and_clears(start_emulator):
+    _, port = start_emulator(electrodes=64)
+    latch(str(Path(port).resolve()), "a fault")
+
+    def run(*arguments):
+        return subprocess.run(
+            [PROGRAM, "board", *arguments], capture_output=True, text=True, check=False
+        )
+
+    assert run("info", f"link:{port}").returncode == 2
+    assert "a fault" in run("clear", f"link:{port}").stdout
+    assert run("info", f"link:{port}").returncode == 0
+    assert "a fault" not in run("clear", f"link:{port}").stdout
+
+
+def test_a_fault_is_the_error_of_whatever_is_sent_after_it(
+    start_faulty, make_limits, make_sequence
+):
+    board = LinkBoard(start_faulty("volts", "link", 8), make_limits())
+    with pytest.raises(BoardFaultError):
+        deliver(board, make_sequence, 100)
+    with pytest.raises(BoardError):
+        board.send(make_sequence(200))
