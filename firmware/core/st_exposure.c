@@ -252,7 +252,7 @@ static bool session_obeys(const st_board *board, const st_sequence *sequence, st
     const st_limits *limits = &board->limits;
     const uint64_t flowing_us =
         board->exposure.flowing_us + (uint64_t)sequence->times * sequence->period_us;
-    if (sequence->slots > 0u && flowing_us > (uint64_t)limits->session_s * SECOND_US) {
+    if (flowing_us > (uint64_t)limits->session_s * SECOND_US) {
         return st_refuse(refusal, ST_RULE_SESSION_TIME, ST_NOTHING, ST_NOTHING,
                          st_upward(flowing_us, SECOND_US), limits->session_s);
     }
@@ -271,7 +271,8 @@ static bool session_obeys(const st_board *board, const st_sequence *sequence, st
 bool st_exposure_obeys(st_board *board, const st_sequence *sequence, uint64_t start_us,
                        st_refusal *refusal)
 {
-    return second_obeys(board, sequence, start_us, refusal)
+    const bool empty = sequence->slots == 0u;
+    return (empty || second_obeys(board, sequence, start_us, refusal))
            && starts_obey(board, sequence, start_us, refusal)
-           && session_obeys(board, sequence, refusal);
+           && (empty || session_obeys(board, sequence, refusal));
 }

@@ -294,6 +294,8 @@ class Judge:
             most = np.maximum(most, (felt_in, charge_in, self._net(net, own)))
             starts = sum(each >= at_us - _SECOND_US for each in self.starts)
             often = max(often, starts + index + 1)
+        if not scan.slots:
+            most[:] = 0
         allowed = (1500, 500_000_000, 50_000_000)
         for rule, value, limit in zip(list(Rule)[21:24], most, allowed, strict=True):
             if found := _above(rule, value, limit):

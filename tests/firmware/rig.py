@@ -18,7 +18,7 @@ from smarttouch.boards.link_session import HostSession
 from smarttouch.wire.framing import Deframer
 
 ROOM = 1 << 22
-_RECHARGE, _SWITCH = 4, 16
+_RECHARGE = 4
 BOOKS = ("sequences", "slots", "pulses", "violations", "framing_errors", "old_packets",
          "foreign_packets")  # fmt: skip
 
@@ -36,14 +36,12 @@ class Core:
     columns = tuple(np.zeros(ROOM // 4, np.uint32) for _ in range(4))
     starts, currents = np.zeros(ROOM // 4, np.uint64), np.zeros(ROOM, np.int16)
 
-    def __init__(
-        self, library, electrodes, output="weighted", ramp_ms=500, real_time=False, switch=False
-    ):
+    def __init__(self, library, electrodes, output="weighted", ramp_ms=500, real_time=False):
         self._core = ctypes.CDLL(str(library))
         for name in ("st_rig_new", "st_rig_reason"):
             getattr(self._core, name).restype = ctypes.c_void_p
         self.electrodes = electrodes
-        features = 11 + _RECHARGE * (output == "weighted") + _SWITCH * switch
+        features = 27 + _RECHARGE * (output == "weighted")
         self._name = ctypes.create_string_buffer(NAME.encode())
         self._rig = ctypes.c_void_p(
             self._core.st_rig_new(

@@ -330,8 +330,8 @@ LIVES = (often, net, felt, charge, session, rise, recharge, one_source, limits)
 def make_life():
     cores = []
 
-    def make(built, seed=0, output="weighted", ramp=True, switch=False):
-        cores.append(Core(built, ELECTRODES, output, 500 if ramp else 0, switch=switch))
+    def make(built, seed=0, output="weighted", ramp=True):
+        cores.append(Core(built, ELECTRODES, output, 500 if ramp else 0))
         return Life(cores[-1], seed, output, ramp)
 
     yield make
@@ -427,7 +427,7 @@ def test_a_core_without_one_rule_is_found_out(make_life, tmp_path, name):
 
 def test_the_switch_ends_what_flows(make_life):
     """Once it is open nothing begins; closing it begins nothing either."""
-    life = make_life(library(), switch=True).begin(Limits())
+    life = make_life(library()).begin(Limits())
     talk, scan = life.talk, Scan(20_000, [(100, 40, (3, -3, 0, 0))] * 20, 50, 0)
     reasons = []
 
@@ -461,7 +461,7 @@ def test_the_switch_ends_what_flows(make_life):
 
 @pytest.mark.parametrize("at_us", [0, 70, 2790, 3000, 11_000, 19_990, 20_000, 99_000])
 def test_at_whatever_time_the_switch_opens(make_life, at_us):
-    life = make_life(library(), ramp=False, switch=True).begin(Limits())
+    life = make_life(library(), ramp=False).begin(Limits())
     talk = life.talk
     scan = Scan(20_000, [(100, 40, (900, -900, 0, 0))] * 20, 50, FULL, 9000, (-60, 60, 0, 0))
     talk.say(Kind.SEQUENCE, 1, scan.payload())
