@@ -22,7 +22,7 @@ import pytest
 
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.emulator.driver import EmulatorBoard
-from smarttouch.boards.link_sequence import encode_sequence
+from smarttouch.boards.link_lists import encode_lists
 from smarttouch.boards.link_session import encode
 from smarttouch.errors import BoardRestartedError
 from smarttouch.profile.device import Output
@@ -140,10 +140,7 @@ def test_latency(row, quick):
 
 
 def packet(sequence):
-    payload = encode_sequence(
-        "weighted", sequence.period_us, sequence.width_us, sequence.discharge_us,
-        sequence.site, sequence.current_ua, 1, True,
-    )  # fmt: skip
+    payload = encode_lists(sequence, 1, True, False, None, 1 << 24)
     return encode(protocol.Kind.SEQUENCE, 1, 1, payload=payload)
 
 

@@ -1,5 +1,5 @@
-"""Bytes of a sequence in ``link`` of version 3 and 4, what wires make of them, and the same µA at
-both ends and in C.
+"""Bytes of a sequence as currents and as lists of kernels, what wires make of them,
+and the same µA at both ends and in C.
 
 Run with::
 
@@ -18,14 +18,12 @@ from functools import partial
 import numpy as np
 import pytest
 
-from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.emulator.lists import summed
 from smarttouch.boards.link import LinkBoard
 from smarttouch.boards.link_kernels import KernelImage
 from smarttouch.boards.link_lists import encode_lists
 from smarttouch.boards.link_protocol import Kind
-from smarttouch.boards.link_sequence import encode_sequence
 from smarttouch.boards.link_session import encode
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
@@ -46,30 +44,23 @@ PULSE_US, REST_US = 200, 100
 
 
 def packets(sequence, image):
-    """Return the bytes of a sequence on the wire in each version."""
-    old = encode_sequence(
-        "weighted", sequence.period_us, sequence.width_us, sequence.discharge_us,
-        sequence.site, sequence.current_ua, 1, True,
-    )  # fmt: skip
-    new = encode_lists(sequence, 1, True, False, image, 1 << 22)
-    versions = ((old, protocol.VERSION), (new, protocol.NEWEST))
-    return [
-        len(encode(Kind.SEQUENCE, 1 << 63 | 1 << 31, 1, 1, 1, payload, version))
-        for payload, version in versions
-    ]
+    """Return the bytes of a sequence on the wire, as currents and as lists of kernels."""
+    payloads = (encode_lists(sequence, 1, True, False, each, 1 << 24) for each in (None, image))
+    return [len(encode(Kind.SEQUENCE, 1 << 63 | 1 << 31, 1, 1, 1, each)) for each in payloads]
 
 
 def tell(row, name, scan, points, sequence, image):
-    bytes3, bytes4 = packets(sequence, image)
+    plain, listed = packets(sequence, image)
     # Of a scan that goes as fast as its slots allow.
     scan_s = sequence.slots * (PULSE_US + REST_US) / 1e6
     cells = {"electrodes": name, "scan": scan, "points": points, "slots": sequence.slots,
-             "bytes 3": bytes3, "bytes 4": bytes4, "fewer": f"{bytes3 / bytes4:.1f}"}  # fmt: skip
+             "bytes of currents": plain, "bytes of lists": listed,
+             "fewer": f"{plain / listed:.1f}"}  # fmt: skip
     for wire, rate in WIRES.items():
-        for version, size in ((3, bytes3), (4, bytes4)):
-            cells[f"{version}: a second at {wire}"] = f"{1 / max(size / rate, scan_s):.1f}"
+        for form, size in (("currents", plain), ("lists", listed)):
+            cells[f"{form}: a second at {wire}"] = f"{1 / max(size / rate, scan_s):.1f}"
     row("A sequence on the wire", cells)
-    return bytes3 / bytes4, 1 / max(bytes4 / 1e6, scan_s)
+    return plain / listed, 1 / max(listed / 1e6, scan_s)
 
 
 @pytest.mark.parametrize("scan", ["points", "auto", "frame"])
@@ -210,10 +201,7 @@ def test_processor_time(row, quick, electrodes):
         checked.append(time.process_time() - between)
         encoded.append(between - start)
         start = time.process_time()
-        encode(Kind.SEQUENCE, 1, 1, 1, 1, encode_sequence(
-            "weighted", sequence.period_us, sequence.width_us, sequence.discharge_us,
-            sequence.site, sequence.current_ua, 1, True,
-        ))  # fmt: skip
+        encode(Kind.SEQUENCE, 1, 1, 1, 1, encode_lists(sequence, 1, True, False, None, 1 << 24))
         plain.append(time.process_time() - start)
         talk.wait(41_000, 20_000)
         talk.say(Kind.HEARTBEAT)
@@ -223,8 +211,8 @@ def test_processor_time(row, quick, electrodes):
         "Processor time of a list of 60 points, µs",
         {
             "electrodes": electrodes,
-            "checked and encoded, version 4": f"{1e6 * statistics.median(encoded):.0f}",
-            "encoded, version 3": f"{1e6 * statistics.median(plain):.0f}",
+            "checked and encoded, as lists": f"{1e6 * statistics.median(encoded):.0f}",
+            "encoded, as currents": f"{1e6 * statistics.median(plain):.0f}",
             "C core on this machine, with its check": f"{1e6 * statistics.median(checked):.0f}",
         },
     )

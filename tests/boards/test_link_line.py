@@ -29,8 +29,7 @@ class Port:
         if piece == ALIVE:
             self.number += 1
             session, payload = self.line.session.number, protocol.ALIVE.pack(0)
-            version = self.line.session.version
-            return encode(Kind.ALIVE, session, self.number, payload=payload, version=version)
+            return encode(Kind.ALIVE, session, self.number, payload=payload)
         return piece if isinstance(piece, bytes) else b""
 
     def write(self, _):
