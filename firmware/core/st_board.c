@@ -10,13 +10,20 @@ void st_tell(st_board *board, uint8_t kind, uint32_t about, const uint8_t *paylo
     st_say(board, kind, session->number, session->said, session->taken, about, payload, size);
 }
 
-static void say_refusal(st_board *board, uint32_t about, const st_refusal *refusal)
+#define NAK_BYTES 14u
+
+static void put_refusal(uint8_t payload[NAK_BYTES], const st_refusal *refusal)
 {
-    uint8_t payload[14];
     payload[0] = refusal->reason;
     payload[1] = refusal->rule;
     uint8_t *at = st_put_u16(st_put_u16(payload + 2, refusal->slot), refusal->electrode);
     (void)st_put_u32(st_put_u32(at, (uint32_t)refusal->value), (uint32_t)refusal->allowed);
+}
+
+static void say_refusal(st_board *board, uint32_t about, const st_refusal *refusal)
+{
+    uint8_t payload[NAK_BYTES];
+    put_refusal(payload, refusal);
     st_tell(board, ST_NAK, about, payload, sizeof payload);
 }
 
@@ -43,21 +50,32 @@ void st_init(st_board *board, const st_config *config, const st_port *port)
     board->port = *port;
     board->last_number = -1;
     board->refusing = ST_NOT_BEGUN;
-    memset(config->driven_pc, 0, config->electrodes * sizeof *config->driven_pc);
+    memset(config->each, 0, config->electrodes * sizeof *config->each);
     st_session_init(board);
     board->port.shorted(board->port.self, "start");
+}
+
+void st_look_at_switch(st_board *board)
+{
+    const st_port *port = &board->port;
+    board->open = (board->config.features & ST_SWITCH) != 0u
+                  && (port->emergency_open == NULL || port->emergency_open(port->self));
+    if (board->open && board->refusing == 0u) {
+        st_end_session(board, ST_EMERGENCY, "emergency");
+        refuse(board, 0, ST_EMERGENCY);
+    }
 }
 
 void st_advance(st_board *board, uint64_t now_us)
 {
     const uint64_t deadline_us = board->heard_us + ST_SILENCE_US;
+    board->executed_us = now_us;
+    st_look_at_switch(board);
     if (now_us < deadline_us) {
         st_execute(board, now_us);
     } else if (!board->config.real_time) {
         /* Where time is played, what was due before the deadline has been. */
         st_execute(board, deadline_us);
-    } else {
-        board->executed_us = now_us;
     }
     if (now_us >= deadline_us && board->refusing == 0u) {
         const st_sequence *dropped = board->waiting;
@@ -120,7 +138,7 @@ static void offer(st_board *board, const st_message *hello)
 static void report(st_board *board, uint32_t about)
 {
     const st_books *books = &board->books;
-    uint8_t payload[41];
+    uint8_t payload[53];
     uint8_t *at = st_put_u32(st_put_u32(payload, books->sequences), books->slots);
     at = st_put_u32(st_put_u32(at, (uint32_t)books->pulses), (uint32_t)(books->pulses >> 32));
     at = st_put_u32(at, books->violations);
@@ -128,18 +146,25 @@ static void report(st_board *board, uint32_t about)
     at = st_put_u32(at, board->port.left_pc != NULL ? board->port.left_pc(board->port.self) : 0u);
     *at++ = (uint8_t)((board->running != NULL ? 1 : 0) + (board->waiting != NULL ? 1 : 0));
     at = st_put_u32(st_put_u32(at, books->old_packets), books->foreign_packets);
+    at = st_put_u32(at, books->second_net_pc);
+    at = st_put_u32(at, (uint32_t)st_upward(board->exposure.flowing_us, 1000000u));
+    at = st_put_u32(at, (uint32_t)st_upward(st_exposure_most_pc(board), 1000000u));
     st_tell(board, ST_REPORT, about, payload, (size_t)(at - payload));
 }
 
-static void keep(st_board *board, const st_message *message)
+static void answer_kept(st_board *board, const st_message *message)
 {
-    uint8_t payload[9];
+    const st_keep *keep = &board->keep;
+    uint8_t payload[2u * ST_IDENTITY_BYTES + 5u];
     /* What a sequence is made of stays as it is until that is over. */
-    if (message->size >= 12u && board->running == NULL && board->refusing == 0u) {
+    if (message->size >= ST_LOAD_HEAD && board->running == NULL && board->refusing == 0u) {
         st_keep_take(board, message->payload, message->size);
     }
-    uint8_t *at = st_put_u32(st_put_u32(payload, board->keep.identity), board->keep.received);
-    *at = board->keep.whole ? 1u : 0u;
+    st_keep_prove(board);
+    memcpy(payload, keep->identity, ST_IDENTITY_BYTES);
+    uint8_t *at = st_put_u32(payload + ST_IDENTITY_BYTES, keep->received);
+    *at++ = keep->whole ? 1u : 0u;
+    memcpy(at, keep->proof, ST_IDENTITY_BYTES);
     st_tell(board, ST_KEPT, message->number, payload, sizeof payload);
 }
 
@@ -160,7 +185,7 @@ static void accept(st_board *board, const st_message *message, uint64_t now_us)
     const uint32_t number = message->about;
     st_refusal refusal = { 0, ST_RULE_NONE, ST_NOTHING, ST_NOTHING, 0, 0 };
     if (board->refusing != 0u) {
-        refuse(board, number, board->refusing);
+        refuse(board, number, board->open ? ST_EMERGENCY : board->refusing);
         return;
     }
     if ((int64_t)number == board->last_number) {
@@ -179,13 +204,15 @@ static void accept(st_board *board, const st_message *message, uint64_t now_us)
         return;
     }
     st_sequence *sequence = &board->sequence[board->running == &board->sequence[0] ? 1 : 0];
+    /* What waits begins when the scan at hand is over. */
+    const uint64_t start_us = board->running != NULL ? board->running->end_us : now_us;
     if (!st_read_sequence(board, message->payload, message->size, sequence, &refusal)
-        || !st_obeys(board, sequence, now_us, &refusal)) {
+        || !st_obeys(board, sequence, start_us, &refusal)) {
         board->books.violations++;
         say_refusal(board, number, &refusal);
         return;
     }
-    st_rise_note(board, sequence->intensity, now_us);
+    st_rise_note(board, sequence, start_us);
     sequence->number = number;
     sequence->buffer = board->stream.packet;
     board->last_number = number;
@@ -202,6 +229,15 @@ static void accept(st_board *board, const st_message *message, uint64_t now_us)
     }
 }
 
+/* Refuse to open a session while the emergency switch is open: the same BEGIN may come again. */
+static void refuse_begin(st_board *board, const st_message *message)
+{
+    const st_refusal refusal = { ST_EMERGENCY, ST_RULE_NONE, ST_NOTHING, ST_NOTHING, 0, 0 };
+    uint8_t payload[NAK_BYTES];
+    put_refusal(payload, &refusal);
+    st_say(board, ST_NAK, message->session, 0, 0, message->number, payload, sizeof payload);
+}
+
 static void begin(st_board *board)
 {
     board->refusing = 0;
@@ -210,12 +246,19 @@ static void begin(st_board *board)
     board->greeted = true;
     board->limits.given = false;
     memset(&board->ramp, 0, sizeof board->ramp);
+    memset(board->keep.proof, 0, sizeof board->keep.proof);
+    board->keep.proved = false;
+    st_exposure_begin_session(board);
 }
 
 static void answer(st_board *board, const st_message *message, uint64_t began_us, uint64_t now_us)
 {
     if (message->kind == ST_HELLO) {
         offer(board, message);
+        return;
+    }
+    if (message->kind == ST_BEGIN && board->open && st_may_begin(board, message)) {
+        refuse_begin(board, message);
         return;
     }
     if (message->kind == ST_BEGIN && st_begins(board, message)) {
@@ -250,7 +293,7 @@ static void answer(st_board *board, const st_message *message, uint64_t began_us
         break;
     }
     case ST_LOAD:
-        keep(board, message);
+        answer_kept(board, message);
         break;
     default:
         break;

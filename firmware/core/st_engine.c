@@ -1,19 +1,20 @@
 /* The engine: sequences into pulses, and books of what was delivered. */
 #include "st_inside.h"
 
-static void start_scan(st_sequence *sequence, uint64_t start_us)
+static void start_scan(st_board *board, st_sequence *sequence, uint64_t start_us)
 {
     sequence->start_us = sequence->next_us = start_us;
     sequence->end_us = start_us + sequence->period_us;
     sequence->recharged = (sequence->flags & 2u) == 0u;
     sequence->measured = 0;
     st_first_slot(sequence, &sequence->place);
+    st_exposure_begin(board, sequence);
 }
 
 void st_begin_sequence(st_board *board, st_sequence *sequence, uint64_t start_us)
 {
     board->running = sequence;
-    start_scan(sequence, start_us);
+    start_scan(board, sequence, start_us);
     board->last_number = sequence->number;
     board->last_begun = true;
     st_tell(board, ST_ACK, sequence->number, NULL, 0);
@@ -28,9 +29,9 @@ static void note_charge(st_board *board, uint64_t width_us, uint32_t source_ua,
         if (board->config.output != ST_WEIGHTED && ua != 0) {
             /* What one source splits equally; what is over is dropped from the product. */
             const int64_t pc = (int64_t)(source_ua * width_us / poles[ua > 0 ? 0 : 1]);
-            board->config.driven_pc[each] += ua > 0 ? pc : -pc;
+            board->config.each[each].driven_pc += ua > 0 ? pc : -pc;
         } else {
-            board->config.driven_pc[each] += ua * (int64_t)width_us;
+            board->config.each[each].driven_pc += ua * (int64_t)width_us;
         }
     }
 }
@@ -141,6 +142,7 @@ void st_end_session(st_board *board, uint8_t refusing, const char *reason)
     board->port.shorted(board->port.self, reason);
     if (board->running != NULL) {
         note_recharge(board, board->running, board->executed_us);
+        st_exposure_end(board, board->running, board->executed_us);
     }
     board->running = board->waiting = NULL;
     board->refusing = refusing;
@@ -157,13 +159,14 @@ static void end_scan(st_board *board, st_sequence *sequence)
     const uint64_t end_us = sequence->end_us;
     note_volts(board, sequence);
     note_recharge(board, sequence, end_us);
+    st_exposure_end(board, sequence, end_us);
     if ((sequence->flags & 1u) != 0u && (board->config.features & ST_VOLTAGE) != 0u) {
         st_tell(board, ST_VOLTAGES, sequence->number, board->config.volts,
                 2u * (size_t)sequence->slots);
     }
     sequence->left--;
     if (sequence->left > 0u && board->waiting == NULL) {
-        start_scan(sequence, end_us);
+        start_scan(board, sequence, end_us);
         return;
     }
     board->books.sequences++;
@@ -192,6 +195,10 @@ void st_execute(st_board *board, uint64_t until_us)
     while (board->running != NULL) {
         st_sequence *sequence = board->running;
         while (sequence->place.slot < sequence->slots && sequence->next_us <= until_us) {
+            st_look_at_switch(board);
+            if (board->running == NULL) {
+                return;
+            }
             if (board->config.real_time) {
                 put_off(sequence, until_us);
             }
@@ -199,6 +206,10 @@ void st_execute(st_board *board, uint64_t until_us)
         }
         const bool slots_over = sequence->place.slot == sequence->slots;
         if (slots_over && !sequence->recharged && sequence->next_us <= until_us) {
+            st_look_at_switch(board);
+            if (board->running == NULL) {
+                return;
+            }
             if (board->config.real_time) {
                 sequence->next_us = until_us;
             }

@@ -62,10 +62,11 @@ void st_say(st_board *board, uint8_t kind, uint64_t session, uint32_t number, ui
     uint8_t head[ST_HEAD_BYTES] = { ST_VERSION, kind };
     uint8_t crc[4];
     (void)st_put_u32(head + 2, number);
-    (void)st_put_u32(head + 6, (uint32_t)session);
-    (void)st_put_u32(head + 10, (uint32_t)(session >> 32));
-    (void)st_put_u32(head + 14, heard);
-    (void)st_put_u32(head + 18, about);
+    head[6] = board->open ? 1u : 0u;
+    (void)st_put_u32(head + 7, (uint32_t)session);
+    (void)st_put_u32(head + 11, (uint32_t)(session >> 32));
+    (void)st_put_u32(head + 15, heard);
+    (void)st_put_u32(head + 19, about);
     (void)st_put_u32(crc, st_crc32(st_crc32(0, head, sizeof head), payload, size));
     encode(&to, head, sizeof head);
     encode(&to, payload, size);
@@ -135,11 +136,11 @@ void st_parse(const uint8_t *body, uint32_t size, st_message *message)
     message->version = body[0];
     message->kind = body[1];
     message->number = st_u32(body + 2);
-    /* Of any other version no more is known; version 3 has the same head. */
-    if ((message->version == ST_VERSION || message->version == 3u) && size >= ST_HEAD_BYTES) {
-        message->session = st_u32(body + 6) | ((uint64_t)st_u32(body + 10) << 32);
-        message->heard = st_u32(body + 14);
-        message->about = st_u32(body + 18);
+    /* Of any other version no more is known. */
+    if (message->version == ST_VERSION && size >= ST_HEAD_BYTES) {
+        message->session = st_u32(body + 7) | ((uint64_t)st_u32(body + 11) << 32);
+        message->heard = st_u32(body + 15);
+        message->about = st_u32(body + 19);
         message->payload = body + ST_HEAD_BYTES;
         message->size = size - ST_HEAD_BYTES;
     }

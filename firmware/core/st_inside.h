@@ -12,17 +12,19 @@ enum {
 };
 enum {
     ST_BUSY = 1, ST_MALFORMED = 2, ST_UNSAFE = 3, ST_NOT_BEGUN = 4, ST_SILENCE = 5,
-    ST_GARBLED = 6, ST_OLD = 7, ST_FOREIGN = 8
+    ST_GARBLED = 6, ST_OLD = 7, ST_FOREIGN = 8, ST_EMERGENCY = 9
 };
 enum {
     ST_RULE_NONE = 0, ST_RULE_LIMITS, ST_RULE_SLOTS, ST_RULE_PERIOD, ST_RULE_WIDTH,
     ST_RULE_DISCHARGE, ST_RULE_FIT, ST_RULE_DUTY, ST_RULE_KIND, ST_RULE_KERNEL, ST_RULE_SUM,
     ST_RULE_BALANCE, ST_RULE_CURRENT, ST_RULE_TOTAL, ST_RULE_CHARGE, ST_RULE_STATES, ST_RULE_MEAN,
-    ST_RULE_INTENSITY, ST_RULE_RISE, ST_RULE_RECHARGE
+    ST_RULE_INTENSITY, ST_RULE_RISE, ST_RULE_RECHARGE, ST_RULE_PERIOD_PULSES,
+    ST_RULE_SECOND_PULSES, ST_RULE_SECOND_CHARGE, ST_RULE_SECOND_NET, ST_RULE_SECOND_STARTS,
+    ST_RULE_SESSION_TIME, ST_RULE_SESSION_CHARGE
 };
 enum { ST_POINTS = 0, ST_SUM = 1, ST_CURRENTS = 2, ST_STATES = 3 };
 
-#define ST_HEAD_BYTES 22u /* of a decoded packet before its payload */
+#define ST_HEAD_BYTES 23u /* of a decoded packet before its payload */
 #ifndef ST_SILENCE_US /* another only in tests */
 #define ST_SILENCE_US 100000u
 #endif
@@ -34,6 +36,7 @@ enum { ST_POINTS = 0, ST_SUM = 1, ST_CURRENTS = 2, ST_STATES = 3 };
 /* The project's ceilings: the host may ask for less, never for more. */
 #define ST_MAX_CURRENT_UA 5000u
 #define ST_MAX_TOTAL_UA 10000u
+#define ST_MAX_SOURCE_UA 5000u /* of a board with one source: all of it may find one electrode */
 #define ST_MAX_WIDTH_US 200u
 #define ST_MAX_CHARGE_PC 500000u
 #define ST_MIN_PERIOD_US 5000u
@@ -42,9 +45,20 @@ enum { ST_POINTS = 0, ST_SUM = 1, ST_CURRENTS = 2, ST_STATES = 3 };
 #define ST_MAX_DUTY_PERCENT 80u
 #define ST_MAX_MEAN_UA 500u
 #define ST_BURST_US 40000u
+#define ST_MAX_FELT_UA 2500u
+#define ST_MAX_FELT_HZ 1500u
+#define ST_MAX_SECOND_PC 500000000u
+#define ST_MAX_NET_PC 50000000u
+#define ST_MAX_SESSION_S 3600u
+#define ST_MAX_SESSION_UC 1800000u
+#define ST_MIN_RAMP_MS 500u
+#define ST_SAFE_RAMP_MS 10000u /* where a host names none */
+#define ST_LEVEL_KEPT_US 15000000u
+#define ST_BUCKET_US 50000u
 #define ST_MAX_RECHARGE_UA 500u
 #define ST_MAX_RECHARGE_US 20000u
 #define ST_MAX_RECHARGE_PC 2000000u
+#define ST_LOST_PC 2000000u /* what a recharge may leave, as sequences may be lost on the way */
 #define ST_CATCH_UP_US 150000u
 #define ST_RISE_LEEWAY 2u
 
@@ -92,6 +106,8 @@ bool st_head(st_board *board, st_message *message);
 void st_parse(const uint8_t *body, uint32_t size, st_message *message);
 
 /* st_board.c */
+/* Look at the emergency switch; if it is open, short all electrodes and end the session. */
+void st_look_at_switch(st_board *board);
 /* Send the next packet of the session. */
 void st_tell(st_board *board, uint8_t kind, uint32_t about, const uint8_t *payload, size_t size);
 
@@ -105,13 +121,24 @@ void st_end_session(st_board *board, uint8_t refusing, const char *reason);
 /* st_session.c */
 void st_session_init(st_board *board);
 bool st_offers(st_board *board, const st_message *hello, uint64_t *session);
+/* Return whether a BEGIN may open a session. */
+bool st_may_begin(const st_board *board, const st_message *begin);
 bool st_begins(st_board *board, const st_message *begin);
 uint8_t st_judge(const st_board *board, const st_message *message, uint64_t began_us);
 uint8_t st_take(st_board *board, const st_message *message, uint64_t began_us);
 void st_note_alive(st_board *board, uint64_t now_us);
 
+/* st_sha256.c */
+void st_sha256_begin(st_sha256 *hash);
+void st_sha256_add(st_sha256 *hash, const uint8_t *data, size_t size);
+/* Write the first 16 bytes of the hash. */
+void st_sha256_end(st_sha256 *hash, uint8_t digest[ST_IDENTITY_BYTES]);
+
 /* st_kernels.c */
+#define ST_LOAD_HEAD (ST_IDENTITY_BYTES + 8u) /* of a payload of KERNELS */
 void st_keep_take(st_board *board, const uint8_t *payload, uint32_t size);
+/* Compute what shows the host of this session that the whole table is here. */
+void st_keep_prove(st_board *board);
 void st_add_kernel(const st_board *board, uint32_t kernel, uint32_t amplitude);
 uint16_t st_kernel_site(const st_board *board, uint32_t kernel);
 
@@ -126,10 +153,41 @@ uint16_t st_shape_discharge(const st_sequence *sequence, uint8_t shape);
 uint16_t st_slot_currents(st_board *board, const st_sequence *sequence, const st_place *place,
                           uint16_t *source_ua);
 
-/* st_rules.c */
+/* st_limits.c */
 bool st_limits_take(st_board *board, const uint8_t *payload, uint32_t size);
-uint32_t st_rise_allowed(const st_board *board, uint64_t now_us);
-void st_rise_note(st_board *board, uint32_t intensity, uint64_t now_us);
-bool st_obeys(st_board *board, const st_sequence *sequence, uint64_t now_us, st_refusal *refusal);
+/* Return the strongest intensity of a sequence that starts then. */
+uint32_t st_rise_allowed(const st_board *board, uint64_t start_us);
+void st_rise_note(st_board *board, const st_sequence *sequence, uint64_t start_us);
+
+/* st_rules.c */
+bool st_refuse(st_refusal *refusal, uint8_t rule, uint32_t slot, uint32_t electrode,
+               uint64_t value, uint64_t allowed);
+/* Check a sequence that starts then; write its load. */
+bool st_obeys(st_board *board, st_sequence *sequence, uint64_t start_us, st_refusal *refusal);
+
+/* st_exposure.c */
+/* Return the load that a pass of a sequence puts on an electrode. */
+st_load *st_load_of(const st_board *board, const st_sequence *sequence, uint32_t electrode);
+/* Check the second and the session with a sequence that starts then. */
+bool st_exposure_obeys(st_board *board, const st_sequence *sequence, uint64_t start_us,
+                       st_refusal *refusal);
+void st_exposure_begin_session(st_board *board);
+/* Enter the pass that begins. */
+void st_exposure_begin(st_board *board, const st_sequence *sequence);
+/* Move the pass that is over, or cut off then, into the last second. */
+void st_exposure_end(st_board *board, const st_sequence *sequence, uint64_t until_us);
+/* Return the most charge of either sign through an electrode in the session. */
+uint64_t st_exposure_most_pc(const st_board *board);
+
+static inline uint32_t st_least(uint32_t one, uint32_t other)
+{
+    return one < other ? one : other;
+}
+
+/* Return a quotient, rounded up. */
+static inline uint64_t st_upward(uint64_t value, uint64_t by)
+{
+    return (value + by - 1u) / by;
+}
 
 #endif

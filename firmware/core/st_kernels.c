@@ -48,8 +48,7 @@ static bool read_all(st_board *board)
 {
     const st_keep *keep = &board->keep;
     const uint8_t *data = board->config.kernels;
-    if (keep->size < 4u || st_crc32(0, data, keep->size) != keep->identity
-        || st_u16(data) != board->config.electrodes) {
+    if (keep->size < 4u || st_u16(data) != board->config.electrodes) {
         return false;
     }
     const uint32_t count = st_u16(data + 2);
@@ -71,32 +70,51 @@ static bool read_all(st_board *board)
 void st_keep_take(st_board *board, const uint8_t *payload, uint32_t size)
 {
     st_keep *keep = &board->keep;
-    const uint32_t identity = st_u32(payload);
-    const uint32_t whole = st_u32(payload + 4);
-    const uint32_t offset = st_u32(payload + 8);
-    const uint32_t count = size - 12u;
-    if (identity != keep->identity || whole != keep->size) {
+    const uint32_t whole = st_u32(payload + ST_IDENTITY_BYTES);
+    const uint32_t offset = st_u32(payload + ST_IDENTITY_BYTES + 4u);
+    const uint32_t count = size - ST_LOAD_HEAD;
+    if (memcmp(payload, keep->identity, ST_IDENTITY_BYTES) != 0 || whole != keep->size) {
         forget(keep);
         if (whole > board->config.kernel_bytes) {
             return;
         }
-        keep->identity = identity;
+        memcpy(keep->identity, payload, ST_IDENTITY_BYTES);
         keep->size = whole;
+        st_sha256_begin(&keep->hash);
     }
     if (keep->whole || offset != keep->received || count > keep->size - keep->received) {
         return;
     }
     if (count > 0u) {
-        memcpy(board->config.kernels + offset, payload + 12, count);
+        memcpy(board->config.kernels + offset, payload + ST_LOAD_HEAD, count);
+        st_sha256_add(&keep->hash, payload + ST_LOAD_HEAD, count);
     }
     keep->received += count;
     if (keep->received == keep->size) {
-        if (read_all(board)) {
+        uint8_t identity[ST_IDENTITY_BYTES];
+        st_sha256_end(&keep->hash, identity);
+        if (memcmp(identity, keep->identity, sizeof identity) == 0 && read_all(board)) {
             keep->whole = true;
         } else {
             forget(keep);
         }
     }
+}
+
+void st_keep_prove(st_board *board)
+{
+    st_keep *keep = &board->keep;
+    uint8_t session[8];
+    if (!keep->whole || keep->proved) {
+        return;
+    }
+    (void)st_put_u32(st_put_u32(session, (uint32_t)board->session.number),
+                     (uint32_t)(board->session.number >> 32));
+    st_sha256_begin(&keep->hash);
+    st_sha256_add(&keep->hash, session, sizeof session);
+    st_sha256_add(&keep->hash, board->config.kernels, keep->size);
+    st_sha256_end(&keep->hash, keep->proof);
+    keep->proved = true;
 }
 
 void st_add_kernel(const st_board *board, uint32_t kernel, uint32_t amplitude)

@@ -66,12 +66,18 @@ bool st_offers(st_board *board, const st_message *hello, uint64_t *number)
     return true;
 }
 
+bool st_may_begin(const st_board *board, const st_message *begin)
+{
+    const st_session *session = &board->session;
+    return !session->live && begin->version == ST_VERSION && (uint32_t)begin->session != 0u
+           && (uint32_t)(begin->session >> 32) == session->challenge;
+}
+
 bool st_begins(st_board *board, const st_message *begin)
 {
     st_session *session = &board->session;
     const uint32_t half = (uint32_t)begin->session;
-    if (session->live || (uint32_t)(begin->session >> 32) != session->challenge || half == 0u
-        || begin->version != ST_VERSION) {
+    if (!st_may_begin(board, begin)) {
         return false;
     }
     st_host *host = find_host(session, half);

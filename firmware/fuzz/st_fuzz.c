@@ -15,6 +15,7 @@ static st_memory memory;
 static uint32_t draws, number, sequence_number;
 static uint64_t now_us, session, free_us;
 static uint8_t output;
+static bool opened;
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size);
 
@@ -59,7 +60,7 @@ static void pulse(void *self, const st_pulse *pulse)
         abort();
     }
     if (pulse->width_us == 0u || pulse->width_us > (recharges ? 20000u : 200u)
-        || board.refusing != 0u || pulse->start_us > board.heard_us + ST_SILENCE_US
+        || board.refusing != 0u || opened || pulse->start_us > board.heard_us + ST_SILENCE_US
         || pulse->start_us < free_us || pulse->start_us > now_us
         || (board.config.real_time && pulse->start_us != now_us)) {
         abort();
@@ -90,6 +91,12 @@ static uint16_t volts(void *self)
     return (uint16_t)now_us;
 }
 
+static bool emergency_open(void *self)
+{
+    (void)self;
+    return opened;
+}
+
 static uint32_t left_pc(void *self)
 {
     (void)self;
@@ -109,10 +116,9 @@ static void say(uint8_t kind, uint32_t about, const uint8_t *payload, size_t siz
                                 board.session.said, about };
     body[0] = ST_VERSION;
     body[1] = kind;
+    body[6] = 0;
     for (unsigned word = 0; word < 5u; word++) {
-        for (unsigned byte = 0; byte < 4u; byte++) {
-            body[2u + 4u * word + byte] = (uint8_t)(words[word] >> (8u * byte));
-        }
+        (void)st_put_u32(body + (word == 0u ? 2u : 3u + 4u * word), words[word]);
     }
     if (size > 0u) {
         memcpy(body + ST_HEAD_BYTES, payload, size);
@@ -151,31 +157,33 @@ static void begin(void)
 
 static void give_limits(void)
 {
-    static const uint8_t head[20] = { 0x88, 0x13, 0, 0, 0x10, 0x27, 0, 0, 0x20, 0xA1, 7, 0,
-                                      200, 0, 0x88, 0x13, 4, 0, 0, 0 };
-    uint8_t payload[20u + 2u * ELECTRODES];
+    static const uint8_t head[28] = { 0x88, 0x13, 0, 0, 0x10, 0x27, 0, 0, 200, 0, 0x88, 0x13, 4, 0,
+                                      0, 0, 0xF4, 1, 0x10, 0x0E, 0x40, 0x77, 0x1B, 0, 80 };
+    uint8_t payload[28u + 8u * ELECTRODES];
     memcpy(payload, head, sizeof head);
-    memset(payload + 20, 0x20, 2u * ELECTRODES);
+    memset(payload + 28, 0x20, 4u * ELECTRODES);
+    memset(payload + 28u + 4u * ELECTRODES, 0x07, 4u * ELECTRODES);
     say(ST_LIMITS, 0, payload, sizeof payload);
 }
 
 static void give_kernels(const uint8_t *data, size_t size)
 {
-    static uint8_t payload[65012];
+    static uint8_t payload[ST_LOAD_HEAD + 65000u];
     if (size > 65000u) {
         return;
     }
-    const uint32_t words[3] = { st_crc32(0, data, size), (uint32_t)size, 0 };
-    for (unsigned at = 0; at < 12u; at++) {
-        payload[at] = (uint8_t)(words[at / 4u] >> (8u * (at % 4u)));
-    }
-    memcpy(payload + 12, data, size);
-    say(ST_LOAD, 0, payload, 12u + size);
+    st_sha256 hash;
+    st_sha256_begin(&hash);
+    st_sha256_add(&hash, data, size);
+    st_sha256_end(&hash, payload);
+    (void)st_put_u32(st_put_u32(payload + ST_IDENTITY_BYTES, (uint32_t)size), 0);
+    memcpy(payload + ST_LOAD_HEAD, data, size);
+    say(ST_LOAD, 0, payload, ST_LOAD_HEAD + size);
 }
 
 int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
 {
-    const st_port port = { NULL, draw, send, pulse, shorted, force_mn, volts, left_pc };
+    const st_port port = { NULL, draw, send, pulse, shorted, force_mn, volts, left_pc, emergency_open };
     st_config config;
     if (size < 1u) {
         return 0;
@@ -183,15 +191,19 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     output = data[0] % 3u;
     draws = number = sequence_number = 0;
     now_us = session = free_us = 0;
+    opened = false;
     st_configure(&config, &memory, ELECTRODES, output, (data[0] & 0x80u) != 0u ? 500 : 0);
     config.real_time = (data[0] & 0x40u) != 0u;
     config.packet_bytes = 4096;
     config.kernel_bytes = 2048;
     config.most_kernels = 16;
     config.features |= (data[0] & 0x20u) != 0u ? ST_VOLTAGE : 0;
+    config.features |= ST_SWITCH;
     st_init(&board, &config, &port);
     for (size_t at = 1; at + 3u <= size;) {
         const uint8_t act = data[at];
+        /* The upper half of the byte says whether the emergency switch is open. */
+        opened = (act & 0xF0u) == 0xF0u;
         const uint16_t length = st_u16(data + at + 1);
         at += 3u;
         const size_t left = size - at;

@@ -13,7 +13,7 @@ from smarttouch.boards.link_protocol import NOTHING, OUTPUTS
 from tests.firmware.build import cortex_m3
 
 ELECTRODES = 64
-_REASONS = {word[:4]: word for word in ("start", "end", "silence", "stop", "begin")}
+_REASONS = {word[:4]: word for word in ("start", "end", "silence", "stop", "begin", "emergency")}
 
 
 def trace_of(electrodes):

@@ -41,7 +41,7 @@ class Core:
         for name in ("st_rig_new", "st_rig_reason"):
             getattr(self._core, name).restype = ctypes.c_void_p
         self.electrodes = electrodes
-        features = 11 + _RECHARGE * (output == "weighted")
+        features = 27 + _RECHARGE * (output == "weighted")
         self._name = ctypes.create_string_buffer(NAME.encode())
         self._rig = ctypes.c_void_p(
             self._core.st_rig_new(
@@ -88,6 +88,10 @@ class Core:
     def hang_up(self, now_us):
         self._core.st_rig_hang_up(self._rig, ctypes.c_uint64(now_us))
         self.take()
+
+    def switch(self, is_open):
+        """Open or close the emergency switch."""
+        self._core.st_rig_switch(self._rig, is_open)
 
     def zero(self):
         self._core.st_rig_zero(self._rig)
@@ -180,6 +184,10 @@ class Emulated:
         self._board.hang_up(1000 * now_us)
         self._taken()
 
+    def switch(self, is_open):
+        """Open or close the emergency switch."""
+        self._board.switch_open = is_open
+
     def _taken(self):
         taken, self._books.kept = self._books.kept, []
         return taken
@@ -195,6 +203,22 @@ class Emulated:
         """Return voltage, 10 mV, and most charge left, pC, of each pulse since the last call."""
         taken, self._books.measured = self._books.measured, []
         return taken
+
+
+class Unfelt:
+    """A board whose pulses are told without their currents."""
+
+    def __init__(self, board):
+        self.board, self.books, self.hang_up = board, board.books, board.hang_up
+        self.switch = board.switch
+
+    def feed(self, data, now_us):
+        answer, pulses = self.board.feed(data, now_us)
+        return answer, [each[:5] for each in pulses]
+
+    def advance(self, now_us):
+        answer, pulses = self.board.advance(now_us)
+        return answer, [each[:5] for each in pulses]
 
 
 class Both:
@@ -236,6 +260,10 @@ class Both:
         for each in self.boards:
             each.hang_up(now_us)
         self.log.append(("hang up", now_us, b"", b"", []))
+
+    def switch(self, is_open):
+        for each in self.boards:
+            each.switch(is_open)
 
     def books(self):
         return self._same([{name: each.books()[name] for name in BOOKS} for each in self.boards])

@@ -20,9 +20,7 @@ static st_board board;
 static uint8_t buffer[ST_BUFFERS][PACKET_BYTES];
 static int32_t sums[ELECTRODES];
 static int16_t states[ELECTRODES];
-static uint32_t passed_pc[ELECTRODES];
-static uint16_t limit_ua[ELECTRODES];
-static int64_t driven_pc[ELECTRODES];
+static st_electrode electrodes[ELECTRODES];
 
 static void latch(const uint8_t *bits)
 {
@@ -88,7 +86,7 @@ static int16_t force_mn(void *self)
 
 void setup(void)
 {
-    static const st_port port = { NULL, draw, send, pulse, shorted, force_mn, NULL, NULL };
+    static const st_port port = { NULL, draw, send, pulse, shorted, force_mn, NULL, NULL, NULL };
     st_config config;
     pinMode(PIN_LATCH, OUTPUT);
     memset(&config, 0, sizeof config);
@@ -103,9 +101,7 @@ void setup(void)
     }
     config.sums = sums;
     config.current_ua = states;
-    config.passed_pc = passed_pc;
-    config.limit_ua = limit_ua;
-    config.driven_pc = driven_pc;
+    config.each = electrodes;
     config.name = "SmartTouch firmware 1, ESP32, untested";
     st_init(&board, &config, &port);
 }

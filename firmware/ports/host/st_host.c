@@ -194,7 +194,7 @@ static void write_state(host *own)
                   (double)own->stood_still_us / 1000.0);
     for (uint32_t each = 0; each < own->board.config.electrodes; each++) {
         (void)fprintf(file, each == 0u ? "%.9g" : ", %.9g",
-                      (double)own->board.config.driven_pc[each] * 1e-6);
+                      (double)own->board.config.each[each].driven_pc * 1e-6);
     }
     (void)fprintf(file, "]}\n");
     (void)fclose(file);
@@ -272,7 +272,8 @@ int main(int count, char **words)
 {
     static host own;
     st_config config;
-    const st_port port = { &own, draw, send, pulse, shorted, force_mn, volts, left_pc };
+    const st_port port = { &own, draw, send, pulse, shorted, force_mn, volts, left_pc,
+                           NULL };
     const char *kind = option(count, words, "--output", "weighted");
     const long electrodes = strtol(option(count, words, "--electrodes", "64"), NULL, 10);
     const long ramp_ms = strtol(option(count, words, "--ramp-ms", "500"), NULL, 10);

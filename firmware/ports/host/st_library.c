@@ -1,6 +1,7 @@
 /* The core as a library for tests: one board, whose bytes and pulses are collected. */
 #include <stdlib.h>
 
+#include "st_inside.h"
 #include "st_memory.h"
 
 #define ROOM (1u << 22)
@@ -15,6 +16,7 @@ typedef struct {
     uint32_t numbers[ROOM / 4], slots[ROOM / 4], sites[ROOM / 4], widths[ROOM / 4];
     uint64_t starts[ROOM / 4];
     const char *reason;
+    bool open; /* the emergency switch */
     void (*skin)(const uint32_t *times, uint64_t start_us, const int16_t *current_ua,
                  uint32_t *found);
     uint32_t found[2]; /* the source's voltage in 10 mV, and the largest charge left in pC */
@@ -31,6 +33,8 @@ void st_rig_feed(st_rig *rig, const uint8_t *data, size_t size, uint64_t now_us)
 void st_rig_advance(st_rig *rig, uint64_t now_us);
 void st_rig_hang_up(st_rig *rig, uint64_t now_us);
 void st_rig_zero(st_rig *rig);
+void st_rig_switch(st_rig *rig, bool open);
+void st_rig_hash(const uint8_t *data, size_t size, size_t piece, uint8_t *digest);
 uint32_t st_rig_take(st_rig *rig, uint8_t *out, uint32_t *numbers, uint32_t *slots,
                      uint32_t *sites, uint32_t *widths, uint64_t *starts, int16_t *currents,
                      uint32_t *pulses);
@@ -99,12 +103,19 @@ static int16_t force_mn(void *self)
     return 1000;
 }
 
+static bool emergency_open(void *self)
+{
+    const st_rig *rig = self;
+    return rig->open;
+}
+
 st_rig *st_rig_new(uint16_t electrodes, uint8_t output, uint8_t features, uint16_t compliance_v,
                    uint16_t ramp_ms, bool real_time, const char *name)
 {
     st_rig *rig = calloc(1, sizeof *rig);
     st_config config;
-    const st_port port = { rig, draw, send, pulse, shorted, force_mn, volts, left_pc };
+    const st_port port = { rig, draw, send, pulse, shorted, force_mn, volts, left_pc,
+                           emergency_open };
     if (rig != NULL) {
         st_configure(&config, &rig->memory, electrodes, output, ramp_ms);
         config.features = features;
@@ -130,7 +141,9 @@ void st_rig_wear(st_rig *rig, void (*skin)(const uint32_t *times, uint64_t start
 
 void st_rig_driven(const st_rig *rig, int64_t *driven_pc)
 {
-    memcpy(driven_pc, rig->memory.driven_pc, 8u * rig->board.config.electrodes);
+    for (uint32_t each = 0; each < rig->board.config.electrodes; each++) {
+        driven_pc[each] = rig->memory.each[each].driven_pc;
+    }
 }
 
 void st_rig_feed(st_rig *rig, const uint8_t *data, size_t size, uint64_t now_us)
@@ -151,6 +164,23 @@ void st_rig_hang_up(st_rig *rig, uint64_t now_us)
 void st_rig_zero(st_rig *rig)
 {
     st_zero(&rig->board, "fault");
+}
+
+/* Open or close the emergency switch. */
+void st_rig_switch(st_rig *rig, bool open)
+{
+    rig->open = open;
+}
+
+/* Hash data, given by pieces. */
+void st_rig_hash(const uint8_t *data, size_t size, size_t piece, uint8_t *digest)
+{
+    st_sha256 hash;
+    st_sha256_begin(&hash);
+    for (size_t at = 0; at < size; at += piece) {
+        st_sha256_add(&hash, data + at, size - at < piece ? size - at : piece);
+    }
+    st_sha256_end(&hash, digest);
 }
 
 uint32_t st_rig_take(st_rig *rig, uint8_t *out, uint32_t *numbers, uint32_t *slots,

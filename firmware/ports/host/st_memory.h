@@ -18,12 +18,11 @@ typedef struct {
     uint32_t kernel_at[ST_MOST_KERNELS];
     int32_t sums[ST_MOST_ELECTRODES];
     int16_t current_ua[ST_MOST_ELECTRODES];
-    uint32_t passed_pc[ST_MOST_ELECTRODES];
-    uint16_t limit_ua[ST_MOST_ELECTRODES];
-    int64_t driven_pc[ST_MOST_ELECTRODES];
+    st_electrode each[ST_MOST_ELECTRODES];
     uint8_t volts[2u * ST_MOST_SLOTS];
 } st_memory;
 
+/* A ramp of 0 ms is none: only in tests. */
 static inline void st_configure(st_config *config, st_memory *memory, uint16_t electrodes,
                                 uint8_t output, uint16_t ramp_ms)
 {
@@ -32,7 +31,7 @@ static inline void st_configure(st_config *config, st_memory *memory, uint16_t e
     config->output = output;
     config->features = ST_KERNELS | (output == ST_WEIGHTED ? ST_RECHARGE : 0);
     config->most_slots = ST_MOST_SLOTS;
-    config->ramp_ms = ramp_ms;
+    config->ramp_ms = ramp_ms == 0u ? ST_NO_RAMP : ramp_ms;
     config->most_kernels = ST_MOST_KERNELS;
     config->packet_bytes = ST_PACKET_BYTES;
     config->kernel_bytes = ST_KERNEL_BYTES;
@@ -43,9 +42,7 @@ static inline void st_configure(st_config *config, st_memory *memory, uint16_t e
     config->kernel_at = memory->kernel_at;
     config->sums = memory->sums;
     config->current_ua = memory->current_ua;
-    config->passed_pc = memory->passed_pc;
-    config->limit_ua = memory->limit_ua;
-    config->driven_pc = memory->driven_pc;
+    config->each = memory->each;
     config->volts = memory->volts;
     config->name = "SmartTouch firmware 1";
 }

@@ -44,9 +44,7 @@ static uint8_t kernels[KERNEL_BYTES];
 static uint32_t kernel_at[MOST_KERNELS];
 static int32_t sums[ST_ELECTRODES];
 static int16_t current_ua[ST_ELECTRODES];
-static uint32_t passed_pc[ST_ELECTRODES];
-static uint16_t limit_ua[ST_ELECTRODES];
-static int64_t driven_pc[ST_ELECTRODES];
+static st_electrode electrodes[ST_ELECTRODES];
 static uint8_t ring[RING];
 static volatile uint32_t ring_in, ring_out, milliseconds;
 static uint32_t random_state;
@@ -179,7 +177,7 @@ static void read_words(const char *text, uint16_t *numbers, size_t most)
 
 static void start(void)
 {
-    static const st_port port = { NULL, draw, send, pulse, shorted, force_mn, NULL, NULL };
+    static const st_port port = { NULL, draw, send, pulse, shorted, force_mn, NULL, NULL, NULL };
     uint16_t numbers[3] = { ST_ELECTRODES, ST_WEIGHTED, 500 };
     st_config config;
 #ifndef ST_MEASURE
@@ -200,7 +198,7 @@ static void start(void)
     config.features = ST_KERNELS | ST_FORCE;
     config.features |= config.output == ST_WEIGHTED ? ST_RECHARGE : 0;
     config.most_slots = 4096;
-    config.ramp_ms = numbers[2];
+    config.ramp_ms = numbers[2] == 0u ? ST_NO_RAMP : numbers[2];
     config.most_kernels = MOST_KERNELS;
     config.real_time = true;
     config.packet_bytes = PACKET_BYTES;
@@ -212,9 +210,7 @@ static void start(void)
     config.kernel_at = kernel_at;
     config.sums = sums;
     config.current_ua = current_ua;
-    config.passed_pc = passed_pc;
-    config.limit_ua = limit_ua;
-    config.driven_pc = driven_pc;
+    config.each = electrodes;
     config.name = "SmartTouch firmware 1, Cortex-M3";
     st_init(&board, &config, &port);
 }
@@ -266,9 +262,11 @@ static void measure(void)
     }
     board.keep.whole = true;
     board.keep.count = 1;
-    board.limits = (st_limits){ 5000, 10000, 500000, 200, 5000, 100, 0, true };
-    memset(limit_ua, 0x13, sizeof limit_ua);
-    board.config.ramp_ms = 0;
+    board.limits = (st_limits){ 5000, 10000, 200, 5000, 100, 0, 0, 3600, 1800000, 80, true };
+    for (uint32_t each = 0; each < ST_ELECTRODES; each++) {
+        electrodes[each].limit_ua = 5000;
+        electrodes[each].limit_pc = 500000;
+    }
     for (unsigned which = 0; which < 4u; which++) {
         const uint32_t count = counts[which];
         st_sequence sequence;
