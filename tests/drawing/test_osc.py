@@ -233,14 +233,14 @@ OURS, OTHER = 1000, 65534
 
 
 @pytest.mark.parametrize(("tables", "verdicts"), [
-    ([[(9, OURS, 1)]] * 3, "nOO"),
-    ([[(9, OTHER, 1)]] * 2, "FF"),
-    ([[(8, OURS, 1)], []], "FF"),
+    ([[(9, OURS, 1)]] * 3, "?++"),
+    ([[(9, OTHER, 1)]] * 2, "--"),
+    ([[(8, OURS, 1)], []], "--"),
     # It was another's, and what it sent then is still to be read.
-    ([[(9, OTHER, 1)], [(9, OURS, 2)], [(9, OURS, 2)]], "FnO"),
+    ([[(9, OTHER, 1)], [(9, OURS, 2)], [(9, OURS, 2)]], "-?+"),
     # A port of two users, and one that was closed and opened again between two looks.
-    ([[(9, OURS, 1)], [(9, OURS, 1), (9, OTHER, 2)], [(9, OURS, 1)]], "nFn"),
-    ([[(9, OURS, 1)], [(9, OURS, 2)], [(9, OURS, 2)]], "nnO"),
+    ([[(9, OURS, 1)], [(9, OURS, 1), (9, OTHER, 2)], [(9, OURS, 1)]], "?-?"),
+    ([[(9, OURS, 1)], [(9, OURS, 2)], [(9, OURS, 2)]], "??+"),
 ])  # fmt: skip
 def test_a_socket_is_ours_before_a_packet_and_after_it(tmp_path, monkeypatch, tables, verdicts):
     """Each table is read just after a packet came from port 9: ours, new or foreign."""
@@ -257,7 +257,7 @@ def test_a_socket_is_ours_before_a_packet_and_after_it(tmp_path, monkeypatch, ta
             mine = entries[::2] if place == "0100007F" else entries[1::2]
             path.write_text(HEAD + "".join(ENTRY.format(number, place, *each) for each in mine))
         programs.look()
-        found += {"OURS": "O", "NEW": "n", "FOREIGN": "F"}[programs.verdict(packet).name]
+        found += {"OURS": "+", "NEW": "?", "FOREIGN": "-"}[programs.verdict(packet).name]
     assert found == verdicts
 
 
