@@ -291,6 +291,45 @@ def test_another_user_is_refused(source, send, other_account, shares):
     assert felt(source) == ([63], False)
 
 
+LEAVER = """
+import socket, sys
+for port in sys.stdin:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
+        line.bind(("127.0.0.1", int(port)))
+        print("bound", flush=True)
+        for _ in range(30):
+            line.sendto(bytes.fromhex(sys.argv[2]), ("127.0.0.1", int(sys.argv[1])))
+"""
+
+
+def test_a_port_that_another_user_leaves_to_us_brings_nothing(source, other_account):
+    """Its packets wait while a program of ours takes the port: by the port they would be ours."""
+    here = source._line.getsockname()
+    packets = [built("point", at, at).dgram for at in (0.0, 1.0)]
+    taken, take = [], source._take
+    source._take = lambda data: taken.append(data) or take(data)
+    with other_account("-c", LEAVER, here[1], packets[0].hex()) as process:
+        for _ in range(10):
+            port, before = free_port(), source._given
+            process.stdin.write(f"{port}\n")
+            process.stdin.flush()
+            assert process.stdout.readline() == "bound\n"
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
+                wait_for(lambda ours=ours, port=port: is_bound(ours, port))
+                while source._given == before:
+                    ours.sendto(packets[1], here)
+                    time.sleep(0.005)
+    assert set(taken) == {packets[1]}
+
+
+def is_bound(line, port):
+    try:
+        line.bind(("127.0.0.1", port))
+    except OSError:
+        return False
+    return True
+
+
 def test_without_the_extra_it_says_which(profile, monkeypatch):
     monkeypatch.setitem(sys.modules, "pythonosc.osc_packet", None)
     with raises(SourceError, about="osc", problem="missing"):
