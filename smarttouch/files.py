@@ -1,4 +1,7 @@
-"""Files named by users: opened without waiting, read up to a limit, parsed to a bounded depth."""
+"""Files named by users: opened without waiting, read up to a limit, parsed to a bounded depth.
+
+What is written is for its owner alone.
+"""
 
 import contextlib
 import errno
@@ -9,7 +12,7 @@ import re
 import stat
 import tomllib
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeGuard
 
 from smarttouch.errors import SmartTouchError
 from smarttouch.posix import fcntl
@@ -180,6 +183,53 @@ def parse_json(text: str | bytes) -> Any:
         raise ValueError("it is nested too deeply") from None
 
 
+def owner_only(path: str, flags: int) -> int:
+    """Open a file that its owner alone may read, whatever the umask is: an opener for `open`.
+
+    An existing file loses the rights of all others. One that they could read is replaced where all
+    of it is written again, as they may have it open.
+    """
+    cut = flags & os.O_TRUNC
+    if cut and _is_shared(found := _found(path)) and found.st_uid == os.geteuid():
+        with contextlib.suppress(OSError):
+            Path(path).resolve().unlink()
+    number = os.open(path, (flags & ~cut) | os.O_CLOEXEC | os.O_NOCTTY, 0o600)
+    try:
+        found = os.fstat(number)
+        if _is_shared(found):
+            # Some file systems know no rights; a file of somebody else must not get what is ours.
+            with contextlib.suppress(*([OSError] if found.st_uid == os.geteuid() else [])):
+                os.fchmod(number, 0o600)
+        if cut and stat.S_ISREG(found.st_mode):
+            os.ftruncate(number, 0)
+    except BaseException:
+        os.close(number)
+        raise
+    return number
+
+
+def _found(path: str) -> os.stat_result | None:
+    try:
+        return Path(path).stat()
+    except (OSError, ValueError):
+        return None
+
+
+def _is_shared(found: os.stat_result | None) -> TypeGuard[os.stat_result]:
+    """Return whether it is a file on which others than its owner have rights."""
+    return found is not None and stat.S_ISREG(found.st_mode) and bool(found.st_mode & 0o077)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder, and those above it, that its owner alone may enter; raises as `Path.mkdir`.
+
+    Existing ones stay as they are.
+    """
+    if not path.is_dir():
+        make_folder(path.parent)
+        path.mkdir(0o700, exist_ok=True)
+
+
 def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTouchError) -> None:
     """Write a file, or into a device or a pipe with a reader.
 
@@ -189,8 +239,8 @@ def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTou
         Of the type given, if that cannot be: a full disk, a folder, a pipe without a reader.
     """
     try:
-        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC | os.O_NOCTTY
-        with os.fdopen(os.open(path, flags | os.O_NONBLOCK, 0o666), "wb") as file:
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NONBLOCK
+        with os.fdopen(owner_only(os.fspath(path), flags), "wb") as file:
             fcntl.fcntl(file, fcntl.F_SETFL, fcntl.fcntl(file, fcntl.F_GETFL) & ~os.O_NONBLOCK)
             file.write(data)
     except ValueError:
@@ -219,10 +269,10 @@ def open_alone(path: Path, error: type[SmartTouchError], of: Path | None = None)
     SmartTouchError
         Of the type given: another program has it, or it cannot be written.
     """
-    flags = os.O_RDWR | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY
+    flags = os.O_RDWR | os.O_CREAT | os.O_NONBLOCK
     while True:
         try:
-            file = os.fdopen(os.open(path, flags, 0o666), "r+b")
+            file = os.fdopen(owner_only(os.fspath(path), flags), "r+b")
         except OSError as failure:
             raise unwritable(error, of or path, failure) from None
         try:
@@ -244,7 +294,7 @@ def open_alone(path: Path, error: type[SmartTouchError], of: Path | None = None)
 
 def write_through(path: Path, data: bytes) -> None:
     """Write a file that is on the disk before this returns; raises what the system raises."""
-    with path.open("wb") as file:
+    with open(path, "wb", opener=owner_only) as file:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from smarttouch.errors import SmartTouchError
-from smarttouch.files import write_bytes
+from smarttouch.files import make_folder, write_bytes
 from smarttouch.profile import Profile
 from smarttouch.running.step import StepResult
 
@@ -110,10 +110,12 @@ class PatternFile:
         write_bytes(self._path, (json.dumps(document) + "\n").encode())
 
     def _save_pictures(self) -> None:
-        self._path.mkdir(exist_ok=True)
+        make_folder(self._path)
         draw = _Drawing(self._profile)
         for number, row in enumerate(self._activation):
-            draw.picture(row).save(self._path / f"step-{number:06d}.png")
+            picture = BytesIO()
+            draw.picture(row).save(picture, format="PNG")
+            write_bytes(self._path / f"step-{number:06d}.png", picture.getvalue())
 
     def _save_film(self) -> None:
         draw = _Drawing(self._profile)

@@ -4,8 +4,11 @@ import fcntl
 import gc
 import itertools
 import os
+import pwd
 import signal
+import subprocess
 import sys
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -338,3 +341,43 @@ def patch():
         return image
 
     return make
+
+
+@pytest.fixture(scope="session")
+def other_account():
+    """Return a starter of Python programs as the user nobody; skip where there is none to be."""
+    try:
+        account = pwd.getpwnam("nobody")
+    except KeyError:
+        pytest.skip("there is no second account: no user nobody")
+    if os.geteuid() != 0 or account.pw_uid == 0:
+        pytest.skip("there is no second account: only root can be another user")
+
+    def starter(python):
+        @contextmanager
+        def start(*arguments):
+            process = subprocess.Popen(
+                [python, "-I", *map(str, arguments)],
+                user=account.pw_uid,
+                group=account.pw_gid,
+                extra_groups=(),
+                cwd="/",
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+            try:
+                yield process
+            finally:
+                process.kill()
+                process.communicate()
+
+        return start
+
+    # Ours may lie in a home that nobody else can enter; what they run needs no packages.
+    for start in map(starter, (sys.executable, "/usr/bin/python3")):
+        with suppress(OSError), start("-c", "import json") as process:
+            if process.wait(60) == 0:
+                return start
+    pytest.skip("there is no second account: nobody cannot run Python")

@@ -3,6 +3,7 @@
 import errno
 import os
 import socket
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from smarttouch import files as module
 from smarttouch.errors import PageError, ProfileError
 from smarttouch.files import (
+    make_folder,
     open_alone,
     open_file,
     parse_json,
@@ -21,6 +23,7 @@ from smarttouch.files import (
     require_file,
     require_replaceable,
     write_bytes,
+    write_through,
 )
 
 from .raising import raises
@@ -169,6 +172,59 @@ def test_a_device_is_not_replaced_by_a_file(tmp_path, pipe):
     for path in (pipe, tmp_path, Path("/dev/null")):
         with pytest.raises(PageError):
             require_replaceable(path, PageError)
+
+
+@pytest.fixture
+def umask():
+    """Let new files be readable and writable by all, if nothing else is asked for."""
+    before = os.umask(0)
+    yield
+    os.umask(before)
+
+
+def through_a_draft(path, data):
+    write_through(path.with_name("draft"), data)
+    path.with_name("draft").replace(path)
+
+
+def alone(path, data):
+    with open_alone(path, PageError) as file:
+        file.write(data)
+
+
+@pytest.mark.parametrize("write", [write_bytes, write_through, through_a_draft, alone])
+@pytest.mark.parametrize("before", [None, 0o600, 0o644, 0o666])
+def test_what_is_written_is_for_its_owner_alone(tmp_path, umask, write, before):
+    path = tmp_path / "a"
+    if before is not None:
+        path.write_bytes(b"old, and longer")
+        path.chmod(before)
+        (tmp_path / "link").symlink_to(path)
+        path = path if write is through_a_draft else tmp_path / "link"
+    write(path, b"new")
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert path.read_bytes().startswith(b"new")
+
+
+def test_whoever_has_the_old_file_open_does_not_read_the_new_one(tmp_path, umask):
+    path = tmp_path / "a"
+    path.write_bytes(b"old")
+    with path.open("rb") as other:
+        write_bytes(path, b"new")
+        assert other.read() == b"old"
+    assert path.read_bytes() == b"new"
+
+
+def test_folders_are_for_their_owner_alone(tmp_path, umask):
+    tmp_path.chmod(0o755)
+    for _ in range(2):
+        make_folder(tmp_path / "a" / "b")
+    modes = [stat.S_IMODE((tmp_path / each).stat().st_mode) for each in (".", "a", "a/b")]
+    assert modes == [0o755, 0o700, 0o700]
+    (tmp_path / "file").touch()
+    for path in (tmp_path / "file", tmp_path / "file" / "b"):
+        with pytest.raises(OSError):
+            make_folder(path)
 
 
 HOLDER = """

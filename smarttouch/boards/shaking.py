@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from smarttouch.boards.waveform import GLIDE_S, Waveform
 from smarttouch.errors import BoardError, SmartTouchError
-from smarttouch.files import unwritable
+from smarttouch.files import owner_only, unwritable
 
 FULL_SCALE = 32_767
 _PIECE = 1 << 14
@@ -70,7 +70,7 @@ class WavShaking(Shaking):
 
     def open(self, waveform: Waveform, rate_hz: int) -> None:
         try:
-            self._stream = self._path.open("wb")
+            self._stream = open(self._path, "wb", opener=owner_only)  # noqa: SIM115
         except OSError as error:
             raise self._unwritable(error) from None
         self._waveform, self._rate_hz = waveform, rate_hz

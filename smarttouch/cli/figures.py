@@ -8,7 +8,7 @@ import typer
 
 from smarttouch import terminal
 from smarttouch.cli.options import ArrayOption
-from smarttouch.files import write_bytes
+from smarttouch.files import make_folder, write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,7 +43,7 @@ def figures(
     require_site(chosen, site)
     style.new_figure(1, 1)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
     except OSError as error:
         message = f"cannot make the folder {folder}: {error.strerror}"
         raise SmartTouchError(message, about="folder", problem="unwritable", value=folder) from None

@@ -16,7 +16,7 @@ def report(
 ) -> None:
     """Write a file for a bug report: versions, boards, settings and last events.
 
-    Nothing of participants is in it: no name, note, file name, threshold, intensity or answer.
+    Nothing of participants is in it: no name, note, file name, threshold, current or answer.
     """
     from smarttouch.bug_report import bug_report
     from smarttouch.files import require_folder, write_json

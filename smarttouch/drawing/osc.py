@@ -1,6 +1,6 @@
 """``osc:``: images and points from other programs, by Open Sound Control over UDP."""
 
-import contextlib
+import ipaddress
 import math
 import re
 import select
@@ -8,6 +8,7 @@ import socket
 import threading
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.afferent import Afferent
+from smarttouch.drawing.senders import STAMP, Key, OwnPrograms, Packet, Verdict, received
 from smarttouch.errors import SourceError
 from smarttouch.profile import Profile
 from smarttouch.reading.window import press_n
@@ -24,18 +26,19 @@ from smarttouch.sources.stimulus import Stimulus
 SILENT_S = 0.5
 """Silence after which nothing is felt."""
 MOST_PIXELS = 1_000_000
-_MOST_BYTES = 65_536
+_SIGNED = "/smarttouch/signed"
 _LOOK_S = 0.1
 _JOIN_S = 1.0
 
 
-def open_osc(rest: str, profile: Profile) -> "OscSource":
-    """Open ``osc:PORT``, which listens on 127.0.0.1, or ``osc:ADDRESS:PORT``.
+def open_osc(rest: str, profile: Profile, key: Path | None = None) -> "OscSource":
+    """Open ``osc:PORT``, which listens on 127.0.0.1, or ``osc:ADDRESS:PORT?key=FILE``.
 
     Raises
     ------
     SourceError
-        If that is no port, it cannot be had, or the extra ``osc`` is missing.
+        If that is no port, it cannot be had, or the extra ``osc`` is missing; or if there is
+        neither a key nor another way to know this user's programs, as on other addresses.
     """
     host, _, port = rest.rpartition(":")
     if not re.fullmatch(r"\d{1,5}", port) or not 0 < int(port) < 65536:
@@ -45,7 +48,7 @@ def open_osc(rest: str, profile: Profile) -> "OscSource":
             problem="malformed",
             value=rest,
         )
-    return OscSource(profile, host.strip("[]") or "127.0.0.1", int(port))
+    return OscSource(profile, host.strip("[]") or "127.0.0.1", int(port), key)
 
 
 class OscSource(StimulusSource):
@@ -61,31 +64,40 @@ class OscSource(StimulusSource):
     Numbers are from 0 to 1, bytes from 0 to 255. Each packet is a pattern of its own: points of one
     bundle belong together.
 
+    Without a key, packets of programs of this user on this machine are taken and no others, see
+    `OwnPrograms`. With one, each comes within ``/smarttouch/signed``, a blob: see `Key`.
+
     Parameters
     ----------
     profile : Profile
     host : str
     port : int
+    key : Path, optional
+        File of a secret; needed where other machines can send.
 
     Attributes
     ----------
     wrong : int
         Packets that were not understood.
+    refused : int
+        Packets of others.
     """
 
     knows_force = True
 
-    def __init__(self, profile: Profile, host: str, port: int) -> None:
+    def __init__(self, profile: Profile, host: str, port: int, key: Path | None = None) -> None:
         self._parse = _import_parser()
+        self._key = None if key is None else Key(key)
+        self._programs = OwnPrograms() if key is None else None
         super().__init__(f"OSC at {host}:{port}")
-        self.wrong = 0
+        self.wrong = self.refused = 0
         self._electrodes = profile.electrodes
         self._press_n = press_n(profile)
         self._level = np.zeros(len(profile.electrodes), np.float32)
         self._heard_s = -math.inf
         self._given = 0
         self._read: int | None = None
-        self._line = _bound(host, port)
+        self._line = _bound(host, port, alone=key is None)
         self._closing = False
         self._thread = threading.Thread(target=self._listen, name="osc", daemon=True)
         self._thread.start()
@@ -115,13 +127,48 @@ class OscSource(StimulusSource):
         if self.wrong:
             self.notes.append(f"{self.wrong} OSC packets were not understood")
             self.wrong = 0
+        if self.refused:
+            self.notes.append(
+                f"{self.refused} OSC packets were refused: they were of other users, of programs "
+                "that had closed their socket, or without the key"
+            )
+            self.refused = 0
 
     def _listen(self) -> None:
         while not self._closing:
-            if not select.select([self._line], [], [], _LOOK_S)[0]:
-                continue
-            with contextlib.suppress(OSError):
-                self._take(self._line.recv(_MOST_BYTES))
+            waits = select.select([self._line], [], [], _LOOK_S)[0]
+            packets = received(self._line) if waits else ()
+            if self._programs is not None:
+                try:
+                    self._programs.look()
+                except OSError:
+                    self.refused += len(packets)
+                    continue
+            for each in packets:
+                self._admit(each)
+
+    def _admit(self, packet: Packet) -> None:
+        """Take a packet if it is of whom the source is for."""
+        if self._programs is not None:
+            verdict = self._programs.verdict(packet)
+            self.refused += verdict is Verdict.FOREIGN
+            if verdict is Verdict.OURS:
+                self._take(packet.data)
+        elif self._key is not None:
+            data = self._unsigned(packet.data)
+            if data is None:
+                self.refused += 1
+            else:
+                self._take(data)
+
+    def _unsigned(self, data: bytes) -> bytes | None:
+        try:
+            ((address, (blob,)),) = self._parse(data)
+        except Exception:  # whatever the parser makes of what anybody may send
+            return None
+        if address != _SIGNED or not isinstance(blob, bytes) or self._key is None:
+            return None
+        return self._key.opened(blob)
 
     def _take(self, data: bytes) -> None:
         """Take the messages of one packet, all or none."""
@@ -132,7 +179,7 @@ class OscSource(StimulusSource):
                 raise ValueError(data)
             for address, values in messages:
                 level = self._changed(level, address, values)
-        except Exception:  # whatever the parser makes of what anybody may send
+        except Exception:  # whatever the parser makes of what a program may send
             self.wrong += 1
             return
         self._level, self._heard_s = level, time.monotonic()
@@ -196,11 +243,28 @@ def _numbers(values: Sequence[Any], count: int) -> NDArray[np.float32]:
     return found
 
 
-def _bound(host: str, port: int) -> socket.socket:
+def _bound(host: str, port: int, alone: bool) -> socket.socket:
+    """Return a socket at an address; one that other machines reach only if not for this one alone.
+
+    Raises
+    ------
+    SourceError
+        If it cannot be had, or others could send.
+    """
     try:
         kind, *_, place = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+        if alone and not ipaddress.ip_address(str(place[0]).partition("%")[0]).is_loopback:
+            raise SourceError(
+                f"everybody who reaches {host} could send: give a key, as in "
+                f"osc:{host}:{port}?key=FILE, or the port alone",
+                about="key",
+                problem="missing",
+                value=host,
+            )
         line = socket.socket(kind, socket.SOCK_DGRAM)
         try:
+            if alone:
+                line.setsockopt(socket.SOL_SOCKET, STAMP, 1)
             line.bind(place)
         except OSError:
             line.close()

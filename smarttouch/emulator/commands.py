@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from smarttouch.errors import SmartTouchError, not_offered, require_within
-from smarttouch.files import require_folder
+from smarttouch.files import require_folder, write_bytes
 from smarttouch.wire.pty_line import PtyLine
 from smarttouch.wire.tcp_line import TcpLine
 
@@ -263,7 +263,7 @@ def emulate_sensor(
     )
     account = json.dumps(asdict(sent))
     if books is not None:
-        books.write_text(account + "\n", encoding="utf-8")
+        write_bytes(books, (account + "\n").encode())
     else:
         with suppress(BrokenPipeError):
             print(account, flush=True)

@@ -18,7 +18,13 @@ from smarttouch.afferent import Afferent
 from smarttouch.arrays import read_arrays
 from smarttouch.cells import cells_svg, titled
 from smarttouch.errors import DesignError
-from smarttouch.files import MOST_BANK_BYTES, open_file, require_replaceable, unwritable
+from smarttouch.files import (
+    MOST_BANK_BYTES,
+    make_folder,
+    open_file,
+    require_replaceable,
+    unwritable,
+)
 from smarttouch.profile import Profile, list_profiles
 from smarttouch.resources import data_folder
 
@@ -185,7 +191,7 @@ def load_bank(profile: Profile, progress: Progress | None = None) -> KernelBank:
     cached = _cached_bank(profile)
     # Without a cache the next run designs again; that is slow, not wrong.
     with contextlib.suppress(OSError):
-        cached.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(cached.parent)
     bank = design_bank(profile, progress, _parts(cached, profile))
     with contextlib.suppress(OSError):
         write_bank(cached, profile, bank)

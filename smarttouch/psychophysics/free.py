@@ -17,7 +17,7 @@ from smarttouch.afferent import Afferent, Mode
 from smarttouch.closing import Closing
 from smarttouch.errors import ExperimentError
 from smarttouch.events import Note
-from smarttouch.files import unwritable
+from smarttouch.files import owner_only, unwritable
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.stimuli import Stimuli, require_site
 from smarttouch.running.controls import Controls, ControlState
@@ -90,7 +90,9 @@ class FreeLog(Closing):
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._file = path.open("x", newline="", encoding="utf-8-sig")
+            self._file = open(  # noqa: SIM115
+                path, "x", newline="", encoding="utf-8-sig", opener=owner_only
+            )
         except FileExistsError:
             raise ExperimentError(
                 f"{path} exists: give another file",

@@ -4,14 +4,14 @@ import csv
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import RecordingError
-from smarttouch.files import unwritable
+from smarttouch.files import make_folder, owner_only, unwritable, write_bytes
 from smarttouch.recording.decoder import RecordedStep
 from smarttouch.recording.reader import Recording
 
@@ -48,7 +48,7 @@ def export(path: Path, folder: Path) -> list[Path]:
     """
     recording = Recording(path)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         if any(folder.iterdir()):
             raise RecordingError(
                 f"{folder} is not empty: give a folder that is, or a new one",
@@ -67,7 +67,7 @@ def _export(recording: Recording, folder: Path) -> list[Path]:
         tables = {}
         for name, columns in TABLES.items():
             path = folder / f"{name}.csv"
-            file = stack.enter_context(path.open("x", newline="", encoding="utf-8"))
+            file = stack.enter_context(_new(path))
             tables[name] = csv.writer(file)
             tables[name].writerow(columns)
         for recorded in recording.steps():
@@ -75,7 +75,7 @@ def _export(recording: Recording, folder: Path) -> list[Path]:
             for table, row in _rows(recorded, name).items():
                 tables[table].writerow((recorded.index, recorded.step.input.time_ns, *row))
             arrays.add(recorded)
-    with (folder / "events.csv").open("x", newline="", encoding="utf-8") as file:
+    with _new(folder / "events.csv") as file:
         writer = csv.writer(file)
         writer.writerow(("time_ns", "words"))
         writer.writerows(recording.events())
@@ -102,6 +102,10 @@ def _rows(recorded: RecordedStep, image: str) -> dict[str, Sequence[Any]]:
     }  # fmt: skip
 
 
+def _new(path: Path) -> TextIO:
+    return open(path, "x", newline="", encoding="utf-8", opener=owner_only)
+
+
 class _Images:
     """Numbers images as they come, and writes each once."""
 
@@ -109,7 +113,7 @@ class _Images:
         self.folder = folder
         self._count = 0
         self._last: NDArray[np.uint8] | None = None
-        folder.mkdir()
+        make_folder(folder)
 
     def save(self, image: NDArray[np.uint8] | None) -> str:
         """Return the name of an image's file; empty if there is no image."""
@@ -119,7 +123,7 @@ class _Images:
             self._last = image
             self._count += 1
             _, png = cv2.imencode(".png", image)
-            (self.folder / self._name()).write_bytes(png.tobytes())
+            write_bytes(self.folder / self._name(), png.tobytes(), RecordingError)
         return f"{self.folder.name}/{self._name()}"
 
     def _name(self) -> str:
@@ -166,5 +170,5 @@ class _Arrays:
         for name in ("step", "time_ns", "activation", "volts_step", "recharge_us", "recharge_ua"):
             arrays[name] = np.array(columns[name])
         arrays["first_slot"] = np.concatenate([[0], np.cumsum(columns["slots"], dtype=np.int64)])
-        with path.open("xb") as file:
+        with open(path, "xb", opener=owner_only) as file:
             np.savez_compressed(file, **arrays)

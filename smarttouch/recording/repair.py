@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from smarttouch.errors import RecordingError
-from smarttouch.files import unwritable
+from smarttouch.files import owner_only, unwritable
 from smarttouch.recording.reader import Recording
 from smarttouch.recording.schemas import LAST, METADATA
 from smarttouch.recording.writer import new_writer
@@ -62,7 +62,7 @@ def repair(path: Path, output: Path | None = None) -> Repaired:
     output = path.with_name(f"{path.stem}-repaired.mcap") if output is None else output
     messages = steps = 0
     try:
-        with output.open("xb") as file:
+        with open(output, "xb", opener=owner_only) as file:
             writer = new_writer(file)
             writer.start(profile=METADATA, library=f"smarttouch {__version__}")
             writer.add_metadata(METADATA, {**recording.about, "repaired_from": path.name})

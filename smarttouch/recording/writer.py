@@ -16,7 +16,7 @@ from mcap.writer import Writer
 
 from smarttouch.electrodes import ElectrodeArray
 from smarttouch.errors import RecordingError
-from smarttouch.files import sync_folder, unwritable
+from smarttouch.files import owner_only, sync_folder, unwritable
 from smarttouch.recording.encoder import Message, StepEncoder
 from smarttouch.recording.schemas import FORMAT, METADATA, SCHEMAS, schema
 from smarttouch.running.step import StepResult
@@ -28,6 +28,11 @@ SYNC_S = 1.0
 """Longest time before data is on the disk: the loss at a power failure."""
 MOST_WAITING = 1000
 """Largest number of steps that wait for a slow disk."""
+
+
+class _GoneError(OSError):
+    """The file has no longer the name under which it is to be found."""
+
 
 _Item = StepResult | tuple[int, str]
 
@@ -64,7 +69,7 @@ class RecordingWriter:
         electrodes: ElectrodeArray | None = None,
     ) -> None:
         try:
-            self._file: BinaryIO = path.open("xb")
+            self._file: BinaryIO = open(path, "xb", opener=owner_only)  # noqa: SIM115
         except FileExistsError:
             raise name_taken(path) from None
         except OSError as error:
@@ -126,6 +131,7 @@ class RecordingWriter:
             self._thread.join()
         self._guarded(self._writer.finish)
         self._guarded(self._to_disk)
+        self._guarded(self._require_there)
         self._guarded(self._file.close)
         if self._failure is not None and not self._told:
             raise self._complaint()
@@ -137,6 +143,14 @@ class RecordingWriter:
 
     def _complaint(self) -> RecordingError:
         self._told = True
+        if isinstance(self._failure, _GoneError):
+            return RecordingError(
+                f"{self._path} was removed, moved or replaced while it was written, so it is not "
+                "this run's recording: leave the file alone until the run has ended",
+                about="file",
+                problem="missing",
+                value=self._path,
+            )
         said = getattr(self._failure, "strerror", None) or repr(self._failure)
         return RecordingError(
             f"{self._path} is cut short: {said}; what was written is kept",
@@ -149,8 +163,12 @@ class RecordingWriter:
         self._failure = self._failure or error
 
     def _guarded(self, act: Callable[..., object], *arguments: object) -> None:
-        """Run an operation on the file; after the first failure, only close it."""
-        if self._failure is not None and act != self._file.close:
+        """Run an operation on the file; after the first failure, only close it.
+
+        What has only lost its name is finished first: it may have been moved.
+        """
+        failed = self._failure is not None and not isinstance(self._failure, _GoneError)
+        if failed and act != self._file.close:
             return
         try:
             act(*arguments)
@@ -188,6 +206,16 @@ class RecordingWriter:
     def _sync(self) -> None:
         self._flush()
         self._to_disk()
+        self._require_there()
+
+    def _require_there(self) -> None:
+        """Raise unless whoever opens the path gets the file that is written."""
+        try:
+            there = os.path.samestat(self._path.stat(), os.fstat(self._file.fileno()))
+        except OSError:
+            there = False
+        if not there:
+            raise _GoneError
 
     def _to_disk(self) -> None:
         """Sync the file to the disk."""

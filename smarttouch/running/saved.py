@@ -10,7 +10,7 @@ import tomlkit
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from smarttouch.errors import SavedRunError, SmartTouchError
-from smarttouch.files import read_toml, unwritable, write_bytes
+from smarttouch.files import make_folder, read_toml, unwritable, write_bytes
 from smarttouch.profile import list_profiles
 from smarttouch.profile.complaints import table_error
 from smarttouch.running.config import RunConfig
@@ -171,7 +171,7 @@ def _write(name: str, table: dict[str, Any], overwrite: bool) -> Path:
             value=name,
         )
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
     except OSError as error:
         raise unwritable(SavedRunError, path, error) from None
     write_bytes(path, tomlkit.dumps(table).encode(), SavedRunError)

@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 from smarttouch.errors import SmartTouchError
-from smarttouch.files import read_text, write_bytes
+from smarttouch.files import make_folder, read_text, write_bytes
 from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.profile import Profile
 from smarttouch.studies.grid import Advance, Grid, choices
@@ -80,7 +80,7 @@ def run_study(
     """
     parts = folder / _PARTS
     try:
-        parts.mkdir(parents=True, exist_ok=True)
+        make_folder(parts)
     except OSError as error:
         raise SmartTouchError(
             f"cannot make the folder {folder}: {error.strerror}",

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import RecordingError
+from smarttouch.files import owner_only, unwritable
 from smarttouch.window.tape import Tape
 
 CATHODIC, ANODIC, BASE = (179, 88, 6), (84, 39, 136), (236, 238, 241)
@@ -177,6 +178,8 @@ def _write_film(
         for done, picture in enumerate(pictures, 1):
             height, width = picture.shape[:2]
             if writer is None:
+                with open(path, "wb", opener=owner_only):
+                    pass
                 code = cv2.VideoWriter.fourcc(*_CODEC)
                 writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, code, FILM_HZ, (width, height))
                 if not writer.isOpened():
@@ -189,6 +192,8 @@ def _write_film(
                     )
             writer.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
             advance(done, count)
+    except OSError as error:
+        raise unwritable(RecordingError, path, error) from None
     finally:
         if writer is not None:
             writer.release()

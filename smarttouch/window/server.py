@@ -1,17 +1,23 @@
 """Server of a page: this machine alone, a secret in its address, own thread."""
 
+import atexit
 import contextlib
+import html
 import os
 import secrets
+import shutil
 import socket
 import sys
+import tempfile
 import threading
+import time
 import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from smarttouch.errors import SmartTouchError
+from smarttouch.files import write_bytes
 from smarttouch.realtime import prioritized
 
 if TYPE_CHECKING:
@@ -23,6 +29,13 @@ MOST_MESSAGE_BYTES = 65_536
 """Longest message that a page may send; longer ones end its connection."""
 PAGE_FOLDER = Path(__file__).parent / "page"
 _JOIN_S = 1.0
+_FILE_KEPT_S = 60.0
+"""How long a browser may take to start and read the file that it is given."""
+_LEADS_TO = (
+    '<!doctype html><meta charset="utf-8"><meta name="referrer" content="no-referrer">'
+    '<meta http-equiv="refresh" content="0;url={0}"><title>SmartTouch</title>'
+    '<a href="{0}">SmartTouch</a>\n'
+)
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'"
@@ -173,7 +186,11 @@ def import_server() -> Any:
 
 
 def open_browser(address: str) -> None:
-    """Open an address in the browser of the desktop, where there is one; wait for nothing."""
+    """Open an address in the browser of the desktop, where there is one; wait for nothing.
+
+    Every user of the machine can read the arguments of a program, and the address holds a secret:
+    the browser gets the name of a file that leads there, which this user alone can read.
+    """
     shown = sys.platform in ("win32", "darwin") or any(
         os.environ.get(each) for each in ("DISPLAY", "WAYLAND_DISPLAY")
     )
@@ -181,8 +198,15 @@ def open_browser(address: str) -> None:
         return
 
     def show() -> None:
-        with contextlib.suppress(webbrowser.Error, OSError):
-            webbrowser.open(address)
+        with contextlib.suppress(webbrowser.Error, OSError, SmartTouchError):
+            folder = Path(tempfile.mkdtemp(prefix="smarttouch-"))
+            # At the end of this thread or of the program, whichever comes first.
+            atexit.register(shutil.rmtree, folder, ignore_errors=True)
+            page = folder / "window.html"
+            write_bytes(page, _LEADS_TO.format(html.escape(address)).encode())
+            webbrowser.open(page.as_uri())
+            time.sleep(_FILE_KEPT_S)
+            shutil.rmtree(folder, ignore_errors=True)
 
     threading.Thread(target=show, name="browser", daemon=True).start()
 

@@ -8,6 +8,7 @@ import os
 import queue
 import threading
 import time
+from pathlib import Path
 
 import pytest
 from mcap.reader import make_reader
@@ -293,3 +294,30 @@ def test_a_disk_that_does_not_take_it_ends_the_run(recorder, steps, monkeypatch)
     until(lambda: recorder._failure is not None)
     with raises(RecordingError, about="file", problem="unwritable"):
         recorder.record(steps[1])
+
+
+def moved(path):
+    path.rename(path.with_name("moved.mcap"))
+
+
+def replaced(path):
+    path.unlink()
+    path.write_bytes(b"")
+
+
+@pytest.mark.parametrize("lose", [moved, replaced, Path.unlink])
+@pytest.mark.parametrize("late", [False, True])
+def test_a_recording_that_vanishes_is_an_error(recorder, tmp_path, steps, monkeypatch, lose, late):
+    """While it is written, and where only its end shows it; what was moved away is whole."""
+    path = tmp_path / "run.mcap"
+    recorder.record(steps[0])
+    lose(path)
+    if not late:
+        monkeypatch.setattr(module, "SYNC_S", 0.0)
+        recorder.record(steps[1])
+        until(lambda: recorder._failure is not None)
+    with raises(RecordingError, about="file", problem="missing", value=path):
+        recorder.close() if late else recorder.record(steps[2])
+    recorder.close()
+    if (tmp_path / "moved.mcap").exists():
+        assert Recording(tmp_path / "moved.mcap").whole

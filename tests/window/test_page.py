@@ -1,9 +1,16 @@
 """The page in a real browser: what it draws, how it is used, and by whom."""
 
+import stat
+import threading
 from contextlib import contextmanager
+from pathlib import Path
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 import numpy as np
 import pytest
+
+from smarttouch.window import server
 
 from .browser import opened, violations
 from .conftest import colors, drawn, strongest, wait_for
@@ -142,3 +149,29 @@ def test_who_must_not_see_sees_nothing(on_page, running, browser):
         assert not page.is_visible("#tactile")
         assert not page.is_visible("#sensor")
         assert "spots" in page.inner_text("#title")
+
+
+def test_the_browser_is_led_to_the_page_by_a_private_file(browser, running, monkeypatch):
+    """No argument of the browser has the secret: any user of the machine could read it."""
+    given, read = threading.Event(), threading.Event()
+
+    def told(address):
+        given.address = address
+        given.set()
+        read.wait(60)
+
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(server.webbrowser, "open", told)
+    monkeypatch.setattr(server, "_FILE_KEPT_S", 0.0)
+    with running(rate_hz=20, show=server.open_browser) as run:
+        assert given.wait(60)
+        path = Path(url2pathname(urlsplit(given.address).path))
+        assert urlsplit(run.address).path.split("/")[1] not in given.address
+        assert [stat.S_IMODE(each.stat().st_mode) for each in (path.parent, path)] == [0o700, 0o600]
+        page = browser.new_page()
+        page.goto(given.address)
+        page.wait_for_url(run.address)
+        page.wait_for_selector("#electrodes[data-number]")
+        page.close()
+        read.set()
+        wait_for(lambda: not path.parent.exists())

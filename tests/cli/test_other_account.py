@@ -1,0 +1,126 @@
+"""Another account of the machine finds no secret, steers nothing, and reads nothing of ours."""
+
+import json
+import os
+import re
+import shutil
+import socket
+import stat
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+
+from smarttouch.recording.reader import Recording
+
+pytestmark = pytest.mark.realtime
+
+INTRUDER = r"""
+import glob, http.client, json, os, re, socket, sys
+
+def content(path):
+    try:
+        with open(path, "rb") as file:
+            return file.read()
+    except OSError:
+        return b""
+
+port, osc_port, folder = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
+place = f"127.0.0.1:{port}"
+processes = b"\0".join(map(content, glob.glob("/proc/[0-9]*/cmdline")))
+said = processes + b"\0".join(map(content, glob.glob("/proc/[0-9]*/environ")))
+led_to = re.findall(rb"file://(/\S+?window\.html)", processes)
+files = [*led_to, *(os.fsencode(os.path.join(at, name))
+                    for at, _, names in os.walk(folder) for name in names)]
+contents = {os.path.basename(os.fsdecode(each)): content(each) for each in files}
+said += b"\0".join(contents.values())
+secrets = re.findall(rf"http://{place}/([^/\s\"]+)/".encode(), said)
+guess = secrets[0].decode() if secrets else "guess"
+
+def ask(method, path, **headers):
+    line = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+    line.request(method, path, headers={"Origin": f"http://{place}", **headers})
+    return line.getresponse().status
+
+upgrade = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13",
+           "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA=="}
+with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
+    for _ in range(20):
+        line.sendto(b"/smarttouch/point\0\0\0,ff\0" + bytes(8), ("127.0.0.1", osc_port))
+print(json.dumps({
+    "browser": len(led_to), "secrets": len(secrets),
+    "read": sorted(name for name, data in contents.items() if data),
+    "page": ask("GET", f"/{guess}/live.html"), "socket": ask("GET", f"/{guess}/socket", **upgrade),
+    "root": ask("GET", "/"), "stop": ask("POST", "/stop"),
+}))
+"""
+BROWSER = '#!/bin/sh\n: > "$0.opened"\nwhile [ ! -e "$0.closed" ]; do sleep 0.05; done\n'
+
+
+@pytest.fixture
+def free_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
+        line.bind(("127.0.0.1", 0))
+        return line.getsockname()[1]
+
+
+@pytest.fixture
+def open_folder():
+    """A folder that every account can look into."""
+    folder = Path(tempfile.mkdtemp(prefix="smarttouch-test-", dir="/tmp"))
+    folder.chmod(0o755)
+    yield folder
+    shutil.rmtree(folder)
+
+
+def test_another_account_gets_in_by_no_door(
+    start_program, program_here, other_account, open_folder, free_port, monkeypatch
+):
+    browser, path = open_folder / "browser", open_folder / "run.mcap"
+    browser.write_text(BROWSER)
+    browser.chmod(0o755)
+    monkeypatch.setenv("BROWSER", str(browser))
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setenv("TMPDIR", str(open_folder))
+    before = os.umask(0)
+    try:
+        run = start_program(
+            "live", "--source", f"osc:{free_port}", "--board", "simulated:", "--window",
+            "--record", path, "--quiet", real=True,
+        )  # fmt: skip
+    finally:
+        os.umask(before)
+    try:
+        address = re.match("window: (http://[^ ]+)\n", run.stderr.readline())[1]
+        port = urlsplit(address).port
+        while not (path.exists() and (open_folder / "browser.opened").exists()):
+            assert run.poll() is None
+            time.sleep(0.02)
+        report = program_here("report", path, "--output", open_folder / "report.json")
+        assert report.returncode == 0
+        with other_account("-c", INTRUDER, port, free_port, open_folder) as intruder:
+            out, err = intruder.communicate(timeout=100)
+        assert err == ""
+        assert json.loads(out) == {
+            "browser": 1, "secrets": 0, "read": ["browser"],
+            "page": 403, "socket": 403, "root": 403, "stop": 403,
+        }  # fmt: skip
+        # The same by this account finds all there is: what was looked for is there.
+        given = [sys.executable, "-c", INTRUDER, str(port), "9", str(open_folder)]
+        ours = json.loads(subprocess.check_output(given, text=True))
+        assert ours["secrets"] > 0
+        assert {"window.html", "run.mcap", "report.json"} <= set(ours["read"])
+        assert (ours["page"], ours["socket"], ours["stop"]) == (200, 101, 403)
+        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+        assert run.poll() is None
+    finally:
+        (open_folder / "browser.closed").touch()
+        run.terminate()
+        run.communicate(timeout=60)
+    steps = list(Recording(path).steps())
+    assert steps
+    assert not any(each.step.sequence.current_ua.any() for each in steps)
