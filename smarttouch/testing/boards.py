@@ -167,7 +167,7 @@ class BoardContract:
     def test_its_driver_keeps_the_contract(self, new_board: NewBoard, limits: SafetyLimits) -> None:
         board = new_board()
         assert fault_of(type(board), Board) is None
-        require_gate(board, limits)
+        require_gate(board, limits, limits)
 
     def test_it_tells_what_it_can_do(self, new_board: NewBoard) -> None:
         with new_board() as board:

@@ -1,0 +1,156 @@
+"""Seals of boards: what no driver may replace, checked by what is kept apart from the board."""
+
+import inspect
+from abc import ABCMeta
+from functools import cached_property
+from operator import is_
+from typing import TYPE_CHECKING, Any, NamedTuple, final
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from smarttouch.clock import MonotonicClock
+from smarttouch.errors import BoardError
+from smarttouch.registry import final_names
+from smarttouch.stimulation.safety import Now, SafetyGate, SafetyLimits
+
+_ALWAYS = frozenset({"__bases__", "__class__", "__getattribute__", "_sealed"})
+"""Names through which final methods could be replaced."""
+_GATE = frozenset(vars(SafetyGate))
+_WHOLE = [name for name, value in vars(SafetyLimits).items() if isinstance(value, cached_property)]
+
+
+class SealedType(ABCMeta):
+    """Metaclass whose classes keep their final methods, when they are defined and later."""
+
+    _sealed = _ALWAYS
+
+    def __init__(
+        cls, name: str, bases: tuple[type, ...], members: dict[str, Any], **more: Any
+    ) -> None:
+        super().__init__(name, bases, members, **more)
+        type.__setattr__(cls, "_sealed", _ALWAYS.union(final_names(cls)))
+        static = inspect.getattr_static
+        if static(cls, "__getattribute__") is not object.__getattribute__:
+            raise _replaced(cls, "__getattribute__")
+        for base in cls.__mro__[1:]:
+            for each in sorted(getattr(base, "_sealed", frozenset()) - _ALWAYS):
+                if static(cls, each) is not static(base, each):
+                    raise _replaced(cls, each)
+
+    # Hidden from type checkers, which would let any name be assigned.
+    if not TYPE_CHECKING:
+
+        def __setattr__(cls, name: str, value: object) -> None:
+            if name in cls._sealed:
+                raise _replaced(cls, name)
+            super().__setattr__(name, value)
+
+        def __delattr__(cls, name: str) -> None:
+            if name in cls._sealed:
+                raise _replaced(cls, name)
+            super().__delattr__(name)
+
+
+class Sealed(metaclass=SealedType):
+    """Base class of objects whose final methods cannot be replaced."""
+
+    if not TYPE_CHECKING:
+
+        @final
+        def __setattr__(self, name: str, value: object) -> None:
+            if name in type(self)._sealed:
+                raise _replaced(type(self), name)
+            object.__setattr__(self, name, value)
+
+
+def _replaced(kind: type, name: str) -> BoardError:
+    return BoardError(
+        f"{kind.__name__} replaces {name}, which keeps every board safe: implement the underscored "
+        "methods of Board instead",
+        about=name,
+        problem="replaced",
+        value=kind.__name__,
+    )
+
+
+class _Seal(NamedTuple):
+    """Gate, limits and clock that a board was made with."""
+
+    gate: SafetyGate
+    limits: SafetyLimits
+    values: tuple[Any, ...]
+    """Of the limits, as given and in whole numbers."""
+    clock: Now | None
+
+
+_seals: WeakKeyDictionary[Any, _Seal] = WeakKeyDictionary()
+"""By board, and not in it, where a driver would come across it."""
+
+
+def make_gate(board: Any, limits: SafetyLimits, clock: Now | None) -> SafetyGate:
+    """Return the gate of a board, sealed: the first of a board is the one that it must keep."""
+    for name in _WHOLE:
+        value = getattr(limits, name)
+        if isinstance(value, np.ndarray) and value.flags.owndata:
+            # Backed by bytes, it cannot be made writable again.
+            vars(limits)[name] = np.frombuffer(value.tobytes(), value.dtype)
+    gate = SafetyGate(limits, clock)
+    _seals.setdefault(board, _Seal(gate, limits, tuple(vars(limits).values()), gate._clock))
+    return gate
+
+
+def seal_fault(board: Any) -> BoardError | None:
+    """Return the error of a board that has another gate, limits or clock than it was made with.
+
+    It is asked before every sequence, so it costs a few microseconds.
+    """
+    seal = _seals.get(board)
+    about = remedy = ""
+    if (
+        seal is None
+        or getattr(board, "_gate", None) is not seal.gate
+        or type(seal.gate) is not SafetyGate
+        or not _GATE.isdisjoint(vars(seal.gate))
+    ):
+        about, remedy = "gate", "leave _gate as it is"
+    elif (
+        seal.gate.limits is not seal.limits
+        or len(vars(seal.limits)) != len(seal.values)
+        or not all(map(is_, vars(seal.limits).values(), seal.values))
+    ):
+        about, remedy = "limits", "hand those that it is given to super().__init__, unchanged"
+    elif not type(board)._sealed.isdisjoint(vars(board)):
+        about = min(type(board)._sealed & vars(board).keys())
+        remedy = "implement the underscored methods of Board instead"
+    elif seal.gate._clock is not seal.clock or (is_foreign(board) and _has_own_clock(board)):
+        about, remedy = "clock", "leave _time and _clock as they are"
+    else:
+        return None
+    return seal_error(board, about, remedy)
+
+
+def seal_error(board: Any, about: str, remedy: str) -> BoardError:
+    """Return the error of a board that goes around its gate."""
+    kind = type(board).__name__
+    return BoardError(
+        f"{kind} goes around the safety gate by its {about}: {remedy}",
+        about=about,
+        problem="replaced",
+        value=kind,
+    )
+
+
+def is_foreign(board: Any) -> bool:
+    """Return whether the driver is of another package."""
+    return not type(board).__module__.startswith("smarttouch.")
+
+
+def _has_own_clock(board: Any) -> bool:
+    """Return whether the time of a board with a finger on it is not the machine's."""
+    # Only where no finger can be is time what sequences claim.
+    return bool(board.on_a_finger) and (
+        type(board._clock) is not MonotonicClock
+        or "now_ns" in vars(board._clock)
+        or "_time" in vars(board)
+    )
