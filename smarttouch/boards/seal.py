@@ -75,13 +75,14 @@ def _replaced(kind: type, name: str) -> BoardError:
 
 
 class _Seal(NamedTuple):
-    """Gate, limits and clock that a board was made with."""
+    """What a board was made with."""
 
     gate: SafetyGate
     limits: SafetyLimits
     values: tuple[Any, ...]
     """Of the limits, as given and in whole numbers."""
     clock: Now | None
+    on_a_finger: bool
 
 
 _seals: WeakKeyDictionary[Any, _Seal] = WeakKeyDictionary()
@@ -96,7 +97,8 @@ def make_gate(board: Any, limits: SafetyLimits, clock: Now | None) -> SafetyGate
             # Backed by bytes, it cannot be made writable again.
             vars(limits)[name] = np.frombuffer(value.tobytes(), value.dtype)
     gate = SafetyGate(limits, clock)
-    _seals.setdefault(board, _Seal(gate, limits, tuple(vars(limits).values()), gate._clock))
+    values, on_a_finger = tuple(vars(limits).values()), bool(board.on_a_finger)
+    _seals.setdefault(board, _Seal(gate, limits, values, gate._clock, on_a_finger))
     return gate
 
 
@@ -125,6 +127,8 @@ def seal_fault(board: Any) -> BoardError | None:
         remedy = "implement the underscored methods of Board instead"
     elif seal.gate._clock is not seal.clock or (is_foreign(board) and _has_own_clock(board)):
         about, remedy = "clock", "leave _time and _clock as they are"
+    elif seal.on_a_finger and not board.on_a_finger:
+        about, remedy = "on_a_finger", "let the class say it, once"
     else:
         return None
     return seal_error(board, about, remedy)

@@ -237,12 +237,12 @@ class BoardContract:
                 sites = every[first : first + at_once][:: -1 if self.keeps_order else 1]
                 sent.append((self.sequence(len(sent), sites=sites), 1 + first // at_once % 3))
             if can.output == "weighted":
-                sent += [(self.masked_sequence(len(sent), each), 2) for each in (0, 3)]
+                for masked in (0, self.electrodes - 3):
+                    sent.append((self.masked_sequence(len(sent), masked), 2))
             if len(can.polarities) > 1:
                 reversed_one = self.sequence(len(sent))
                 sent.append((replace(reversed_one, current_ua=-reversed_one.current_ua), 1))
-            for number, (sequence, times) in enumerate(sent):
-                sequence = replace(sequence, time_ns=number * SECOND)
+            for sequence, times in sent:
                 board.send(sequence, times)
                 board.drain(5)
                 # A repetition ends where a newer sequence comes.

@@ -99,6 +99,7 @@ CHANGES = {
     "its clock": (other_clock, "clock"),
     "another now": (own_now, "clock"),
     "its time": (lambda board: setattr(board, "_time", lambda: None), "clock"),
+    "no finger": (lambda board: setattr(board, "on_a_finger", False), "on_a_finger"),
     "send": (lambda board: vars(board).update(send=print), "send"),
     "stop": (lambda board: vars(board).update(stop=print), "stop"),
 }  # fmt: skip

@@ -111,6 +111,7 @@ class TestTwice(Changed):
 
 class TestLooksNotAtStop(Changed):
     class kind(JournalBoard):
+        drives_in_send = False
         def _write(self, *lines):
             if self._file is not None:
                 print(*lines, sep="\\n", file=self._file, flush=True)
@@ -118,6 +119,7 @@ class TestLooksNotAtStop(Changed):
 
 class TestLooksTooEarly(Changed):
     class kind(JournalBoard):
+        drives_in_send = False
         def _send(self, sequence, times):
             self._go_on_unless_stopped()
             return super()._send(sequence, times)
