@@ -3,7 +3,6 @@
 import inspect
 from abc import ABCMeta
 from functools import cached_property
-from operator import is_
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 from weakref import WeakKeyDictionary
 
@@ -116,10 +115,8 @@ def seal_fault(board: Any) -> BoardError | None:
         or not _GATE.isdisjoint(vars(seal.gate))
     ):
         about, remedy = "gate", "leave _gate as it is"
-    elif (
-        seal.gate.limits is not seal.limits
-        or len(vars(seal.limits)) != len(seal.values)
-        or not all(map(is_, vars(seal.limits).values(), seal.values))
+    elif seal.gate.limits is not seal.limits or not _same(
+        tuple(vars(seal.limits).values()), seal.values
     ):
         about, remedy = "limits", "hand those that it is given to super().__init__, unchanged"
     elif not type(board)._sealed.isdisjoint(vars(board)):
@@ -143,6 +140,15 @@ def seal_error(board: Any, about: str, remedy: str) -> BoardError:
         problem="replaced",
         value=kind,
     )
+
+
+def _same(found: tuple[Any, ...], kept: tuple[Any, ...]) -> bool:
+    """Return whether each is the same object, or at least equal."""
+    try:
+        return found == kept
+    except ValueError:
+        # An array in the place of another.
+        return False
 
 
 def is_foreign(board: Any) -> bool:
