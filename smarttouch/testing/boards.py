@@ -70,7 +70,7 @@ class BoardContract:
     width_us, discharge_us, period_us = 100, 50, 10_000
     intensity, level_ua = 0.15, 320
     step_ua, step_us = 1.0, 1.0
-    keeps_order = counts_passes = True
+    keeps_order = counts_passes = shows_recharges = True
     instants = 20
     made: Board
     calls: list[tuple[str, tuple[Any, ...]]]
@@ -232,6 +232,8 @@ class BoardContract:
         with new_board() as board:
             can = board.capabilities
             at_once = min(4, can.max_slots)
+            if can.recharges and self.shows_recharges:
+                sent.append((self.recharged_sequence(1), 2))
             for first in range(0, self.electrodes, at_once):
                 # Backwards, so that no order but the sequence's own does.
                 sites = every[first : first + at_once][:: -1 if self.keeps_order else 1]
@@ -243,6 +245,8 @@ class BoardContract:
                 reversed_one = self.sequence(len(sent))
                 sent.append((replace(reversed_one, current_ua=-reversed_one.current_ua), 1))
             for sequence, times in sent:
+                # What scans by itself may take up a pattern late.
+                times += 0 if self.counts_passes else 5
                 board.send(sequence, times)
                 board.drain(5)
                 # A repetition ends where a newer sequence comes.
@@ -252,6 +256,14 @@ class BoardContract:
         if not self.counts_passes:
             found, wanted = list(dict.fromkeys(found)), list(dict.fromkeys(wanted))
         assert_same_pulses(found, wanted, self.step_ua, self.step_us)
+
+    def recharged_sequence(self, step: int) -> ScanSequence:
+        """Return a slot with a phase of 2 ms after it, which takes back most of its charge."""
+        sequence, recharge_us = self.sequence(step, sites=[0]), 2000
+        back_ua = abs(sequence.current_ua[0, -1]) * self.width_us // recharge_us
+        recharge_ua = np.where(sequence.current_ua[0] < 0, back_ua, -back_ua).astype(np.int16)
+        recharge_ua[0] *= self.electrodes - 1
+        return replace(sequence, recharge_ua=recharge_ua, recharge_us=recharge_us)
 
     def masked_sequence(self, step: int, masked: int) -> ScanSequence:
         """Return a slot of two electrodes against each other beside a masked one."""

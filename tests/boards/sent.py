@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from smarttouch.boards.emulator.delivery_log import read_slots
+from smarttouch.boards.emulator.delivery_log import read_recharges, read_slots
 from smarttouch.testing.pulses import Pulse
 
 
@@ -68,14 +68,15 @@ def _no_number():
 
 def pulses_in_books(folder):
     """Return the pulses that an emulated link board has delivered."""
-    slots = read_slots(folder)
+    slots = np.concatenate([read_slots(folder), read_recharges(folder)])
+    slots = slots[np.argsort(slots["time_us"], kind="stable")]
     found = []
     for number, slot in enumerate(slots):
         current_ua = slot["current_ua"].astype(float)
         strongest = np.abs(current_ua).argmax()
         width_us = round(1e6 * float(slot["charge_uc"][strongest] / current_ua[strongest]), 3)
         discharge_us = None
-        if number + 1 < len(slots) and slots[number + 1]["slot"] == slot["slot"] + 1:
+        if number + 1 < len(slots) and slots[number + 1]["slot"] == int(slot["slot"]) + 1:
             discharge_us = float(slots[number + 1]["time_us"] - slot["time_us"]) - width_us
         found.append(Pulse(tuple(current_ua), width_us, discharge_us))
     return found

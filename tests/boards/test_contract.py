@@ -254,6 +254,8 @@ class TestMemory(Contract):
 class TestSimulated(TestMemory):
     """In this process too, but what it tells of is what its firmware let flow."""
 
+    shows_recharges = False
+
     @pytest.fixture
     def url(self):
         return "simulated:"
