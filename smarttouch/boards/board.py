@@ -12,6 +12,7 @@ from smarttouch.boards.capabilities import BOTH, BoardReport, Capabilities, Pola
 from smarttouch.boards.host_statistics import HostStatistics
 from smarttouch.boards.impedance import Impedance
 from smarttouch.boards.latch import latch, refuse_latched
+from smarttouch.boards.seal import make_gate, seal_fault
 from smarttouch.boards.stoppable import enter, leave
 from smarttouch.boards.timely import Timely
 from smarttouch.errors import (
@@ -23,10 +24,9 @@ from smarttouch.errors import (
 )
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.profile.device import Output
-from smarttouch.registry import replaced_finals
 from smarttouch.stimulation.exposure import Dose
 from smarttouch.stimulation.kernel_table import KernelTable
-from smarttouch.stimulation.safety import Now, SafetyGate, SafetyLimits
+from smarttouch.stimulation.safety import Now, SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.stimulation.timing import ScanTiming
 
@@ -44,8 +44,9 @@ class Board(Timely, ABC):
 
     A driver implements the underscored methods. `send` cannot be reached
     around: it proves every sequence safe, on the board's own clock, and the
-    driver sees nothing but the frozen copy that was proved. A class that replaces
-    a final method is refused where it is defined.
+    driver sees nothing but the frozen copy that was proved. No final method can be
+    replaced in a class or an object, and a board whose gate, limits or clock are no
+    longer those that it was made with ends in zero.
 
     Parameters
     ----------
@@ -83,18 +84,6 @@ class Board(Timely, ABC):
     lifted: bool = False
     """Whether nothing touches the electrodes, by the voltages of the last scan."""
 
-    def __init_subclass__(cls, **more: Any) -> None:
-        super().__init_subclass__(**more)
-        replaced = replaced_finals(cls, Board)
-        if replaced:
-            raise BoardError(
-                f"{cls.__name__} replaces {replaced[0]}, which keeps every board safe: implement "
-                "the underscored methods of Board instead",
-                about=replaced[0],
-                problem="replaced",
-                value=cls.__name__,
-            )
-
     def __init__(
         self, limits: SafetyLimits, output: Output | None = None, **capabilities: Any
     ) -> None:
@@ -113,7 +102,7 @@ class Board(Timely, ABC):
             kind = "weighted" if output is None else output.kind
             known = {"electrodes": limits.electrodes, "output": kind}
             self.capabilities = Capabilities(**(known | capabilities))
-        self._gate = SafetyGate(limits.on(output), self._time())
+        self._gate = make_gate(self, limits.on(output), self._time())
         self._opened = False
 
     @final
@@ -134,6 +123,7 @@ class Board(Timely, ABC):
             raise BoardError(
                 "the board is open already: close it first", about="board", problem="open"
             )
+        self._require_seal()
         refuse_latched(self.device)
         enter(self)
         try:
@@ -150,6 +140,7 @@ class Board(Timely, ABC):
         self._host_statistics = HostStatistics(self._gate.limits.electrodes)
         self._open()
         self._opened = True
+        self._require_seal()
         if not isinstance(getattr(self, "capabilities", None), Capabilities):
             self.close()
             raise BoardError(
@@ -199,6 +190,7 @@ class Board(Timely, ABC):
         if not self._opened or self._stopped.is_set():
             self._require_open("sending")
             self._go_on_unless_stopped()
+        self._require_seal()
         # By the class: nothing of a driver stands in its place.
         Capabilities.require(self.capabilities, sequence, times)
         proved = self._gate.prove(sequence, times)
@@ -298,6 +290,8 @@ class Board(Timely, ABC):
             If the board cannot measure, or its answer makes no sense.
         """
         self._require_open("measuring")
+        self._go_on_unless_stopped()
+        self._require_seal()
         self._gate.restart()
         try:
             return self._measure()
@@ -311,6 +305,20 @@ class Board(Timely, ABC):
             raise BoardError(
                 f"the board is not open: open it before {what}", about="board", problem="closed"
             )
+
+    @final
+    def _require_seal(self) -> None:
+        """Raise, with the board closed, if its driver has replaced what keeps it safe."""
+        fault = seal_fault(self)
+        if fault is not None:
+            try:
+                # By the class: the driver may have put something else in their place.
+                Board.halt(self)
+            finally:
+                try:
+                    Board.close(self)
+                finally:
+                    raise fault
 
     @final
     def stop(self) -> None:

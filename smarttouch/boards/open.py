@@ -1,15 +1,16 @@
 """Drivers of boards by URL, and the check that each keeps the safety gate."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from smarttouch.boards.board import Board
-from smarttouch.clock import MonotonicClock
+from smarttouch.boards.seal import is_foreign, seal_error, seal_fault
 from smarttouch.errors import BoardError
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.profile.device import Output
-from smarttouch.registry import final_names, find_opener
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
+from smarttouch.registry import find_opener
+from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.url_options import read_options
 
 
@@ -28,8 +29,9 @@ def make_board(
     """
     opener, rest = _driver(url)
     rest, told = read_options(opener, rest, BoardError, but=("output",))
+    given = replace(limits)
     board: Board = opener(rest, limits, output, **{**told, **options})
-    require_gate(board, limits)
+    require_gate(board, limits, given)
     return board
 
 
@@ -39,8 +41,16 @@ def _of_one_source(found: SafetyLimits, given: SafetyLimits, output: Output | No
     return narrower is not given and found == narrower
 
 
-def require_gate(board: Board, limits: SafetyLimits) -> None:
+def require_gate(board: Board, limits: SafetyLimits, given: SafetyLimits) -> None:
     """Raise unless a board has the gate of these limits, on the machine's clock.
+
+    Parameters
+    ----------
+    board : Board
+    limits : SafetyLimits
+        Those that its driver was given.
+    given : SafetyLimits
+        A copy of them from before.
 
     Raises
     ------
@@ -48,29 +58,17 @@ def require_gate(board: Board, limits: SafetyLimits) -> None:
         If its driver has other limits, another gate, or something in place of a method that
         is final; or if there may be a finger on it and it has another clock.
     """
-    kind = type(board)
-    gate = getattr(board, "_gate", None)
-    about = ""
-    if type(gate) is not SafetyGate or "prove" in vars(gate):
-        about, remedy = "gate", "leave _gate as it is"
-    elif gate.limits is not limits and not _of_one_source(gate.limits, limits, board._output):
-        about, remedy = "limits", "hand those that it is given to super().__init__"
-    elif put := [name for name in final_names(Board) if name in vars(board)]:
-        about, remedy = put[0], "implement the underscored methods of Board instead"
-    elif (
-        # Only where no finger can be is time what sequences claim.
-        board.on_a_finger
-        and kind.__module__.partition(".")[0] != "smarttouch"
-        and (kind._time is not Board._time or type(board.clock) is not MonotonicClock)
-    ):
-        about, remedy = "clock", "leave _time and _clock as they are"
-    if about:
-        raise BoardError(
-            f"{kind.__name__} goes around the safety gate by its {about}: {remedy}",
-            about=about,
-            problem="replaced",
-            value=kind.__name__,
-        )
+    fault = seal_fault(board)
+    if fault is not None:
+        raise fault
+    found = board._gate.limits
+    # By value, too: a driver can write into what it was given.
+    unchanged = found is limits and found == given
+    if not unchanged and not _of_one_source(found, given, board._output):
+        raise seal_error(board, "limits", "hand those that it is given to super().__init__")
+    # Only where no finger can be is time what sequences claim.
+    if is_foreign(board) and board.on_a_finger and type(board)._time is not Board._time:
+        raise seal_error(board, "clock", "leave _time and _clock as they are")
 
 
 def may_touch_a_finger(url: str) -> bool:

@@ -3,11 +3,12 @@
 import threading
 from typing import ClassVar, final
 
+from smarttouch.boards.seal import Sealed
 from smarttouch.clock import LATE_NS, Clock, MonotonicClock
 from smarttouch.errors import BoardFaultError, BoardStoppedError, SequenceLateError
 
 
-class Timely:
+class Timely(Sealed):
     """Base class that tracks stops and refuses late sequences.
 
     It uses the machine's own clock, whatever clock a program passes.

@@ -55,8 +55,9 @@ class Display(Closing):
             board = make_board(url, limits, profile.output, **options)
         else:
             # Drivers are made as their URLs are opened, and `Board` itself by its limits alone.
+            given = SafetyLimits.of(profile)
             board = url("", limits, profile.output, **options)  # type: ignore[call-arg, arg-type]
-            require_gate(board, limits)
+            require_gate(board, limits, given)
             url = f"{url.__module__}.{url.__qualname__}:"
         self.url, self.profile, self.vibrators_url = url, profile, vibrators_url
         self._stop = StopRequest()

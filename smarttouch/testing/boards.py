@@ -1,6 +1,8 @@
 """Contract tests of a display board: subclass `BoardContract` beside your driver."""
 
+import contextlib
 import threading
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
@@ -14,6 +16,7 @@ from smarttouch.errors import BoardError, BoardStoppedError, SafetyError
 from smarttouch.registry import fault_of
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.testing.pulses import ZERO, AtLine, Pulse, assert_same_pulses, planned_pulses
 
 SECOND = 10**9
 UNSAFE = {
@@ -32,7 +35,10 @@ NewBoard = Callable[[], Board]
 
 
 class BoardContract:
-    """Contract of every board: subclass it as ``TestMine``, with `make`.
+    """Contract of every board: subclass it as ``TestMine``, with `make`, `received` and `decode`.
+
+    What the device is sent is compared with what was proved. A scale that is wrong in the driver
+    and in `decode` alike is not found by this, but by ``smarttouch board calibrate-scale``.
 
     Attributes
     ----------
@@ -44,6 +50,15 @@ class BoardContract:
         Of the sequences that are sent.
     intensity, level_ua : float, int
         The same: as strong as may be without a ramp.
+    step_ua, step_us : float, µA, µs
+        Steps to which the device rounds currents and times.
+    keeps_order : bool
+        Whether slots come in the sequence's order; not where the device goes by index.
+    counts_passes : bool
+        Whether the device makes as many passes as it is sent; not one that scans by itself, again
+        and again, until it is sent something else.
+    instants : int
+        At how many lines of the driver's code a stop comes.
     made : Board
         The last that was made.
     calls : list of (str, tuple)
@@ -54,6 +69,9 @@ class BoardContract:
     cathodic = True
     width_us, discharge_us, period_us = 100, 50, 10_000
     intensity, level_ua = 0.15, 320
+    step_ua, step_us = 1.0, 1.0
+    keeps_order = counts_passes = shows_recharges = True
+    instants = 20
     made: Board
     calls: list[tuple[str, tuple[Any, ...]]]
 
@@ -62,15 +80,28 @@ class BoardContract:
         # Not abstract: pytest could not make the class to run what needs no device.
         raise NotImplementedError("return your board, with these limits")
 
-    def assert_silent(self) -> None:
-        """Fail unless the device is at zero, and stays so.
+    def received(self) -> bytes:
+        """Return all that the device has been sent since it was made, once it is there."""
+        raise NotImplementedError("return the bytes that your device, or its stand-in, was sent")
 
-        Replace it: look at the device, or at what stands in for it. As it is, it only looks
-        whether the driver was asked to stop after the last that it was sent.
+    def decode(self, data: bytes) -> list[Pulse]:
+        """Return the pulses that bytes make a device give, in order, repetitions written out.
+
+        `ZERO` is among them wherever all electrodes are put at zero. Write it by the device's
+        documents, not by the driver: what both have wrong in the same way is not found.
         """
-        names = [name for name, _ in self.calls]
-        assert "_stop" in names
-        assert "_send" not in names[names.index("_stop") :]
+        raise NotImplementedError("return the pulses that these bytes are, by your own decoder")
+
+    def pulses(self) -> list[Pulse]:
+        """Return what the device has been sent; replace it where that is no bytes."""
+        return self.decode(self.received())
+
+    def assert_silent(self) -> None:
+        """Fail unless the last that the device was sent is zero, and stays so."""
+        before = self.pulses()
+        assert before[-1] == ZERO, "the last that the device was sent is not zero"
+        time.sleep(2e-6 * self.period_us)
+        assert self.pulses() == before, "the device was sent something after it was at zero"
 
     @pytest.fixture(autouse=True)
     def never_late(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -89,7 +120,7 @@ class BoardContract:
 
         def make() -> Board:
             self.made, self.calls = self.make(limits), []
-            for name in ("_open", "_send", "_stop", "_close"):
+            for name in ("_open", "_send", "_measure", "_stop", "_close"):
                 setattr(self.made, name, self._kept(name, getattr(self.made, name)))
             return self.made
 
@@ -167,7 +198,7 @@ class BoardContract:
     def test_its_driver_keeps_the_contract(self, new_board: NewBoard, limits: SafetyLimits) -> None:
         board = new_board()
         assert fault_of(type(board), Board) is None
-        require_gate(board, limits)
+        require_gate(board, limits, limits)
 
     def test_it_tells_what_it_can_do(self, new_board: NewBoard) -> None:
         with new_board() as board:
@@ -195,6 +226,52 @@ class BoardContract:
             np.testing.assert_array_equal(sequence.width_us, wanted.width_us)
             assert not sequence.current_ua.flags.writeable
 
+    def test_what_the_device_is_sent_is_what_was_proved(self, new_board: NewBoard) -> None:
+        """Each electrode is a site once, all but one rest once, and passes are repeated."""
+        every, sent = list(range(self.electrodes)), [(self.sequence(0), 1)]
+        with new_board() as board:
+            can = board.capabilities
+            at_once = min(4, can.max_slots)
+            if can.recharges and self.shows_recharges:
+                sent.append((self.recharged_sequence(1), 2))
+            for first in range(0, self.electrodes, at_once):
+                # Backwards, so that no order but the sequence's own does.
+                sites = every[first : first + at_once][:: -1 if self.keeps_order else 1]
+                sent.append((self.sequence(len(sent), sites=sites), 1 + first // at_once % 3))
+            if can.output == "weighted":
+                for masked in (0, self.electrodes - 3):
+                    sent.append((self.masked_sequence(len(sent), masked), 2))
+            if len(can.polarities) > 1:
+                reversed_one = self.sequence(len(sent))
+                sent.append((replace(reversed_one, current_ua=-reversed_one.current_ua), 1))
+            for sequence, times in sent:
+                # What scans by itself may take up a pattern late.
+                times += 0 if self.counts_passes else 5
+                board.send(sequence, times)
+                board.drain(5)
+                # A repetition ends where a newer sequence comes.
+                time.sleep(1e-6 * sequence.period_us * times)
+            found = [pulse for pulse in self.pulses() if pulse != ZERO]
+        wanted = [pulse for each in sent for pulse in planned_pulses(*each)]
+        if not self.counts_passes:
+            found, wanted = list(dict.fromkeys(found)), list(dict.fromkeys(wanted))
+        assert_same_pulses(found, wanted, self.step_ua, self.step_us)
+
+    def recharged_sequence(self, step: int) -> ScanSequence:
+        """Return a slot with a phase of 2 ms after it, which takes back most of its charge."""
+        sequence, recharge_us = self.sequence(step, sites=[0]), 2000
+        back_ua = abs(sequence.current_ua[0, -1]) * self.width_us // recharge_us
+        recharge_ua = np.where(sequence.current_ua[0] < 0, back_ua, -back_ua).astype(np.int16)
+        recharge_ua[0] *= self.electrodes - 1
+        return replace(sequence, recharge_ua=recharge_ua, recharge_us=recharge_us)
+
+    def masked_sequence(self, step: int, masked: int) -> ScanSequence:
+        """Return a slot of two electrodes against each other beside a masked one."""
+        sequence = self.sequence(step, sites=[masked + 1])
+        current_ua = np.zeros_like(sequence.current_ua)
+        current_ua[0, [masked + 1, masked + 2]] = self.level_ua // 2, -(self.level_ua // 2)
+        return replace(sequence, current_ua=current_ua if self.cathodic else -current_ua)
+
     @pytest.mark.parametrize("how", UNSAFE)
     def test_an_unsafe_sequence_never_leaves(
         self, new_board: NewBoard, limits: SafetyLimits, how: str
@@ -218,6 +295,39 @@ class BoardContract:
             with pytest.raises(BoardStoppedError) as error:
                 board.send(self.sequence(2))
             assert (error.value.about, error.value.problem) == ("board", "stopped")
+            self.assert_silent()
+
+    @pytest.mark.parametrize("what", ["send", "measure"])
+    def test_a_stop_at_any_line_of_the_driver(self, new_board: NewBoard, what: str) -> None:
+        """It stops from another thread while this one is at that line; nothing comes after."""
+
+        def call(board: Board) -> None:
+            with contextlib.suppress(BoardError, SafetyError):
+                board.send(self.sequence(1), times=2) if what == "send" else board.measure()
+
+        with new_board() as board:
+            board.send(self.sequence(0))
+            with AtLine(board, -1, board.stop) as counted:
+                call(board)
+        for instant in range(min(self.instants, counted.lines)):
+            number = instant * counted.lines // min(self.instants, counted.lines)
+            with new_board() as board:
+                board.send(self.sequence(0))
+                board.drain()
+                with AtLine(board, number, board.stop) as there:
+                    call(board)
+                if there.thread is not None:
+                    there.thread.join(5)
+                    assert not there.thread.is_alive()
+                    self.assert_silent()
+
+    def test_nothing_is_measured_after_a_stop(self, new_board: NewBoard) -> None:
+        with new_board() as board:
+            self._start(board)
+            board.stop()
+            with pytest.raises(BoardError):
+                board.measure()
+            assert "_measure" not in [name for name, _ in self.calls]
             self.assert_silent()
 
     def test_one_that_was_halted_is_never_opened(self, new_board: NewBoard) -> None:

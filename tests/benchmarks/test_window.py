@@ -95,13 +95,13 @@ def test_stop(profile, quick, row):
         stop, halted = StopRequest(), threading.Event()
         window = Window(stop, finger=None, show=lambda _: None)
         display = st.open_display("emulator:", profile)
-        halt = display.board.halt
+        halt = display.board._halt
 
         def at_zero(halt=halt, halted=halted):
             halt()
             halted.set()
 
-        display.board.halt = at_zero
+        display.board._halt = at_zero
         flows = threading.Event()
 
         def watch(result, flows=flows):

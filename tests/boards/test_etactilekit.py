@@ -11,7 +11,7 @@ from smarttouch.boards.etactilekit import ETactileKitBoard
 from smarttouch.boards.probe import one_each
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from tests.boards.told import MS, ToldClock, ToldKit
 
 from ..raising import raises
@@ -221,11 +221,11 @@ def test_settings_that_were_not_confirmed_are_set_again(script, make):
         assert (board.acknowledged, board.refused) == (3, 1)
 
 
-def test_a_scan_that_is_too_long_for_its_period_never_leaves(script, make):
+def test_a_scan_that_is_too_long_for_its_period_never_leaves(script, make, monkeypatch):
     script(*OPEN, *ZERO)
     with make() as board:
         # 4 outputs of 260 µs are more than 1 ms; their parser would stand still for ever.
-        board._gate.prove = lambda sequence, _times: sequence
+        monkeypatch.setattr(SafetyGate, "prove", lambda _gate, sequence, _times: sequence)
         with raises(BoardError, about="period_us", value=1000, allowed=1040):
             board.send(replace(anodic(1000, width=200), period_us=1000))
 

@@ -1,6 +1,9 @@
 """The contract of drivers, run over the C core behind a pseudo-terminal and on a Cortex-M3."""
 
 import os
+import tempfile
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,8 +26,7 @@ class TestFirmware(Contract):
     @pytest.fixture
     def url(self, start_firmware, tmp_path):
         def url(kind):
-            self.folder = tmp_path / kind
-            self.folder.mkdir()
+            self.folder = Path(tempfile.mkdtemp(dir=tmp_path))
             # Time is what sequences claim: they need not begin softly.
             options = (f"--books={self.folder}", "--ramp-ms=0")
             return "link:" + start_firmware(*options, output=kind)[1]
@@ -73,12 +75,17 @@ class TestCortexM3(TestFirmware):
     @pytest.fixture
     def url(self, start_cortex_m3, tmp_path):
         def url(kind):
-            self.folder = tmp_path / kind
-            self.folder.mkdir()
+            self.folder = Path(tempfile.mkdtemp(dir=tmp_path))
             given = {"electrodes": self.electrodes, "output": kind, "ramp_ms": 0}
             return "link:" + start_cortex_m3(self.folder, **given).name
 
         return url
+
+    instants = 2
+
+    def pulses(self):
+        """Return its pulses; it shorts for longer than it is sent, while it is emulated."""
+        return [replace(pulse, discharge_us=None) for pulse in super().pulses()]
 
 
 def test_a_sudden_rise_is_refused(start_firmware, tmp_path, make_limits, make_sequence):

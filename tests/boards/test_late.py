@@ -39,6 +39,8 @@ class Felt(MemoryBoard):
     """As if a finger were on it: where none is, and time is what is claimed, nothing is late."""
 
     on_a_finger = True
+    # Counts as one of ours: drivers of others keep the machine's clock.
+    __module__ = MemoryBoard.__module__
 
 
 def limits(electrodes):

@@ -415,6 +415,9 @@ class TestContract(test_contract.Contract):
     def assert_silent(self):
         assert not read(self.folder / "out.wav")[0][-1].any()
 
+    def test_what_the_device_is_sent_is_what_was_proved(self):
+        """It is sent no pulses."""
+
     def test_what_is_sent_is_delivered(self, make_board):
         with make_board() as board:
             for step in range(5):

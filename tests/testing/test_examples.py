@@ -45,4 +45,4 @@ def test_a_run_with_both(program, tmp_path):
     lines = (tmp_path / "run.txt").read_text("utf-8").splitlines()
     assert lines[0] == lines[-1] == "zero"
     assert sum(line.startswith("scan") for line in lines) > 5
-    assert sum(line.startswith("  site") for line in lines) > 5
+    assert sum(line.startswith("  ") for line in lines) > 5

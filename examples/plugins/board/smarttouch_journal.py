@@ -1,5 +1,6 @@
 """A board that writes each pulse into a text file: ``journal:run.txt``."""
 
+import threading
 from pathlib import Path
 from typing import IO
 
@@ -44,6 +45,7 @@ class JournalBoard(Board):
             )
         self._path = Path(rest)
         self._file: IO[str] | None = None
+        self._lock = threading.Lock()
         self._number = 0
 
     def _open(self) -> None:
@@ -60,14 +62,15 @@ class JournalBoard(Board):
         self._write("zero")
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
-        self._number += 1
-        self._write(f"scan {self._number}: {times} x {sequence.period_us} us")
-        for site, width_us, current_ua in zip(
-            sequence.site, sequence.width_us, sequence.current_ua, strict=True
+        lines = [f"scan: {times} x {sequence.period_us} us"]
+        for width_us, discharge_us, current_ua in zip(
+            sequence.width_us, sequence.discharge_us, sequence.current_ua, strict=True
         ):
             flows = ", ".join(f"{each:+d}" for each in current_ua)
-            self._write(f"  site {site}, {width_us} us: {flows} uA")
+            lines.append(f"  {width_us} us, then {discharge_us} us shorted: {flows} uA")
+        self._write(*lines)
         self.acknowledged += 1
+        self._number += 1
         return self._number
 
     def _stop(self) -> None:
@@ -78,6 +81,10 @@ class JournalBoard(Board):
             self._file.close()
             self._file = None
 
-    def _write(self, line: str) -> None:
-        if self._file is not None:
-            print(line, file=self._file, flush=True)
+    def _write(self, *lines: str) -> None:
+        with self._lock:
+            # A stop may have come from another thread: then nothing but zero goes out.
+            if lines != ("zero",):
+                self._go_on_unless_stopped()
+            if self._file is not None:
+                print(*lines, sep="\n", file=self._file, flush=True)

@@ -1,5 +1,6 @@
 """The journal keeps what every board keeps, and says what was sent."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from smarttouch.boards.board import Board
 from smarttouch.errors import BoardError
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.testing.boards import BoardContract
+from smarttouch.testing.pulses import ZERO, Pulse
 
 
 class TestJournal(BoardContract):
@@ -19,17 +21,33 @@ class TestJournal(BoardContract):
     def make(self, limits: SafetyLimits) -> Board:
         return JournalBoard(str(self.path), limits)
 
-    def assert_silent(self) -> None:
-        assert self.path.read_text("utf-8").splitlines()[-1] == "zero"
+    def received(self) -> bytes:
+        return self.path.read_bytes()
+
+    def decode(self, data: bytes) -> list[Pulse]:
+        """Return the pulses of a journal: those of each scan, as often as it says."""
+        found: list[Pulse] = []
+        for part in re.split(r"^(?=zero|scan)", data.decode(), flags=re.MULTILINE)[1:]:
+            head, *slots = part.splitlines()
+            if head == "zero":
+                found.append(ZERO)
+                continue
+            times, period_us = map(int, re.findall(r"\d+", head))
+            for _ in range(times):
+                for slot in slots:
+                    width_us, discharge_us, *flows = map(int, re.findall(r"[-+]?\d+", slot))
+                    found.append(Pulse(tuple(flows), width_us, discharge_us, period_us))
+        return found
 
     def test_each_slot_is_a_line(self, new_board) -> None:
         with new_board() as board:
             board.send(self.sequence(0))
             board.send(self.sequence(1), times=3)
         zero, first, second, *slots, end = self.path.read_text("utf-8").splitlines()
-        assert (zero, first, end) == ("zero", "scan 1: 1 x 10000 us", "zero")
-        assert second == "scan 2: 3 x 10000 us"
-        assert slots[0] == "  site 0, 100 us: +315, -45, -45, -45, -45, -45, -45, -45 uA"
+        assert (zero, first, end) == ("zero", "scan: 1 x 10000 us", "zero")
+        assert second == "scan: 3 x 10000 us"
+        pulse = "  100 us, then 50 us shorted: +315, -45, -45, -45, -45, -45, -45, -45 uA"
+        assert slots[0] == pulse
         assert len(slots) == 4
 
 

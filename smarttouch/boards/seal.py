@@ -1,0 +1,177 @@
+"""Seals of boards: what no driver may replace, checked by what is kept apart from the board."""
+
+import inspect
+from abc import ABCMeta
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple, final
+from weakref import finalize
+
+import numpy as np
+
+from smarttouch.clock import MonotonicClock
+from smarttouch.errors import BoardError
+from smarttouch.registry import final_names
+from smarttouch.stimulation.safety import Now, SafetyGate, SafetyLimits
+
+_ALWAYS = frozenset({"__bases__", "__class__", "__getattribute__", "_sealed"})
+"""Names through which final methods could be replaced."""
+_GATE = frozenset(vars(SafetyGate))
+_WHOLE = [name for name, value in vars(SafetyLimits).items() if isinstance(value, cached_property)]
+
+
+class SealedType(ABCMeta):
+    """Metaclass whose classes keep their final methods, when they are defined and later."""
+
+    _sealed = _ALWAYS
+
+    def __init__(
+        cls, name: str, bases: tuple[type, ...], members: dict[str, Any], **more: Any
+    ) -> None:
+        super().__init__(name, bases, members, **more)
+        type.__setattr__(cls, "_sealed", _ALWAYS.union(final_names(cls)))
+        static = inspect.getattr_static
+        if static(cls, "__getattribute__") is not object.__getattribute__:
+            raise _replaced(cls, "__getattribute__")
+        for base in cls.__mro__[1:]:
+            for each in sorted(getattr(base, "_sealed", frozenset()) - _ALWAYS):
+                if static(cls, each) is not static(base, each):
+                    raise _replaced(cls, each)
+
+    # Hidden from type checkers, which would let any name be assigned.
+    if not TYPE_CHECKING:
+
+        def __setattr__(cls, name: str, value: object) -> None:
+            if name in cls._sealed:
+                raise _replaced(cls, name)
+            super().__setattr__(name, value)
+
+        def __delattr__(cls, name: str) -> None:
+            if name in cls._sealed:
+                raise _replaced(cls, name)
+            super().__delattr__(name)
+
+
+class Sealed(metaclass=SealedType):
+    """Base class of objects whose final methods cannot be replaced."""
+
+    if not TYPE_CHECKING:
+
+        @final
+        def __setattr__(self, name: str, value: object) -> None:
+            if name in type(self)._sealed:
+                raise _replaced(type(self), name)
+            object.__setattr__(self, name, value)
+
+
+def _replaced(kind: type, name: str) -> BoardError:
+    return BoardError(
+        f"{kind.__name__} replaces {name}, which keeps every board safe: implement the underscored "
+        "methods of Board instead",
+        about=name,
+        problem="replaced",
+        value=kind.__name__,
+    )
+
+
+class _Seal(NamedTuple):
+    """What a board was made with."""
+
+    gate: SafetyGate
+    gate_size: int
+    limits: SafetyLimits
+    values: tuple[Any, ...]
+    """Of the limits, as given and in whole numbers."""
+    clock: Now | None
+    on_a_finger: bool
+    foreign: bool
+
+
+_seals: dict[int, _Seal] = {}
+"""By the identity of the board, and not in it, where a driver would come across it."""
+
+
+def make_gate(board: Any, limits: SafetyLimits, clock: Now | None) -> SafetyGate:
+    """Return the gate of a board, sealed: the first of a board is the one that it must keep."""
+    for name in _WHOLE:
+        value = getattr(limits, name)
+        if isinstance(value, np.ndarray) and value.flags.owndata:
+            # Backed by bytes, it cannot be made writable again.
+            vars(limits)[name] = np.frombuffer(value.tobytes(), value.dtype)
+    gate = SafetyGate(limits, clock)
+    if id(board) not in _seals:
+        _seals[id(board)] = _Seal(
+            gate,
+            len(vars(gate)),
+            limits,
+            tuple(vars(limits).values()),
+            gate._clock,
+            bool(board.on_a_finger),
+            is_foreign(board),
+        )
+        finalize(board, _seals.pop, id(board)).atexit = False
+    return gate
+
+
+def seal_fault(board: Any) -> BoardError | None:
+    """Return the error of a board that has another gate, limits or clock than it was made with.
+
+    It is asked before every sequence: what is slow comes only where something has changed.
+    """
+    seal, own = _seals.get(id(board)), vars(board)
+    about = remedy = ""
+    if (
+        seal is None
+        or own.get("_gate") is not seal.gate
+        or type(seal.gate) is not SafetyGate
+        or (len(vars(seal.gate)) != seal.gate_size and not _GATE.isdisjoint(vars(seal.gate)))
+    ):
+        about, remedy = "gate", "leave _gate as it is"
+    elif seal.gate.limits is not seal.limits or not _same(
+        tuple(vars(seal.limits).values()), seal.values
+    ):
+        about, remedy = "limits", "hand those that it is given to super().__init__, unchanged"
+    elif "send" in own or "stop" in own or "halt" in own or "close" in own or "measure" in own:
+        about = min(type(board)._sealed & own.keys())
+        remedy = "implement the underscored methods of Board instead"
+    elif seal.gate._clock is not seal.clock or (seal.foreign and _has_own_clock(board)):
+        about, remedy = "clock", "leave _time and _clock as they are"
+    elif seal.on_a_finger and not board.on_a_finger:
+        about, remedy = "on_a_finger", "let the class say it, once"
+    else:
+        return None
+    return seal_error(board, about, remedy)
+
+
+def seal_error(board: Any, about: str, remedy: str) -> BoardError:
+    """Return the error of a board that goes around its gate."""
+    kind = type(board).__name__
+    return BoardError(
+        f"{kind} goes around the safety gate by its {about}: {remedy}",
+        about=about,
+        problem="replaced",
+        value=kind,
+    )
+
+
+def _same(found: tuple[Any, ...], kept: tuple[Any, ...]) -> bool:
+    """Return whether each is the same object, or at least equal."""
+    try:
+        return found == kept
+    except ValueError:
+        # An array in the place of another.
+        return False
+
+
+def is_foreign(board: Any) -> bool:
+    """Return whether the driver is of another package."""
+    return not type(board).__module__.startswith("smarttouch.")
+
+
+def _has_own_clock(board: Any) -> bool:
+    """Return whether the time of a board with a finger on it is not the machine's."""
+    # Only where no finger can be is time what sequences claim.
+    return bool(board.on_a_finger) and (
+        type(board._clock) is not MonotonicClock
+        or "now_ns" in vars(board._clock)
+        or "_time" in vars(board)
+    )

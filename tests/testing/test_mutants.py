@@ -1,0 +1,191 @@
+"""The contract finds each way in which a driver sends another thing than was proved."""
+
+import re
+import subprocess
+import sys
+
+from ..pages import ROOT
+
+EXAMPLE = ROOT / "examples" / "plugins" / "board"
+
+MUTANTS = """
+from dataclasses import replace
+
+import numpy as np
+import test_smarttouch_journal as own
+from smarttouch_journal import JournalBoard
+
+
+class Changed(own.TestJournal):
+    def make(self, limits):
+        return self.kind(str(self.path), limits)
+
+
+class Other(JournalBoard):
+    def _send(self, sequence, times):
+        return super()._send(replace(sequence, **self.other(sequence)), times)
+
+
+class TestReversed(Changed):
+    class kind(Other):
+        def other(self, sequence):
+            return {"current_ua": -sequence.current_ua}
+
+
+class TestOnePolarity(Changed):
+    class kind(Other):
+        def other(self, sequence):
+            current_ua, rows = sequence.current_ua, np.arange(sequence.slots)
+            sign = np.sign(current_ua[rows, sequence.site])[:, None]
+            return {"current_ua": current_ua * np.where(sign, sign, 1)}
+
+
+class TestWide(Changed):
+    class kind(Other):
+        def other(self, sequence):
+            return {"width_us": sequence.width_us * 10}
+
+
+class TestHundredfold(Changed):
+    class kind(Other):
+        def other(self, sequence):
+            return {"current_ua": sequence.current_ua.astype(int) * 100}
+
+
+class TestTwofold(Changed):
+    class kind(Other):
+        def other(self, sequence):
+            return {"current_ua": sequence.current_ua * 2}
+
+
+class TestFiftiethMore(Changed):
+    class kind(Other):
+        def other(self, sequence):
+            return {"current_ua": (sequence.current_ua * 1.02).round().astype(int)}
+
+
+class TestSwapped(Changed):
+    class kind(Other):
+        def other(self, sequence):
+            order = [0, 1, 2, 3, 4, 5, 7, 6]
+            return {"current_ua": sequence.current_ua[:, order]}
+
+
+class TestBackwards(Changed):
+    class kind(Other):
+        def other(self, sequence):
+            return {"current_ua": sequence.current_ua[::-1]}
+
+
+class TestUnmasked(Changed):
+    class kind(Other):
+        def other(self, sequence):
+            current_ua = sequence.current_ua
+            return {"current_ua": np.where(current_ua == 0, 20, current_ua)}
+
+
+class TestUndischarged(Changed):
+    class kind(Other):
+        def other(self, sequence):
+            return {"discharge_us": sequence.discharge_us * 0}
+
+
+class TestFaster(Changed):
+    class kind(Other):
+        def other(self, sequence):
+            return {"period_us": sequence.period_us // 2}
+
+
+class TestOnce(Changed):
+    class kind(JournalBoard):
+        def _send(self, sequence, times):
+            return super()._send(sequence, 1)
+
+
+class TestTwice(Changed):
+    class kind(JournalBoard):
+        def _send(self, sequence, times):
+            super()._send(sequence, times)
+            return super()._send(sequence, times)
+
+
+class TestLooksNotAtStop(Changed):
+    class kind(JournalBoard):
+        drives_in_send = False
+        def _write(self, *lines):
+            if self._file is not None:
+                print(*lines, sep="\\n", file=self._file, flush=True)
+
+
+class TestLooksTooEarly(Changed):
+    class kind(JournalBoard):
+        drives_in_send = False
+        def _send(self, sequence, times):
+            self._go_on_unless_stopped()
+            return super()._send(sequence, times)
+        def _write(self, *lines):
+            if self._file is not None:
+                print(*lines, sep="\\n", file=self._file, flush=True)
+
+
+class TestStopsNot(Changed):
+    class kind(JournalBoard):
+        def _stop(self): ...
+
+
+class TestStopsLater(Changed):
+    class kind(JournalBoard):
+        def _stop(self): ...
+        def _close(self):
+            self._write("zero")
+            super()._close()
+
+
+class TestMeasuresOn(Changed):
+    class kind(JournalBoard):
+        def _measure(self):
+            for _ in range(self._gate.limits.electrodes):
+                flows = ", ".join(["+100", "-100", *["0"] * (self._gate.limits.electrodes - 2)])
+                text = f"scan: 1 x 1000 us\\n  100 us, then 50 us shorted: {flows} uA"
+                print(text, file=self._file, flush=True)
+            return super()._measure()
+
+
+class TestClosesWithCurrent(Changed):
+    class kind(JournalBoard):
+        def _close(self):
+            print("scan: 1 x 10000 us\\n  100 us, then 50 us shorted: +9, -9 uA", file=self._file)
+            super()._close()
+"""
+
+SENT = {"what_the_device_is_sent_is_what_was_proved"}
+ANY_LINE, MEASURED = (
+    "a_stop_at_any_line_of_the_driver[send]",
+    "a_stop_at_any_line_of_the_driver[measure]",
+)
+STOPS = {"a_stop_from_another_thread_ends_it", "nothing_is_measured_after_a_stop"}
+CLOSES = {"closing_puts_it_at_zero", "an_exception_puts_it_at_zero"}
+FOUND = {
+    **dict.fromkeys(
+        ("Reversed", "OnePolarity", "Wide", "Hundredfold", "Twofold", "FiftiethMore", "Swapped",
+         "Backwards", "Unmasked", "Undischarged", "Faster", "Once", "Twice"), SENT,
+    ),
+    "LooksNotAtStop": {ANY_LINE}, "LooksTooEarly": {ANY_LINE},
+    "StopsNot": STOPS | CLOSES | {ANY_LINE}, "StopsLater": STOPS | {ANY_LINE},
+    "MeasuresOn": {MEASURED}, "ClosesWithCurrent": CLOSES,
+}  # fmt: skip
+
+
+def test_what_is_sent_otherwise_fails_the_test_that_is_about_it(tmp_path, monkeypatch):
+    (tmp_path / "test_them.py").write_text(MUTANTS, encoding="utf-8")
+    monkeypatch.setenv("PYTHONPATH", str(EXAMPLE), prepend=":")
+    selected = " or ".join(name.partition("[")[0] for name in set().union(*FOUND.values()))
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-rf", "--tb=no", "-p", "no:cacheprovider",
+         "-k", selected, "."],
+        cwd=tmp_path, capture_output=True, text=True, timeout=110, check=False,
+    )  # fmt: skip
+    found = {}
+    for kind, name in re.findall(r"^FAILED \S+::Test(\w+)::test_(\S+)", done.stdout, re.MULTILINE):
+        found.setdefault(kind, set()).add(name)
+    assert found == FOUND
