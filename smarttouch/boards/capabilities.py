@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from itertools import compress
 from typing import Literal
 
+import numpy as np
+
 from smarttouch.errors import BoardError
 from smarttouch.stimulation.sequence import ScanSequence
 
@@ -53,7 +55,7 @@ class Capabilities:
         ------
         BoardError
             If it is of another size, needs something that the board has not, or is repeated
-            too often.
+            too often or a number of times that is not whole.
         """
         if (electrodes := sequence.current_ua.shape[1]) != self.electrodes:
             raise BoardError(
@@ -77,6 +79,13 @@ class Capabilities:
                 "the sequence ends with a recharge phase, and this board makes none: leave it out",
                 about="recharge_ua",
                 problem="impossible",
+            )
+        if isinstance(times, bool) or not isinstance(times, (int, np.integer)):
+            raise BoardError(
+                f"times is {times!r}, must be a whole number",
+                about="times",
+                problem="not whole",
+                value=times,
             )
         if not 1 <= times <= LONGEST_REPEAT:
             raise BoardError(

@@ -202,7 +202,7 @@ class ETactileKitLine(KeptBoard):
     # -- questions and answers -----------------------------------------------
 
     def _exchange(
-        self, body: bytes, *, ask: bool = False
+        self, body: bytes, *, ask: bool = False, drives: bool = False
     ) -> tuple[Span, NDArray[np.uint16] | None] | None:
         """Send commands and wait until they are executed.
 
@@ -210,6 +210,8 @@ class ETactileKitLine(KeptBoard):
         ----------
         ask : bool
             Also for the readings, as they are before the commands are obeyed.
+        drives : bool
+            Whether the commands make current.
 
         Returns
         -------
@@ -224,7 +226,8 @@ class ETactileKitLine(KeptBoard):
         # An answer that was late must not pass for that to this.
         self._flush()
         begun_ns = self._clock.now_ns()
-        self._write_out(data)
+        with self._driving() if drives else contextlib.nullcontext():
+            self._write_out(data)
         answer = self._read(expected, ECHO_S + self._wire_s(data))
         span = Span(begun_ns, self._clock.now_ns())
         if len(answer) != expected or not codec.is_answer(answer[expected - codec.answer_bytes :]):

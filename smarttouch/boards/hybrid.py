@@ -59,6 +59,7 @@ class HybridBoard(Board):
     timing: ScanTiming = _electric("timing")
     simulated_time: ClassVar[bool] = _electric("simulated_time")
     on_a_finger: ClassVar[bool] = _electric("on_a_finger")
+    drives_in_send = False
     capabilities: Capabilities = _vibrating()
 
     def __init__(self, electric: Board, shaking: VibratorBoard) -> None:
@@ -89,7 +90,7 @@ class HybridBoard(Board):
             self._gate.restart()
             raise
         except BaseException:
-            self.stop()
+            self._stop()
             raise
         return number
 

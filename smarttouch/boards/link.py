@@ -83,6 +83,7 @@ class LinkBoard(Board):
         self._measured: deque[Measured] = deque(maxlen=64)
 
     keeps_kernels = True
+    drives_in_send = False
 
     # -- the contract ------------------------------------------------------
 
@@ -169,9 +170,10 @@ class LinkBoard(Board):
     def _write_in_time(self, number: int, payload: bytes) -> bool:
         """Write the sequence in flight, unless it is too late for it."""
         latest_ns = self._in_flight_due_ns + LATE_NS
-        went = self._line.send(
-            Kind.SEQUENCE, number, payload, latest_ns=latest_ns, now_ns=self._clock.now_ns
-        )
+        with self._driving():
+            went = self._line.send(
+                Kind.SEQUENCE, number, payload, latest_ns=latest_ns, now_ns=self._clock.now_ns
+            )
         if went:
             self._rise.note(self._in_flight_ppb, self._clock.now_ns())
         return went
@@ -200,7 +202,7 @@ class LinkBoard(Board):
         It has the same number: the board recognizes it if only the ACK was lost.
         """
         # Nothing newer can go out between the look and the write.
-        with self._line.writing:
+        with self._driving():
             with self._line.news:
                 now_s = self._line.now_s()
                 if not self._in_flight or now_s < self._again_s:
@@ -209,6 +211,9 @@ class LinkBoard(Board):
                 number, payload = next(iter(self._in_flight.items()))
                 self._repeated.append(number)
             self._write_in_time(number, payload)
+
+    def _interrupt(self) -> None:
+        self._line.overtake()
 
     def _stop(self) -> None:
         self._line.overtake()

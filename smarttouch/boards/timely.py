@@ -1,13 +1,19 @@
 """Timing of a board: stops from any thread at any time, and refusal of late sequences."""
 
+import contextlib
 import threading
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from typing import ClassVar, final
 
 from smarttouch.clock import LATE_NS, Clock, MonotonicClock
 from smarttouch.errors import BoardStoppedError, SequenceLateError
 
+WRITE_S = 0.6
+"""Longest time that a stop waits for one write: ports give up after .5 s."""
 
-class Timely:
+
+class Timely(ABC):
     """Base class that tracks stops and refuses late sequences.
 
     It uses the machine's own clock, whatever clock a program passes.
@@ -24,6 +30,11 @@ class Timely:
         """Planned start of the present sequence, by the clock."""
         self._stopped = threading.Event()
         self._halted = False
+        # Reentrant: a signal handler may stop while its own thread is writing.
+        self._writing = threading.RLock()
+        self._writes = 0
+        self._overtaken = False
+        """Whether a stop did not wait for the write under way."""
 
     @property
     @final
@@ -33,6 +44,7 @@ class Timely:
 
     @final
     def _begin_unless_halted(self) -> None:
+        self._overtaken = False
         self._stopped.clear()
         # In this order: a halt from another thread is seen here, or comes after the clearing.
         if self._halted:
@@ -48,8 +60,50 @@ class Timely:
                 problem="stopped",
             )
 
+    @final
+    @contextlib.contextmanager
+    def _driving(self) -> Iterator[None]:
+        """Hold the lock of `stop` for one write that makes current; nothing else waits within.
+
+        A stop takes effect before the write, which is then refused, or after it. A write that
+        lasts longer than `WRITE_S`, or in which a signal handler stops the board, is followed by
+        zero.
+
+        Raises
+        ------
+        BoardStoppedError
+            If the board was stopped.
+        """
+        with self._writing:
+            self._go_on_unless_stopped()
+            self._writes += 1
+            try:
+                yield
+            finally:
+                self._writes -= 1
+                if self._overtaken and not self._writes:
+                    self._overtaken = False
+                    self._stop()
+
+    @final
+    def _bar(self) -> None:
+        """Refuse all current from now on, and wait for the end of the write under way."""
+        self._stopped.set()
+        self._interrupt()
+        free = self._writing.acquire(timeout=WRITE_S)
+        self._overtaken = not free or self._writes > 0
+        if free:
+            self._writing.release()
+
+    def _interrupt(self) -> None:  # noqa: B027
+        """End what a stop would have to wait for, such as a write of several pieces."""
+
+    @abstractmethod
+    def _stop(self) -> None:
+        """Put all electrodes at zero, from any thread."""
+
     def _pause(self, seconds: float) -> None:
-        """Wait while the board is being opened; raise if it is stopped meanwhile."""
+        """Wait while the board is opened or measures; raise if it is stopped meanwhile."""
         self._stopped.wait(seconds)
         self._go_on_unless_stopped()
 
