@@ -254,11 +254,10 @@ class Board(Timely, ABC):
         self._gate.restart()
         try:
             found = self._measure()
-        except LineLostError:
-            # Of a line that is lost nobody knows that it is at zero.
-            raise
-        except BoardError:
-            self._go_on_unless_stopped()
+        except BoardError as error:
+            # A board whose line is lost is at zero only if the stop has reached it.
+            if self._zeroed or not isinstance(error, LineLostError):
+                self._go_on_unless_stopped()
             raise
         finally:
             # What comes next begins at zero, and its time may start anew.
@@ -294,6 +293,7 @@ class Board(Timely, ABC):
         """Put all electrodes at zero now, from any thread; nothing can be sent after."""
         self._bar()
         self._stop()
+        self._zeroed = True
 
     @final
     def halt(self) -> None:
@@ -301,6 +301,7 @@ class Board(Timely, ABC):
         self._halted = True
         self._bar()
         self._halt()
+        self._zeroed = True
 
     @final
     def close(self) -> None:

@@ -35,6 +35,8 @@ class Timely(ABC):
         self._writes = 0
         self._overtaken = False
         """Whether a stop did not wait for the write under way."""
+        self._zeroed = False
+        """Whether a stop has put the board at zero."""
 
     @property
     @final
@@ -44,7 +46,7 @@ class Timely(ABC):
 
     @final
     def _begin_unless_halted(self) -> None:
-        self._overtaken = False
+        self._overtaken = self._zeroed = False
         self._stopped.clear()
         # In this order: a halt from another thread is seen here, or comes after the clearing.
         if self._halted:
