@@ -80,18 +80,12 @@ class Capabilities:
                 about="recharge_ua",
                 problem="impossible",
             )
-        if isinstance(times, bool) or not isinstance(times, (int, np.integer)):
+        whole = isinstance(times, (int, np.integer)) and not isinstance(times, bool)
+        if not whole or not 1 <= times <= LONGEST_REPEAT:
             raise BoardError(
-                f"times is {times!r}, must be a whole number",
+                f"{times} repetitions are not possible: a whole number from 1 to {LONGEST_REPEAT}",
                 about="times",
-                problem="not whole",
-                value=times,
-            )
-        if not 1 <= times <= LONGEST_REPEAT:
-            raise BoardError(
-                f"{times} repetitions are not possible: from 1 to {LONGEST_REPEAT}",
-                about="times",
-                problem="too few" if times < 1 else "too many",
+                problem="type" if not whole else "too few" if times < 1 else "too many",
                 value=times,
                 allowed=LONGEST_REPEAT,
             )

@@ -8,6 +8,7 @@ import pytest
 from smarttouch.boards.etactilekit import SENSE_SCANS
 from smarttouch.boards.hybrid import HybridBoard
 from smarttouch.boards.kajimoto61 import Kajimoto61Board
+from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.boards.open import make_board
 from smarttouch.boards.vibrators import VibratorBoard
@@ -34,7 +35,7 @@ def board(request, tmp_path, make_limits):
 @pytest.mark.parametrize("times", [2.5, 2.0, True, "2", np.float64(2), None])
 def test_repetitions_are_a_whole_number(times, make_limits, make_sequence):
     with MemoryBoard("", make_limits()) as board:
-        with raises(BoardError, about="times", problem="not whole", value=times):
+        with raises(BoardError, about="times", problem="type", value=times):
             board.send(make_sequence(0), times)
         assert board.sequences == []
         board.send(make_sequence(0), np.uint16(2))
@@ -114,6 +115,37 @@ def test_sense_pulses_end_also_where_their_readings_are_lost(script, make):  # n
     script(*OPEN, *ZERO, (SENSE, b""), lost, *resync, *ended, *ZERO)
     with make() as board, raises(BoardError, about="measure", problem="mute"):
         board.measure()
+
+
+def test_a_sequence_that_meets_a_stop_on_its_way_is_not_written(
+    monkeypatch, make_limits, make_sequence
+):
+    with make_board("emulator:", make_limits()) as board:
+        board.send(make_sequence(0))
+        kinds, write = [], board._line.send
+        monkeypatch.setattr(
+            board._line, "send", lambda kind, *rest, **named: (kinds.append(kind),
+            write(kind, *rest, **named))[1],
+        )  # fmt: skip
+        wait = board._wait_for_room
+
+        def stopped_meanwhile():
+            wait()
+            stop_elsewhere(board)
+
+        monkeypatch.setattr(board, "_wait_for_room", stopped_meanwhile)
+        with pytest.raises(BoardStoppedError):
+            board.send(make_sequence(1))
+        assert Kind.STOP in kinds
+        assert Kind.SEQUENCE not in kinds
+
+
+def stop_elsewhere(board):
+    """Stop a board from another thread, and wait until it is."""
+    thread = threading.Thread(target=board.stop, daemon=True)
+    thread.start()
+    thread.join(20)
+    assert not thread.is_alive()
 
 
 @pytest.mark.parametrize("long", [False, True])
