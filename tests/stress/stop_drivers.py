@@ -35,8 +35,8 @@ from smarttouch.wire.pty_line import PtyLine
 KITS = ("936c6c0", "71adee2", "newest")
 KINDS = ("link", "kajimoto61", *(f"etactilekit {firmware}" for firmware in KITS))
 ACTIONS = ("measuring", "rising", "repeating")
-RISE_S, MOST, RISEN = 0.6, 0.25, 0.1
-"""Time from zero to full intensity, what it rises to, and what is repeated."""
+RISE_S, MOST, STEP_S, REPEATED = 0.6, 0.25, 0.02, 3
+"""Time from zero to full intensity, what it rises to, its steps, and the one that is repeated."""
 LATEST_S = 0.6
 WATCHED_NS = 250_000_000
 """Longer than two periods of sense scans."""
@@ -52,34 +52,33 @@ def firmware_of(kind, firmware):
     return ETactileKitFirmware(books, firmware=firmware)
 
 
-def send(board, limits, since_ns, times=1, most=MOST):
-    """Send points whose intensity has risen since a time; return it."""
-    now_ns = time.monotonic_ns()
-    intensity = min(most, (now_ns - since_ns) / 1e9 / RISE_S)
+def send(board, limits, step, times=1, most=MOST):
+    """Send the points of a step of the rise; return the next step."""
+    intensity = min(most, step * STEP_S / RISE_S)
     sequence = one_each(
-        limits, int(0.9 * intensity * 2800), 50, intensity, now_ns, cathodic=False,
-        discharge_us=150, period_us=20_000, sites=[1, 3, 5, 7],
+        limits, int(0.9 * intensity * 2800), 50, intensity, time.monotonic_ns(), cathodic=False,
+        discharge_us=150, period_us=int(1e6 * STEP_S), sites=[1, 3, 5, 7],
     )  # fmt: skip
     board.send(sequence, times)
-    time.sleep(0.02)
-    return intensity
+    time.sleep(STEP_S)
+    return step + 1
 
 
 def act(board, limits, action, stopped):
     """Drive a board until that is refused."""
-    since_ns = time.monotonic_ns()
+    step = 0
     while True:
         try:
             if action == "measuring":
                 board.measure()
-            elif action == "rising":
-                send(board, limits, since_ns)
-            elif send(board, limits, since_ns, most=RISEN) == RISEN:
-                send(board, limits, since_ns, 1000, most=RISEN)
+            elif action == "rising" or step < REPEATED:
+                step = send(board, limits, step)
+            else:
+                send(board, limits, REPEATED, 1000)
                 wait_for(stopped)
         except (BoardRestartedError, SequenceLateError):
             # On a busy computer a host may stand still by itself: it begins again at zero.
-            since_ns = time.monotonic_ns()
+            step = 0
 
 
 def wait_for(stopped):
@@ -108,7 +107,7 @@ def drive(url, electrodes, action, from_thread, at_s, said):
     for way in (
         partial(act, board, limits, action, stopped),
         board.measure,
-        partial(send, board, limits, time.monotonic_ns()),
+        partial(send, board, limits, 0),
     ):
         try:
             way()
