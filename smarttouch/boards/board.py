@@ -290,7 +290,7 @@ class Board(Timely, ABC):
 
     @final
     def stop(self) -> None:
-        """Put all electrodes at zero now, from any thread; nothing can be sent after."""
+        """Put all electrodes at zero now, from any thread; nothing is sent or measured after."""
         self._bar()
         self._stop()
         self._zeroed = True

@@ -66,8 +66,6 @@ class ETactileKitBoard(SteppedKit):
         self._scale = scale_of(self.kind, None if output is None else output.ua_per_count)
         self.ua_per_count = self._scale.measured_ua
         self._on_board = b""
-        self._senses = False
-        """Whether it may be making sense pulses."""
         self._volts: list[tuple[ScanSequence, NDArray[np.float32]]] = []
 
     # -- opening and closing -----------------------------------------------

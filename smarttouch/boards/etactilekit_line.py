@@ -66,6 +66,8 @@ class ETactileKitLine(KeptBoard):
                 allowed=252,
             )
         self._lost_frames = 0
+        self._senses = False
+        """Whether it may be making sense pulses."""
 
     # -- which it is ---------------------------------------------------------
 
@@ -251,7 +253,7 @@ class ETactileKitLine(KeptBoard):
             self._write_out(zeros)
             time.sleep(pause_s)
             self._flush()
-            self._write_out(codec.quiet + bytes(4) + codec.question)
+            self._write_out(codec.quiet + NO_SENSE * self._senses + bytes(4) + codec.question)
             # It may only have been late, and silence costs far more than waiting here.
             if codec.is_answer(self._read(codec.answer_bytes, CHIPS_S)):
                 return

@@ -110,7 +110,7 @@ def test_sense_pulses_end_with_a_stop_and_not_with_closing(script, make, monkeyp
 
 def test_sense_pulses_end_also_where_their_readings_are_lost(script, make):  # noqa: F811
     lost = (b"\xff" + NO_SENSE + PING, b"")
-    resync = [(bytes(514), b""), (QUIET + bytes(4) + PING, b"\x04")]
+    resync = [(bytes(514), b""), (QUIET + NO_SENSE + bytes(4) + PING, b"\x04")]
     ended = [(NO_SENSE + PING, b"\x04"), *ZERO]
     script(*OPEN, *ZERO, (SENSE, b""), lost, *resync, *ended, *ZERO)
     with make() as board, raises(BoardError, about="measure", problem="mute"):
