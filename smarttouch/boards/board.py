@@ -182,6 +182,9 @@ class Board(Timely, ABC):
                 self._refuse_late(self._due_ns)
             with self._driving() if self.drives_in_send else contextlib.nullcontext():
                 number = self._send(proved, times)
+                # Within: what was sent is in the report by the time that a stop returns.
+                if type(self).report is Board.report:
+                    self._host_statistics.add(proved, times)
         except SequenceLateError:
             # The skin has felt nothing for a while: what comes next begins at zero.
             self._gate.restart()
@@ -202,8 +205,6 @@ class Board(Timely, ABC):
             # What fails on a board that someone has stopped, fails because of that.
             self._go_on_unless_stopped()
             raise
-        if type(self).report is Board.report:
-            self._host_statistics.add(proved, times)
         return number
 
     @property
