@@ -2,6 +2,7 @@
 
 import contextlib
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from types import TracebackType
 from typing import Any, ClassVar, Self, final
 
@@ -68,6 +69,10 @@ class Board(Timely, ABC):
     """Whether a finger may be on it."""
     shares_budget: ClassVar[bool] = True
     """Whether current of its own counts in what all displays of a user may drive together."""
+    drives_in_send: ClassVar[bool] = True
+    """Whether `_send` itself writes, at once: it is then called within `_driving`. A driver whose
+    `_send` waits, or that writes from a thread of its own, sets this to False and makes each
+    write that causes current within ``with self._driving():``."""
     ua_per_count: float | None = None
     """Current scale of the board, if it can be measured."""
     timing: ScanTiming = ScanTiming()
@@ -193,11 +198,16 @@ class Board(Timely, ABC):
         self._require_seal()
         # By the class: nothing of a driver stands in its place.
         Capabilities.require(self.capabilities, sequence, times)
+        times = int(times)
         proved = self._gate.prove(sequence, times)
         try:
             if self._time() is not None or self.on_a_finger:
                 self._refuse_late(self._due_ns)
-            number = self._send(proved, times)
+            with self._driving() if self.drives_in_send else contextlib.nullcontext():
+                number = self._send(proved, times)
+                # Within: what was sent is in the report by the time that a stop returns.
+                if type(self).report is Board.report:
+                    self._host_statistics.add(proved, times)
         except SequenceLateError:
             # The skin has felt nothing for a while: what comes next begins at zero.
             self._gate.restart()
@@ -215,12 +225,9 @@ class Board(Timely, ABC):
                 value=lost.value,
             ) from None
         except BoardError:
-            # What fails on a board that someone has halted, fails because of that.
-            if self._halted:
-                self._go_on_unless_stopped()
+            # What fails on a board that someone has stopped, fails because of that.
+            self._go_on_unless_stopped()
             raise
-        if type(self).report is Board.report:
-            self._host_statistics.add(proved, times)
         return number
 
     @property
@@ -286,18 +293,43 @@ class Board(Timely, ABC):
         ------
         SafetyError
             If the board's measuring pulse is above the profile's limits.
+        BoardStoppedError
+            If the board was stopped, before or meanwhile: all electrodes are at zero.
         BoardError
-            If the board cannot measure, or its answer makes no sense.
+            If the board is closed, cannot measure, or its answer makes no sense.
         """
         self._require_open("measuring")
         self._go_on_unless_stopped()
         self._require_seal()
         self._gate.restart()
         try:
-            return self._measure()
+            found = self._measure()
+        except BoardError as error:
+            # A board whose line is lost is at zero only if the stop has reached it.
+            if self._zeroed or not isinstance(error, LineLostError):
+                self._go_on_unless_stopped()
+            raise
         finally:
             # What comes next begins at zero, and its time may start anew.
             self._gate.restart()
+        self._go_on_unless_stopped()
+        return found
+
+    @final
+    @contextlib.contextmanager
+    def _measuring(self, scan: ScanSequence, times: int = 1) -> Iterator[None]:
+        """Prove a scan that the firmware fixes, for the write within, as in `_driving`.
+
+        Parameters
+        ----------
+        scan : ScanSequence
+        times : int
+            Largest number of times that the board makes it.
+        """
+        with self._driving():
+            for _ in range(times):
+                self._gate.prove_measurement(scan)
+            yield
 
     @final
     def _require_open(self, what: str) -> None:
@@ -322,16 +354,18 @@ class Board(Timely, ABC):
 
     @final
     def stop(self) -> None:
-        """Put all electrodes at zero now, from any thread; nothing can be sent after."""
-        self._stopped.set()
+        """Put all electrodes at zero now, from any thread; nothing is sent or measured after."""
+        self._bar()
         self._stop()
+        self._zeroed = True
 
     @final
     def halt(self) -> None:
         """Stop for good, from any thread; a board that is being opened fails to open."""
         self._halted = True
-        self._stopped.set()
+        self._bar()
         self._halt()
+        self._zeroed = True
 
     @final
     def close(self) -> None:
@@ -398,9 +432,6 @@ class Board(Timely, ABC):
         raise BoardError(
             "this board does not measure: use a multimeter", about="measure", problem="impossible"
         )
-
-    @abstractmethod
-    def _stop(self) -> None: ...
 
     def _close(self) -> None:
         """Close the line, if there is one; all electrodes are at zero already."""

@@ -38,6 +38,8 @@ NEWEST_ZERO_MS = 520.0
 """Time to zero of the newest firmware, which ends its scan 500 ms after the host's last byte."""
 IDLE_S = 0.1
 """Time without a sequence after which the pattern on the board becomes zeros."""
+SENSE_S, SENSE_SCANS = 0.25, 5
+"""Duration of sense scans, ten a second, and their largest number until the end is confirmed."""
 ATTEMPTS = 4
 """Attempts at a pattern that gave no reading, though weaker ones did."""
 OPEN_SHARE = 0.95
@@ -73,6 +75,7 @@ class ETactileKitBoard(SteppedKit):
         self._promise_zero(self._codec.zero_anywhere, self._slow)
         self._give_up()
         self._on_board, self._settings, self._before = b"", None, None
+        self._senses = False
         self._waits = firmware != "newest"
         self._zero()
         self.notes += slow_line_notes(lambda: self._exchange(b""))
@@ -91,7 +94,18 @@ class ETactileKitBoard(SteppedKit):
             compliance_v=COMPLIANCE_V,
         )
 
+    def _zero_first(self) -> None:
+        self._promise_zero(self._codec.zero_anywhere, self._slow)
+        self._write_out(self._codec.zero_anywhere)
+
     def _zero(self) -> None:
+        for _ in range(2):
+            if not self._senses or self._exchange(NO_SENSE) is not None:
+                self._senses = False
+                break
+            self._resync()
+        else:
+            raise self._lost("does not confirm the end of its sense pulses", "mute")
         self._stop_pulses()
         nothing = self._codec.nothing
         if not (self._load(nothing) or self._load(nothing)):
@@ -188,7 +202,8 @@ class ETactileKitBoard(SteppedKit):
         if job.data != self._on_board and not self._load(job.data):
             return False
         self._wait(self._free_of_scans(self._clock.now_ns()))
-        if self._closing.is_set() or (told := self._ask(self._codec.go(job.data))) is None:
+        go = self._codec.go(job.data)
+        if self._closing.is_set() or (told := self._ask(go, drives=True)) is None:
             self._on_board = b""
             return False
         self._note_rise(job)
@@ -251,24 +266,27 @@ class ETactileKitBoard(SteppedKit):
     def _measure(self) -> Impedance:
         level_ua = int(SENSE_COUNTS * self._scale.measured_ua)
         most_ua = int(SENSE_COUNTS * self._scale.largest_ua)
-        self._gate.prove_measurement(
-            one_each(
-                self._gate.limits, most_ua, SENSE_US, 1.0, time.monotonic_ns(), cathodic=False,
-                period_us=100_000,
-            )
+        scan = one_each(
+            self._gate.limits, most_ua, SENSE_US, 1.0, time.monotonic_ns(), cathodic=False,
+            period_us=100_000,
         )  # fmt: skip
         self.drain()
         codec = self._codec
         with self._line:
             self._zero()
-            # Ten scans a second; two of them are over when the readings are queried.
-            self._write_out(codec.lead + codec.sense)
-            self._pause(0.25)
-            found = self._exchange(NO_SENSE, ask=True)
-            self._settings = self._before = None
-            if found is None:
-                self._resync()
-            self._zero()
+            try:
+                with self._measuring(scan, SENSE_SCANS):
+                    self._senses = True
+                    self._write_out(codec.lead + codec.sense)
+                # Ten scans a second; two of them are over when the readings are queried.
+                self._pause(SENSE_S)
+                found = self._exchange(NO_SENSE, ask=True)
+                self._senses = found is None
+                if found is None:
+                    self._resync()
+            finally:
+                self._settings = self._before = None
+                self._zero()
         if found is None or found[1] is None:
             raise LineLostError(
                 f"the board at {self._port_name} did not tell all of its {self._outputs} readings: "

@@ -66,6 +66,8 @@ class ETactileKitLine(KeptBoard):
                 allowed=252,
             )
         self._lost_frames = 0
+        self._senses = False
+        """Whether it may be making sense pulses."""
 
     # -- which it is ---------------------------------------------------------
 
@@ -202,7 +204,7 @@ class ETactileKitLine(KeptBoard):
     # -- questions and answers -----------------------------------------------
 
     def _exchange(
-        self, body: bytes, *, ask: bool = False
+        self, body: bytes, *, ask: bool = False, drives: bool = False
     ) -> tuple[Span, NDArray[np.uint16] | None] | None:
         """Send commands and wait until they are executed.
 
@@ -210,6 +212,8 @@ class ETactileKitLine(KeptBoard):
         ----------
         ask : bool
             Also for the readings, as they are before the commands are obeyed.
+        drives : bool
+            Whether the commands make current.
 
         Returns
         -------
@@ -224,7 +228,8 @@ class ETactileKitLine(KeptBoard):
         # An answer that was late must not pass for that to this.
         self._flush()
         begun_ns = self._clock.now_ns()
-        self._write_out(data)
+        with self._driving() if drives else contextlib.nullcontext():
+            self._write_out(data)
         answer = self._read(expected, ECHO_S + self._wire_s(data))
         span = Span(begun_ns, self._clock.now_ns())
         if len(answer) != expected or not codec.is_answer(answer[expected - codec.answer_bytes :]):
@@ -248,7 +253,7 @@ class ETactileKitLine(KeptBoard):
             self._write_out(zeros)
             time.sleep(pause_s)
             self._flush()
-            self._write_out(codec.quiet + bytes(4) + codec.question)
+            self._write_out(codec.quiet + NO_SENSE * self._senses + bytes(4) + codec.question)
             # It may only have been late, and silence costs far more than waiting here.
             if codec.is_answer(self._read(codec.answer_bytes, CHIPS_S)):
                 return

@@ -82,9 +82,9 @@ class SteppedKit(ETactileKitLine):
     ) -> None:
         """Take the measured voltages of a sequence's slots, in counts."""
 
-    def _ask(self, body: bytes) -> Span | None:
+    def _ask(self, body: bytes, *, drives: bool = False) -> Span | None:
         """Send commands and update the scan lock by the readings; return the time of execution."""
-        found = self._exchange(body, ask=True)
+        found = self._exchange(body, ask=True, drives=drives)
         if found is None:
             self._before = None
             self._resync()

@@ -59,6 +59,7 @@ class HybridBoard(Board):
     timing: ScanTiming = _electric("timing")
     simulated_time: ClassVar[bool] = _electric("simulated_time")
     on_a_finger: ClassVar[bool] = _electric("on_a_finger")
+    drives_in_send = False
     capabilities: Capabilities = _vibrating()
     device: str | None = _electric("device")
     shares_budget = False  # the electrode board has its own
@@ -91,7 +92,7 @@ class HybridBoard(Board):
             self._gate.restart()
             raise
         except BaseException:
-            self.stop()
+            self._stop()
             raise
         return number
 

@@ -111,6 +111,7 @@ class LinkBoard(Board):
         self._measured: deque[Measured] = deque(maxlen=64)
 
     keeps_kernels = True
+    drives_in_send = False
 
     # -- the contract ------------------------------------------------------
 
@@ -203,9 +204,10 @@ class LinkBoard(Board):
     def _write_in_time(self, number: int, payload: bytes) -> bool:
         """Write the sequence in flight, unless it is too late for it."""
         latest_ns = self._in_flight_due_ns + LATE_NS
-        went = self._line.send(
-            Kind.SEQUENCE, number, payload, latest_ns=latest_ns, now_ns=self._clock.now_ns
-        )
+        with self._driving():
+            went = self._line.send(
+                Kind.SEQUENCE, number, payload, latest_ns=latest_ns, now_ns=self._clock.now_ns
+            )
         if went:
             self._rise.note(self._in_flight_ppb, self._clock.now_ns())
         return went
@@ -237,7 +239,7 @@ class LinkBoard(Board):
             self._line.fail(self._latch(self._suspicion))
             return
         # Nothing newer can go out between the look and the write.
-        with self._line.writing:
+        with self._driving():
             with self._line.news:
                 now_s = self._line.now_s()
                 if not self._in_flight or now_s < self._again_s:
@@ -247,6 +249,9 @@ class LinkBoard(Board):
                 self._repeated.append(number)
                 self._unsafe_refused += 1
             self._write_in_time(number, payload)
+
+    def _interrupt(self) -> None:
+        self._line.overtake()
 
     def _stop(self) -> None:
         self._line.overtake()

@@ -69,7 +69,7 @@ class LinkLine:
         """Set by a stop: no heartbeats from then on, so the board ends by itself if need be."""
         self._hear, self._aftermath, self._tend = hear, aftermath, tend
         self._closing = threading.Event()
-        # Reentrant: who looks whether something is still to be written holds it too.
+        # Reentrant: a signal handler may stop while its own thread is writing.
         self.writing = threading.RLock()
         self._port: Port | None = None
         self._refused_before = 0

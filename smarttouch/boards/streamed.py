@@ -12,7 +12,7 @@ from smarttouch.boards.host_statistics import HostStatistics
 from smarttouch.boards.job import Job
 from smarttouch.boards.recovery import start_anew
 from smarttouch.clock import LATE_NS
-from smarttouch.errors import BoardError, LineLostError
+from smarttouch.errors import BoardError, BoardStoppedError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.realtime import prioritized
 from smarttouch.stimulation.limits import parts_per_billion
@@ -55,6 +55,7 @@ class StreamedBoard(Board):
 
     kind: str
     """Name of the driver, for messages."""
+    drives_in_send = False
     can_be_asked: ClassVar[bool] = False
     """Whether a harmless query identifies such a board."""
     room_s: ClassVar[float] = 0.0
@@ -118,9 +119,13 @@ class StreamedBoard(Board):
         # From here to the end of the greeting nothing flows, and the line is this thread's.
         self._opening = True
         try:
-            self._pause(BOOT_S)
-            if again and self._identity is None:
-                self._recognize()
+            if again:
+                # It may go on with its last pattern: only a reset takes the time to boot.
+                if self._identity is None:
+                    self._recognize()
+                self._zero_first()
+            if not again or self._identity is not None:
+                self._pause(BOOT_S)
             self._greet()
             with self._news:
                 self._opening = False
@@ -234,6 +239,9 @@ class StreamedBoard(Board):
             If it is not.
         """
 
+    def _zero_first(self) -> None:
+        """Write zero to a restored line of the same board, at any point of its byte stream."""
+
     @abstractmethod
     def _greet(self) -> None:
         """Detect the board, and put it at zero."""
@@ -256,6 +264,8 @@ class StreamedBoard(Board):
     def _run(self) -> None:
         try:
             self._serve()
+        except BoardStoppedError:
+            self._rest()
         except BoardError as error:
             self._fail(error)
         except LINE_ERRORS as error:

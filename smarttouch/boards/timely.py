@@ -1,11 +1,17 @@
 """Timing of a board: stops from any thread at any time, and refusal of late sequences."""
 
+import contextlib
 import threading
+from abc import abstractmethod
+from collections.abc import Iterator
 from typing import ClassVar, final
 
 from smarttouch.boards.seal import Sealed
 from smarttouch.clock import LATE_NS, Clock, MonotonicClock
 from smarttouch.errors import BoardFaultError, BoardStoppedError, SequenceLateError
+
+WRITE_S = 0.6
+"""Longest time that a stop waits for one write: ports give up after .5 s."""
 
 
 class Timely(Sealed):
@@ -27,6 +33,13 @@ class Timely(Sealed):
         self._halted = False
         self._fault_found: BoardFaultError | None = None
         """Fault that latched the board."""
+        # Reentrant: a signal handler may stop while its own thread is writing.
+        self._writing = threading.RLock()
+        self._writes = 0
+        self._overtaken = False
+        """Whether a stop did not wait for the write under way."""
+        self._zeroed = False
+        """Whether a stop has put the board at zero."""
 
     @property
     @final
@@ -36,6 +49,7 @@ class Timely(Sealed):
 
     @final
     def _begin_unless_halted(self) -> None:
+        self._overtaken = self._zeroed = False
         self._stopped.clear()
         # In this order: a halt from another thread is seen here, or comes after the clearing.
         if self._halted:
@@ -54,8 +68,50 @@ class Timely(Sealed):
                 problem="stopped",
             )
 
+    @final
+    @contextlib.contextmanager
+    def _driving(self) -> Iterator[None]:
+        """Hold the lock of `stop` for one write that makes current; nothing else waits within.
+
+        A stop takes effect before the write, which is then refused, or after it. A write that
+        lasts longer than `WRITE_S`, or in which a signal handler stops the board, is followed by
+        zero.
+
+        Raises
+        ------
+        BoardStoppedError
+            If the board was stopped.
+        """
+        with self._writing:
+            self._go_on_unless_stopped()
+            self._writes += 1
+            try:
+                yield
+            finally:
+                self._writes -= 1
+                if self._overtaken and not self._writes:
+                    self._overtaken = False
+                    self._stop()
+
+    @final
+    def _bar(self) -> None:
+        """Refuse all current from now on, and wait for the end of the write under way."""
+        self._stopped.set()
+        self._interrupt()
+        free = self._writing.acquire(timeout=WRITE_S)
+        self._overtaken = not free or self._writes > 0
+        if free:
+            self._writing.release()
+
+    def _interrupt(self) -> None:
+        """End what a stop would have to wait for, such as a write of several pieces."""
+
+    @abstractmethod
+    def _stop(self) -> None:
+        """Put all electrodes at zero, from any thread."""
+
     def _pause(self, seconds: float) -> None:
-        """Wait while the board is being opened; raise if it is stopped meanwhile."""
+        """Wait while the board is opened or measures; raise if it is stopped meanwhile."""
         self._stopped.wait(seconds)
         self._go_on_unless_stopped()
 

@@ -177,3 +177,21 @@ def test_a_port_that_stays_away_is_told_of(hosted, monkeypatch):
     assert (error.value.remedy == "switch it off") == goes_on
     if not goes_on:
         hosted.assert_zero()
+
+
+@pytest.mark.parametrize("hosted", ["etactilekit"], indirect=True)
+@pytest.mark.parametrize("known", [False, True], ids=["asked", "known"])
+@pytest.mark.silence
+def test_a_board_that_is_back_gets_zero_first(hosted, known_by_usb, known):
+    """Where USB does not say that it is the same, its answer does; it is not given time to boot."""
+    known_by_usb(hosted.line.path, known)
+    heard = []
+    with hosted.board as board:
+        send_on(hosted, 3)
+        hosted.line.pull_out()
+        hosted.line.to_board = lambda data: (heard.append(data), data)[1]
+        hosted.line.plug_in()
+        with pytest.raises(BoardRestartedError):
+            send_on(hosted, 30)
+        first = b"" if known else b"\xf5"
+        assert b"".join(heard).startswith(first + board._codec.zero_anywhere)

@@ -1,6 +1,5 @@
 """Emulated board without a process or waiting: sequences advance its simulated time."""
 
-import threading
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -77,8 +76,6 @@ class SimulatedBoard(Board):
         super().__init__(limits, output)
         refuse_rest("simulated:", rest, BoardError)
         self._kind = "weighted" if output is None else output.kind
-        # A stop comes from another thread, between two sequences.
-        self._speaking = threading.Lock()
         self._power_up()
         self.capabilities = Capabilities(
             electrodes=limits.electrodes,
@@ -99,10 +96,9 @@ class SimulatedBoard(Board):
 
     def _open(self) -> None:
         self._power_up()
-        with self._speaking:
-            self._exchange(self._session.encode(Kind.HELLO))
-            self._exchange(self._session.encode(Kind.BEGIN))
-            self._exchange(self._session.encode(Kind.LIMITS, 0, encode_limits(self._gate.limits)))
+        self._exchange(self._session.encode(Kind.HELLO))
+        self._exchange(self._session.encode(Kind.BEGIN))
+        self._exchange(self._session.encode(Kind.LIMITS, 0, encode_limits(self._gate.limits)))
 
     def _power_up(self) -> None:
         self._books = _KeptBooks(self._gate.limits.electrodes)
@@ -116,14 +112,14 @@ class SimulatedBoard(Board):
         self._number += 1
         switched = self._kind != "weighted"
         payload = encode_lists(sequence, times, False, switched, None, LARGEST_PACKET)
-        with self._speaking:
-            self._exchange(self._session.encode(Kind.SEQUENCE, self._number, payload))
-            end_ns = self._now_ns + sequence.period_us * times * 1000
-            while end_ns - self._now_ns > _BEAT_NS:
-                self._now_ns += _BEAT_NS
-                self._exchange(self._session.encode(Kind.HEARTBEAT))
-            self._now_ns = end_ns
-            self._unheard = self._firmware.advance(end_ns)
+        self._exchange(self._session.encode(Kind.SEQUENCE, self._number, payload))
+        end_ns = self._now_ns + sequence.period_us * times * 1000
+        while end_ns - self._now_ns > _BEAT_NS:
+            self._go_on_unless_stopped()
+            self._now_ns += _BEAT_NS
+            self._exchange(self._session.encode(Kind.HEARTBEAT))
+        self._now_ns = end_ns
+        self._unheard = self._firmware.advance(end_ns)
         return self._number
 
     def _exchange(self, packet: bytes) -> None:
@@ -150,5 +146,6 @@ class SimulatedBoard(Board):
         return BoardReport(*self._firmware.account())
 
     def _stop(self) -> None:
-        with self._speaking:
+        # From another thread, it waits for the end of a sequence.
+        with self._writing:
             self._exchange(self._session.encode(Kind.STOP))

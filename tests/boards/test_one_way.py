@@ -1,0 +1,200 @@
+"""What makes a board drive leaves by one way, which a stop closes: sending and measuring alike."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from smarttouch.boards.etactilekit import SENSE_SCANS
+from smarttouch.boards.hybrid import HybridBoard
+from smarttouch.boards.kajimoto61 import Kajimoto61Board
+from smarttouch.boards.link_protocol import Kind
+from smarttouch.boards.memory import MemoryBoard
+from smarttouch.boards.open import make_board
+from smarttouch.boards.vibrators import VibratorBoard
+from smarttouch.errors import BoardError, BoardStoppedError
+
+from ..raising import raises
+from .test_etactilekit import OPEN, PING, QUIET, ZERO, make  # noqa: F401
+from .test_kajimoto61 import LIMITS, RECOVERY
+from .test_kajimoto61 import OPEN as KAJIMOTO_OPEN
+
+STOPS = {"stop": lambda board: board.stop(), "halt": lambda board: board.halt()}
+NO_SENSE = b"\xf9\0\0\xf8\0\0"
+SENSE = QUIET + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, 50, 0xF9, 100])
+
+
+@pytest.fixture(params=["memory:", "simulated:", "emulator:", "hybrid"])
+def board(request, tmp_path, make_limits):
+    limits = make_limits()
+    if request.param != "hybrid":
+        return make_board(request.param, limits)
+    return HybridBoard(MemoryBoard("", limits), VibratorBoard(str(tmp_path / "a.wav"), limits))
+
+
+@pytest.mark.parametrize("times", [2.5, 2.0, True, "2", np.float64(2), None])
+def test_repetitions_are_a_whole_number(times, make_limits, make_sequence):
+    with MemoryBoard("", make_limits()) as board:
+        with raises(BoardError, about="times", problem="type", value=times):
+            board.send(make_sequence(0), times)
+        assert board.sequences == []
+        board.send(make_sequence(0), np.uint16(2))
+
+
+@pytest.mark.parametrize("how", STOPS)
+def test_a_board_that_was_stopped_neither_sends_nor_measures(board, how, make_sequence):
+    with board:
+        board.send(make_sequence(0))
+        STOPS[how](board)
+        for act in (board.measure, lambda: board.send(make_sequence(1))):
+            with pytest.raises(BoardStoppedError):
+                act()
+
+
+def test_a_board_that_is_closed_does_not_measure(board):
+    with raises(BoardError, about="board", problem="closed"):
+        board.measure()
+
+
+@pytest.mark.parametrize("how", STOPS)
+def test_after_a_stop_no_measurement_is_asked_for(script, how):
+    port = script(*KAJIMOTO_OPEN, *KAJIMOTO_OPEN, *KAJIMOTO_OPEN)
+    with Kajimoto61Board("x", LIMITS) as board:
+        STOPS[how](board)
+        with pytest.raises(BoardStoppedError):
+            board.measure()
+        assert port.exchanges == [(data, b"") for data, _ in KAJIMOTO_OPEN]
+
+
+def stop_within(monkeypatch, board, method):
+    """Let another thread stop a board while it waits in a method of it; return the thread."""
+    before = getattr(board, method)
+    thread = threading.Thread(target=board.stop, daemon=True)
+
+    def stopped(*given, **named):
+        if not thread.ident:
+            thread.start()
+            assert board._stopped.wait(20)
+        return before(*given, **named)
+
+    monkeypatch.setattr(board, method, stopped)
+    return thread
+
+
+@pytest.mark.parametrize("waits", ["_pause", "_read"])
+def test_a_measurement_that_is_stopped_ends_in_zero(script, monkeypatch, waits):
+    """Before its request it is not requested; after it nobody waits for the answer."""
+    asked = [] if waits == "_pause" else [(b"\xfe", b"")]
+    script(*KAJIMOTO_OPEN, *asked, *KAJIMOTO_OPEN, (RECOVERY[0], b""), (RECOVERY[1], b""))
+    with Kajimoto61Board("x", LIMITS) as board:
+        thread = stop_within(monkeypatch, board, waits)
+        with pytest.raises(BoardStoppedError):
+            board.measure()
+        thread.join(20)
+        assert not thread.is_alive()
+
+
+def test_sense_pulses_end_with_a_stop_and_not_with_closing(script, make, monkeypatch):  # noqa: F811
+    ended = [(NO_SENSE + PING, b"\x04"), *ZERO]
+    port = script(*OPEN, *ZERO, (SENSE, b""), *ended, *ZERO, *ZERO)
+    with make() as board:
+        del board._pause
+        thread = stop_within(monkeypatch, board, "_pause")
+        with pytest.raises(BoardStoppedError):
+            board.measure()
+        thread.join(20)
+        # What is left is of closing.
+        assert port.exchanges == ZERO
+        assert board._gate.dose.seconds == pytest.approx(0.1 * SENSE_SCANS)
+
+
+def test_sense_pulses_end_also_where_their_readings_are_lost(script, make):  # noqa: F811
+    lost = (b"\xff" + NO_SENSE + PING, b"")
+    resync = [(bytes(514), b""), (QUIET + NO_SENSE + bytes(4) + PING, b"\x04")]
+    ended = [(NO_SENSE + PING, b"\x04"), *ZERO]
+    script(*OPEN, *ZERO, (SENSE, b""), lost, *resync, *ended, *ZERO)
+    with make() as board, raises(BoardError, about="measure", problem="mute"):
+        board.measure()
+
+
+def test_a_sequence_that_meets_a_stop_on_its_way_is_not_written(
+    monkeypatch, make_limits, make_sequence
+):
+    with make_board("emulator:", make_limits()) as board:
+        board.send(make_sequence(0))
+        kinds, write = [], board._line.send
+        monkeypatch.setattr(
+            board._line, "send", lambda kind, *rest, **named: (kinds.append(kind),
+            write(kind, *rest, **named))[1],
+        )  # fmt: skip
+        wait = board._wait_for_room
+
+        def stopped_meanwhile():
+            wait()
+            stop_elsewhere(board)
+
+        monkeypatch.setattr(board, "_wait_for_room", stopped_meanwhile)
+        with pytest.raises(BoardStoppedError):
+            board.send(make_sequence(1))
+        assert Kind.STOP in kinds
+        assert Kind.SEQUENCE not in kinds
+
+
+def stop_elsewhere(board):
+    """Stop a board from another thread, and wait until it is."""
+    thread = threading.Thread(target=board.stop, daemon=True)
+    thread.start()
+    thread.join(20)
+    assert not thread.is_alive()
+
+
+@pytest.mark.parametrize("long", [False, True])
+def test_a_write_that_meets_a_stop_is_over_before_zero_or_followed_by_it(
+    monkeypatch, make_limits, make_sequence, long
+):
+    """As of a driver that was never made for that, with a line that takes its time."""
+    if long:
+        monkeypatch.setattr("smarttouch.boards.timely.WRITE_S", 0.05)
+    did, writing, goes_on = [], threading.Event(), threading.Event()
+
+    class Slow(MemoryBoard):
+        def _send(self, sequence, times):
+            writing.set()
+            goes_on.wait(20)
+            did.append("current")
+            return 1
+
+        def _stop(self):
+            did.append("zero")
+
+    with Slow("", make_limits()) as board:
+        sender = threading.Thread(target=board.send, args=(make_sequence(0),), daemon=True)
+        stopper = threading.Thread(target=board.stop, daemon=True)
+        sender.start()
+        assert writing.wait(20)
+        stopper.start()
+        assert board._stopped.wait(20)
+        if long:
+            stopper.join(20)
+        goes_on.set()
+        for each in (sender, stopper):
+            each.join(20)
+        assert did == (["zero", "current", "zero"] if long else ["current", "zero"])
+
+
+def test_a_stop_within_a_write_of_its_own_thread_is_followed_by_zero(make_limits, make_sequence):
+    """As by a signal handler."""
+    did = []
+
+    class Interrupted(MemoryBoard):
+        def _send(self, sequence, times):
+            self.stop()
+            did.append("current")
+            return 1
+
+        def _stop(self):
+            did.append("zero")
+
+    with Interrupted("", make_limits()) as board:
+        board.send(make_sequence(0))
+        assert did == ["zero", "current", "zero"]
