@@ -15,6 +15,8 @@ from smarttouch.stimulation.safety import Now, SafetyGate, SafetyLimits
 
 _ALWAYS = frozenset({"__bases__", "__class__", "__getattribute__", "_sealed"})
 """Names through which final methods could be replaced."""
+_OF_OBJECTS = frozenset({"_clock", "_gate", "_halted", "_opened", "_stopped"})
+"""Names of what each board has for itself: a property of a class would come before it."""
 _GATE = frozenset(vars(SafetyGate))
 _WHOLE = [name for name, value in vars(SafetyLimits).items() if isinstance(value, cached_property)]
 
@@ -32,6 +34,9 @@ class SealedType(ABCMeta):
         static = inspect.getattr_static
         if static(cls, "__getattribute__") is not object.__getattribute__:
             raise _replaced(cls, "__getattribute__")
+        for each in sorted(_OF_OBJECTS):
+            if static(cls, each, None) is not None:
+                raise _replaced(cls, each)
         for base in cls.__mro__[1:]:
             for each in sorted(getattr(base, "_sealed", frozenset()) - _ALWAYS):
                 if static(cls, each) is not static(base, each):
@@ -41,7 +46,7 @@ class SealedType(ABCMeta):
     if not TYPE_CHECKING:
 
         def __setattr__(cls, name: str, value: object) -> None:
-            if name in cls._sealed:
+            if name in cls._sealed or name in _OF_OBJECTS:
                 raise _replaced(cls, name)
             super().__setattr__(name, value)
 

@@ -158,6 +158,15 @@ def test_a_base_beside_it_replaces_nothing():
             type("Mine", (Theirs,), {name: lambda board, *_: None})
 
 
+@pytest.mark.parametrize("name", ["_gate", "_stopped", "_opened", "_halted", "_clock"])
+def test_a_property_comes_before_nothing_that_a_board_has(name):
+    other = property(lambda board: None, lambda board, value: None)
+    with raises(BoardError, about=name, problem="replaced"):
+        type("Mine", (Theirs,), {name: other})
+    with raises(BoardError, about=name, problem="replaced"):
+        setattr(Theirs, name, other)
+
+
 def test_limits_cannot_be_written_into():
     """4.9 mA where 2.43 is allowed."""
     limits = Theirs(allowed())._gate.limits
