@@ -88,6 +88,8 @@ def host(kind, url, folder):
 def stopped_and_judged(kind, count, seed, folder):
     """Stop and continue a host so many times; return what its board got after each pause."""
     draw, trace = random.Random(seed), folder / f"{kind}.trace"
+    # Of a user of its own: three drivers at once are beyond the budget of one.
+    os.environ["XDG_STATE_HOME"] = str(folder / f"{kind}.state")
     board = Emulated(kind, trace)
     process = os.fork()
     if process == 0:
