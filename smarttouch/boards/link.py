@@ -238,6 +238,8 @@ class LinkBoard(Board):
         if self._suspicion:
             self._line.fail(self._latch(self._suspicion))
             return
+        if self._stopped.is_set():
+            return
         # Nothing newer can go out between the look and the write.
         with self._driving():
             with self._line.news:

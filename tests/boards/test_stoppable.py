@@ -34,9 +34,9 @@ class Plain(Board):
 
     opened = 0
 
-    def __init__(self, total_ma=CEILING_TOTAL_MA):
+    def __init__(self, total_ma=CEILING_TOTAL_MA, limits=LIMITS):
         super().__init__(
-            replace(LIMITS, total_ma=total_ma),
+            replace(limits, total_ma=total_ma),
             max_current_ma=5.0, max_slots=8, time_to_zero_ms=0.0, firmware="plain",
         )  # fmt: skip
 
@@ -199,8 +199,7 @@ def test_a_board_with_vibrators_counts_once(profile, tmp_path):
     limits = SafetyLimits.of(profile)
 
     def hybrid(name):
-        electric = Plain()
-        electric._gate = type(electric._gate)(limits, electric._time())
+        electric = Plain(limits.total_ma, limits)
         return HybridBoard(electric, VibratorBoard(str(tmp_path / f"{name}.wav"), limits))
 
     with hybrid("a"), hybrid("b"):

@@ -436,7 +436,7 @@ class LinkFirmware(Firmware):
         return (
             protocol.CAPABILITIES.pack(
                 self._electrodes, protocol.OUTPUTS.index(self._output), able, MAX_CURRENT_UA,
-                MAX_SLOTS, SILENCE_MS, round(self._compliance_v),
+                MAX_SLOTS, protocol.SILENCE_MS, round(self._compliance_v),
             )
             + protocol.KEEPING.pack(self._kernel_bytes, PACKET_BYTES, MOST_KERNELS)
             + NAME.encode()

@@ -237,7 +237,7 @@ class ToldBoard(LinkBoard):
     __module__ = LinkBoard.__module__
 
     def _open(self):
-        self._stopped.clear()
+        self._begin_unless_halted()
         super()._open()
 
     def _send(self, sequence, times):
