@@ -4,6 +4,8 @@ from dataclasses import dataclass
 from itertools import compress
 from typing import Literal
 
+import numpy as np
+
 from smarttouch.errors import BoardError
 from smarttouch.stimulation.sequence import ScanSequence
 
@@ -78,11 +80,12 @@ class Capabilities:
                 about="recharge_ua",
                 problem="impossible",
             )
-        if not 1 <= times <= LONGEST_REPEAT:
+        whole = isinstance(times, (int, np.integer)) and not isinstance(times, bool)
+        if not whole or not 1 <= times <= LONGEST_REPEAT:
             raise BoardError(
-                f"{times} repetitions are not possible: from 1 to {LONGEST_REPEAT}",
+                f"{times} repetitions are not possible: a whole number from 1 to {LONGEST_REPEAT}",
                 about="times",
-                problem="too few" if times < 1 else "too many",
+                problem="type" if not whole else "too few" if times < 1 else "too many",
                 value=times,
                 allowed=LONGEST_REPEAT,
             )

@@ -153,9 +153,13 @@ class Pipeline:
         """
         tactile = given if isinstance(given, Stimulus) else self._mapper.map(given, self.mode)
         pressure = force_gate(given.force_n, self._profile.force)
-        intensity = self._soft_start.follow(pressure * (level * tactile.level), given.time_ns)
+        wanted, activation = pressure * (level * tactile.level), tactile.activation
+        current = not self._vibrated or bool(np.delete(activation, Afferent.PC, axis=0).any())
+        intensity = self._soft_start.follow(wanted, given.time_ns, current)
         scan = self._scans[self.mode]
         sequence = scan.schedule(tactile, intensity, pressure)
+        if current and intensity and ((drives := sequence.drives) or activation.any()):
+            self._soft_start.note(sequence.period_us, drives)
         restarted, self._restarted = self._restarted, False
         return Step(given, tactile, sequence, self.mode, level, restarted, scan.asked_us)
 

@@ -181,11 +181,26 @@ def recharge(draft, oracle, rng, beyond):
     if not RECHARGES:
         return
     phase = np.zeros(bounds.electrodes, np.int16)
-    sites = rng.sample(range(bounds.electrodes), 2)
+    able = [site for site in range(bounds.electrodes) if bounds.recharge_ua[site]]
+    sites = rng.sample(able, 2)
     level = min(bounds.recharge_ua[site] for site in sites)
     phase[sites] = [level, -level]
     draft.recharge_us = rng.randint(1, min(RECHARGE_US, RECHARGE_PC // level))
-    attack = rng.randrange(6)
+    if len(sites) == 2 and rng.random() < 0.9:
+        # Charge to take back: a slot through the same two, as strong as may be.
+        draft.resize(1)
+        most = min(level_at(bounds, draft.intensity), *(bounds.electrode_ua[each] for each in sites))
+        draft.current_ua[0, sites] = [-most, most]
+        draft.width_us[0] = max(1, min(bounds.pulse_us, bounds.charge_pc // max(1, most)))
+        if bounds.full_us is not None:
+            draft.width_us[0] = max(1, min(draft.width_us[0], int(draft.intensity * bounds.full_us)))
+        q_pc = int(most * draft.width_us[0])
+        carried = oracle.carried(draft.clock_ns)
+        room_pc = min(q_pc - int(carried[sites[0]]), q_pc + int(carried[sites[1]]))
+        level = max(1, min(level, room_pc))
+        draft.recharge_us = max(1, min(RECHARGE_US, room_pc // level))
+        phase[sites] = [level, -level]
+    attack = rng.randrange(8)
     if attack == 0:
         phase[sites] = [level + beyond, -level - beyond]
     elif attack == 1:
@@ -194,8 +209,12 @@ def recharge(draft, oracle, rng, beyond):
         phase[sites[0]] += beyond
     elif attack == 3:
         draft.recharge_us = min(RECHARGE_US, RECHARGE_PC // level + max(beyond, 0))
+    elif attack == 5:
+        phase = -phase
     draft.recharge_ua = None if attack == 4 else phase
     draft.fit(bounds, rng.choice((0, 20_000, 40_000)))
+    if attack == 6 and draft.slots:
+        draft.period_us = max(draft.busy_us + 20 - beyond, math.ceil(10**6 / bounds.rate_hz))
 
 
 def time(draft, oracle, rng, beyond):
