@@ -86,9 +86,9 @@ def prove_slots(
         Naming the limit, the slot and electrode, and by how much.
     """
     slots = len(sequence.width_us)
-    longest_us, pulses_us, busy_us = _prove_times(sequence, limits)
     if sequence.recharge_ua is not None or sequence.recharge_us:
         prove_recharge(sequence, limits.faint_ua, limits.total_ua)
+    longest_us, pulses_us, busy_us = _prove_times(sequence, limits)
     if not slots:
         nothing = np.zeros((2, limits.electrodes))
         return PassLoad(nothing, nothing[0], None, 0, drives=False)

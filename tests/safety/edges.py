@@ -9,6 +9,7 @@ import numpy as np
 from .bounds import (
     LONGEST_SHARE_US,
     MEAN_UA,
+    NET_PC,
     RECHARGE_PC,
     RECHARGE_US,
     STRONG_A_SECOND,
@@ -150,8 +151,11 @@ def mean_current(draft, oracle, rng, beyond):
     draft.period_us = max(period_us, draft.period_us)
 
 
-def _charged(draft, oracle, site, charge_pc, rng):
-    """Let a charge pass one electrode, in pulses as large as may be and the last ones smaller."""
+def _charged(draft, oracle, site, charge_pc, rng, sign=None):
+    """Let a charge pass one electrode, in pulses as large as may be and the last ones smaller.
+
+    Of one sign, or of both in turn if not given.
+    """
     bounds = oracle.bounds
     level = max(1, min(level_at(bounds, draft.intensity), bounds.electrode_ua[site]))
     width_us = max(1, min(bounds.pulse_us, bounds.charge_pc // level))
@@ -166,6 +170,10 @@ def _charged(draft, oracle, site, charge_pc, rng):
     draft.drive(slots + 1, site, short, rng)
     draft.width_us[:slots] = width_us
     draft.width_us[slots:] = max(1, long), 1
+    if sign is None:
+        draft.current_ua[1::2] *= -1
+    elif (draft.current_ua[:, site] * sign).sum() < 0:
+        draft.current_ua *= -1
     draft.fit(bounds)
 
 
@@ -227,15 +235,23 @@ def time(draft, oracle, rng, beyond):
     draft.vibration = None
 
 
-def claimed_rise(draft, oracle, rng, beyond):
-    draft.resize(0)
+def _weak(draft, oracle, rng):
+    """Make it one slot of a microampere."""
+    draft.resize(1)
+    able = [site for site, most in enumerate(oracle.bounds.electrode_ua) if most]
+    draft.current_ua[0, rng.sample(able, 2)] = 1, -1
+    draft.width_us[0] = 1
     draft.vibration = None
+    draft.fit(oracle.bounds, rng.choice((0, 20_000, 200_000)))
+
+
+def claimed_rise(draft, oracle, rng, beyond):
+    _weak(draft, oracle, rng)
     draft.intensity = intensity_of(oracle.most_as_claimed(draft.time_ns) + beyond)
 
 
 def rise(draft, oracle, rng, beyond):
-    draft.resize(0)
-    draft.vibration = None
+    _weak(draft, oracle, rng)
     draft.intensity = intensity_of(oracle.most_by_clock(draft.clock_ns) + beyond)
 
 
@@ -254,6 +270,21 @@ def mean_in_a_second(draft, oracle, rng, beyond):
     charge_pc = max(1, min(MEAN_UA * LONGEST_SHARE_US, left_pc))
     _charged(draft, oracle, int(used.argmax()), charge_pc, rng)
     draft.fit(oracle.bounds, LONGEST_SHARE_US)
+
+
+def net_in_a_second(draft, oracle, rng, beyond):
+    high, low = oracle.most_net_before(draft.clock_ns)
+    sign = rng.choice((1, -1))
+    most_pc = high if sign == 1 else -low
+    site = int(most_pc.argmax())
+    left_pc = NET_PC - int(most_pc[site]) + beyond
+    _charged(draft, oracle, site, max(1, min(MEAN_UA * LONGEST_SHARE_US, left_pc)), rng, sign)
+    draft.fit(oracle.bounds, LONGEST_SHARE_US)
+
+
+def sequences_in_a_second(draft, oracle, rng, beyond):
+    draft.resize(rng.choice((0, 1)))
+    draft.fit(oracle.bounds)
 
 
 def session_time(draft, oracle, rng, beyond):
@@ -293,6 +324,9 @@ EDGES = {
     "rise": rise,
     "strong in a second": strong_in_a_second,
     "mean in a second": mean_in_a_second,
+    "net in a second": net_in_a_second,
+    "sequences in a second": sequences_in_a_second,
+    "takes back": recharge,
     "session time": session_time,
     "session charge": session_charge,
 }
