@@ -186,6 +186,7 @@ def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[P
             softness=run.softness,
             tone=run.tone,
             scan=run.sharing,
+            balance=run.balance,
         ),
         run.timing,
         vibrated=run.vibrated,

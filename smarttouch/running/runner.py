@@ -194,7 +194,7 @@ class Runner:
             )
             board.stop()
             report = board.report()
-        board.notes += [*regulator.notes(), *_refused_packets(board, report)]
+        board.notes += [*regulator.notes(), *pipeline.notes(), *_refused_packets(board, report)]
         if self.display.on_a_finger:
             board.notes += [*_density(profile), *Pace(self.statistics.real_time).notes]
         return report

@@ -68,21 +68,6 @@ def shortest_period_us(load: Load) -> int:
     return int(np.ceil(load.max(initial=0) / (PLANNED * MOST_PER_US)))
 
 
-def shortest_net_us(charge_pc: float) -> float:
-    """Return the shortest period that a schedule plans for the net charge of a pass, µs.
-
-    As many passes of it as 1.1 s hold, and one more that a second cuts, keep the limit, and a
-    board may count its second in tenths. Infinite where one pass alone is too much.
-
-    Parameters
-    ----------
-    charge_pc : float, pC
-        Largest net charge of any electrode (magnitude).
-    """
-    left_pc = PLANNED * NET_PC - charge_pc
-    return 1e6 * charge_pc / left_pc if left_pc > 0 else math.inf
-
-
 @dataclass(frozen=True)
 class Dose:
     """Dose of current in a session.
