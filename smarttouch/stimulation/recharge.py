@@ -181,6 +181,12 @@ def _whole_ua(
 ) -> NDArray[np.int16]:
     """Return currents in whole µA that sum to zero, none above its limit or what is wanted."""
     within_ua = np.sign(wanted_pc) * np.minimum(np.abs(wanted_pc) // width_us, most_ua)
+    surplus = int(within_ua.sum())
+    larger = np.flatnonzero(within_ua * surplus > 0)
+    if surplus and abs(surplus) <= len(larger):
+        # What rounding down has left over is a µA of those that it took the least of.
+        rest_pc = np.abs(wanted_pc - within_ua * width_us)[larger]
+        within_ua[larger[np.argsort(rest_pc, kind="stable")[: abs(surplus)]]] -= np.sign(surplus)
     poles_ua = np.cumsum([np.maximum(within_ua, 0), np.maximum(-within_ua, 0)], axis=1)
     shared_ua = min(int(poles_ua[0, -1]), int(poles_ua[1, -1]), total_ua)
     # Sums from electrode to electrode are scaled and rounded down, so that the last is exact and
