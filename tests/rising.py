@@ -32,9 +32,15 @@ def open_level(send, like, time_ns=0, clock=None, electrodes=(0, 1)):
     none = slice(0, 0)
     send(
         replace(
-            quiet, current_ua=weak[none], width_us=first[none], discharge_us=first[none],
-            site=first[none], intensity=0.0, time_ns=time_ns, period_us=20_000,
-        )  # fmt: skip
+            quiet,
+            current_ua=weak[none],
+            width_us=first[none],
+            discharge_us=first[none],
+            site=first[none],
+            intensity=0.0,
+            time_ns=time_ns,
+            period_us=20_000,
+        )
     )
     if clock is not None:
         clock.time_ns += 20_000_000

@@ -260,7 +260,12 @@ class LinkBoard(Board):
         if saturated and not limits.masked:
             level_ua = int(np.abs(probe.current_ua).max())
             return measure_in_pairs(
-                self._probed, limits, level_ua, probe.intensity, probe.time_ns, can.compliance_v,
+                self._probed,
+                limits,
+                level_ua,
+                probe.intensity,
+                probe.time_ns,
+                can.compliance_v,
             )
         # A masked electrode is not driven, and counts as open.
         every = np.full(limits.electrodes, can.compliance_v)

@@ -232,7 +232,8 @@ class Runner:
             "violations"
         )
         self._note_late(
-            f"dose {dose.seconds:.3f} s of current, {dose.most_mc:.4f} mC through one electrode"
+            f"dose {dose.seconds:.3f} s of current, {dose.most_mc:.4f} mC through one electrode, "
+            f"{dose.most_net_uc:.3f} µC left of one sign"
         )
         for words in self._notes():
             self._note_late(words)

@@ -228,10 +228,7 @@ class Exposure:
                 carried_pc = carried_pc - (last.times - begun) * last.first.net_pc
             _check_recharge(carried_pc + made.slots_pc, recharge_pc, net_pc, times)
         first = _Pass(start_ns, start_ns + 1000 * made.busy_us, load, net_pc, most, most_pc)
-        if last is not None and begun > last.begun:
-            entered = self._repetitions(last, begun)
-        else:
-            entered = []
+        entered = [] if last is None else self._repetitions(last, begun)
         # Until the first of its passes has left the second, each adds to what is in it.
         own = 1 if times == 1 else min(times, 1 + (first.end_ns - start_ns + _LAST_NS) // period_ns)
         net_at_most = self._check_second(now_ns, first, own, period_ns, entered)
@@ -360,9 +357,7 @@ class Exposure:
             )
 
 
-def _check_recharge(
-    before_pc: Charge, recharge_pc: Charge, net_pc: Charge, times: int
-) -> None:
+def _check_recharge(before_pc: Charge, recharge_pc: Charge, net_pc: Charge, times: int) -> None:
     """Raise unless a recharge phase takes back charge that its electrodes carry, in every pass.
 
     Parameters

@@ -40,6 +40,14 @@ class SoftStart:
         Shortest time from zero to full.
     """
 
+    _reached: float
+    _asked: float
+    _of_vibration: float
+    _since_ns: int
+    _left_ns: int
+    _first_ns: int
+    _time_ns: int | None
+
     def __init__(self, ramp_s: float) -> None:
         self._ramp_s = ramp_s
         self.restart()
@@ -67,7 +75,7 @@ class SoftStart:
             return self._of_vibration
         gone_ns = max(0, time_ns - self._since_ns)
         if gone_ns > self._left_ns + KEPT_NS:
-            self._reached = self._left_ns = 0
+            self._reached, self._left_ns = 0.0, 0
         # What was reached without pulses is lost, all but the first step.
         self._reached = min(self._reached, wanted)
         step = max(min(gone_ns, self._left_ns), 0 if self._reached else self._first_ns)
@@ -95,4 +103,4 @@ class SoftStart:
         self._reached = self._asked = self._of_vibration = 0.0
         self._since_ns = self._left_ns = 0
         self._first_ns = FIRST_NS
-        self._time_ns: int | None = None
+        self._time_ns = None

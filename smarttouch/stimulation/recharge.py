@@ -140,8 +140,8 @@ def add_recharge(
     """Return a sequence with the recharge phase that brings net charge back to zero.
 
     No electrode gets more than it takes back: whole µA leave a rest of about a µA times its width
-    on each electrode, and what the limits do not allow at once is left too. The phase is as short as its limits
-    allow, and the period grows where it does not fit. Slots stay as they are.
+    on each electrode, and what the limits do not allow at once is left too. The phase is as short
+    as its limits allow, and the period grows where it does not fit. Slots stay as they are.
 
     Parameters
     ----------

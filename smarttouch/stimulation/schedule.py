@@ -210,7 +210,9 @@ class ScanScheduler:
             needed_us = self._checked_us(self._load(current_ua, width_us))
             period_us = max(period_us, self._timing.possible_period_us(needed_us))
         if self._net is not None and slots:
-            period_us, admitted = self._within_net(self._net, current_ua, width_us, period_us, image)
+            period_us, admitted = self._within_net(
+                self._net, current_ua, width_us, period_us, image
+            )
             if not admitted:
                 slots, site, current_ua, width_us = 0, site[:0], current_ua[:0], width_us[:0]
                 proof = sums = None

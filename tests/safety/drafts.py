@@ -151,7 +151,9 @@ def later(oracle, rng):
     """Return by how much clock and claimed time move on: mostly alike, and sometimes far."""
     if oracle.most_by_clock(oracle.clock_ns or 0) < WHOLE and rng.random() < 0.3:
         return oracle.bounds.ramp_ns, oracle.bounds.ramp_ns
-    step = rng.choice((0, 1, 1_000, 10**6, 5 * 10**6, 20 * 10**6, 20 * 10**6, 10**8, NS, 9 * NS, 16 * NS))
+    step = rng.choice(
+        (0, 1, 1_000, 10**6, 5 * 10**6, 20 * 10**6, 20 * 10**6, 10**8, NS, 9 * NS, 16 * NS)
+    )
     chance = rng.random()
     if chance < 0.8:
         return step, max(step, 1)

@@ -197,11 +197,15 @@ def recharge(draft, oracle, rng, beyond):
     if len(sites) == 2 and rng.random() < 0.9:
         # Charge to take back: a slot through the same two, as strong as may be.
         draft.resize(1)
-        most = min(level_at(bounds, draft.intensity), *(bounds.electrode_ua[each] for each in sites))
+        most = min(
+            level_at(bounds, draft.intensity), *(bounds.electrode_ua[each] for each in sites)
+        )
         draft.current_ua[0, sites] = [-most, most]
         draft.width_us[0] = max(1, min(bounds.pulse_us, bounds.charge_pc // max(1, most)))
         if bounds.full_us is not None:
-            draft.width_us[0] = max(1, min(draft.width_us[0], int(draft.intensity * bounds.full_us)))
+            draft.width_us[0] = max(
+                1, min(draft.width_us[0], int(draft.intensity * bounds.full_us))
+            )
         q_pc = int(most * draft.width_us[0])
         carried = oracle.carried(draft.clock_ns)
         room_pc = min(q_pc - int(carried[sites[0]]), q_pc + int(carried[sites[1]]))

@@ -7,7 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .bounds import FREE_RISE, LEVEL_KEPT_NS, LATE_NS, MEAN_UA, NET_PC, NS, STRONG_A_SECOND, WHOLE, Bounds
+from .bounds import (
+    FREE_RISE,
+    LATE_NS,
+    LEVEL_KEPT_NS,
+    MEAN_UA,
+    NET_PC,
+    NS,
+    STRONG_A_SECOND,
+    WHOLE,
+    Bounds,
+)
 from .rules import RULES, judge_alone
 
 AMONG = (

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.profile import ForceLaw
 from smarttouch.clock import LATE_NS
+from smarttouch.profile import ForceLaw
 from smarttouch.stimulation.intensity import MOST_FIRST_NS, SoftStart, force_gate
 from smarttouch.stimulation.limits import parts_per_billion
 from smarttouch.stimulation.safety import Rise

@@ -11,6 +11,7 @@ from smarttouch.errors import SafetyError
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
+
 from ..rising import open_level
 
 LIMITS = SafetyLimits(
