@@ -15,12 +15,13 @@ from .oracle import Oracle
 WEAK = pair(1)
 
 
-def warmed():
+def warmed(oracle=None):
     """An oracle in which a second of the least current has opened every level."""
-    oracle = Oracle(FULL)
+    oracle = oracle or Oracle(FULL)
     assert oracle.judge(sequence([], intensity=0, time_ns=0), 0) == []
-    weak = sequence(WEAK, intensity=intensity_of(10**8), period=999_999, time_ns=1)
-    assert oracle.judge(weak, 1) == []
+    low = intensity_of(10**8)
+    weak = sequence(WEAK, width=1, intensity=low, period=979_999, time_ns=1)
+    assert oracle.judge(weak, 20_000_000) == []
     return oracle
 
 
@@ -131,9 +132,9 @@ def test_net_current_of_any_second():
 def test_a_phase_takes_back_what_was_carried():
     oracle, back = warmed(), {"recharge_ua": np.array([-60, 60, 0, 0], np.int16)}
     made = sequence(pair(600), time_ns=NS, recharge_us=1000, **back)
-    # 60 nC less a pC of the weak pass, whose 100 pC are carried too.
+    # 60 nC, and a pC of the weak pass is carried too.
     assert oracle.judge(made, NS) == []
-    oracle, more = warmed(), replace(made)
+    oracle = warmed()
     more = sequence(pair(600), time_ns=NS, recharge_us=1002, **back)
     assert oracle.judge(more, NS) == ["takes back"]
     first = sequence(pair(0), intensity=0, time_ns=0, recharge_us=1, **back)
@@ -143,7 +144,7 @@ def test_a_phase_takes_back_what_was_carried():
 def test_sequences_of_a_second():
     oracle, made = warmed(), sequence([], period=10_000)
     # 100 Hz, and 100 ms ahead; the pass that opened the level has begun a second ago.
-    now_ns = driven(oracle, 111, made, 100_000, start_ns=NS + 2)
+    now_ns = driven(oracle, 111, made, 100_000, start_ns=NS + 30_000_000)
     assert oracle.judge(replace(made, time_ns=now_ns), now_ns) == ["sequences in a second"]
 
 
@@ -179,14 +180,14 @@ def test_time_of_a_session():
     assert oracle.judge(again, 11 * NS - 1, times=590) == ["session time"]
     assert oracle.judge(again, 11 * NS - 1, times=589) == []
     oracle.restart(12 * NS - 2)
-    assert oracle.judge(sequence([], intensity=0, time_ns=0), 0) == []
-    assert oracle.judge(again, NS, times=590) == ["session time"]
-    assert oracle.judge(again, NS, times=589) == []
+    # Eleven seconds, twice a second of the least current, and what they leave.
+    warmed(oracle)
+    assert oracle.judge(again, NS, times=588) == ["session time"]
+    assert oracle.judge(again, NS, times=587) == []
 
 
 def test_charge_of_a_session():
-    small = Oracle(replace(FULL, session_pc=1_000_000))
-    assert small.judge(sequence([], intensity=0, time_ns=0), 0) == []
+    small = warmed(Oracle(replace(FULL, session_pc=1_000_001)))
     made = sequence(pair(1000), width=100)
     assert small.judge(made, NS, times=11) == ["session charge"]
     assert small.judge(made, NS, times=10) == []
