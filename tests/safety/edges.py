@@ -343,4 +343,4 @@ def attacks(bounds):
     full_ua = bounds.full_ua + bounds.rounding_ua
     often = ["current"] * (min(bounds.electrode_ua) < full_ua)
     often += ["charge"] * (full_ua * bounds.pulse_us > bounds.charge_pc)
-    return (*EDGES, "rise", "claimed rise", *often * 4)
+    return (*EDGES, "rise", "claimed rise", *("mean current", "total") * 2, *often * 4)
