@@ -40,6 +40,10 @@ __all__ = [
 ]
 
 
+FARTHEST_NS = 10_000_000_000
+"""Planned starts farther than this from now are of another clock."""
+
+
 class Board(Timely, ABC):
     """Base class of display boards.
 
@@ -191,11 +195,14 @@ class Board(Timely, ABC):
         BoardError
             If the board is closed, of another size, or gone.
         """
-        self._due_ns = self._clock.now_ns() if due_ns is None else due_ns
+        now_ns = self._clock.now_ns()
+        self._due_ns = now_ns if due_ns is None else due_ns
         if not self._opened or self._stopped.is_set():
             self._require_open("sending")
             self._go_on_unless_stopped()
         self._require_seal()
+        if self._time() is not None or self.on_a_finger:
+            _require_same_clock(self._due_ns, now_ns)
         # By the class: nothing of a driver stands in its place.
         Capabilities.require(self.capabilities, sequence, times)
         times = int(times)
@@ -229,6 +236,17 @@ class Board(Timely, ABC):
             self._go_on_unless_stopped()
             raise
         return number
+
+    @final
+    def close_level(self) -> None:
+        """Close the intensity level: what comes next begins at zero, as after a lifted finger."""
+        self._gate.restart()
+
+    @property
+    @final
+    def net_charge_pc(self) -> NDArray[np.int64]:
+        """Net charge of each electrode since the board was opened, (E,) pC, positive cathodic."""
+        return self._gate.net_pc
 
     @property
     @final
@@ -458,3 +476,17 @@ class Board(Timely, ABC):
             # The first fault is the one to report.
             if error is None:
                 raise
+
+
+def _require_same_clock(due_ns: int, now_ns: int) -> None:
+    """Raise if a planned start cannot be a time of the board's clock."""
+    away_ns = due_ns - now_ns
+    if abs(away_ns) > FARTHEST_NS:
+        raise BoardError(
+            f"due_ns is {away_ns / 1e9:.3g} s from now, and at most {FARTHEST_NS / 1e9:g} s are "
+            "possible: give a time of the board's clock (board.clock.now_ns())",
+            about="due_ns",
+            problem="out of range",
+            value=due_ns,
+            allowed=FARTHEST_NS,
+        )

@@ -101,7 +101,7 @@ class LinkBoard(Board):
         """Fault found by the thread that reads, until the board is latched."""
         self._identity: UsbIdentity | None = None
         self._in_flight_due_ns = 0
-        self._in_flight_ppb = 0
+        self._in_flight_ppb = self._in_flight_ns = 0
         # The line may be slower than the gate: the rise that the skin gets is the line's.
         self._rise = Rise(limits.ramp_ns)
         self._again_s = 0.0
@@ -158,11 +158,14 @@ class LinkBoard(Board):
         payload = self._encoded(sequence, times)
         self._wait_for_room()
         ppb = parts_per_billion(sequence.intensity)
-        if self._is_late(self._due_ns) or not self._rise.permits(ppb, self._clock.now_ns()):
+        if self._is_late(self._due_ns) or not (
+            not sequence.drives or self._rise.permits(ppb, self._clock.now_ns())
+        ):
             self._drop_late()
         with self._line.news:
             self._in_flight[self._number] = payload
             self._in_flight_due_ns, self._in_flight_ppb = self._due_ns, ppb
+            self._in_flight_ns = 1000 * sequence.period_us * times * sequence.drives
             self._again_s = self._line.now_s() + AGAIN_S
             self._sent.append((self._number, sequence))
             self._slots_sent += sequence.slots * times
@@ -209,7 +212,7 @@ class LinkBoard(Board):
                 Kind.SEQUENCE, number, payload, latest_ns=latest_ns, now_ns=self._clock.now_ns
             )
         if went:
-            self._rise.note(self._in_flight_ppb, self._clock.now_ns())
+            self._rise.note(self._in_flight_ppb, self._clock.now_ns(), self._in_flight_ns)
         return went
 
     def _wait_for_room(self) -> None:
@@ -336,13 +339,22 @@ class LinkBoard(Board):
         self.take_volts()
         for probe in probe_sequences(self._gate.limits, self._output):
             volts = self._probed(probe)
-        if can.output == "weighted" and (volts >= SATURATED * can.compliance_v).any():
+        limits = self._gate.limits
+        saturated = can.output == "weighted" and (volts >= SATURATED * can.compliance_v).any()
+        if saturated and not limits.masked:
             level_ua = int(np.abs(probe.current_ua).max())
             return measure_in_pairs(
-                self._probed, self._gate.limits, level_ua, probe.intensity, probe.time_ns,
+                self._probed,
+                limits,
+                level_ua,
+                probe.intensity,
+                probe.time_ns,
                 can.compliance_v,
-            )  # fmt: skip
-        return judge(volts, probe.source_ua / 1000, can.compliance_v)
+            )
+        # A masked electrode is not driven, and counts as open.
+        every = np.full(limits.electrodes, can.compliance_v)
+        every[probe.site] = volts
+        return judge(every, probe.source_ua[0] / 1000, can.compliance_v)
 
     def _probed(self, probe: ScanSequence) -> NDArray[np.float64]:
         """Deliver a scan and return its voltages."""

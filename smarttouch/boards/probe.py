@@ -19,6 +19,8 @@ _STEPS = 20
 def probe_sequences(limits: SafetyLimits, output: Output | None) -> Iterator[ScanSequence]:
     """Yield scans of one electrode against all others that rise from zero to `PROBE_MA`.
 
+    Masked electrodes are left out.
+
     The last one is the measurement; those before it keep the rise within the
     ramp, in the time that their own stamps say.
 
@@ -40,6 +42,8 @@ def probe_sequences(limits: SafetyLimits, output: Output | None) -> Iterator[Sca
         )
     top = peak_ma / limits.full_ma
     rise_s = limits.ramp_s * top
+    # Only the time of passes with current counts towards the rise.
+    step_us = int(np.ceil(1.05e6 * rise_s / _STEPS))
     start = time.monotonic_ns()
     cathodic = output is None or "cathodic" in output.polarities
     for step in range(_STEPS + 1):
@@ -47,8 +51,10 @@ def probe_sequences(limits: SafetyLimits, output: Output | None) -> Iterator[Sca
         due_ns = start + int(1.05 * part * rise_s * 1e9)
         time.sleep(max(0.0, (due_ns - time.monotonic_ns()) / 1e9))
         yield one_each(
-            limits, round(1000 * peak_ma * part), PROBE_US, top * part, due_ns, cathodic=cathodic
-        )
+            limits, round(1000 * peak_ma * part), PROBE_US, top * part, due_ns, cathodic=cathodic,
+            sites=np.delete(np.arange(limits.electrodes), limits.masked).tolist(),
+            masked=limits.masked, period_us=step_us,
+        )  # fmt: skip
 
 
 def one_each(

@@ -204,7 +204,7 @@ class Screen(Listener):
         dropped = self._source.dropped_frames + statistics.seen - statistics.felt
         length = "" if self._source.duration_s is None else f" of {self._source.duration_s:.0f}"
         slots = f"{sequence.slots} slots"
-        charge = f"{dose.most_mc:.1f}/{limits.session_mc:.0f} mC"
+        charge = f"{dose.most_mc:.1f}/{limits.session_mc:.0f} mC, net {dose.most_net_uc:.0f} µC"
         return (
             ("time", f"{frame.time_ns / 1e9:.1f}{length} s"),
             ("rate", f"{sequence.rate_hz:.0f} Hz, {sequence.points} points, {slots}"),

@@ -32,6 +32,9 @@ CEILING_DUTY = 0.8
 SHORTEST_RAMP_S = 0.5
 CEILING_PULSES_HZ = 1500.0
 CEILING_MEAN_MA = 0.5
+CEILING_NET_MA = 0.05
+CEILING_AREA_MM2 = 400.0
+CEILING_ELECTRODES = 0xFFFF
 BURST_S = 0.04
 CEILING_SESSION_S = 3600.0
 CEILING_SESSION_MC = 1800.0
@@ -97,7 +100,8 @@ CEILINGS = (
         "share of the time that current flows",
         CEILING_DUTY,
         "",
-        "Ours: leaves every pulse of 200 µs the 50 µs that its discharge needs.",
+        "Ours: leaves every pulse of 200 µs the 50 µs that its discharge needs. Recharge phases "
+        "count as pulses do.",
     ),
     Ceiling(
         "rise from zero to full, at least",
@@ -118,6 +122,13 @@ CEILINGS = (
         "mA",
         "Ours: full frames of the shipped profiles bring at most 0.28 mA. Over a second, and in "
         "each sequence over its own period.",
+    ),
+    Ceiling(
+        "net current of an electrode",
+        CEILING_NET_MA,
+        "mA",
+        "The direct current at which a Digitimer DS5 stops. Charge with its sign, recharge phases "
+        "included, over any second.",
     ),
     Ceiling(
         "longest time whose pulses one sequence may bring at once",

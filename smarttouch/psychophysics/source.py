@@ -19,7 +19,7 @@ from smarttouch.running.listener import Listener
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source import StimulusSource
 from smarttouch.sources.stimulus import Stimulus
-from smarttouch.stimulation.intensity import force_gate
+from smarttouch.stimulation.intensity import FIRST_NS, force_gate
 
 SILENT_US = 20_000
 """Interval between two checks for a key while there is no current."""
@@ -32,6 +32,8 @@ _STEADY = 0.98
 _SPOILED = 0.5
 """Part of it below which current was lost within an interval. A key moves it by less; where
 milliamperes count, nothing may."""
+_FAINT = 0.01
+"""Activation of pulses that open the intensity: those of threshold."""
 AGAIN = "r"
 """Key that repeats a trial."""
 _NUMBERS = ("first", "second")
@@ -167,8 +169,9 @@ class ExperimentSource(StimulusSource, Listener):
         self.title = f"{self._trials.title}: over"
 
     def _prepare(self, trial: Trial) -> Pulses:
-        """Be silent until intensity is there."""
-        level = trial.intervals[0].level
+        """Be silent, after the faintest pulses where these must open the intensity first."""
+        train = trial.intervals[0]
+        level, faint = train.level, np.float32(_FAINT) * (train.activation > 0)
         self._say("")
         yield from self._be_silent(PAUSE_S, level)
         began_ns, patience_s = self._now_ns, self._course.patience_s
@@ -183,7 +186,10 @@ class ExperimentSource(StimulusSource, Listener):
                     value=patience_s,
                     remedy="intensity or force",
                 )
-            yield self._quiet(self._silent_us, level)
+            yield self._stimulus(faint, self._silent_us, level)
+            if self._steady:
+                self._say("")
+                yield from self._be_silent(PAUSE_S, level)
 
     def _attempt(self, trial: Trial) -> Generator[Stimulus, None, Answer | None]:
         """Present a trial and ask; return None if it is to be presented anew."""
@@ -244,7 +250,8 @@ class ExperimentSource(StimulusSource, Listener):
         level, risen_ns, due_ns = 0.0, self._now_ns, self._now_ns + step_ns
         current_ma = course.next()
         while not course.done:
-            risen_s = (self._now_ns - risen_ns) / 1e9
+            # From zero by the first step that currents take.
+            risen_s = (self._now_ns - risen_ns if level else FIRST_NS) / 1e9
             level = min(1.0, current_ma / full_ma, level + risen_s / profile.limits.ramp_s)
             risen_ns = self._now_ns
             self.playing = (self._presentation, 0)

@@ -186,6 +186,7 @@ def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[P
             softness=run.softness,
             tone=run.tone,
             scan=run.sharing,
+            balance=run.balance,
         ),
         run.timing,
         vibrated=run.vibrated,
@@ -227,7 +228,10 @@ def _again(recorded: RecordedStep, pipeline: Pipeline, regulator: Regulator) -> 
     if step.restarted:
         pipeline.restart_softly()
     told: Any = _Told(step.observed)
-    return regulator.regulate(pipeline.process(step.input, step.level), told).sequence
+    made = regulator.regulate(pipeline.process(step.input, step.level), told).sequence
+    if recorded.sent.number is None:
+        regulator.lost(made)
+    return made
 
 
 def _differences(

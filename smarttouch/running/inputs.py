@@ -116,6 +116,7 @@ class Inputs:
         if before is None or state.level != before.level:
             self.emit(IntensityChanged(time_ns, state.level))
         if state.paused != (before is not None and before.paused):
+            self._begin_at_zero()
             self.emit(Paused(time_ns) if state.paused else Resumed(time_ns))
         if before is None or state.mode is not before.mode:
             self.emit(ModeChanged(time_ns, state.mode))
@@ -129,4 +130,9 @@ class Inputs:
             self.emit(FingerLifted(time_ns))
             self._lifted_until_ns = now_ns + LIFT_NS
         if now_ns < self._lifted_until_ns:
-            self.pipeline.restart_softly()
+            self._begin_at_zero()
+
+    def _begin_at_zero(self) -> None:
+        """Close the level that is open: intensity rises from zero again."""
+        self.pipeline.restart_softly()
+        self.board.close_level()

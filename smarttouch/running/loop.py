@@ -183,6 +183,8 @@ class _Loop:
         except BoardRestartedError as lost:
             statistics.restarts += not isinstance(lost, SequenceLateError)
             inputs.emit(BoardRestarted(self.elapsed_ns, str(lost)))
+            if self.regulator is not None:
+                self.regulator.lost(step.sequence)
             pipeline.restart_softly()
         sent_ns = clock.now_ns()
         work_us = (time.thread_time_ns() - worked_ns) / 1000

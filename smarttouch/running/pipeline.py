@@ -10,6 +10,7 @@ from smarttouch.errors import SmartTouchError
 from smarttouch.imaging.mapping import TactileMapper
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
+from smarttouch.profile.ceilings import CEILING_NET_MA
 from smarttouch.running.config import RunConfig
 from smarttouch.running.step import Step
 from smarttouch.sources.frame import Frame, Pose
@@ -17,6 +18,7 @@ from smarttouch.sources.stimulus import Input, Stimulus
 from smarttouch.stimulation.frames import FrameSlots
 from smarttouch.stimulation.intensity import SoftStart, force_gate
 from smarttouch.stimulation.kernel_table import KernelTable
+from smarttouch.stimulation.net import NetPlan
 from smarttouch.stimulation.schedule import ScanScheduler
 from smarttouch.stimulation.timing import ScanTiming
 
@@ -62,6 +64,7 @@ class Pipeline:
         self._mapper = TactileMapper(profile, config.light_on_dark, config.tone)
         self._soft_start = SoftStart(profile.limits.ramp_s)
         self._restarted = True
+        self._net = None if config.balance else NetPlan(len(profile.electrodes))
         self._scans: dict[Mode, ScanScheduler] = {}
         self._frames: dict[tuple[Afferent, ...], FrameSlots] = {}
         self.table: KernelTable | None = None
@@ -132,6 +135,7 @@ class Pipeline:
                 self._sharing,
                 self._frames,
                 self.table,
+                self._net,
             )
         return self._scans[mode]
 
@@ -153,9 +157,13 @@ class Pipeline:
         """
         tactile = given if isinstance(given, Stimulus) else self._mapper.map(given, self.mode)
         pressure = force_gate(given.force_n, self._profile.force)
-        intensity = self._soft_start.follow(pressure * (level * tactile.level), given.time_ns)
+        wanted, activation = pressure * (level * tactile.level), tactile.activation
+        current = not self._vibrated or bool(np.delete(activation, Afferent.PC, axis=0).any())
+        intensity = self._soft_start.follow(wanted, given.time_ns, current)
         scan = self._scans[self.mode]
         sequence = scan.schedule(tactile, intensity, pressure)
+        if current and intensity and ((drives := sequence.drives) or activation.any()):
+            self._soft_start.note(sequence.period_us, drives)
         restarted, self._restarted = self._restarted, False
         return Step(given, tactile, sequence, self.mode, level, restarted, scan.asked_us)
 
@@ -166,6 +174,18 @@ class Pipeline:
             scan.restart()
         self._restarted = True
 
+    def notes(self) -> list[str]:
+        """Return what a user should know after the run."""
+        slowed = sum(scan.net_slowed for scan in self._scans.values())
+        emptied = sum(scan.net_emptied for scan in self._scans.values())
+        if not slowed and not emptied:
+            return []
+        return [
+            f"{slowed} sequences were slowed and {emptied} left without pulses to keep the net "
+            f"current of each electrode below {1000 * CEILING_NET_MA:g} µA: choose balance, fewer "
+            "points or a lower intensity for the rate that was asked for"
+        ]
+
     def warm_up(self) -> None:
         """Run an input through a twin of this pipeline, which is then thrown away.
 
@@ -175,7 +195,7 @@ class Pipeline:
         twin._mapper = TactileMapper(self._profile, self._config.light_on_dark, self._config.tone)
         twin._soft_start = SoftStart(self._profile.limits.ramp_s)
         # What shares slots remembers nothing but what it has planned.
-        twin._scans = {}
+        twin._scans, twin._net = {}, None
         twin.change_mode(self.mode)
         profile, force_n = self._profile, self._profile.force.full_n
         image = np.full((profile.optics.sensor_rows, profile.optics.sensor_columns), 230, np.uint8)

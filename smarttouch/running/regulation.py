@@ -93,4 +93,5 @@ def make_regulator(
                 "those drive the other class, SAI where RA is meant and RA where SAI is."
             )
         ledger = ChargeBalance(can.electrodes)
+        ledger.charge_pc[:] = board.net_charge_pc
     return Regulator(adaptation, ledger, recharge)

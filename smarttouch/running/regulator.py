@@ -68,6 +68,11 @@ class Regulator:
             self._waited += ledger.worst_uc > _WAITING_UC
         return balanced
 
+    def lost(self, sequence: ScanSequence) -> None:
+        """Take back a sequence that did not reach the board."""
+        if self.ledger is not None:
+            self.ledger.add(sequence, -1)
+
     def notes(self) -> list[str]:
         """Return what a user should know after the run."""
         notes = []

@@ -56,6 +56,7 @@ def figures_of(
         "max_net_charge_uc": report and report.max_net_charge_uc,
         "dose_s": board.dose.seconds,
         "dose_mc": board.dose.most_mc,
+        "dose_net_uc": board.dose.most_net_uc,
         "emulator_violations": report.violations if report and report.by == "board" else None,
         "active_fraction": statistics.active / statistics.frames if statistics.frames else 0.0,
     }
@@ -90,7 +91,8 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
         f"strongest pulse {figures['max_current_ma']:.2f} mA, "
         f"{figures['max_charge_uc']:.3f} µC; {net}",
         f"dose of this session: {figures['dose_s']:.1f} s of current, "
-        f"{figures['dose_mc']:.2f} mC through one electrode at most",
+        f"{figures['dose_mc']:.2f} mC through one electrode at most, "
+        f"{figures['dose_net_uc']:.3g} µC left of one sign",
         f"{_pulses(figures)} pulses by the host's own account: this board keeps none"
         if figures["reported_by"] == "host"
         else f"{figures['emulator_violations']} violations by the board's own books",

@@ -209,7 +209,7 @@ class Runner:
             )
             board.stop()
             report = board.report()
-        board.notes += [*regulator.notes(), *_refused_packets(board, report)]
+        board.notes += [*regulator.notes(), *pipeline.notes(), *_refused_packets(board, report)]
         if self.display.on_a_finger:
             board.notes += [*_density(profile), *Pace(self.statistics.real_time).notes]
         return report
@@ -247,7 +247,8 @@ class Runner:
             "violations"
         )
         self._note_late(
-            f"dose {dose.seconds:.3f} s of current, {dose.most_mc:.4f} mC through one electrode"
+            f"dose {dose.seconds:.3f} s of current, {dose.most_mc:.4f} mC through one electrode, "
+            f"{dose.most_net_uc:.3f} µC left of one sign"
         )
         for words in self._notes():
             self._note_late(words)

@@ -1,14 +1,23 @@
 """Exposure of each electrode: felt pulses and charge in a sequence, a second, and a session."""
 
+import math
+from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.clock import LATE_NS
 from smarttouch.errors import SafetyError
-from smarttouch.profile.ceilings import BURST_S, CEILING_MEAN_MA, CEILING_PULSES_HZ
-from smarttouch.stimulation.limits import SafetyLimits
+from smarttouch.profile.ceilings import (
+    BURST_S,
+    CEILING_MEAN_MA,
+    CEILING_NET_MA,
+    CEILING_PULSES_HZ,
+)
+from smarttouch.stimulation.limits import SafetyLimits, decimal
 
 WINDOW_NS = 1_000_000_000
 BURST_US = round(1e6 * BURST_S)
@@ -17,12 +26,38 @@ PER_PC = round(1000 * CEILING_PULSES_HZ / (1e6 * CEILING_MEAN_MA))
 """Weights that give felt pulses and charge one limit, in whole numbers: 3 of it for 1 pC, a
 million for a pulse, and `MOST_PER_US` of either for each microsecond."""
 MOST_PER_US = round(CEILING_PULSES_HZ)
+NET_PC = round(1e9 * CEILING_NET_MA)
+"""Largest net charge of an electrode in a second."""
 PLANNED = 0.9
 """Part of the limit used by schedules, so that jittered steps keep the window of a second."""
+_LAST_NS = WINDOW_NS - 1
 
 Load = NDArray[np.float64]
 """Felt pulses × `PER_PULSE` and charge in pC × `PER_PC` of each electrode, (2, E): whole numbers,
 all far below 2^53, where doubles are exact."""
+Charge = NDArray[np.float64]
+"""Signed charge of each electrode, positive cathodic, (E,) pC: whole numbers below 2^53."""
+
+
+class PassLoad(NamedTuple):
+    """Load of one pass of a sequence on each electrode.
+
+    Attributes
+    ----------
+    load : ndarray, (2, E)
+    slots_pc, recharge_pc : ndarray, (E,) pC
+        Net charge of its slots, and of its recharge phase if it has one, positive cathodic.
+    busy_us : int, µs
+        Time of its slots and its recharge phase.
+    drives : bool
+        Whether any of its slots has current.
+    """
+
+    load: Load
+    slots_pc: Charge
+    recharge_pc: Charge | None
+    busy_us: int
+    drives: bool
 
 
 def shortest_period_us(load: Load) -> int:
@@ -43,33 +78,66 @@ class Dose:
         Of scans with current.
     charge_mc : tuple of float, (E,) mC
         Through each electrode, magnitudes added.
+    net_uc : tuple of float, (E,) µC
+        Sum of the charge through each electrode with its sign, positive cathodic.
     """
 
     seconds: float
     charge_mc: tuple[float, ...]
+    net_uc: tuple[float, ...] = ()
 
     @property
     def most_mc(self) -> float:
         return max(self.charge_mc, default=0.0)
+
+    @property
+    def most_net_uc(self) -> float:
+        """Largest net charge of any electrode, µC (magnitude)."""
+        return max(map(abs, self.net_uc), default=0.0)
+
+
+class _Pass(NamedTuple):
+    """Pass of a sequence, from its start to the end of its slots and recharge phase."""
+
+    start_ns: int
+    end_ns: int
+    load: Load
+    net_pc: Charge
+    most: float
+    """Largest load."""
+    most_pc: float
+    """Largest net charge."""
+
+    def later(self, by_ns: int) -> "_Pass":
+        """Return the same pass at a later time."""
+        return self._replace(start_ns=self.start_ns + by_ns, end_ns=self.end_ns + by_ns)
 
 
 @dataclass
 class _Sent:
     """Sequence that was let through, with the number of its repetitions begun."""
 
-    start_ns: int
+    first: _Pass
     period_ns: int
     times: int
     flows: bool
-    load: Load
-    most: float
     begun: int = 1
-    left: int = 0
+
+    @property
+    def left(self) -> int:
+        """Repetitions that have not begun."""
+        return self.times - self.begun
+
+    def begun_by(self, now_ns: int) -> int:
+        """Return the number of passes begun by a time: one at least, which waits for its turn."""
+        return max(1, min(self.times, (now_ns - self.first.start_ns) // self.period_ns + 1))
 
 
 @dataclass
 class Exposure:
     """Running sums over the last second and over the session, on the display's clock.
+
+    A board finishes a pass before the next begins: passes count at the times that this gives.
 
     Parameters
     ----------
@@ -78,37 +146,53 @@ class Exposure:
 
     limits: SafetyLimits
     _last: _Sent | None = None
-    _window: deque[tuple[int, Load, float]] = field(default_factory=deque)
-    """Start, load and largest load of each sequence in the last second."""
+    _window: deque[_Pass] = field(default_factory=deque)
+    """Passes of which any part lies in the last second, or is still to come."""
     _second_at_most: float = 0.0
     """Upper bound of the load of the last second at any electrode, which saves most sums."""
+    _net_at_most: float = 0.0
+    """Upper bound of the net charge of the newest passes, however many, at any electrode."""
     _session: Load = field(init=False)
+    _net_pc: Charge = field(init=False)
     _session_at_most: float = 0.0
     _session_ns: int = 0
 
     def __post_init__(self) -> None:
         self._session = np.zeros((2, self.limits.electrodes))
+        self._net_pc = np.zeros(self.limits.electrodes)
         self._most_of_session = self.limits.session_mc * 1e9 * PER_PC
+        # From a second ago to what may be sent ahead by sequences that come late.
+        rate_hz = decimal(self.limits.rate_hz)
+        self._most_passes = math.ceil(rate_hz * (WINDOW_NS + LATE_NS) / WINDOW_NS) + 1
 
     @property
     def dose(self) -> Dose:
         """Dose of the session so far, with requested repetitions."""
         charge_mc = self._session[1] / (PER_PC * 1e9)
-        return Dose(self._session_ns / 1e9, tuple(charge_mc.tolist()))
+        net_uc = self._net_pc / 1e6
+        return Dose(self._session_ns / 1e9, tuple(charge_mc.tolist()), tuple(net_uc.tolist()))
 
-    def begin_session(self) -> None:
-        """Reset the session's dose, but not the last second."""
+    @property
+    def net_pc(self) -> NDArray[np.int64]:
+        """Net charge of each electrode in the session, (E,) pC, positive cathodic."""
+        return self._net_pc.astype(np.int64)
+
+    def begin_session(self, now_ns: int | None) -> None:
+        """Reset the session's dose; the last second still counts, with what repeated until now."""
+        if self._last is not None and now_ns is not None:
+            self._enter_repetitions(self._last, self._last.begun_by(now_ns))
         self._last = None
         self._session_ns, self._session_at_most = 0, 0.0
         self._session[:] = 0
+        self._net_pc[:] = 0
 
     def forget_second(self) -> None:
         """Reset the last second, where time starts anew; the session continues."""
         self._last = None
         self._window.clear()
-        self._second_at_most = 0.0
+        self._second_at_most = self._net_at_most = 0.0
 
-    def enter(self, now_ns: int, period_us: int, times: int, load: Load, *, flows: bool) -> None:
+    def enter(self, now_ns: int, period_us: int, times: int, made: PassLoad, flows: bool) -> None:
         """Enter a sequence that may begin now; it ends the repetitions of the one before.
 
         Parameters
@@ -117,8 +201,8 @@ class Exposure:
             The display's time; never before that of the last call.
         period_us, times : int
             Length of one pass, and how many of them.
-        load : ndarray, (2, E)
-            Of one pass, see `SlotAdder`.
+        made : PassLoad
+            Of one pass.
         flows : bool
             Whether it has slots: its time then counts to the session.
 
@@ -127,44 +211,130 @@ class Exposure:
         SafetyError
             Naming the limit and the electrode.
         """
+        load, recharge_pc = made.load, made.recharge_pc
         burst_us, most = min(period_us, BURST_US), float(load.max())
         if most > MOST_PER_US * burst_us:
             raise _too_much(load, burst_us, f"in {period_us} µs: lower the rate")
-        window, last = self._window, self._last
-        if last is not None and last.left:
-            self._begin_repetitions(last, now_ns)
-        while window and window[0][0] <= now_ns - WINDOW_NS:
-            self._second_at_most -= window.popleft()[2]
-        if self._second_at_most + most > MOST_PER_US * 1_000_000:
-            second = np.add.reduce([load, *(each for _, each, _ in window)])
-            if second.max() > MOST_PER_US * 1_000_000:
-                raise _too_much(second, 1_000_000, "within a second: send less often")
-        flowing_ns = 1000 * period_us * times * flows
+        net_pc = made.slots_pc if recharge_pc is None else made.slots_pc + recharge_pc
+        most_pc = float(np.abs(net_pc).max())
+        last, window, start_ns, period_ns = self._last, self._window, now_ns, 1000 * period_us
+        begun = 1
+        if last is not None:
+            begun = last.begun_by(now_ns)
+            start_ns = max(now_ns, last.first.start_ns + begun * last.period_ns)
+        if recharge_pc is not None:
+            carried_pc = self._net_pc
+            if last is not None and begun < last.times:
+                carried_pc = carried_pc - (last.times - begun) * last.first.net_pc
+            _check_recharge(carried_pc + made.slots_pc, recharge_pc, net_pc, times)
+        first = _Pass(start_ns, start_ns + 1000 * made.busy_us, load, net_pc, most, most_pc)
+        entered = [] if last is None else self._repetitions(last, begun)
+        # Until the first of its passes has left the second, each adds to what is in it.
+        own = 1 if times == 1 else min(times, 1 + (first.end_ns - start_ns + _LAST_NS) // period_ns)
+        net_at_most = self._check_second(now_ns, first, own, period_ns, entered)
+        flowing_ns = period_ns * times * flows
         seconds = (self._session_ns + flowing_ns) / 1e9
         if (
             seconds > self.limits.session_s
             or self._session_at_most + times * most > self._most_of_session
         ):
-            self._check_session(seconds, times * load[1])
-        if last is not None and last.left:
-            self._session_ns -= last.left * last.period_ns * last.flows
-            self._session -= last.left * last.load
-            self._session_at_most -= last.left * last.most
-        self._last = _Sent(now_ns, 1000 * period_us, times, flows, load, most, left=times - 1)
-        window.append((now_ns, load, most))
-        self._second_at_most += most
+            self._check_session(seconds, times * load[1], begun)
+        # From here on nothing is refused.
+        self._net_at_most = net_at_most
+        if last is not None:
+            self._enter_repetitions(last, begun)
+            if left := last.left:
+                self._session_ns -= left * last.period_ns * last.flows
+                self._session -= left * last.first.load
+                self._net_pc -= left * last.first.net_pc
+                self._session_at_most -= left * last.first.most
+        while window and window[0].end_ns <= now_ns - WINDOW_NS:
+            self._second_at_most -= window.popleft().most
+        self._last = _Sent(first, period_ns, times, flows)
+        self._add(first)
         self._session_ns += flowing_ns
         self._session += load if times == 1 else times * load
+        self._net_pc += net_pc if times == 1 else times * net_pc
         self._session_at_most += times * most
 
-    def _check_session(self, seconds: float, charge: NDArray[np.float64]) -> None:
+    def _add(self, each: _Pass) -> None:
+        self._window.append(each)
+        self._second_at_most += each.most
+        self._net_at_most += each.most_pc
+
+    def _repetitions(self, last: _Sent, begun: int) -> list[_Pass]:
+        """Return the repetitions that have begun since, but for those of long ago."""
+        first = max(last.begun, begun - WINDOW_NS // last.period_ns - 2)
+        return [last.first.later(index * last.period_ns) for index in range(first, begun)]
+
+    def _enter_repetitions(self, last: _Sent, begun: int) -> None:
+        if begun > last.begun:
+            for each in self._repetitions(last, begun):
+                self._add(each)
+            last.begun = begun
+
+    def _check_second(
+        self, now_ns: int, first: _Pass, own: int, period_ns: int, entered: list[_Pass]
+    ) -> float:
+        """Raise if any second would hold too many passes, or too much of what they bring.
+
+        Returns the largest net charge of the newest passes before it, or a bound of it.
+
+        Parameters
+        ----------
+        now_ns : int
+        first : _Pass
+            The first pass of the new sequence.
+        own, period_ns : int
+            Number of its passes to judge, one period apart.
+        entered : list of _Pass
+            Repetitions of the sequence before that are not in the window yet.
+        """
+        window, waiting = self._window, len(self._window) + len(entered)
+        if (
+            waiting < self._most_passes
+            and self._second_at_most + own * first.most + sum(each.most for each in entered)
+            <= MOST_PER_US * 1_000_000
+            and self._net_at_most + own * first.most_pc + sum(each.most_pc for each in entered)
+            <= NET_PC
+        ):
+            return self._net_at_most
+        kept = [each for each in (*window, *entered) if each.end_ns > now_ns - WINDOW_NS]
+        passes = sum(each.start_ns > now_ns - WINDOW_NS for each in kept) + 1
+        if passes > self._most_passes:
+            raise SafetyError(
+                f"{passes} sequences within a second or waiting are above the "
+                f"{self.limits.rate_hz:g} a second of limits.rate_hz: send less often",
+                limit="rate_hz",
+                value=passes,
+                allowed=self._most_passes,
+            )
+        ends_ns = [each.end_ns for each in kept]
+        nothing = np.zeros_like(first.net_pc)
+        # Of the newest passes, from each of them on.
+        loads = np.cumsum([first.load, *(each.load for each in reversed(kept))], axis=0)
+        nets = np.cumsum([nothing, *(each.net_pc for each in reversed(kept))], axis=0)
+        highest, lowest = np.maximum.accumulate(nets), np.minimum.accumulate(nets)
+        for index in range(own):
+            time_ns = first.start_ns + index * period_ns if index else now_ns
+            count = len(kept) - bisect_right(ends_ns, time_ns - WINDOW_NS)
+            second = loads[count] + index * first.load
+            if second.max() > MOST_PER_US * 1_000_000:
+                raise _too_much(second, 1_000_000, "within a second: send less often")
+            own_pc = (index + 1) * first.net_pc
+            net_pc = np.maximum(highest[count] + own_pc, -lowest[count] - own_pc)
+            if net_pc.max() > NET_PC:
+                raise _too_much_net(net_pc)
+        return float(np.maximum(highest[-1], -lowest[-1]).max())
+
+    def _check_session(self, seconds: float, charge: NDArray[np.float64], begun: int) -> None:
         """Raise if the session becomes too long with a sequence, or its charge, (E,), too much."""
         limits, allowed = self.limits, self._most_of_session
         session = self._session[1] + charge
         # Repetitions that this sequence cuts short were counted, and are not delivered.
         if (last := self._last) is not None:
-            seconds -= last.left * last.period_ns * last.flows / 1e9
-            session -= last.left * last.load[1]
+            seconds -= (last.times - begun) * last.period_ns * last.flows / 1e9
+            session -= (last.times - begun) * last.first.load[1]
         remedy = "take the finger off, look at the skin, and begin anew later"
         if seconds > limits.session_s:
             raise SafetyError(
@@ -186,15 +356,46 @@ class Exposure:
                 electrode=electrode,
             )
 
-    def _begin_repetitions(self, last: _Sent, now_ns: int) -> None:
-        """Enter the repetitions that have begun since."""
-        begun = min(last.times, (now_ns - last.start_ns) // last.period_ns + 1)
-        # Those from more than a second ago would be dropped at once.
-        first = max(last.begun, begun - WINDOW_NS // last.period_ns - 1)
-        for index in range(first, begun):
-            self._window.append((last.start_ns + index * last.period_ns, last.load, last.most))
-            self._second_at_most += last.most
-        last.begun, last.left = begun, last.times - begun
+
+def _check_recharge(before_pc: Charge, recharge_pc: Charge, net_pc: Charge, times: int) -> None:
+    """Raise unless a recharge phase takes back charge that its electrodes carry, in every pass.
+
+    Parameters
+    ----------
+    before_pc : ndarray, (E,) pC
+        What each electrode carries before the first phase.
+    recharge_pc : ndarray, (E,) pC
+    net_pc : ndarray, (E,) pC
+        Net charge of one pass, by which the others begin with more.
+    times : int
+    """
+    for carried_pc in (before_pc, before_pc + (times - 1) * net_pc)[: min(times, 2)]:
+        # At most all of it, and of the other sign.
+        over_pc = np.abs(carried_pc + recharge_pc) + np.abs(recharge_pc) - np.abs(carried_pc)
+        if over_pc.any():
+            electrode = int(over_pc.argmax())
+            raise SafetyError(
+                f"electrode {electrode}: the recharge phase passes "
+                f"{recharge_pc[electrode] / 1e6:g} µC where {carried_pc[electrode] / 1e6:g} µC "
+                "were carried: it may take back that much and nothing else",
+                limit="recharge_ua",
+                value=float(recharge_pc[electrode]) / 1e6,
+                allowed=-float(carried_pc[electrode]) / 1e6,
+                electrode=electrode,
+            )
+
+
+def _too_much_net(net_pc: Charge) -> SafetyError:
+    electrode = int(net_pc.argmax())
+    value, allowed = float(net_pc[electrode]) / 1e6, NET_PC / 1e6
+    return SafetyError(
+        f"electrode {electrode}: {value:g} µC of one sign would be left within a second, more "
+        f"than {allowed:g}: lower the rate, or recharge",
+        limit="net_ma",
+        value=value,
+        allowed=allowed,
+        electrode=electrode,
+    )
 
 
 def _too_much(load: Load, time_us: int, where: str) -> SafetyError:

@@ -4,6 +4,13 @@ import math
 
 from smarttouch.profile import ForceLaw
 
+KEPT_NS = 14_000_000_000
+"""Time without pulses for which an intensity is kept; the safety gate keeps it a second longer."""
+FIRST_NS = 20_000_000
+MOST_FIRST_NS = 80_000_000
+"""Part of the ramp at which the first pulses begin: one step, and more only where that is too weak
+for any pulse. The gate lets 100 ms of the ramp be caught up."""
+
 
 def force_gate(force_n: float, law: ForceLaw) -> float:
     """Return the intensity at a finger force, in [0, 1].
@@ -24,28 +31,76 @@ def force_gate(force_n: float, law: ForceLaw) -> float:
 class SoftStart:
     """Rate limiter by which intensity rises no faster than the ramp, and falls at once.
 
+    It goes by what is delivered: time counts only while pulses flow, as in the safety gate
+    (`Rise`), and what was reached stays for `KEPT_NS` without pulses.
+
     Parameters
     ----------
     ramp_s : float, s
         Shortest time from zero to full.
     """
 
+    _reached: float
+    _asked: float
+    _of_vibration: float
+    _since_ns: int
+    _left_ns: int
+    _first_ns: int
+    _time_ns: int | None
+
     def __init__(self, ramp_s: float) -> None:
         self._ramp_s = ramp_s
-        self._intensity = 0.0
-        self._time_ns: int | None = None
+        self.restart()
 
-    def follow(self, wanted: float, time_ns: int) -> float:
+    def follow(self, wanted: float, time_ns: int, current: bool = True) -> float:
         """Return the intensity allowed at ``time_ns``; the first is always zero.
 
         Where time goes back, as in an edited file, intensity does not rise.
+
+        Parameters
+        ----------
+        wanted : float, in [0, 1]
+        time_ns : int
+        current : bool
+            Whether it is for currents. Where it is for vibration alone, time counts as it passes.
         """
-        elapsed_s = 0.0 if self._time_ns is None else max(0.0, (time_ns - self._time_ns) / 1e9)
+        first, elapsed_ns = self._time_ns is None, time_ns - (self._time_ns or 0)
         self._time_ns = time_ns
-        self._intensity = min(wanted, self._intensity + elapsed_s / self._ramp_s)
-        return self._intensity
+        if first:
+            return 0.0
+        self._of_vibration = min(
+            wanted, self._of_vibration + max(0, elapsed_ns) / 1e9 / self._ramp_s
+        )
+        if not current:
+            return self._of_vibration
+        gone_ns = max(0, time_ns - self._since_ns)
+        if gone_ns > self._left_ns + KEPT_NS:
+            self._reached, self._left_ns = 0.0, 0
+        # What was reached without pulses is lost, all but the first step.
+        self._reached = min(self._reached, wanted)
+        step = max(min(gone_ns, self._left_ns), 0 if self._reached else self._first_ns)
+        self._asked = min(wanted, self._reached + step / 1e9 / self._ramp_s)
+        return self._asked
+
+    def note(self, period_us: int, drives: bool) -> None:
+        """Enter what the last intensity is used for.
+
+        Parameters
+        ----------
+        period_us : int
+            Of the sequence.
+        drives : bool
+            Whether it has current; if not, although points are active, they were too weak.
+        """
+        if drives and self._time_ns is not None:
+            self._reached, self._since_ns = self._asked, self._time_ns
+            self._left_ns, self._first_ns = 1000 * period_us, FIRST_NS
+        else:
+            self._first_ns = min(2 * self._first_ns, MOST_FIRST_NS)
 
     def restart(self) -> None:
         """Restart: the next intensity is zero."""
-        self._intensity = 0.0
+        self._reached = self._asked = self._of_vibration = 0.0
+        self._since_ns = self._left_ns = 0
+        self._first_ns = FIRST_NS
         self._time_ns = None

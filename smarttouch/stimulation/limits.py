@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +12,11 @@ from numpy.typing import NDArray
 from smarttouch.errors import SafetyError
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import (
+    CEILING_AREA_MM2,
     CEILING_CHARGE_UC,
     CEILING_DENSITY_UC_CM2,
     CEILING_DUTY,
+    CEILING_ELECTRODES,
     CEILING_MA,
     CEILING_PULSE_US,
     CEILING_RATE_HZ,
@@ -28,6 +31,8 @@ from smarttouch.profile.device import Output
 PPB = 1_000_000_000
 """Parts per billion in 1, the unit in which intensity is compared."""
 LONGEST_RAMP_S = 10.0
+RECHARGE_UA = 500
+"""Largest current of a recharge phase, whatever the threshold: a tenth of the 5 mA ceiling."""
 _DISC_MM2 = math.pi / 4
 
 Each = float | tuple[float, ...]
@@ -67,6 +72,8 @@ class SafetyLimits:
     one_source : bool
         Whether one source drives all electrodes: the whole current then counts as if it flowed
         through one of them, since the others may have come off the skin.
+    masked : tuple of int
+        Electrodes that carry no current at all.
 
     Raises
     ------
@@ -91,8 +98,10 @@ class SafetyLimits:
     session_s: float = CEILING_SESSION_S
     session_mc: float = CEILING_SESSION_MC
     one_source: bool = False
+    masked: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
+        self._check_electrodes()
         for name, ceiling in (
             ("current_ma", CEILING_MA),
             ("pulse_us", CEILING_PULSE_US),
@@ -105,9 +114,9 @@ class SafetyLimits:
             ("density_uc_cm2", CEILING_DENSITY_UC_CM2),
             ("session_s", CEILING_SESSION_S),
             ("session_mc", CEILING_SESSION_MC),
-            ("electrode_ma", math.inf),
-            ("area_mm2", math.inf),
-            ("threshold_ma", math.inf),
+            ("electrode_ma", CEILING_MA),
+            ("area_mm2", CEILING_AREA_MM2),
+            ("threshold_ma", CEILING_MA),
         ):
             for value in self._values(name):
                 # Nothing is above NaN: such a limit would be none.
@@ -126,6 +135,22 @@ class SafetyLimits:
                 value=self.ramp_s,
                 allowed=SHORTEST_RAMP_S,
             )
+
+    def _check_electrodes(self) -> None:
+        """Raise unless the number of electrodes is possible, and all masked ones exist."""
+        for name, values, least, most in (
+            ("electrodes", (self.electrodes,), 1, CEILING_ELECTRODES),
+            ("masked", self.masked, 0, self.electrodes - 1),
+        ):
+            for value in values:
+                whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+                if not whole or not least <= value <= most:
+                    raise SafetyError(
+                        f"limit {name} = {value!r} must be a whole number from {least} to {most}",
+                        limit=name,
+                        value=value,
+                        allowed=most,
+                    )
 
     def _values(self, name: str) -> tuple[float, ...]:
         """Return the values of a field, one or one for each electrode; none if not given."""
@@ -165,6 +190,7 @@ class SafetyLimits:
             session_s=limits.session_s,
             session_mc=limits.session_mc,
             one_source=profile.output.kind != "weighted",
+            masked=profile.output.masked,
         )
 
     def on(self, output: Output | None) -> "SafetyLimits":
@@ -181,12 +207,17 @@ class SafetyLimits:
         own = self.electrode_ma or (self.current_ma,) * self.electrodes
         most = decimal(self.current_ma)
         whole = [math.floor(1000 * min(most, decimal(each))) for each in own]
-        return np.array(whole, np.float64)
+        return self._unmasked(np.array(whole, np.float64))
 
     @cached_property
     def least_current_ua(self) -> int:
-        """Current that every electrode may carry."""
-        return int(self.current_ua.min())
+        """Current that every electrode may carry that is not masked."""
+        return int(np.delete(self.current_ua, self.masked).min(initial=0xFFFF))
+
+    def _unmasked(self, each: NDArray[np.generic]) -> NDArray[Any]:
+        """Return limits of each electrode with those of masked ones set to zero."""
+        each[list(self.masked)] = 0
+        return each
 
     @cached_property
     def charge_pc(self) -> NDArray[np.float64]:
@@ -257,13 +288,26 @@ class SafetyLimits:
 
     @cached_property
     def faint_ua(self) -> NDArray[np.int64]:
-        """A tenth of each electrode's threshold, (E,) µA: the limit of a recharge phase."""
-        return np.array([math.floor(Fraction(each) * 100) for each in self._thresholds], np.int64)
+        """Limit of a recharge phase, (E,) µA: see `recharge_most_ua`."""
+        return self._unmasked(recharge_most_ua(np.array(self._thresholds)))
 
     @property
     def _thresholds(self) -> tuple[float, ...]:
         given = self.full_ma / 2 if self.threshold_ma is None else self.threshold_ma
         return given if isinstance(given, tuple) else (given,) * self.electrodes
+
+
+def recharge_most_ua(threshold_ma: NDArray[np.floating]) -> NDArray[np.int64]:
+    """Return the largest recharge current of each electrode, (E,) µA.
+
+    A tenth of its threshold, and `RECHARGE_UA` at most.
+
+    Parameters
+    ----------
+    threshold_ma : ndarray, (E,) mA
+    """
+    whole = [min(RECHARGE_UA, math.floor(Fraction(float(each)) * 100)) for each in threshold_ma]
+    return np.array(whole, np.int64)
 
 
 def rms_ma_cm2(profile: Profile) -> float:

@@ -7,7 +7,6 @@ electric mouse, and 0.44 on the denser Optacon.
 """
 
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from typing import Self
 
 import numpy as np
@@ -15,9 +14,10 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import SafetyError
 from smarttouch.profile import Profile
-from smarttouch.profile.ceilings import CEILING_MEAN_MA
+from smarttouch.profile.ceilings import CEILING_DUTY, CEILING_MEAN_MA, LEAST_DISCHARGE_US
 from smarttouch.stimulation.exposure import BURST_US, PLANNED
 from smarttouch.stimulation.ledger import net_charge_pc
+from smarttouch.stimulation.limits import recharge_most_ua
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.stimulation.timing import ScanTiming
 
@@ -29,21 +29,12 @@ _PLANNED_UA = round(1000 * PLANNED * CEILING_MEAN_MA)
 """Mean current up to which a recharge is planned."""
 
 
-def recharge_most_ua(threshold_ma: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Return the largest recharge current of each electrode, (E,) µA: a tenth of its threshold.
-
-    Parameters
-    ----------
-    threshold_ma : ndarray, (E,) mA
-    """
-    return np.array([int(Fraction(float(each)) * 100) for each in threshold_ma], np.int64)
-
-
 def prove_recharge(sequence: ScanSequence, most_ua: NDArray[np.int64], total_ua: int) -> None:
     """Raise unless a sequence has no recharge phase, or one that keeps its limits.
 
-    Checked: that it follows slots and fits the period, its width, that it sums to zero, its
-    total, and the current and charge of every electrode.
+    Checked: that it follows slots and fits the period with a short circuit after it, its width,
+    that it sums to zero, its total, and the current and charge of every electrode. That it takes
+    back charge is checked where that is added up (`Exposure`).
 
     Parameters
     ----------
@@ -104,11 +95,11 @@ def prove_recharge(sequence: ScanSequence, most_ua: NDArray[np.int64], total_ua:
             value=all_ua / 1000,
             allowed=total_ua / 1000,
         )
-    busy_us = _slots_us(sequence) + width_us
+    busy_us = _slots_us(sequence) + width_us + LEAST_DISCHARGE_US
     if busy_us > sequence.period_us:
         raise SafetyError(
-            f"{sequence.slots} slots and the recharge phase take {busy_us} µs, longer than the "
-            f"period of {sequence.period_us} µs: lower the rate",
+            f"{sequence.slots} slots, the recharge phase and a short circuit after it take "
+            f"{busy_us} µs, longer than the period of {sequence.period_us} µs: lower the rate",
             limit="period_us",
             value=busy_us,
             allowed=sequence.period_us,
@@ -127,16 +118,20 @@ class RechargeRules:
         Most of all cathodes together.
     timing : ScanTiming
         Scan timing fixed by the board.
+    duty : float
+        Largest share of the time in which current flows.
     """
 
     most_ua: NDArray[np.int64]
     total_ua: int
     timing: ScanTiming
+    duty: float = CEILING_DUTY
 
     @classmethod
     def of(cls, profile: Profile, timing: ScanTiming) -> Self:
-        total_ua = int(1000 * profile.total_ma)
-        return cls(recharge_most_ua(profile.threshold_ma), total_ua, timing)
+        total_ua, most_ua = int(1000 * profile.total_ma), recharge_most_ua(profile.threshold_ma)
+        most_ua[list(profile.output.masked)] = 0
+        return cls(most_ua, total_ua, timing, profile.limits.duty)
 
 
 def add_recharge(
@@ -144,9 +139,9 @@ def add_recharge(
 ) -> ScanSequence:
     """Return a sequence with the recharge phase that brings net charge back to zero.
 
-    Whole µA and whole µs leave a rest of less than a µA times its width on each electrode;
-    what the limits do not allow at once is left too. The phase is as short as its limits
-    allow, and the period grows where it does not fit. Slots stay as they are.
+    No electrode gets more than it takes back: whole µA leave a rest of about a µA times its width
+    on each electrode, and what the limits do not allow at once is left too. The phase is as short
+    as its limits allow, and the period grows where it does not fit. Slots stay as they are.
 
     Parameters
     ----------
@@ -170,7 +165,7 @@ def add_recharge(
     passed_pc = _passed_pc(sequence)
     period_us = max(
         sequence.period_us,
-        _fitting_us(sequence, width_us, rules.timing),
+        _fitting_us(sequence, width_us, rules),
         _calm_us(passed_pc + np.minimum(asked_pc, most_ua * width_us), rules.timing),
     )
     room_pc = np.maximum(_PLANNED_UA * min(period_us, BURST_US) - passed_pc, 0)
@@ -184,17 +179,20 @@ def add_recharge(
 def _whole_ua(
     wanted_pc: NDArray[np.int64], most_ua: NDArray[np.int64], width_us: int, total_ua: int
 ) -> NDArray[np.int16]:
-    """Return currents in whole µA that sum to zero, none above its limit or of another sign."""
-    within_pc = np.clip(wanted_pc, -most_ua * width_us, most_ua * width_us)
-    poles_pc = np.cumsum([np.maximum(within_pc, 0), np.maximum(-within_pc, 0)], axis=1)
-    # Rounding may add half a µA for each electrode to what all carry together.
-    room_pc = max(0, total_ua - len(wanted_pc)) * width_us
-    shared_pc = min(int(poles_pc[0, -1]), int(poles_pc[1, -1]), room_pc)
-    # Sums from electrode to electrode are scaled and rounded, so that the last is just zero.
-    # In 64 bits this holds for 3,000 electrodes.
-    cathodic, anodic = (each * shared_pc // max(1, int(each[-1])) for each in poles_pc)
-    carried_ua = (2 * (cathodic - anodic) + width_us) // (2 * width_us)
-    return np.asarray(np.diff(carried_ua, prepend=0), np.int16)
+    """Return currents in whole µA that sum to zero, none above its limit or what is wanted."""
+    within_ua = np.sign(wanted_pc) * np.minimum(np.abs(wanted_pc) // width_us, most_ua)
+    surplus = int(within_ua.sum())
+    larger = np.flatnonzero(within_ua * surplus > 0)
+    if surplus and abs(surplus) <= len(larger):
+        # What rounding down has left over is a µA of those that it took the least of.
+        rest_pc = np.abs(wanted_pc - within_ua * width_us)[larger]
+        within_ua[larger[np.argsort(rest_pc, kind="stable")[: abs(surplus)]]] -= np.sign(surplus)
+    poles_ua = np.cumsum([np.maximum(within_ua, 0), np.maximum(-within_ua, 0)], axis=1)
+    shared_ua = min(int(poles_ua[0, -1]), int(poles_ua[1, -1]), total_ua)
+    # Sums from electrode to electrode are scaled and rounded down, so that the last is exact and
+    # no electrode gets more than its own.
+    cathodic, anodic = (each * shared_ua // max(1, int(each[-1])) for each in poles_ua)
+    return np.asarray(np.diff(cathodic - anodic, prepend=0), np.int16)
 
 
 def _slots_us(sequence: ScanSequence) -> int:
@@ -209,8 +207,9 @@ def _passed_pc(sequence: ScanSequence) -> NDArray[np.int64]:
     return np.asarray((widths @ np.abs(sequence.current_ua.astype(np.float64))).astype(np.int64))
 
 
-def _fitting_us(sequence: ScanSequence, width_us: int, timing: ScanTiming) -> int:
+def _fitting_us(sequence: ScanSequence, width_us: int, rules: RechargeRules) -> int:
     """Return the shortest period with room for a recharge phase and a short circuit after it."""
+    timing = rules.timing
     slots_us = timing.shortest_period_us(
         sequence.slots,
         sequence.electrodes,
@@ -218,7 +217,10 @@ def _fitting_us(sequence: ScanSequence, width_us: int, timing: ScanTiming) -> in
         float(sequence.discharge_us.mean()),
     )
     rest_us = int(sequence.discharge_us.max())
-    return timing.possible_period_us(max(slots_us, _slots_us(sequence)) + width_us + rest_us)
+    busy_us = max(slots_us, _slots_us(sequence)) + width_us + rest_us
+    flowing_us = int(sequence.width_us.sum(dtype=np.int64)) + width_us
+    # A hair more: the duty is compared in whole numbers.
+    return timing.possible_period_us(max(busy_us, (flowing_us + 1e-6) / rules.duty))
 
 
 def _calm_us(passed_pc: NDArray[np.int64], timing: ScanTiming) -> int:

@@ -4,6 +4,7 @@ from threading import Lock
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from smarttouch.clock import LATE_NS
 from smarttouch.errors import SafetyError
@@ -17,6 +18,10 @@ __all__ = ["SafetyGate", "SafetyLimits"]
 
 LEEWAY_PPB = 1000
 """Tolerance for rounding in the ramp's sum."""
+
+LEVEL_KEPT_NS = 15_000_000_000
+"""Time without current for which a level stays open: an experiment waits for an answer so long
+while the finger stays in contact."""
 
 _ARRAYS = tuple(
     (name, np.dtype(kind), dimensions, of_slots)
@@ -41,9 +46,10 @@ class Now(Protocol):
 
 
 class Rise:
-    """Highest intensity allowed since it was zero, in whole parts per billion.
+    """Level opened by current that has flowed since it was zero, in whole parts per billion.
 
-    By a display's clock it may catch up by no more than one late step.
+    Only the time of passes with current counts, and no more of it than has gone by. A level stays
+    open for `LEVEL_KEPT_NS` after the last of it. One late step may be caught up.
 
     Parameters
     ----------
@@ -53,30 +59,41 @@ class Rise:
 
     def __init__(self, ramp_ns: int) -> None:
         self._ramp_ns = ramp_ns
+        self._hurried_ppb = LATE_NS * PPB // ramp_ns
         self.restart()
 
     def restart(self) -> None:
-        """Begin anew at zero."""
-        self._ppb = 0
-        self._since_ns: int | None = None
+        """Restart at zero."""
+        self._ppb = self._since_ns = self._left_ns = 0
 
     def risen_ppb(self, now_ns: int) -> int:
-        """Return how far it may have risen by now without having to catch up."""
-        if self._since_ns is None:
-            return self._ppb
-        return min(PPB, self._ppb + max(0, now_ns - self._since_ns) * PPB // self._ramp_ns)
+        """Return the level that is open now, without what may be caught up."""
+        since_ns = now_ns - self._since_ns
+        if since_ns > self._left_ns + LEVEL_KEPT_NS:
+            return 0
+        return min(PPB, self._ppb + max(0, min(since_ns, self._left_ns)) * PPB // self._ramp_ns)
 
     def permits(self, ppb: int, now_ns: int) -> bool:
-        """Whether an intensity may begin now: `LATE_NS` of the ramp at most are caught up."""
-        if ppb <= self._ppb:
-            return True
-        hurried_ppb = LATE_NS * PPB // self._ramp_ns
-        return ppb - LEEWAY_PPB <= self.risen_ppb(now_ns) + hurried_ppb
+        """Whether current of an intensity may begin now: `LATE_NS` of the ramp are caught up."""
+        return ppb - LEEWAY_PPB <= self.risen_ppb(now_ns) + self._hurried_ppb
 
-    def note(self, ppb: int, now_ns: int) -> None:
-        """Take down an intensity that has begun; what it fell short of or hurried is kept."""
-        self._ppb = ppb if ppb <= self._ppb else min(self.risen_ppb(now_ns), ppb)
-        self._since_ns = now_ns
+    def note(self, ppb: int, now_ns: int, lasting_ns: int) -> None:
+        """Enter an intensity that begins now; what it fell short of or hurried is kept.
+
+        Parameters
+        ----------
+        ppb, now_ns : int
+        lasting_ns : int
+            Time of its passes with current, all repetitions included; 0 if they have none.
+        """
+        # The board finishes its present pass, and of repetitions no more.
+        gone_ns = max(0, now_ns - self._since_ns)
+        to_come_ns = min(max(0, self._left_ns - gone_ns), LATE_NS)
+        if lasting_ns:
+            self._ppb = min(ppb, self.risen_ppb(now_ns))
+            self._since_ns, self._left_ns = now_ns, to_come_ns + lasting_ns
+        else:
+            self._left_ns = min(self._left_ns, gone_ns + to_come_ns)
 
 
 class SafetyGate:
@@ -98,7 +115,8 @@ class SafetyGate:
         self._adder = SlotAdder(limits.felt_ua)
         self._lock = Lock()
         self._now_ns: int | None = None
-        self._rise = Rise(limits.ramp_ns)
+        # By the display's clock, and by the time that sequences claim.
+        self._rises = Rise(limits.ramp_ns), Rise(limits.ramp_ns)
         self.restart()
 
     @property
@@ -106,10 +124,15 @@ class SafetyGate:
         """Dose of the session."""
         return self._exposure.dose
 
+    @property
+    def net_pc(self) -> NDArray[np.int64]:
+        """Net charge of each electrode in the session, (E,) pC, positive cathodic."""
+        return self._exposure.net_pc
+
     def restart(self) -> None:
-        """Restart at intensity zero; sequence time may start anew, the session continues."""
-        self._intensity_ppb = 0
-        self._rise.restart()
+        """Close the level; sequence time may start again at zero, the session continues."""
+        for rise in self._rises:
+            rise.restart()
         self._time_ns: int | None = None
         if self._clock is None:
             self._now_ns = None
@@ -117,8 +140,9 @@ class SafetyGate:
 
     def begin_session(self) -> None:
         """Start at intensity zero with a dose of zero; the last second still counts."""
+        now_ns = None if self._clock is None else self._clock.now_ns()
+        self._exposure.begin_session(now_ns)
         self.restart()
-        self._exposure.begin_session()
 
     def prove(self, sequence: ScanSequence, times: int = 1) -> ScanSequence:
         """Return a frozen copy of a sequence, or raise if it breaks a limit.
@@ -141,43 +165,62 @@ class SafetyGate:
     def _prove(self, given: ScanSequence, times: int, *, ramped: bool) -> ScanSequence:
         # What is added up is added up in memory that the next sequence will use again.
         with self._lock:
+            times = _whole(times, "times")
+            if times < 1:
+                raise SafetyError(f"{times} repetitions: there must be one at least", limit="times")
             sequence, limits = frozen(given), self.limits
             prove_fields(sequence, limits)
             ppb = parts_per_billion(sequence.intensity)
-            load = prove_slots(sequence, limits, ppb, self._adder)
+            made = prove_slots(sequence, limits, ppb, self._adder)
             now_ns = sequence.time_ns if self._clock is None else self._clock.now_ns()
             # A clock that falls counts as standing still.
             now_ns = now_ns if self._now_ns is None else max(now_ns, self._now_ns)
             if ramped:
-                self._prove_rise(sequence, ppb, now_ns)
+                self._prove_rise(sequence, ppb, now_ns, made.drives)
             flows = len(sequence.width_us) > 0
-            self._exposure.enter(now_ns, sequence.period_us, times, load, flows=flows)
+            self._exposure.enter(now_ns, sequence.period_us, times, made, flows)
             self._now_ns = now_ns
             if ramped:
-                self._intensity_ppb, self._time_ns = ppb, sequence.time_ns
-                self._rise.note(ppb, now_ns)
+                self._time_ns = sequence.time_ns
+                lasting_ns = 1000 * sequence.period_us * times * made.drives
+                for rise, time_ns in zip(self._rises, (now_ns, sequence.time_ns), strict=True):
+                    rise.note(ppb, time_ns, lasting_ns)
             return sequence
 
-    def _prove_rise(self, sequence: ScanSequence, ppb: int, now_ns: int) -> None:
-        """Raise if intensity rises too fast, by the time sequences claim or the display's."""
-        limits, before_ns = self.limits, self._time_ns
-        if before_ns is not None and sequence.time_ns <= before_ns:
+    def _prove_rise(self, sequence: ScanSequence, ppb: int, now_ns: int, drives: bool) -> None:
+        """Raise if current rises too fast, by the time sequences claim or the display's."""
+        before_ns, time_ns = self._time_ns, sequence.time_ns
+        if before_ns is not None and time_ns <= before_ns:
             raise SafetyError(
-                f"sequence at {sequence.time_ns} ns does not follow the one at {before_ns} ns",
+                f"sequence at {time_ns} ns does not follow the one at {before_ns} ns",
                 limit="time_ns",
-                value=sequence.time_ns,
+                value=time_ns,
                 allowed=before_ns + 1,
             )
-        claimed_ns = 0 if before_ns is None else sequence.time_ns - before_ns
-        above = ppb - LEEWAY_PPB - self._intensity_ppb
-        if above * limits.ramp_ns > claimed_ns * PPB or not self._rise.permits(ppb, now_ns):
+        by_clock, claimed = self._rises
+        # The first is without current.
+        if drives and (
+            (before_ns is None and ppb > LEEWAY_PPB)
+            or not by_clock.permits(ppb, now_ns)
+            or not claimed.permits(ppb, time_ns)
+        ):
+            level = min(by_clock.risen_ppb(now_ns), claimed.risen_ppb(time_ns)) / PPB
             raise SafetyError(
-                f"intensity rises from {self._intensity_ppb / PPB:.3f} to {ppb / PPB:.3f}: "
-                f"zero to full must take {limits.ramp_s:g} s or more",
+                f"current of intensity {ppb / PPB:.3f} where {level:.3f} is open: zero to full "
+                f"must take {self.limits.ramp_s:g} s or more of pulses",
                 limit="ramp_s",
                 value=ppb / PPB,
-                allowed=min(self._intensity_ppb, self._rise.risen_ppb(now_ns)) / PPB,
+                allowed=level,
             )
+
+
+def _whole(value: Any, name: str) -> int:
+    """Return a whole number as a plain one, or raise."""
+    if type(value) is int:
+        return value
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise SafetyError(f"{name} is {value!r}, must be a whole number", limit=name)
+    return int(value)
 
 
 def frozen(sequence: ScanSequence) -> ScanSequence:
@@ -215,12 +258,7 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
         flat = np.frombuffer(plain.tobytes(), kind)
         fields[name] = flat if dimensions == 1 else flat.reshape(plain.shape)
     for name in _WHOLE:
-        fields[name] = value = getattr(sequence, name)
-        if type(value) is int:
-            continue
-        if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-            raise SafetyError(f"{name} is {value!r}, must be a whole number", limit=name)
-        fields[name] = int(value)
+        fields[name] = _whole(getattr(sequence, name), name)
     value = sequence.intensity
     if isinstance(value, bool) or not isinstance(value, (int, float, np.floating)):
         raise SafetyError(f"intensity is {value!r}, must be a number", limit="intensity")

@@ -21,6 +21,7 @@ from smarttouch.stimulation.exposure import (
 from smarttouch.stimulation.frames import FrameSlots
 from smarttouch.stimulation.kernel_table import KernelTable
 from smarttouch.stimulation.limits import SafetyLimits
+from smarttouch.stimulation.net import NetPlan
 from smarttouch.stimulation.points import PointSlots, constant_us, joined
 from smarttouch.stimulation.rates import PulseRates, rate_share, rates_of
 from smarttouch.stimulation.sequence import ScanSequence
@@ -64,9 +65,14 @@ class ScanScheduler:
         is missing is made and added.
     table : KernelTable, optional
         Kernels in whole numbers, where slots are to be sums of these.
+    net : NetPlan, optional
+        Net charge of the last sequences, which periods bound; none if not given, as where it is
+        taken back after each sequence.
 
     Attributes
     ----------
+    net_slowed, net_emptied : int
+        Numbers of sequences made longer, and left without slots, to keep the limit of net current.
     asked_us : int, µs
         Period that the last sequence would have if its slots fit.
 
@@ -89,6 +95,7 @@ class ScanScheduler:
         sharing: SlotPolicy = NO_SHARING,
         frames: dict[tuple[Afferent, ...], FrameSlots] | None = None,
         table: KernelTable | None = None,
+        net: NetPlan | None = None,
     ) -> None:
         timing = ScanTiming() if timing is None else timing
         timing.check(profile)
@@ -140,6 +147,8 @@ class ScanScheduler:
                 self._shortest_us(slots, slots * pulse.width_us)
                 for slots in range(self._electrodes + 1)
             ]
+        self.net_slowed = self.net_emptied = 0
+        self._net = net
         self._felt_us, self._charge_us = math.inf, math.inf
         if not bank.single:
             self._bound_exposure(pulse.width_us)
@@ -200,6 +209,13 @@ class ScanScheduler:
         if max(self._charge_us, felt_us) > min(period_us, BURST_US):
             needed_us = self._checked_us(self._load(current_ua, width_us))
             period_us = max(period_us, self._timing.possible_period_us(needed_us))
+        if self._net is not None and slots:
+            period_us, admitted = self._within_net(
+                self._net, current_ua, width_us, period_us, image
+            )
+            if not admitted:
+                slots, site, current_ua, width_us = 0, site[:0], current_ua[:0], width_us[:0]
+                proof = sums = None
         return ScanSequence(
             current_ua=current_ua,
             width_us=width_us,
@@ -284,6 +300,27 @@ class ScanScheduler:
             load[0] = math.inf
             load[1] += frames.most_ua * width_us * PER_PC
         self._felt_us, self._charge_us = (load.max(axis=1) / (PLANNED * MOST_PER_US)).tolist()
+
+    def _within_net(
+        self,
+        net: NetPlan,
+        current_ua: NDArray[np.int16],
+        width_us: NDArray[np.uint16],
+        period_us: int,
+        image: TactileImage,
+    ) -> tuple[int, bool]:
+        """Return a period that keeps the limit of net current, and whether slots keep it now."""
+        net_pc = (width_us.astype(np.float32) @ current_ua.astype(np.float32)).astype(np.float64)
+        time_us = image.time_ns / 1000
+        if not net.admits(net_pc, time_us):
+            self.net_emptied += 1
+            return period_us, False
+        busy_us = extent_us(width_us.tobytes())[2] + len(width_us) * self._discharge_us
+        needed_us = net.period_us(net_pc, time_us, period_us, busy_us)
+        if needed_us <= period_us:
+            return period_us, True
+        self.net_slowed += 1
+        return self._timing.possible_period_us(needed_us), True
 
     def _load(self, current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> Load:
         if not len(width_us):

@@ -105,6 +105,12 @@ class ScanSequence:
         return len(self.width_us)
 
     @property
+    def drives(self) -> bool:
+        """Whether any slot has current."""
+        current_ua = self.current_ua
+        return len(current_ua) > 0 and bool(current_ua[0].any() or current_ua.any())
+
+    @property
     def points(self) -> int:
         """Number of points that its slots stimulate."""
         if self.proof is None:

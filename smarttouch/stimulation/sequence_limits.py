@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from smarttouch.errors import SafetyError
 from smarttouch.profile.ceilings import LEAST_DISCHARGE_US
-from smarttouch.stimulation.exposure import PER_PC, Load
+from smarttouch.stimulation.exposure import PER_PC, Load, PassLoad
 from smarttouch.stimulation.limits import PPB, SafetyLimits, decimal
 from smarttouch.stimulation.recharge import prove_recharge
 from smarttouch.stimulation.sequence import ScanSequence
@@ -65,8 +65,10 @@ def prove_fields(sequence: ScanSequence, limits: SafetyLimits) -> None:
         )
 
 
-def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int, adder: SlotAdder) -> Load:
-    """Return the load of slots on each electrode, (2, E), or raise if a limit is broken.
+def prove_slots(
+    sequence: ScanSequence, limits: SafetyLimits, ppb: int, adder: SlotAdder
+) -> PassLoad:
+    """Return the load of a sequence on each electrode, or raise if a limit is broken.
 
     Parameters
     ----------
@@ -84,13 +86,14 @@ def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int, adder: S
         Naming the limit, the slot and electrode, and by how much.
     """
     slots = len(sequence.width_us)
-    longest_us, pulses_us = _prove_times(sequence, limits)
     if sequence.recharge_ua is not None or sequence.recharge_us:
         prove_recharge(sequence, limits.faint_ua, limits.total_ua)
+    longest_us, pulses_us, busy_us = _prove_times(sequence, limits)
     if not slots:
-        return np.zeros((2, limits.electrodes))
+        nothing = np.zeros((2, limits.electrodes))
+        return PassLoad(nothing, nothing[0], None, 0, drives=False)
     sums = adder.add_up(sequence.current_ua, sequence.width_us)
-    net_ua, total_ua, highest_ua, load = sums
+    net_ua, total_ua, highest_ua, load, slots_pc = sums
     # Whole numbers: their squares add up to zero only where all of them are.
     if net_ua.dot(net_ua):
         slot = int(np.abs(net_ua).argmax())
@@ -101,7 +104,9 @@ def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int, adder: S
             allowed=0,
             slot=slot,
         )
-    if highest_ua > limits.least_current_ua:
+    if highest_ua > limits.least_current_ua or (
+        limits.masked and sequence.current_ua[:, limits.masked].any()
+    ):
         magnitude = _magnitude(sequence)
         if (magnitude > limits.current_ua).any():
             raise _above("current_ma", magnitude, limits.current_ua, 1000, "mA")
@@ -125,10 +130,11 @@ def prove_slots(sequence: ScanSequence, limits: SafetyLimits, ppb: int, adder: S
     if limits.one_source:
         _prove_one_source(limits, total_ua, sequence.width_us)
     _prove_intensity(limits, ppb, highest_ua, highest_pc)
+    recharge_pc = None
     if sequence.recharge_ua is not None:
-        passed_pc = np.abs(sequence.recharge_ua, dtype=np.float64) * sequence.recharge_us
-        load[1] += PER_PC * passed_pc
-    return load
+        recharge_pc = sequence.recharge_ua.astype(np.float64) * sequence.recharge_us
+        load[1] += PER_PC * np.abs(recharge_pc)
+    return PassLoad(load, slots_pc, recharge_pc, busy_us, drives=highest_ua > 0)
 
 
 def _prove_one_source(
@@ -149,8 +155,11 @@ def _prove_one_source(
         )
 
 
-def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int]:
-    """Return the longest and the total pulse width, µs, or raise if a time breaks its limits."""
+def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int, int]:
+    """Return the longest and the total pulse width, and the time of slots and recharge phase, µs.
+
+    Raise if a time breaks its limits.
+    """
     period_us, slots = sequence.period_us, len(sequence.width_us)
     if not limits.period_us <= period_us <= LONGEST_PERIOD_US:
         raise SafetyError(
@@ -161,7 +170,7 @@ def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int
             allowed=limits.period_us,
         )
     if not slots:
-        return 0, 0
+        return 0, 0, 0
     shortest_us, longest_us, pulses_us = extent_us(sequence.width_us.tobytes())
     least_us, _, rests_us = extent_us(sequence.discharge_us.tobytes())
     if pulses_us + rests_us > period_us:
@@ -173,12 +182,13 @@ def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int
             allowed=period_us,
         )
     part, whole = limits.duty_ratio
-    if pulses_us * whole > part * period_us:
+    flowing_us = pulses_us + sequence.recharge_us
+    if flowing_us * whole > part * period_us:
         raise SafetyError(
-            f"current flows {pulses_us / period_us:.0%} of the time, above the limit of "
+            f"current flows {flowing_us / period_us:.0%} of the time, above the limit of "
             f"{limits.duty:.0%}: lower the rate",
             limit="duty",
-            value=pulses_us / period_us,
+            value=flowing_us / period_us,
             allowed=limits.duty,
         )
     if longest_us > limits.pulse_whole_us or shortest_us == 0:
@@ -206,7 +216,7 @@ def _prove_times(sequence: ScanSequence, limits: SafetyLimits) -> tuple[int, int
             value=site,
             allowed=limits.electrodes - 1,
         )
-    return longest_us, pulses_us
+    return longest_us, pulses_us, pulses_us + rests_us + sequence.recharge_us
 
 
 def _magnitude(sequence: ScanSequence) -> NDArray[np.float64]:

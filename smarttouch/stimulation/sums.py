@@ -50,12 +50,15 @@ class SlotSums(NamedTuple):
         Largest magnitude of all.
     load : ndarray, (2, E)
         Load of the slots on each electrode.
+    charge_pc : ndarray, (E,) float, pC
+        Charge of the slots through each electrode, positive cathodic: a whole number.
     """
 
     net_ua: NDArray[np.floating]
     total_ua: NDArray[np.floating]
     highest_ua: int
     load: Load
+    charge_pc: NDArray[np.float64]
 
 
 class SlotAdder:
@@ -99,6 +102,7 @@ class SlotAdder:
         net, total = np.empty(slots, kind), np.empty(slots, kind)
         load = np.zeros((2, self._electrodes))
         felt, charge = load
+        signed = np.zeros(self._electrodes)
         highest = 0
         for first in range(0, slots, self._rows):
             part = slice(first, min(slots, first + self._rows))
@@ -106,6 +110,10 @@ class SlotAdder:
             down = ones[: len(block)]
             np.copyto(block, current_ua[part])
             block.dot(across, out=net[part])
+            if each_us == longest_us:
+                signed += down.dot(block)
+            else:
+                signed += width_us[part].astype(np.float64).dot(block)
             np.abs(block, out=block)
             highest = max(highest, int(_largest(block, axis=None)))
             block.dot(across, out=total[part])
@@ -119,7 +127,9 @@ class SlotAdder:
             return self.add_up(current_ua, width_us, np.float64)
         felt *= PER_PULSE
         charge *= PER_PC * each_us if each_us == longest_us else PER_PC
-        return SlotSums(net, total, highest, load)
+        if each_us == longest_us:
+            signed *= each_us
+        return SlotSums(net, total, highest, load, signed)
 
 
 def round_charge_balanced(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:

@@ -14,7 +14,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 
 from .displays import display, display_names
-from .drafts import RECHARGES, later, ordinary
+from .drafts import RECHARGES, later, opening, ordinary
 from .edges import EDGES, attacks
 from .garbage import garbled
 from .gates import GateUnderTest, faults_of_copy
@@ -27,6 +27,17 @@ STREAM = 80
 PLAIN_EVERY = 20
 """One stream of so many is judged by the plain form of the rules, if its array is small."""
 SMALL = 20
+HURRIES = (
+    "sequences in a second",
+    "strong in a second",
+    "mean in a second",
+    "mean in a second",
+    "net in a second",
+    "takes back",
+    "session time",
+    "session charge",
+)
+"""Limits over time at whose edge half of the streams stay, one sequence after another."""
 
 
 @dataclass
@@ -51,6 +62,11 @@ class RunStatistics:
     @property
     def asked(self):
         return self.accepted + self.refused
+
+    @property
+    def over_time(self):
+        """Number of sequences that a limit over a second or a session refused, and no other."""
+        return sum(self.only[name] for name in set(HURRIES))
 
     @property
     def disagreements(self):
@@ -91,6 +107,7 @@ class RunStatistics:
             ("faults of copies", self.copies),
         ):
             lines += [f"{title}: {count} x {what}" for what, count in counter.most_common(30)]
+        lines.append(f"ended by a limit over time: {self.over_time}")
         lines.append(f"disagreements: {self.disagreements}; never alone: {self.missing()}")
         return "\n".join(lines)
 
@@ -126,17 +143,24 @@ def stream(name, seed, tally, make_gate=GateUnderTest, count=STREAM):
     oracle = Oracle(profile, judge_alone if small else judge_alone_quickly)
     gate = make_gate(profile)
     clock_ns, time_ns = rng.choice((0, 10**9, 2**61)), rng.choice((0, 10**9, 2**61))
-    hurry = rng.random() < 0.2 and rng.choice(("strong in a second", "mean in a second"))
+    hurry = rng.random() < 0.5 and rng.choice(HURRIES)
+    opens = rng.random() < 0.9
+    if hurry == "sequences in a second":
+        count += oracle.bounds.most_passes
     for index in range(count):
-        if index == 1 and rng.random() < 0.8:
+        if index == 1 and opens:
+            draft = opening(oracle, clock_ns + 1, time_ns + 1)
+            if not question(gate, oracle, draft, draft.made(), tally, (name, seed, 1, "opening")):
+                return
+        if index == 1:
             clock_ns, time_ns = clock_ns + oracle.bounds.ramp_ns, time_ns + oracle.bounds.ramp_ns
         elif hurry and index > 1:
-            step_ns = rng.choice((10**6, 2 * 10**6, 10**7))
+            step_ns = rng.choice((10**5, 10**6, 2 * 10**6, 10**7))
             clock_ns, time_ns = clock_ns + step_ns, time_ns + step_ns
         else:
             further_ns, claimed_ns = later(oracle, rng)
             clock_ns, time_ns = max(0, clock_ns + further_ns), time_ns + claimed_ns
-        chosen = hurry if hurry and index > 1 else None
+        chosen = hurry if hurry and index > 1 and rng.random() < 0.9 else None
         draft, sequence, attack = drawn(oracle, rng, clock_ns, time_ns, chosen)
         if not question(gate, oracle, draft, sequence, tally, (name, seed, index, attack)):
             return

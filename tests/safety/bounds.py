@@ -22,6 +22,10 @@ LATEST_NS = 2**62
 LEAST_DISCHARGE_US = 20
 STRONG_A_SECOND = 1_500
 MEAN_UA = 500
+NET_PC = 50 * 10**6
+"""Net charge of an electrode in a second: 50 µA."""
+LEVEL_KEPT_NS = 15 * NS
+"""Time after the last current for which its level stays open."""
 LONGEST_SHARE_US = 40_000
 """One sequence brings an electrode at most what the two above allow in this time."""
 TOTAL_MA = 10
@@ -34,6 +38,7 @@ SESSION_MC = 1_800
 PC_IN_MC = 10**9
 RECHARGE_US = 20_000
 RECHARGE_PC = 4 * 500_000
+RECHARGE_UA = 500
 PI = Decimal("3.14159265358979323846264338327950288419716939937510")
 
 
@@ -110,8 +115,13 @@ class Bounds:
 
     @property
     def late_rise(self):
-        """Parts per billion that intensity may be ahead of the display's clock."""
+        """Parts per billion that intensity may be ahead of the current that has flowed."""
         return LATE_NS * WHOLE // self.ramp_ns
+
+    @property
+    def most_passes(self):
+        """Passes that may begin from a second ago to as late as a sequence may be."""
+        return math.ceil(self.rate_hz * (NS + LATE_NS) / NS) + 1
 
     @classmethod
     def of(cls, profile):
@@ -124,6 +134,7 @@ class Bounds:
             [exact(each) for each in profile.threshold_ma],
             area_mm2(profile.electrodes),
             profile.output.kind != "weighted",
+            profile.output.masked,
         )
 
     @classmethod
@@ -143,10 +154,11 @@ class Bounds:
             thresholds,
             area,
             getattr(limits, "one_source", False),
+            getattr(limits, "masked", ()),
         )
 
     @classmethod
-    def _made(cls, limits, electrodes, full_ma, full_us, thresholds, area, one_source):
+    def _made(cls, limits, electrodes, full_ma, full_us, thresholds, area, one_source, masked):
         own = limits.electrode_ma or [limits.current_ma] * electrodes
         total = TOTAL_MA if limits.total_ma is None else min(dec(limits.total_ma), TOTAL_MA)
         total = min(total, dec(limits.current_ma)) if one_source else total
@@ -157,7 +169,8 @@ class Bounds:
             duty=dec(limits.duty),
             pulse_us=math.floor(dec(limits.pulse_us)),
             electrode_ua=tuple(
-                math.floor(1000 * min(dec(limits.current_ma), dec(each))) for each in own
+                0 if index in masked else math.floor(1000 * min(dec(limits.current_ma), dec(each)))
+                for index, each in enumerate(own)
             ),
             total_ua=math.floor(1000 * total),
             charge_pc=charge_pc(limits.charge_uc, area, limits.density_uc_cm2),
@@ -165,7 +178,12 @@ class Bounds:
             full_us=full_us,
             ramp_ns=round(dec(limits.ramp_s) * NS),
             strong_ua=tuple(math.ceil(500 * each) for each in thresholds) if known else None,
-            recharge_ua=tuple(math.floor(100 * each) for each in thresholds) if known else None,
+            recharge_ua=tuple(
+                0 if index in masked else min(RECHARGE_UA, math.floor(100 * each))
+                for index, each in enumerate(thresholds)
+            )
+            if known
+            else None,
             session_us=math.floor(10**6 * min(SESSION_S, _session(limits, "session_s", SESSION_S))),
             session_pc=math.floor(
                 PC_IN_MC * min(SESSION_MC, _session(limits, "session_mc", SESSION_MC))

@@ -127,17 +127,33 @@ def ordinary(oracle, rng, clock_ns, time_ns, full=False):
         draft.discharge_us[slot] = rng.randint(20, 150)
         top = min(level, bounds.electrode_ua[site], bounds.charge_pc // width, bounds.total_ua)
         draft.drive(slot, site, rng.randint(0, top), rng)
-    draft.fit(bounds, rng.choice((0, 0, 100, 3_000, 20_000)))
+    draft.fit(bounds, rng.choice((0, 0, 100, 3_000, 20_000, 500_000)))
     if rng.random() < 0.1:
         draft.vibration = np.full(count, intensity * rng.random(), np.float32)
     return draft
 
 
+def opening(oracle, clock_ns, time_ns):
+    """Return the weakest pulse, whose pass lasts long enough to open every level."""
+    bounds = oracle.bounds
+    row = np.zeros((1, bounds.electrodes), np.int64)
+    able = [site for site, most in enumerate(bounds.electrode_ua) if most]
+    row[0, able[0]], row[0, able[-1]] = 1, -1
+    one = np.ones(1, np.int64)
+    intensity = intensity_of(min(oracle.most_by_clock(clock_ns), WHOLE // 20))
+    width_us = 1 if bounds.full_us is None else 10
+    return Draft(
+        row, one * width_us, one * 50, one * 0, bounds.ramp_ns // 1000, intensity, time_ns, clock_ns
+    )
+
+
 def later(oracle, rng):
     """Return by how much clock and claimed time move on: mostly alike, and sometimes far."""
-    if oracle.most_by_clock(oracle.clock_ns or 0) < WHOLE and rng.random() < 0.5:
+    if oracle.most_by_clock(oracle.clock_ns or 0) < WHOLE and rng.random() < 0.3:
         return oracle.bounds.ramp_ns, oracle.bounds.ramp_ns
-    step = rng.choice((0, 1, 1_000, 10**6, 5 * 10**6, 20 * 10**6, 20 * 10**6, 10**8, NS, 9 * NS))
+    step = rng.choice(
+        (0, 1, 1_000, 10**6, 5 * 10**6, 20 * 10**6, 20 * 10**6, 10**8, NS, 9 * NS, 16 * NS)
+    )
     chance = rng.random()
     if chance < 0.8:
         return step, max(step, 1)

@@ -9,6 +9,7 @@ import numpy as np
 from .bounds import (
     LONGEST_SHARE_US,
     MEAN_UA,
+    NET_PC,
     RECHARGE_PC,
     RECHARGE_US,
     STRONG_A_SECOND,
@@ -150,8 +151,11 @@ def mean_current(draft, oracle, rng, beyond):
     draft.period_us = max(period_us, draft.period_us)
 
 
-def _charged(draft, oracle, site, charge_pc, rng):
-    """Let a charge pass one electrode, in pulses as large as may be and the last ones smaller."""
+def _charged(draft, oracle, site, charge_pc, rng, sign=None):
+    """Let a charge pass one electrode, in pulses as large as may be and the last ones smaller.
+
+    Of one sign, or of both in turn if not given.
+    """
     bounds = oracle.bounds
     level = max(1, min(level_at(bounds, draft.intensity), bounds.electrode_ua[site]))
     width_us = max(1, min(bounds.pulse_us, bounds.charge_pc // level))
@@ -166,6 +170,10 @@ def _charged(draft, oracle, site, charge_pc, rng):
     draft.drive(slots + 1, site, short, rng)
     draft.width_us[:slots] = width_us
     draft.width_us[slots:] = max(1, long), 1
+    if sign is None:
+        draft.current_ua[1::2] *= -1
+    elif (draft.current_ua[:, site] * sign).sum() < 0:
+        draft.current_ua *= -1
     draft.fit(bounds)
 
 
@@ -181,11 +189,30 @@ def recharge(draft, oracle, rng, beyond):
     if not RECHARGES:
         return
     phase = np.zeros(bounds.electrodes, np.int16)
-    sites = rng.sample(range(bounds.electrodes), 2)
+    able = [site for site in range(bounds.electrodes) if bounds.recharge_ua[site]]
+    sites = rng.sample(able, 2)
     level = min(bounds.recharge_ua[site] for site in sites)
     phase[sites] = [level, -level]
     draft.recharge_us = rng.randint(1, min(RECHARGE_US, RECHARGE_PC // level))
-    attack = rng.randrange(6)
+    if len(sites) == 2 and rng.random() < 0.9:
+        # Charge to take back: a slot through the same two, as strong as may be.
+        draft.resize(1)
+        most = min(
+            level_at(bounds, draft.intensity), *(bounds.electrode_ua[each] for each in sites)
+        )
+        draft.current_ua[0, sites] = [-most, most]
+        draft.width_us[0] = max(1, min(bounds.pulse_us, bounds.charge_pc // max(1, most)))
+        if bounds.full_us is not None:
+            draft.width_us[0] = max(
+                1, min(draft.width_us[0], int(draft.intensity * bounds.full_us))
+            )
+        q_pc = int(most * draft.width_us[0])
+        carried = oracle.carried(draft.clock_ns)
+        room_pc = min(q_pc - int(carried[sites[0]]), q_pc + int(carried[sites[1]]))
+        level = max(1, min(level, room_pc))
+        draft.recharge_us = max(1, min(RECHARGE_US, room_pc // level))
+        phase[sites] = [level, -level]
+    attack = rng.randrange(8)
     if attack == 0:
         phase[sites] = [level + beyond, -level - beyond]
     elif attack == 1:
@@ -194,8 +221,12 @@ def recharge(draft, oracle, rng, beyond):
         phase[sites[0]] += beyond
     elif attack == 3:
         draft.recharge_us = min(RECHARGE_US, RECHARGE_PC // level + max(beyond, 0))
+    elif attack == 5:
+        phase = -phase
     draft.recharge_ua = None if attack == 4 else phase
     draft.fit(bounds, rng.choice((0, 20_000, 40_000)))
+    if attack == 6 and draft.slots:
+        draft.period_us = max(draft.busy_us + 20 - beyond, math.ceil(10**6 / bounds.rate_hz))
 
 
 def time(draft, oracle, rng, beyond):
@@ -208,15 +239,23 @@ def time(draft, oracle, rng, beyond):
     draft.vibration = None
 
 
-def claimed_rise(draft, oracle, rng, beyond):
-    draft.resize(0)
+def _weak(draft, oracle, rng):
+    """Make it one slot of a microampere."""
+    draft.resize(1)
+    able = [site for site, most in enumerate(oracle.bounds.electrode_ua) if most]
+    draft.current_ua[0, rng.sample(able, 2)] = 1, -1
+    draft.width_us[0] = 1
     draft.vibration = None
+    draft.fit(oracle.bounds, rng.choice((0, 20_000, 200_000)))
+
+
+def claimed_rise(draft, oracle, rng, beyond):
+    _weak(draft, oracle, rng)
     draft.intensity = intensity_of(oracle.most_as_claimed(draft.time_ns) + beyond)
 
 
 def rise(draft, oracle, rng, beyond):
-    draft.resize(0)
-    draft.vibration = None
+    _weak(draft, oracle, rng)
     draft.intensity = intensity_of(oracle.most_by_clock(draft.clock_ns) + beyond)
 
 
@@ -235,6 +274,21 @@ def mean_in_a_second(draft, oracle, rng, beyond):
     charge_pc = max(1, min(MEAN_UA * LONGEST_SHARE_US, left_pc))
     _charged(draft, oracle, int(used.argmax()), charge_pc, rng)
     draft.fit(oracle.bounds, LONGEST_SHARE_US)
+
+
+def net_in_a_second(draft, oracle, rng, beyond):
+    high, low = oracle.most_net_before(draft.clock_ns)
+    sign = rng.choice((1, -1))
+    most_pc = high if sign == 1 else -low
+    site = int(most_pc.argmax())
+    left_pc = NET_PC - int(most_pc[site]) + beyond
+    _charged(draft, oracle, site, max(1, min(MEAN_UA * LONGEST_SHARE_US, left_pc)), rng, sign)
+    draft.fit(oracle.bounds, LONGEST_SHARE_US)
+
+
+def sequences_in_a_second(draft, oracle, rng, beyond):
+    draft.resize(rng.choice((0, 1)))
+    draft.fit(oracle.bounds)
 
 
 def session_time(draft, oracle, rng, beyond):
@@ -274,6 +328,9 @@ EDGES = {
     "rise": rise,
     "strong in a second": strong_in_a_second,
     "mean in a second": mean_in_a_second,
+    "net in a second": net_in_a_second,
+    "sequences in a second": sequences_in_a_second,
+    "takes back": recharge,
     "session time": session_time,
     "session charge": session_charge,
 }
@@ -286,4 +343,4 @@ def attacks(bounds):
     full_ua = bounds.full_ua + bounds.rounding_ua
     often = ["current"] * (min(bounds.electrode_ua) < full_ua)
     often += ["charge"] * (full_ua * bounds.pulse_us > bounds.charge_pc)
-    return (*EDGES, "rise", "claimed rise", *often * 4)
+    return (*EDGES, "rise", "claimed rise", *("mean current", "total") * 2, *often * 4)

@@ -3,56 +3,113 @@
 It shares no line with what proves sequences safe, so that each finds the other's mistakes.
 """
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
-from .bounds import FREE_RISE, MEAN_UA, NS, STRONG_A_SECOND, WHOLE, Bounds
+from .bounds import (
+    FREE_RISE,
+    LATE_NS,
+    LEVEL_KEPT_NS,
+    MEAN_UA,
+    NET_PC,
+    NS,
+    STRONG_A_SECOND,
+    WHOLE,
+    Bounds,
+)
 from .rules import RULES, judge_alone
 
 AMONG = (
     "time",
     "claimed rise",
     "rise",
+    "takes back",
+    "sequences in a second",
     "strong in a second",
     "mean in a second",
+    "net in a second",
     "session time",
     "session charge",
 )
 """The limits from one sequence to the next, by name."""
 NAMES = ("types", "range", *RULES, *AMONG)
-RAMPED = ("claimed rise", "rise")
+RAMPED = ("time", "claimed rise", "rise")
 """What a measuring scan that a firmware fixes need not keep."""
 
 
 @dataclass
-class StepResult:
-    """A sequence that was accepted, with its repetitions.
+class Pass:
+    """One pass, from its start to the end of its slots and its recharge phase."""
 
-    ``ended_ns`` is when a newer one was accepted; None until then.
-    """
-
-    clock_ns: int
-    period_us: int
-    times: int
-    drives: bool
+    start_ns: int
+    end_ns: int
     strong: np.ndarray
     charge_pc: np.ndarray
-    ended_ns: int | None = None
+    net_pc: np.ndarray
 
-    @property
-    def asked_us(self):
-        """Time with current, were none of its repetitions cut short."""
-        return self.times * self.period_us * self.drives
+
+@dataclass
+class Sent:
+    """A sequence that was accepted, with its repetitions: the first begins at ``start_ns``."""
+
+    start_ns: int
+    period_us: int
+    times: int
+    alone: object
 
     def begun(self, clock_ns):
-        """Return how many repetitions had begun by a time."""
-        if self.ended_ns is not None:
-            clock_ns = min(clock_ns, self.ended_ns)
-        if clock_ns < self.clock_ns:
+        """Return how many passes have begun by a time; the first will, whatever comes."""
+        later = (clock_ns - self.start_ns) // (1000 * self.period_us)
+        return max(1, min(self.times, 1 + later))
+
+    def passes(self, first, stop):
+        """Return its passes from one to before another."""
+        alone, made = self.alone, []
+        net_pc = alone.slots_pc + alone.recharge_pc
+        for index in range(first, stop):
+            start_ns = self.start_ns + 1000 * index * self.period_us
+            end_ns = start_ns + 1000 * alone.busy_us
+            made.append(Pass(start_ns, end_ns, alone.strong, alone.charge_pc, net_pc))
+        return made
+
+
+class Level:
+    """How far a rise has been opened by current, on one clock, in parts per billion."""
+
+    def __init__(self, bounds):
+        self._bounds = bounds
+        self.close()
+
+    def close(self):
+        """Back to zero, as nothing had ever flowed."""
+        self._ppb, self._from_ns, self._current_ns = 0, None, 0
+
+    def at(self, time_ns):
+        """Return what is open at a time."""
+        if self._from_ns is None or time_ns - self._from_ns > self._current_ns + LEVEL_KEPT_NS:
             return 0
-        return min(self.times, 1 + (clock_ns - self.clock_ns) // (1000 * self.period_us))
+        counted_ns = min(max(time_ns - self._from_ns, 0), self._current_ns)
+        return min(WHOLE, self._ppb + counted_ns * WHOLE // self._bounds.ramp_ns)
+
+    def most(self, time_ns):
+        """Return the highest intensity with which current may begin at a time."""
+        return self.at(time_ns) + FREE_RISE + self._bounds.late_rise
+
+    def sent(self, ppb, time_ns, current_ns):
+        """Enter passes with so much time of current, or none, that begin at a time."""
+        if self._from_ns is None and not current_ns:
+            return
+        ahead_ns = 0
+        if self._from_ns is not None:
+            passed_ns = max(time_ns - self._from_ns, 0)
+            # What it goes on for: it is cut short, but for what may wait its turn.
+            ahead_ns = min(max(self._current_ns - passed_ns, 0), LATE_NS)
+        if current_ns:
+            self._ppb = min(ppb, self.at(time_ns))
+            self._from_ns, self._current_ns = time_ns, ahead_ns + current_ns
+        else:
+            self._current_ns = min(self._current_ns, passed_ns + ahead_ns)
 
 
 class Oracle:
@@ -74,18 +131,20 @@ class Oracle:
         self.bounds = profile if isinstance(profile, Bounds) else Bounds.of(profile)
         self._alone = alone
         self._last = None
-        self._spent_us = 0
-        self._spent_pc = np.zeros(self.bounds.electrodes, np.int64)
+        nothing = np.zeros(self.bounds.electrodes, np.int64)
+        self._spent = 0, nothing, nothing
+        self._by_clock, self._claimed = Level(self.bounds), Level(self.bounds)
         self.restart()
 
     def restart(self, clock_ns=0):
-        """Begin anew at zero, as when a board has restarted; the session's dose stays."""
+        """Begin again at zero, as when a board has restarted; the session's dose stays."""
         if self._last is not None:
-            self._spent_us, self._spent_pc = self._spent_by(max(clock_ns, self.clock_ns))
+            self._spent = self._spent_by(max(clock_ns, self.clock_ns))
             self._last = None
-        self._sent = deque()
+        self._passes = []
         self.time_ns = self.clock_ns = None
-        self._ppb = self._risen = 0
+        self._by_clock.close()
+        self._claimed.close()
 
     def judge(self, sequence, clock_ns, times=1, measuring=False):
         """Judge a sequence that is about to be sent; one that breaks nothing counts as sent.
@@ -106,92 +165,145 @@ class Oracle:
             The names of all rules that it breaks.
         """
         alone = self._alone(sequence, self.bounds)
+        if isinstance(times, bool) or not isinstance(times, int | np.integer):
+            return ["types"]
         if alone.broken and alone.broken[0] in ("types", "range"):
             return alone.broken
+        for name in ("strong", "charge_pc", "slots_pc", "recharge_pc"):
+            object.__setattr__(alone, name, np.asarray(getattr(alone, name), np.int64))
         clock_ns = clock_ns if self.clock_ns is None else max(clock_ns, self.clock_ns)
-        new = StepResult(
-            clock_ns,
-            alone.period_us,
-            times,
-            alone.slots > 0,
-            np.asarray(alone.strong, np.int64),
-            np.asarray(alone.charge_pc, np.int64),
-        )
-        strong, second_pc = self.in_the_second_before(clock_ns)
-        spent_us, spent_pc = self._spent_by(clock_ns)
+        known = self.passes_by(clock_ns)
+        new = Sent(self._free_from(clock_ns), alone.period_us, times, alone)
+        spent_us, spent_pc, carried_pc = self._spent_by(clock_ns)
+        first = self.time_ns is None
         kept = {
-            "time": self.time_ns is None or alone.time_ns > self.time_ns,
-            "claimed rise": alone.intensity_ppb <= self.most_as_claimed(alone.time_ns),
-            "rise": alone.intensity_ppb <= self.most_by_clock(clock_ns),
-            "strong in a second": int((strong + new.strong).max()) <= STRONG_A_SECOND,
-            "mean in a second": int((second_pc + new.charge_pc).max()) <= MEAN_UA * 10**6,
-            "session time": spent_us + new.asked_us <= self.bounds.session_us,
-            "session charge": int((spent_pc + times * new.charge_pc).max())
+            "time": first or alone.time_ns > self.time_ns,
+            "claimed rise": not alone.drives
+            or alone.intensity_ppb <= (FREE_RISE if first else self._claimed.most(alone.time_ns)),
+            "rise": not alone.drives or alone.intensity_ppb <= self._by_clock.most(clock_ns),
+            "takes back": self._takes_back(alone, carried_pc, times),
+            "sequences in a second": 1 + sum(each.start_ns > clock_ns - NS for each in known)
+            <= self.bounds.most_passes,
+            **self._seconds(new, known, clock_ns),
+            "session time": spent_us + times * alone.period_us * (alone.slots > 0)
+            <= self.bounds.session_us,
+            "session charge": int((spent_pc + times * alone.charge_pc).max())
             <= self.bounds.session_pc,
         }
         broken = alone.broken + [
             name for name, keeps in kept.items() if not keeps and not (measuring and name in RAMPED)
         ]
         if not broken:
-            risen = self._risen_by(clock_ns)
-            if self._last is not None:
-                self._last.ended_ns = clock_ns
-                self._spent_us, self._spent_pc = spent_us, spent_pc
-            while self._sent and self._sent[0].ended_ns <= clock_ns - NS:
-                self._sent.popleft()
-            if new.drives:
-                self._sent.append(new)
-            self._last = new
-            self.time_ns, self.clock_ns = alone.time_ns, clock_ns
-            self._ppb = self._ppb if measuring else alone.intensity_ppb
-            self._risen = min(risen, self._ppb)
+            self._spent, self._passes, self._last = (spent_us, spent_pc, carried_pc), known, new
+            self.clock_ns = clock_ns
+            if not measuring:
+                self.time_ns = alone.time_ns
+                current_ns = 1000 * times * alone.period_us * alone.drives
+                self._by_clock.sent(alone.intensity_ppb, clock_ns, current_ns)
+                self._claimed.sent(alone.intensity_ppb, alone.time_ns, current_ns)
         return broken
 
     def most_as_claimed(self, time_ns):
         """Return the highest intensity by the claimed times, in parts per billion."""
-        if self.time_ns is None:
-            return FREE_RISE
-        rise = (time_ns - self.time_ns) * NS // self.bounds.ramp_ns
-        return self._ppb + FREE_RISE + rise
+        return FREE_RISE if self.time_ns is None else self._claimed.most(time_ns)
 
     def most_by_clock(self, clock_ns):
         """Return the highest intensity by the display's clock, in parts per billion."""
-        return self._risen_by(clock_ns) + FREE_RISE + self.bounds.late_rise
+        return self._by_clock.most(clock_ns)
+
+    def passes_by(self, clock_ns):
+        """Return all passes of which any part lies in the second before a time, or after it."""
+        passes = list(self._passes)
+        if self._last is not None:
+            begun = self._last.begun(clock_ns)
+            older = (clock_ns - NS - self._last.start_ns) // (1000 * self._last.period_us) - 1
+            passes += self._last.passes(max(0, min(older, begun)), begun)
+        return [each for each in passes if each.end_ns > clock_ns - NS]
 
     def in_the_second_before(self, clock_ns):
-        """Return each electrode's strong pulses and charge in the second before a time.
+        """Return each electrode's strong pulses and charge in the second before a time."""
+        return self._sums(self.passes_by(clock_ns))
 
-        Of sequences that were accepted, repetitions that had begun by then included.
-        """
-        strong = np.zeros(self.bounds.electrodes, np.int64)
-        charge_pc = strong.copy()
-        for sent in self._sent:
-            if sent.times == 1:
-                count = clock_ns - NS < sent.clock_ns <= clock_ns
-            else:
-                count = sent.begun(clock_ns) - sent.begun(clock_ns - NS)
-            if count:
-                strong += count * sent.strong
-                charge_pc += count * sent.charge_pc
-        return strong, charge_pc
+    def most_net_before(self, clock_ns):
+        """Return the highest and lowest net charge of each electrode in the newest passes."""
+        high = low = sums = np.zeros(self.bounds.electrodes, np.int64)
+        for each in reversed(self.passes_by(clock_ns)):
+            sums = sums + each.net_pc
+            high, low = np.maximum(high, sums), np.minimum(low, sums)
+        return high, low
 
     def session_left(self, clock_ns):
         """Return the time with current, µs, and each electrode's charge, pC, that are left."""
-        spent_us, spent_pc = self._spent_by(clock_ns)
+        spent_us, spent_pc, _ = self._spent_by(clock_ns)
         return self.bounds.session_us - spent_us, self.bounds.session_pc - spent_pc
 
-    def _risen_by(self, clock_ns):
-        """Return how far intensity may have risen by the display's clock."""
-        if self.clock_ns is None:
-            return 0
-        return min(WHOLE, self._risen + (clock_ns - self.clock_ns) * NS // self.bounds.ramp_ns)
+    def carried(self, clock_ns):
+        """Return the net charge that each electrode carries, pC."""
+        return self._spent_by(clock_ns)[2]
+
+    def _sums(self, passes):
+        nothing = np.zeros(self.bounds.electrodes, np.int64)
+        return (
+            sum((each.strong for each in passes), nothing),
+            sum((each.charge_pc for each in passes), nothing),
+        )
+
+    def _free_from(self, clock_ns):
+        """Return when a pass can begin: the one that runs is finished first."""
+        if self._last is None:
+            return clock_ns
+        over_ns = self._last.start_ns + 1000 * self._last.begun(clock_ns) * self._last.period_us
+        return max(clock_ns, over_ns)
+
+    def _takes_back(self, alone, carried_pc, times):
+        """Whether the recharge phases of all passes bring charge back and do nothing else."""
+        if not np.any(alone.recharge_pc):
+            return True
+        net_pc = alone.slots_pc + alone.recharge_pc
+        for done in {0, times - 1}:
+            before_pc = carried_pc + done * net_pc + alone.slots_pc
+            back = alone.recharge_pc
+            opposite = np.sign(back) == -np.sign(before_pc)
+            if not ((back == 0) | (opposite & (np.abs(back) <= np.abs(before_pc)))).all():
+                return False
+        return True
+
+    def _seconds(self, new, known, clock_ns):
+        """Return whether any second keeps its limits with the new passes among the known ones.
+
+        Passes beyond the time at which the first has left the second bring nothing new.
+        """
+        alone = new.alone
+        net_pc = alone.slots_pc + alone.recharge_pc
+        strong, charge_pc = self._sums(known)
+        newest_pc = np.cumsum([0 * net_pc, *(each.net_pc for each in reversed(known))], axis=0)
+        keeps = {"strong in a second": True, "mean in a second": True, "net in a second": True}
+        dropped, end_ns = 0, new.start_ns + 1000 * alone.busy_us
+        for index in range(new.times):
+            at_ns = clock_ns if index == 0 else new.start_ns + 1000 * index * new.period_us
+            if index and end_ns <= at_ns - NS:
+                break
+            while dropped < len(known) and known[dropped].end_ns <= at_ns - NS:
+                strong = strong - known[dropped].strong
+                charge_pc = charge_pc - known[dropped].charge_pc
+                dropped += 1
+            own = index + 1
+            if int((strong + own * alone.strong).max()) > STRONG_A_SECOND:
+                keeps["strong in a second"] = False
+            if int((charge_pc + own * alone.charge_pc).max()) > MEAN_UA * 10**6:
+                keeps["mean in a second"] = False
+            if np.abs(newest_pc[: len(known) - dropped + 1] + own * net_pc).max() > NET_PC:
+                keeps["net in a second"] = False
+        return keeps
 
     def _spent_by(self, clock_ns):
-        """Return the session's time and charge by a time, repetitions begun by then included."""
-        if self._last is None or not self._last.drives:
-            return self._spent_us, self._spent_pc
-        begun = self._last.begun(clock_ns)
+        """Return the session's time, charge and net charge, with repetitions begun by a time."""
+        if self._last is None:
+            return self._spent
+        spent_us, spent_pc, net_pc = self._spent
+        alone, begun = self._last.alone, self._last.begun(clock_ns)
         return (
-            self._spent_us + begun * self._last.period_us,
-            self._spent_pc + begun * self._last.charge_pc,
+            spent_us + begun * self._last.period_us * (alone.slots > 0),
+            spent_pc + begun * alone.charge_pc,
+            net_pc + begun * (alone.slots_pc + alone.recharge_pc),
         )

@@ -46,8 +46,11 @@ def judge_alone_quickly(sequence, bounds):
     ppb = math.ceil(intensity * WHOLE)
     peak_ua, peak_pc = int(current.max(initial=0)), int(charge.max(initial=0))
     strong, through_pc = (current >= strong_ua).sum(axis=0), charge.sum(axis=0)
-    keeps_recharge = recharge_us == 0
+    keeps_recharge, short_us = recharge_us == 0, 0
+    recharge_pc = np.zeros(bounds.electrodes, np.int64)
     if recharge is not None:
+        short_us = LEAST_DISCHARGE_US
+        recharge_pc = recharge.astype(np.int64) * recharge_us
         weak = np.abs(recharge.astype(np.int64))
         through_pc = through_pc + weak * recharge_us
         keeps_recharge = (
@@ -63,8 +66,8 @@ def judge_alone_quickly(sequence, bounds):
     through = current.sum(axis=1) * width
     kept = {
         "rate": period_us * bounds.rate_hz >= 10**6,
-        "period": spent_us <= period_us,
-        "duty": int(width.sum()) <= bounds.duty * period_us,
+        "period": spent_us + short_us <= period_us,
+        "duty": int(width.sum()) + recharge_us <= bounds.duty * period_us,
         "balance": not signed.sum(axis=1).any(),
         "width": bool(((width >= 1) & (width <= bounds.pulse_us)).all()),
         "current": bool((current <= most_ua).all()),
@@ -86,6 +89,10 @@ def judge_alone_quickly(sequence, bounds):
         len(width),
         strong,
         through_pc,
+        (signed * width[:, None]).sum(axis=0),
+        recharge_pc,
+        spent_us,
+        peak_ua > 0,
     )
 
 

@@ -120,16 +120,26 @@ def charge_through_pc(scan, bounds):
     ]
 
 
+def slots_through_pc(scan, bounds):
+    """Return the charge of the slots through each electrode, with its sign."""
+    return [
+        sum(c * width for c, width in zip(scan.through(electrode), scan.width_us, strict=True))
+        for electrode in range(bounds.electrodes)
+    ]
+
+
 def keeps_rate(scan, bounds):
     return scan.period_us * bounds.rate_hz >= 10**6
 
 
 def keeps_period(scan, bounds):
-    return sum(scan.width_us) + sum(scan.discharge_us) + scan.recharge_us <= scan.period_us
+    short_us = 0 if scan.recharge_ua is None else LEAST_DISCHARGE_US
+    busy_us = sum(scan.width_us) + sum(scan.discharge_us) + scan.recharge_us
+    return busy_us + short_us <= scan.period_us
 
 
 def keeps_duty(scan, bounds):
-    return sum(scan.width_us) <= bounds.duty * scan.period_us
+    return sum(scan.width_us) + scan.recharge_us <= bounds.duty * scan.period_us
 
 
 def keeps_balance(scan, bounds):
@@ -245,6 +255,10 @@ class Judged:
     slots: int = 0
     strong: object = None
     charge_pc: object = None
+    slots_pc: object = None
+    recharge_pc: object = None
+    busy_us: int = 0
+    drives: bool = False
 
 
 def judge_alone(sequence, bounds):
@@ -266,6 +280,10 @@ def judge_alone(sequence, bounds):
         len(scan.width_us),
         strong_pulses(scan, bounds),
         charge_through_pc(scan, bounds),
+        slots_through_pc(scan, bounds),
+        [each * scan.recharge_us for each in scan.recharge_ua or [0] * bounds.electrodes],
+        sum(scan.width_us) + sum(scan.discharge_us) + scan.recharge_us,
+        any(current for row in scan.current_ua for current in row),
     )
 
 

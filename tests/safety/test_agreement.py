@@ -48,7 +48,7 @@ class Crashing(Careless):
 @pytest.fixture(scope="module")
 def tally():
     """Of so many that most limits are reached; all are by the more that the gate is asked of."""
-    return attack(0, 1500, Careless)
+    return attack(0, 2500, Careless)
 
 
 def test_it_reaches_limits_and_agrees_with_a_gate_that_overlooks_none(tally):
@@ -65,7 +65,7 @@ def test_it_is_the_same_every_time(tally):
 
 @pytest.mark.parametrize(
     ("rule", "count"),
-    [("discharge", 500), ("time", 500), ("strong in a second", 1500), ("session time", 500)],
+    [("discharge", 500), ("time", 500), ("strong in a second", 4000), ("session time", 500)],
 )
 def test_it_finds_what_a_gate_overlooks(rule, count):
     careless = type("Overlooks", (Careless,), {"overlooks": rule})

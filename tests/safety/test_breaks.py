@@ -21,6 +21,8 @@ from smarttouch.profile import load_profile
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
+from ..rising import open_level
+
 SECOND = 10**9
 
 
@@ -40,11 +42,10 @@ def limits():
 
 @pytest.fixture
 def opened(limits):
-    """A gate that has seen a silent start a second ago, and its clock."""
+    """A gate at full intensity a second after its start, and its clock."""
     clock = ToldClock()
     gate = SafetyGate(limits, clock)
-    gate.prove(dataclasses.replace(pulses(0), intensity=0.0, time_ns=0))
-    clock.time_ns = SECOND
+    open_level(gate.prove, pulses(0), clock=clock)
     return gate, clock
 
 
@@ -96,7 +97,7 @@ def test_an_infinite_scale_is_no_profile():
 def test_changed_after_the_proof(limits):
     board = make_board("memory:", limits)
     with board:
-        board.send(dataclasses.replace(pulses(0), intensity=0.0, time_ns=0))
+        open_level(board.send, pulses(0))
         given = pulses(2)
         board.send(given)
         given.current_ua[:] = 5000
@@ -109,7 +110,10 @@ def test_changed_after_the_proof(limits):
 
 def test_claimed_time(opened):
     gate, clock = opened
-    clock.time_ns = SECOND // 1000
+    gate.restart()
+    gate.prove(dataclasses.replace(pulses(0), intensity=0.0, time_ns=0))
+    gate.prove(dataclasses.replace(pulses(1, current_ua=24, time_ns=1), intensity=0.01))
+    clock.time_ns += SECOND // 1000
     assert refused(gate, pulses(1, time_ns=60 * SECOND)) == "ramp_s"
     for field in ("time_ns", "period_us"):
         bad = dataclasses.replace(pulses(1), **{field: math.nan})
@@ -141,8 +145,8 @@ def test_density_is_bounded_by_the_electrodes_area(limits):
 
 
 def test_a_session_ends(limits):
-    gate = SafetyGate(dataclasses.replace(limits, session_s=0.05))
-    gate.prove(dataclasses.replace(pulses(0), intensity=0.0, time_ns=0))
+    gate = SafetyGate(dataclasses.replace(limits, session_s=1.05))
+    open_level(gate.prove, pulses(0))
     gate.prove(pulses(1))
     gate.prove(pulses(1, time_ns=2 * SECOND))
     assert refused(gate, pulses(1, time_ns=3 * SECOND)) == "session_s"

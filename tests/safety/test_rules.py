@@ -66,10 +66,12 @@ EDGES = [
     ("recharge", sequence(pair(9), **recharged(1, -1, 0, 0)), sequence(
         [], **recharged(1, -1, 0, 0))),
     ("recharge", sequence(pair(9)), sequence(pair(9), recharge_us=1)),
-    ("range", sequence(pair(9), **recharged(1, -1, 0, 0, us=19_850)), sequence(
+    ("range", sequence(pair(9), **recharged(1, -1, 0, 0, us=19_850), period=40_000), sequence(
         pair(9), **recharged(1, -1, 0, 0, us=20_001), period=60_000)),
-    ("period", sequence(pair(9), **recharged(1, -1, 0, 0, us=19_850)), sequence(
-        pair(9), **recharged(1, -1, 0, 0, us=19_851))),
+    ("duty", sequence(pair(9), **recharged(1, -1, 0, 0, us=9_900)), sequence(
+        pair(9), **recharged(1, -1, 0, 0, us=9_901))),
+    ("period", sequence(pair(9), discharge=10_080, **recharged(1, -1, 0, 0, us=9_800)), sequence(
+        pair(9), discharge=10_081, **recharged(1, -1, 0, 0, us=9_800))),
     ("mean current", sequence(pair(2000, 24), width=200, **recharged(1, -1, 0, 0)), sequence(
         pair(2000, 25), width=200, **recharged(1, -1, 0, 0))),
 ]  # fmt: skip

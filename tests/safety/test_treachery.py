@@ -9,6 +9,7 @@ import pytest
 from smarttouch.stimulation.sequence import ScanSequence
 
 from .displays import display
+from .drafts import opening
 from .gates import GateUnderTest, faults_of_copy
 from .oracle import Oracle
 
@@ -36,6 +37,9 @@ def asked(made):
     gate, oracle = GateUnderTest(PROFILE), Oracle(PROFILE)
     assert gate.ask(silent(), 0).accepted
     assert oracle.judge(silent(), 0) == []
+    draft = opening(oracle, 1, 1)
+    assert gate.ask(draft.made(), 1).accepted
+    assert oracle.judge(draft.made(), 1) == []
     answer = gate.ask(made, NS)
     if answer.accepted:
         # Whatever was asked about: what is sent is this copy.

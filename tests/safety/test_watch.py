@@ -44,7 +44,7 @@ def test_what_a_gate_should_not_have_accepted(blind):
     assert blind.take() == []
     proving.prove(sequence(pair(3001)))
     (broken,) = blind.take()
-    assert rules(broken) == {"current", "intensity", "rise"}
+    assert rules(broken) == {"current", "intensity", "claimed rise", "rise"}
     proving.prove(sequence([], intensity=0.0, time_ns=-1))
     assert blind.take()
 

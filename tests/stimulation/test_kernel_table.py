@@ -116,8 +116,8 @@ def test_kernels_below_the_full_current_stay_below_it():
     found = []
     for in_sums in (False, True):
         pipeline = Pipeline(profile, bank, RunConfig(scan="points"), in_sums=in_sums)
-        pipeline.process(Stimulus(active, 0, 5.0))
-        found.append(pipeline.process(Stimulus(active, 2 * 10**9, 5.0)).sequence.current_ua)
+        made = [pipeline.process(Stimulus(active, step * 20_000_000, 5.0)) for step in range(30)]
+        found.append(made[-1].sequence.current_ua)
     plain, whole = found
     assert 1000 <= np.abs(plain).max() <= 500 * profile.full_ma.max() + 32
     np.testing.assert_allclose(whole, plain, atol=12)

@@ -22,6 +22,8 @@ from smarttouch.stimulation.safety import SafetyGate, SafetyLimits, frozen
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.stimulation.timing import ScanTiming
 
+from ..rising import open_level
+
 
 def sequence(currents, widths=200, *, electrodes=4, period_us=20_000, **other):
     currents = np.asarray(currents, np.int16).reshape(-1, electrodes)
@@ -119,9 +121,11 @@ def test_what_can_be_brought_back_is_but_for_less_than_a_microampere(scan, most_
     planned = add_recharge(scan, 0 * net_pc, within)
     if np.abs(net_pc).max(initial=0) > min(MOST_PC, most_ua * MOST_US):
         return
-    left_pc = np.abs(net_charge_pc(planned))
-    assert (left_pc <= planned.recharge_us).all()
+    left_pc = net_charge_pc(planned)
+    # Of the same sign as before, and no more than whole µA at every electrode make.
+    assert (left_pc * np.sign(net_pc) >= 0).all()
     if planned.recharge_us:
+        assert np.abs(left_pc).sum() <= 2 * scan.electrodes * planned.recharge_us
         # As short as it can be: one µs less, and the current would be too strong.
         assert np.abs(net_pc).max() > (planned.recharge_us - 1) * most_ua
 
@@ -130,8 +134,9 @@ def test_the_numbers_of_one():
     planned = add_recharge(sequence(ONE), NOTHING, rules(120))
     # 0.2 µC at 120 µA.
     assert planned.recharge_us == 1667
-    assert planned.recharge_ua.tolist() == [-120, 72, 48, 0]
-    assert net_charge_pc(planned).tolist() == [-40, 24, 16, 0]
+    # Whole µA, and none more than its electrode takes back.
+    assert planned.recharge_ua.tolist() == [-118, 71, 47, 0]
+    assert net_charge_pc(planned).tolist() == [3294, -1643, -1651, 0]
     assert planned.period_us == 20_000
     paid = add_recharge(sequence(ONE), np.array([-200_000, 120_000, 80_000, 0]), rules(120))
     assert paid.recharge_ua is None, "what was left before counts too"
@@ -139,10 +144,11 @@ def test_the_numbers_of_one():
 
 def test_one_that_does_not_fit_makes_the_period_longer():
     planned = add_recharge(sequence(ONE, period_us=1000), NOTHING, rules(120))
-    assert planned.period_us == 300 + 1667 + 100
+    # Pulses and phase are four fifths of it: longer than both with their short circuits.
+    assert planned.period_us == 2334 == -(-(200 + 1667) * 5 // 4)
     whole = rules(60, timing=ScanTiming(whole_hz=True))
-    # 300 + 3334 + 100 µs are 267 whole hertz.
-    assert add_recharge(sequence(ONE, period_us=1000), NOTHING, whole).period_us == 3746
+    # 200 + 3334 µs of current are four fifths of 4417.5 µs: 226 whole hertz.
+    assert add_recharge(sequence(ONE, period_us=1000), NOTHING, whole).period_us == 4425
 
 
 def test_a_mean_current_near_its_ceiling_makes_the_period_longer_too():
@@ -204,7 +210,7 @@ def test_a_good_phase_and_none_pass():
     prove(sequence(ONE))
     prove(sequence([]))
     prove(with_phase([-120, 60, 0, 60], np.uint16(16_666)))
-    prove(with_phase([-1, 1, 0, 0], 19_700))
+    prove(with_phase([-1, 1, 0, 0], 19_680))
 
 
 @pytest.mark.parametrize(
@@ -221,7 +227,7 @@ def test_a_good_phase_and_none_pass():
         (with_phase([-1, 1, 0, 0], True), "recharge_us"),
         (with_phase([-1, 1, 0, 0], float("nan")), "recharge_us"),
         (with_phase([-100, 60, 0, 39]), "balance"),
-        (with_phase([-1, 1, 0, 0], 19_701), "period_us"),
+        (with_phase([-1, 1, 0, 0], 19_681), "period_us"),
         (with_phase([-1, 1, 0]), "recharge_ua"),
         (with_phase([[-1, 1, 0, 0]]), "recharge_ua"),
         (replace(with_phase([-1, 1, 0, 0]), recharge_ua=np.array([-1.0, 1, 0, 0])), "recharge_ua"),
@@ -248,19 +254,72 @@ def test_all_electrodes_together_are_bounded():
     assert error.value.limit == "total_ma"
 
 
+LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4, threshold_ma=1.25)
+LATER = {"time_ns": 10**9}
+
+
+def gate_for(limits=LIMITS):
+    gate = SafetyGate(limits)
+    open_level(gate.prove, sequence(ONE))
+    return gate
+
+
+# Electrode 0 carries 0.2 µC: 120 µA for 1,666 µs take back just less.
+BACK = [-120, 72, 48, 0]
+
+
 @pytest.mark.parametrize("times", [1, 3])
 def test_the_gate_proves_the_phase_and_counts_its_charge(times):
-    limits = SafetyLimits(4, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4, threshold_ma=1.25)
-    gate = SafetyGate(limits)
-    gate.prove(replace(sequence([]), intensity=0.0, time_ns=0))
-    later = {"intensity": 1.0, "time_ns": 10**9}
+    gate = gate_for()
     with pytest.raises(SafetyError):
-        gate.prove(replace(with_phase([-126, 66, 0, 60]), **later))
-    without, phased = (
-        SafetyGate(limits).prove_measurement(replace(each, **later))
-        for each in (sequence(ONE), with_phase([-120, 60, 0, 60], 1000))
+        gate.prove(replace(with_phase([-126, 78, 48, 0]), **LATER))
+    before_mc = gate.dose.charge_mc[0]
+    gate.prove(replace(with_phase(BACK, 1000), **LATER), times)
+    assert gate.dose.charge_mc[0] - before_mc == pytest.approx(times * 0.32e-3)
+    assert gate.dose.net_uc[0] == pytest.approx(times * 0.08, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("phase", "width_us", "limit"),
+    [
+        ([120, -72, -48, 0], 1000, "recharge_ua"),
+        (BACK, 1667, "recharge_ua"),
+        ([-119, 71, 47, 1], 100, "recharge_ua"),
+        (BACK, 1666, None),
+        # Of a period of 20 ms, 12 may have current: 200 µs of pulses are among them.
+        ([-1, 1, 0, 0], 11_800, None),
+        ([-1, 1, 0, 0], 11_801, "duty"),
+    ],
+)
+def test_a_phase_takes_back_charge_and_nothing_else(phase, width_us, limit):
+    """Nearly direct current: the same sign in pulse and phase, for all of the time."""
+    gate, given = gate_for(), replace(with_phase(phase, width_us), **LATER)
+    if limit is None:
+        gate.prove(given)
+        return
+    with pytest.raises(SafetyError) as error:
+        gate.prove(given)
+    assert error.value.limit == limit
+
+
+def test_repetitions_may_not_take_back_more_than_the_first_carried():
+    gate, back = gate_for(), replace(with_phase(BACK, 1000), **LATER)
+    gate.prove(back, 10)
+    # Slots without net charge from here on: what is there lasts for six phases, less what 1 µA
+    # and the rest have left.
+    twin = [[1000, -600, -400, 0], [-1000, 600, 400, 0]]
+    phase = replace(
+        sequence(twin), recharge_ua=back.recharge_ua, recharge_us=1000, time_ns=2 * 10**9
     )
-    assert without.recharge_ua is None
-    gate.prove(phased, times)
-    own_pc = 1000 * 120 + np.abs(phased.current_ua[:, 0].astype(int)) @ phased.width_us
-    assert gate.dose.charge_mc[0] == pytest.approx(times * own_pc / 1e9)
+    with pytest.raises(SafetyError) as error:
+        gate.prove(phase, 7)
+    assert error.value.limit == "recharge_ua"
+    gate.prove(phase, 6)
+
+
+def test_a_phase_is_bounded_whatever_the_threshold():
+    """Limits may claim any threshold up to the ceiling of current, and a tenth of that counts."""
+    with pytest.raises(SafetyError):
+        replace(LIMITS, threshold_ma=1e6)
+    assert replace(LIMITS, threshold_ma=5.0).faint_ua.tolist() == [500] * 4
+    assert replace(LIMITS, masked=(2,)).faint_ua.tolist() == [125, 125, 0, 125]

@@ -12,6 +12,8 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
+from ..rising import open_level
+
 LIMITS = SafetyLimits(
     electrodes=4,
     current_ma=3.0,
@@ -42,9 +44,9 @@ def sequence(currents, *, width=200, discharge=100, period=20_000, intensity=1.0
 
 
 def warmed():
-    """A gate that has seen a silent start a second before."""
+    """A gate in which a second of the least current has opened full intensity."""
     gate = SafetyGate(LIMITS)
-    gate.prove(sequence([], intensity=0.0, time_ns=0))
+    open_level(gate.prove, sequence(GOOD))
     return gate
 
 
@@ -63,7 +65,7 @@ def test_one_source_drives_no_more_than_one_electrode_may_carry():
         of_one = SafetyGate(limits.on(Output(kind="three-state")))
         of_many = SafetyGate(limits.on(Output(kind="weighted")))
         for gate in (of_one, of_many):
-            gate.prove(sequence([], intensity=0.0, time_ns=0))
+            open_level(gate.prove, sequence(GOOD))
         of_many.prove(sequence(current, width=width))
         with pytest.raises(SafetyError) as error:
             of_one.prove(sequence(current, width=width))
@@ -157,10 +159,22 @@ class ToldClock:
         return self.time_ns
 
 
+def on_a_clock(limits=LIMITS):
+    """A gate on a told clock, at full intensity a second after its start."""
+    clock = ToldClock()
+    gate = SafetyGate(limits, clock)
+    open_level(gate.prove, sequence(GOOD), clock=clock)
+    return gate, clock
+
+
+WEAK = [[-30, 30, 0, 0]]
+
+
 def test_rise_is_bounded_by_the_displays_clock_whatever_time_is_claimed():
     clock = ToldClock()
     gate = SafetyGate(LIMITS, clock)
     gate.prove(sequence([], intensity=0.0, time_ns=0))
+    gate.prove(sequence(WEAK, intensity=0.02, time_ns=1, period=500_000))
     clock.time_ns = SECOND // 100
     with pytest.raises(SafetyError) as error:
         gate.prove(sequence(GOOD))
@@ -172,13 +186,14 @@ def test_rise_is_bounded_by_the_displays_clock_whatever_time_is_claimed():
 def test_late_steps_hurry_the_rise_by_no_more_than_they_may_be_late():
     clock = ToldClock()
     gate = SafetyGate(LIMITS, clock)
+    gate.prove(sequence([], intensity=0.0, time_ns=0))
     reached = []
-    for step in range(60):
+    for step in range(1, 60):
         # Claims a period between sequences that leave a millisecond apart.
         clock.time_ns = step * 1_000_000
         intensity = min(1.0, step * 0.04)
         try:
-            gate.prove(sequence([], intensity=intensity, time_ns=step * 20_000_000))
+            gate.prove(sequence(WEAK, intensity=intensity, time_ns=step * 20_000_000))
         except SafetyError:
             break
         reached.append(intensity)
@@ -213,12 +228,13 @@ def test_an_array_that_answers_for_another_is_read_as_what_it_is():
     assert error.value.value == 3.001
 
 
+# A pair both ways: no net charge.
+TWIN = [[-2400, 1200, 600, 600], [2400, -1200, -600, -600]]
+
+
 def test_a_second_holds_no_more_than_its_pulses():
-    """StepResult faster than they claim to take, sequences are counted by the display's clock."""
-    clock = ToldClock()
-    gate = SafetyGate(LIMITS, clock)
-    gate.prove(sequence([], intensity=0.0, time_ns=0))
-    clock.time_ns = SECOND
+    """Sent faster than they claim to take, sequences are counted by the display's clock."""
+    gate, clock = on_a_clock()
     sent = 0
 
     def hurry():
@@ -226,33 +242,32 @@ def test_a_second_holds_no_more_than_its_pulses():
         for step in range(1000):
             clock.time_ns += 1_000_000
             time_ns = SECOND + step * 40_000_000
-            gate.prove(sequence(GOOD * 15, period=40_000, time_ns=time_ns))
-            sent += 15
+            gate.prove(sequence(TWIN * 7, period=40_000, time_ns=time_ns))
+            sent += 14
 
     with pytest.raises(SafetyError) as error:
         hurry()
     # 1,500 pulses, or half a milliampere for a second: the latter is less here.
-    assert (error.value.limit, error.value.electrode, sent) == ("mean_ma", 0, 1035)
+    assert (error.value.limit, error.value.electrode, sent) == ("mean_ma", 0, 1036)
 
 
 def test_repetitions_count_as_they_begin():
-    clock = ToldClock()
-    gate = SafetyGate(LIMITS, clock)
-    gate.prove(sequence([], intensity=0.0, time_ns=0))
-    clock.time_ns = SECOND
-    gate.prove(sequence(GOOD * 10), times=1000)
-    assert gate.dose.seconds == pytest.approx(20)
+    gate, clock = on_a_clock()
+    before = gate.dose
+    gate.prove(sequence(TWIN * 5), times=1000)
+    assert gate.dose.seconds - before.seconds == pytest.approx(20)
     clock.time_ns = 2 * SECOND - 1
     gate.prove(sequence([], intensity=0.0, time_ns=2 * SECOND))
     # Fifty of them had begun; those cut short are given back.
-    assert gate.dose.seconds == pytest.approx(1)
-    assert gate.dose.charge_mc[0] == pytest.approx(50 * 10 * 2.4e-3 * 0.2)
+    assert gate.dose.seconds - before.seconds == pytest.approx(1)
+    charge_mc = gate.dose.charge_mc[0] - before.charge_mc[0]
+    assert charge_mc == pytest.approx(50 * 10 * 2.4e-3 * 0.2)
 
 
-@pytest.mark.parametrize("change", [{"session_s": 0.1}, {"session_mc": 0.0048}])
+@pytest.mark.parametrize("change", [{"session_s": 1.1}, {"session_mc": 0.00481}])
 def test_a_session_ends_with_its_dose(change):
     gate = SafetyGate(dataclasses.replace(LIMITS, **change))
-    gate.prove(sequence([], intensity=0.0, time_ns=0))
+    open_level(gate.prove, sequence(GOOD))
     for step in range(5):
         gate.prove(sequence(GOOD * 2, time_ns=SECOND * (step + 1)))
     with pytest.raises(SafetyError) as error:
@@ -284,6 +299,15 @@ def test_a_session_ends_with_its_dose(change):
         {"ramp_s": float("inf")},
         {"ramp_s": float("nan")},
         {"area_mm2": float("inf")},
+        {"area_mm2": 400.1},
+        {"electrode_ma": (1.0, 1.0, 1.0, 5.1)},
+        {"threshold_ma": 5.1},
+        {"threshold_ma": 1e6},
+        {"electrodes": 0},
+        {"electrodes": 65_536},
+        {"electrodes": 4.0},
+        {"masked": (4,)},
+        {"masked": (0.0,)},
         {"threshold_ma": (1.0, 1.0, 1.0, 0.0)},
         {"density_uc_cm2": 101},
         {"session_s": 3601},

@@ -21,6 +21,7 @@ from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.tactile_image import TactileImage
 
 from ..raising import raises
+from ..rising import open_level
 
 
 def tactile(activation, time_ns=10**9, afferent=Afferent.RA):
@@ -39,7 +40,9 @@ def shipped(name):
 def started(profile, bank):
     gate = SafetyGate(SafetyLimits.of(profile))
     scan = ScanScheduler(profile, bank, (Afferent.RA,), 20.0)
-    gate.prove(scan.schedule(tactile(np.zeros(len(profile.electrodes)), 0), 0.0))
+    driven = profile.driven.tolist()
+    silent = scan.schedule(tactile(np.zeros(len(profile.electrodes)), 0), 0.0)
+    open_level(gate.prove, silent, electrodes=(driven[0], driven[-1]))
     return gate
 
 
