@@ -59,15 +59,15 @@ def test_emulator_and_core_refuse_what_the_judge_refuses(make_life, output, ramp
     assert len(life.decided) > 6
 
 
-def lived(make_life, built, play):
+def lived(make_life, built, play, both=False):
     """Play a life to the core of a library."""
     output = "three-state" if play is one_source else "weighted"
-    return play(make_life(built, output=output, ramp=play in (rise, limits)))
+    return play(make_life(built, output=output, ramp=play in (rise, limits), both=both))
 
 
 @pytest.mark.parametrize("play", LIVES)
 def test_each_rule_at_its_edge(make_life, play):
-    lived(make_life, library(), play)
+    lived(make_life, library(), play, both=True)
 
 
 RULES, LAST, LEVEL = "st_rules.c", "st_exposure.c", "st_limits.c"
