@@ -86,8 +86,8 @@ class Life:
         (report,) = (each for each in self.talk.say(Kind.STATUS) if each.kind == Kind.REPORT)
         charge_uc = -(-int(self.judge.session_pc.max()) // 1_000_000)
         seconds = -(-self.judge.flowing_us // 1_000_000)
-        told = [int.from_bytes(report.payload[at:][:4], "little") for at in (41, 45, 49)]
-        assert told == [self.judge.most_net_pc, seconds, charge_uc]
+        found = [int.from_bytes(report.payload[at:][:4], "little") for at in (41, 45, 49)]
+        assert found == [self.judge.most_net_pc, seconds, charge_uc]
 
     def _note(self):
         """Compare the starts of passes, by the pulse of their first slot."""

@@ -152,8 +152,8 @@ def test_the_switch_ends_what_flows(make_life):
     talk.wait(1000, 100)
     assert talk.pulses
     life.core.switch(True)
-    told = refusal(talk.wait(100, 100))
-    assert (told.about, told.state, talk.pulses) == (0, 1, [])
+    nak = refusal(talk.wait(100, 100))
+    assert (nak.about, nak.state, talk.pulses) == (0, 1, [])
     refusal(talk.say(Kind.SEQUENCE, 2, scan.payload()))
     assert {each.state for each in talk.wait(50_000)} == {1}
     talk.begin()
