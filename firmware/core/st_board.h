@@ -229,7 +229,7 @@ void st_feed(st_board *board, const uint8_t *data, size_t size, uint64_t now_us)
 /* Do all that is due; put all at zero if the host is silent. In real time pulses begin here, and at
  * the start of st_feed: read the clock just before. */
 void st_advance(st_board *board, uint64_t now_us);
-/* When there is something to do at the latest, if no byte comes. */
+/* When there is something to do at the latest, if no byte comes and no switch opens. */
 uint64_t st_next_us(const st_board *board);
 /* The host has closed the line. */
 void st_hang_up(st_board *board, uint64_t now_us);

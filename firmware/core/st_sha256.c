@@ -35,7 +35,8 @@ static void take_block(st_sha256 *hash)
             const uint32_t two = schedule[(round - 2u) % 16u];
             const uint32_t fifteen = schedule[(round - 15u) % 16u];
             *word += (turned(two, 17) ^ turned(two, 19) ^ (two >> 10))
-                     + schedule[(round - 7u) % 16u] + (turned(fifteen, 7) ^ turned(fifteen, 18) ^ (fifteen >> 3));
+                     + schedule[(round - 7u) % 16u]
+                     + (turned(fifteen, 7) ^ turned(fifteen, 18) ^ (fifteen >> 3));
         }
         const uint32_t chosen = (v[4] & v[5]) ^ (~v[4] & v[6]);
         const uint32_t majority = (v[0] & v[1]) ^ (v[0] & v[2]) ^ (v[1] & v[2]);

@@ -140,6 +140,29 @@ def test_host_board_and_core_compute_the_same_currents(make_core):
     assert compared == 2000
 
 
+def test_no_table_passes_for_another(make_core):
+    """The proof is of these bytes and this session; a table is not taken by another's identity."""
+    rng = np.random.default_rng(0)
+    image, other = (KernelImage.of(random_table(rng, 4, 6), 1 << 20, 9) for _ in range(2))
+    talk = Talk(Both(Emulated(6), make_core(6)))
+    proofs = []
+    for _ in range(2):
+        talk.begin(image=image)
+        (kept,) = talk.say(
+            Kind.KERNELS, payload=protocol.KERNELS.pack(image.identity, len(image.data), 0)
+        )
+        identity, _, whole, proof = protocol.KEPT.unpack(kept.payload)
+        assert (identity, whole) == (image.identity, 1)
+        assert proof == image.proof(talk.host.number)
+        proofs.append(proof)
+        talk.say(Kind.STOP)
+    assert proofs[0] != proofs[1]
+    talk.begin()
+    head = protocol.KERNELS.pack(image.identity[::-1], len(other.data), 0)
+    (kept,) = talk.say(Kind.KERNELS, payload=head + other.data)
+    assert kept.payload == bytes(protocol.KEPT.size)
+
+
 def test_silence_is_zero_within_100_ms(make_core):
     core = make_core(6, ramp_ms=0)
     scene = Scene(core, 1)

@@ -5,328 +5,32 @@ import hashlib
 import os
 import shutil
 import subprocess
-from collections import Counter
 
 import numpy as np
 import pytest
 
 from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.link_protocol import Kind, Refusal, Rule
+from smarttouch.boards.link_protocol import Kind, Refusal
 from tests.firmware.build import SOURCES, WHOLE, library
-from tests.firmware.judge import FULL, Judge, Limits, Scan
-from tests.firmware.rig import Both, Core, Emulated, Talk, Unfelt
+from tests.firmware.judge import FULL, Limits, Scan
+from tests.firmware.lives import (
+    ELECTRODES,
+    LIVES,
+    Life,
+    charge,
+    felt,
+    limits,
+    net,
+    often,
+    one_source,
+    recharge,
+    rise,
+    session,
+)
+from tests.firmware.rig import Both, Core, Emulated, Unfelt
 
 SCANS = 2500 if "SMARTTOUCH_WHOLE_FIRMWARE" in os.environ else 150
 """Scans that emulator, core and judge decide on, four times."""
-ELECTRODES = 4
-
-
-class Life:
-    """A host without a gate and a board of the C core, and the judge who sees what passes."""
-
-    def __init__(self, core, seed, output="weighted", ramp=True):
-        self.core, self.rng = core, np.random.default_rng(seed)
-        self.talk, self.judge = Talk(core), Judge(ELECTRODES, ramp)
-        self.switched, self.ramp = output != "weighted", ramp
-        self.number, self.free_us, self.decided = 0, 0, Counter()
-        self.begun, self.talk.pulses = [], []
-
-    def begin(self, limits=None):
-        """Begin a session, some of which allow little."""
-        if self.number:
-            self.judge.stop(self.talk.now_us)
-            self.talk.say(Kind.STOP)
-            self._note()
-        pick = self.rng.choice
-        self.limits = limits or Limits(
-            period_us=int(pick([0, 5000, 8000])),
-            total_ua=int(pick([1500, 12_000])),
-            full_ua=int(pick([2000, 9000])),
-            rounding_ua=int(pick([2, 700])),
-            full_us=int(pick([0, 0, 200])),
-            ramp_ms=int(pick([0, 100, 700])),
-            session_s=int(pick([1, 3, 3600])),
-            session_uc=int(pick([60, 4000, 9_000_000])),
-            duty=int(pick([30, 80, 100])),
-            current_ua=tuple(int(each) for each in pick([4000, 6000], ELECTRODES)),
-            felt_ua=tuple(int(each) for each in pick([0, 100, 60_000], ELECTRODES)),
-            charge_pc=tuple(int(each) for each in pick([200_000, 900_000], ELECTRODES)),
-        )
-        self.talk.begin()
-        self.talk.say(Kind.LIMITS, payload=self.limits.payload())
-        self.judge.begin(self.limits, self.switched)
-        self.number, self.free_us = 0, self.talk.now_us
-        return self
-
-    def wait(self, time_us):
-        while time_us > 0:
-            step_us = min(80_000, time_us)
-            self.talk.wait(step_us, step_us)
-            self._note()
-            self.talk.say(Kind.HEARTBEAT)
-            time_us -= step_us
-
-    def send(self, scan):
-        """Send a scan when it can wait; check what the board decides, and return it."""
-        self.wait(max(0, self.free_us - self.talk.now_us))
-        now_us = self.talk.now_us
-        wanted = self.judge.refusal(scan, now_us)
-        start_us = self.judge.start_us(now_us)
-        self.number += 1
-        answers = self.talk.say(Kind.SEQUENCE, self.number, scan.payload())
-        self._note()
-        found = [protocol.NAK.unpack(each.payload) for each in answers if each.kind == Kind.NAK]
-        if wanted is None:
-            assert found == []
-            self.judge.accept(scan, now_us)
-            self.free_us = start_us
-        else:
-            assert found == [(Refusal.UNSAFE, *wanted)]
-        self.decided[wanted and Rule(wanted[0])] += 1
-        return wanted
-
-    def report(self):
-        """Check what the board reports of the second and the session."""
-        self.judge.advance(self.talk.now_us)
-        assert self.begun == self.judge.flowing
-        if self.switched:
-            # The emulator reports what the skin lets through of a source.
-            return
-        (report,) = (each for each in self.talk.say(Kind.STATUS) if each.kind == Kind.REPORT)
-        charge_uc = -(-int(self.judge.session_pc.max()) // 1_000_000)
-        seconds = -(-self.judge.flowing_us // 1_000_000)
-        told = [int.from_bytes(report.payload[at:][:4], "little") for at in (41, 45, 49)]
-        assert told == [self.judge.most_net_pc, seconds, charge_uc]
-
-    def _note(self):
-        """Compare the starts of passes, by the pulse of their first slot."""
-        self.begun += [each[4] for each in self.talk.pulses if each[1] == 0]
-        self.talk.pulses = []
-
-    def scan(self):
-        rng = self.rng
-        period_us = int(rng.choice([4999, 5000, 6250, 10_000, 20_000, 33_333, 60_000]))
-        many, louder = int(rng.choice([0, 1, 2, 5, 12, 30])), int(rng.choice([20, 200, 3000]))
-        width_us, rest_us = int(rng.integers(20, 204)), int(rng.choice([19, 20, 60]))
-        slots, sign = [], int(rng.choice([0, 1, -1]))
-        for _ in range(many):
-            one, other = rng.permutation(ELECTRODES)[:2] if not sign else (0, 1)
-            row = np.zeros(ELECTRODES, int)
-            row[[one, other]] = (sign or 1) * np.array([1, -1])
-            if not self.switched:
-                row *= int(rng.integers(0, louder))
-            slots.append((width_us, rest_us, tuple(int(each) for each in row)))
-        scan = Scan(period_us, slots, int(rng.choice([1, 1, 1, 2, 9, 60, 300])))
-        if self.switched:
-            scan.source_ua = int(rng.integers(1, louder))
-        elif rng.random() < 0.4:
-            self._recharge(scan)
-        if self.ramp:
-            allowed = self.judge.allowed(self.judge.start_us(self.talk.now_us))
-            scan.intensity = min(
-                FULL, allowed + int(rng.choice([-5000, 0, 0, 1], p=[0.3, 0.3, 0.3, 0.1]))
-            )
-            scan.intensity = max(0, scan.intensity)
-        return scan
-
-    def _recharge(self, scan):
-        """Take back what the electrodes carry, or about so."""
-        carried = self.judge.net_pc + self.judge._pass(scan, 0).net_pc
-        scan.recharge_us = int(self.rng.integers(1, scan.period_us))
-        back = -int(carried[0]) / scan.recharge_us * float(self.rng.choice([0.5, 1, 2.1, -1]))
-        back = int(np.clip(back, -501, 501))
-        scan.recharge_ua = (back, -back, 0, 0)
-
-    def play(self, scans):
-        """Decide on scans, half of which lie at the edge of what is refused."""
-        while self.decided.total() < scans:
-            if self.number == 0 or self.rng.random() < 0.03:
-                self.begin()
-            scan = self.scan()
-            if self.rng.random() < 0.5:
-                self._edge(scan)
-            else:
-                self.send(scan)
-            if self.rng.random() < 0.3:
-                self.wait(int(self.rng.integers(1, 60_000)))
-            if self.rng.random() < 0.01:
-                self.wait(int(self.rng.choice([900_000, 14_990_000, 15_100_000])))
-        self.report()
-        return self
-
-    def _edge(self, scan):
-        """Send what is just too much of something, and then what is just right."""
-        self.wait(max(0, self.free_us - self.talk.now_us))
-        what = self.rng.choice(["times", "louder", "intensity", "period"])
-
-        def changed(number):
-            one = Scan(**vars(scan))
-            if what == "times":
-                one.times = number
-            elif what == "intensity":
-                one.intensity = number
-            elif what == "period":
-                one.period_us = 65_536 - number
-            elif self.switched:
-                one.source_ua = number
-            else:
-                one.slots = [
-                    (width, rest, tuple(int(np.sign(ua)) * number for ua in row))
-                    for width, rest, row in scan.slots
-                ]
-            return one
-
-        right, wrong = 1, 6000 if what == "louder" else 65_535
-        if self.judge.refusal(changed(right), self.talk.now_us) is not None:
-            self.send(scan)
-            return
-        while wrong - right > 1:
-            middle = (right + wrong) // 2
-            if self.judge.refusal(changed(middle), self.talk.now_us) is None:
-                right = middle
-            else:
-                wrong = middle
-        self.send(changed(wrong))
-        self.send(changed(right))
-
-
-def often(life):
-    """Begin sessions and cut them off, 4 ms each: more scans than a second may begin."""
-    limits = Limits(ramp_ms=500, current_ua=(5000,) * ELECTRODES)
-    short = Scan(5000, [(20, 20, (2, -2, 0, 0))], intensity=0)
-    for _ in range(260):
-        life.begin(limits).send(short)
-        life.wait(4000)
-    assert life.decided[Rule.OFTEN] > 10
-    return life
-
-
-def net(life):
-    """Scans whose charge has one sign, and after a second of the other: any last passes count."""
-    life.begin(Limits(felt_ua=(5000,) * ELECTRODES))
-    for sign in (-1, 1, -1):
-        one = Scan(20_000, [(200, 40, (sign * 1200, -sign * 1200, 0, 0))] * 5)
-        for _ in range(60):
-            life.send(one)
-            life.wait(20_000)
-    # Half a bucket of time takes back what the other half has brought.
-    life.wait(1_050_000 - life.talk.now_us % 50_000)
-    for sign in [-1] * 5 + [1] * 5 + [1] * 20:
-        life.send(Scan(5000, [(200, 40, (sign * 2500, -sign * 2500, 0, 0))] * 5))
-        life.wait(max(0, life.judge.start_us(life.talk.now_us) - life.talk.now_us))
-    assert life.decided[Rule.NET_IN_SECOND] > 20
-    life.report()
-    return life
-
-
-def felt(life):
-    """As many pulses as a period may have, 25 times a second: the second has no room for all."""
-    life.begin(Limits(felt_ua=(0,) * ELECTRODES, session_s=9))
-    pair = [(20, 20, (30, -30, 0, 0)), (20, 20, (-30, 30, 0, 0))]
-    for slots in (61, 60, 60):
-        for _ in range(40):
-            life.send(Scan(38_000, (pair * 31)[:slots]))
-            life.send(Scan(40_000, (pair * 31)[:slots], times=2))
-    assert life.decided[Rule.FELT_IN_SECOND] > 5
-    assert life.decided[Rule.FELT] > 5
-    life.report()
-    return life
-
-
-def charge(life):
-    """The same for charge of either sign, which 500 µA on the mean carry."""
-    life.begin(Limits(felt_ua=(5000,) * ELECTRODES))
-    pair = [(200, 40, (2500, -2500, 0, 0)), (200, 40, (-2500, 2500, 0, 0))]
-    for _ in range(40):
-        life.send(Scan(39_900, pair * 19))
-        life.send(Scan(40_000, pair * 20, times=30))
-    assert life.decided[Rule.CHARGE_IN_SECOND] > 5
-    life.report()
-    return life
-
-
-def session(life):
-    """To the end of the session's time and of its charge."""
-    loud = [(100, 40, (2000, -2000, 0, 0)), (100, 40, (-2000, 2000, 0, 0))]
-    for session_s, session_uc in ((1, 1000), (9, 30)):
-        life.begin(Limits(session_s=session_s, session_uc=session_uc))
-        for _ in range(90):
-            life.send(Scan(20_000, loud))
-            life.wait(20_000)
-        life.report()
-    assert life.decided[Rule.SESSION_TIME] > 10
-    assert life.decided[Rule.SESSION_CHARGE] > 10
-    return life
-
-
-def rise(life):
-    """Claims without current, silence, and current: what opens a level and what keeps it."""
-    life.begin(Limits())
-    flowing = [(100, 40, (100, -100, 0, 0))]
-    for slots, times, wait_us, claims in (
-        ([], 1, 20_000, 40), ([(100, 40, (0, 0, 0, 0))], 1, 20_000, 20), (flowing, 1, 20_000, 40),
-        ([], 1, 14_990_000, 1), (flowing, 1, 14_990_000, 2), (flowing, 1, 15_040_001, 2),
-        (flowing, 3, 20_000, 12),
-    ):  # fmt: skip
-        for _ in range(claims):
-            top = life.judge.allowed(life.judge.start_us(life.talk.now_us))
-            for intensity in (min(FULL, top + 1), top):
-                life.send(Scan(20_000, slots, times, intensity))
-            life.wait(wait_us)
-    assert life.decided[Rule.RISE] > 30
-    return life
-
-
-def recharge(life):
-    """Recharge phases of each sign, long ones, and one that ends where the period does."""
-    life.begin(Limits())
-    pulse = [(200, 40, (1000, -1000, 0, 0))]
-    for sign in (1, -1):
-        for _ in range(30):
-            for back_us in (9000, 16_000, 19_739, 19_740, 19_741):
-                life.send(Scan(20_000, pulse, 1, FULL, back_us, (-sign * 40, sign * 40, 0, 0)))
-            life.wait(20_000)
-    life.begin(Limits())
-    for times in (1, 40, 400):
-        life.send(Scan(20_000, pulse, times, FULL, 9000, (-30, 30, 0, 0)))
-        life.wait(20_000)
-    assert life.decided[Rule.RECHARGE] > 20
-    assert {Rule.FIT, Rule.DUTY} <= set(life.decided)
-    return life
-
-
-def one_source(life):
-    """A source whose current two electrodes share, if both are on the skin."""
-    life.begin(Limits(charge_pc=(300_000,) * ELECTRODES))
-    for source_ua in (3000, 3001, 5000, 5001):
-        for states in ((1, 1, -1, -1), (1, -1, 0, 0)):
-            life.send(Scan(20_000, [(100, 40, states)], source_ua=source_ua))
-            life.send(Scan(20_000, [(59, 41, states)], source_ua=source_ua))
-            life.wait(20_000)
-    assert life.decided[Rule.CHARGE] > 2
-    assert life.decided[Rule.TOTAL] + life.decided[Rule.CURRENT] > 1
-    return life
-
-
-def limits(life):
-    """Limits that ask for more than a board gives, and fields left out."""
-    loud = 6000
-    each = {"current_ua": 65_535, "felt_ua": 65_535, "charge_pc": 1 << 31}
-    wide = {"total_ua": 60_000, "width_us": 900, "full_ua": 65_535, "rounding_ua": 60_000,
-            "ramp_ms": 1, "duty": 255, "session_s": 65_535, "session_uc": 1 << 31}  # fmt: skip
-    wide |= {name: (most,) * ELECTRODES for name, most in each.items()}
-    zeros = [{name: (0,) * ELECTRODES if name in each else 0} for name in wide]
-    for given in ({}, wide, *zeros):
-        life.begin(Limits(**given))
-        for level_ua in (10, 700, 2490, 2510, loud):
-            life.send(Scan(50_000, [(60, 40, (level_ua, -level_ua, 0, 0))] * 3, 1, 0))
-            life.send(Scan(50_000, [(60, 40, (level_ua, -level_ua, 0, 0))] * 3, 1, 19_662))
-            life.send(Scan(20_000, [(250, 40, (5, -5, 0, 0)), (20, 20, (9, -9, 0, 0))], 1, 0))
-            life.wait(100_000)
-    return life
-
-
-LIVES = (often, net, felt, charge, session, rise, recharge, one_source, limits)
 
 
 @pytest.fixture
@@ -355,15 +59,15 @@ def test_emulator_and_core_refuse_what_the_judge_refuses(make_life, output, ramp
     assert len(life.decided) > 6
 
 
-def lived(make_life, built, play):
+def lived(make_life, built, play, both=False):
     """Play a life to the core of a library."""
     output = "three-state" if play is one_source else "weighted"
-    return play(make_life(built, output=output, ramp=play in (rise, limits)))
+    return play(make_life(built, output=output, ramp=play in (rise, limits), both=both))
 
 
 @pytest.mark.parametrize("play", LIVES)
 def test_each_rule_at_its_edge(make_life, play):
-    lived(make_life, library(), play)
+    lived(make_life, library(), play, both=True)
 
 
 RULES, LAST, LEVEL = "st_rules.c", "st_exposure.c", "st_limits.c"
@@ -448,8 +152,8 @@ def test_the_switch_ends_what_flows(make_life):
     talk.wait(1000, 100)
     assert talk.pulses
     life.core.switch(True)
-    told = refusal(talk.wait(100, 100))
-    assert (told.about, told.state, talk.pulses) == (0, 1, [])
+    nak = refusal(talk.wait(100, 100))
+    assert (nak.about, nak.state, talk.pulses) == (0, 1, [])
     refusal(talk.say(Kind.SEQUENCE, 2, scan.payload()))
     assert {each.state for each in talk.wait(50_000)} == {1}
     talk.begin()

@@ -38,7 +38,10 @@ def test_kernels_go_there_and_their_sums_flow(machine):
             lists = random_lists(rng, table, 0 if step == 0 else 12, loud=300 * step)
             intensity = min(1.0, 0.07 * step)
             now_ns = board.clock.now_ns()
-            sequence = sequence_of(lists, time_ns=now_ns - start + 1, intensity=intensity)
+            # Intensity rises while current is scheduled: here all of the time.
+            sequence = sequence_of(
+                lists, time_ns=now_ns - start + 1, intensity=intensity, period_us=50_000
+            )
             board.send(sequence)
             wanted += sequence.current_ua.tolist()
             board.drain()
