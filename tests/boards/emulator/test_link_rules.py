@@ -447,7 +447,12 @@ def test_an_emergency_switch_ends_a_session_at_once():
     rig.board.switch_open = False
     rig.board.advance(6 * MS)
     assert rig.send(plain([GOOD]), 7, number=3)[0] == Refusal.EMERGENCY, "until BEGIN"
-    rig.begin(8)
+    rig.say(8, Kind.STOP)
+    assert rig.send(plain([GOOD]), 8, number=4)[0] == Refusal.STOPPED
+    rig.board.switch_open = True
+    assert rig.send(plain([GOOD]), 9, number=5)[0] == Refusal.EMERGENCY, "while it is open"
+    rig.board.switch_open = False
+    rig.begin(9)
     rig.board.advance(20 * MS)
     assert rig.books.slots == flowed
 
