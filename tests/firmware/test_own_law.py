@@ -171,15 +171,17 @@ def test_the_switch_ends_what_flows(make_life):
 
 
 @pytest.mark.parametrize("at_us", [0, 70, 2790, 3000, 11_000, 19_990, 20_000, 99_000])
-def test_at_whatever_time_the_switch_opens(make_life, at_us):
+@pytest.mark.parametrize("look_us", [10, 4000])
+def test_at_whatever_time_the_switch_opens(make_life, at_us, look_us):
     life = make_life(library(), ramp=False, both=True).begin(Limits())
     talk, (emulated, core) = life.talk, life.core.boards
-    scan = Scan(20_000, [(100, 40, (900, -900, 0, 0))] * 20, 50, FULL, 9000, (-60, 60, 0, 0))
-    talk.say(Kind.SEQUENCE, 1, scan.payload())
-    talk.say(Kind.SEQUENCE, 2, scan.payload())
+    scan = Scan(20_000, [(100, 40, (900, -900, 0, 0))] * 20, 25, FULL, 9000, (-170, 170, 0, 0))
+    (begun,) = talk.say(Kind.SEQUENCE, 1, scan.payload())
+    assert begun.kind == Kind.ACK
+    assert talk.say(Kind.SEQUENCE, 2, scan.payload()) == []
     talk.wait(at_us, 10)
     life.core.switch(True)
-    answers = talk.wait(40_000, 10)
+    answers = talk.wait(40_000, look_us)
     assert talk.pulses == []
     assert sum(each.kind == Kind.NAK for each in answers) == 1
     driven_pc = core.driven_pc()

@@ -193,6 +193,11 @@ class LinkFirmware(Firmware):
         opened = self.switch_open or self._finger.opens_switch(now_ns / 1e9)
         self._session.state = SWITCH_OPEN * opened
         if opened and self._refusing is None:
+            running = self._running
+            recharge_ns = None if running is None else running.recharge_ns
+            if recharge_ns is not None and recharge_ns <= self._executed_ns:
+                # Nothing that was due since then begins, but this phase has gone on until now.
+                self._executed_ns = now_ns
             self.zero("emergency", now_ns)
             self._refuse(0, Refusal.EMERGENCY)
             self._end(Refusal.EMERGENCY)
@@ -367,7 +372,8 @@ class LinkFirmware(Firmware):
     def _accept(self, message: Message, now_ns: int) -> None:
         number = message.about
         if self._refusing is not None:
-            return self._refuse(number, self._refusing)
+            opened = bool(self._session.state & SWITCH_OPEN)
+            return self._refuse(number, Refusal.EMERGENCY if opened else self._refusing)
         if number == self._last[0]:
             if self._last[1]:
                 self._say(Kind.ACK, number)

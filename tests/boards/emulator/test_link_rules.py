@@ -1,7 +1,9 @@
 """The emulated link board on a clock of the test's own: kernels, limits, rules."""
 
 import hashlib
+import zlib
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,14 +12,18 @@ from smarttouch.afferent import Afferent
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.link import LinkFirmware
-from smarttouch.boards.link_kernels import KernelImage
+from smarttouch.boards.link_kernels import KernelImage, digest_of
 from smarttouch.boards.link_lists import encode_limits, encode_lists
 from smarttouch.boards.link_protocol import NOTHING, Kind, Refusal, Rule
 from smarttouch.boards.link_session import HostSession, decode
+from smarttouch.boards.link_setup import give_kernels
+from smarttouch.errors import KernelTableError
 from smarttouch.stimulation.kernel_table import KernelLists, KernelTable
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.framing import Deframer
+
+from ...raising import raises
 
 E = 6
 NOBODY, FIVE = bytes(16), bytes([5] * 16)
@@ -426,6 +432,45 @@ def test_a_proof_is_of_the_table_and_the_session():
     assert rig.proof == rig.image.proof(rig.host.number) != before
 
 
+def test_a_table_with_the_same_crc_and_size_is_not_taken_for_ours():
+    """Four bytes make any CRC-32; the board compares the identity, the host the proof."""
+    rig = Rig(ramp_ms=0)
+    ours = rig.image.data
+    forged = with_crc(KernelImage.of(made_table(seed=1), 10_000, 100).data, zlib.crc32(ours))
+    assert (len(forged), zlib.crc32(forged)) == (len(ours), zlib.crc32(ours))
+    assert rig.give(forged) == (NOBODY, 0, 0)
+    for data, session in ((forged, 5), (ours, 4)):
+        proof = digest_of(session.to_bytes(8, "little") + data)
+        kept = protocol.KEPT.pack(rig.image.identity, len(ours), 1, proof)
+        line = SimpleNamespace(
+            name="board", session=SimpleNamespace(number=5),
+            ask=lambda *_, kept=kept: SimpleNamespace(payload=kept),
+        )  # fmt: skip
+        with raises(KernelTableError, about="kernels", problem="another"):
+            give_kernels(line, rig.image, 1000, lambda: None)
+
+
+def with_crc(data, crc):
+    """Return data of the same length whose CRC-32 is as given: its last four bytes are chosen."""
+    head = data[:-4]
+    base = zlib.crc32(head + bytes(4))
+    columns = [zlib.crc32(head + (1 << bit).to_bytes(4, "little")) ^ base for bit in range(32)]
+    wanted, chosen = base ^ crc, 0
+    rows = []
+    for bit, column in enumerate(columns):
+        mask = 1 << bit
+        for pivot, other, made in rows:
+            if column >> pivot & 1:
+                column, mask = column ^ other, mask ^ made
+        pivot = column.bit_length() - 1
+        rows.append((pivot, column, mask))
+    for pivot, column, mask in sorted(rows, reverse=True):
+        if wanted >> pivot & 1:
+            wanted, chosen = wanted ^ column, chosen ^ mask
+    assert wanted == 0
+    return head + chosen.to_bytes(4, "little")
+
+
 def test_an_emergency_switch_ends_a_session_at_once():
     rig = Rig(ramp_ms=0)
     assert rig.send(plain([GOOD] * 30)) is None
@@ -447,7 +492,12 @@ def test_an_emergency_switch_ends_a_session_at_once():
     rig.board.switch_open = False
     rig.board.advance(6 * MS)
     assert rig.send(plain([GOOD]), 7, number=3)[0] == Refusal.EMERGENCY, "until BEGIN"
-    rig.begin(8)
+    rig.say(8, Kind.STOP)
+    assert rig.send(plain([GOOD]), 8, number=4)[0] == Refusal.STOPPED
+    rig.board.switch_open = True
+    assert rig.send(plain([GOOD]), 9, number=5)[0] == Refusal.EMERGENCY, "while it is open"
+    rig.board.switch_open = False
+    rig.begin(9)
     rig.board.advance(20 * MS)
     assert rig.books.slots == flowed
 

@@ -7,7 +7,7 @@ from cobs import cobs
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.link_sequence import encode_volts
-from smarttouch.errors import BoardError
+from smarttouch.errors import BoardError, EmergencyStopError
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.framing import frame_packet
 
@@ -150,3 +150,21 @@ def test_a_board_that_is_lost_ends_its_session_before_the_next(world, board):
     board._send(sequence(), 1)
     board.drain()
     assert board.report().refused_packets == 0
+
+
+def test_an_emergency_switch_ends_the_run_and_keeps_the_board_shut(world, board):
+    board._send(sequence(), 2000)
+    world.wait(30)
+    world.firmware.switch_open = True
+    slots = world.books.slots
+    world.wait(protocol.ALIVE_MS + 2)
+    for _ in range(2):
+        with raises(EmergencyStopError, about="board", problem="emergency"):
+            board._send(sequence(), 1)
+    with raises(EmergencyStopError, about="board", problem="emergency"):
+        world.make_board()._open()
+    world.firmware.switch_open = False
+    world.wait(50)
+    with raises(EmergencyStopError, about="board", problem="emergency"):
+        board._send(sequence(), 1)
+    assert world.books.slots == slots

@@ -9,9 +9,10 @@ import os
 from collections import Counter
 
 import numpy as np
+import pytest
 
 from smarttouch.boards.link_protocol import ALIVE_MS, LATE_MS, SILENCE_MS
-from smarttouch.errors import BoardError, LineLostError
+from smarttouch.errors import BoardError, EmergencyStopError, LineLostError
 from smarttouch.stimulation.sequence import ScanSequence
 
 RUNS = int(os.environ.get("SMARTTOUCH_MIDDLE_RUNS", "40"))
@@ -135,3 +136,34 @@ def test_a_man_in_the_middle(make_world):
     assert totals["slots"] > 10 * RUNS
     assert totals["board"] > 10 * RUNS
     assert totals["host"] > RUNS
+
+
+def test_the_emergency_switch_opened_at_random(make_world):
+    """Whatever the line does, nothing flows from then on, and closing it begins nothing."""
+    while_flowing = reported = 0
+    for seed in range(RUNS):
+        world = make_world(seed)
+        world.opens_ns = world.random.randrange(20, 600) * 1_000_000
+        ending = world.random.choice(["stop", "silent", "replayed", "hoarded"])
+        host, gone_ns = one_run(world, ending)
+        haunt(world, ending, 1500)
+        last_us = max((time_us for *_, time_us in world.books.kept), default=0)
+        assert last_us <= world.opens_ns / 1000
+        while_flowing += world.opens_ns / 1000 - last_us <= 5000
+        reported += isinstance(host.board._line.fault, EmergencyStopError)
+        check(world, host, gone_ns, ending)
+        world.to_board.share = world.to_host.share = 0.0
+        with pytest.raises(EmergencyStopError):
+            Host(world).board._open()
+        world.opens_ns, world.firmware.switch_open = None, False
+        world.wait(300)
+        assert world.books.kept == []
+        again = Host(world)
+        again.board._open()
+        again.send(1)
+        world.wait(20)
+        assert len(world.books.kept) == 2
+    print(f"\n{RUNS} runs: the switch opened {while_flowing} times while current flowed, and")
+    print(f"{reported} hosts ended by it")
+    assert while_flowing > RUNS // 10
+    assert reported > RUNS // 10
