@@ -13,7 +13,7 @@ from pathlib import Path
 from platformdirs import user_state_path
 
 from smarttouch.errors import BoardLatchedError
-from smarttouch.files import write_bytes
+from smarttouch.files import make_folder, write_bytes
 
 _MOST_BYTES = 10_000
 
@@ -47,7 +47,7 @@ def latch(device: str, reason: str) -> None:
     """
     if find_latch(device) is None:
         path = _path(device)
-        path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        make_folder(path.parent)
         record = Latch(device, reason, time.strftime("%Y-%m-%d %H:%M:%S"))
         write_bytes(path, json.dumps(asdict(record)).encode())
 
