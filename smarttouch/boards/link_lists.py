@@ -13,6 +13,7 @@ from smarttouch.errors import BoardError
 from smarttouch.stimulation.kernel_table import KernelLists
 from smarttouch.stimulation.limits import PPB, SafetyLimits, parts_per_billion
 from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.sums import extent_us
 
 _HEAD = struct.Struct("<IHHBB")
 _GROUP = struct.Struct("<BBH")
@@ -71,9 +72,7 @@ def encode_lists(
         If it is too large for a packet, or asks a switched board for a recharge phase or for a
         stronger source than the wire can say.
     """
-    times_us = sequence.width_us.astype(np.uint32) << 16 | sequence.discharge_us
-    each, shape = np.unique(times_us, return_inverse=True)
-    shapes = np.column_stack([each >> 16, each & 0xFFFF])
+    shapes, shape = _shapes(sequence)
     if len(shapes) > _MOST_SHAPES:
         raise BoardError(
             f"{len(shapes)} pulse shapes in one sequence are above the limit of {_MOST_SHAPES}: "
@@ -114,20 +113,42 @@ def encode_lists(
     return payload
 
 
+def _shapes(sequence: ScanSequence) -> tuple[NDArray[np.uint16], NDArray[np.intp] | None]:
+    """Return all pulse shapes, (N, 2), and the one of each slot; None if they have only one."""
+    width_us, discharge_us = sequence.width_us, sequence.discharge_us
+    extents = extent_us(width_us.tobytes()), extent_us(discharge_us.tobytes())
+    if sequence.slots and all(least == most for least, most, _ in extents):
+        return np.array([[most for _, most, _ in extents]], np.uint16), None
+    times_us = width_us.astype(np.uint32) << 16 | discharge_us
+    each, shape = np.unique(times_us, return_inverse=True)
+    return np.column_stack([each >> 16, each & 0xFFFF]).astype(np.uint16), shape
+
+
 def _groups(
-    sequence: ScanSequence, shape: NDArray[np.intp], switched: bool, image: KernelImage | None
+    sequence: ScanSequence,
+    shape: NDArray[np.intp] | None,
+    switched: bool,
+    image: KernelImage | None,
 ) -> list[bytes]:
     """Return the groups of slots that have a kind and a shape in common."""
-    slots = sequence.slots
-    kind = np.full(slots, STATES if switched else CURRENTS)
+    slots, usual = sequence.slots, STATES if switched else CURRENTS
     lists = None if switched else _kept(sequence, image)
+    if lists is None and shape is None:
+        if slots > _U16_MAX:
+            raise _too_many(slots)
+        return [_GROUP.pack(usual, 0, slots), _rows(sequence, switched)]
+    shape = np.zeros(slots, np.intp) if shape is None else shape
+    kind = np.full(slots, usual)
     if lists is not None:
         sums, listed = lists
         size = np.diff(sums.first)
         kind = np.where(listed, np.where(size == 1, POINTS, SUM), kind)
         pairs = np.column_stack([sums.kernel, sums.amplitude]).astype("<u2")
         first = sums.first.tolist()
-    rows = _rows(sequence, switched) if kind.max() >= CURRENTS else None
+    rows, of_slot = b"", 0
+    if kind.max() >= CURRENTS:
+        rows = _rows(sequence, switched)
+        of_slot = len(rows) // slots
     new = np.ones(slots, np.bool_)
     new[1:] = (kind[1:] == SUM) | (np.diff(kind) != 0) | (np.diff(shape) != 0)
     starts = np.flatnonzero(new).tolist()
@@ -139,8 +160,10 @@ def _groups(
         if count > _U16_MAX:
             raise _too_many(count)
         parts.append(_GROUP.pack(what, int(shape[start]), count))
-        body = pairs[first[start] : first[end]] if rows is None or what <= SUM else rows[start:end]
-        parts.append(body.tobytes())
+        if what >= CURRENTS:
+            parts.append(rows[start * of_slot : end * of_slot])
+        else:
+            parts.append(pairs[first[start] : first[end]].tobytes())
     return parts
 
 
@@ -176,17 +199,21 @@ def _is_sound(lists: KernelLists, slots: int) -> bool:
     )
 
 
-def _rows(sequence: ScanSequence, switched: bool) -> NDArray[np.uint8]:
-    """Return each slot's site and currents, or site, source and states, as bytes (S, B)."""
+def _rows(sequence: ScanSequence, switched: bool) -> bytes:
+    """Return each slot's site and currents, or site, source and states."""
     slots, current_ua = sequence.slots, sequence.current_ua
-    columns = [sequence.site[:, None].astype("<u2").view(np.uint8)]
-    if switched:
-        columns.append(source_of(current_ua)[:, None].view(np.uint8))
-        states = np.frombuffer(pack_states(np.sign(current_ua)), np.uint8)
-        columns.append(states.reshape(slots, -(-current_ua.shape[1] // 4)))
-    else:
-        columns.append(current_ua.astype("<i2").view(np.uint8))
-    return np.concatenate(columns, axis=1)
+    if not switched:
+        rows = np.empty((slots, 1 + current_ua.shape[1]), "<i2")
+        rows[:, 0] = sequence.site.view(np.int16)
+        rows[:, 1:] = current_ua
+        return rows.tobytes()
+    states = np.frombuffer(pack_states(np.sign(current_ua)), np.uint8)
+    columns = [
+        sequence.site[:, None].astype("<u2").view(np.uint8),
+        source_of(current_ua)[:, None].view(np.uint8),
+        states.reshape(slots, -(-current_ua.shape[1] // 4)),
+    ]
+    return np.concatenate(columns, axis=1).tobytes()
 
 
 def _too_many(count: int) -> BoardError:

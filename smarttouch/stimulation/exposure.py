@@ -106,7 +106,7 @@ class _Pass(NamedTuple):
     most: float
     """Largest load."""
     most_pc: float
-    """Largest net charge."""
+    """Upper bound of the net charge."""
 
     def later(self, by_ns: int) -> "_Pass":
         """Return the same pass at a later time."""
@@ -216,7 +216,8 @@ class Exposure:
         if most > MOST_PER_US * burst_us:
             raise _too_much(load, burst_us, f"in {period_us} µs: lower the rate")
         net_pc = made.slots_pc if recharge_pc is None else made.slots_pc + recharge_pc
-        most_pc = float(np.abs(net_pc).max())
+        # No electrode has more of one sign than it has in all.
+        most_pc = most / PER_PC
         last, window, start_ns, period_ns = self._last, self._window, now_ns, 1000 * period_us
         begun = 1
         if last is not None:
@@ -228,7 +229,7 @@ class Exposure:
                 carried_pc = carried_pc - (last.times - begun) * last.first.net_pc
             _check_recharge(carried_pc + made.slots_pc, recharge_pc, net_pc, times)
         first = _Pass(start_ns, start_ns + 1000 * made.busy_us, load, net_pc, most, most_pc)
-        entered = [] if last is None else self._repetitions(last, begun)
+        entered = [] if last is None or begun == last.begun else self._repetitions(last, begun)
         # Until the first of its passes has left the second, each adds to what is in it.
         own = 1 if times == 1 else min(times, 1 + (first.end_ns - start_ns + _LAST_NS) // period_ns)
         net_at_most = self._check_second(now_ns, first, own, period_ns, entered)
@@ -242,7 +243,9 @@ class Exposure:
         # From here on nothing is refused.
         self._net_at_most = net_at_most
         if last is not None:
-            self._enter_repetitions(last, begun)
+            for each in entered:
+                self._add(each)
+            last.begun = begun
             if left := last.left:
                 self._session_ns -= left * last.period_ns * last.flows
                 self._session -= left * last.first.load
@@ -290,13 +293,14 @@ class Exposure:
         entered : list of _Pass
             Repetitions of the sequence before that are not in the window yet.
         """
-        window, waiting = self._window, len(self._window) + len(entered)
+        window, most, most_pc = self._window, own * first.most, own * first.most_pc
+        for each in entered:
+            most += each.most
+            most_pc += each.most_pc
         if (
-            waiting < self._most_passes
-            and self._second_at_most + own * first.most + sum(each.most for each in entered)
-            <= MOST_PER_US * 1_000_000
-            and self._net_at_most + own * first.most_pc + sum(each.most_pc for each in entered)
-            <= NET_PC
+            len(window) + len(entered) < self._most_passes
+            and self._second_at_most + most <= MOST_PER_US * 1_000_000
+            and self._net_at_most + most_pc <= NET_PC
         ):
             return self._net_at_most
         kept = [each for each in (*window, *entered) if each.end_ns > now_ns - WINDOW_NS]
