@@ -16,6 +16,7 @@ from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.stimulation.sums import extent_us
 
 _HEAD = struct.Struct("<IHHBB")
+_SHAPE = struct.Struct("<HH")
 _GROUP = struct.Struct("<BBH")
 POINTS, SUM, CURRENTS, STATES = range(4)
 """Kinds of groups of slots."""
@@ -72,14 +73,14 @@ def encode_lists(
         If it is too large for a packet, or asks a switched board for a recharge phase or for a
         stronger source than the wire can say.
     """
-    shapes, shape = _shapes(sequence)
-    if len(shapes) > _MOST_SHAPES:
+    shapes, table, shape = _shapes(sequence)
+    if shapes > _MOST_SHAPES:
         raise BoardError(
-            f"{len(shapes)} pulse shapes in one sequence are above the limit of {_MOST_SHAPES}: "
+            f"{shapes} pulse shapes in one sequence are above the limit of {_MOST_SHAPES}: "
             "choose fewer pulse widths",
             about="shapes",
             problem="too many",
-            value=len(shapes),
+            value=shapes,
             allowed=_MOST_SHAPES,
         )
     recharge = sequence.recharge_ua
@@ -93,8 +94,8 @@ def encode_lists(
     intensity = -(-parts_per_billion(sequence.intensity) * FULL // PPB)
     flags = MEASURE * measure | RECHARGE * (recharge is not None)
     parts = [
-        _HEAD.pack(sequence.period_us, times, intensity, flags, len(shapes)),
-        shapes.astype("<u2").tobytes(),
+        _HEAD.pack(sequence.period_us, times, intensity, flags, shapes),
+        table,
     ]
     if recharge is not None:
         parts += [sequence.recharge_us.to_bytes(2, "little"), recharge.astype("<i2").tobytes()]
@@ -113,15 +114,17 @@ def encode_lists(
     return payload
 
 
-def _shapes(sequence: ScanSequence) -> tuple[NDArray[np.uint16], NDArray[np.intp] | None]:
-    """Return all pulse shapes, (N, 2), and the one of each slot; None if they have only one."""
+def _shapes(sequence: ScanSequence) -> tuple[int, bytes, NDArray[np.intp] | None]:
+    """Return the number of pulse shapes, all of them, and that of each slot; None if of one."""
     width_us, discharge_us = sequence.width_us, sequence.discharge_us
-    extents = extent_us(width_us.tobytes()), extent_us(discharge_us.tobytes())
-    if sequence.slots and all(least == most for least, most, _ in extents):
-        return np.array([[most for _, most, _ in extents]], np.uint16), None
+    least_us, most_us, _ = extent_us(width_us.tobytes())
+    least_rest_us, most_rest_us, _ = extent_us(discharge_us.tobytes())
+    if least_us == most_us > 0 and least_rest_us == most_rest_us:
+        return 1, _SHAPE.pack(most_us, most_rest_us), None
     times_us = width_us.astype(np.uint32) << 16 | discharge_us
     each, shape = np.unique(times_us, return_inverse=True)
-    return np.column_stack([each >> 16, each & 0xFFFF]).astype(np.uint16), shape
+    pairs = np.column_stack([each >> 16, each & 0xFFFF])
+    return len(pairs), pairs.astype("<u2").tobytes(), shape
 
 
 def _groups(

@@ -59,7 +59,7 @@ class NetPlan:
         for ago_us, net_pc in passes:
             self._enter(time_us - ago_us, float(np.abs(net_pc).max()), net_pc)
 
-    def spares(self, at_most_pc: float, time_us: float, period_us: int, busy_us: int) -> bool:
+    def spares(self, at_most_pc: float, time_us: float, period_us: int) -> bool:
         """Enter a sequence of so little net charge that it need not be known, and return True.
 
         False, and nothing entered, where a window of them, or what is in it, might not be below
@@ -69,14 +69,19 @@ class NetPlan:
         ----------
         at_most_pc : float
             Upper bound of its net charge.
-        time_us, period_us, busy_us
+        time_us, period_us
             As of `period_us`.
         """
         self._forget(time_us)
-        most = WINDOW_US // period_us + 2
-        if max(self._at_most_pc + at_most_pc, most * at_most_pc) > GUARD_PC:
+        if (WINDOW_US // period_us + 2) * at_most_pc > GUARD_PC:
             return False
-        self._enter(time_us + busy_us, at_most_pc, None)
+        if self._at_most_pc + at_most_pc > GUARD_PC:
+            return False
+        # No slot is later than the period.
+        self._passes.append(_Pass(time_us + period_us, at_most_pc, None))
+        self._at_most_pc += at_most_pc
+        self._newest_at_most_pc += at_most_pc
+        self._unknown_pc += at_most_pc
         return True
 
     def admits(self, net_pc: Array, time_us: float) -> bool:
@@ -117,14 +122,11 @@ class NetPlan:
                 needed_us = max(needed_us, end_us + WINDOW_US - time_us)
         return needed_us
 
-    def _enter(self, end_us: float, most_pc: float, net_pc: Array | None) -> None:
+    def _enter(self, end_us: float, most_pc: float, net_pc: Array) -> None:
         self._passes.append(_Pass(end_us, most_pc, net_pc))
         self._at_most_pc += most_pc
         self._newest_at_most_pc += most_pc
-        if net_pc is None:
-            self._unknown_pc += most_pc
-        else:
-            self._sum_pc += net_pc
+        self._sum_pc += net_pc
 
     def _forget(self, time_us: float) -> None:
         """Leave out passes that are no longer in a window that begins before a time."""
@@ -136,7 +138,7 @@ class NetPlan:
                 self._unknown_pc -= most_pc
             else:
                 self._sum_pc -= net_pc
-        self._newest_at_most_pc = min(self._newest_at_most_pc, self._at_most_pc)
+            self._newest_at_most_pc = min(self._newest_at_most_pc, self._at_most_pc)
 
     def _newest(self, net_pc: Array) -> Array:
         """Return the largest magnitudes of the newest passes' net charge with one more, (N + 1, E).

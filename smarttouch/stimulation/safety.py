@@ -90,9 +90,10 @@ class Rise:
         """
         # The board finishes its present pass, and of repetitions no more.
         gone_ns = max(0, now_ns - self._since_ns)
-        to_come_ns = min(max(0, self._left_ns - gone_ns), LATE_NS)
+        left_ns = self._left_ns - gone_ns
+        to_come_ns = min(left_ns, LATE_NS) if left_ns > 0 else 0
         if lasting_ns:
-            if ppb > self._ppb or gone_ns > self._left_ns + LEVEL_KEPT_NS:
+            if ppb > self._ppb or -left_ns > LEVEL_KEPT_NS:
                 ppb = min(ppb, self.risen_ppb(now_ns))
             self._ppb = ppb
             self._since_ns, self._left_ns = now_ns, to_come_ns + lasting_ns

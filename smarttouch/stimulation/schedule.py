@@ -303,7 +303,7 @@ class ScanScheduler:
         self._felt_us = most_felt / (PLANNED * MOST_PER_US)
         self._charge_us = most_charge / (PLANNED * MOST_PER_US)
         # In whole pC: what is added up is taken away again without a rest.
-        self._net_at_most_pc = float(math.ceil(most_charge / PER_PC))
+        self._net_at_most_pc = float(np.ceil(most_charge / PER_PC))
 
     def _within_net(
         self,
@@ -315,13 +315,13 @@ class ScanScheduler:
     ) -> tuple[int, bool]:
         """Return a period that keeps the limit of net current, and whether slots keep it now."""
         time_us = image.time_ns / 1000
-        busy_us = extent_us(width_us.tobytes())[2] + len(width_us) * self._discharge_us
-        if net.spares(self._net_at_most_pc, time_us, period_us, busy_us):
+        if net.spares(self._net_at_most_pc, time_us, period_us):
             return period_us, True
         net_pc = (width_us.astype(np.float32) @ current_ua.astype(np.float32)).astype(np.float64)
         if not net.admits(net_pc, time_us):
             self.net_emptied += 1
             return period_us, False
+        busy_us = extent_us(width_us.tobytes())[2] + len(width_us) * self._discharge_us
         needed_us = net.period_us(net_pc, time_us, period_us, busy_us)
         if needed_us <= period_us:
             return period_us, True
