@@ -190,6 +190,19 @@ class Exposure:
         self._window.clear()
         self._second_at_most = self._net_at_most = 0.0
 
+    def net_rest_ns(self, now_ns: int) -> int:
+        """Return the time until half of the net charge of a second is free for a new session.
+
+        With less than that, what is planned without knowledge of an earlier session could be
+        refused.
+        """
+        kept = [each for each in reversed(self._window) if each.end_ns > now_ns - WINDOW_NS]
+        if not kept or self._second_at_most <= PER_PC * NET_PC / 2:
+            return 0
+        newest = np.abs(np.cumsum([each.sums[2] for each in kept], axis=0)).max(axis=1)
+        over = np.flatnonzero(newest > NET_PC / 2)
+        return kept[over[0]].end_ns + WINDOW_NS - now_ns if len(over) else 0
+
     def enter(self, now_ns: int, period_us: int, times: int, made: PassLoad, flows: bool) -> None:
         """Enter a sequence that may begin now; it ends the repetitions of the one before.
 

@@ -2,7 +2,6 @@
 
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -45,19 +44,6 @@ class NetPlan:
         self._sum_pc = np.zeros(electrodes)
         # Bounds of all passes, of those whose own net charge is unknown, and of the newest.
         self._at_most_pc = self._unknown_pc = self._newest_at_most_pc = 0.0
-
-    def follow(self, passes: Sequence[tuple[float, Array]], time_us: float) -> None:
-        """Begin with what an earlier run has left in the last second.
-
-        Parameters
-        ----------
-        passes : sequence of (float, ndarray)
-            Time since the end of each pass, µs, and its net charge, (E,) pC; oldest first.
-        time_us : float
-            Of the first frame.
-        """
-        for ago_us, net_pc in passes:
-            self._enter(time_us - ago_us, float(np.abs(net_pc).max()), net_pc)
 
     def spares(self, at_most_pc: float, time_us: float, period_us: int) -> bool:
         """Enter a sequence of so little net charge that it need not be known, and return True.

@@ -143,6 +143,11 @@ class SafetyGate:
             self._now_ns = None
             self._exposure.forget_second()
 
+    def net_rest_ns(self) -> int:
+        """Return how long a new session must wait: see `Exposure.net_rest_ns`."""
+        with self._lock:
+            return 0 if self._clock is None else self._exposure.net_rest_ns(self._clock.now_ns())
+
     def begin_session(self) -> None:
         """Start at intensity zero with a dose of zero; the last second still counts."""
         now_ns = None if self._clock is None else self._clock.now_ns()
