@@ -118,7 +118,8 @@ class Board(Timely, ABC):
     def open(self) -> None:
         """Connect, shake hands, and put all electrodes at zero.
 
-        Other processes can stop a board that a finger may be on from before this begins.
+        Other processes can stop a board that a finger may be on from before this begins. It waits,
+        a second at most, where what was sent before leaves too little room for net current.
 
         Raises
         ------
@@ -146,6 +147,8 @@ class Board(Timely, ABC):
         # A new run starts from zero intensity, and its time may start anew.
         self._gate.begin_session()
         self._begin_unless_halted()
+        if self._stopped.wait(self._gate.net_rest_ns() / 1e9):
+            self._go_on_unless_stopped()
         self._host_statistics = HostStatistics(self._gate.limits.electrodes)
         self._open()
         self._opened = True

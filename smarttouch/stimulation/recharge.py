@@ -139,8 +139,9 @@ def add_recharge(
 ) -> ScanSequence:
     """Return a sequence with the recharge phase that brings net charge back to zero.
 
-    No electrode gets more than it takes back: whole µA leave a rest of about a µA times its width
-    on each electrode, and what the limits do not allow at once is left too. The phase is as short
+    No electrode gets more than it takes back: whole µA leave a rest of up to a µA times its width
+    on each electrode, their sum on the strongest, and what the limits do not allow at once is left
+    too. The phase is as short
     as its limits allow, and the period grows where it does not fit. Slots stay as they are.
 
     Parameters

@@ -109,6 +109,23 @@ def test_net_current_of_any_second(opened, sign):
     gate.prove(dataclasses.replace(given, time_ns=3 * SECOND))
 
 
+def test_a_new_session_waits_until_half_of_the_net_charge_is_free(opened):
+    gate, clock = opened
+    assert gate.net_rest_ns() == 0
+    for step in range(30):
+        gate.prove(pulses(2, time_ns=SECOND + 1 + step))
+        clock.time_ns += 20_000_000
+    gate.begin_session()
+    # 26 passes of 0.96 µC are less than 25 µC: the fourth must leave. It ended 440 µs after its
+    # start, and all begin 19.999 ms late, when what opened the level was over.
+    rest_ns = gate.net_rest_ns()
+    assert rest_ns == SECOND - 27 * 20_000_000 + 19_999_000 + 440_000
+    clock.time_ns += rest_ns - 1
+    assert gate.net_rest_ns() == 1
+    clock.time_ns += 1
+    assert gate.net_rest_ns() == 0
+
+
 def test_repetitions_count_before_they_are_let_through(opened):
     gate, _ = opened
     given = pulses(2, period_us=19_000)

@@ -1,5 +1,7 @@
 """The oracle beside the gates of a process: it judges what they accept, and what is delivered."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from smarttouch.boards.emulator.skin import Delivered
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 
+from . import watch
 from .bounds import Bounds
 from .by_hand import pair, sequence
 from .gates import ToldClock
@@ -25,11 +28,11 @@ def gate(limits=LIMITS):
 def blind(safety_watch):
     """A watch in whose time gates accept everything, and the usual one looks away."""
     safety_watch.on = False
-    watch = Watch()
+    blinded = Watch()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(SafetyGate, "prove", lambda _gate, sequence, *_: sequence)
-        inner = watch.installed()
-        yield watch
+        inner = blinded.installed()
+        yield blinded
         inner.undo()
 
 
@@ -90,7 +93,10 @@ def test_books_in_a_folder(blind, tmp_path):
 @pytest.mark.parametrize("taken", [False, True])
 def test_a_simulated_board(blind, taken):
     """Pulses are judged when they are taken, and the rest when the board is closed."""
-    with SimulatedBoard("", LIMITS) as board:
+    # A board with the limits that the watch judges by would refuse the pulse itself.
+    wider = replace(LIMITS, current_ma=4.0, full_ma=4.0)
+    vars(wider)[watch.OF_PROFILE] = Bounds.of_limits(LIMITS)
+    with SimulatedBoard("", wider) as board:
         board.send(sequence([], intensity=0.0, time_ns=0))
         board.send(sequence(pair(3500)))
         blind.take()

@@ -18,7 +18,7 @@ from .deliveries import Pulses, judge_pulses
 from .oracle import Oracle
 from .quick import judge_alone_quickly
 
-_OF_PROFILE = "bounds of its profile"
+OF_PROFILE = "bounds of its profile"
 """Under this name limits carry what the oracle reads of the profile that they were made of."""
 
 
@@ -54,7 +54,7 @@ class Watch:
 
     def bounds_of(self, limits):
         """Return the bounds of limits: those of their profile where they were made of one."""
-        bounds = vars(limits).get(_OF_PROFILE) or Bounds.of_limits(limits)
+        bounds = vars(limits).get(OF_PROFILE) or Bounds.of_limits(limits)
         self._seen[bounds.electrodes] = bounds
         return bounds
 
@@ -163,7 +163,7 @@ class Watch:
             key = profile.model_dump_json()
             if key not in self._of_profile:
                 self._of_profile[key] = Bounds.of(profile)
-            bounds = vars(limits)[_OF_PROFILE] = self._of_profile[key]
+            bounds = vars(limits)[OF_PROFILE] = self._of_profile[key]
             self._seen[bounds.electrodes] = bounds
             return limits
 

@@ -51,12 +51,12 @@ steps = st.lists(
 def test_rise_is_bounded_by_what_flows_and_fall_is_immediate(asked):
     soft, rise, time_ns, period_us, drives = SoftStart(0.5), Rise(500_000_000), 0, 0, False
     assert soft.follow(1.0, 0) == 0.0
-    before = 0.0
+    before, since_ns = 0.0, 0
     for wanted, wait_ns, next_us, driving in asked:
         time_ns += wait_ns
         now = soft.follow(wanted, time_ns)
         assert now <= wanted
-        flowed_s = min(wait_ns / 1e9, period_us / 1e6) if drives else 0.0
+        flowed_s = min((time_ns - since_ns) / 1e9, period_us / 1e6) if drives else 0.0
         assert now <= before + flowed_s / 0.5 + MOST_FIRST_NS / 1e9 / 0.5 + 1e-9
         ppb = parts_per_billion(now)
         # The gate permits all of it, with time to spare for lateness.
@@ -65,7 +65,7 @@ def test_rise_is_bounded_by_what_flows_and_fall_is_immediate(asked):
             rise.note(ppb, time_ns, 1000 * next_us)
         soft.note(next_us, driving and now > 0)
         if driving and now:
-            before, period_us, drives = now, next_us, True
+            before, since_ns, period_us, drives = now, time_ns, next_us, True
 
 
 def test_it_rises_while_pulses_flow_and_stays_while_none_do():

@@ -183,8 +183,10 @@ def test_over_a_thousand_scans_nothing_builds_up(seed):
     for _ in range(1000):
         scan = sequence(kernels[rng.integers(0, 16, 3)], electrodes=16)
         plain.add(scan)
-        ledger.add(add_recharge(scan, ledger.charge_pc, within))
-        assert ledger.worst_uc <= 0.02
+        planned = add_recharge(scan, ledger.charge_pc, within)
+        ledger.add(planned)
+        # Each of the others takes back all but a part of a µA, and their sum is left on one.
+        assert 1e6 * ledger.worst_uc < 15 * planned.recharge_us
     assert ledger.charge_pc.sum() == 0
     assert plain.worst_uc > 1
 
