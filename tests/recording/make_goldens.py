@@ -211,6 +211,7 @@ def make(golden, path):
             light_on_dark=golden.light_on_dark,
             softness=golden.softness,
             scan=golden.sharing,
+            balance=golden.balance,
         ),
         golden.timing,
     )
