@@ -22,7 +22,7 @@ from smarttouch.vibrotactile.spec import open_trace
 
 from ..reference.recover import recover
 
-LEVEL = 0.3
+LEVEL = 0.25
 """Of the strongest: net current leaves PC its 125 Hz."""
 RISEN_S = 0.55
 """By then intensity has risen."""
