@@ -60,7 +60,7 @@ class BrokenStageError(Exception):
 
 
 class Bars(OpticalSource):
-    """A sensor over a short black bar that moves, so that no electrode's net current is the limit."""
+    """A sensor over a short black bar that moves: net current is no limit of its rate."""
 
     def __init__(self, most=100, fails_at=None, speed=8, **frame):
         super().__init__("bars")
