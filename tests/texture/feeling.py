@@ -22,7 +22,6 @@ from smarttouch.stopping import StopRequest
 from smarttouch.texture.felt import TextureDrawing
 from smarttouch.texture.source import MouseSource
 
-
 OPENED_NS = 700_000_000
 """So long the hand rests, and a point here and there opens the level."""
 
