@@ -8,14 +8,17 @@ from smarttouch.reading.window import profile_for_reading
 
 
 @pytest.fixture(scope="session")
-def mouse(changed):
-    """The electric mouse, millimeter by millimeter.
-
-    Its pulses are so short that net current leaves all points at once 50 of them a second.
-    """
-    return changed(profile_for_reading(load_profile("electric-mouse")), {"pulse.width_us": 20})
+def mouse():
+    """The electric mouse, millimeter by millimeter."""
+    return profile_for_reading(load_profile("electric-mouse"))
 
 
 @pytest.fixture(scope="session")
 def mouse_bank(mouse):
     return load_bank(mouse)
+
+
+@pytest.fixture(scope="session")
+def brief(mouse, changed):
+    """The same with pulses so short that neither net current nor its balance slows a frame."""
+    return changed(mouse, {"pulse.width_us": 20})

@@ -14,9 +14,12 @@ from smarttouch.running.controls import Controls, ControlState
 from smarttouch.running.listener import as_listeners
 from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.regulator import Regulator
 from smarttouch.running.statistics import RunStatistics
 from smarttouch.running.step import StepResult
 from smarttouch.sources.stimulus import Stimulus
+from smarttouch.stimulation.ledger import ChargeBalance
+from smarttouch.stimulation.recharge import RechargeRules
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 from smarttouch.texture.felt import TextureDrawing
@@ -91,7 +94,8 @@ def feel(
 ) -> SimulationResult:
     """Let a finger feel a texture until the hand stops; frames, kernels, safety are a live run's.
 
-    The level is open before the hand moves, and nothing of that is part of the result.
+    The level is open before the hand moves, and nothing of that is part of the result. Charge is
+    balanced, without which net current slows a texture under all electrodes.
 
     Parameters
     ----------
@@ -136,13 +140,17 @@ def feel(
     with sensor, SimulatedBoard("", limits, profile.output) as board:
         run_loop(
             sensor,
-            Pipeline(profile, bank, RunConfig(mode=sensor.mode, scan="points")),
+            Pipeline(profile, bank, RunConfig(mode=sensor.mode, scan="points", balance=True)),
             board,
             stop=StopRequest(),
             statistics=tally,
             seconds=seconds,
             listeners=as_listeners([watch]),
             controls=Controls(ControlState(sensor.mode)),
+            regulator=Regulator(
+                ledger=ChargeBalance(len(profile.electrodes)),
+                recharge=RechargeRules.of(profile, board.timing),
+            ),
             clock=SimulatedClock(),
         )
         drawing.deliver(*board.take_pulses())
