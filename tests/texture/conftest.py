@@ -16,3 +16,9 @@ def mouse():
 @pytest.fixture(scope="session")
 def mouse_bank(mouse):
     return load_bank(mouse)
+
+
+@pytest.fixture(scope="session")
+def brief(mouse, changed):
+    """The same with pulses so short that neither net current nor its balance slows a frame."""
+    return changed(mouse, {"pulse.width_us": 20})

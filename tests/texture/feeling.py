@@ -1,6 +1,6 @@
 """A texture felt without hardware: the whole chain to a simulated board, and what the skin got."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,19 @@ from smarttouch.running.controls import Controls, ControlState
 from smarttouch.running.listener import as_listeners
 from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.regulator import Regulator
 from smarttouch.running.statistics import RunStatistics
 from smarttouch.running.step import StepResult
+from smarttouch.sources.stimulus import Stimulus
+from smarttouch.stimulation.ledger import ChargeBalance
+from smarttouch.stimulation.recharge import RechargeRules
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 from smarttouch.texture.felt import TextureDrawing
 from smarttouch.texture.source import MouseSource
+
+OPENED_NS = 700_000_000
+"""So long the hand rests, and a point here and there opens the level."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +94,9 @@ def feel(
 ) -> SimulationResult:
     """Let a finger feel a texture until the hand stops; frames, kernels, safety are a live run's.
 
+    The level is open before the hand moves, and nothing of that is part of the result. Charge is
+    balanced, without which net current slows a texture under all electrodes.
+
     Parameters
     ----------
     sensor : MouseSource
@@ -107,7 +117,19 @@ def feel(
     poses_mm: dict[int, tuple[float, float]] = {}
     tally = RunStatistics()
 
+    def opening(time_ns: int) -> Stimulus | None:
+        given = read(time_ns)
+        if given is not None and time_ns < OPENED_NS:
+            activation = given.activation.copy()
+            activation[sensor.mode.afferents[0], time_ns // 10_000_000 % len(activation[0])] = 1
+            given = replace(given, activation=activation)
+        return given
+
+    read, sensor.read = sensor.read, opening
+
     def watch(sent: StepResult) -> None:
+        if sent.step.input.time_ns < OPENED_NS:
+            return
         drawing.watch(sent)
         if sent.number is not None:
             frame = sent.step.input
@@ -118,13 +140,17 @@ def feel(
     with sensor, SimulatedBoard("", limits, profile.output) as board:
         run_loop(
             sensor,
-            Pipeline(profile, bank, RunConfig(mode=sensor.mode, scan="points")),
+            Pipeline(profile, bank, RunConfig(mode=sensor.mode, scan="points", balance=True)),
             board,
             stop=StopRequest(),
             statistics=tally,
             seconds=seconds,
             listeners=as_listeners([watch]),
             controls=Controls(ControlState(sensor.mode)),
+            regulator=Regulator(
+                ledger=ChargeBalance(len(profile.electrodes)),
+                recharge=RechargeRules.of(profile, board.timing),
+            ),
             clock=SimulatedClock(),
         )
         drawing.deliver(*board.take_pulses())

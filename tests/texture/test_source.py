@@ -74,13 +74,13 @@ def test_a_grating_in_an_image_pulses_as_often(
     assert np.abs(pulses_hz - want_hz).max() <= 1.1 * 20 * pitch / 60
 
 
-def test_up_to_the_bound_and_not_beyond(mouse, mouse_bank):
+def test_up_to_the_bound_and_not_beyond(brief, mouse_bank):
     texture = open_texture("grating:4mm,10deg")
     share = math.cos(math.radians(10))
-    fine, source = stroke(texture, 180, mouse, mouse_bank, length_mm=100)
+    fine, source = stroke(texture, 180, brief, mouse_bank, length_mm=100)
     assert fine.mean() == pytest.approx(45 * share, rel=0.01)
     assert source.notes == []
-    too_fast, source = stroke(texture, 280, mouse, mouse_bank, length_mm=100)
+    too_fast, source = stroke(texture, 280, brief, mouse_bank, length_mm=100)
     assert 30 < too_fast.mean() < 50.5
     assert numbers_in(source.notes[0]) == [source._limit.left_out, 50]
     assert source._limit.left_out > 0
@@ -93,7 +93,7 @@ def test_up_to_the_bound_and_not_beyond(mouse, mouse_bank):
         ("to and fro", "disc"),
     ],
 )  # fmt: skip
-def test_an_object_stays_put_while_the_hand_moves(tmp_path, mouse, mouse_bank, kind, way):
+def test_an_object_stays_put_while_the_hand_moves(tmp_path, brief, mouse_bank, kind, way):
     """Put together from delivered pulses its middle is where it is, to half a frame of the way."""
     time_s = np.linspace(0, 2, 201)
     turn = math.pi * time_s
@@ -105,7 +105,7 @@ def test_an_object_stays_put_while_the_hand_moves(tmp_path, mouse, mouse_bank, k
         "to and fro": (40 + 14 * np.sin(2 * turn), 19 + time_s),
     }[way]
     texture = open_texture(str(object_file(tmp_path / "o.png", kind)))
-    touched, _ = touch(texture, path_motion(tmp_path, time_s, x, y), mouse, mouse_bank)
+    touched, _ = touch(texture, path_motion(tmp_path, time_s, x, y), brief, mouse_bank)
     felt = touched.felt
     drawn = 255 - touched.drawing.picture((20.0, 0.0), (400, 400), 0.1).astype(float)
     rows, columns = np.mgrid[:400, :400] * 0.1 + 0.05
