@@ -106,8 +106,7 @@ class BoardContract:
     @pytest.fixture(autouse=True)
     def never_late(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """Let nothing be dropped for being late, however busy the machine is."""
-        for module in ("boards.timely", "stimulation.safety"):
-            monkeypatch.setattr(f"smarttouch.{module}.LATE_NS", 60 * SECOND)
+        monkeypatch.setattr("smarttouch.boards.timely.LATE_NS", 60 * SECOND)
 
     @pytest.fixture
     def limits(self) -> SafetyLimits:
