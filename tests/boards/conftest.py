@@ -20,11 +20,14 @@ from smarttouch.profile.device import Output
 from smarttouch.realtime import prioritized
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.testing.boards import BoardContract
 from tests.boards.fresh import fresh_state
 from tests.firmware.build import WHOLE
 from tests.firmware.conftest import start_cortex_m3, start_firmware
 
 from ..forks import EMULATOR, Forked
+from ..safety.bounds import WHOLE as WHOLE_RISE
+from ..safety.bounds import Bounds
 
 SECOND = 10**9
 
@@ -37,11 +40,15 @@ FIRMWARES = [pytest.param(kind, marks=WHOLE) for kind in ("link C", "link M3")]
 def claimed_time(request, monkeypatch):
     """Let gate and emulators take time as sequences claim it: what is tested is what drivers do.
 
-    A test of the gate on the machine's clock is marked ``wall_clock``.
+    Nor do currents rise: gate, emulators and oracle take any intensity after the silent first.
+    A test of the gate on the machine's clock is marked ``wall_clock``; those of the contract keep
+    the rise.
     """
     if "wall_clock" not in request.keywords:
         monkeypatch.setattr(Board, "_time", lambda self: None)
-        monkeypatch.setattr("smarttouch.stimulation.safety.LATE_NS", 3600 * SECOND)
+        if not issubclass(request.cls or object, BoardContract):
+            monkeypatch.setattr("smarttouch.stimulation.safety.LATE_NS", 3600 * SECOND)
+            monkeypatch.setattr(Bounds, "late_rise", WHOLE_RISE)
         monkeypatch.setattr("smarttouch.boards.emulator.second.RAMP_MS", 0)
 
 

@@ -34,11 +34,11 @@ from smarttouch.stimulation.sequence import ScanSequence
 
 limits = SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 column = np.full(600, 100, np.uint16)
-current = np.tile(np.array([700] + [-100] * 7, np.int16), (600, 1))
+current = np.tile(np.array([420] + [-60] * 7, np.int16), (600, 1))
 board = EmulatorBoard("", limits, books=Path(sys.argv[1]))
 board.open()
 for step in range(10_000):
-    intensity = min(1.0, 0.3 * step)
+    intensity = min(1.0, 0.2 * step)
     slots = 50 if step else 0
     board.send(ScanSequence(current[:slots], column[:slots], column[:slots] // 2,
                             column[:slots] * 0, 200_000, intensity, step * 160_000_000))

@@ -27,7 +27,7 @@ class TestFirmware(Contract):
     def url(self, start_firmware, tmp_path):
         def url(kind):
             self.folder = Path(tempfile.mkdtemp(dir=tmp_path))
-            # Time is what sequences claim: they need not begin softly.
+            # Time is what sequences claim.
             options = (f"--books={self.folder}", "--ramp-ms=0")
             return "link:" + start_firmware(*options, output=kind)[1]
 
@@ -40,7 +40,7 @@ class TestFirmware(Contract):
     def lists(self, table, count):
         rng = np.random.default_rng(count)
         kernel = rng.permutation(len(table.weights))[:count].astype(np.uint16)
-        amplitude = rng.integers(0, 6000, count).astype(np.uint16)
+        amplitude = rng.integers(0, 1200, count).astype(np.uint16)
         return KernelLists(table, np.arange(count + 1), kernel, amplitude)
 
     def test_kernels_are_kept_and_lists_of_them_delivered(self, make_board):
@@ -57,11 +57,13 @@ class TestFirmware(Contract):
             board._line.send = told
             board.send(self.sequence(0))
             board.drain()
-            sequence = sequence_of(self.lists(table, 30), time_ns=10**9)
+            sequence = sequence_of(self.lists(table, 30), time_ns=10**9, intensity=self.intensity)
             board.send(sequence)
             board.drain(30)
             assert sizes == [10, 10 + 4 + 4 + 30 * 4]
-            board.send(sequence_of(sequence.sums, time_ns=2 * 10**9, sums=None))
+            board.send(
+                sequence_of(sequence.sums, time_ns=2 * 10**9, sums=None, intensity=self.intensity)
+            )
             board.drain(30)
         state = fresh_state(self.folder)
         slots = read_slots(self.folder)["current_ua"]

@@ -17,6 +17,8 @@ from ..raising import raises
 from . import test_contract
 
 SECOND = test_contract.SECOND
+AMPLITUDE = 0.125
+"""Of the vibration: below the intensity, and exact as a float32."""
 
 
 class Vibrated(test_contract.Contract):
@@ -33,7 +35,7 @@ class Vibrated(test_contract.Contract):
 
     def sequence(self, step, *arguments, **options):
         sent = super().sequence(step, *arguments, **options)
-        return replace(sent, vibration=np.full(sent.electrodes, 0.5 * (step > 0), np.float32))
+        return replace(sent, vibration=np.full(sent.electrodes, AMPLITUDE * (step > 0), np.float32))
 
     def read(self):
         with wave.open(str(self.folder / "out.wav")) as file:
@@ -52,14 +54,14 @@ class Vibrated(test_contract.Contract):
             assert board.report().slots == 12
         samples, rate_hz = self.read()
         loud = [np.abs(samples[step * rate_hz :][: rate_hz // 100]).max() for step in range(4)]
-        assert loud == pytest.approx([0, 0.5, 0.5, 0.5], rel=0.01)
+        assert loud == pytest.approx([0] + [AMPLITUDE] * 3, rel=0.01)
 
     def test_a_recharge_phase_is_for_the_electrodes(self, make_board):
         with make_board() as board:
             board.send(self.sequence(0))
             sent = replace(
                 self.sequence(1),
-                recharge_ua=np.array([-9, 9] + [0] * (self.electrodes - 2), np.int16),
+                recharge_ua=np.array([-9] + [0] * (self.electrodes - 2) + [9], np.int16),
                 recharge_us=100,
             )
             board.send(sent)
@@ -123,12 +125,14 @@ class Vibrated(test_contract.Contract):
             with pytest.raises(BoardRestartedError):
                 board.send(self.sequence(2))
             self.board._send = sends
-            with raises(SafetyError, limit="ramp_s", value=1, allowed=0):
+            with raises(
+                SafetyError, limit="ramp_s", value=pytest.approx(self.intensity), allowed=0
+            ):
                 board.send(self.sequence(3))
             board.send(replace(self.sequence(0), time_ns=4 * SECOND))
             board.send(self.sequence(5))
         samples, rate_hz = self.read()
-        assert np.abs(samples[5 * rate_hz :]).max() == pytest.approx(0.5, rel=0.01)
+        assert np.abs(samples[5 * rate_hz :]).max() == pytest.approx(AMPLITUDE, rel=0.01)
         # They were at rest as soon as the electrodes were lost.
         assert not samples[round(1.02 * rate_hz) : 5 * rate_hz].any()
 
@@ -157,15 +161,15 @@ class Vibrated(test_contract.Contract):
             self.board._measure = lambda: found
             assert board.measure() is found
             samples, rate_hz = self.read()
-            assert np.abs(samples[rate_hz:]).max() > 0.4
+            assert np.abs(samples[rate_hz:]).max() > 0.8 * AMPLITUDE
             assert len(samples) < 1.02 * rate_hz
             assert samples[-1] == 0
 
     def test_vibration_beyond_the_intensity_never_leaves(self, make_board):
         with make_board() as board:
             board.send(self.sequence(0))
-            too_much = replace(self.sequence(1), vibration=np.full(8, 1.01, np.float32))
-            with raises(SafetyError, limit="vibration", value=pytest.approx(1.01)):
+            too_much = replace(self.sequence(1), vibration=np.full(8, 0.21, np.float32))
+            with raises(SafetyError, limit="vibration", value=pytest.approx(0.21)):
                 board.send(too_much)
             board.send(self.sequence(1))
             assert board.shaking.report().sequences == 2
