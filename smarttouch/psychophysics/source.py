@@ -171,7 +171,9 @@ class ExperimentSource(StimulusSource, Listener):
     def _prepare(self, trial: Trial) -> Pulses:
         """Be silent, after the faintest pulses where these must open the intensity first."""
         train = trial.intervals[0]
-        level, faint = train.level, np.float32(_FAINT) * (train.activation > 0)
+        # A blank begins as the train that it stands for, so that nothing tells the two apart.
+        activation = train.activation if train.blanked is None else train.blanked
+        level, faint = train.level, np.float32(_FAINT) * (activation > 0)
         self._say("")
         yield from self._be_silent(PAUSE_S, level)
         began_ns, patience_s = self._now_ns, self._course.patience_s
