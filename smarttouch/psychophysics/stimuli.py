@@ -51,9 +51,14 @@ class Train:
 
     def blank(self) -> "Train":
         """Return the same train without current."""
-        # Nothing is there that could be softened.
-        silence = np.zeros_like(self.activation)
-        return replace(self, activation=silence, blanked=self.activation, soft_s=0.0)
+        # Its level stays where the train begins: without current none would rise.
+        return replace(
+            self,
+            activation=np.zeros_like(self.activation),
+            level=self.level_at(0),
+            soft_s=0.0,
+            blanked=self.activation,
+        )
 
     def level_at(self, pulse: int) -> float:
         """Return the level of a pulse, counted from 0."""
