@@ -23,7 +23,7 @@ FEW = ExperimentOptions(repetitions=1, standards=(30.0,), train_s=0.15)
 def test_trains_have_the_asked_frequency_to_the_microsecond(profile, bank, tmp_path):
     """Two standards, ten comparisons each; times and pulses by the board's account."""
     observer = Perfect()
-    wanted = ExperimentOptions(repetitions=1, standards=(20.0, 45.0), train_s=0.27)
+    wanted = ExperimentOptions(repetitions=1, standards=(20.0, 60.0), train_s=0.27)
     made = design("frequency", profile, wanted)
     sat = sit(made, profile, bank, tmp_path / "rows.csv", observer)
     rows = read_rows(tmp_path / "rows.csv")
