@@ -14,7 +14,7 @@ from smarttouch.sources.source import Source
 LAND_S = 0.15
 """Time of landing on a line, when intensity begins to rise."""
 SETTLE_S = 0.75
-"""Time of rest at the line's start, until intensity is up."""
+"""Time of rest at the line's start, until intensity is up: meanwhile a point marks the start."""
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 2000.0
 LONGEST_PAUSE_S = 3600.0
 GAP = 0.2
@@ -36,6 +36,9 @@ class Spot:
         Middle of the array, from the left end and the middle of the line.
     force_n : float, N
         Force of the finger; NaN if it has another source.
+    marked : bool
+        Whether a point in the middle of the array marks the line's start: intensity rises with
+        delivered pulses alone, and with these before those of the text.
     """
 
     index: int
@@ -43,6 +46,7 @@ class Spot:
     x_mm: float = 0.0
     y_mm: float = 0.0
     force_n: float = 0.0
+    marked: bool = False
 
 
 @dataclass(frozen=True)
@@ -172,7 +176,8 @@ class SweepingCursor:
                 # What comes step by step is as strong and as long each time: also the first.
                 shown, way_mm = None, -step_mm
         press_n = self._press_n if self._line_s >= LAND_S else 0.0
-        return Spot(self._index, shown, line.start_mm + way_mm, 0.0, press_n)
+        marked = self._line_s < SETTLE_S
+        return Spot(self._index, shown, line.start_mm + way_mm, 0.0, press_n, marked)
 
 
 class FollowingCursor:

@@ -46,6 +46,8 @@ class ReadingSource(OpticalSource):
         self._feed, self._cursor = feed, cursor
         self._pixel_mm = pixel_of(profile)
         self._shape = (profile.optics.sensor_rows, profile.optics.sensor_columns)
+        wide_mm, high_mm = profile.electrodes.cell_mm
+        self._cell_px = (round(high_mm / self._pixel_mm), round(wide_mm / self._pixel_mm))
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:
@@ -83,6 +85,9 @@ class ReadingSource(OpticalSource):
                 borderMode=cv2.BORDER_CONSTANT,
                 borderValue=255,
             )
+        if spot.marked:
+            (top, left), (high, wide) = (each // 2 for each in self._shape), self._cell_px
+            image[top : top + high, left : left + wide] = 0
         self.frames += 1
         pose = Pose(spot.x_mm, spot.index * self.line_step_mm + spot.y_mm)
         return Frame(image, time_ns, pose, spot.force_n, number=self.frames - 1)

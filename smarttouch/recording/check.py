@@ -205,6 +205,18 @@ def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[P
         adaptation = Adaptation(profile, run.hold, run.compliance_v, run.timing)
     if run.balance:
         ledger = ChargeBalance(len(profile.electrodes))
+        if run.carried_pc:
+            if len(run.carried_pc) != len(ledger.charge_pc):
+                raise RecordingError(
+                    f"the settings in {recording.path} name the charge of {len(run.carried_pc)} "
+                    f"electrodes, and the profile has {len(ledger.charge_pc)}: compare with the "
+                    "recorded profile",
+                    about="settings.carried_pc",
+                    problem="malformed",
+                    value=len(run.carried_pc),
+                    allowed=len(ledger.charge_pc),
+                )
+            ledger.charge_pc[:] = run.carried_pc
         if run.recharge:
             recharge = RechargeRules.of(profile, run.timing)
     return pipeline, Regulator(adaptation, ledger, recharge)

@@ -13,6 +13,7 @@ from smarttouch.stimulation.timing import ScanTiming
 _Share = Annotated[float, Field(ge=0, le=1)]
 _Positive = Annotated[float, Field(gt=0, le=1e9, allow_inf_nan=False)]
 _Microseconds = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
+_Charge = Annotated[int, Field(ge=-(2**53), le=2**53)]
 _Pulse = Annotated[int, Field(ge=0, le=65_535)]
 
 
@@ -48,6 +49,7 @@ class RunSettings(BaseModel):
 
     Attributes are those of `Pipeline` and `Regulator`; recordings from before
     there was a choice do not say ``tone``, ``vibrated``, ``sharing`` or ``recharge``.
+    ``carried_pc`` is the net charge of each electrode before a balanced run; empty if none.
     """
 
     model_config = ConfigDict(extra="ignore", frozen=True)
@@ -59,6 +61,7 @@ class RunSettings(BaseModel):
     hold: Literal["charge", "energy"] | None
     balance: bool
     recharge: bool = False
+    carried_pc: tuple[_Charge, ...] = ()
     compliance_v: _Positive | None
     timed: _Timing = Field(alias="timing")
     toned: _Tone | None = Field(None, alias="tone")

@@ -24,6 +24,7 @@ from smarttouch.running.listener import Listener, RunContext, as_listeners
 from smarttouch.running.loop import emit_to, run_loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulation import make_regulator, masked_where_broken
+from smarttouch.running.regulator import Regulator
 from smarttouch.running.report import figures_of
 from smarttouch.running.statistics import RunStatistics
 from smarttouch.running.step import StepResult
@@ -191,7 +192,7 @@ class Runner:
             self._require_force()
             self._warn_of_simulation(profile)
             regulator = make_regulator(board, profile, self.config, self._advise)
-            context.settings |= self._board_settings()
+            context.settings |= self._board_settings(regulator)
             for listener in self._listeners:
                 listener.start(context)
             run_loop(
@@ -229,10 +230,12 @@ class Runner:
             "force": None if self._force is None else self._force.url or self._force.title,
         }
 
-    def _board_settings(self) -> dict[str, Any]:
-        """Return those that an open board says of itself."""
-        can = self.display.board.capabilities
+    def _board_settings(self, regulator: Regulator) -> dict[str, Any]:
+        """Return those that an open board says of itself, and what an earlier run left on it."""
+        can, ledger = self.display.board.capabilities, regulator.ledger
+        carried_pc = [] if ledger is None else ledger.charge_pc.tolist()
         return {
+            "carried_pc": carried_pc if any(carried_pc) else [],
             "recharge": self.config.balance and can.recharges,
             "timing": asdict(self.display.board.timing),
             "compliance_v": can.compliance_v,

@@ -12,7 +12,7 @@ from smarttouch.texture.motion import Motion
 USUAL_MM_S = 40.0
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 1000.0
 START_S = 0.75
-"""Time of rest before the first stroke, until intensity is up."""
+"""Time of rest before the first stroke: the hand is there before it moves."""
 REST_S = 0.3
 """Time of rest between two strokes."""
 USUAL_ROUNDS = 1

@@ -48,6 +48,7 @@ def test_a_line_is_swept_from_before_its_start_to_after_its_end(feed_of, make_li
         wanted = line.start_mm + max(0.0, time_s - SETTLE_S) * 25.0
         assert spot.x_mm == pytest.approx(wanted)
         assert spot.force_n == (1.0 if time_s >= LAND_S else 0.0)
+        assert spot.marked == (time_s < SETTLE_S)
 
 
 def test_between_lines_it_is_lifted_for_as_long_as_asked(feed_of, make_line):

@@ -44,6 +44,16 @@ def test_without_a_line_there_is_paper(reading, feed_of, make_line):
     assert frame.force_n == 0
 
 
+def test_a_point_marks_the_start_of_a_line(reading, feed_of, make_line):
+    """Without pulses before it, the first letters would be those that rise from nothing."""
+    source = ReadingSource("x", reading, feed_of(make_line()), Stands(Spot(0, None, marked=True)))
+    image = source.read(0).image
+    dark = [(image == 0).any(axis=axis).sum() for axis in (0, 1)]
+    cell_mm, pixel_mm = reading.electrodes.cell_mm, pixel_of(reading)
+    assert dark == pytest.approx([side / pixel_mm for side in cell_mm], abs=1)
+    assert (image == 0).sum() == dark[0] * dark[1]
+
+
 def test_lines_lie_one_below_the_other(reading, feed_of, make_line):
     line = make_line(text="what it says")
     stands = Stands(*(Spot(index, line, 5.0, 0.0, 1.0) for index in range(3)))

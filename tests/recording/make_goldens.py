@@ -150,11 +150,12 @@ class Script(Controls):
 
 
 class Board(MemoryBoard):
-    """A board in memory that can be lost once, and measures skin that dries out."""
+    """A board in memory that can be lost once; where it matters it measures skin that dries out."""
 
     def __init__(self, golden, profile):
         super().__init__("", SafetyLimits.of(profile), profile.output)
         self.timing, self._lost_at, self._delivered = golden.timing, golden.lost_at, []
+        self._measures = golden.hold is not None
 
     def _send(self, sequence, times):
         if len(self.sequences) == self._lost_at:
@@ -172,7 +173,7 @@ class Board(MemoryBoard):
         return [
             (each, (np.abs(each.current_ua).max(axis=1) * kohm / 1000).astype(np.float32))
             for each in delivered
-            if each.slots
+            if each.slots and self._measures
         ]
 
 
@@ -211,6 +212,7 @@ def make(golden, path):
             light_on_dark=golden.light_on_dark,
             softness=golden.softness,
             scan=golden.sharing,
+            balance=golden.balance,
         ),
         golden.timing,
     )

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from smarttouch.errors import RecordingError
 from smarttouch.recording.check import check_recording
 from smarttouch.recording.export import export
 from smarttouch.recording.reader import Recording
@@ -16,14 +17,30 @@ from smarttouch.stimulation.ledger import ChargeBalance
 from smarttouch.stimulation.recharge import RechargeRules
 from smarttouch.stimulation.timing import ScanTiming
 
+from ..raising import raises
+
 
 @pytest.fixture(scope="module")
-def balanced(profile, bank, make_steps):
-    """The usual steps, with charge balanced by recharge phases."""
-    pipeline = Pipeline(profile, bank, RunConfig(scan="points"))
+def balance(profile, bank, make_steps):
+    """Return a maker of the usual steps, balanced by recharge phases from a carried charge on."""
+
+    def make(carried_pc=0):
+        return _balanced(profile, bank, make_steps(40), carried_pc)
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def balanced(balance):
+    return balance()
+
+
+def _balanced(profile, bank, steps, carried_pc):
+    pipeline = Pipeline(profile, bank, RunConfig(scan="points", balance=True))
     regulator = Regulator(None, ChargeBalance(64), RechargeRules.of(profile, ScanTiming()))
+    regulator.ledger.charge_pc[:] = carried_pc
     made = []
-    for sent in make_steps(40):
+    for sent in steps:
         step = pipeline.process(sent.step.input)
         made.append(StepResult(regulator.regulate(step, _Mute()), sent.number, 99.5, 12.25))
     return made
@@ -38,9 +55,9 @@ class _Mute:
 def write(record, about, settings, balanced, tmp_path):
     """Return a writer of the recording with other settings."""
 
-    def write(**other):
+    def write(steps=balanced, name="run", **other):
         table = json.dumps({**settings, "balance": True, **other})
-        return record(tmp_path / "run.mcap", balanced, about={**about, "settings": table})
+        return record(tmp_path / f"{name}.mcap", steps, about={**about, "settings": table})
 
     return write
 
@@ -55,6 +72,17 @@ def test_they_are_kept_and_come_out_again(write, balanced):
     report = check_recording(path)
     assert report.exact, report.describe()
     assert report.sequences == 40
+
+
+def test_charge_that_an_earlier_run_left_is_known(write, balance):
+    carried_pc = np.arange(-32, 32) * 20_000
+    path = write(balance(carried_pc), recharge=True, carried_pc=carried_pc.tolist())
+    report = check_recording(path)
+    assert report.exact, report.describe()
+    assert not check_recording(write(balance(carried_pc), "silent", recharge=True)).exact
+    path = write(name="short", recharge=True, carried_pc=[0] * 63)
+    with raises(RecordingError, about="settings.carried_pc", value=63, allowed=64):
+        check_recording(path)
 
 
 def test_one_that_was_reversed_is_not_recharged(write):

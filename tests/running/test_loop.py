@@ -60,10 +60,11 @@ class BrokenStageError(Exception):
 
 
 class Bars(OpticalSource):
-    """A sensor over black bars."""
+    """A sensor over a short black bar that moves: net current is no limit of its rate."""
 
-    def __init__(self, most=100, fails_at=None, **frame):
+    def __init__(self, most=100, fails_at=None, speed=8, **frame):
         super().__init__("bars")
+        self.speed = speed
         self.times, self.most, self.fails_at = [], most, fails_at
         self.frame = {"force_n": 1.0, **frame}
 
@@ -75,7 +76,8 @@ class Bars(OpticalSource):
         self.times.append(time_ns)
         self.frames += 1
         image = np.full((64, 64), 220, np.uint8)
-        image[:, 20:30] = 20
+        since = (20 + self.speed * (time_ns // 20_000_000)) % 56
+        image[24:40, since : since + 10] = 20
         now = {
             key: value(time_ns) if callable(value) else value for key, value in self.frame.items()
         }
@@ -341,7 +343,8 @@ def test_what_was_measured_changes_what_is_sent(profile, pipeline, board, monkey
 
     regulator = Regulator(Adaptation(profile, "energy", 300.0), ChargeBalance(64))
     with board:
-        loop(Bars(60), pipeline, board, listeners=as_listeners([saturate]), regulator=regulator)
+        source, listeners = Bars(60, speed=0), as_listeners([saturate])
+        loop(source, pipeline, board, listeners=listeners, regulator=regulator)
     # The same voltage at ever more current: impedance seems to fall, and energy holds.
     late = [s for s in board.sequences[30:] if s.slots]
     assert {bool(s.current_ua[0, s.site[0]] > 0) for s in late} == {True, False}

@@ -30,9 +30,9 @@ class Told:
 
 @pytest.fixture
 def step(profile, bank, make_frame, patch):
-    pipeline = Pipeline(profile, bank, RunConfig(scan="points"))
-    pipeline.process(make_frame(patch(), 0))
-    return pipeline.process(make_frame(patch(), 10**9))
+    pipeline = Pipeline(profile, bank, RunConfig(scan="points", balance=True))
+    # At full intensity, after all of the ramp.
+    return [pipeline.process(make_frame(patch(), 20_000_000 * each)) for each in range(50)][-1]
 
 
 def measured(step, volts):

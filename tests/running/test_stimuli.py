@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -35,9 +36,9 @@ def settled(profile, bank, mode, **options):
     """Return a pipeline at full intensity, and the time of its next frame."""
     config = RunConfig(mode=mode, scan="points")
     pipeline = Pipeline(profile, bank, config, **options)
-    for time_ns in (0, 10**9):
-        pipeline.process(asking({}, time_ns=time_ns))
-    return pipeline, 2 * 10**9
+    for time_ns in range(0, 10**9, 20_000_000):
+        pipeline.process(asking({Afferent.RA: (27,)}, time_ns=time_ns))
+    return pipeline, 3 * 10**9
 
 
 def test_each_class_pulses_with_its_own_kernel_where_it_is_asked_for(profile, bank):
@@ -61,7 +62,8 @@ def test_nothing_asked_is_silence_of_just_that_time(profile, bank):
 def test_any_period_down_to_the_limit_is_kept(profile, bank):
     pipeline, now = settled(profile, bank, Mode.RA)
     for step, period_us in enumerate((66_667, 22_222, 5_000)):
-        frame = asking({Afferent.RA: (27,)}, period_us, now + step)
+        # So weak that net current, all of one sign, leaves every rate to it.
+        frame = asking({Afferent.RA: (27,)}, period_us, now + step, level=0.4)
         assert pipeline.process(frame).sequence.period_us == period_us
     with raises(ScheduleError, about="period_us", value=4_999, allowed=5_000):
         pipeline.process(asking({Afferent.RA: (27,)}, 4_999, now + 9))
@@ -82,7 +84,10 @@ def test_level_and_force_and_soft_start_count_as_for_everyone(profile, bank):
     pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points"))
     site = {Afferent.RA: (27,)}
     assert pipeline.process(asking(site)).sequence.slots == 0
-    assert pipeline.process(asking(site, time_ns=250_000_000)).sequence.intensity == 0.5
+    rising = [pipeline.process(asking(site, time_ns=20_000_000 * each)) for each in range(1, 30)]
+    assert rising[0].sequence.intensity == 0.04
+    assert rising[11].sequence.intensity == pytest.approx(0.48)
+    assert rising[-1].sequence.intensity == 1
     half = pipeline.process(asking(site, time_ns=10**9, level=0.25), 0.5)
     assert half.sequence.intensity == 0.125
     assert half.level == 0.5

@@ -1,6 +1,6 @@
 """A texture felt without hardware: the whole chain to a simulated board, and what the skin got."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,10 +16,14 @@ from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.statistics import RunStatistics
 from smarttouch.running.step import StepResult
+from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 from smarttouch.texture.felt import TextureDrawing
 from smarttouch.texture.source import MouseSource
+
+OPENED_NS = 700_000_000
+"""So long the hand rests, and a point here and there opens the level."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +91,8 @@ def feel(
 ) -> SimulationResult:
     """Let a finger feel a texture until the hand stops; frames, kernels, safety are a live run's.
 
+    The level is open before the hand moves, and nothing of that is part of the result.
+
     Parameters
     ----------
     sensor : MouseSource
@@ -107,7 +113,19 @@ def feel(
     poses_mm: dict[int, tuple[float, float]] = {}
     tally = RunStatistics()
 
+    def opening(time_ns: int) -> Stimulus | None:
+        given = read(time_ns)
+        if given is not None and time_ns < OPENED_NS:
+            activation = given.activation.copy()
+            activation[sensor.mode.afferents[0], time_ns // 10_000_000 % len(activation[0])] = 1
+            given = replace(given, activation=activation)
+        return given
+
+    read, sensor.read = sensor.read, opening
+
     def watch(sent: StepResult) -> None:
+        if sent.step.input.time_ns < OPENED_NS:
+            return
         drawing.watch(sent)
         if sent.number is not None:
             frame = sent.step.input

@@ -9,6 +9,7 @@ from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.boards.hybrid import HybridBoard
 from smarttouch.clock import SimulatedClock
 from smarttouch.running.config import RunConfig
+from smarttouch.running.controls import Controls, ControlState
 from smarttouch.running.listener import as_listeners
 from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
@@ -21,13 +22,15 @@ from smarttouch.vibrotactile.spec import open_trace
 
 from ..reference.recover import recover
 
+LEVEL = 0.25
+"""Of the strongest: net current leaves PC its 125 Hz."""
 RISEN_S = 0.55
-"""By then intensity is full."""
+"""By then intensity has risen."""
 
 
 @dataclass
 class Got:
-    """Pulses of one class at full intensity."""
+    """Pulses of one class since intensity has risen, with drives as at full intensity."""
 
     time_s: np.ndarray
     drive: np.ndarray
@@ -62,16 +65,18 @@ def feel(spec, profile, bank, seconds=2.0, shaking=None, **options):
             stop=StopRequest(),
             statistics=RunStatistics(),
             listeners=as_listeners([watch]),
+            controls=Controls(ControlState(mixture.mode, LEVEL)),
             clock=SimulatedClock(),
         )
         numbers, _, current_ua = board.take_pulses()
         assert board.report().violations == 0
-    pulses = recover(current_ua, profile, bank)
-    assert pulses.likeness.min(initial=1) > 0.999
     time_s = np.array([began_s[number] for number in numbers.tolist()])
+    risen = time_s > RISEN_S
+    time_s, pulses = time_s[risen], recover(current_ua[risen] / LEVEL, profile, bank)
+    assert pulses.likeness.min(initial=1) > 0.999
     got = {}
     for afferent in Afferent:
-        its = (pulses.afferent == afferent) & (time_s > RISEN_S)
+        its = pulses.afferent == afferent
         if its.any():
             sites = set(pulses.site[its].tolist())
             got[afferent] = Got(np.unique(time_s[its]), pulses.drive[its], sites)
