@@ -14,6 +14,7 @@ WINDOW_US = 1_100_000
 GUARD_PC = 0.95 * NET_PC
 """Net charge of any newest passes up to which a next one like the last is planned."""
 _MEAN_PC = PLANNED * NET_PC
+_FREE_PC = NET_PC / 2
 _MOST_PC = 0.99 * NET_PC
 
 Array = NDArray[np.float64]
@@ -30,8 +31,9 @@ class _Pass(NamedTuple):
 class NetPlan:
     """Net charge of the last passes, by the times of their frames.
 
-    Passes of one sign come farther apart, as evenly as may be, where the mean net charge of the
-    last ones asks for it; and after a change of the picture as far as it must be.
+    Passes of one sign come farther apart, as evenly as may be, where they have used half of a
+    second's net charge and go on at a rate that would use more than all; and after a change of the
+    picture as far as it must be.
 
     Parameters
     ----------
@@ -95,10 +97,18 @@ class NetPlan:
         most_pc = float(np.abs(net_pc).max())
         self._enter(time_us + busy_us, most_pc, net_pc)
         count, needed_us = len(self._passes), float(period_us)
-        mean_pc = (float(np.abs(self._sum_pc).max()) + self._unknown_pc) / count
-        # So many of it as a window holds, and one more that it cuts.
-        if mean_pc < _MEAN_PC:
-            needed_us = max(needed_us, WINDOW_US / 1.1 * mean_pc / (_MEAN_PC - mean_pc))
+        carried_pc = float(np.abs(self._sum_pc).max()) + self._unknown_pc
+        span_us = min(time_us + period_us - self._passes[0].end_us, WINDOW_US)
+        # Trains that are over before they fill a window keep their times, and so does what pauses.
+        if carried_pc > _FREE_PC and carried_pc * WINDOW_US > _MEAN_PC * span_us:
+            mean_pc = carried_pc / count
+            if mean_pc < _MEAN_PC:
+                # So many of it as a window holds, and one more that it cuts.
+                needed_us = max(needed_us, WINDOW_US / 1.1 * mean_pc / (_MEAN_PC - mean_pc))
+            if carried_pc + mean_pc < GUARD_PC:
+                # What there is room for comes evenly until the first of them leave.
+                left_us = WINDOW_US - span_us
+                needed_us = max(needed_us, left_us * mean_pc / (GUARD_PC - carried_pc))
         if self._newest_at_most_pc + most_pc > GUARD_PC:
             # A next one like this must find room: wait until enough of the passes have left.
             newest = self._newest(net_pc).max(axis=1)
