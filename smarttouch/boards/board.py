@@ -41,7 +41,7 @@ __all__ = [
 
 
 FARTHEST_NS = 10_000_000_000
-"""Planned starts farther than this from now are of another clock."""
+"""Planned starts farther ahead than this are of another clock."""
 
 
 class Board(Timely, ABC):
@@ -482,9 +482,12 @@ class Board(Timely, ABC):
 
 
 def _require_same_clock(due_ns: int, now_ns: int) -> None:
-    """Raise if a planned start cannot be a time of the board's clock."""
+    """Raise if a planned start is too far ahead for a time of the board's clock.
+
+    One that is long past is late.
+    """
     away_ns = due_ns - now_ns
-    if abs(away_ns) > FARTHEST_NS:
+    if away_ns > FARTHEST_NS:
         raise BoardError(
             f"due_ns is {away_ns / 1e9:.3g} s from now, and at most {FARTHEST_NS / 1e9:g} s are "
             "possible: give a time of the board's clock (board.clock.now_ns())",

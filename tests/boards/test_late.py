@@ -5,7 +5,6 @@ import threading
 import numpy as np
 import pytest
 
-from smarttouch.boards.board import FARTHEST_NS
 from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.kajimoto61 import Kajimoto61Board
 from smarttouch.boards.memory import MemoryBoard
@@ -79,9 +78,9 @@ def test_a_tenth_of_a_second_is_the_limit(kind, late_ns, sent):
     assert (len(board.sequences), board.dropped_late) == (sent, 2 - sent)
 
 
-@pytest.mark.parametrize("pause_ns", [3 * LATE_NS, FARTHEST_NS])
+@pytest.mark.parametrize("pause_ns", [3 * LATE_NS, HOUR_NS])
 def test_after_a_pause_it_begins_at_zero(pause_ns):
-    """Also after the longest after which a time may still be of the board's own clock."""
+    """Also after an hour of sleep: the clock runs on while the machine is suspended."""
     board = Felt("", limits(8))
     board._clock = ToldClock()
     with board:
