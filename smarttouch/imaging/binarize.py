@@ -104,14 +104,15 @@ class Binarizer:
         # Those in the middle four tenths of the range.
         low = math.ceil(dark + 0.3 * (bright - dark))
         high = math.ceil(dark + 0.7 * (bright - dark))
-        between = (counts[high - 1] if high else 0) - (counts[low - 1] if low else 0)
+        count = counts.item
+        between = (count(high - 1) if high else 0) - (count(low - 1) if low else 0)
         if white - dark < CONTRAST_GUARD or dark > GREY_PRINT * white:
             return self._faint_ink(white)
-        if between / counts[-1] > GREY_GUARD:
+        if between / count(-1) > GREY_GUARD:
             self._ink.fill(0)
             return self._ink
         cv2.threshold(smooth, INK_LEVEL * white, 255, cv2.THRESH_BINARY_INV, dst=self._ink)
-        if counts[int(INK_LEVEL * white)] > _MUCH * counts[-1]:
+        if count(int(INK_LEVEL * white)) > _MUCH * count(-1):
             self._leave_out_areas(white)
         return self._ink
 

@@ -174,7 +174,8 @@ class Exposure:
     @property
     def net_pc(self) -> NDArray[np.int64]:
         """Net charge of each electrode in the session, (E,) pC, positive cathodic."""
-        return self._session[2].astype(np.int64)
+        net_pc: Charge = self._session[2]
+        return net_pc.astype(np.int64)
 
     def begin_session(self, now_ns: int | None) -> None:
         """Reset the session's dose; the last second still counts, with what repeated until now."""

@@ -108,9 +108,9 @@ class SlotAdder:
         each_us, longest_us, _ = extent_us(width_us.tobytes())
         alike = each_us == longest_us
         net, total = np.empty(slots, kind), np.empty(slots, kind)
-        sums: Sums | None = None
         of_block = np.empty((3, self._electrodes), kind if alike else np.float64)
         units = _units(each_us if alike else 1)
+        sums = np.empty(of_block.shape)
         highest = 0
         for first in range(0, slots, self._rows):
             part = slice(first, min(slots, first + self._rows))
@@ -126,7 +126,10 @@ class SlotAdder:
             each.dot(block, out=of_block[1])
             np.greater_equal(block, self._felt_ua, out=block, casting="unsafe")
             of_block[0] = down.dot(block)
-            sums = of_block * units if sums is None else sums + of_block * units
+            if first:
+                sums += of_block * units
+            else:
+                np.multiply(of_block, units, out=sums)
         # No sum on the way is larger than that of all magnitudes.
         if kind is np.float32 and highest * self._most >= _EXACT_SINGLE:
             return self.add_up(current_ua, width_us, np.float64)
