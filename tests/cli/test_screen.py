@@ -57,7 +57,9 @@ def shown(profile, monkeypatch):
             source=SimpleNamespace(title="page.png", dropped_frames=0, frames=2, duration_s=9.0),
             profile=profile,
             controls=Controls(ControlState(Mode.RA, 0.5)),
-            board=SimpleNamespace(dose=SimpleNamespace(seconds=1.0, most_mc=2.0, most_net_uc=3.0), acknowledged=1),
+            board=SimpleNamespace(
+                dose=SimpleNamespace(seconds=1.0, most_mc=2.0, most_net_uc=3.0), acknowledged=1
+            ),
             statistics=RunStatistics(),
         ))  # fmt: skip
         for each in told:
