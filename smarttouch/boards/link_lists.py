@@ -13,8 +13,10 @@ from smarttouch.errors import BoardError
 from smarttouch.stimulation.kernel_table import KernelLists
 from smarttouch.stimulation.limits import PPB, SafetyLimits, parts_per_billion
 from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.sums import extent_us
 
 _HEAD = struct.Struct("<IHHBB")
+_SHAPE = struct.Struct("<HH")
 _GROUP = struct.Struct("<BBH")
 POINTS, SUM, CURRENTS, STATES = range(4)
 """Kinds of groups of slots."""
@@ -71,16 +73,14 @@ def encode_lists(
         If it is too large for a packet, or asks a switched board for a recharge phase or for a
         stronger source than the wire can say.
     """
-    times_us = sequence.width_us.astype(np.uint32) << 16 | sequence.discharge_us
-    each, shape = np.unique(times_us, return_inverse=True)
-    shapes = np.column_stack([each >> 16, each & 0xFFFF])
-    if len(shapes) > _MOST_SHAPES:
+    shapes, table, shape = _shapes(sequence)
+    if shapes > _MOST_SHAPES:
         raise BoardError(
-            f"{len(shapes)} pulse shapes in one sequence are above the limit of {_MOST_SHAPES}: "
+            f"{shapes} pulse shapes in one sequence are above the limit of {_MOST_SHAPES}: "
             "choose fewer pulse widths",
             about="shapes",
             problem="too many",
-            value=len(shapes),
+            value=shapes,
             allowed=_MOST_SHAPES,
         )
     recharge = sequence.recharge_ua
@@ -94,8 +94,8 @@ def encode_lists(
     intensity = -(-parts_per_billion(sequence.intensity) * FULL // PPB)
     flags = MEASURE * measure | RECHARGE * (recharge is not None)
     parts = [
-        _HEAD.pack(sequence.period_us, times, intensity, flags, len(shapes)),
-        shapes.astype("<u2").tobytes(),
+        _HEAD.pack(sequence.period_us, times, intensity, flags, shapes),
+        table,
     ]
     if recharge is not None:
         parts += [sequence.recharge_us.to_bytes(2, "little"), recharge.astype("<i2").tobytes()]
@@ -114,20 +114,44 @@ def encode_lists(
     return payload
 
 
+def _shapes(sequence: ScanSequence) -> tuple[int, bytes, NDArray[np.intp] | None]:
+    """Return the number of pulse shapes, all of them, and that of each slot; None if of one."""
+    width_us, discharge_us = sequence.width_us, sequence.discharge_us
+    least_us, most_us, _ = extent_us(width_us.tobytes())
+    least_rest_us, most_rest_us, _ = extent_us(discharge_us.tobytes())
+    if least_us == most_us > 0 and least_rest_us == most_rest_us:
+        return 1, _SHAPE.pack(most_us, most_rest_us), None
+    times_us = width_us.astype(np.uint32) << 16 | discharge_us
+    each, shape = np.unique(times_us, return_inverse=True)
+    pairs = np.column_stack([each >> 16, each & 0xFFFF])
+    return len(pairs), pairs.astype("<u2").tobytes(), shape
+
+
 def _groups(
-    sequence: ScanSequence, shape: NDArray[np.intp], switched: bool, image: KernelImage | None
+    sequence: ScanSequence,
+    shape: NDArray[np.intp] | None,
+    switched: bool,
+    image: KernelImage | None,
 ) -> list[bytes]:
     """Return the groups of slots that have a kind and a shape in common."""
-    slots = sequence.slots
-    kind = np.full(slots, STATES if switched else CURRENTS)
+    slots, usual = sequence.slots, STATES if switched else CURRENTS
     lists = None if switched else _kept(sequence, image)
+    if lists is None and shape is None:
+        if slots > _U16_MAX:
+            raise _too_many(slots)
+        return [_GROUP.pack(usual, 0, slots), _rows(sequence, switched)]
+    shape = np.zeros(slots, np.intp) if shape is None else shape
+    kind = np.full(slots, usual)
     if lists is not None:
         sums, listed = lists
         size = np.diff(sums.first)
         kind = np.where(listed, np.where(size == 1, POINTS, SUM), kind)
         pairs = np.column_stack([sums.kernel, sums.amplitude]).astype("<u2")
         first = sums.first.tolist()
-    rows = _rows(sequence, switched) if kind.max() >= CURRENTS else None
+    rows, of_slot = b"", 0
+    if kind.max() >= CURRENTS:
+        rows = _rows(sequence, switched)
+        of_slot = len(rows) // slots
     new = np.ones(slots, np.bool_)
     new[1:] = (kind[1:] == SUM) | (np.diff(kind) != 0) | (np.diff(shape) != 0)
     starts = np.flatnonzero(new).tolist()
@@ -139,8 +163,10 @@ def _groups(
         if count > _U16_MAX:
             raise _too_many(count)
         parts.append(_GROUP.pack(what, int(shape[start]), count))
-        body = pairs[first[start] : first[end]] if rows is None or what <= SUM else rows[start:end]
-        parts.append(body.tobytes())
+        if what >= CURRENTS:
+            parts.append(rows[start * of_slot : end * of_slot])
+        else:
+            parts.append(pairs[first[start] : first[end]].tobytes())
     return parts
 
 
@@ -176,17 +202,21 @@ def _is_sound(lists: KernelLists, slots: int) -> bool:
     )
 
 
-def _rows(sequence: ScanSequence, switched: bool) -> NDArray[np.uint8]:
-    """Return each slot's site and currents, or site, source and states, as bytes (S, B)."""
+def _rows(sequence: ScanSequence, switched: bool) -> bytes:
+    """Return each slot's site and currents, or site, source and states."""
     slots, current_ua = sequence.slots, sequence.current_ua
-    columns = [sequence.site[:, None].astype("<u2").view(np.uint8)]
-    if switched:
-        columns.append(source_of(current_ua)[:, None].view(np.uint8))
-        states = np.frombuffer(pack_states(np.sign(current_ua)), np.uint8)
-        columns.append(states.reshape(slots, -(-current_ua.shape[1] // 4)))
-    else:
-        columns.append(current_ua.astype("<i2").view(np.uint8))
-    return np.concatenate(columns, axis=1)
+    if not switched:
+        rows = np.empty((slots, 1 + current_ua.shape[1]), "<i2")
+        rows[:, 0] = sequence.site.view(np.int16)
+        rows[:, 1:] = current_ua
+        return rows.tobytes()
+    states = np.frombuffer(pack_states(np.sign(current_ua)), np.uint8)
+    columns = [
+        sequence.site[:, None].astype("<u2").view(np.uint8),
+        source_of(current_ua)[:, None].view(np.uint8),
+        states.reshape(slots, -(-current_ua.shape[1] // 4)),
+    ]
+    return np.concatenate(columns, axis=1).tobytes()
 
 
 def _too_many(count: int) -> BoardError:

@@ -18,7 +18,6 @@ from weakref import WeakKeyDictionary
 
 from smarttouch.boards.announced import Announcement, stopped_since_start
 from smarttouch.errors import BoardError, BoardStoppedError, SmartTouchError
-from smarttouch.profile.ceilings import CEILING_USER_MA
 from smarttouch.stopping import SIGNALS, ZERO_WITHIN_S, RunStopped, StopRequest
 
 RUNS_END_WITHIN_S = 2.0
@@ -177,6 +176,9 @@ class _Program:
 
     def _refuse_beyond_budget(self, own_ua: int) -> None:
         """Declare first and then look, so that of two that open at once at least one is refused."""
+        # Only here: the help of the program loads no profile.
+        from smarttouch.profile.ceilings import CEILING_USER_MA
+
         total_ua = self._declare()
         if not own_ua or self._announcement is None:
             return

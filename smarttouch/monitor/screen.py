@@ -204,12 +204,13 @@ class Screen(Listener):
         dropped = self._source.dropped_frames + statistics.seen - statistics.felt
         length = "" if self._source.duration_s is None else f" of {self._source.duration_s:.0f}"
         slots = f"{sequence.slots} slots"
-        charge = f"{dose.most_mc:.1f}/{limits.session_mc:.0f} mC, net {dose.most_net_uc:.0f} µC"
+        charge = f"{dose.most_mc:.1f}/{limits.session_mc:.0f} mC"
         return (
             ("time", f"{frame.time_ns / 1e9:.1f}{length} s"),
             ("rate", f"{sequence.rate_hz:.0f} Hz, {sequence.points} points, {slots}"),
             ("latency", f"{frame.age_ns / 1e6 + sent.latency_us / 1e3:.1f} ms, image to last byte"),
             ("session", f"{dose.seconds:.0f}/{limits.session_s:.0f} s, {charge}"),
+            ("net", f"{dose.most_net_uc:.0f} µC of one sign"),
             ("finger", f"x {pose.x_mm:.1f}  y {pose.y_mm:.1f} mm"),
             ("beside", _beside(sequence.proof.shared if sequence.proof else None)),
             ("frames", f"{statistics.felt} felt, {dropped} dropped of {self._source.frames}"),

@@ -5,6 +5,7 @@ the answers of one receptor under each electrode, at the nerve from the spikes, 
 receptors are. No person was asked; errors at the nerve are of this reader, not of readers.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import fmean, median
@@ -30,6 +31,7 @@ Floats = NDArray[np.float32]
 
 _PERIODS = 10
 """Periods of a letter that a finger feels: noise and refractoriness differ between them."""
+_OPENING_US = 500_000
 
 
 @dataclass(frozen=True)
@@ -71,15 +73,17 @@ def letter_sequences(
     pipeline = Pipeline(profile, bank, RunConfig(mode=mode, scan=scan))
     force_n = profile.force.full_n
     period_us = round(1e6 / profile.pulse.rate_hz)
-    after_ramp_ns = int(1e9 * (profile.limits.ramp_s + 1))
-    shown = {}
-    for number, letter in enumerate(letters):
+    # Pulses open the intensity, as long as they last.
+    opening = [_OPENING_US] * (math.ceil(1e6 * profile.limits.ramp_s / _OPENING_US) + 2)
+    shown, time_ns = {}, 0
+    for letter in letters:
         drawn = draw_letter(letter, profile)
         activation = np.zeros((len(Afferent), len(drawn)), np.float32)
         activation[list(mode.afferents)] = drawn
         pipeline.restart_softly()
-        for time_ns in (2 * number * after_ramp_ns, (2 * number + 1) * after_ramp_ns):
-            step = pipeline.process(Stimulus(activation, time_ns, force_n, period_us), intensity)
+        for each_us in (*opening, period_us):
+            step = pipeline.process(Stimulus(activation, time_ns, force_n, each_us), intensity)
+            time_ns += 1000 * each_us
         shown[letter] = step.sequence, drawn > 0
     return shown
 

@@ -171,7 +171,11 @@ class ExperimentSource(StimulusSource, Listener):
     def _prepare(self, trial: Trial) -> Pulses:
         """Be silent, after the faintest pulses where these must open the intensity first."""
         train = trial.intervals[0]
-        level, faint = train.level, np.float32(_FAINT) * (train.activation > 0)
+        # A blank begins as the train that it stands for, so that nothing tells the two apart.
+        activation = train.activation if train.blanked is None else train.blanked
+        faint = np.float32(_FAINT) * (activation > 0)
+        # What rises within the trial begins low, and needs no more than that.
+        level = train.level_at(0) if trial.course is None else _FAINT
         self._say("")
         yield from self._be_silent(PAUSE_S, level)
         began_ns, patience_s = self._now_ns, self._course.patience_s

@@ -33,6 +33,8 @@ class Train:
         Whether it rises to that level evenly from nothing, over its whole length.
     soft_s : float, s
         Time in which it rises to that level; 0 is at once.
+    blanked : ndarray, (3, E) float32, optional
+        Activation of the train that this one is the blank of.
     """
 
     activation: NDArray[np.float32]
@@ -41,6 +43,7 @@ class Train:
     level: float = 1.0
     rises: bool = False
     soft_s: float = 0.0
+    blanked: NDArray[np.float32] | None = None
 
     @property
     def rate_hz(self) -> float:
@@ -48,7 +51,14 @@ class Train:
 
     def blank(self) -> "Train":
         """Return the same train without current."""
-        return replace(self, activation=np.zeros_like(self.activation))
+        # Its level stays where the train begins: without current none would rise.
+        return replace(
+            self,
+            activation=np.zeros_like(self.activation),
+            level=self.level_at(0),
+            soft_s=0.0,
+            blanked=self.activation,
+        )
 
     def level_at(self, pulse: int) -> float:
         """Return the level of a pulse, counted from 0."""

@@ -39,22 +39,26 @@ Charge = NDArray[np.float64]
 """Signed charge of each electrode, positive cathodic, (E,) pC: whole numbers below 2^53."""
 
 
+Sums = NDArray[np.float64]
+"""Load and signed charge of each electrode, (3, E)."""
+
+
 class PassLoad(NamedTuple):
     """Load of one pass of a sequence on each electrode.
 
     Attributes
     ----------
-    load : ndarray, (2, E)
-    slots_pc, recharge_pc : ndarray, (E,) pC
-        Net charge of its slots, and of its recharge phase if it has one, positive cathodic.
+    sums : ndarray, (3, E)
+        Load and net charge, with its recharge phase.
+    recharge_pc : ndarray, (E,) pC
+        Charge of its recharge phase if it has one, positive cathodic.
     busy_us : int, µs
         Time of its slots and its recharge phase.
     drives : bool
         Whether any of its slots has current.
     """
 
-    load: Load
-    slots_pc: Charge
+    sums: Sums
     recharge_pc: Charge | None
     busy_us: int
     drives: bool
@@ -101,19 +105,16 @@ class _Pass(NamedTuple):
 
     start_ns: int
     end_ns: int
-    load: Load
-    net_pc: Charge
+    sums: Sums
     most: float
-    """Largest load."""
-    most_pc: float
-    """Largest net charge."""
+    """Largest load: no electrode has more net charge (× `PER_PC`) than this."""
 
     def later(self, by_ns: int) -> "_Pass":
         """Return the same pass at a later time."""
         return self._replace(start_ns=self.start_ns + by_ns, end_ns=self.end_ns + by_ns)
 
 
-@dataclass
+@dataclass(slots=True)
 class _Sent:
     """Sequence that was let through, with the number of its repetitions begun."""
 
@@ -151,15 +152,13 @@ class Exposure:
     _second_at_most: float = 0.0
     """Upper bound of the load of the last second at any electrode, which saves most sums."""
     _net_at_most: float = 0.0
-    """Upper bound of the net charge of the newest passes, however many, at any electrode."""
-    _session: Load = field(init=False)
-    _net_pc: Charge = field(init=False)
+    """Upper bound of the net charge (× `PER_PC`) of the newest passes, however many."""
+    _session: Sums = field(init=False)
     _session_at_most: float = 0.0
     _session_ns: int = 0
 
     def __post_init__(self) -> None:
-        self._session = np.zeros((2, self.limits.electrodes))
-        self._net_pc = np.zeros(self.limits.electrodes)
+        self._session = np.zeros((3, self.limits.electrodes))
         self._most_of_session = self.limits.session_mc * 1e9 * PER_PC
         # From a second ago to what may be sent ahead by sequences that come late.
         rate_hz = decimal(self.limits.rate_hz)
@@ -169,13 +168,13 @@ class Exposure:
     def dose(self) -> Dose:
         """Dose of the session so far, with requested repetitions."""
         charge_mc = self._session[1] / (PER_PC * 1e9)
-        net_uc = self._net_pc / 1e6
+        net_uc = self._session[2] / 1e6
         return Dose(self._session_ns / 1e9, tuple(charge_mc.tolist()), tuple(net_uc.tolist()))
 
     @property
     def net_pc(self) -> NDArray[np.int64]:
         """Net charge of each electrode in the session, (E,) pC, positive cathodic."""
-        return self._net_pc.astype(np.int64)
+        return self._session[2].astype(np.int64)
 
     def begin_session(self, now_ns: int | None) -> None:
         """Reset the session's dose; the last second still counts, with what repeated until now."""
@@ -184,7 +183,6 @@ class Exposure:
         self._last = None
         self._session_ns, self._session_at_most = 0, 0.0
         self._session[:] = 0
-        self._net_pc[:] = 0
 
     def forget_second(self) -> None:
         """Reset the last second, where time starts anew; the session continues."""
@@ -211,24 +209,24 @@ class Exposure:
         SafetyError
             Naming the limit and the electrode.
         """
-        load, recharge_pc = made.load, made.recharge_pc
-        burst_us, most = min(period_us, BURST_US), float(load.max())
+        sums, recharge_pc = made.sums, made.recharge_pc
+        load = sums[:2]
+        burst_us, most = min(period_us, BURST_US), float(np.maximum.reduce(load, axis=None))
         if most > MOST_PER_US * burst_us:
             raise _too_much(load, burst_us, f"in {period_us} µs: lower the rate")
-        net_pc = made.slots_pc if recharge_pc is None else made.slots_pc + recharge_pc
-        most_pc = float(np.abs(net_pc).max())
         last, window, start_ns, period_ns = self._last, self._window, now_ns, 1000 * period_us
         begun = 1
         if last is not None:
-            begun = last.begun_by(now_ns)
-            start_ns = max(now_ns, last.first.start_ns + begun * last.period_ns)
+            begun = 1 if last.times == 1 else last.begun_by(now_ns)
+            free_ns = last.first.start_ns + begun * last.period_ns
+            start_ns = free_ns if free_ns > now_ns else now_ns
         if recharge_pc is not None:
-            carried_pc = self._net_pc
+            carried_pc = self._session[2] + (sums[2] - recharge_pc)
             if last is not None and begun < last.times:
-                carried_pc = carried_pc - (last.times - begun) * last.first.net_pc
-            _check_recharge(carried_pc + made.slots_pc, recharge_pc, net_pc, times)
-        first = _Pass(start_ns, start_ns + 1000 * made.busy_us, load, net_pc, most, most_pc)
-        entered = [] if last is None else self._repetitions(last, begun)
+                carried_pc -= (last.times - begun) * last.first.sums[2]
+            _check_recharge(carried_pc, recharge_pc, sums[2], times)
+        first = _Pass(start_ns, start_ns + 1000 * made.busy_us, sums, most)
+        entered = [] if last is None or begun == last.begun else self._repetitions(last, begun)
         # Until the first of its passes has left the second, each adds to what is in it.
         own = 1 if times == 1 else min(times, 1 + (first.end_ns - start_ns + _LAST_NS) // period_ns)
         net_at_most = self._check_second(now_ns, first, own, period_ns, entered)
@@ -242,25 +240,25 @@ class Exposure:
         # From here on nothing is refused.
         self._net_at_most = net_at_most
         if last is not None:
-            self._enter_repetitions(last, begun)
+            for each in entered:
+                self._add(each)
+            last.begun = begun
             if left := last.left:
                 self._session_ns -= left * last.period_ns * last.flows
-                self._session -= left * last.first.load
-                self._net_pc -= left * last.first.net_pc
+                self._session -= left * last.first.sums
                 self._session_at_most -= left * last.first.most
         while window and window[0].end_ns <= now_ns - WINDOW_NS:
             self._second_at_most -= window.popleft().most
         self._last = _Sent(first, period_ns, times, flows)
         self._add(first)
         self._session_ns += flowing_ns
-        self._session += load if times == 1 else times * load
-        self._net_pc += net_pc if times == 1 else times * net_pc
+        self._session += sums if times == 1 else times * sums
         self._session_at_most += times * most
 
     def _add(self, each: _Pass) -> None:
         self._window.append(each)
         self._second_at_most += each.most
-        self._net_at_most += each.most_pc
+        self._net_at_most += each.most
 
     def _repetitions(self, last: _Sent, begun: int) -> list[_Pass]:
         """Return the repetitions that have begun since, but for those of long ago."""
@@ -278,7 +276,7 @@ class Exposure:
     ) -> float:
         """Raise if any second would hold too many passes, or too much of what they bring.
 
-        Returns the largest net charge of the newest passes before it, or a bound of it.
+        Returns the largest net charge (× `PER_PC`) of the newest passes before it, or a bound.
 
         Parameters
         ----------
@@ -290,15 +288,16 @@ class Exposure:
         entered : list of _Pass
             Repetitions of the sequence before that are not in the window yet.
         """
-        window, waiting = self._window, len(self._window) + len(entered)
+        window, most = self._window, own * first.most
+        for each in entered:
+            most += each.most
+        net_at_most = min(self._net_at_most, self._second_at_most)
         if (
-            waiting < self._most_passes
-            and self._second_at_most + own * first.most + sum(each.most for each in entered)
-            <= MOST_PER_US * 1_000_000
-            and self._net_at_most + own * first.most_pc + sum(each.most_pc for each in entered)
-            <= NET_PC
+            len(window) + len(entered) < self._most_passes
+            and self._second_at_most + most <= MOST_PER_US * 1_000_000
+            and net_at_most + most <= PER_PC * NET_PC
         ):
-            return self._net_at_most
+            return net_at_most
         kept = [each for each in (*window, *entered) if each.end_ns > now_ns - WINDOW_NS]
         passes = sum(each.start_ns > now_ns - WINDOW_NS for each in kept) + 1
         if passes > self._most_passes:
@@ -310,22 +309,22 @@ class Exposure:
                 allowed=self._most_passes,
             )
         ends_ns = [each.end_ns for each in kept]
-        nothing = np.zeros_like(first.net_pc)
         # Of the newest passes, from each of them on.
-        loads = np.cumsum([first.load, *(each.load for each in reversed(kept))], axis=0)
-        nets = np.cumsum([nothing, *(each.net_pc for each in reversed(kept))], axis=0)
+        nothing = np.zeros_like(first.sums)
+        sums = np.cumsum([nothing, *(each.sums for each in reversed(kept))], axis=0)
+        nets = sums[:, 2]
         highest, lowest = np.maximum.accumulate(nets), np.minimum.accumulate(nets)
         for index in range(own):
             time_ns = first.start_ns + index * period_ns if index else now_ns
             count = len(kept) - bisect_right(ends_ns, time_ns - WINDOW_NS)
-            second = loads[count] + index * first.load
+            second = (sums[count] + (index + 1) * first.sums)[:2]
             if second.max() > MOST_PER_US * 1_000_000:
                 raise _too_much(second, 1_000_000, "within a second: send less often")
-            own_pc = (index + 1) * first.net_pc
+            own_pc = (index + 1) * first.sums[2]
             net_pc = np.maximum(highest[count] + own_pc, -lowest[count] - own_pc)
             if net_pc.max() > NET_PC:
                 raise _too_much_net(net_pc)
-        return float(np.maximum(highest[-1], -lowest[-1]).max())
+        return PER_PC * float(np.maximum(highest[-1], -lowest[-1]).max())
 
     def _check_session(self, seconds: float, charge: NDArray[np.float64], begun: int) -> None:
         """Raise if the session becomes too long with a sequence, or its charge, (E,), too much."""
@@ -334,7 +333,7 @@ class Exposure:
         # Repetitions that this sequence cuts short were counted, and are not delivered.
         if (last := self._last) is not None:
             seconds -= (last.times - begun) * last.period_ns * last.flows / 1e9
-            session -= (last.times - begun) * last.first.load[1]
+            session -= (last.times - begun) * last.first.sums[1]
         remedy = "take the finger off, look at the skin, and begin anew later"
         if seconds > limits.session_s:
             raise SafetyError(

@@ -76,8 +76,10 @@ class SoftStart:
         gone_ns = max(0, time_ns - self._since_ns)
         if gone_ns > self._left_ns + KEPT_NS:
             self._reached, self._left_ns = 0.0, 0
+        if self._reached >= wanted:
+            self._reached = self._asked = wanted
+            return wanted
         # What was reached without pulses is lost, all but the first step.
-        self._reached = min(self._reached, wanted)
         step = max(min(gone_ns, self._left_ns), 0 if self._reached else self._first_ns)
         self._asked = min(wanted, self._reached + step / 1e9 / self._ramp_s)
         return self._asked

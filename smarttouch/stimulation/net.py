@@ -2,6 +2,8 @@
 
 from bisect import bisect_right
 from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,16 +15,26 @@ WINDOW_US = 1_100_000
 GUARD_PC = 0.95 * NET_PC
 """Net charge of any newest passes up to which a next one like the last is planned."""
 _MEAN_PC = PLANNED * NET_PC
+_FREE_PC = NET_PC / 2
 _MOST_PC = 0.99 * NET_PC
 
 Array = NDArray[np.float64]
 
 
+class _Pass(NamedTuple):
+    """Pass by the times of frames, with the bound of its net charge, and that where it is known."""
+
+    end_us: float
+    most_pc: float
+    net_pc: Array | None
+
+
 class NetPlan:
     """Net charge of the last passes, by the times of their frames.
 
-    Passes of one sign come farther apart, as evenly as may be, where the mean net charge of the
-    last ones asks for it; and after a change of the picture as far as it must be.
+    Passes of one sign come farther apart, as evenly as may be, where they have used half of a
+    second's net charge and go on at a rate that would use more than all; and after a change of the
+    picture as far as it must be.
 
     Parameters
     ----------
@@ -30,18 +42,53 @@ class NetPlan:
     """
 
     def __init__(self, electrodes: int) -> None:
-        self._passes: deque[tuple[float, Array]] = deque()
-        """End by time of frames, µs, and net charge."""
+        self._electrodes = electrodes
+        self._passes: deque[_Pass] = deque()
         self._sum_pc = np.zeros(electrodes)
-        self._newest_at_most_pc = 0.0
+        # Bounds of all passes, of those whose own net charge is unknown, and of the newest.
+        self._at_most_pc = self._unknown_pc = self._newest_at_most_pc = 0.0
+
+    def follow(self, passes: Sequence[tuple[float, Array]], time_us: float) -> None:
+        """Begin with what an earlier run has left in the last second.
+
+        Parameters
+        ----------
+        passes : sequence of (float, ndarray)
+            Time since the end of each pass, µs, and its net charge, (E,) pC; oldest first.
+        time_us : float
+            Of the first frame.
+        """
+        for ago_us, net_pc in passes:
+            self._enter(time_us - ago_us, float(np.abs(net_pc).max()), net_pc)
+
+    def spares(self, at_most_pc: float, time_us: float, period_us: int) -> bool:
+        """Enter a sequence of so little net charge that it need not be known, and return True.
+
+        False, and nothing entered, where a window of them, or what is in it, might not be below
+        the limit.
+
+        Parameters
+        ----------
+        at_most_pc : float
+            Upper bound of its net charge.
+        time_us, period_us
+            As of `period_us`.
+        """
+        self._forget(time_us)
+        if (WINDOW_US // period_us + 2) * at_most_pc > GUARD_PC:
+            return False
+        if self._at_most_pc + at_most_pc > GUARD_PC:
+            return False
+        # No slot is later than the period.
+        self._passes.append(_Pass(time_us + period_us, at_most_pc, None))
+        self._at_most_pc += at_most_pc
+        self._newest_at_most_pc += at_most_pc
+        self._unknown_pc += at_most_pc
+        return True
 
     def admits(self, net_pc: Array, time_us: float) -> bool:
         """Whether a sequence may begin at a time without breaking the limit in any second."""
-        passes = self._passes
-        while passes and passes[0][0] <= time_us - WINDOW_US:
-            self._sum_pc -= passes.popleft()[1]
-        if not passes:
-            self._newest_at_most_pc = 0.0
+        self._forget(time_us)
         most_pc = float(np.abs(net_pc).max())
         if self._newest_at_most_pc + most_pc <= GUARD_PC:
             return True
@@ -61,24 +108,56 @@ class NetPlan:
         busy_us : int
             Of its slots.
         """
-        self._passes.append((time_us + busy_us, net_pc))
-        self._sum_pc += net_pc
         most_pc = float(np.abs(net_pc).max())
-        self._newest_at_most_pc += most_pc
+        self._enter(time_us + busy_us, most_pc, net_pc)
         count, needed_us = len(self._passes), float(period_us)
-        mean_pc = float(np.abs(self._sum_pc).max()) / count
-        # So many of it as a window holds, and one more that it cuts.
-        if mean_pc < _MEAN_PC:
-            needed_us = max(needed_us, WINDOW_US / 1.1 * mean_pc / (_MEAN_PC - mean_pc))
+        carried_pc = float(np.abs(self._sum_pc).max()) + self._unknown_pc
+        span_us = min(time_us + period_us - self._passes[0].end_us, WINDOW_US)
+        # Trains that are over before they fill a window keep their times, and so does what pauses.
+        if carried_pc > _FREE_PC and carried_pc * WINDOW_US > _MEAN_PC * span_us:
+            mean_pc = carried_pc / count
+            if mean_pc < _MEAN_PC:
+                # So many of it as a window holds, and one more that it cuts.
+                needed_us = max(needed_us, WINDOW_US / 1.1 * mean_pc / (_MEAN_PC - mean_pc))
+            if carried_pc + mean_pc < GUARD_PC:
+                # What there is room for comes evenly until the first of them leave.
+                left_us = WINDOW_US - span_us
+                needed_us = max(needed_us, left_us * mean_pc / (GUARD_PC - carried_pc))
         if self._newest_at_most_pc + most_pc > GUARD_PC:
             # A next one like this must find room: wait until enough of the passes have left.
             newest = self._newest(net_pc).max(axis=1)
             room = max(0, bisect_right(np.maximum.accumulate(newest).tolist(), GUARD_PC) - 1)
             if room < count:
-                needed_us = max(needed_us, self._passes[count - room - 1][0] + WINDOW_US - time_us)
+                end_us = self._passes[count - room - 1].end_us
+                needed_us = max(needed_us, end_us + WINDOW_US - time_us)
         return needed_us
 
+    def _enter(self, end_us: float, most_pc: float, net_pc: Array) -> None:
+        self._passes.append(_Pass(end_us, most_pc, net_pc))
+        self._at_most_pc += most_pc
+        self._newest_at_most_pc += most_pc
+        self._sum_pc += net_pc
+
+    def _forget(self, time_us: float) -> None:
+        """Leave out passes that are no longer in a window that begins before a time."""
+        passes = self._passes
+        while passes and passes[0].end_us <= time_us - WINDOW_US:
+            _, most_pc, net_pc = passes.popleft()
+            self._at_most_pc -= most_pc
+            if net_pc is None:
+                self._unknown_pc -= most_pc
+            else:
+                self._sum_pc -= net_pc
+            self._newest_at_most_pc = min(self._newest_at_most_pc, self._at_most_pc)
+
     def _newest(self, net_pc: Array) -> Array:
-        """Return the magnitudes of the newest passes' net charge with one more, (N + 1, E)."""
-        sums = np.cumsum([net_pc, *(each for _, each in reversed(self._passes))], axis=0)
-        return np.asarray(np.abs(sums))
+        """Return the largest magnitudes of the newest passes' net charge with one more, (N + 1, E).
+
+        What is not known of a pass counts on every electrode.
+        """
+        newest, nothing = [*reversed(self._passes)], np.zeros(self._electrodes)
+        known = (nothing if each.net_pc is None else each.net_pc for each in newest)
+        unknown = (each.most_pc if each.net_pc is None else 0.0 for each in newest)
+        sums = np.abs(np.cumsum([net_pc, *known], axis=0))
+        sums += np.cumsum([0.0, *unknown])[:, None]
+        return np.asarray(sums)

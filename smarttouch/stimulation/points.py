@@ -199,8 +199,9 @@ class PointSlots:
         current_ua, surplus = self._rounded(site, level)
         strongest = self._row_starts[:slots] + self._strongest.take(site)
         flat = current_ua.reshape(-1)
-        flat[strongest] -= surplus
-        if self._tight and (over := np.abs(flat[strongest]) > self._most_ua[site]).any():
+        own_ua = flat[strongest] - surplus
+        flat[strongest] = own_ua
+        if self._tight and (over := np.abs(own_ua) > self._most_ua[site]).any():
             current_ua[over] = self._carried(site[over], level[over])
         return Slots(site.astype(np.uint16), current_ua, width_us)
 

@@ -75,6 +75,8 @@ class Rise:
 
     def permits(self, ppb: int, now_ns: int) -> bool:
         """Whether current of an intensity may begin now: `LATE_NS` of the ramp are caught up."""
+        if ppb <= self._ppb and now_ns - self._since_ns <= self._left_ns + LEVEL_KEPT_NS:
+            return True
         return ppb - LEEWAY_PPB <= self.risen_ppb(now_ns) + self._hurried_ppb
 
     def note(self, ppb: int, now_ns: int, lasting_ns: int) -> None:
@@ -88,9 +90,12 @@ class Rise:
         """
         # The board finishes its present pass, and of repetitions no more.
         gone_ns = max(0, now_ns - self._since_ns)
-        to_come_ns = min(max(0, self._left_ns - gone_ns), LATE_NS)
+        left_ns = self._left_ns - gone_ns
+        to_come_ns = min(left_ns, LATE_NS) if left_ns > 0 else 0
         if lasting_ns:
-            self._ppb = min(ppb, self.risen_ppb(now_ns))
+            if ppb > self._ppb or -left_ns > LEVEL_KEPT_NS:
+                ppb = min(ppb, self.risen_ppb(now_ns))
+            self._ppb = ppb
             self._since_ns, self._left_ns = now_ns, to_come_ns + lasting_ns
         else:
             self._left_ns = min(self._left_ns, gone_ns + to_come_ns)
@@ -183,8 +188,9 @@ class SafetyGate:
             if ramped:
                 self._time_ns = sequence.time_ns
                 lasting_ns = 1000 * sequence.period_us * times * made.drives
-                for rise, time_ns in zip(self._rises, (now_ns, sequence.time_ns), strict=True):
-                    rise.note(ppb, time_ns, lasting_ns)
+                by_clock, claimed = self._rises
+                by_clock.note(ppb, now_ns, lasting_ns)
+                claimed.note(ppb, sequence.time_ns, lasting_ns)
             return sequence
 
     def _prove_rise(self, sequence: ScanSequence, ppb: int, now_ns: int, drives: bool) -> None:
@@ -258,7 +264,8 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
         flat = np.frombuffer(plain.tobytes(), kind)
         fields[name] = flat if dimensions == 1 else flat.reshape(plain.shape)
     for name in _WHOLE:
-        fields[name] = _whole(getattr(sequence, name), name)
+        value = getattr(sequence, name)
+        fields[name] = value if type(value) is int else _whole(value, name)
     value = sequence.intensity
     if isinstance(value, bool) or not isinstance(value, (int, float, np.floating)):
         raise SafetyError(f"intensity is {value!r}, must be a number", limit="intensity")

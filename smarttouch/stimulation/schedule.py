@@ -149,7 +149,7 @@ class ScanScheduler:
             ]
         self.net_slowed = self.net_emptied = 0
         self._net = net
-        self._felt_us, self._charge_us = math.inf, math.inf
+        self._felt_us, self._charge_us, self._net_at_most_pc = (math.inf,) * 3
         if not bank.single:
             self._bound_exposure(pulse.width_us)
 
@@ -299,7 +299,11 @@ class ScanScheduler:
         for frames in self._frames.values():
             load[0] = math.inf
             load[1] += frames.most_ua * width_us * PER_PC
-        self._felt_us, self._charge_us = (load.max(axis=1) / (PLANNED * MOST_PER_US)).tolist()
+        most_felt, most_charge = load.max(axis=1).tolist()
+        self._felt_us = most_felt / (PLANNED * MOST_PER_US)
+        self._charge_us = most_charge / (PLANNED * MOST_PER_US)
+        # In whole pC: what is added up is taken away again without a rest.
+        self._net_at_most_pc = float(np.ceil(most_charge / PER_PC))
 
     def _within_net(
         self,
@@ -310,8 +314,10 @@ class ScanScheduler:
         image: TactileImage,
     ) -> tuple[int, bool]:
         """Return a period that keeps the limit of net current, and whether slots keep it now."""
-        net_pc = (width_us.astype(np.float32) @ current_ua.astype(np.float32)).astype(np.float64)
         time_us = image.time_ns / 1000
+        if net.spares(self._net_at_most_pc, time_us, period_us):
+            return period_us, True
+        net_pc = (width_us.astype(np.float32) @ current_ua.astype(np.float32)).astype(np.float64)
         if not net.admits(net_pc, time_us):
             self.net_emptied += 1
             return period_us, False

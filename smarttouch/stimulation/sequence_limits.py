@@ -90,10 +90,8 @@ def prove_slots(
         prove_recharge(sequence, limits.faint_ua, limits.total_ua)
     longest_us, pulses_us, busy_us = _prove_times(sequence, limits)
     if not slots:
-        nothing = np.zeros((2, limits.electrodes))
-        return PassLoad(nothing, nothing[0], None, 0, drives=False)
-    sums = adder.add_up(sequence.current_ua, sequence.width_us)
-    net_ua, total_ua, highest_ua, load, slots_pc = sums
+        return PassLoad(np.zeros((3, limits.electrodes)), None, 0, drives=False)
+    net_ua, total_ua, highest_ua, sums = adder.add_up(sequence.current_ua, sequence.width_us)
     # Whole numbers: their squares add up to zero only where all of them are.
     if net_ua.dot(net_ua):
         slot = int(np.abs(net_ua).argmax())
@@ -133,8 +131,9 @@ def prove_slots(
     recharge_pc = None
     if sequence.recharge_ua is not None:
         recharge_pc = sequence.recharge_ua.astype(np.float64) * sequence.recharge_us
-        load[1] += PER_PC * np.abs(recharge_pc)
-    return PassLoad(load, slots_pc, recharge_pc, busy_us, drives=highest_ua > 0)
+        sums[1] += PER_PC * np.abs(recharge_pc)
+        sums[2] += recharge_pc
+    return PassLoad(sums, recharge_pc, busy_us, drives=highest_ua > 0)
 
 
 def _prove_one_source(

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.stimulation.exposure import PER_PC, PER_PULSE, Load
+from smarttouch.stimulation.exposure import PER_PC, PER_PULSE, Load, Sums
 
 BLOCK = 131_072
 """Currents per block: in single precision half a megabyte, which stays in a
@@ -48,17 +48,24 @@ class SlotSums(NamedTuple):
         Of all magnitudes of each slot.
     highest_ua : int, µA
         Largest magnitude of all.
-    load : ndarray, (2, E)
-        Load of the slots on each electrode.
-    charge_pc : ndarray, (E,) float, pC
-        Charge of the slots through each electrode, positive cathodic: a whole number.
+    sums : ndarray, (3, E)
+        Load of the slots on each electrode, and their charge, positive cathodic.
     """
 
     net_ua: NDArray[np.floating]
     total_ua: NDArray[np.floating]
     highest_ua: int
-    load: Load
-    charge_pc: NDArray[np.float64]
+    sums: Sums
+
+    @property
+    def load(self) -> Load:
+        return self.sums[:2]
+
+
+@lru_cache(maxsize=256)
+def _units(width_us: int) -> NDArray[np.float64]:
+    """Return what sums of pulses, magnitudes and currents are multiplied with, (3, 1)."""
+    return np.array([[PER_PULSE], [PER_PC * width_us], [width_us]], np.float64)
 
 
 class SlotAdder:
@@ -99,10 +106,11 @@ class SlotAdder:
         scratch, ones = self._scratch[kind]
         across = ones[: self._electrodes]
         each_us, longest_us, _ = extent_us(width_us.tobytes())
+        alike = each_us == longest_us
         net, total = np.empty(slots, kind), np.empty(slots, kind)
-        load = np.zeros((2, self._electrodes))
-        felt, charge = load
-        signed = np.zeros(self._electrodes)
+        sums: Sums | None = None
+        of_block = np.empty((3, self._electrodes), kind if alike else np.float64)
+        units = _units(each_us if alike else 1)
         highest = 0
         for first in range(0, slots, self._rows):
             part = slice(first, min(slots, first + self._rows))
@@ -110,26 +118,19 @@ class SlotAdder:
             down = ones[: len(block)]
             np.copyto(block, current_ua[part])
             block.dot(across, out=net[part])
-            if each_us == longest_us:
-                signed += down.dot(block)
-            else:
-                signed += width_us[part].astype(np.float64).dot(block)
+            each = down if alike else width_us[part].astype(np.float64)
+            each.dot(block, out=of_block[2])
             np.abs(block, out=block)
             highest = max(highest, int(_largest(block, axis=None)))
             block.dot(across, out=total[part])
-            if each_us == longest_us:
-                charge += down.dot(block)
-            else:
-                charge += width_us[part].astype(np.float64).dot(block)
-            felt += down.dot(np.greater_equal(block, self._felt_ua, out=block, casting="unsafe"))
+            each.dot(block, out=of_block[1])
+            np.greater_equal(block, self._felt_ua, out=block, casting="unsafe")
+            of_block[0] = down.dot(block)
+            sums = of_block * units if sums is None else sums + of_block * units
         # No sum on the way is larger than that of all magnitudes.
         if kind is np.float32 and highest * self._most >= _EXACT_SINGLE:
             return self.add_up(current_ua, width_us, np.float64)
-        felt *= PER_PULSE
-        charge *= PER_PC * each_us if each_us == longest_us else PER_PC
-        if each_us == longest_us:
-            signed *= each_us
-        return SlotSums(net, total, highest, load, signed)
+        return SlotSums(net, total, highest, sums)
 
 
 def round_charge_balanced(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:

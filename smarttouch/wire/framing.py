@@ -30,7 +30,7 @@ def frame_packet(version: int, kind: int, number: int, *payload: bytes) -> bytes
     place finds it again at the next zero. Decoded, all little endian: u8
     version, u8 kind, u32 number, the payload, u32 CRC-32 of all before it.
     """
-    body = _HEAD.pack(version, kind, number) + b"".join(payload)
+    body = b"".join((_HEAD.pack(version, kind, number), *payload))
     return bytes(cobs.encode(body + _CRC.pack(zlib.crc32(body)))) + b"\0"
 
 

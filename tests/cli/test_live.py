@@ -66,7 +66,7 @@ def ink_agreement(page, touch):
 
 def test_the_sample_page(program, tmp_path):
     done = program(
-        "live", "--speed", 300, "--felt", "felt.png", "--anatomy", "paper", "--json", "run.json",
+        "live", "--speed", 60, "--felt", "felt.png", "--anatomy", "paper", "--json", "run.json",
         "--record", "run.mcap", real=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -126,9 +126,10 @@ def test_every_profile_runs(program_here, tmp_path, name):
     done = program_here(
         "live",
         "--board=simulated:",
-        "--sensor=text:the",
+        # The first letters open the level, with their pulses.
+        "--sensor=text:the the the the",
         f"--profile={name}",
-        "--speed=120",
+        "--speed=30",
         "--felt=felt.png",
         f"--anatomy={anatomy}",
         "--json=run.json",

@@ -22,7 +22,7 @@ def figures_of(path):
 
 def test_without_options_a_virtual_hand_strokes_a_grating(program_here, tmp_path):
     felt = ("--felt", "felt.png", "--anatomy", "paper")
-    done = program_here("mouse", *SIMULATED, "--json", "f.json", *felt)
+    done = program_here("mouse", *SIMULATED, "--intensity", 0.5, "--json", "f.json", *felt)
     assert (done.returncode, done.stderr) == (0, "")
     figures = figures_of(tmp_path / "f.json")
     # 60 mm there and back over 4 mm: 15 ridges each, at all of 64 electrodes.
@@ -36,7 +36,8 @@ def test_without_options_a_virtual_hand_strokes_a_grating(program_here, tmp_path
 def test_faster_is_as_many_pulses_in_less_time(program_here, tmp_path):
     slots, seconds = [], []
     for speed in (40, 80):
-        done = program_here("mouse", *SIMULATED, "--speed", speed, "--json", "f.json", "--quiet")
+        stroke = ("mouse", "--speed", speed, "--intensity", 0.5, *SIMULATED)
+        done = program_here(*stroke, "--json", "f.json", "--quiet")
         assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
         figures = figures_of(tmp_path / "f.json")
         slots.append(figures["slots"])

@@ -36,8 +36,10 @@ def printed(paper=255, ink=0):
 @pytest.fixture(params=[NO_SHARING, SlotPolicy((Afferent.RA,), planned=False)])
 def sent(request, make_frame, profile, bank):
     pipeline = Pipeline(profile, bank, RunConfig(scan=request.param))
-    pipeline.process(make_frame(printed(), 10**9))
-    return StepResult(pipeline.process(make_frame(printed(), 2 * 10**9)), 1, 0.0)
+    for time_ns in range(10**9, 2 * 10**9, 20_000_000):
+        step = pipeline.process(make_frame(printed(), time_ns))
+    assert step.sequence.intensity == 1
+    return StepResult(step, 1, 0.0)
 
 
 @pytest.fixture
@@ -55,7 +57,9 @@ def shown(profile, monkeypatch):
             source=SimpleNamespace(title="page.png", dropped_frames=0, frames=2, duration_s=9.0),
             profile=profile,
             controls=Controls(ControlState(Mode.RA, 0.5)),
-            board=SimpleNamespace(dose=SimpleNamespace(seconds=1.0, most_mc=2.0), acknowledged=1),
+            board=SimpleNamespace(
+                dose=SimpleNamespace(seconds=1.0, most_mc=2.0, most_net_uc=3.0), acknowledged=1
+            ),
             statistics=RunStatistics(),
         ))  # fmt: skip
         for each in told:

@@ -60,7 +60,8 @@ def test_between_the_intervals_there_is_silence_as_long_as_asked(profile, bank, 
         if playing is not None:
             at.setdefault(playing, []).append(sequence)
         else:
-            assert sequence.slots == 0
+            # The level is opened once, by pulses of threshold.
+            assert sequence.slots == 0 or not at
     for presentation in range(1, 11):
         first, second = at[presentation, 0], at[presentation, 1]
         over_ns = first[-1].time_ns + 1000 * first[-1].period_us
@@ -68,16 +69,22 @@ def test_between_the_intervals_there_is_silence_as_long_as_asked(profile, bank, 
 
 
 def test_before_a_trial_intensity_is_there(profile, bank, tmp_path):
-    """The first pulse of all comes after the soft start, at full intensity."""
-    steps = []
+    """The level is opened by pulses of threshold; those of trials come at full intensity."""
+    steps, of_trials = [], []
     sit(
         design("frequency", profile, FEW), profile, bank, tmp_path / "rows.csv", Perfect(),
-        watch=lambda sent, *_: steps.append(sent.step.sequence),
+        watch=lambda sent, source, _: (
+            steps.append(sent.step.sequence),
+            of_trials.append(source.playing is not None),
+        ),
     )  # fmt: skip
     assert steps[0].intensity == 0
-    felt = [each for each in steps if each.slots]
-    assert felt[0].time_ns >= 0.5e9
+    felt = [each for each, playing in zip(steps, of_trials, strict=True) if playing and each.slots]
+    assert felt[0].time_ns >= 1e9
     assert {each.intensity for each in felt} == {1.0}
+    opening = [each for each, playing in zip(steps, of_trials, strict=True) if not playing]
+    strongest_ma = max(np.abs(each.current_ua).max(initial=0) for each in opening) / 1000
+    assert 0 < strongest_ma <= 1.02 * profile.threshold_ma[27]
 
 
 @pytest.mark.parametrize("how", ["pause", "silence"])
@@ -130,9 +137,9 @@ def test_currents_that_count_wait_for_full_intensity(profile, bank, tmp_path):
     def watch(sent, source, controls):
         titles.append(source.title)
         if sent.step.sequence.time_ns > 2e9 and controls.state(0).level < 1:
-            assert not any(felt.slots for felt in before)
+            assert not any(before)
             controls.change_level(0.5)
-        before.append(sent.step.sequence)
+        before.append(source.playing is not None)
 
     before = []
     observer = Perfect()
@@ -266,11 +273,11 @@ def test_keys_before_the_question_do_not_count(loop):
 def test_a_trial_is_felt_again_on_request(loop):
     loop, trials = loop
     loop.until(lambda: loop.source.asking)
-    pulses = sum(bool(each.activation.any()) for each in loop.frames)
+    pulses = sum(each.activation.max() == 1 for each in loop.frames)
     loop.source.keys["r"]()
     loop.step()
     loop.until(lambda: loop.source.asking)
-    assert sum(bool(each.activation.any()) for each in loop.frames) == 2 * pulses
+    assert sum(each.activation.max() == 1 for each in loop.frames) == 2 * pulses > 0
     assert loop.source.repeats == 1
     loop.source.keys["1"]()
     loop.until(lambda: trials.answers)
@@ -349,7 +356,8 @@ def test_every_stimulus_is_numbered_and_none_has_an_image(loop):
     loop.until(lambda: loop.source.asking)
     assert [each.number for each in loop.frames] == list(range(loop.source.frames))
     assert {each.image for each in loop.frames} == {None}
-    assert len({each.activation.tobytes() for each in loop.frames}) == 2
+    # Silence, pulses of threshold that open the level, and those of the trial.
+    assert len({each.activation.tobytes() for each in loop.frames}) == 3
 
 
 @pytest.mark.parametrize(
