@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 from smarttouch.cli.recordings import recordings
 from smarttouch.cli.replay import replay
 from smarttouch.errors import RecordingError
+from smarttouch.recording.reader import Recording
 
 from .conftest import says
 
@@ -41,7 +42,7 @@ def test_info_tells_what_an_ethics_board_asks(call, recording):
     assert done.exit_code == 0
     for told in (
         "2023-11-14 22:13:20 UTC", "1.5 s", "nobody", "electric-mouse", "SAI 38", "mA",
-        "smarttouch 0.1.0", " kB", "/frame", "0.600 s  intensity 0.40", "paused",
+        f"smarttouch {Recording(recording).versions['smarttouch']}", " kB", "/frame", "0.600 s  intensity 0.40", "paused",
     ):  # fmt: skip
         assert told in done.stdout
 
