@@ -54,7 +54,7 @@ def test_all_three_on_an_emulated_board(run_color, tmp_path):
     spec = "tone:30Hz,9um+tone:250Hz,1.5um+press:0.45N"
     # At a level at which net current leaves every class its rate.
     said = run_color(spec, "--seconds", 1, "--board", "simulated:", "--json", "f.json", "--record",
-                     "r.mcap", "--plot", "a.png", "--intensity", 0.4)  # fmt: skip
+                     "r.mcap", "--plot", "a.png", "--intensity", 0.3)  # fmt: skip
     rows = rows_of(said)
     assert rows["RA"][-6:-3] == ["29", "30.0", "Hz"]
     assert rows["PC"][-6:-3] == ["121", "125.0", "Hz"]

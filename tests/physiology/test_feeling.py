@@ -16,12 +16,17 @@ def finger():
 
 @pytest.fixture(scope="module")
 def steps(finger):
-    source = st.open_source("text:T", finger.profile, speed_mm_s=60)
-    return list(st.steps(source, finger.profile, seconds=0.9))
+    source = st.open_source("text:TTTT", finger.profile, speed_mm_s=30)
+    return list(st.steps(source, finger.profile, seconds=2.5))
+
+
+def strongest(steps):
+    """Return the step of most slots among those of the highest level, which pulses open."""
+    return max(steps, key=lambda step: (step.sequence.intensity, step.sequence.slots))
 
 
 def test_steps_sequences_and_lists_of_them_feel_the_same(finger, steps):
-    strong = max(steps, key=lambda step: step.sequence.slots)
+    strong = strongest(steps)
     one, bare, several = (finger.feel(each) for each in (strong, strong.sequence, [strong]))
     for other in (bare, several):
         np.testing.assert_array_equal(one.counts, other.counts)
@@ -65,7 +70,7 @@ def test_distinct_slots_give_all_slots_back():
 
 
 def test_it_shows_itself_in_notebooks(finger, steps):
-    strong = max(steps, key=lambda step: step.sequence.slots)
+    strong = strongest(steps)
     shown, quiet = finger.feel(strong)._repr_html_(), finger._repr_html_()
     for picture in (shown, quiet):
         assert all(color in picture for color in CLASS_COLORS.values())
