@@ -9,7 +9,6 @@ from typer.testing import CliRunner
 from smarttouch.cli.recordings import recordings
 from smarttouch.cli.replay import replay
 from smarttouch.errors import RecordingError
-from smarttouch.recording.reader import Recording
 
 from .conftest import says
 
