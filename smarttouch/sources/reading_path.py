@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 RETURN_MM_S = 200.0
 """Speed of the lifted finger on its way to the next line."""
 SETTLE_S = 0.6
-"""Time of rest at the start of a line while intensity ramps up."""
+"""Time of rest at the start of a line."""
 LIFT_S = 0.15
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 500.0
 _PRESS = 1.1
