@@ -42,7 +42,8 @@ def test_info_tells_what_an_ethics_board_asks(call, recording):
     assert done.exit_code == 0
     for told in (
         "2023-11-14 22:13:20 UTC", "1.5 s", "nobody", "electric-mouse", "SAI 38", "mA",
-        f"smarttouch {Recording(recording).versions['smarttouch']}", " kB", "/frame", "0.600 s  intensity 0.40", "paused",
+        f"smarttouch {Recording(recording).versions['smarttouch']}", " kB", "/frame",
+        "0.600 s  intensity 0.40", "paused",
     ):  # fmt: skip
         assert told in done.stdout
 
