@@ -160,6 +160,7 @@ class Exposure:
     def __post_init__(self) -> None:
         self._session = np.zeros((3, self.limits.electrodes))
         self._most_of_session = self.limits.session_mc * 1e9 * PER_PC
+        self._most_session_ns = math.floor(decimal(self.limits.session_s) * 10**9)
         # From a second ago to what may be sent ahead by sequences that come late.
         rate_hz = decimal(self.limits.rate_hz)
         self._most_passes = math.ceil(rate_hz * (WINDOW_NS + LATE_NS) / WINDOW_NS) + 1
@@ -245,12 +246,12 @@ class Exposure:
         own = 1 if times == 1 else min(times, 1 + (first.end_ns - start_ns + _LAST_NS) // period_ns)
         net_at_most = self._check_second(now_ns, first, own, period_ns, entered)
         flowing_ns = period_ns * times * flows
-        seconds = (self._session_ns + flowing_ns) / 1e9
+        session_ns = self._session_ns + flowing_ns
         if (
-            seconds > self.limits.session_s
+            session_ns > self._most_session_ns
             or self._session_at_most + times * most > self._most_of_session
         ):
-            self._check_session(seconds, times * load[1], begun)
+            self._check_session(session_ns, times * load[1], begun)
         # From here on nothing is refused.
         self._net_at_most = net_at_most
         if last is not None:
@@ -340,16 +341,17 @@ class Exposure:
                 raise _too_much_net(net_pc)
         return PER_PC * float(np.maximum(highest[-1], -lowest[-1]).max())
 
-    def _check_session(self, seconds: float, charge: NDArray[np.float64], begun: int) -> None:
+    def _check_session(self, session_ns: int, charge: NDArray[np.float64], begun: int) -> None:
         """Raise if the session becomes too long with a sequence, or its charge, (E,), too much."""
         limits, allowed = self.limits, self._most_of_session
         session = self._session[1] + charge
         # Repetitions that this sequence cuts short were counted, and are not delivered.
         if (last := self._last) is not None:
-            seconds -= (last.times - begun) * last.period_ns * last.flows / 1e9
+            session_ns -= (last.times - begun) * last.period_ns * last.flows
             session -= (last.times - begun) * last.first.sums[1]
         remedy = "take the finger off, look at the skin, and begin anew later"
-        if seconds > limits.session_s:
+        if session_ns > self._most_session_ns:
+            seconds = session_ns / 1e9
             raise SafetyError(
                 f"the session would have {seconds:.0f} s of current, limits.session_s is "
                 f"{limits.session_s:g}: {remedy}",
