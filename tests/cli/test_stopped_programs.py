@@ -79,6 +79,8 @@ def test_smarttouch_stop_ends_what_a_program_drives(start, start_program, tmp_pa
     stop = start_program("stop")
     assert stop.communicate(timeout=PATIENCE_S)[0].split()[0] == "1"
     assert stop.returncode == 0
+    # Books are written now and then; a board that had to find out by itself tells of silence.
+    wait_for(lambda: read_state(books)["reason"] == "stop")
     after = read_state(books)
     assert after["state"] == "shorted"
     if "run" in first:
@@ -94,6 +96,7 @@ def test_a_display_that_is_stopped_stops_what_drives_its_board(start):
     process, books = start("display")
     attempts, _ = told(process)
     assert attempts == {"drive": "BoardStoppedError", "again": "BoardStoppedError"}
+    wait_for(lambda: read_state(books)["reason"] == "stop")
     assert read_state(books)["state"] == "shorted"
 
 
@@ -108,7 +111,8 @@ def test_a_signal_ends_a_program_at_zero_with_its_recording(start, tmp_path, kin
     assert process.returncode == (-number if kind == "thread" else 128 + number)
     if kind == "thread":
         return
-    assert (read_state(books)["state"], read_state(books)["reason"]) == ("shorted", "stop")
+    wait_for(lambda: read_state(books)["reason"] == "stop")
+    assert read_state(books)["state"] == "shorted"
     if kind == "run":
         assert is_whole(tmp_path / f"{process.pid}.mcap")
 
@@ -132,6 +136,8 @@ def test_a_stop_at_any_instant_reaches_every_program(start, start_program):
         stop = start_program("stop")
         stop.communicate(timeout=PATIENCE_S)
         assert stop.returncode == 0
+        for _, books in programs:
+            wait_for(lambda books=books: read_state(books)["reason"] in ("stop", "start"))
         slots = [read_state(books)["slots"] for _, books in programs]
         for process, _ in programs:
             attempts, _ = told(process)
