@@ -38,12 +38,13 @@ pytestmark = pytest.mark.timeout(120 + 30 * ROUNDS)
 @pytest.mark.skipif(sys.platform != "linux", reason="it collects orphans as only Linux lets it")
 @pytest.mark.parametrize("action", ["measuring", "rising", "repeating"])
 @pytest.mark.parametrize("kind", ["link", "kajimoto61", *KITS])
-def test_no_slot_starts_after_a_stop(kind, action):
+def test_no_slot_starts_after_a_stop(kind, action, record_property):
     command = [sys.executable, Path(__file__).with_name("stop_drivers.py"), kind, action]
     with Forked([*command, str(ROUNDS)], stdout=subprocess.PIPE) as process:
         said, _ = process.communicate()
     assert process.returncode == 0
     found = json.loads(said)
+    record_property("found", found)
     assert found["worst_ms"] <= WIRE_MS.get(kind, 0.0), found
     assert (found["wrong"], found["driving"]) == (0, 0), found
     came = found["came"]
