@@ -2,6 +2,8 @@
 
 import math
 import struct
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ from smarttouch.stimulation.sums import extent_us
 _HEAD = struct.Struct("<IHHBB")
 _SHAPE = struct.Struct("<HH")
 _GROUP = struct.Struct("<BBH")
+_I16 = np.dtype("<i2")
 POINTS, SUM, CURRENTS, STATES = range(4)
 """Kinds of groups of slots."""
 FULL = 0xFFFF
@@ -93,13 +96,13 @@ def encode_lists(
         )
     intensity = -(-parts_per_billion(sequence.intensity) * FULL // PPB)
     flags = MEASURE * measure | RECHARGE * (recharge is not None)
-    parts = [
+    parts: list[bytes | NDArray[Any]] = [
         _HEAD.pack(sequence.period_us, times, intensity, flags, shapes),
         table,
     ]
     if recharge is not None:
         parts += [sequence.recharge_us.to_bytes(2, "little"), recharge.astype("<i2").tobytes()]
-    if sequence.slots:
+    if len(sequence.width_us):
         parts += _groups(sequence, shape, switched, image)
     payload = b"".join(parts)
     if len(payload) > most_bytes:
@@ -117,14 +120,23 @@ def encode_lists(
 def _shapes(sequence: ScanSequence) -> tuple[int, bytes, NDArray[np.intp] | None]:
     """Return the number of pulse shapes, all of them, and that of each slot; None if of one."""
     width_us, discharge_us = sequence.width_us, sequence.discharge_us
-    least_us, most_us, _ = extent_us(width_us.tobytes())
-    least_rest_us, most_rest_us, _ = extent_us(discharge_us.tobytes())
-    if least_us == most_us > 0 and least_rest_us == most_rest_us:
-        return 1, _SHAPE.pack(most_us, most_rest_us), None
+    table = _one_shape(width_us.tobytes(), discharge_us.tobytes())
+    if table is not None:
+        return 1, table, None
     times_us = width_us.astype(np.uint32) << 16 | discharge_us
     each, shape = np.unique(times_us, return_inverse=True)
     pairs = np.column_stack([each >> 16, each & 0xFFFF])
     return len(pairs), pairs.astype("<u2").tobytes(), shape
+
+
+@lru_cache(maxsize=256)
+def _one_shape(width_us: bytes, discharge_us: bytes) -> bytes | None:
+    """Return the pulse shape of all slots; None if they have none, or several."""
+    least_us, most_us, _ = extent_us(width_us)
+    least_rest_us, most_rest_us, _ = extent_us(discharge_us)
+    if least_us == most_us > 0 and least_rest_us == most_rest_us:
+        return _SHAPE.pack(most_us, most_rest_us)
+    return None
 
 
 def _groups(
@@ -132,10 +144,10 @@ def _groups(
     shape: NDArray[np.intp] | None,
     switched: bool,
     image: KernelImage | None,
-) -> list[bytes]:
+) -> list[bytes | NDArray[Any]]:
     """Return the groups of slots that have a kind and a shape in common."""
-    slots, usual = sequence.slots, STATES if switched else CURRENTS
-    lists = None if switched else _kept(sequence, image)
+    slots, usual = len(sequence.width_us), STATES if switched else CURRENTS
+    lists = None if switched or image is None else _kept(sequence, image)
     if lists is None and shape is None:
         if slots > _U16_MAX:
             raise _too_many(slots)
@@ -148,14 +160,11 @@ def _groups(
         kind = np.where(listed, np.where(size == 1, POINTS, SUM), kind)
         pairs = np.column_stack([sums.kernel, sums.amplitude]).astype("<u2")
         first = sums.first.tolist()
-    rows, of_slot = b"", 0
-    if kind.max() >= CURRENTS:
-        rows = _rows(sequence, switched)
-        of_slot = len(rows) // slots
+    rows = _rows(sequence, switched) if kind.max() >= CURRENTS else None
     new = np.ones(slots, np.bool_)
     new[1:] = (kind[1:] == SUM) | (np.diff(kind) != 0) | (np.diff(shape) != 0)
     starts = np.flatnonzero(new).tolist()
-    parts = []
+    parts: list[bytes | NDArray[Any]] = []
     for start, end in zip(starts, [*starts[1:], slots], strict=True):
         what, count = int(kind[start]), end - start
         if what == SUM:
@@ -163,19 +172,19 @@ def _groups(
         if count > _U16_MAX:
             raise _too_many(count)
         parts.append(_GROUP.pack(what, int(shape[start]), count))
-        if what >= CURRENTS:
-            parts.append(rows[start * of_slot : end * of_slot])
+        if rows is not None and what >= CURRENTS:
+            parts.append(rows[start:end])
         else:
-            parts.append(pairs[first[start] : first[end]].tobytes())
+            parts.append(pairs[first[start] : first[end]])
     return parts
 
 
 def _kept(
-    sequence: ScanSequence, image: KernelImage | None
+    sequence: ScanSequence, image: KernelImage
 ) -> tuple[KernelLists, NDArray[np.bool_]] | None:
     """Return lists of kernels, and of which slots the board makes just the proved currents."""
     sums = sequence.sums
-    if image is None or sums is None or sums.table is not image.table:
+    if sums is None or sums.table is not image.table:
         return None
     # Copies: nothing may change between the look and the write.
     own = KernelLists(image.own, *map(np.array, (sums.first, sums.kernel, sums.amplitude)))
@@ -202,21 +211,22 @@ def _is_sound(lists: KernelLists, slots: int) -> bool:
     )
 
 
-def _rows(sequence: ScanSequence, switched: bool) -> bytes:
-    """Return each slot's site and currents, or site, source and states."""
-    slots, current_ua = sequence.slots, sequence.current_ua
+def _rows(sequence: ScanSequence, switched: bool) -> NDArray[np.int16] | NDArray[np.uint8]:
+    """Return each slot's site and currents, or site, source and states, a row each."""
+    current_ua = sequence.current_ua
+    slots, electrodes = current_ua.shape
     if not switched:
-        rows = np.empty((slots, 1 + current_ua.shape[1]), "<i2")
-        rows[:, 0] = sequence.site.view(np.int16)
+        rows = np.empty((slots, 1 + electrodes), _I16)
+        rows[:, 0] = sequence.site
         rows[:, 1:] = current_ua
-        return rows.tobytes()
+        return rows
     states = np.frombuffer(pack_states(np.sign(current_ua)), np.uint8)
     columns = [
         sequence.site[:, None].astype("<u2").view(np.uint8),
         source_of(current_ua)[:, None].view(np.uint8),
-        states.reshape(slots, -(-current_ua.shape[1] // 4)),
+        states.reshape(slots, -(-electrodes // 4)),
     ]
-    return np.concatenate(columns, axis=1).tobytes()
+    return np.concatenate(columns, axis=1)
 
 
 def _too_many(count: int) -> BoardError:

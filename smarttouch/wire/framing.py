@@ -30,8 +30,11 @@ def frame_packet(version: int, kind: int, number: int, *payload: bytes) -> bytes
     place finds it again at the next zero. Decoded, all little endian: u8
     version, u8 kind, u32 number, the payload, u32 CRC-32 of all before it.
     """
-    body = b"".join((_HEAD.pack(version, kind, number), *payload))
-    return bytes(cobs.encode(body + _CRC.pack(zlib.crc32(body)))) + b"\0"
+    head = _HEAD.pack(version, kind, number)
+    crc = zlib.crc32(head)
+    for piece in payload:
+        crc = zlib.crc32(piece, crc)
+    return bytes(cobs.encode(b"".join((head, *payload, _CRC.pack(crc))))) + b"\0"
 
 
 class Deframer:

@@ -3,9 +3,11 @@
 import contextlib
 import itertools
 import struct
+import zlib
 
 import numpy as np
 import pytest
+from cobs import cobs
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -169,6 +171,24 @@ def test_the_bytes_are_those_of_the_page():
     head = struct.pack("<IHHBBHH", 9000, 3, 0xFFFF, 1, 1, 100, 50)
     assert payload == head + struct.pack("<BBHHhh", 2, 0, 1, 1, 300, -300)
     assert decode_sequence(payload, 2).recharge_ua is None
+
+
+@given(current=currents, seed=st.integers(0, 9), shapes=st.integers(1, 3))
+def test_the_bytes_are_those_of_a_plain_encoder(current, seed, shapes):
+    _, _, site = columns(current, seed)
+    shape = np.random.default_rng(seed).integers(0, shapes, len(current)).tolist()
+    width, rest = [100 + each for each in shape], [50 + each for each in shape]
+    used = sorted(set(shape))
+    plain = struct.pack("<IHHBB", 9000, 3, 0xFFFF, 0, len(used))
+    plain += b"".join(struct.pack("<HH", 100 + each, 50 + each) for each in used)
+    slots = zip(shape, site.tolist(), current.tolist(), strict=True)
+    for each, group in itertools.groupby(slots, key=lambda slot: slot[0]):
+        rows = [struct.pack(f"<H{len(row)}h", own, *row) for _, own, row in group]
+        plain += struct.pack("<BBH", 2, used.index(each), len(rows)) + b"".join(rows)
+    assert sequence_payload("weighted", 9000, width, rest, site, current, 3) == plain
+    body = struct.pack("<BBIBQII", protocol.VERSION, Kind.SEQUENCE, 7, 0, 5, 6, 4) + plain
+    packet = encode(Kind.SEQUENCE, 5, 7, 6, 4, plain)
+    assert cobs.decode(packet[:-1]) == body + struct.pack("<I", zlib.crc32(body))
 
 
 def test_one_source_makes_no_recharge_phase():
