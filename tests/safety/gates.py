@@ -15,10 +15,10 @@ _FIELDS = ("current_ua", "width_us", "discharge_us", "site", "vibration", "recha
 class ToldClock:
     """A clock that stands where it is put."""
 
-    ns: int = 0
+    time_ns: int = 0
 
     def now_ns(self):
-        return self.ns
+        return self.time_ns
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class GateUnderTest:
 
     def ask(self, sequence, clock_ns, times=1):
         """Return what the gate says of a sequence at a time of its clock."""
-        self.clock.ns = clock_ns
+        self.clock.time_ns = clock_ns
         try:
             return Answer(True, self._gate.prove(sequence, times))
         except SafetyError as error:

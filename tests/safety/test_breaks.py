@@ -26,29 +26,6 @@ from ..rising import open_level
 SECOND = 10**9
 
 
-class ToldClock:
-    """Time as a test tells it."""
-
-    time_ns = 0
-
-    def now_ns(self):
-        return self.time_ns
-
-
-@pytest.fixture
-def limits():
-    return SafetyLimits.of(load_profile("electric-mouse"))
-
-
-@pytest.fixture
-def opened(limits):
-    """A gate at full intensity a second after its start, and its clock."""
-    clock = ToldClock()
-    gate = SafetyGate(limits, clock)
-    open_level(gate.prove, pulses(0), clock=clock)
-    return gate, clock
-
-
 def pulses(slots, *, current_ua=2400, discharge_us=100, period_us=20_000, time_ns=SECOND):
     """One electrode against its neighbor, slot after slot."""
     current = np.zeros((slots, 64), np.int16)

@@ -12,31 +12,9 @@ from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
 from ..rising import open_level
+from .gates import ToldClock
 
 SECOND = 10**9
-
-
-class ToldClock:
-    """Time as a test tells it."""
-
-    time_ns = 0
-
-    def now_ns(self):
-        return self.time_ns
-
-
-@pytest.fixture
-def limits():
-    return SafetyLimits.of(load_profile("electric-mouse"))
-
-
-@pytest.fixture
-def opened(limits):
-    """A gate at full intensity a second after its start, and its clock."""
-    clock = ToldClock()
-    gate = SafetyGate(limits, clock)
-    open_level(gate.prove, pulses(0), clock=clock)
-    return gate, clock
 
 
 def pulses(slots, *, current_ua=2400, width_us=200, period_us=20_000, time_ns=SECOND, twin=False):

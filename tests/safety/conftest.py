@@ -1,0 +1,27 @@
+"""A gate at full intensity, for tests of one limit at a time."""
+
+import numpy as np
+import pytest
+
+from smarttouch.profile import load_profile
+from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
+from smarttouch.stimulation.sequence import ScanSequence
+
+from ..rising import open_level
+from .gates import ToldClock
+
+
+@pytest.fixture
+def limits():
+    return SafetyLimits.of(load_profile("electric-mouse"))
+
+
+@pytest.fixture
+def opened(limits):
+    """A gate at full intensity a second after its start, and its clock."""
+    clock = ToldClock()
+    gate = SafetyGate(limits, clock)
+    none = np.empty(0, np.uint16)
+    silent = ScanSequence(np.empty((0, 64), np.int16), none, none, none, 20_000, 1.0, 0)
+    open_level(gate.prove, silent, clock=clock)
+    return gate, clock
