@@ -15,8 +15,6 @@ from smarttouch.stimulation.safety import Rise, SafetyLimits
 
 from .told import ToldKit
 
-pytestmark = pytest.mark.lateness
-
 HOUR_NS = 3600 * 10**9
 
 
