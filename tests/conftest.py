@@ -25,6 +25,7 @@ from smarttouch.sources.frame import Frame, Pose
 from . import forks
 from .firmware import build
 from .safety.watch import Watch
+from .whole import WHOLE
 
 PATIENT_S, NEVER_LATE_NS = 5, 60_000_000_000
 """Silence that is borne, and lateness at which a sequence is still sent, in a `patient` test."""
@@ -42,7 +43,7 @@ PATIENT = {
 _STATES = itertools.count()
 
 # How long an example takes says how busy the machine is, and nothing of the code.
-settings.register_profile("no deadline", deadline=None)
+settings.register_profile("no deadline", deadline=None, max_examples=100 if WHOLE else 40)
 settings.load_profile("no deadline")
 
 # What a script runs in the background is deaf to Ctrl-C, and so would be all that tests start.

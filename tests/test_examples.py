@@ -17,7 +17,10 @@ LONG = (
     "braille_page",
     "electric_mouse",
     "frequency_discrimination",
+    "own_kernels",
     "paper_effects",
+    "read_a_page",
+    "strength_duration",
 )
 """Programs that the gallery alone runs, whenever the pages are built."""
 

@@ -22,6 +22,7 @@ from tests.boards.fresh import fresh_state, until
 from tests.boards.sent import SentBytes, pulses_in_books
 
 from ..raising import raises
+from ..whole import WHOLE
 
 SECOND = 10**9
 
@@ -36,7 +37,7 @@ class Contract(BoardContract):
     # The most that may be without a rise.
     intensity, level_ua = 0.2, 480
     # Each is a process of its own.
-    instants = 8
+    instants = 8 if WHOLE else 3
 
     @pytest.fixture
     def make_board(self, url, limits):

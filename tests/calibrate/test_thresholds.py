@@ -14,7 +14,7 @@ from smarttouch.calibrate.limits import MOST_HURRIED, TICK_S, AscendingLimits
 from .subject import SimulatedSubject
 
 CEILING_MA = 5.0
-FINGERS = int(os.environ.get("SMARTTOUCH_FINGERS", "100"))
+FINGERS = int(os.environ.get("SMARTTOUCH_FINGERS", "40"))
 
 
 def rise(subject, ceiling_ma=CEILING_MA, **options):

@@ -197,7 +197,7 @@ def test_measuring_without_a_finger_says_so(program_here, start_emulator, tmp_pa
 @on("etactilekit")
 def test_a_walk_through_the_electrodes(program_here, kit):
     url, books = kit
-    done = program_here("board", "test", url, *PRESSED, "--seconds", 0.15, "--current-ma", 0.3)
+    done = program_here("board", "test", url, *PRESSED, "--seconds", 0.08, "--current-ma", 0.3)
     assert done.returncode == 0, done.stderr
     assert "32 of 32 electrodes" in done.stdout
     state = state_of(books)

@@ -66,7 +66,7 @@ def ink_agreement(page, touch):
 
 def test_the_sample_page(program, tmp_path):
     done = program(
-        "live", "--speed", 60, "--felt", "felt.png", "--anatomy", "paper", "--json", "run.json",
+        "live", "--speed", 120, "--felt", "felt.png", "--anatomy", "paper", "--json", "run.json",
         "--record", "run.mcap", real=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -15,7 +15,7 @@ from smarttouch.cli import app
 
 from ..forks import PROGRAM, Forked
 
-RUNS = int(os.environ.get("SMARTTOUCH_NUMBERS", "24"))
+RUNS = int(os.environ.get("SMARTTOUCH_NUMBERS", "12"))
 """How many of all pairs of an option and a number are tried; 0 is all."""
 NUMBERS = (
     "nan", "inf", "-inf", "-1", "0", "-0.0", "1", "0.5", "3", "1e30", "-1e30", "1e-30", "1e308",
@@ -70,7 +70,7 @@ BASES = {
 
 LONG = ("figures", "board emulate", "sensor emulate")
 """Commands that go on, or draw for half a minute."""
-PATIENCE_S = float(os.environ.get("SMARTTOUCH_PATIENCE_S", "5"))
+PATIENCE_S = float(os.environ.get("SMARTTOUCH_PATIENCE_S", "2"))
 ENDING_S = 10
 
 

@@ -109,15 +109,8 @@ def test_what_a_profile_may_not_say_a_recording_may_not(forge, port, into, key, 
         os.read(far, 1)
 
 
-@pytest.mark.realtime
-@pytest.mark.parametrize(
-    ("comfort_ma", "expected_ma"),
-    # Above what the user's profile allows, and below it.
-    [(4.998, 2.4), (1.2, 1.2)],
-)
-def test_a_recording_brings_to_a_finger_neither_limits_nor_force(
-    program_here, start_emulator, tmp_path, comfort_ma, expected_ma
-):
+def forge_a_strong_one(path, comfort_ma):
+    """Write a recording whose profile allows much, under a force that presses."""
     about, messages = take_apart(GOLDEN.with_name("ra.mcap"))
     profile = json.loads(about["profile"])
     profile["limits"] |= {"current_ma": 5.0, "charge_uc": 0.5, "ramp_s": 0.5}
@@ -129,16 +122,33 @@ def test_a_recording_brings_to_a_finger_neither_limits_nor_force(
             content["force_n"] = 20.0
         if topic == "/sequence":
             content["level"] = 1.0
-    put_together(tmp_path / "a.mcap", about | {"profile": json.dumps(profile)}, messages)
-    for events, most_ma in ((("--event=0 force 0",), 0.0), ((), expected_ma)):
-        _, port, books = start_emulator(64, "link", *events)
-        board = ("--board", f"link:{port}", "--intensity", 1)
-        for command in (("replay", "a.mcap"), ("live", "--source", "recording:a.mcap")):
-            done = program_here(*command, *board)
-            assert done.returncode == 0, done.stderr
-        state = fresh_state(books)
-        assert (state["unsafe"], state["violations"]) == (0, 0)
-        assert 0.5 * most_ma <= state["max_current_ma"] <= most_ma * 1.02
+    put_together(path, about | {"profile": json.dumps(profile)}, messages)
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize(
+    ("comfort_ma", "events", "most_ma"),
+    # Above what the user's profile allows, below it, and on a board that measures no force.
+    [(4.998, (), 2.4), (1.2, (), 1.2), (4.998, ("--event=0 force 0",), 0.0)],
+)
+def test_a_recording_brings_to_a_finger_neither_limits_nor_force(
+    program_here, start_emulator, tmp_path, comfort_ma, events, most_ma
+):
+    forge_a_strong_one(tmp_path / "a.mcap", comfort_ma)
+    _, port, books = start_emulator(64, "link", *events)
+    board = ("--board", f"link:{port}", "--intensity", 1)
+    for command in (("replay", "a.mcap"), ("live", "--source", "recording:a.mcap")):
+        done = program_here(*command, *board)
+        assert done.returncode == 0, done.stderr
+    state = fresh_state(books)
+    assert (state["unsafe"], state["violations"]) == (0, 0)
+    assert 0.5 * most_ma <= state["max_current_ma"] <= most_ma * 1.02
+
+
+def test_a_recording_brings_no_press_where_no_force_is_measured(
+    program_here, start_emulator, tmp_path
+):
+    forge_a_strong_one(tmp_path / "a.mcap", 4.998)
     # A board without a sensor of force: a person says that one presses, or there is no run.
     _, port, books = start_emulator(61, "kajimoto61")
     for command in (("replay", "a.mcap"), ("live", "--source", "text:on")):

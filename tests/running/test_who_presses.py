@@ -24,6 +24,7 @@ from smarttouch.texture.source import MouseSource, open_motion_over
 from smarttouch.texture.textures import open_texture
 
 from ..raising import raises
+from ..whole import WHOLE
 
 GOLDEN = Path(__file__).parents[1] / "recording" / "goldens" / "ra.mcap"
 
@@ -96,10 +97,16 @@ def test_a_force_that_is_made_up_presses_on_no_finger(flows, profile, tmp_path, 
     with raises(SourceError, **refused):
         flows(source(), f"recorded:{table}")
     # Stated by a person, for this run or in the profile, or measured by the board.
-    for newtons, expected in (("0.9", True), ("0", False)):
-        assert flows(source(), f"fixed:{newtons}") is expected
-        assert flows(source(), in_profile=f"fixed:{newtons}") is expected
-        assert flows(source(), on_board_n=float(newtons)) is expected
+    ways = {
+        "run": lambda newtons: flows(source(), f"fixed:{newtons}"),
+        "profile": lambda newtons: flows(source(), in_profile=f"fixed:{newtons}"),
+        "board": lambda newtons: flows(source(), on_board_n=newtons),
+    }
+    # All of them of one source; of the others one that presses, and another that does not.
+    for way in ways if WHOLE or name == "stimuli" else ("run",):
+        assert ways[way](0.9)
+    for way in ways if WHOLE or name == "stimuli" else ("board",):
+        assert not ways[way](0)
     # No finger can be there: the source's virtual finger presses, whatever the profile names.
     assert flows(source(), on_a_finger=False, in_profile="hx711:/dev/nowhere")
 

@@ -1,0 +1,6 @@
+"""Whether tests that do one thing many times over do all of it, as they do in ``.ci/run``."""
+
+import os
+
+WHOLE = os.environ.get("SMARTTOUCH_WHOLE", "0") != "0"
+"""With SMARTTOUCH_WHOLE=1; without, each takes a part."""
