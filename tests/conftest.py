@@ -23,22 +23,8 @@ from smarttouch.realtime import prioritized
 from smarttouch.sources.frame import Frame, Pose
 
 from . import forks
-from .firmware import build
 from .safety.watch import Watch
 from .whole import WHOLE
-
-PATIENT_S, NEVER_LATE_NS = 5, 60_000_000_000
-"""Silence that is borne, and lateness at which a sequence is still sent, in a `patient` test."""
-PATIENT = {
-    "smarttouch.boards.link_line.SILENCE_S": PATIENT_S,
-    "smarttouch.boards.emulator.link.SILENCE_MS": 1000 * PATIENT_S,
-    "smarttouch.boards.keeper.SILENCE_S": PATIENT_S,
-    **{
-        f"smarttouch.{module}.LATE_NS": NEVER_LATE_NS
-        for module in ("running.loop", "boards.link", "boards.streamed", "boards.timely")
-    },
-}
-"""What differs in a `patient` test from what is shipped."""
 
 _STATES = itertools.count()
 
@@ -97,19 +83,6 @@ def own_state(tmp_path_factory, monkeypatch):
     """Let no board of one test count, or be stopped, in another; it is made when it is needed."""
     folder = tmp_path_factory.getbasetemp() / f"state{next(_STATES)}"
     monkeypatch.setenv("XDG_STATE_HOME", str(folder))
-
-
-@pytest.fixture(autouse=True)
-def patient_lines(request, monkeypatch):
-    """Bear silence and lateness where a test asks for it: who waits for a processor is neither.
-
-    Everywhere else the bounds are those that are shipped.
-    """
-    if "patient" in request.keywords:
-        monkeypatch.setattr(forks.Forked, "changes", PATIENT)
-        monkeypatch.setattr(build, "more", f"-DST_SILENCE_US={PATIENT_S}000000u")
-        for name, value in PATIENT.items():
-            monkeypatch.setattr(name, value)
 
 
 @pytest.fixture(scope="session")

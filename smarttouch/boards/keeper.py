@@ -51,13 +51,10 @@ class Keeper:
     ----------
     port, data, control : int
         File descriptors.
-    silence_s : float
-        Longest silence of the host.
     """
 
-    def __init__(self, port: int, data: int, control: int, silence_s: float = SILENCE_S) -> None:
+    def __init__(self, port: int, data: int, control: int) -> None:
         self._port, self._data, self._control = port, data, control
-        self._silence_s = silence_s
         self._zero, self._slow = b"", False
         self._told = b""
         self._to_port = self._to_host = b""
@@ -94,9 +91,9 @@ class Keeper:
             reading += [] if self._to_host else [self._port]
             writing = [self._port] if self._to_port else []
             writing += [self._data] if self._to_host else []
-            left = heard + self._silence_s - time.monotonic()
+            left = heard + SILENCE_S - time.monotonic()
             ready, room, _ = select.select(reading, writing, [], max(0.0, left))
-            if self._zero and _slept_s() > slept + self._silence_s:
+            if self._zero and _slept_s() > slept + SILENCE_S:
                 return SILENT
             if self._control in ready or self._data in ready:
                 heard = time.monotonic()
@@ -208,12 +205,9 @@ def _go_first() -> None:
 
 
 def main() -> None:
-    """Run the keeper on the port, data and control ends that the command line numbers.
-
-    A fourth argument is the longest silence of the host, s.
-    """
+    """Run the keeper on the port, data and control ends numbered by the command line."""
     _go_first()
-    keeper = Keeper(*map(int, sys.argv[1:4]), *map(float, sys.argv[4:]))
+    keeper = Keeper(*(int(number) for number in sys.argv[1:4]))
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, keeper.end)

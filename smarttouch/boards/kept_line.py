@@ -77,7 +77,7 @@ class KeptLine:
             ends = (_descriptor(self._port), there.fileno(), controlled.fileno())
             self._process = subprocess.Popen(
                 # Nothing that a user has set or installed can keep it from starting.
-                [sys.executable, "-I", "-S", keeper.__file__, *map(str, (*ends, keeper.SILENCE_S))],
+                [sys.executable, "-I", "-S", keeper.__file__, *map(str, ends)],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,

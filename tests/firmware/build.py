@@ -14,12 +14,8 @@ import pytest
 SOURCES = Path(__file__).parents[2] / "firmware"
 
 
-more = ""
-"""What the compiler of `host` and `cortex_m3` is given beside what it gets for a display."""
-
-
 @cache
-def built(target, name, *programs, more=""):
+def built(target, name, *programs):
     """Return a file that ``make`` builds; skip where there is none of its programs."""
     for program in ("make", *programs):
         if shutil.which(program) is None:
@@ -27,13 +23,12 @@ def built(target, name, *programs, more=""):
     if not SOURCES.is_dir():
         pytest.skip("needs the folder firmware")
     # Of these very sources: another's build may lie beside it.
-    number = zlib.crc32(more.encode(), hash_of_sources())
+    number = hash_of_sources()
     folder = Path(tempfile.gettempdir()) / f"smarttouch-firmware-{number:x}"
     folder.mkdir(exist_ok=True)
     with (folder / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         command = ["make", "--silent", "-C", str(SOURCES), f"BUILD={folder}", target]
-        command += [f"MORE={more}"] * bool(more)
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return folder / name
@@ -60,9 +55,9 @@ def library():
 
 
 def host():
-    return built("host", "st_host", "cc", more=more)
+    return built("host", "st_host", "cc")
 
 
 def cortex_m3():
     programs = ("arm-none-eabi-gcc", "qemu-system-arm")
-    return built("qemu", "st_m3.elf", *programs, more=more)
+    return built("qemu", "st_m3.elf", *programs)
