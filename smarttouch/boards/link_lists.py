@@ -3,6 +3,7 @@
 import math
 import struct
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,7 +96,8 @@ def encode_lists(
         )
     intensity = -(-parts_per_billion(sequence.intensity) * FULL // PPB)
     flags = MEASURE * measure | RECHARGE * (recharge is not None)
-    parts: list[bytes | memoryview] = [
+    # Bytes and arrays: joining them is their only copy.
+    parts: list[Any] = [
         _HEAD.pack(sequence.period_us, times, intensity, flags, shapes),
         table,
     ]
@@ -143,14 +145,14 @@ def _groups(
     shape: NDArray[np.intp] | None,
     switched: bool,
     image: KernelImage | None,
-) -> list[bytes | memoryview]:
-    """Return the groups of slots that have a kind and a shape in common."""
+) -> list[Any]:
+    """Return the groups of slots that have a kind and a shape in common, as bytes and arrays."""
     slots, usual = len(sequence.width_us), STATES if switched else CURRENTS
     lists = None if switched or image is None else _kept(sequence, image)
     if lists is None and shape is None:
         if slots > _U16_MAX:
             raise _too_many(slots)
-        return [_GROUP.pack(usual, 0, slots), _rows(sequence, switched).data]
+        return [_GROUP.pack(usual, 0, slots), _rows(sequence, switched)]
     shape = np.zeros(slots, np.intp) if shape is None else shape
     kind = np.full(slots, usual)
     if lists is not None:
@@ -163,7 +165,7 @@ def _groups(
     new = np.ones(slots, np.bool_)
     new[1:] = (kind[1:] == SUM) | (np.diff(kind) != 0) | (np.diff(shape) != 0)
     starts = np.flatnonzero(new).tolist()
-    parts: list[bytes | memoryview] = []
+    parts: list[Any] = []
     for start, end in zip(starts, [*starts[1:], slots], strict=True):
         what, count = int(kind[start]), end - start
         if what == SUM:
@@ -172,9 +174,9 @@ def _groups(
             raise _too_many(count)
         parts.append(_GROUP.pack(what, int(shape[start]), count))
         if rows is not None and what >= CURRENTS:
-            parts.append(rows[start:end].data)
+            parts.append(rows[start:end])
         else:
-            parts.append(pairs[first[start] : first[end]].data)
+            parts.append(pairs[first[start] : first[end]])
     return parts
 
 
