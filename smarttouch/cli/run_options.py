@@ -135,7 +135,6 @@ class RunOptions(OptionGroup):
     plain: Annotated[
         bool, typer.Option("--plain", help="A line for each event; nothing is drawn.")
     ] = False
-    speak: Annotated[bool, typer.Option("--speak", help="Say events (speech-dispatcher).")] = False
 
     def __post_init__(self) -> None:
         for output in (self.felt, self.record, self.json_file):
