@@ -1,6 +1,5 @@
 """``smarttouch color``: a vibration as tactile primary colors."""
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -8,16 +7,13 @@ import typer
 
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
-from smarttouch.cli.saved import SavedSettings
 from smarttouch.monitor.driving import drives_a_board
 
 
 @drives_a_board
 @takes_options(scan="points")
 def color(
-    context: typer.Context,
     run: RunOptions,
-    saved: SavedSettings,
     source: Annotated[
         str,
         typer.Argument(
@@ -103,7 +99,7 @@ def color(
     if mixture.pulses(Afferent.PC):
         price = pacinian_price(chosen, bank, mixture.sites)
         vibration.notes.append(str(price))
-    run.start(vibration, chosen, config, partial(saved.keep, context))
+    run.start(vibration, chosen, config)
     if json_file is not None:
         _add(json_file, as_figures(answers, mixture, vibration, price))
     if plot is not None:

@@ -8,7 +8,6 @@ import typer
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_command import RunCommand
 from smarttouch.cli.run_options import RunOptions
-from smarttouch.cli.saved import SavedSettings
 from smarttouch.monitor.driving import drives_a_board
 
 experiment = typer.Typer(
@@ -43,9 +42,7 @@ def list_all() -> None:
 @drives_a_board
 @takes_options(scan="points", anatomy="paper")
 def run_listed(
-    context: typer.Context,
     run: RunOptions,
-    saved: SavedSettings,
     name: Annotated[str, typer.Argument(metavar="NAME", help="See smarttouch experiment list.")],
     mode: _Mode = "RA",
     procedure: Annotated[
@@ -150,7 +147,6 @@ def run_listed(
         note=run.note or session,
     )
     with open_sitting(made, chosen, timing, about, path, overwrite=overwrite) as sitting:
-        saved.keep(context)
         if run.record is not None and sitting.session.resumed:
             run = replace(run, record=numbered(run.record))
         sit(sitting, run, config, simulate)
@@ -187,10 +183,9 @@ def free(
 
     from smarttouch.cli.choices import parse_afferent
     from smarttouch.cli.experiment_steps import free_run
-    from smarttouch.profile import load_profile
 
+    run = replace(run, profile=profile, subject=run.subject or participant)
     if run.intensity is None and not run.on_a_finger:
         # By hand from nothing here too.
         run = replace(run, intensity=0.0)
-    run = replace(run, subject=run.subject or participant)
-    free_run(run, load_profile(profile), parse_afferent(mode), site, rate_hz, knob, output)
+    free_run(run, run.load_profile(), parse_afferent(mode), site, rate_hz, knob, output)

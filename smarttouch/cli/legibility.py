@@ -63,7 +63,7 @@ def legibility(
     chosen = profile_for_reading(load_profile(profile))
     notes: list[str] = []
     text = Source(*document.look(source), notes.append)
-    presentation = feel.presentation()
+    presentation = feel.presentation(chosen.defaults.read_as)
     motion = presentation.motion(chosen, feel.speed_mm_s)
     with bank_progress(quiet) as progress:
         bank = load_bank(chosen, progress)

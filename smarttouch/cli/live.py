@@ -1,6 +1,5 @@
 """``smarttouch live``: from a source to current in the skin."""
 
-from functools import partial
 from typing import Annotated
 
 import typer
@@ -8,7 +7,6 @@ import typer
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.options import ModeOption, RateOption
 from smarttouch.cli.run_options import RunOptions
-from smarttouch.cli.saved import SavedSettings, used_tone
 from smarttouch.cli.source_options import SourceOptions
 from smarttouch.cli.standard_input import or_standard_input
 from smarttouch.monitor.driving import drives_a_board
@@ -17,10 +15,8 @@ from smarttouch.monitor.driving import drives_a_board
 @drives_a_board
 @takes_options()
 def live(
-    context: typer.Context,
     run: RunOptions,
     of_source: SourceOptions,
-    saved: SavedSettings,
     source: Annotated[
         str | None,
         typer.Option(
@@ -55,11 +51,8 @@ def live(
         rate_hz=rate_hz,
         light_on_dark=light_on_dark,
         seed=seed or 0,
-        tone=used_tone(saved.settings),
     )
     url = source or f"page:{data_folder('sample_images') / 'page.png'}"
     options = {"seed": seed, **of_source.given()}
     with open_source(url, chosen, light_on_dark=light_on_dark, **options) as opened:
-        keep = partial(saved.keep_run, context, run, config, source, options)
-        keys, keys_help = opened.keys, opened.keys_help
-        run.start(opened, chosen, config, keep, keys=keys, keys_help=keys_help)
+        run.start(opened, chosen, config, keys=opened.keys, keys_help=opened.keys_help)

@@ -1,22 +1,18 @@
 """``smarttouch mouse``: a texture under a hand that moves."""
 
-from functools import partial
 from typing import Annotated
 
 import typer
 
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
-from smarttouch.cli.saved import SavedSettings
 from smarttouch.monitor.driving import drives_a_board
 
 
 @drives_a_board
 @takes_options(scan="points")
 def mouse(
-    context: typer.Context,
     run: RunOptions,
-    saved: SavedSettings,
     texture: Annotated[
         str,
         typer.Option(
@@ -95,4 +91,4 @@ def mouse(
             press_n(chosen),
         )
         source.url = texture
-        run.start(source, chosen, config, partial(saved.keep, context))
+        run.start(source, chosen, config)

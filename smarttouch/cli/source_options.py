@@ -112,9 +112,9 @@ class FeelOptions(OptionGroup):
     """Options of the letters or cells that are felt."""
 
     kind: Annotated[
-        str,
+        str | None,
         typer.Option("--as", metavar="WHAT", rich_help_panel=_FEEL, help="shapes or braille."),
-    ] = "shapes"
+    ] = None
     style: Annotated[
         str,
         typer.Option(metavar="HOW", rich_help_panel=_FEEL, help="plain, thinned or graded."),
@@ -150,22 +150,17 @@ class FeelOptions(OptionGroup):
         ),
     ] = None
 
-    def presentation(self, lines: int = 1, language: str | None = None) -> "Shapes | Braille":
-        """Return letter shapes or Braille, with so many lines of cells at once.
-
-        Parameters
-        ----------
-        lines : int
-        language : str, optional
-            Whose table is taken if none is given.
-        """
+    def presentation(
+        self, usual: str, lines: int = 1, language: str | None = None
+    ) -> "Shapes | Braille":
+        """Return letter shapes or Braille; where no table is given, by that of the language."""
         from smarttouch.cli.choices import parse_choice
         from smarttouch.reading.braille import Braille, Presentation
         from smarttouch.reading.shapes import Shapes, Style
 
         shapes = Shapes(parse_choice("style", self.style, Style))
         presentation = parse_choice("cells", self.cells, Presentation)
-        if parse_choice("kind", self.kind, ("shapes", "braille")) == "shapes":
+        if parse_choice("kind", self.kind or usual, ("shapes", "braille")) == "shapes":
             return shapes
         table = table_of(self.table, language)
         return Braille(table, presentation, lines, self.embossed, self.light_from)
