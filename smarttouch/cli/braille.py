@@ -92,7 +92,7 @@ def _seen(source: str, table: str, document: DocumentOptions) -> "Loaded | None"
     from smarttouch.reading.braille import Braille
     from smarttouch.reading.source import Source
 
-    place, options = document.look(source)
+    place, options = document.recognition(source)
     file = file_of(place)
     if file is None or kind_of(file) is not Kind.PAGES:
         return None

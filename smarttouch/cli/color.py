@@ -25,11 +25,10 @@ def color(
     ],
     sites: Annotated[
         str | None,
-        typer.Option(metavar="LIST", help="Electrodes that pulse, as in 27,28,35-36, or all."),
-    ] = None,
-    radius_mm: Annotated[
-        float | None,
-        typer.Option(metavar="MM", help="Or those so near to the middle; one pitch if none."),
+        typer.Option(
+            metavar="LIST",
+            help="Electrodes that pulse, e.g. 27,28,35-36, or all.",
+        ),
     ] = None,
     split_only: Annotated[
         bool, typer.Option("--split-only", help="Say what each class answers; no board.")
@@ -86,7 +85,7 @@ def color(
         return
     with bank_progress(run.quiet) as progress:
         bank = load_bank(chosen, progress)
-    places = parse_places(chosen, sites, radius_mm)
+    places = parse_places(chosen, sites, None)
     shaken = run.vibrators is not None
     timing = run.display(chosen).board.timing
     mixture = mix(answers, trace.duration_s, chosen, bank, places, timing, shaken)

@@ -20,11 +20,10 @@ _Site = Annotated[
     int | None, typer.Option("--site", metavar="N", help="Electrode; in the middle if none.")
 ]
 _Overwrite = Annotated[bool, typer.Option("--overwrite", help="Begin the CSV file anew.")]
-_Participant = Annotated[str, typer.Option("--participant", metavar="NAME", help="Who feels it.")]
 _Session = Annotated[str, typer.Option("--session", metavar="NAME", help="Which session.")]
 _Output = Annotated[
     Path | None,
-    typer.Option("--output", metavar="CSV", help="Answers; named by participant if none."),
+    typer.Option("--output", metavar="CSV", help="Answers; named by subject if none."),
 ]
 
 
@@ -74,11 +73,10 @@ def run_listed(
     answer_s: Annotated[
         float, typer.Option(metavar="S", help="Longest wait for an answer; 0: no end.")
     ] = 10.0,
-    participant: _Participant = "",
     session: _Session = "",
     seed: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Of orders; by participant if none."),
+        typer.Option(metavar="N", help="Of orders; by subject if none."),
     ] = None,
     output: _Output = None,
     overwrite: _Overwrite = False,
@@ -129,7 +127,7 @@ def run_listed(
     chosen = run.load_profile()
     afferent = parse_afferent(mode)
     named = f"{name}-{afferent.name}"
-    stem, order = usual_name(named, participant, session, seed)
+    stem, order = usual_name(named, run.subject, session, seed)
     options = ExperimentOptions(
         afferent, procedure, parse_standards(standards), repetitions, trials, site, train_s,
         rate_hz, letters, two_intervals, order,
@@ -139,11 +137,10 @@ def run_listed(
     patience_s = None if simulate is None else 10.0
     timing = TrialTiming(gap_s, answer_s or None, made.again, patience_s)
     path = output or Path(f"{stem}.csv")
-    about = About(named, made.method, participant, session, order)
+    about = About(named, made.method, run.subject, session, order)
     config = run.config(
         afferent.name,
         seed=order,
-        subject=run.subject or participant,
         note=run.note or session,
     )
     with open_sitting(made, chosen, timing, about, path, overwrite=overwrite) as sitting:
@@ -166,7 +163,6 @@ def free(
         str | None,
         typer.Option(metavar="URL", help="Moved away from you: stronger. evdev:, window:, ..."),
     ] = None,
-    participant: _Participant = "",
     output: Annotated[
         Path | None, typer.Option(metavar="CSV", help="All changes; free.csv or the next number.")
     ] = None,
@@ -184,7 +180,7 @@ def free(
     from smarttouch.cli.choices import parse_afferent
     from smarttouch.cli.experiment_steps import free_run
 
-    run = replace(run, profile=profile, subject=run.subject or participant)
+    run = replace(run, profile=profile)
     if run.intensity is None and not run.on_a_finger:
         # By hand from nothing here too.
         run = replace(run, intensity=0.0)

@@ -7,7 +7,7 @@ import typer
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.options import ModeOption, RateOption
 from smarttouch.cli.run_options import RunOptions
-from smarttouch.cli.source_options import DocumentOptions, FeelOptions
+from smarttouch.cli.source_options import DocumentOptions, FormOptions
 from smarttouch.cli.standard_input import or_standard_input
 from smarttouch.monitor.driving import drives_a_board
 
@@ -15,7 +15,7 @@ from smarttouch.monitor.driving import drives_a_board
 @drives_a_board
 @takes_options()
 def read(
-    feel: FeelOptions,
+    feel: FormOptions,
     document: DocumentOptions,
     run: RunOptions,
     source: Annotated[
@@ -68,7 +68,7 @@ def read(
     presentation = feel.presentation(own.defaults.read_as, lines, document.languages)
     motion = presentation.motion(chosen, feel.speed_mm_s, rate_hz)
     notes: list[str] = []
-    text = Source(*document.look(source, scale_matters=follow is not None), notes.append)
+    text = Source(*document.recognition(source, scale_matters=follow is not None), notes.append)
     config = run.config(parse_mode(mode), rate_hz=rate_hz, tone=presentation.tone)
     with contextlib.ExitStack() as stack:
         feed = LineFeed(presentation.lines(text, chosen))
