@@ -115,7 +115,7 @@ def test_what_was_felt_replays_to_the_bit(program_here, tmp_path):
             ["--motion", "evdev:/dev/null"],
             says(SourceError, "/dev/null" if find_spec("evdev") else "smarttouch[mouse]"),
         ),
-        (["--motion", "sweep:?cpi=400"], says(SourceError, "cpi", "span_mm")),
+        (["--motion", "sweep:?cpi=400"], says(SourceError, "cpi", "speed_mm_s")),
         (
             ["--motion", "sweep:?speed_mm_s=0"],
             says(SourceError, " 1000", about="speed_mm_s", value=0),
