@@ -99,16 +99,8 @@ class ProfileError(TableError):
     """A profile cannot be found, read or believed."""
 
 
-class SavedRunError(TableError):
-    """Saved settings of a run cannot be found, read, believed or written."""
-
-
 class SourceError(SmartTouchError):
     """A source of frames, stimuli or force cannot be opened or has failed."""
-
-
-# The name that plug-ins of the first version import.
-SensorError = SourceError
 
 
 class SourceLostError(SourceError):

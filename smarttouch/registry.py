@@ -2,7 +2,6 @@
 
 import functools
 import inspect
-import warnings
 from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, NamedTuple
@@ -39,8 +38,6 @@ _OWN = {
     },
 }
 """The package's own, by entry-point group; no other package can take their names."""
-_FORMER = {"smarttouch.sources": "smarttouch.sensors"}
-"""Former names of entry-point groups."""
 _BY_POSITION = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 
@@ -211,26 +208,15 @@ def _kind(group: str) -> str:
 
 
 def _plug_ins(group: str) -> list[EntryPoint]:
-    """Return the entry points of other packages; those of the group's former name come last."""
-    found = [*entry_points(group=group)]
-    if group in _FORMER:
-        found += entry_points(group=_FORMER[group])
-    return [point for point in found if point.name not in _OWN[group]]
+    """Return the entry points of other packages."""
+    return [point for point in entry_points(group=group) if point.name not in _OWN[group]]
 
 
 def _load(
     point: EntryPoint, error: type[SmartTouchError], base: type, arguments: tuple[str, ...]
 ) -> Callable[..., Any]:
     """Return the opener of an entry point, if it and its class keep the contract."""
-    group = next((new for new, old in _FORMER.items() if old == point.group), point.group)
     package = package_of(point)
-    if group != point.group:
-        warnings.warn(
-            f"{package} names {point.name} in the entry-point group {point.group}, which is now "
-            f"called {group}: rename it in its pyproject.toml",
-            DeprecationWarning,
-            stacklevel=4,
-        )
 
     def refusal(fault: Fault) -> SmartTouchError:
         return error(

@@ -37,7 +37,6 @@ _IMPORTED = (
     "smarttouch.emulator.__main__",
     "smarttouch.emulator.server",
     "smarttouch.recording.check",
-    "smarttouch.running.saved",
     "smarttouch.sources.forces.force",
     "smarttouch.sources.page",
 )

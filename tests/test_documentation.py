@@ -7,9 +7,7 @@ import pytest
 from typer.core import TyperGroup
 from typer.main import get_command
 
-from smarttouch import RunConfig
 from smarttouch.cli import app
-from smarttouch.running.saved import SavedRun, save_run
 
 from .forks import Forked
 from .pages import GENERATED, PAGES, ROOT, PageError, Reader, blocks
@@ -99,10 +97,8 @@ def program():
 
 
 @pytest.mark.parametrize("words", [*commands()])
-def test_the_program_takes_it(words, program, tmp_path, monkeypatch):
+def test_the_program_takes_it(words, program):
     """The command and its options exist; a board that they name may not."""
-    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
-    save_run("desk", SavedRun(source="camera:0", board="emulator:", config=RunConfig()))
     command, rest = program, list(words)
     while rest and isinstance(command, TyperGroup) and rest[0] in command.commands:
         command = command.commands[rest.pop(0)]

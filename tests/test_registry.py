@@ -1,6 +1,5 @@
 """Sources and boards of other packages: found, and refused at once where they are broken."""
 
-import warnings
 from dataclasses import replace
 from importlib.metadata import entry_points
 
@@ -91,22 +90,6 @@ def test_a_source_of_others(installed, profile):
         assert source.read(0) is None
     with raises(SourceError, about="color", problem="unknown", allowed=("shade",)):
         open_source("mine:", profile, color=1)
-
-
-def test_a_source_under_the_former_name_of_the_group(installed, profile):
-    installed(SOURCE, "smarttouch.sensors", package="older")
-    with pytest.warns(DeprecationWarning, match="older"):
-        open_source("mine:", profile)
-
-
-def test_one_that_is_under_both_names_warns_of_nothing(installed, profile, tmp_path):
-    installed(SOURCE, "smarttouch.sensors")
-    points = tmp_path / "their_board-1.0.dist-info" / "entry_points.txt"
-    text = points.read_text("utf-8")
-    points.write_text(text + text.replace("sensors", "sources"), encoding="utf-8")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        open_source("mine:", profile)
 
 
 def test_no_other_package_takes_a_name_of_ours(installed, limits):

@@ -20,7 +20,6 @@ from smarttouch.files import (
 )
 from smarttouch.profile import Profile, load_profile
 from smarttouch.profile.load import profile_of, profile_path
-from smarttouch.profile.migrate import Change, migrate
 from smarttouch.profile.written import difference, in_rows
 from smarttouch.version import __version__
 
@@ -32,8 +31,7 @@ _LIBRARIES = {"opencv": "opencv-contrib-python-headless", "numpy": "numpy", "sci
 class ProfileFile:
     """Edit of a profile from one file to another.
 
-    Everything but the keys that are set stays as it is, comments included; one of an earlier
-    version is brought up to date.
+    Everything but the keys that are set stays as it is, comments included.
 
     Parameters
     ----------
@@ -50,8 +48,6 @@ class ProfileFile:
     ----------
     profile : Profile
         What it began as.
-    changes : list of Change
-        What was brought up to date.
 
     Raises
     ------
@@ -65,7 +61,7 @@ class ProfileFile:
         self, start: str, output: Path, overwrite: bool = False, *, update: bool = False
     ) -> None:
         self._source = profile_path(start)
-        self._text, self._document, self.changes, self.profile = _begin(self._source)
+        self._text, self._document, self.profile = _begin(self._source)
         self._update = update
         self.output = output
         self._overwrite = overwrite
@@ -264,17 +260,16 @@ def file_to_calibrate(
     return file
 
 
-def _begin(path: Path) -> tuple[str, tomlkit.TOMLDocument, list[Change], Profile]:
-    """Return the text of a profile, and its document, changes and profile of this version."""
+def _begin(path: Path) -> tuple[str, tomlkit.TOMLDocument, Profile]:
+    """Return a profile as text, as document and as it loads."""
     # Refuses what no parser should be given.
     read_toml(path, ProfileError)
     text = read_text(path, ProfileError, MOST_TOML_BYTES)
     try:
         document = tomlkit.parse(text)
-        changes = migrate(document)
         table = document.unwrap()
     except (tomlkit.exceptions.TOMLKitError, ValueError, RecursionError) as error:
         raise ProfileError(
             f"{path} cannot be changed: {error}", about="file", problem="malformed", value=path
         ) from None
-    return text, document, changes, profile_of(table, path)
+    return text, document, profile_of(table, path)

@@ -18,9 +18,7 @@ from smarttouch.cli.color import color
 from smarttouch.cli.design import design
 from smarttouch.cli.experiment import experiment
 from smarttouch.cli.experiment_fit import fit
-from smarttouch.cli.figures import figures
 from smarttouch.cli.finger import finger
-from smarttouch.cli.fit_fiber import fit_fiber
 from smarttouch.cli.legibility import legibility
 from smarttouch.cli.live import live
 from smarttouch.cli.mouse import mouse
@@ -57,10 +55,8 @@ _COMMANDS: dict[str, dict[str, Callable[..., object] | typer.Typer]] = {
     "Design": {
         "profiles": profiles,
         "design": design,
-        "figures": figures,
         "finger": finger,
         "study": study,
-        "fit-fiber": fit_fiber,
     },
 }
 """Commands by the panel of the help that lists them."""

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smarttouch.cli.option_groups import takes_options
-from smarttouch.cli.saved import SavedSettings
 from smarttouch.cli.source_options import DocumentOptions, TableOption, table_of
 from smarttouch.cli.standard_input import or_standard_input
 
@@ -16,9 +15,7 @@ if TYPE_CHECKING:
 
 @takes_options()
 def braille(
-    context: typer.Context,
     document: DocumentOptions,
-    saved: SavedSettings,
     source: Annotated[
         str | None,
         typer.Argument(
@@ -62,7 +59,6 @@ def braille(
     loaded = loaded or load_cells(source, code, leave_out)
     for note in loaded.notes:
         typer.echo(note, err=True)
-    saved.keep(context)
     if back:
         text = code.to_text("\n".join(loaded.paragraphs)) + "\n"
         if output is None:
@@ -96,7 +92,7 @@ def _seen(source: str, table: str, document: DocumentOptions) -> "Loaded | None"
     from smarttouch.reading.braille import Braille
     from smarttouch.reading.source import Source
 
-    place, options = document.look(source)
+    place, options = document.recognition(source)
     file = file_of(place)
     if file is None or kind_of(file) is not Kind.PAGES:
         return None

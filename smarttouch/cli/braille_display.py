@@ -7,16 +7,13 @@ import typer
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.options import ModeOption, RateOption
 from smarttouch.cli.run_options import RunOptions
-from smarttouch.cli.saved import SavedSettings
 from smarttouch.monitor.driving import drives_a_board
 
 
 @drives_a_board
 @takes_options(scan="points")
 def braille_display(
-    context: typer.Context,
     run: RunOptions,
-    saved: SavedSettings,
     address: Annotated[
         str,
         typer.Argument(
@@ -47,8 +44,6 @@ def braille_display(
 
     The console is then under the finger, and through BrlAPI what Orca reads of a desktop.
     """
-    from functools import partial
-
     from smarttouch.cli.choices import parse_mode
     from smarttouch.reading.window import profile_for_reading
     from smarttouch.sources import open_source
@@ -62,5 +57,4 @@ def braille_display(
         "pan": pan,
     }
     with open_source(f"brltty:{address}", chosen, **options) as source:
-        keep, keys, keys_help = partial(saved.keep, context), source.keys, source.keys_help
-        run.start(source, chosen, config, keep, keys=keys, keys_help=keys_help)
+        run.start(source, chosen, config, keys=source.keys, keys_help=source.keys_help)

@@ -45,18 +45,15 @@ class CalibrationOptions(OptionGroup):
         """Return the profile on its way from one file to another."""
         from smarttouch.boards.open import default_profile
         from smarttouch.calibrate.profile_file import file_to_calibrate
-        from smarttouch.cli.profiles import tell_changes
         from smarttouch.profile import DEFAULT_PROFILE
 
         if self.output is None:
             message = "give a file FILE.toml for what is measured"
             raise CalibrationError(message, about="output", problem="missing")
         usual = DEFAULT_PROFILE if board_url is None else default_profile(board_url)
-        file = file_to_calibrate(
+        return file_to_calibrate(
             part, self.profile, usual, self.output, self.overwrite, simulated=simulated
         )
-        tell_changes(file)
-        return file
 
 
 def missing(about: str, message: str) -> CalibrationError:

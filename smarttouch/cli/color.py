@@ -1,6 +1,5 @@
 """``smarttouch color``: a vibration as tactile primary colors."""
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -8,16 +7,13 @@ import typer
 
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
-from smarttouch.cli.saved import SavedSettings
 from smarttouch.monitor.driving import drives_a_board
 
 
 @drives_a_board
 @takes_options(scan="points")
 def color(
-    context: typer.Context,
     run: RunOptions,
-    saved: SavedSettings,
     source: Annotated[
         str,
         typer.Argument(
@@ -29,11 +25,10 @@ def color(
     ],
     sites: Annotated[
         str | None,
-        typer.Option(metavar="LIST", help="Electrodes that pulse, as in 27,28,35-36, or all."),
-    ] = None,
-    radius_mm: Annotated[
-        float | None,
-        typer.Option(metavar="MM", help="Or those so near to the middle; one pitch if none."),
+        typer.Option(
+            metavar="LIST",
+            help="Electrodes that pulse, e.g. 27,28,35-36, or all.",
+        ),
     ] = None,
     split_only: Annotated[
         bool, typer.Option("--split-only", help="Say what each class answers; no board.")
@@ -90,7 +85,7 @@ def color(
         return
     with bank_progress(run.quiet) as progress:
         bank = load_bank(chosen, progress)
-    places = parse_places(chosen, sites, radius_mm)
+    places = parse_places(chosen, sites, None)
     shaken = run.vibrators is not None
     timing = run.display(chosen).board.timing
     mixture = mix(answers, trace.duration_s, chosen, bank, places, timing, shaken)
@@ -103,7 +98,7 @@ def color(
     if mixture.pulses(Afferent.PC):
         price = pacinian_price(chosen, bank, mixture.sites)
         vibration.notes.append(str(price))
-    run.start(vibration, chosen, config, partial(saved.keep, context))
+    run.start(vibration, chosen, config)
     if json_file is not None:
         _add(json_file, as_figures(answers, mixture, vibration, price))
     if plot is not None:

@@ -8,7 +8,6 @@ import typer
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_command import RunCommand
 from smarttouch.cli.run_options import RunOptions
-from smarttouch.cli.saved import SavedSettings
 from smarttouch.monitor.driving import drives_a_board
 
 experiment = typer.Typer(
@@ -21,11 +20,10 @@ _Site = Annotated[
     int | None, typer.Option("--site", metavar="N", help="Electrode; in the middle if none.")
 ]
 _Overwrite = Annotated[bool, typer.Option("--overwrite", help="Begin the CSV file anew.")]
-_Participant = Annotated[str, typer.Option("--participant", metavar="NAME", help="Who feels it.")]
 _Session = Annotated[str, typer.Option("--session", metavar="NAME", help="Which session.")]
 _Output = Annotated[
     Path | None,
-    typer.Option("--output", metavar="CSV", help="Answers; named by participant if none."),
+    typer.Option("--output", metavar="CSV", help="Answers; named by subject if none."),
 ]
 
 
@@ -43,9 +41,7 @@ def list_all() -> None:
 @drives_a_board
 @takes_options(scan="points", anatomy="paper")
 def run_listed(
-    context: typer.Context,
     run: RunOptions,
-    saved: SavedSettings,
     name: Annotated[str, typer.Argument(metavar="NAME", help="See smarttouch experiment list.")],
     mode: _Mode = "RA",
     procedure: Annotated[
@@ -77,11 +73,10 @@ def run_listed(
     answer_s: Annotated[
         float, typer.Option(metavar="S", help="Longest wait for an answer; 0: no end.")
     ] = 10.0,
-    participant: _Participant = "",
     session: _Session = "",
     seed: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Of orders; by participant if none."),
+        typer.Option(metavar="N", help="Of orders; by subject if none."),
     ] = None,
     output: _Output = None,
     overwrite: _Overwrite = False,
@@ -132,7 +127,7 @@ def run_listed(
     chosen = run.load_profile()
     afferent = parse_afferent(mode)
     named = f"{name}-{afferent.name}"
-    stem, order = usual_name(named, participant, session, seed)
+    stem, order = usual_name(named, run.subject, session, seed)
     options = ExperimentOptions(
         afferent, procedure, parse_standards(standards), repetitions, trials, site, train_s,
         rate_hz, letters, two_intervals, order,
@@ -142,15 +137,13 @@ def run_listed(
     patience_s = None if simulate is None else 10.0
     timing = TrialTiming(gap_s, answer_s or None, made.again, patience_s)
     path = output or Path(f"{stem}.csv")
-    about = About(named, made.method, participant, session, order)
+    about = About(named, made.method, run.subject, session, order)
     config = run.config(
         afferent.name,
         seed=order,
-        subject=run.subject or participant,
         note=run.note or session,
     )
     with open_sitting(made, chosen, timing, about, path, overwrite=overwrite) as sitting:
-        saved.keep(context)
         if run.record is not None and sitting.session.resumed:
             run = replace(run, record=numbered(run.record))
         sit(sitting, run, config, simulate)
@@ -170,7 +163,6 @@ def free(
         str | None,
         typer.Option(metavar="URL", help="Moved away from you: stronger. evdev:, window:, ..."),
     ] = None,
-    participant: _Participant = "",
     output: Annotated[
         Path | None, typer.Option(metavar="CSV", help="All changes; free.csv or the next number.")
     ] = None,
@@ -187,10 +179,9 @@ def free(
 
     from smarttouch.cli.choices import parse_afferent
     from smarttouch.cli.experiment_steps import free_run
-    from smarttouch.profile import load_profile
 
+    run = replace(run, profile=profile)
     if run.intensity is None and not run.on_a_finger:
         # By hand from nothing here too.
         run = replace(run, intensity=0.0)
-    run = replace(run, subject=run.subject or participant)
-    free_run(run, load_profile(profile), parse_afferent(mode), site, rate_hz, knob, output)
+    free_run(run, run.load_profile(), parse_afferent(mode), site, rate_hz, knob, output)

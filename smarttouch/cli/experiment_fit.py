@@ -52,9 +52,6 @@ def fit(
         ),
     ] = None,
     samples: Annotated[int, typer.Option(metavar="N", help="Of the bootstrap.")] = 1000,
-    resample: Annotated[
-        str, typer.Option(metavar="curve|trials", help="What the bootstrap draws from.")
-    ] = "curve",
     seed: Annotated[int, typer.Option(metavar="N", help="Of the bootstrap.")] = 0,
     plot: Annotated[
         Path | None, typer.Option(metavar="PNG|PDF|SVG", help="Draw shares and thresholds.")
@@ -87,8 +84,7 @@ def fit(
         style.require_drawable(plot)
     require_within(ExperimentError, "samples", samples, 100, 100_000)
     require_within(ExperimentError, "seed", seed, 0, math.inf)
-    parametric = parse_choice("resample", resample, ("curve", "trials")) == "curve"
-    bootstrap = BootstrapOptions(samples, seed, parametric)
+    bootstrap = BootstrapOptions(samples, seed)
     shape, guessed = parse_choice("function", function, Shape), _parse_guess(guess)
     found: list[tuple[Table, list[Finding]]] = []
     for path in files:

@@ -14,13 +14,13 @@ from smarttouch.cli.options import (
     QuietOption,
     ScanOption,
 )
-from smarttouch.cli.source_options import DocumentOptions, FeelOptions
+from smarttouch.cli.source_options import DocumentOptions, FormOptions
 from smarttouch.cli.standard_input import or_standard_input
 
 
 @takes_options()
 def legibility(
-    feel: FeelOptions,
+    feel: FormOptions,
     document: DocumentOptions,
     source: Annotated[
         str,
@@ -62,8 +62,8 @@ def legibility(
     require_folder(json_file)
     chosen = profile_for_reading(load_profile(profile))
     notes: list[str] = []
-    text = Source(*document.look(source), notes.append)
-    presentation = feel.presentation()
+    text = Source(*document.recognition(source), notes.append)
+    presentation = feel.presentation(chosen.defaults.read_as)
     motion = presentation.motion(chosen, feel.speed_mm_s)
     with bank_progress(quiet) as progress:
         bank = load_bank(chosen, progress)

@@ -1,6 +1,5 @@
 """``smarttouch live``: from a source to current in the skin."""
 
-from functools import partial
 from typing import Annotated
 
 import typer
@@ -8,8 +7,6 @@ import typer
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.options import ModeOption, RateOption
 from smarttouch.cli.run_options import RunOptions
-from smarttouch.cli.saved import SavedSettings, used_tone
-from smarttouch.cli.source_options import SourceOptions
 from smarttouch.cli.standard_input import or_standard_input
 from smarttouch.monitor.driving import drives_a_board
 
@@ -17,49 +14,35 @@ from smarttouch.monitor.driving import drives_a_board
 @drives_a_board
 @takes_options()
 def live(
-    context: typer.Context,
     run: RunOptions,
-    of_source: SourceOptions,
-    saved: SavedSettings,
     source: Annotated[
         str | None,
         typer.Option(
-            "--source",
-            "--sensor",
             callback=or_standard_input,
             metavar="URL",
-            help="page:, text:, camera:, video:, frames:, serial-array:, brltty:, draw:, osc:, "
-            "recording: and a place; options behind it: page:a.png?dpi=300&speed_mm_s=40",
+            help="page:, text:, camera:, video:, frames:, serial-array:, brltty:, draw:, osc: or "
+            "recording: and a place; options follow: page:a.png?dpi=300&speed_mm_s=40",
         ),
     ] = None,
     mode: ModeOption = "RA",
     rate_hz: RateOption = None,
     seed: Annotated[
-        int | None, typer.Option(metavar="N", min=0, help="Of the finger's and source's noise.")
+        int | None, typer.Option(metavar="N", min=0, help="Seed of all simulated noise.")
     ] = None,
     light_on_dark: Annotated[
         bool,
-        typer.Option(
-            rich_help_panel="The page", show_default=False, help="Print is lighter than paper."
-        ),
+        typer.Option("--light-on-dark", show_default=False, help="Print is lighter than paper."),
     ] = False,
 ) -> None:
-    """Let a finger feel what a source sees, until it ends, a key or Ctrl-C."""
+    """Show on the finger what a source sees, until it ends, a key or Ctrl-C."""
     from smarttouch.cli.choices import parse_mode
     from smarttouch.resources import data_folder
     from smarttouch.sources import open_source
 
     chosen = run.load_profile()
     config = run.config(
-        parse_mode(mode),
-        rate_hz=rate_hz,
-        light_on_dark=light_on_dark,
-        seed=seed or 0,
-        tone=used_tone(saved.settings),
+        parse_mode(mode), rate_hz=rate_hz, light_on_dark=light_on_dark, seed=seed or 0
     )
     url = source or f"page:{data_folder('sample_images') / 'page.png'}"
-    options = {"seed": seed, **of_source.given()}
-    with open_source(url, chosen, light_on_dark=light_on_dark, **options) as opened:
-        keep = partial(saved.keep_run, context, run, config, source, options)
-        keys, keys_help = opened.keys, opened.keys_help
-        run.start(opened, chosen, config, keep, keys=keys, keys_help=keys_help)
+    with open_source(url, chosen, light_on_dark=light_on_dark, seed=seed) as opened:
+        run.start(opened, chosen, config, keys=opened.keys, keys_help=opened.keys_help)

@@ -1,29 +1,25 @@
 """``smarttouch mouse``: a texture under a hand that moves."""
 
-from functools import partial
 from typing import Annotated
 
 import typer
 
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
-from smarttouch.cli.saved import SavedSettings
 from smarttouch.monitor.driving import drives_a_board
 
 
 @drives_a_board
 @takes_options(scan="points")
 def mouse(
-    context: typer.Context,
     run: RunOptions,
-    saved: SavedSettings,
     texture: Annotated[
         str,
         typer.Option(
             metavar="WHAT",
-            help="grating:4mm,30deg, text:WORDS, or a file: an image (ink is high) or a height map "
-            "(16 bits or .npy: bright is high). Options behind it: wood.png?dpi=300&tiled; "
-            "width_mm, grain_mm, light_on_dark.",
+            help="grating:4mm,30deg, text:WORDS, an image (ink is high) or a height map (16 bits "
+            "or .npy: bright is high). Options follow: wood.png?dpi=300&tiled; also width_mm, "
+            "grain_mm, light_on_dark.",
         ),
     ] = "grating:4mm",
     motion: Annotated[
@@ -31,38 +27,18 @@ def mouse(
         typer.Option(
             metavar="URL",
             help="sweep: (a virtual hand), sweep:ROUNDS?speed_mm_s=40&seed=1, "
-            "evdev:DEVICE?cpi=800&grab (a mouse), window: (the pointer), path:CSV, or a source's "
-            "pose, as camera:0.",
+            "evdev:DEVICE?cpi=800&grab (a mouse), window: (the pointer), path:CSV, or a source "
+            "that knows its pose, e.g. camera:0.",
         ),
     ] = "sweep:",
-    speed_mm_s: Annotated[float | None, typer.Option("--speed", hidden=True)] = None,
-    seed: Annotated[int | None, typer.Option(min=0, hidden=True)] = None,
-    cpi: Annotated[float | None, typer.Option(hidden=True)] = None,
-    grab: Annotated[bool, typer.Option("--grab", hidden=True)] = False,
-    scale: Annotated[
-        float, typer.Option(metavar="RATIO", help="Texture's millimeters for one of the hand.")
-    ] = 1.0,
-    dpi: Annotated[float | None, typer.Option(hidden=True)] = None,
-    width_mm: Annotated[float | None, typer.Option(hidden=True)] = None,
-    grain_mm: Annotated[float | None, typer.Option(hidden=True)] = None,
-    tiled: Annotated[bool, typer.Option("--tiled", hidden=True)] = False,
-    light_on_dark: Annotated[bool, typer.Option("--light-on-dark", hidden=True)] = False,
     mode: Annotated[
-        str, typer.Option("--mode", metavar="CLASS", help="RA, SAI or PC feels the ridges.")
+        str, typer.Option("--mode", metavar="CLASS", help="Class that answers: RA, SAI or PC.")
     ] = "RA",
     rate_hz: Annotated[
-        float, typer.Option("--rate", metavar="HZ", help="Frames a second.")
+        float, typer.Option("--rate", metavar="HZ", help="Frames per second.")
     ] = 100.0,
-    fastest_hz: Annotated[
-        float | None,
-        typer.Option(
-            "--fastest",
-            metavar="HZ",
-            help="Most pulses a second; 100 if none, at most half the frames.",
-        ),
-    ] = None,
 ) -> None:
-    """Feel a texture that stays where it is while the hand moves.
+    """Feel a texture that stays in place while the hand moves.
 
     Each electrode pulses when a ridge passes under it, and not at rest.
     """
@@ -71,28 +47,10 @@ def mouse(
     from smarttouch.texture.source import MouseSource, open_motion_over
     from smarttouch.texture.textures import open_texture
 
-    own = run.load_profile()
+    own, driven = run.load_profile(), parse_mode(mode)
     chosen = profile_for_reading(own)
-    config = run.config(parse_mode(mode), seed=seed or 0)
-    surface = open_texture(
-        texture,
-        dpi=dpi,
-        width_mm=width_mm,
-        grain_mm=grain_mm,
-        tiled=tiled,
-        light_on_dark=light_on_dark,
-    )
-    options = {"speed_mm_s": speed_mm_s, "seed": seed, "cpi": cpi, "grab": grab or None}
-    with open_motion_over(surface, motion, own, **options) as moves:
-        source = MouseSource(
-            surface,
-            moves,
-            chosen,
-            parse_mode(mode),
-            rate_hz,
-            fastest_hz,
-            scale,
-            press_n(chosen),
-        )
+    surface = open_texture(texture)
+    with open_motion_over(surface, motion, own) as moves:
+        source = MouseSource(surface, moves, chosen, driven, rate_hz, press_n=press_n(chosen))
         source.url = texture
-        run.start(source, chosen, config, partial(saved.keep, context))
+        run.start(source, chosen, run.config(driven))

@@ -1,4 +1,4 @@
-"""Options that several commands take, each said once."""
+"""Options that several commands take."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,20 +11,21 @@ KEPT = "What is kept"
 
 ProfileOption = Annotated[
     str | None,
-    typer.Option("--profile", metavar="NAME|FILE", help="Device and finger; the usual if none."),
+    typer.Option(
+        "--profile", metavar="NAME|FILE", help="Device and finger; the board's usual one if none."
+    ),
 ]
 ArrayOption = Annotated[
     str,
-    typer.Option("--profile", metavar="NAME|FILE", help="Device and finger; see: profiles."),
+    typer.Option("--profile", metavar="NAME|FILE", help="Device and finger; see 'profiles'."),
 ]
 ModeOption = Annotated[str, typer.Option("--mode", metavar="CLASS", help="RA, SAI, PC or natural.")]
 RateOption = Annotated[
-    float | None,
-    typer.Option("--rate", metavar="HZ", help="Sequences a second."),
+    float | None, typer.Option("--rate", metavar="HZ", help="Scan sequences per second.")
 ]
 JsonOption = Annotated[
     Path | None,
-    typer.Option("--json", metavar="FILE", rich_help_panel=KEPT, help="Figures of the run."),
+    typer.Option("--json", metavar="FILE", rich_help_panel=KEPT, help="Write the results as JSON."),
 ]
 
 
@@ -42,7 +43,7 @@ FingerOption = Annotated[
         rich_help_panel=KEPT,
         callback=_seed,
         show_default=False,
-        help="Whose afferents are drawn, or judge.",
+        help="Seed of the simulated finger.",
     ),
 ]
 ForceOption = Annotated[
@@ -51,7 +52,7 @@ ForceOption = Annotated[
         "--force",
         metavar="URL",
         rich_help_panel=FINGER,
-        help="hx711:, loadcell:, or fixed:N where unmeasured.",
+        help="hx711:PORT, loadcell:PORT, or fixed:N if not measured.",
     ),
 ]
 AnatomyOption = Annotated[
@@ -60,20 +61,20 @@ AnatomyOption = Annotated[
         "--anatomy",
         metavar="NAME|FILE",
         show_default=False,
-        help="Of simulated fingers: branched or paper.",
+        help="Simulated fingers: branched or paper.",
     ),
 ]
 ClusterOption = Annotated[
     str | None,
-    typer.Option(metavar="ADDRESS", help="Dask scheduler that does the work: tcp://HOST:8786."),
+    typer.Option(metavar="ADDRESS", help="Dask scheduler to compute on: tcp://HOST:8786."),
 ]
-QuietOption = Annotated[bool, typer.Option("--quiet", help="Show nothing but errors.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
 ScanOption = Annotated[
     str,
     typer.Option(
         "--scan",
         metavar="HOW",
         rich_help_panel=BOARD,
-        help="Slots: points, frame or auto.",
+        help="Points in a slot: points, frame, auto.",
     ),
 ]

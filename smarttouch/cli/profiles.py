@@ -1,14 +1,11 @@
 """``smarttouch profiles``: what is shipped, and profiles of one's own."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from smarttouch.terminal import print_table
-
-if TYPE_CHECKING:
-    from smarttouch.calibrate.profile_file import ProfileFile
 
 profiles = typer.Typer(
     help="List the shipped profiles, show what one says, and make your own.",
@@ -63,20 +60,7 @@ def copy(
 
     copied = ProfileFile(name, file, overwrite)
     copied.write()
-    _tell(copied)
-
-
-@profiles.command()
-def migrate(file: _File) -> None:
-    """Bring a profile of an earlier version up to date, calibrations kept."""
-    from smarttouch.calibrate.profile_file import ProfileFile
-
-    migrated = ProfileFile(str(file), file, update=True)
-    if migrated.changes:
-        migrated.write()
-        _tell(migrated)
-    else:
-        typer.echo(f"{file} is up to date: nothing was changed")
+    typer.echo(f"written: {copied.output}")
 
 
 @profiles.command()
@@ -85,14 +69,3 @@ def keys() -> None:
     from smarttouch.profile.keys import key_reference
 
     typer.echo(key_reference(), nl=False)
-
-
-def tell_changes(file: "ProfileFile") -> None:
-    """Say what of a profile was brought up to date."""
-    for change in file.changes:
-        typer.echo(f"brought up to date: {change}")
-
-
-def _tell(file: "ProfileFile") -> None:
-    tell_changes(file)
-    typer.echo(f"written: {file.output}")

@@ -1,6 +1,5 @@
 """``smarttouch read``: text from a file under the finger, as letter shapes or as Braille."""
 
-from functools import partial
 from typing import Annotated
 
 import typer
@@ -8,8 +7,7 @@ import typer
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.options import ModeOption, RateOption
 from smarttouch.cli.run_options import RunOptions
-from smarttouch.cli.saved import SavedSettings, use_option
-from smarttouch.cli.source_options import DocumentOptions, FeelOptions
+from smarttouch.cli.source_options import DocumentOptions, FormOptions
 from smarttouch.cli.standard_input import or_standard_input
 from smarttouch.monitor.driving import drives_a_board
 
@@ -17,11 +15,9 @@ from smarttouch.monitor.driving import drives_a_board
 @drives_a_board
 @takes_options()
 def read(
-    feel: FeelOptions,
+    feel: FormOptions,
     document: DocumentOptions,
-    context: typer.Context,
     run: RunOptions,
-    saved: SavedSettings,
     source: Annotated[
         str,
         typer.Argument(
@@ -49,7 +45,6 @@ def read(
     ] = None,
     mode: ModeOption = "RA",
     rate_hz: RateOption = None,
-    settings: Annotated[str | None, use_option("--settings")] = None,
 ) -> None:
     """Read a page with a fingertip, line by line.
 
@@ -70,10 +65,10 @@ def read(
     run = replace(run, board=board or (None if run.frames is None else "simulated:"))
     own = run.load_profile()
     chosen = profile_for_reading(own)
-    presentation = feel.presentation(lines, document.languages)
+    presentation = feel.presentation(own.defaults.read_as, lines, document.languages)
     motion = presentation.motion(chosen, feel.speed_mm_s, rate_hz)
     notes: list[str] = []
-    text = Source(*document.look(source, scale_matters=follow is not None), notes.append)
+    text = Source(*document.recognition(source, scale_matters=follow is not None), notes.append)
     config = run.config(parse_mode(mode), rate_hz=rate_hz, tone=presentation.tone)
     with contextlib.ExitStack() as stack:
         feed = LineFeed(presentation.lines(text, chosen))
@@ -86,5 +81,5 @@ def read(
             cursor = FollowingCursor(feed, stack.enter_context(open_source(follow, own)))
         reading = ReadingSource(text.title, chosen, feed, cursor)
         reading.url, reading.notes = source, notes
-        keep, keys_help = partial(saved.keep, context), "← → line    r again    "
-        run.start(reading, chosen, config, keep, keys=reading.keys, keys_help=keys_help)
+        keys_help = "← → line    r again    "
+        run.start(reading, chosen, config, keys=reading.keys, keys_help=keys_help)

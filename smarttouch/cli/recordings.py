@@ -68,9 +68,6 @@ def view(
     step: Annotated[
         int, typer.Option(metavar="N", min=0, help="Of the picture, or the film's first.")
     ] = 0,
-    slot: Annotated[
-        int | None, typer.Option(metavar="N", min=0, help="Of the picture; all if none.")
-    ] = None,
 ) -> None:
     """Show recordings in a browser: time line, steps, slots, events (extra window)."""
     if save is None:
@@ -89,5 +86,5 @@ def view(
             value=len(files),
             allowed=1,
         )
-    save_view(files[0], save, step, slot)
+    save_view(files[0], save, step, None)
     print(save)

@@ -1,8 +1,8 @@
 """Options that every command takes that runs, said once; and what a run is made of by them."""
 
-from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, fields
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -133,9 +133,8 @@ class RunOptions(OptionGroup):
     ] = None
     quiet: QuietOption = False
     plain: Annotated[
-        bool, typer.Option("--plain", help="A line for each event; nothing is drawn.")
-    ] = False
-    speak: Annotated[bool, typer.Option("--speak", help="Say events (speech-dispatcher).")] = False
+        bool | None, typer.Option(help="Print a line for each event; draw nothing.")
+    ] = None
 
     def __post_init__(self) -> None:
         for output in (self.felt, self.record, self.json_file):
@@ -143,8 +142,8 @@ class RunOptions(OptionGroup):
 
     @property
     def board_url(self) -> str:
-        """URL of the board; the emulator if none was given."""
-        return self.board or "emulator:"
+        """URL of the board: that given, that of the profile given, or the emulator."""
+        return self.board or (self._chosen and self._chosen.defaults.board) or "emulator:"
 
     @property
     def on_a_finger(self) -> bool:
@@ -153,12 +152,18 @@ class RunOptions(OptionGroup):
 
         return may_touch_a_finger(self.board_url)
 
+    @cached_property
+    def _chosen(self) -> "Profile | None":
+        from smarttouch.profile import load_profile
+
+        return None if self.profile is None else load_profile(self.profile)
+
     def load_profile(self) -> "Profile":
         """Return the profile that was asked for, or the board's usual one."""
         from smarttouch.boards.open import default_profile
         from smarttouch.profile import load_profile
 
-        return load_profile(self.profile or default_profile(self.board_url))
+        return self._chosen or load_profile(default_profile(self.board_url))
 
     def display(self, profile: "Profile") -> "Display":
         """Return the display, not opened yet."""
@@ -185,7 +190,6 @@ class RunOptions(OptionGroup):
         source: "Source",
         profile: "Profile",
         config: "RunConfig",
-        keep: Callable[[], object] = lambda: None,
         **more: Any,
     ) -> None:
         """Run a source in the terminal until its end.
@@ -194,16 +198,15 @@ class RunOptions(OptionGroup):
         ----------
         source, profile, config
             See `run_in_terminal`.
-        keep : callable
-            Called once all that the options name has been opened.
         **more
             Other parameters of `run_in_terminal`.
         """
         from smarttouch.monitor.session import Outputs, run_in_terminal
         from smarttouch.sources.forces.force import open_force
 
-        outputs = Outputs(**{each.name: getattr(self, each.name) for each in fields(Outputs)})
+        given = {each.name: getattr(self, each.name) for each in fields(Outputs)}
+        plain = profile.defaults.plain if self.plain is None else self.plain
+        outputs = Outputs(**given | {"plain": plain})
         with nullcontext() if self.force is None else open_force(self.force, profile) as force:
             display = self.display(source.narrowed(profile) if self.on_a_finger else profile)
-            keep()
             run_in_terminal(source, display, config, outputs, force=force, **more)

@@ -5,9 +5,7 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.options import ProfileOption
-from smarttouch.cli.source_options import SourceOptions
 from smarttouch.emulator.commands import emulate_sensor
 from smarttouch.terminal import print_table
 
@@ -16,9 +14,7 @@ sensor.command("emulate")(emulate_sensor)
 
 
 @sensor.command()
-@takes_options()
 def show(
-    of_source: SourceOptions,
     url: Annotated[
         str,
         typer.Argument(
@@ -47,18 +43,14 @@ def show(
     require_folder(save)
     chosen = load_profile(profile or DEFAULT_PROFILE)
     if force:
-        given = of_source.given()
-        if save is not None or given:
-            message = (
-                f"{', '.join(given) or 'save'} is for frames: leave out force, or this (the "
-                "speed of a load cell's line: hx711:PORT?baud=115200)"
-            )
+        if save is not None:
+            message = "save is for frames: leave out force, or this"
             raise SmartTouchError(message, about="force", problem="conflict")
         with open_force(url, chosen) as pressed:
             rows = look_at_force(pressed, seconds)
         print_table([*rows, *(("note", note) for note in pressed.notes)], left=2)
         return
-    with open_source(url, chosen, **of_source.given()) as source:
+    with open_source(url, chosen) as source:
         look = look_at_frames(source, seconds)
     notes = [("note", note) for note in source.notes]
     print_table([*look.rows(source), *notes], left=2)

@@ -1,4 +1,4 @@
-"""Options of sources and of documents, each said once."""
+"""Options of documents and of the form in which they are read."""
 
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from smarttouch.reading.printed import RecognitionOptions
     from smarttouch.reading.shapes import Shapes
 
-_FEEL = "How it is felt"
+_FORM = "Form of the text"
 _TESSERACT = {
     "ar": "ara", "cs": "ces", "da": "dan", "de": "deu", "el": "ell", "en": "eng", "es": "spa",
     "fi": "fin", "fr": "fra", "he": "heb", "hi": "hin", "hu": "hun", "it": "ita", "ja": "jpn",
@@ -25,60 +25,29 @@ _TAGS = {code: tag for tag, code in _TESSERACT.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
-class SourceOptions(OptionGroup):
-    """Options of a source that can stand in its URL too; not in the help, which names that."""
-
-    dpi: Annotated[float | None, typer.Option(hidden=True)] = None
-    page_width_mm: Annotated[float | None, typer.Option(hidden=True)] = None
-    speed_mm_s: Annotated[float | None, typer.Option("--speed", hidden=True)] = None
-    path: Annotated[Path | None, typer.Option(hidden=True)] = None
-    size: Annotated[str | None, typer.Option(hidden=True)] = None
-    exposure: Annotated[float | None, typer.Option(hidden=True)] = None
-    fps: Annotated[float | None, typer.Option(hidden=True)] = None
-    unpaced: Annotated[bool, typer.Option("--unpaced", hidden=True)] = False
-    baud: Annotated[int | None, typer.Option(hidden=True)] = None
-
-    def given(self) -> dict[str, Any]:
-        """Return those that were given, as `open_source` takes them."""
-        from smarttouch.errors import SmartTouchError
-        from smarttouch.url_options import parse_size
-
-        found = {each.name: getattr(self, each.name) for each in fields(self)}
-        found["unpaced"] = self.unpaced or None
-        if self.size is not None:
-            found["size"] = parse_size(self.size, SmartTouchError, "size")
-        return {name: value for name, value in found.items() if value is not None}
-
-
-@dataclass(frozen=True, kw_only=True)
 class DocumentOptions(OptionGroup):
-    """Options of a document; all but its pages stand behind its name in the help."""
+    """Options of a document."""
 
     pages: Annotated[
-        str | None,
-        typer.Option(metavar="LIST", help="Of the file, as in 1,3-5; all if none."),
+        str | None, typer.Option(metavar="LIST", help="Pages to read, e.g. 1,3-5; all if none.")
     ] = None
-    dpi: Annotated[float | None, typer.Option(hidden=True)] = None
-    page_width_mm: Annotated[float | None, typer.Option(hidden=True)] = None
-    password: Annotated[str | None, typer.Option(help="Of an encrypted PDF.")] = None
-    languages: Annotated[str | None, typer.Option("--language", hidden=True)] = None
+    password: Annotated[str | None, typer.Option(help="Password of an encrypted PDF.")] = None
+    languages: Annotated[
+        str | None, typer.Option("--language", metavar="TAG", help="Language of the text: en, fr.")
+    ] = None
     keep_headers: Annotated[
-        bool | None,
-        typer.Option("--keep-headers", help="Keep running heads and page numbers."),
-    ] = None
-    light_on_dark: Annotated[
-        bool | None, typer.Option("--light-on-dark/--dark-on-light", hidden=True)
+        bool | None, typer.Option("--keep-headers", help="Keep running heads and page numbers.")
     ] = None
 
-    def look(self, source: str, **more: Any) -> "tuple[str, RecognitionOptions]":
-        """Return what to read, and how to look at it; options may stand behind a file's name."""
+    def recognition(self, source: str, **more: Any) -> "tuple[str, RecognitionOptions]":
+        """Return the document, and its options: these, and those that follow its name."""
         from smarttouch.errors import PageError
         from smarttouch.reading.printed import RecognitionOptions
         from smarttouch.url_options import joined_options, read_options
 
-        place, told = source, dict[str, Any]()
+        place, in_name = source, dict[str, Any]()
         if Path(source.rpartition("?")[0]).is_file():
-            place, told = read_options(
+            place, in_name = read_options(
                 RecognitionOptions, source, PageError, but=("password", *more)
             )
         own = {each.name: getattr(self, each.name) for each in fields(DocumentOptions)}
@@ -87,7 +56,7 @@ class DocumentOptions(OptionGroup):
                 _TESSERACT.get(each.partition("-")[0], each) for each in self.languages.split("+")
             )
         given = {name: value for name, value in own.items() if value is not None}
-        given = joined_options(source, given, told, PageError)
+        given = joined_options(source, given, in_name, PageError)
         return place, RecognitionOptions(**given, **more)
 
 
@@ -95,8 +64,8 @@ TableOption = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        rich_help_panel=_FEEL,
-        help="Code, of smarttouch braille --tables; if none, that of --language, or en-1.",
+        rich_help_panel=_FORM,
+        help="Braille table (list: smarttouch braille --tables); that of --language, or en-1.",
     ),
 ]
 
@@ -108,64 +77,54 @@ def table_of(table: str | None, language: str | None) -> str:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FeelOptions(OptionGroup):
-    """Options of the letters or cells that are felt."""
+class FormOptions(OptionGroup):
+    """Options of letter shapes and Braille."""
 
     kind: Annotated[
-        str,
-        typer.Option("--as", metavar="WHAT", rich_help_panel=_FEEL, help="shapes or braille."),
-    ] = "shapes"
+        str | None,
+        typer.Option("--as", metavar="FORM", rich_help_panel=_FORM, help="shapes or braille."),
+    ] = None
     style: Annotated[
         str,
-        typer.Option(metavar="HOW", rich_help_panel=_FEEL, help="plain, thinned or graded."),
+        typer.Option(
+            metavar="STYLE", rich_help_panel=_FORM, help="Shapes: plain, thinned or graded."
+        ),
     ] = "graded"
     table: TableOption = None
     cells: Annotated[
         str,
         typer.Option(
-            metavar="HOW",
-            rich_help_panel=_FEEL,
-            help="Braille: line or cell.",
+            metavar="HOW", rich_help_panel=_FORM, help="Braille: move a line, or show each cell."
         ),
     ] = "line"
     embossed: Annotated[
         bool | None,
         typer.Option(
             "--embossed/--printed",
-            rich_help_panel=_FEEL,
-            help="Raised dots or not; found out if none.",
+            rich_help_panel=_FORM,
+            help="Photo of Braille: raised dots or printed ones; detected if none.",
         ),
     ] = None
     light_from: Annotated[
         float | None,
-        typer.Option(metavar="DEG", rich_help_panel=_FEEL, help="Of the light on raised dots."),
+        typer.Option(metavar="DEG", rich_help_panel=_FORM, help="Direction of light on the dots."),
     ] = None
     speed_mm_s: Annotated[
         float | None,
-        typer.Option(
-            "--speed",
-            metavar="MM/S",
-            rich_help_panel=_FEEL,
-            help="Of the text; by its pitch if none.",
-        ),
+        typer.Option("--speed", metavar="MM/S", rich_help_panel=_FORM, help="Speed of the text."),
     ] = None
 
-    def presentation(self, lines: int = 1, language: str | None = None) -> "Shapes | Braille":
-        """Return letter shapes or Braille, with so many lines of cells at once.
-
-        Parameters
-        ----------
-        lines : int
-        language : str, optional
-            Whose table is taken if none is given.
-        """
+    def presentation(
+        self, usual: str, lines: int = 1, language: str | None = None
+    ) -> "Shapes | Braille":
+        """Return letter shapes or Braille; where no table is given, by that of the language."""
         from smarttouch.cli.choices import parse_choice
         from smarttouch.reading.braille import Braille, Presentation
         from smarttouch.reading.shapes import Shapes, Style
 
         shapes = Shapes(parse_choice("style", self.style, Style))
         presentation = parse_choice("cells", self.cells, Presentation)
-        if parse_choice("kind", self.kind, ("shapes", "braille")) == "shapes":
+        if parse_choice("kind", self.kind or usual, ("shapes", "braille")) == "shapes":
             return shapes
         table = table_of(self.table, language)
         return Braille(table, presentation, lines, self.embossed, self.light_from)

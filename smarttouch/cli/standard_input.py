@@ -30,13 +30,7 @@ def or_standard_input(ctx: typer.Context, given: str | None) -> str | None:
         return given
     if options and not prefix:
         return given
-    ctx.meta[__name__] = True
     return f"{prefix}{ctx.with_resource(_file_of_standard_input())}{options}"
-
-
-def is_standard_input(ctx: typer.Context) -> bool:
-    """Return whether an argument of the command stands for standard input."""
-    return __name__ in ctx.meta
 
 
 @contextmanager

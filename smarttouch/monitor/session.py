@@ -16,7 +16,6 @@ from smarttouch.monitor.driving import ending_in_order, opened, the_stop
 from smarttouch.monitor.keyboard import LOST, keyboard_listener
 from smarttouch.monitor.progress import bank_progress
 from smarttouch.monitor.screen import Screen
-from smarttouch.monitor.speech import Speech
 from smarttouch.outputs import output_listeners
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
@@ -50,7 +49,6 @@ class Outputs:
     window: int | None = None
     quiet: bool = False
     plain: bool = False
-    speak: bool = False
 
     @property
     def files(self) -> list[Path]:
@@ -112,7 +110,7 @@ def run_in_terminal(
     shown = screen(display.url, outputs.quiet, keys_help, outputs.plain)
     typed = sys.stdin.isatty()
     # Before the window, which takes a port: an output may be impossible.
-    followers = [*([Speech(shown.hides)] if outputs.speak else []), *outputs.listeners()]
+    followers = outputs.listeners()
     windows: list[Listener] = []
     # What is drawn on a page needs one.
     port = 0 if outputs.window is None and getattr(source, "on_page", False) else outputs.window

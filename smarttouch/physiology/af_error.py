@@ -6,8 +6,6 @@ threshold would give all others. Here the flat fiber under a cathode at
 from its largest AF and compared with the active cable model of `membrane`.
 """
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -118,19 +116,6 @@ def potential_at_nodes(profile: Profile, fiber: Fiber, depth_mm: float) -> NDArr
         here, scale = field(profile.electrodes, profile.skin, center[None], float(depth))
         values.append(1000 * scale * float(here.potential[0, 0]))
     return np.array(values)
-
-
-def as_csv(table: Sequence[AfError]) -> str:
-    """Return the table as CSV with a heading."""
-    text = io.StringIO(newline="")
-    writer = csv.writer(text)
-    writer.writerow(["fiber", "polarity", "depth_mm", "cable_ma", "af_ma", "af_over_cable"])
-    for row in table:
-        figures = (row.cable_ma, row.af_ma, row.ratio)
-        writer.writerow(
-            [row.fiber, row.polarity, row.depth_mm, *(f"{each:.4g}" for each in figures)]
-        )
-    return text.getvalue()
 
 
 def ratio_rows(table: Sequence[AfError]) -> list[list[str]]:

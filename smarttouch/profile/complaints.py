@@ -1,6 +1,6 @@
 """All that pydantic finds wrong in a file, each thing in words and once."""
 
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -55,21 +55,9 @@ def load_model(path: Path, kind: type[_Table], **more: object) -> _Table:
         raise table_error(ProfileError, path, error) from None
 
 
-def table_error(
-    kind: type[_Error], name: object, error: ValidationError, older: Container[str] = ()
-) -> _Error:
-    """Return the error that tells all that is wrong in a file.
-
-    Parameters
-    ----------
-    kind : type of TableError
-    name : object
-        The file.
-    error : ValidationError
-    older : container of str
-        Keys that were right in an earlier version.
-    """
-    found = [_of_age(each, older) for each in _complaints(error)]
+def table_error(kind: type[_Error], name: object, error: ValidationError) -> _Error:
+    """Return the error that lists all that is wrong in a file, by its name."""
+    found = [*_complaints(error)]
     sentences = [f"{name}: {words}" for words, _ in found]
     told = [words for words, _ in found[:_MOST_IN_A_SENTENCE]]
     if len(found) > len(told):
@@ -81,16 +69,6 @@ def table_error(
     return kind(
         f"{name}: {'; '.join(told)}", complaints=complaints, sentences=sentences, **found[0][1]
     )
-
-
-def _of_age(found: Found, older: Container[str]) -> Found:
-    words, attributes = found
-    if attributes["about"] not in older:
-        return found
-    remedy = "smarttouch profiles migrate"
-    return f"{words}, unlike in earlier versions: {remedy!r} mends it", attributes | {
-        "remedy": remedy
-    }
 
 
 def _complaints(error: ValidationError) -> Iterator[Found]:

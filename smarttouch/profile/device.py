@@ -209,6 +209,20 @@ class PerceptThresholds(Table):
     fingertip)."""
 
 
+class CommandDefaults(Table):
+    """What the command line takes where an option is not given, once this profile is chosen.
+
+    The source of force stands in `force.source`. Intensity is given with each run.
+    """
+
+    board: str | None = Field(default=None, pattern=r"^[a-z0-9_]+:")
+    """URL of the board, as for ``--board``, for example ``kajimoto61:/dev/ttyUSB0``."""
+    plain: bool = False
+    """Whether runs print a line for each event and draw nothing, as with ``--plain``."""
+    read_as: Literal["shapes", "braille"] = "shapes"
+    """Form of what is read, as for ``--as``."""
+
+
 class Calibrated(Table):
     """Result of a calibration, with its date and versions."""
 

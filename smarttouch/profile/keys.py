@@ -126,6 +126,8 @@ def _default_of(field: FieldInfo) -> str:
         return ""
     if isinstance(value, str):
         return f'`"{value}"`'
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
     if isinstance(value, tuple):
         value = list(value)
     return "no end" if value == math.inf else f"`{str(value).replace(chr(39), chr(34))}`"

@@ -1,7 +1,6 @@
 """Profiles by name, and as TOML files."""
 
 from collections.abc import Mapping
-from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,6 @@ from pydantic import ValidationError
 from smarttouch.errors import ProfileError
 from smarttouch.files import read_toml
 from smarttouch.profile.complaints import table_error
-from smarttouch.profile.migrate import migrate
 from smarttouch.profile.profile import Profile
 from smarttouch.resources import data_folder
 
@@ -86,8 +84,7 @@ def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
         error.args, error.sentences = (message,), (message,)
         raise
     except ValidationError as error:
-        older = {each.key for each in migrate(deepcopy(dict(table))) if each.before is not None}
-        raise table_error(ProfileError, path, error, older) from None
+        raise table_error(ProfileError, path, error) from None
     if profile.optics.flat_field is None:
         return profile
     beside = str(path.parent / profile.optics.flat_field)

@@ -15,6 +15,7 @@ from smarttouch.profile.ceilings import CEILING_TOTAL_MA
 from smarttouch.profile.complaints import table_error
 from smarttouch.profile.device import (
     Calibrated,
+    CommandDefaults,
     ForceLaw,
     Frames,
     Limits,
@@ -46,6 +47,7 @@ class Profile(Table):
     perception: PerceptThresholds
     frames: Frames = Frames()
     kernels: Kernels = Kernels()
+    defaults: CommandDefaults = CommandDefaults()
     calibrated: dict[str, Calibrated] = Field(default_factory=dict)
 
     @cached_property

@@ -40,11 +40,12 @@ def as_toml(profile: Profile) -> str:
 
 
 def difference(one: Profile, other: Profile) -> str | None:
-    """Return the first key, calibrations aside, in which two profiles differ; None if in none."""
+    """Return the first key in which two profiles differ, apart from calibrations and defaults."""
     measured = {key for keys in CALIBRATED_KEYS.values() for key in keys}
     values, others = dict(_flat(one)), dict(_flat(other))
     for key in values | others:
         aside = key in ("name", "title", "calibrated") or key in measured
+        aside = aside or key.startswith("defaults.")
         if not aside and values.get(key) != others.get(key):
             return key
     return None

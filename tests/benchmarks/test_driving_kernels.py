@@ -8,17 +8,18 @@ import numpy as np
 import pytest
 
 from smarttouch.afferent import Afferent
-from smarttouch.kernels.by_cable import judge_by_cable
 from smarttouch.kernels.design import design_kernel
 from smarttouch.kernels.driving_problem import DrivingProblem
-from smarttouch.kernels.fiber_cases import cases
+
+from ..fit_fibers import fiber_cases
+from ..kernels.by_cable import judge_by_cable
 
 HEADINGS = ("AF, by cable", "by programme", "by cable", "difference, %", "target, %")
 
 
 @pytest.mark.parametrize("mode", [Afferent.RA, Afferent.SAI])
 def test_kernels_by_the_cable(benchmark, quick, profile, bank, mode):
-    held_out = cases(profile, bank, ending=False, held_out=True)
+    held_out = fiber_cases.cases(profile, bank, ending=False, held_out=True)
     kernels = np.asarray(bank.kernels(mode), np.float64)
     seen = held_out.current_ma[(held_out.group == mode.name) & held_out.cathodic]
     sites = [

@@ -13,7 +13,6 @@ from smarttouch.errors import CalibrationError, ProfileError
 from smarttouch.profile import list_profiles, load_profile
 from smarttouch.resources import data_folder
 
-from ..profile.first_version import first_version
 from ..raising import raises
 
 numbers = st.floats(0.01, 1e6, allow_nan=False)
@@ -241,30 +240,3 @@ def test_what_another_has_written_meanwhile_is_kept(tmp_path):
     with raises(CalibrationError, about="file", problem="changed", value=mine):
         slow.write()
     assert mine.read_bytes() == before
-
-
-def test_one_of_the_first_version_keeps_its_calibrations(tmp_path):
-    mine = tmp_path / "mine.toml"
-    calibrated("force", "force.curve", [0.0, 1e-6], mine)
-    noted = mine.read_text()[mine.read_text().index("[calibrated") :]
-    old = (
-        first_version("electric-mouse", 25.5)
-        .replace("[force]", "[force]\ncurve = [0.0, 1e-6]")
-        .replace("[optics]", '[optics]\nflat_field = "mine.flat-field.npz"')
-    )
-    mine.write_text(old + "\n" + noted)
-    with raises(ProfileError, about="limits.total_ma"):
-        load_profile(mine)
-    file = ProfileFile(str(mine), mine, update=True)
-    assert {each.key for each in file.changes} == {
-        "limits.total_ma", "limits.density_uc_cm2", "limits.session_s", "limits.session_mc",
-        "frames.share",
-    }  # fmt: skip
-    profile = file.write()
-    assert profile == load_profile(mine)
-    assert profile.force.curve == (0.0, 1e-6)
-    assert profile.calibrated["force"].found == "force [0.0, 1e-06]"
-    assert Path(profile.optics.flat_field) == tmp_path / "mine.flat-field.npz"
-    assert (profile.limits.total_ma, profile.shares) == (10.0, True)
-    assert comments(mine.read_text()) == comments(old)
-    assert ProfileFile(str(mine), mine, update=True).changes == []

@@ -18,7 +18,7 @@ def live(program_here, tmp_path):
 
     def run(*options):
         done = program_here(
-            "live", "--sensor", "text:touch", "--json", "run.json", "--intensity", 1, *options
+            "live", "--source", "text:touch", "--json", "run.json", "--intensity", 1, *options
         )
         path = tmp_path / "run.json"
         figures = json.loads(path.read_text()) if done.returncode == 0 else {}

@@ -166,7 +166,7 @@ def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(
     assert found["masked"] == [5, 9]
     assert "masked = [5, 9]" in done.stdout
     assert found["impedance_kohm"][5] is None
-    text = ("--sensor", "text:oooo")
+    text = ("--source", "text:oooo")
     done = program_here("live", "--board", url, *PRESSED, "--intensity", 1, "--measure", *text)
     assert done.returncode == 0, done.stderr
     assert "30 of 32" in done.stderr

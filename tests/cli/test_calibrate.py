@@ -107,10 +107,10 @@ def test_optics_from_folders(run, tmp_path):
 
 def test_optics_asks_for_dark_and_white(run, tmp_path):
     save(tmp_path / "same", SimulatedPatch().images(4, light=True))
-    asked = run("optics", "--sensor", "frames:same", "--output", "mine.toml", typed="\n\n")
+    asked = run("optics", "--source", "frames:same", "--output", "mine.toml", typed="\n\n")
     assert asked.output.count(" Enter") == 2
     wrong(" 0 grey levels", " 40 ")(asked.exception)
-    unanswered = run("optics", "--sensor", "frames:same", "--output", "mine.toml")
+    unanswered = run("optics", "--source", "frames:same", "--output", "mine.toml")
     assert unanswered.output.count(" Enter") == 1
     wrong(about="answer", problem="missing", remedy="yes")(unanswered.exception)
     assert not list(tmp_path.glob("mine*"))
@@ -120,7 +120,7 @@ def test_registration_of_a_camera(run, tmp_path, profile):
     view = View(tilt_deg=18, toward_deg=50, turn_deg=-12, zoom=0.85)
     save(tmp_path / "seen", [view.render(target_for(profile), profile.optics, (480, 640))])
     shown = done(
-        run("registration", "--sensor", "frames:seen", "--output", "mine.toml", "--yes",
+        run("registration", "--source", "frames:seen", "--output", "mine.toml", "--yes",
             "--target", "target.png")
     )  # fmt: skip
     assert re.findall(r"(?m)^ *(\d+) +\d", shown) == [str(each) for each in range(64)]
@@ -277,10 +277,10 @@ def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
         (["optics"], wrong(about="source", problem="missing", remedy="simulate")),
         (["optics", "--dark", "frames:none"], wrong("white", about="source")),
         (
-            ["optics", "--sensor", "nothing:", "--yes"],
+            ["optics", "--source", "nothing:", "--yes"],
             says(SourceError, about="source", problem="unknown", value="nothing:"),
         ),
-        (["optics", "--sensor", "frames:none", "--yes"], says(SourceError, " none:")),
+        (["optics", "--source", "frames:none", "--yes"], says(SourceError, " none:")),
         (["registration"], wrong(about="source", problem="missing", remedy="simulate")),
         (
             ["registration", "--center", "left"],

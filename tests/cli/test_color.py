@@ -71,12 +71,11 @@ def test_all_three_on_an_emulated_board(run_color, tmp_path):
     assert_replays(tmp_path / "r.mcap")
 
 
-def test_sites_are_a_list_a_disc_or_all(run_color):
+def test_sites_are_a_list_or_all(run_color):
     for option, sites in (
         (("--sites", "27, 28,35-36"), 4),
         (("--sites", "0"), 1),
         (("--sites", "all"), 64),
-        (("--radius-mm", 3.2), 12),
     ):
         said = run_color("tone:30Hz,8um", "--seconds", 0.3, "--board", "simulated:", *option)
         assert f" {sites} sites" in said
@@ -117,14 +116,6 @@ def test_what_is_left_out_is_said(run_color):
             says(about="sites", problem="malformed", value="a-b"),
         ),
         (("tone:30Hz,2um", "--sites", "64"), says(ScheduleError, "site 64 ", " 0 to 63")),
-        (
-            ("tone:30Hz,2um", "--sites", "3", "--radius-mm", "2"),
-            says(about="sites", problem="conflict", value=("sites", "radius_mm")),
-        ),
-        (
-            ("tone:30Hz,2um", "--radius-mm", "-1"),
-            says(about="radius_mm", value=-1, allowed=0),
-        ),
         (("tone:30", "--split-only"), says(SmartTouchError, "'tone:30'", "tone:30Hz,8um")),
         (
             ("tone:30Hz,9um", "--json", "no/f.json"),

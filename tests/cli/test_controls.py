@@ -107,7 +107,7 @@ def test_nobody_knows_the_force(program_here, tmp_path):
     (tmp_path / "frames").mkdir()
 
     Image.new("L", (64, 64), 255).save(tmp_path / "frames" / "1.png")
-    done = program_here("live", "--sensor", "frames:frames", "--board", "memory:")
+    done = program_here("live", "--source", "frames:frames", "--board", "memory:")
     says(SourceError, about="force", problem="missing", remedy="force")(refused(done))
 
 
@@ -125,8 +125,8 @@ def test_nobody_knows_the_force(program_here, tmp_path):
         ),
         (("--intensity", "1.2"), says(about="intensity", value=1.2, allowed=(0, 1))),
         (("--softness", "nan"), says(about="softness", value=math.isnan, allowed=(0, 1))),
-        (("--size", "640"), says(about="size", problem="malformed", value="640")),
-        (("--exposure", "3"), says(SourceError, "page:", " exposure:", "dpi")),
+        (("--source", "camera:0?size=640"), says(SourceError, "size", "640x480")),
+        (("--source", "text:a?exposure=3"), says(SourceError, " exposure:", "speed_mm_s")),
         (
             ("--mode", "natural", "--rate", "50"),
             says(ScheduleError, " 50 Hz", "pulse.ra_rate_hz", "pulse.sai_rate_hz"),

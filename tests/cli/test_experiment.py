@@ -46,7 +46,7 @@ def test_the_list_names_every_experiment(program_here):
 
 
 def test_a_simulated_session_is_kept_and_gone_on_with(program_here, tmp_path):
-    one = (*SIMULATED, "--repetitions", "1", "--participant", "ann", "--session", "2")
+    one = (*SIMULATED, "--repetitions", "1", "--subject", "ann", "--session", "2")
     first = program_here(*one, "--json", "run.json")
     assert (first.returncode, first.stderr) == (0, "")
     assert "10 of 10 " in first.stdout
@@ -217,7 +217,7 @@ def test_free_stimulation_for_some_seconds(program_here, tmp_path):
         ),
         (("run", "sight", "--simulate", "model"), wrong("'sight'", "frequency", "letters")),
         (
-            (*SIMULATED[1:], "--participant", "a/b"),
+            (*SIMULATED[1:], "--subject", "a/b"),
             says(about="participant", problem="malformed", value="a/b"),
         ),
         (

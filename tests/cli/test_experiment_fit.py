@@ -113,7 +113,7 @@ def test_others_answers(program, tmp_path):
     for options, at in (
         (("--guess", "0.1", "--function", "weibull"), 0.55),
         (("--guess", "equal", "--function", "logistic", "--linear", "--at", "0.6"), 0.6),
-        (("--guess", "free", "--resample", "trials", "--lapse", "0.02"), 0.5),
+        (("--guess", "free", "--lapse", "0.02"), 0.5),
     ):
         program("a.csv", "--x", "mA", "--y", "ok", "--json", "a.json", *FAST, *options)
         (found,) = json.loads((tmp_path / "a.json").read_text())["a"]
@@ -160,12 +160,6 @@ def test_others_answers(program, tmp_path):
         (
             ("a.csv", "--plot", "none/a.png"),
             says(about="file", problem="unwritable", value=Path("none/a.png")),
-        ),
-        (
-            ("a.csv", "--resample", "rows"),
-            says(
-                about="resample", problem="unknown", value="rows", allowed=("curve", "trials")
-            ),
         ),
     ],
 )  # fmt: skip

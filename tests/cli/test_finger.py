@@ -1,12 +1,11 @@
-"""`smarttouch finger` and `fit-fiber`: figures, pictures, and what they refuse."""
+"""`smarttouch finger`: figures, pictures, and what they refuse."""
 
 import json
-import sys
 
 import pytest
 from PIL import Image
 
-from smarttouch.errors import DesignError, ExperimentError, ProfileError, SmartTouchError
+from smarttouch.errors import ExperimentError, ProfileError, SmartTouchError
 
 from ..raising import assert_says
 from .conftest import refused
@@ -58,17 +57,3 @@ def test_fingers_of_nonsense(program_here, arguments, kind, says):
     error = refused(program_here("finger", *arguments))
     assert isinstance(error, kind)
     assert_says(error, **says)
-
-
-def test_a_fiber_that_is_not_offered(program_here):
-    error = refused(program_here("fit-fiber", "giant"))
-    assert_says(error, value="giant", allowed=("fingertip", "trunk", "mrg"))
-
-
-def test_mrg_without_its_extra(monkeypatch):
-    from smarttouch.physiology.mrg import MrgFiber
-
-    monkeypatch.setitem(sys.modules, "pyfibers", None)
-    with pytest.raises(DesignError) as caught:
-        MrgFiber("through")
-    assert_says(caught.value, about="pyfibers", problem="missing")

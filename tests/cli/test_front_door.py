@@ -59,12 +59,6 @@ def test_completion_knows_the_commands():
     assert (done.returncode, done.stdout.split()) == (0, ["legibility"])
 
 
-@pytest.mark.parametrize("option", ["--source", "--sensor"])
-def test_a_source_by_either_name(program_here, option):
-    done = program_here("live", option, "text:i", "--board", "memory:", "--seconds", "0.1")
-    assert (done.returncode, done.stderr) == (0, "")
-
-
 def test_a_text_from_standard_input(program):
     given = as_module("braille", "-", given="hello")
     assert given.stdout == program("braille", "hello").stdout

@@ -19,11 +19,12 @@ from smarttouch.stimulation.sharing import SlotPolicy
 
 from ..test_markers import FakeLsl
 
+FAST = ("--motion", "sweep:?speed_mm_s=120")
 SIMULATED = ("--board", "simulated:", "--quiet")
 
 
 def test_pulses_that_were_asked_for_are_asked_for_again_in_a_replay(program_here, tmp_path):
-    stroke = ("mouse", "--speed", "120", "--seconds", "1.5", *SIMULATED)
+    stroke = ("mouse", *FAST, "--seconds", "1.5", *SIMULATED)
     assert program_here(*stroke, "--record", "a.mcap", "--json", "a.json").returncode == 0
     again = ("replay", "a.mcap", "--board", "simulated:", "--json", "b.json", "--quiet")
     assert program_here(*again).returncode == 0
@@ -50,7 +51,7 @@ def test_vibrators_shake_what_the_recording_says(program_here, tmp_path, changed
 
 def test_the_picture_of_a_mouse_has_its_few_pulses_in_full(program_here, tmp_path):
     # Twenty frames a second: ten pulses open the level, and the others are in full.
-    stroke = ("mouse", "--texture", "text:I", "--speed", "120", "--rate", "20", *SIMULATED)
+    stroke = ("mouse", "--texture", "text:I", *FAST, "--rate", "20", *SIMULATED)
     assert program_here(*stroke, "--felt", "felt.png", "--anatomy", "paper").returncode == 0
     picture = np.asarray(Image.open(tmp_path / "felt.png").convert("L"))
     touched = picture[picture.shape[0] // 2 + 40 :]
@@ -60,7 +61,7 @@ def test_the_picture_of_a_mouse_has_its_few_pulses_in_full(program_here, tmp_pat
 def test_markers_are_told_of_a_run(program_here, monkeypatch):
     lsl = FakeLsl()
     monkeypatch.setitem(sys.modules, "pylsl", lsl)
-    stroke = ("mouse", "--speed", "120", "--seconds", "1", "--markers", *SIMULATED)
+    stroke = ("mouse", *FAST, "--seconds", "1", "--markers", *SIMULATED)
     assert program_here(*stroke).returncode == 0
     pulses, frames, events = (
         [sample for _, sample in lsl.pushed[f"smarttouch-{name}"]]

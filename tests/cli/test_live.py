@@ -14,6 +14,7 @@ from smarttouch.resources import data_folder
 
 from .conftest import panels
 
+SAMPLE = f"page:{data_folder('sample_images') / 'page.png'}"
 KEYS = {
     "frames",
     "sequences",
@@ -66,8 +67,8 @@ def ink_agreement(page, touch):
 
 def test_the_sample_page(program, tmp_path):
     done = program(
-        "live", "--speed", 120, "--felt", "felt.png", "--anatomy", "paper", "--json", "run.json",
-        "--record", "run.mcap", real=True,
+        "live", "--source", f"{SAMPLE}?speed_mm_s=120", "--felt", "felt.png", "--anatomy", "paper",
+        "--json", "run.json", "--record", "run.mcap", real=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     figures = figures_of(tmp_path / "run.json")
@@ -91,8 +92,9 @@ def test_the_sample_page(program, tmp_path):
 
 def test_a_photographed_page(program_here, tmp_path):
     Image.fromarray(data.page()).save(tmp_path / "page.png")
-    options = ("--page-width-mm", 110, "--speed", 300, "--seconds", 3, "--quiet")
-    there = ("--board", "simulated:", "--sensor", "page:page.png")
+    options = ("--seconds", 3, "--quiet")
+    page = "page:page.png?page_width_mm=110&speed_mm_s=300"
+    there = ("--board", "simulated:", "--source", page)
     done = program_here("live", *there, *options, "--json", "run.json")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     figures = figures_of(tmp_path / "run.json")
@@ -113,8 +115,9 @@ BLANK = {
 @pytest.mark.parametrize("name", BLANK)
 def test_blank_pages_are_silent(program_here, tmp_path, name):
     Image.fromarray(BLANK[name]).save(tmp_path / "blank.png")
-    options = ("--dpi", 300, "--speed", 360, "--quiet", "--json", "run.json")
-    done = program_here("live", "--board", "simulated:", "--sensor", "page:blank.png", *options)
+    page = "page:blank.png?dpi=300&speed_mm_s=360"
+    options = ("--quiet", "--json", "run.json")
+    done = program_here("live", "--board", "simulated:", "--source", page, *options)
     assert done.returncode == 0, done.stderr
     assert figures_of(tmp_path / "run.json")["active_fraction"] <= 0.02
 
@@ -127,9 +130,8 @@ def test_every_profile_runs(program_here, tmp_path, name):
         "live",
         "--board=simulated:",
         # The first letters open the level, with their pulses.
-        "--sensor=text:the the the the",
+        "--source=text:the the the the?speed_mm_s=30",
         f"--profile={name}",
-        "--speed=30",
         "--felt=felt.png",
         f"--anatomy={anatomy}",
         "--json=run.json",
@@ -147,14 +149,14 @@ def test_every_profile_runs(program_here, tmp_path, name):
 
 def test_sai_and_light_on_dark(program_here, tmp_path):
     page = data_folder("sample_images") / "light_on_dark.png"
-    options = ("--board=simulated:", "--mode=sai", "--light-on-dark", "--speed=500", "--seconds=2")
-    done = program_here("live", f"--sensor=page:{page}", *options, "--json=run.json")
+    options = ("--board=simulated:", "--mode=sai", "--light-on-dark", "--seconds=2")
+    done = program_here("live", f"--source=page:{page}?speed_mm_s=500", *options, "--json=run.json")
     assert done.returncode == 0, done.stderr
     assert_safe(figures_of(tmp_path / "run.json"))
 
 
 def recorded(program_here, tmp_path, name, seed):
-    options = ("--sensor=text:same", "--speed=200", f"--seed={seed}", f"--record={name}")
+    options = ("--source=text:same?speed_mm_s=200", f"--seed={seed}", f"--record={name}")
     done = program_here("live", "--board", "memory:", *options, "--quiet")
     assert done.returncode == 0, done.stderr
     sequences = messages(tmp_path / name, "/sequence")
@@ -184,7 +186,7 @@ def test_recorded_path(program_here, tmp_path):
     rows = "0,5,11,0,0\n0.1,5,11,0,1\n1,40,11,0,1\n"
     (tmp_path / "p.csv").write_text("time_s,x_mm,y_mm,angle_deg,force_n\n" + rows)
     kept = ("--json", "run.json", "--record", "run.mcap")
-    done = program_here("live", "--board", "simulated:", "--path", "p.csv", *kept)
+    done = program_here("live", "--board", "simulated:", "--source", f"{SAMPLE}?path=p.csv", *kept)
     assert done.returncode == 0, done.stderr
     finger = messages(tmp_path / "run.mcap", "/finger")
     assert (finger[0]["x_mm"], finger[0]["force_n"]) == (5, 0)
@@ -194,14 +196,15 @@ def test_recorded_path(program_here, tmp_path):
 def test_light_touch_no_current(program_here, tmp_path):
     rows = "0,5,11,0,0.1\n1,40,11,0,0.1\n"
     (tmp_path / "p.csv").write_text("time_s,x_mm,y_mm,angle_deg,force_n\n" + rows)
-    program_here("live", "--board", "simulated:", "--path", "p.csv", "--json", "run.json")
+    page = f"{SAMPLE}?path=p.csv"
+    program_here("live", "--board", "simulated:", "--source", page, "--json", "run.json")
     figures = figures_of(tmp_path / "run.json")
     assert figures["slots"] == 0
     assert figures["active_fraction"] > 0.05
 
 
 def test_many_points_in_a_slot(program_here, tmp_path):
-    page = ("live", "--sensor", "text:on", "--speed", 100, "--board", "simulated:")
+    page = ("live", "--source", "text:on?speed_mm_s=100", "--board", "simulated:")
     told = {}
     for scan in ("points", "auto"):
         kept = ("--json", f"{scan}.json", "--record", f"{scan}.mcap")
@@ -232,8 +235,8 @@ def test_many_points_in_a_slot(program_here, tmp_path):
 
 
 def test_points_one_by_one_where_each_is_measured(program_here, tmp_path):
-    options = ("--seconds", 1.5, "--speed", 100, "--quiet", "--json", "run.json")
-    done = program_here("live", "--sensor", "text:on", "--hold", "energy", *options)
+    options = ("--seconds", 1.5, "--quiet", "--json", "run.json")
+    done = program_here("live", "--source", "text:on?speed_mm_s=100", "--hold", "energy", *options)
     assert done.returncode == 0, done.stderr
     figures = figures_of(tmp_path / "run.json")
     assert figures["slots"] > 0

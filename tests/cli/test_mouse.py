@@ -36,7 +36,7 @@ def test_without_options_a_virtual_hand_strokes_a_grating(program_here, tmp_path
 def test_faster_is_as_many_pulses_in_less_time(program_here, tmp_path):
     slots, seconds = [], []
     for speed in (40, 80):
-        stroke = ("mouse", "--speed", speed, "--intensity", 0.5, *SIMULATED)
+        stroke = ("mouse", "--motion", f"sweep:?speed_mm_s={speed}", "--intensity", 0.5, *SIMULATED)
         done = program_here(*stroke, "--json", "f.json", "--quiet")
         assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
         figures = figures_of(tmp_path / "f.json")
@@ -51,13 +51,23 @@ def test_an_image_under_a_recorded_hand(program_here, tmp_path):
     (tmp_path / "way.csv").write_text(
         "time_s,x_mm,y_mm,force_n\n0,20,20,1\n1,20,20,1\n2,60,20,1\n2.1,60,20,1\n"
     )
-    there = ("--texture", "o.png", "--motion", "path:way.csv")
+    hand = ("--motion", "path:way.csv")
+    there = ("--texture", "o.png", *hand)
     done = program_here("mouse", *there, *SIMULATED, "--json", "f.json", "--quiet")
     assert (done.returncode, done.stderr) == (0, "")
     all_over = figures_of(tmp_path / "f.json")["slots"]
     assert 100 < all_over < 250
     done = program_here(
-        "mouse", *there, *SIMULATED, "--grain-mm", 1, "--json", "f.json", "--mode", "SAI", "--quiet"
+        "mouse",
+        "--texture",
+        "o.png?grain_mm=1",
+        *hand,
+        *SIMULATED,
+        "--json",
+        "f.json",
+        "--mode",
+        "SAI",
+        "--quiet",
     )
     assert figures_of(tmp_path / "f.json")["slots"] == pytest.approx(2 * all_over, rel=0.2)
     done = program_here(
@@ -68,16 +78,25 @@ def test_an_image_under_a_recorded_hand(program_here, tmp_path):
 
 def test_letters_and_height_maps(program_here, tmp_path):
     np.save(tmp_path / "h.npy", np.kron(np.eye(2), np.ones((50, 100))))
-    for texture in (("text:i",), ("h.npy", "--width-mm", 20, "--rate", 200)):
+    for texture in (("text:i",), ("h.npy?width_mm=20", "--rate", 200)):
         done = program_here(
-            "mouse", "--texture", *texture, *SIMULATED, "--speed", 100, "--json", "f.json"
+            "mouse",
+            "--texture",
+            *texture,
+            *SIMULATED,
+            "--motion",
+            "sweep:?speed_mm_s=100",
+            "--json",
+            "f.json",
         )
         assert (done.returncode, done.stderr) == (0, "")
         assert figures_of(tmp_path / "f.json")["slots"] > 30
 
 
 def test_what_was_felt_replays_to_the_bit(program_here, tmp_path):
-    done = program_here("mouse", *SIMULATED, "--seed", 3, "--speed", 90, "--record", "run.mcap")
+    done = program_here(
+        "mouse", *SIMULATED, "--motion", "sweep:?seed=3&speed_mm_s=90", "--record", "run.mcap"
+    )
     assert (done.returncode, done.stderr) == (0, "")
     done = program_here("replay", "run.mcap", "--check")
     assert done.returncode == 0, done.stdout
@@ -96,14 +115,12 @@ def test_what_was_felt_replays_to_the_bit(program_here, tmp_path):
             ["--motion", "evdev:/dev/null"],
             says(SourceError, "/dev/null" if find_spec("evdev") else "smarttouch[mouse]"),
         ),
-        (["--motion", "sweep:", "--cpi", "400"], says(SourceError, "sweep:", " cpi:", "span_mm")),
-        (["--speed", "0"], says(SourceError, " 1000", about="speed_mm_s", value=0)),
-        (["--rate", "300"], says(SourceError, about="rate_hz", value=300, allowed=(10, 200))),
+        (["--motion", "sweep:?cpi=400"], says(SourceError, "cpi", "speed_mm_s")),
         (
-            ["--fastest", "80"],
-            says(SourceError, about="fastest_hz", value=80, allowed=50, remedy="rate_hz"),
+            ["--motion", "sweep:?speed_mm_s=0"],
+            says(SourceError, " 1000", about="speed_mm_s", value=0),
         ),
-        (["--scale", "-1"], says(SourceError, about="scale", value=-1)),
+        (["--rate", "300"], says(SourceError, about="rate_hz", value=300, allowed=(10, 200))),
         (
             ["--mode", "natural"],
             says(SourceError, about="mode", value="natural", allowed=("RA", "SAI", "PC")),

@@ -9,14 +9,10 @@ from .conftest import refused
 @pytest.mark.parametrize(
     ("arguments", "options"),
     [
-        ("live --speed 0 --board memory:", "--speed"),
         ("live --scan frame --hold charge", "--scan"),
         ("live --board vibrators:x.wav", "--board, --vibrators"),
-        ("mouse --texture grating:4mm --dpi 300 --board memory:", "--dpi"),
-        ("mouse --texture text:a --dpi 300 --board memory:", "--dpi, --width-mm"),
-        ("mouse --width-mm 0 --texture text:a --board memory:", "--width-mm"),
         ("mouse --rate 300 --board memory:", "--rate"),
-        ("mouse --texture page.png --board memory:", "--dpi, --width-mm"),
+        ("read text:hi --speed 0 --board memory:", "--speed"),
         ("read text:hi --pause -1 --board memory:", "--pause"),
         ("calibrate registration --dot-pitch-mm 0", "--dot-pitch-mm"),
         ("calibrate force --simulate --output run.txt", "--output"),

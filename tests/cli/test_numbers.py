@@ -32,7 +32,7 @@ def free_port():
 SMALL = "--profile smarttouch-4x4"
 PAGE = "--seconds 0.2 --board memory: --quiet"
 BASES = {
-    "live": f"live --sensor text:i {SMALL} {PAGE}",
+    "live": f"live --source text:i {SMALL} {PAGE}",
     "read": f"read text:i {SMALL} {PAGE}",
     "braille": "braille hello",
     "braille-display": f"braille-display listen:{free_port()} {SMALL} {PAGE}",
@@ -42,10 +42,9 @@ BASES = {
     "replay": f"replay {{golden}} {PAGE}",
     "recordings view": "recordings view {golden} --save view.png",
     "design": "design --profile line-7",
-    "figures": "figures pictures --profile line-7",
     "finger": "finger T --profile smarttouch-4x4 --anatomy paper",
     "experiment run": (
-        "experiment run detection --simulate first --participant x --trials 1 "
+        "experiment run detection --simulate first --subject x --trials 1 "
         "--procedure questplus --output answers.csv --overwrite --board simulated:"
     ),
     "experiment free": f"experiment free --output free.csv {PAGE}",
@@ -68,8 +67,8 @@ BASES = {
 }
 """A command line of each command that has numbers, to which one is added."""
 
-LONG = ("figures", "board emulate", "sensor emulate")
-"""Commands that go on, or draw for half a minute."""
+LONG = ("board emulate", "sensor emulate")
+"""Commands that go on until they are ended."""
 PATIENCE_S = float(os.environ.get("SMARTTOUCH_PATIENCE_S", "2"))
 ENDING_S = 10
 

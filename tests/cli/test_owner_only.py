@@ -14,7 +14,7 @@ COMMANDS = {
         ("recordings", "view", "run.mcap", "--save", "view.svg"),
         ("report", "run.mcap"),
     ),
-    "felt": ((*LIVE, "--felt", "felt.png", "--frames", "film.gif", "--save", "desk"),),
+    "felt": ((*LIVE, "--felt", "felt.png", "--frames", "film.gif"),),
     "vibrations": ((*LIVE, "--vibrators", "vibrators:out.wav"),),
     "experiment": (
         ("experiment", "run", "frequency", "--standards", "30", "--train-s", "0.15",

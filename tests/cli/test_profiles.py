@@ -1,14 +1,14 @@
-"""``smarttouch profiles``: what is shipped is shown and copied, and older files are mended."""
+"""``smarttouch profiles``: what is shipped is shown and copied."""
 
+import json
 import tomllib
 
 import pytest
 
+from smarttouch.cli.run_options import RunOptions
 from smarttouch.profile import list_profiles, load_profile
 from smarttouch.profile.keys import key_reference
 from smarttouch.profile.load import profile_path
-
-from ..profile.first_version import first_version
 
 
 def one_sentence(done):
@@ -55,22 +55,47 @@ def test_what_was_calibrated_is_shown_with_its_day(program_here):
     assert "# calibrated: force, 20" in curve
 
 
+def with_defaults(path, **keys):
+    text = profile_path("smarttouch-4x4").read_text("utf-8")
+    lines = [f"{key} = {json.dumps(value)}" for key, value in keys.items()]
+    path.write_text("\n".join([text, "[defaults]", *lines]), encoding="utf-8")
+
+
+def test_board_form_and_plain_lines_come_from_the_profile(program_here, tmp_path):
+    with_defaults(tmp_path / "mine.toml", board="simulated:", plain=True, read_as="braille")
+    read = ("read", "text:a", "--profile", "mine.toml", "--speed", 400)
+    kept, given = program_here(*read), program_here(*read, "--board", "memory:", "--as", "shapes")
+    assert (kept.returncode, given.returncode) == (0, 0), given.stderr
+    assert kept.stdout.splitlines()[0].endswith(", simulated:")
+    assert given.stdout.splitlines()[0].endswith(", memory:")
+    # A line of Braille is read out, letter shapes stand for themselves.
+    assert "line 1: a\n" in kept.stdout
+    assert "line 1\n" in given.stdout
+
+
+def test_no_intensity_is_kept_in_a_profile(program_here, tmp_path):
+    with_defaults(tmp_path / "mine.toml", intensity=0.5)
+    assert "defaults.intensity" in one_sentence(program_here("live", "--profile", "mine.toml"))
+
+
+@pytest.mark.parametrize(
+    ("kept", "given", "drawn"),
+    [(True, None, False), (True, False, True), (False, None, True), (False, True, False)],
+)
+def test_what_is_drawn(profile, kept, given, drawn, monkeypatch):
+    shown = []
+    monkeypatch.setattr(
+        "smarttouch.monitor.session.run_in_terminal",
+        lambda source, display, config, outputs, **more: shown.append(not outputs.plain),
+    )
+    own = profile.model_copy(update={"defaults": {"plain": kept}})
+    run = RunOptions(board="memory:", plain=given)
+    run.start(None, own, run.config("RA"))
+    assert shown == [drawn]
+
+
 def test_the_keys(program_here):
     assert program_here("profiles", "keys").stdout == key_reference()
-
-
-def test_one_of_the_first_version(program_here, tmp_path):
-    old = tmp_path / "old.toml"
-    old.write_text(first_version("electric-mouse", 25.5))
-    assert "smarttouch profiles migrate" in one_sentence(program_here("live", "--profile", old))
-    done = program_here("profiles", "migrate", old)
-    assert done.returncode == 0, done.stderr
-    for key in ("limits.total_ma", "25.5", "limits.session_mc", "frames.share"):
-        assert key in done.stdout
-    assert load_profile(old).limits.total_ma == 10
-    migrated = old.read_bytes()
-    assert program_here("profiles", "migrate", old).returncode == 0
-    assert old.read_bytes() == migrated
 
 
 def test_all_that_is_wrong_stands_in_a_line_of_its_own(program_here, tmp_path):
@@ -93,8 +118,6 @@ def test_all_that_is_wrong_stands_in_a_line_of_its_own(program_here, tmp_path):
         ("copy", "nobody", "mine.toml"),
         ("copy", "line-7", "mine.txt"),
         ("copy", "line-7", "none/mine.toml"),
-        ("migrate", "nobody.toml"),
-        ("migrate", "."),
     ],
 )
 def test_what_cannot_be_is_one_sentence(program_here, tmp_path, arguments):

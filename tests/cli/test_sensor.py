@@ -74,13 +74,13 @@ def test_a_force_is_shown(run, tmp_path):
             ["show", "text:x", "--save", "no/where.png"],
             says(about="file", problem="unwritable", value=Path("no/where.png")),
         ),
-        (["show", "text:x", "--baud", "9600"], says(SourceError, "text:", " baud:", "seed")),
+        (["show", "text:x?baud=9600"], says(SourceError, " baud:", "seed")),
         (
-            ["show", "text:x", "--size", "9"],
-            says(about="size", problem="malformed", value="9"),
+            ["show", "camera:0?size=9"],
+            says(SourceError, "size", "640x480"),
         ),
         (
-            ["show", "fixed:1", "--force", "--baud", "9600"],
+            ["show", "fixed:1", "--force", "--save", "a.png"],
             says(about="force", problem="conflict"),
         ),
         (["show", "text:x", "--profile", "none"], says(ProfileError, "'none'")),

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from smarttouch.afferent import Afferent
-from smarttouch.kernels.by_cable import judge_by_cable
 from smarttouch.kernels.design import design_kernel
 from smarttouch.kernels.driving_problem import DrivingProblem, fiber_points
 from smarttouch.kernels.problem import Problem
 from smarttouch.physiology.activation import potential_mv
 from smarttouch.physiology.afferents import targets
 from smarttouch.profile import load_profile
+
+from .by_cable import judge_by_cable
 
 
 @pytest.fixture(scope="module", params=[Afferent.RA, Afferent.SAI])

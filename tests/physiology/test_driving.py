@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from smarttouch.errors import DesignError
 from smarttouch.physiology.driving import FIBERS, bend_operator, load_driving, passes
-from smarttouch.physiology.fiber_fit import fit, threshold_error
 from smarttouch.physiology.membrane import threshold_ma, thresholds_ma
 from smarttouch.physiology.potential import disc_potential
 
+from ..fit_fibers import fiber_fit
 from ..raising import raises
 
 OFFERED = [
@@ -62,7 +62,7 @@ def test_thresholds_of_the_cable_under_a_disc(fiber, end, width_us):
     drive = load_driving(fiber, end, width_us).drive(potentials[..., None])[..., 0].max(axis=1)
     cable = thresholds_ma(potentials, like, width_us, 1 / drive)
     assert np.isfinite(cable).all()
-    error = threshold_error(drive, cable)
+    error = fiber_fit.threshold_error(drive, cable)
     assert error.median < 0.04
     assert error.worst < 0.35
 
@@ -104,9 +104,9 @@ def test_a_fit_finds_the_weights_again():
     basis = np.array([under_a_disc(like, d, b, 8.0) for d in (0.5, 1.0, 2.0) for b in (0, 1, 2)])
     potentials = random.normal(size=(120, len(basis))) @ basis
     thresholds = 1 / true.drive(potentials[..., None])[..., 0].max(axis=1)
-    found = fit(like, 200.0, potentials, thresholds)
+    found = fiber_fit.fit(like, 200.0, potentials, thresholds)
     drive = found.drive(potentials[..., None])[..., 0].max(axis=1)
-    assert threshold_error(drive, thresholds).tenth < 0.01
+    assert fiber_fit.threshold_error(drive, thresholds).tenth < 0.01
 
 
 def test_spikes_that_anodes_stop_do_not_count():

@@ -225,27 +225,3 @@ def test_only_where_all_points_can_be_driven(profile, changed):
     assert not drawable(changed(profile, {"array.rows": 9}))
     for name in ("kajimoto-61", "line-8", "etactilekit-32", "optacon-24x6", "smarttouch-4x4"):
         assert not drawable(load_profile(name))
-
-
-def test_it_is_listed(profile, bank, monkeypatch, tmp_path, capsys):
-    """Of all figures only their names and that they are drawn: others have their own tests."""
-    from smarttouch.cli.figures import figures
-    from smarttouch.physiology import af_error
-    from smarttouch.plotting import style
-
-    drawn = []
-    monkeypatch.setattr(style, "save", lambda figure, path: drawn.append(path.name))
-    monkeypatch.setattr(af_error, "af_error_table", lambda profile: [])
-    monkeypatch.setattr("smarttouch.plotting.frames.frame_figure", lambda *given: given)
-    for module, function in (
-        ("colors", "thresholds_figure"), ("paper", "figure_5"), ("paper", "figure_8"),
-        ("paper", "figure_9"), ("paper", "figure_10"), ("kernels", "kernel_figure"),
-        ("fibers", "strength_duration_figure"), ("fibers", "af_error_figure"),
-    ):  # fmt: skip
-        monkeypatch.setattr(f"smarttouch.plotting.{module}.{function}", lambda *given: None)
-    figures(tmp_path, profile="electric-mouse", site=None, kind="png")
-    assert "frames.png" in drawn
-    assert str(tmp_path / "frames.png") in capsys.readouterr().out.replace("\n", "")
-    drawn.clear()
-    figures(tmp_path, profile="line-8", site=None, kind="png")
-    assert "frames.png" not in drawn

@@ -6,11 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.kernels.driving_problem import DrivingProblem, fiber_points
-from smarttouch.kernels.fiber_cases import along_mm
 from smarttouch.physiology.activation import potential_mv
 from smarttouch.physiology.afferents import Afferents, everywhere, targets
 from smarttouch.physiology.driving import FIBERS
 from smarttouch.physiology.membrane import thresholds_ma
+
+from ..fit_fibers import fiber_cases
 
 Array = NDArray[np.float64]
 
@@ -98,7 +99,9 @@ def _thresholds(
         return np.zeros(0)
     like, driving = problem.anatomy[nodes.afferent], problem.driving(nodes)
     fiber = replace(FIBERS[like.fiber], end=driving.end)
-    places = along_mm(driving.end, fiber.internode_mm, 4.0 if fiber.internode_mm < 0.2 else 8.0)
+    places = fiber_cases.along_mm(
+        driving.end, fiber.internode_mm, 4.0 if fiber.internode_mm < 0.2 else 8.0
+    )
     points = np.concatenate(
         [
             fiber_points(one[None], nodes.depth_mm, toward, places)

@@ -1,8 +1,8 @@
-"""Thresholds of the MRG fiber model, by NEURON through PyFibers: an optional extra.
+"""Thresholds of the MRG fiber model, by NEURON through PyFibers.
 
 The double-cable model of McIntyre, Richardson and Grill (J. Neurophysiol. 87, 2002), with
 sodium and potassium channels, paranodes and myelin, as PyFibers interpolates it to a diameter.
-Install with ``pip install "smarttouch[fibers]"`` and run ``pyfibers_compile`` once.
+Install them with ``pip install "neuron>=9" "pyfibers>=0.13"`` and run ``pyfibers_compile`` once.
 """
 
 import logging
@@ -49,10 +49,10 @@ class MrgFiber:
         except (ImportError, OSError) as error:
             raise DesignError(
                 f"the MRG model needs PyFibers and NEURON, which are not ready here ({error}): "
-                'pip install "smarttouch[fibers]", then run pyfibers_compile',
+                'pip install "neuron>=9" "pyfibers>=0.13", then run pyfibers_compile',
                 about="pyfibers",
                 problem="missing",
-                remedy="smarttouch[fibers]",
+                remedy="pip install",
             ) from None
         logging.getLogger("pyfibers").setLevel(logging.ERROR)
         self._fiber: Any = build_fiber(

@@ -1,20 +1,34 @@
-"""Fits of driving functions, and their errors on kernels and fibers that they have not seen."""
+"""Fit what fires a fiber, and compare it with its cable model on kernels not fitted to.
 
+    python examples/fit_fibers/fit_fibers.py fingertip
+
+prints the errors of predicted thresholds; ``--json FILE`` writes the weights as the package ships
+them. ``fingertip`` and ``trunk`` take a minute or two. ``mrg`` takes an hour or two, goes on where
+it was interrupted, and needs NEURON and PyFibers: ``pip install "neuron>=9" "pyfibers>=0.13"``,
+then ``pyfibers_compile`` once.
+"""
+
+import argparse
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import mrg
 import numpy as np
+import platformdirs
+from fiber_cases import FiberCases, along_mm, cases
+from fiber_fit import ThresholdError, activating, fit, threshold_error
 from numpy.typing import NDArray
 
-from smarttouch.kernels.bank import KernelBank
-from smarttouch.kernels.fiber_cases import FiberCases, along_mm, cases
+from smarttouch.files import require_folder, write_json
+from smarttouch.kernels.bank import KernelBank, load_bank
+from smarttouch.monitor.progress import lines_progress
 from smarttouch.physiology.driving import FIBERS, DrivingFunction, End, as_table, load_driving
-from smarttouch.physiology.fiber_fit import ThresholdError, activating, fit, threshold_error
 from smarttouch.physiology.membrane import Fiber, threshold_ma, thresholds_ma
-from smarttouch.profile import Profile
+from smarttouch.profile import Profile, load_profile
+from smarttouch.terminal import print_table
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]
@@ -151,9 +165,7 @@ def _mrg_thresholds(
     fiber: Fiber, width_us: float, each: FiberCases, potential_mv: Array, keep: Path | None
 ) -> Array:
     """Return the thresholds of the MRG model; what is kept of an earlier run is not run again."""
-    from smarttouch.physiology.mrg import MrgFiber
-
-    model = MrgFiber("active" if fiber.end == "active" else "through")
+    model = mrg.MrgFiber("active" if fiber.end == "active" else "through")
     # What ships is within some per cent, and an estimate changes nothing but the time.
     near_ma = 1 / np.maximum(load_driving("mrg", fiber.end, width_us).highest(potential_mv), 1e-3)
     fields = each.potential_mv(model.along_mm)
@@ -212,3 +224,32 @@ def error_rows(fits: Sequence[FiberFit]) -> list[list[str]]:
             + [f"{100 * value:.0f}" for value in others]
         )
     return rows
+
+
+def main() -> None:
+    """Fit a fiber, print the errors, and write the weights."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("fiber", choices=tuple(FIBERS), nargs="?", default="fingertip")
+    parser.add_argument("--profile", default="electric-mouse", help="a name or a file")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the weights")
+    asked = parser.parse_args()
+    require_folder(asked.json)
+    profile = load_profile(asked.profile)
+    keep = platformdirs.user_cache_path("smarttouch") / "fibers"
+    with lines_progress(False, "Fitting") as progress:
+        fits = fit_fiber(profile, load_bank(profile), asked.fiber, progress=progress, keep=keep)
+    heading, *rows = error_rows(fits)
+    print_table(
+        rows,
+        heading,
+        title="Errors of predicted thresholds in %, on kernels not fitted to",
+        note="AF: the activating function with the threshold that suits the fitted cases.",
+        ruled=True,
+        left=2,
+    )
+    if asked.json is not None:
+        write_json(asked.json, as_json(fits))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,20 +1,24 @@
 """Fits of driving functions: what they are judged on is not what they were fitted to."""
 
 import json
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from smarttouch.afferent import Afferent
-from smarttouch.kernels import fiber_fits
-from smarttouch.kernels.fiber_cases import along_mm, cases
+from smarttouch.errors import DesignError
 from smarttouch.physiology.activation import potential_mv
 from smarttouch.physiology.course import course_points
 from smarttouch.physiology.driving import FIBERS, load_driving
-from smarttouch.physiology.fiber_fit import threshold_error
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.membrane import thresholds_ma
+
+from ..fit_fibers import fiber_cases, fiber_fit, fit_fibers, mrg
+from ..raising import raises
+
+along_mm, cases = fiber_cases.along_mm, fiber_cases.cases
 
 
 @pytest.mark.parametrize("ending", [True, False])
@@ -40,18 +44,18 @@ def test_a_small_fit_is_better_than_the_activating_function(profile, bank):
         each[np.arange(len(each.group)) % 9 == 0]
         for each in (cases(profile, bank, False, held_out) for held_out in (False, True))
     )
-    fit = fiber_fits._fit_one("trunk", "through", 200.0, seen, unseen)
+    fit = fit_fibers._fit_one("trunk", "through", 200.0, seen, unseen)
     assert fit.held_out["all"].cases == len(unseen.group)
     assert fit.held_out["all"].tenth < 0.1 < fit.activating.tenth
-    table = json.loads(json.dumps(fiber_fits.as_json([fit])))
+    table = json.loads(json.dumps(fit_fibers.as_json([fit])))
     assert table["trunk"]["through"]["200"]["along"] == pytest.approx(fit.driving.along, rel=1e-4)
-    heading, row = fiber_fits.error_rows([fit])
+    heading, row = fit_fibers.error_rows([fit])
     assert len(heading) == len(row)
 
 
 def test_endings_that_are_offered():
-    assert fiber_fits.ends_of("fingertip") == ("through", "active", "passive")
-    assert fiber_fits.ends_of("mrg") == ("through", "active")
+    assert fit_fibers.ends_of("fingertip") == ("through", "active", "passive")
+    assert fit_fibers.ends_of("mrg") == ("through", "active")
 
 
 @pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
@@ -71,7 +75,7 @@ def test_thresholds_of_bent_branches_that_no_fit_has_seen(profile, bank, afferen
     driving = load_driving("fingertip", "passive", 200.0)
     drive = driving.drive(np.array(potentials)[..., None])[..., 0].max(axis=1)
     cable = thresholds_ma(potentials, like, 200.0, 0.6 / drive)
-    error = threshold_error(drive, cable)
+    error = fiber_fit.threshold_error(drive, cable)
     assert error.cases == len(picked)
     assert error.median < 0.1
     assert error.worst < 0.25
@@ -94,16 +98,22 @@ def test_a_run_of_the_reference_model_goes_on_where_it_stopped(
             asked.append(len(fields))
             return 1.2 * near_ma
 
-    monkeypatch.setattr("smarttouch.physiology.mrg.MrgFiber", Model)
+    monkeypatch.setattr(mrg, "MrgFiber", Model)
     some = cases(profile, bank, False, False)
     some = some[np.arange(len(some.group)) < 25]
     fiber = replace(FIBERS["mrg"], end="through")
     potential = some.potential_mv(along_mm("through", fiber.internode_mm, 15.0))
     run = (fiber, 200.0, some, potential, tmp_path)
     with pytest.raises(KeyboardInterrupt):
-        fiber_fits._mrg_thresholds(*run)
+        fit_fibers._mrg_thresholds(*run)
     asked.pop()
-    found = fiber_fits._mrg_thresholds(*run)
+    found = fit_fibers._mrg_thresholds(*run)
     assert asked == [10, 5]
-    assert np.array_equal(found, fiber_fits._mrg_thresholds(*run))
+    assert np.array_equal(found, fit_fibers._mrg_thresholds(*run))
     assert len(found) == 25
+
+
+def test_the_reference_model_without_its_packages(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyfibers", None)
+    with raises(DesignError, about="pyfibers", problem="missing"):
+        mrg.MrgFiber("through")
