@@ -14,24 +14,12 @@ _CELL_OF |= {code + 32: cell for code, cell in _CELL_OF.items() if 64 <= code < 
 
 
 def read_brf(path: Path) -> Pages:
-    """Read a BRF file.
-
-    Raises
-    ------
-    BrailleError
-        If it cannot be read, or holds what is no cell.
-    """
+    """Read a BRF file."""
     return parse_brf(read_bytes(path), str(path))
 
 
 def write_brf(path: Path, pages: Pages) -> None:
-    """Write a BRF file.
-
-    Raises
-    ------
-    BrailleError
-        If it cannot be written, or a cell has dots 7 or 8: BRF has no such cells.
-    """
+    """Write a BRF file; raise if a cell has dots 7 or 8, which BRF cannot hold."""
     write_bytes(path, format_brf(pages))
 
 
@@ -45,15 +33,7 @@ def format_brf(pages: Pages) -> bytes:
 
 
 def parse_brf(data: bytes, name: str = "BRF") -> Pages:
-    """Return the pages of a BRF file.
-
-    Parameters
-    ----------
-    data : bytes
-        Content of the file.
-    name : str
-        Name for error messages.
-    """
+    """Return the pages of a BRF file; ``name`` is for error messages."""
     # A DOS file may end in ^Z, and a page in a form feed.
     text = data.removesuffix(b"\x1a").decode("latin-1").replace("\r\n", "\n")
     pages, count = [], 0

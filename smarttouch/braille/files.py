@@ -25,13 +25,7 @@ class Kind(StrEnum):
 
 
 def kind_of(path: Path) -> Kind:
-    """Return what a file holds, by how it begins; only .brf and .txt say so by their names.
-
-    Raises
-    ------
-    BrailleError
-        If it cannot be read.
-    """
+    """Return the kind of a file by its first bytes; only .brf and .txt are known by their names."""
     suffix = path.suffix.lower()
     with files.open_file(path, BrailleError, files.MOST_DOCUMENT_BYTES) as file:
         data = file.read(_BEGINNING_BYTES)
@@ -63,13 +57,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """Return a text file in UTF-8, with newlines only, and no byte-order mark.
-
-    Raises
-    ------
-    BrailleError
-        If it cannot be read, or is not UTF-8.
-    """
+    """Return a text file in UTF-8, with newlines only, and no byte-order mark."""
     text = files.read_text(path, BrailleError, MOST_BYTES)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 

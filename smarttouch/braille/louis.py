@@ -56,19 +56,9 @@ class Translated(NamedTuple):
 
 
 class LouisCode:
-    """Braille code of a table of liblouis.
+    """Braille code of a table of liblouis, by its file name, such as ``en-ueb-g2.ctb``.
 
-    Parameters
-    ----------
-    table : str
-        File name of the table, such as ``en-ueb-g2.ctb``.
-    goes_back : bool, optional
-        Whether its cells can be read; as the table itself says, if not given.
-
-    Raises
-    ------
-    BrailleError
-        If liblouis is missing, or has no such table.
+    Whether its cells can be translated back is read from the table if not given.
     """
 
     remedy = "leave them out, or choose another table"
@@ -95,13 +85,8 @@ class LouisCode:
         return self.translate(line).cells
 
     def translate(self, line: str, emphasis: Sequence[Emphasis] = ()) -> Translated:
-        """Return a line of text as cells, with the places of its characters.
-
-        Parameters
-        ----------
-        line : str
-        emphasis : sequence of Emphasis
-            Of each character; plain where it ends.
+        """Return a line of text as cells, with the places of its characters and the emphasis of
+        each.
         """
         return _translate(self._table, line, _DOTS_IO | _UNICODE_CELLS, emphasis=emphasis)
 
@@ -156,10 +141,7 @@ def has_table(table: str) -> bool:
 def find_table(language: str) -> str | None:
     """Return the file name of the plainest table of a language tag, such as ``pt`` or ``pt-BR``.
 
-    Parameters
-    ----------
-    language : str
-        Where there is no table of its region, that of the language itself is taken.
+    Where there is no table of its region, that of the language itself is taken.
     """
     own = language.lower().partition("-")[0]
     for tag in (language, own):

@@ -28,17 +28,7 @@ Image = NDArray[np.float32]
 
 
 class FoundCells(NamedTuple):
-    """Cells found in a picture.
-
-    Attributes
-    ----------
-    px : ndarray, (N, 2) px
-        Their middles, column and row.
-    patterns : ndarray, (N,) int
-        Their dots: bit k is dot k + 1.
-    certainty : ndarray, (N,), in [0, 1]
-        That there is a cell, and that each of its dots is right.
-    """
+    """Cells found in a picture."""
 
     px: NDArray[np.float64]
     patterns: NDArray[np.int_]

@@ -16,24 +16,12 @@ _FORMAT = "application/x-pef+xml"
 
 
 def read_pef(path: Path) -> Pages:
-    """Read the pages of a PEF file, of all its volumes and sections.
-
-    Raises
-    ------
-    BrailleError
-        If it cannot be read, or is not PEF.
-    """
+    """Read the pages of a PEF file, of all its volumes and sections."""
     return parse_pef(read_bytes(path), str(path))
 
 
 def write_pef(path: Path, pages: Pages) -> None:
-    """Write a PEF file of one volume; its title is the file's name.
-
-    Raises
-    ------
-    BrailleError
-        If it cannot be written, or a character is not a cell.
-    """
+    """Write a PEF file of one volume; its title is the file's name."""
     write_bytes(path, format_pef(pages, path.stem))
 
 
@@ -69,15 +57,7 @@ def format_pef(pages: Pages, title: str) -> bytes:
 
 
 def parse_pef(data: bytes, name: str = "PEF") -> Pages:
-    """Return the pages of a PEF file.
-
-    Parameters
-    ----------
-    data : bytes
-        Content of the file.
-    name : str
-        Name for error messages.
-    """
+    """Return the pages of a PEF file; ``name`` is for error messages."""
     try:
         _refuse_declarations(data, name)
         root = ET.fromstring(data)

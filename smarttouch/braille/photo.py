@@ -45,22 +45,7 @@ _BOTH_SIDES = 0.6
 
 @dataclass(frozen=True, eq=False)
 class BraillePage:
-    """Cells of a page of Braille.
-
-    Attributes
-    ----------
-    lines : list of str
-        Cells of each line, without blanks at its end; empty where there is
-        room for a line without dots.
-    cells_px : ndarray, (N, 2) px
-        Middles of the cells, column and row.
-    patterns : ndarray, (N,) int
-        Their dots: bit k is dot k + 1.
-    certainty : float, in [0, 1]
-        Mean of the cells'.
-    notes : list of str
-        Warnings for the reader.
-    """
+    """Cells of a page of Braille."""
 
     lines: list[str]
     cells_px: NDArray[np.float64]
@@ -85,23 +70,11 @@ class _View(NamedTuple):
 
 
 def read_braille(page: Page, light_from_deg: float | None = None) -> BraillePage:
-    """Read a photograph or scan of a page of Braille, raised or printed.
+    """Read a photograph or scan of a page of Braille, raised or printed, turned by up to 25°.
 
-    The page's scale is not used: cells show their own. A page may be turned by up to 25°.
-
-    Parameters
-    ----------
-    page : Page
-        The photograph.
-    light_from_deg : float, °, optional
-        Direction of the light: 0 is the right, 90 the top of the picture. It separates dots
-        of the front from those of the back; from above if not given, unless only dots that
-        are lit from below make cells.
-
-    Raises
-    ------
-    PageError
-        If the page shows no Braille, or the direction of the light is none.
+    The page's scale is not used: cells show their own. ``light_from_deg`` is the direction of the
+    light, 0 the right and 90 the top of the picture, which separates dots of the front from those
+    of the back; from above if not given, unless only dots lit from below make cells.
     """
     if light_from_deg is not None and not math.isfinite(light_from_deg):
         raise PageError(

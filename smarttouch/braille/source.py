@@ -22,17 +22,7 @@ _MOST_NAMED = 12
 
 @dataclass(frozen=True)
 class Loaded:
-    """Input as cells.
-
-    Attributes
-    ----------
-    paragraphs : list of str
-        Cells, a paragraph each: a line of a text, or lines that a file of cells runs over.
-    pages : list of list of str, or None
-        Pages of lines as a file of cells has them.
-    notes : list of str
-        Warnings for the user.
-    """
+    """Input as cells."""
 
     paragraphs: list[str]
     pages: Pages | None
@@ -42,10 +32,7 @@ class Loaded:
 def file_of(source: str) -> Path | None:
     """Return the file that a source is the name of; None if it is words.
 
-    Raises
-    ------
-    BrailleError
-        If it looks like the name of a file, and there is none.
+    What looks like the name of a file that does not exist is an error.
     """
     if source.startswith(TEXT) or not source:
         return None
@@ -64,22 +51,10 @@ def file_of(source: str) -> Path | None:
 
 
 def load_cells(source: str, table: Table, leave_out: bool = False) -> Loaded:
-    """Load cells.
+    """Load cells from a text or a file of cells, and translate text with the table.
 
-    Parameters
-    ----------
-    source : str
-        The name of a file with a text or with cells, ``text:`` and words, or words that name
-        no file; cells may stand in a text in place of letters, if nothing else does.
-    table : Table
-        Turns texts into cells.
-    leave_out : bool
-        Leave out, and note, what the table has no cells for.
-
-    Raises
-    ------
-    BrailleError
-        If there is no such file, nothing in it, or a character without cells.
+    ``source`` is the name of a file, ``text:`` and words, or words that name no file; a text may
+    consist of cells only. ``leave_out`` drops and notes the characters without cells.
     """
     file = file_of(source)
     kind = None if file is None else kind_of(file)
@@ -106,13 +81,7 @@ def load_cells(source: str, table: Table, leave_out: bool = False) -> Loaded:
 
 
 def write_cells(path: Path, pages: Pages) -> None:
-    """Write pages of cells in the format of the file's name.
-
-    Raises
-    ------
-    BrailleError
-        If the name ends in none of .brf, .pef and .txt, or the file cannot be written.
-    """
+    """Write pages of cells in the format of the file's name: .brf, .pef or .txt."""
     suffix = path.suffix.lower()
     if suffix == ".brf":
         write_brf(path, pages)

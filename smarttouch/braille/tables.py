@@ -49,17 +49,7 @@ class Code(Protocol):
 
 @dataclass(frozen=True)
 class Table:
-    """A Braille code under the name that a user gave.
-
-    Attributes
-    ----------
-    name, title : str
-        Name such as ``en-1``, and its title.
-    code : Code
-        Braille code that translates.
-    note : str or None
-        Warning for the user.
-    """
+    """A Braille code under the name that a user gave."""
 
     name: str
     title: str
@@ -71,20 +61,7 @@ class Table:
         return self.code.missing(_tidy(text, self.code).replace("\n", ""))
 
     def to_cells(self, text: str, leave_out: bool = False) -> str:
-        """Return a text as cells, line by line.
-
-        Parameters
-        ----------
-        text : str
-            Its lines end with a newline.
-        leave_out : bool
-            Leave out what the table has no cells for: ``missing`` lists them.
-
-        Raises
-        ------
-        BrailleError
-            If the table has no cells for a character, and it is not to be left out.
-        """
+        """Return a text as cells, line by line; ``leave_out`` drops characters without cells."""
         tidy = _tidy(text, self.code)
         missing = self.code.missing(tidy.replace("\n", ""))
         if missing and not leave_out:
@@ -100,13 +77,7 @@ class Table:
         return "\n".join(self.code.encode(line) for line in tidy.split("\n"))
 
     def to_text(self, cells: str) -> str:
-        """Return cells as text, line by line; a cell without meaning stays as it is.
-
-        Raises
-        ------
-        BrailleError
-            If the table cannot go back, or a character is not a cell.
-        """
+        """Return cells as text, line by line; a cell without meaning stays as it is."""
         if not self.code.goes_back:
             raise BrailleError(
                 f"table {self.name} turns texts into cells only, it cannot read them back: "
@@ -172,18 +143,8 @@ def known_tables() -> dict[str, str]:
 
 
 def open_table(name: str = DEFAULT_TABLE) -> Table:
-    """Open a table.
-
-    Parameters
-    ----------
-    name : str
-        A short name of ``known_tables``, the file name of a table of liblouis, or the tag of a
-        language, such as ``fr`` or ``pt-BR``: its plainest table.
-
-    Raises
-    ------
-    BrailleError
-        If there is no such table, or it needs liblouis and that is missing.
+    """Open a table by a short name, by the file name of a table of liblouis, or by a language tag,
+    such as ``fr`` or ``pt-BR``: its plainest table.
     """
     if _TAG.fullmatch(name):
         own = name.lower().partition("-")[0]

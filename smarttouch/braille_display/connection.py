@@ -22,15 +22,7 @@ JOIN_S = 1.0
 
 @dataclass(frozen=True)
 class Address:
-    """Where BRLTTY is met.
-
-    Attributes
-    ----------
-    host : str
-    port : int
-    listens : bool
-        Whether BRLTTY connects to it, and not it to BRLTTY.
-    """
+    """Address at which BRLTTY and this end meet; the one that ``listens`` may be this end."""
 
     host: str
     port: int
@@ -38,13 +30,7 @@ class Address:
 
     @classmethod
     def read(cls, text: str) -> Self:
-        """Return the address in ``HOST:PORT``, ``listen:PORT`` or ``listen:HOST:PORT``.
-
-        Raises
-        ------
-        SourceError
-            If it is none.
-        """
+        """Return the address in ``HOST:PORT``, ``listen:PORT`` or ``listen:HOST:PORT``."""
         first, _, rest = text.partition(":")
         listens = first in ("", "listen")
         host, _, port = (rest if listens else text).rpartition(":")
@@ -67,18 +53,8 @@ class Address:
 class BrlttyConnection:
     """Keeps the newest cells and sends commands; survives BRLTTY's restarts.
 
-    Parameters
-    ----------
-    address : Address
-    cells : int
-        Width that BRLTTY is told.
-
-    Attributes
-    ----------
-    shown : Shown or None
-        The newest; None while there is no connection.
-    connections : int
-        How often one was made.
+    ``cells`` is the width reported to BRLTTY, ``shown`` its newest content, None without a
+    connection, and ``connections`` the number made so far.
     """
 
     def __init__(self, address: Address, cells: int) -> None:
@@ -101,13 +77,7 @@ class BrlttyConnection:
         self._thread = threading.Thread(target=self._keep, name="brltty", daemon=True)
 
     def open(self) -> Self:
-        """Listen, or connect for the first time.
-
-        Raises
-        ------
-        SourceError
-            If the port cannot be had, or nobody is there.
-        """
+        """Listen, or connect for the first time."""
         where = (self.address.host, self.address.port)
         try:
             if self.address.listens:

@@ -20,19 +20,7 @@ _CURSOR = 0b1100_0000
 
 @dataclass(frozen=True)
 class Shown:
-    """Cells, text and cursor on the display.
-
-    Attributes
-    ----------
-    cells : str
-        Characters U+2800 to U+28FF.
-    text : str
-        What they stand for.
-    number : int
-        Counts the updates of the cells.
-    time_ns : int
-        When it arrived, by the monotonic clock; 0 if not known.
-    """
+    """Content of the display: cells, their text, the count of updates, and when it arrived."""
 
     cells: str = ""
     text: str = ""
@@ -66,15 +54,7 @@ class Shown:
 
 
 class Messages:
-    """Takes lines apart as they arrive, in pieces of any length.
-
-    Attributes
-    ----------
-    shown : Shown
-        The newest cells and text.
-    garbled : int
-        Lines that were no message.
-    """
+    """Parser of lines that arrive in pieces of any length; counts those that are no message."""
 
     def __init__(self) -> None:
         self.shown = Shown()

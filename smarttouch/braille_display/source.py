@@ -36,28 +36,11 @@ def open_brltty(
     speed_mm_s: float | None = None,
     pan: bool = False,
 ) -> "BrailleDisplaySource":
-    """Open ``brltty:HOST:PORT``, which BRLTTY listens at, or ``brltty:listen:PORT``.
+    """Open ``brltty:HOST:PORT``, where BRLTTY listens, or ``brltty:listen:PORT``.
 
-    Parameters
-    ----------
-    rest : str
-        Where BRLTTY is met; it connects to port 35752 of this machine if nothing is said.
-    profile : Profile
-    cells : int
-        Width of the display.
-    show : str
-        "line": cells move through under the finger; "cell": one at a time.
-    speed_mm_s : float, mm/s, optional
-        Of the cells; the profile's rate decides if not given.
-    pan : bool
-        Whether the window moves on by itself at its end.
-
-    Raises
-    ------
-    SourceError
-        If nobody is there, or an option is impossible.
-    ReadingError
-        If the array has no room for cells of eight dots.
+    The port is 35752 of this machine if none is given; the speed follows the profile's pulse rate.
+    ``show`` is "line" for cells that move under the finger, or "cell" for one at a time; with
+    ``pan`` the window moves on by itself at its end.
     """
     if show not in list(Presentation):
         raise SourceError(
@@ -74,21 +57,11 @@ def open_brltty(
 
 
 class BrailleDisplaySource(StimulusSource):
-    """Gives the cells that BRLTTY shows, dot by dot an electrode.
+    """Presents the cells that BRLTTY shows, one electrode a dot; closes the connection with itself.
 
-    Cells that change are felt from the first that is new, and where only the cursor moved,
-    from there. Then the finger goes on to the last cell and waits. Without BRLTTY nothing is
-    felt.
-
-    Parameters
-    ----------
-    connection : BrlttyConnection
-        Is closed with this.
-    profile : Profile
-    presentation : Presentation
-    speed_mm_s : float, mm/s, optional
-    pan : bool
-        Whether BRLTTY is asked for what follows once the last cell has been felt.
+    Changed cells are presented from the first that is new, and where only the cursor moved, from
+    there, up to the last cell. Nothing is presented without BRLTTY. With ``pan`` BRLTTY moves its
+    window on after the last cell.
     """
 
     knows_force = True

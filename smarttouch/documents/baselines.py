@@ -41,26 +41,8 @@ _WORTH = 0.7
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """Row of letters, straightened and measured; all in pixels of the page.
-
-    Attributes
-    ----------
-    left, right : float, px
-        Ends of the row.
-    baseline : ndarray, (D,)
-        Coefficients of its baseline, lowest first, over the distance from ``left``.
-    x_height : float, px
-        From the baseline to the top of an x.
-    profile : ndarray, (N,)
-        Ink at each height, in [0, 1], from above down.
-    profile_top : float
-        Top of the profile, in x-heights above the baseline.
-    step : float
-        From row to row of the profile, in x-heights.
-    strokes : float
-        Strokes met halfway up an x, per x-height of the row's length.
-    reach : tuple of float
-        Heights of its tall letters above and of its deep ones below the baseline, in x-heights.
+    """Row of letters, straightened and measured; lengths in px of the page, profile in
+    x-heights.
     """
 
     left: float
@@ -109,20 +91,12 @@ def along(coefficients: Floats, distance: Floats, length: float) -> Floats:
 
 
 def follow(density: NDArray[np.uint8], row: Spots, slope: float | None = None) -> Baseline:
-    """Follow the baseline of a row of letters.
+    """Return the measured baseline of a row of letters in a density of ink, (H, W) uint8, 255 full.
 
-    Pieces of the row are shifted up and down until their ink fits that of the
-    whole row best; a smooth curve goes through them. The baseline is where the
-    ink ends most abruptly, the top of an x where it begins so.
-
-    Parameters
-    ----------
-    density : ndarray, (H, W) uint8
-        Ink of the page, 255 where it is full.
-    row : Spots
-        Letters of the row.
-    slope : float, optional
-        Of the lines around, for a row that is too short to tell.
+    Pieces of the row are shifted up and down until their ink fits that of the whole row best; a
+    smooth curve goes through them. The baseline is where the ink ends most abruptly, the top of an
+    x where it begins so. ``slope`` is that of the lines around, for a row too short to measure its
+    own.
     """
     height = row.usual_height
     left, right = float(row.left.min()), float(row.right.max())

@@ -46,23 +46,11 @@ def open_document(
     page_width_mm: float | None = None,
     password: str | None = None,
 ) -> "Document":
-    """Open a PDF, a TIFF of one or many pages, or any other image.
+    """Open a PDF, a TIFF of one or many pages, or any other image; its content decides, not its
+    name.
 
-    Parameters
-    ----------
-    path : Path
-        The file; its content decides what it is, not its name.
-    dpi : float, optional
-        Pixels per inch: of an image instead of its own, of a PDF instead of 300.
-    page_width_mm : float, optional, mm
-        Or the width of each page, instead of the file's own.
-    password : str, optional
-        Of an encrypted PDF.
-
-    Raises
-    ------
-    PageError
-        If there is no such document, or it cannot be opened.
+    ``dpi`` stands for an image's own resolution, or for the 300 at which a PDF is rendered;
+    ``page_width_mm`` for the file's own scale.
     """
     check_scale_options(dpi, page_width_mm)
     if _is_pdf(path):
@@ -71,21 +59,8 @@ def open_document(
 
 
 def parse_pages(text: str, count: int) -> list[int]:
-    """Return the indexes, from 0, of pages in a list such as ``1,3-5`` or ``7-``.
-
-    Pages come in the order asked for, as often as asked for.
-
-    Parameters
-    ----------
-    text : str
-        Numbers from 1 and ranges of them, separated by commas.
-    count : int
-        Number of pages of the document.
-
-    Raises
-    ------
-    PageError
-        If this is nonsense, or there are no such pages.
+    """Return the indices, from 0, of pages in a list such as ``1,3-5`` or ``7-``, in the given
+    order.
     """
     indexes: list[int] = []
     for part in text.split(","):
@@ -118,17 +93,8 @@ def parse_pages(text: str, count: int) -> list[int]:
 
 
 class Document(Closing, ABC):
-    """Pages that are loaded when they are asked for, from one thread at a time.
-
-    Parameters
-    ----------
-    path : Path
-        Its file.
-
-    Attributes
-    ----------
-    notes : list of str
-        Sentences for the user about what was taken for granted so far.
+    """Pages that are loaded on request, by one thread at a time; ``notes`` lists what was
+    assumed.
     """
 
     def __init__(self, path: Path) -> None:
@@ -140,13 +106,7 @@ class Document(Closing, ABC):
         """Return the number of pages."""
 
     def page(self, index: int) -> Page:
-        """Return a page by its index from 0.
-
-        Raises
-        ------
-        PageError
-            If there is no such page, or it cannot be read.
-        """
+        """Return a page by its index from 0."""
         if not 0 <= index < len(self):
             raise PageError(
                 f"{self.path} {_absent(index + 1, len(self))}",

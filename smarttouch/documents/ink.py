@@ -56,17 +56,7 @@ _BRIGHT = 0.7
 
 @dataclass(frozen=True, eq=False)
 class Paper:
-    """Ink of a page, and its levels.
-
-    Attributes
-    ----------
-    cleaned : ndarray, (H, W) uint8
-        The page as dark on light: paper is exactly 255, ink is near 0, edges keep their grades.
-    ink : ndarray, (H, W) bool
-        Mask of ink; empty on blank paper.
-    light_on_dark : bool
-        Whether it was printed light on dark, and is inverted here.
-    """
+    """Page as dark on light, (H, W): paper exactly 255, ink near 0; and the mask of its ink."""
 
     cleaned: Grey
     ink: NDArray[np.bool_]
@@ -74,18 +64,12 @@ class Paper:
 
 
 def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
-    """Separate ink from paper.
+    """Separate ink from paper in an image, (H, W) uint8, bright is white; find the polarity if not
+    given.
 
-    The page is divided by its paper, as it would look without ink. The
-    threshold is Otsu's, moved towards the paper where that is calm and away
-    from it where it has grain; spots that stay faint show through from the back.
-
-    Parameters
-    ----------
-    grey : ndarray, (H, W) uint8
-        Bright is white.
-    light_on_dark : bool, optional
-        Whether it is printed light on dark; found out if not given.
+    The page is divided by its paper, as it would look without ink. The threshold is Otsu's, moved
+    towards the paper where that is even and away from it where it has grain; spots that stay faint
+    everywhere show through from the back.
     """
     small, factor = grey, 1
     while factor < _REDUCTION and small.size >= 4 * _REDUCED_PIXELS:

@@ -33,14 +33,8 @@ _STANDING = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Spots:
-    """Connected spots of ink.
-
-    Attributes
-    ----------
-    left, top, right, bottom : ndarray, (N,) int, px
-        Their boxes; right and bottom are the first column and row outside.
-    area : ndarray, (N,) int, px
-        Pixels of each.
+    """Connected spots of ink, (N,) int px: boxes, whose right and bottom are the first outside, and
+    areas.
     """
 
     left: NDArray[np.int_]
@@ -82,9 +76,8 @@ def find_spots(ink: NDArray[np.bool_]) -> Spots:
 
 
 def usual_height(spots: Spots, shape: tuple[int, int]) -> float | None:
-    """Return the usual height of letters, px; None if no spot looks like one.
-
-    Of what is neither a rule nor a picture.
+    """Return the usual height of letters, px; None if every spot is a rule, a picture or too
+    small.
     """
     height, width = spots.height, spots.width
     kept = (
@@ -99,15 +92,7 @@ def usual_height(spots: Spots, shape: tuple[int, int]) -> float | None:
 
 
 def like_letters(spots: Spots, height: float) -> NDArray[np.bool_]:
-    """Return for each spot, (N,), whether it may be a letter, or several that touch.
-
-    Parameters
-    ----------
-    spots : Spots
-        Ink of the page.
-    height : float, px
-        Usual height of a letter.
-    """
+    """Return for each spot, (N,) bool, whether it may be a letter, or several that touch."""
     smallest, largest = (part * height for part in _LETTER)
     right_size = (spots.height >= smallest) & (spots.height <= largest)
     right_size &= (spots.height > _COMMA[0] * height) | (spots.width > _COMMA[1] * height)
@@ -118,13 +103,6 @@ def find_pictures(ink: NDArray[np.bool_], height: float) -> tuple[Spots, NDArray
     """Return all spots of ink, the ink of pictures, (H, W) bool, and the number of these.
 
     Pictures are spots large both ways; those that overlap are one.
-
-    Parameters
-    ----------
-    ink : ndarray, (H, W) bool
-        Ink of the page.
-    height : float, px
-        Usual height of a letter.
     """
     spots, label, labels = _labeled(ink)
     large = np.minimum(spots.width, spots.height) > _LETTER[1] * height
@@ -154,17 +132,7 @@ def letters_alone(ink: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Spots, flo
 def widest_white(
     spots: Spots, left: float, right: float, top: float, bottom: float
 ) -> tuple[float, float]:
-    """Return the place of a gap with the widest part without any ink, such as a comma.
-
-    Parameters
-    ----------
-    spots : Spots
-        Ink of the page.
-    left, right : float, px
-        The gap.
-    top, bottom : float, px
-        Heights at which ink fills it.
-    """
+    """Return the ends of the widest part without ink, px, of a gap from ``left`` to ``right``."""
     inside = (spots.right > left) & (spots.left < right)
     inside &= (spots.bottom > top) & (spots.top < bottom)
     starts = np.concatenate([[left], np.sort(spots.right[inside])])
@@ -183,15 +151,7 @@ def _labeled(ink: NDArray[np.bool_]) -> tuple[Spots, NDArray[np.int_], NDArray[n
 
 
 def find_dividers(ink: NDArray[np.bool_], height: float) -> NDArray[np.bool_]:
-    """Return the ink of vertical rules, (H, W) bool: between columns, of frames and tables.
-
-    Parameters
-    ----------
-    ink : ndarray, (H, W) bool
-        Ink of the page.
-    height : float, px
-        Usual height of a letter.
-    """
+    """Return the ink of vertical rules, (H, W) bool: between columns, of frames and tables."""
     # One that is not quite upright steps aside by a pixel.
     wide = cv2.dilate(ink.view(np.uint8), np.ones((1, 3), np.uint8))
     upright = cv2.morphologyEx(wide, cv2.MORPH_OPEN, np.ones((round(_RULE * height), 1), np.uint8))
@@ -201,15 +161,7 @@ def find_dividers(ink: NDArray[np.bool_], height: float) -> NDArray[np.bool_]:
 
 
 def find_rules(ink: NDArray[np.bool_], height: float) -> NDArray[np.bool_]:
-    """Return the ink of horizontal rules, (H, W) bool: underlines, ruled paper, frames.
-
-    Parameters
-    ----------
-    ink : ndarray, (H, W) bool
-        Ink of the page.
-    height : float, px
-        Usual height of a letter.
-    """
+    """Return the ink of horizontal rules, (H, W) bool: underlines, ruled paper, frames."""
     page = ink.view(np.uint8)
     rules = cv2.morphologyEx(page, cv2.MORPH_OPEN, np.ones((1, round(_RULE * height)), np.uint8))
     run = np.ones((1, round(_UNDERLINE * height)), np.uint8)

@@ -33,15 +33,7 @@ _ONE_SIZE = 1.5
 
 
 def with_marks(baselines: list[Baseline], spots: Spots) -> list[Baseline]:
-    """Extend lines by the marks at their ends, and join those that then meet.
-
-    Parameters
-    ----------
-    baselines : list of Baseline
-        Lines that were found by their letters.
-    spots : Spots
-        All ink of the page.
-    """
+    """Extend lines by the marks at their ends, and join those that then meet."""
     lines = sorted(_lengthened(baselines, spots), key=lambda line: line.left)
     joined: list[Baseline] = []
     for line in lines:

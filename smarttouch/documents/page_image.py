@@ -37,15 +37,7 @@ _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, 
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """A page, with its scale.
-
-    Attributes
-    ----------
-    grey : ndarray, (H, W) uint8
-        Bright is white.
-    mm_per_pixel : float, mm
-        Its scale.
-    """
+    """Page as grey levels, (H, W) uint8, bright is white, with its scale."""
 
     grey: NDArray[np.uint8]
     mm_per_pixel: float
@@ -58,24 +50,8 @@ class Page:
 
 
 def load_page(path: Path, dpi: float | None = None, page_width_mm: float | None = None) -> Page:
-    """Load an image of a page.
-
-    Any kind of image works: grey, color, palette, 16 bit, transparent (laid on
-    white). The scale is the one given, else the file's own.
-
-    Parameters
-    ----------
-    path : Path
-        The image file.
-    dpi : float, optional
-        Pixels per inch.
-    page_width_mm : float, optional, mm
-        Or the width of the whole image.
-
-    Raises
-    ------
-    PageError
-        If there is no such page, or no way to know its size.
+    """Load an image of a page: grey, color, palette, 16 bit or transparent, at the given or its own
+    scale.
     """
     check_scale_options(dpi, page_width_mm)
     with open_image(path) as image:
@@ -102,15 +78,7 @@ def check_scale_options(
 
 @contextmanager
 def open_image(path: Path, kind: str = IMAGE) -> Iterator[Image.Image]:
-    """Open an image file; any exception of Pillow, here or inside, becomes a PageError.
-
-    Parameters
-    ----------
-    path : Path
-        The image file.
-    kind : str
-        Expected kind of file, for the error message.
-    """
+    """Open an image file; any exception of Pillow, here or inside, becomes a PageError."""
     try:
         with warnings.catch_warnings():
             # Pillow warns of large images before we have looked at the size ourselves, and of
@@ -133,14 +101,9 @@ def open_image(path: Path, kind: str = IMAGE) -> Iterator[Image.Image]:
 def read_grey(
     path: Path, image: Image.Image, dpi: float | None = None, page_width_mm: float | None = None
 ) -> tuple[NDArray[np.uint8], float | None]:
-    """Return an open image in grey, and its scale in mm per pixel; None if unknown.
+    """Return an open image in grey, (H, W) uint8, and its scale in mm per pixel; None if unknown.
 
     Pixels that are not square, as in a fax, are stretched until they are.
-
-    Raises
-    ------
-    PageError
-        If it is too large, or too small to be a page.
     """
     require_pixels(str(path), *image.size)
     across, down = _stated_dpi(image)

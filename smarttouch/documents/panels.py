@@ -25,13 +25,7 @@ _BLACK = np.uint8(40)
 
 
 def turn_panels(paper: Paper) -> Paper:
-    """Return a page whose panels are dark on light, too.
-
-    Parameters
-    ----------
-    paper : Paper
-        Ink of the page.
-    """
+    """Return a page with its panels made dark on light as well."""
     spots = find_spots(paper.ink)
     height = usual_height(spots, paper.ink.shape)
     if height is None:
@@ -58,16 +52,8 @@ def turn_panels(paper: Paper) -> Paper:
 
 
 def _panel(ink: NDArray[np.bool_], area: int, height: float) -> NDArray[np.bool_] | None:
-    """Return where a panel is, without windows in it; None if a spot is none.
-
-    Parameters
-    ----------
-    ink : ndarray, (h, w) bool
-        Ink in the spot's box.
-    area : int, px
-        Of the spot.
-    height : float, px
-        Usual height of the page's letters.
+    """Return the mask of a panel without the windows in it, from the ink in a spot's box, (h, w)
+    bool; None if the spot is no panel.
     """
     outlines, nested = cv2.findContours(ink.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     outer = max(

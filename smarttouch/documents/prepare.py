@@ -16,20 +16,8 @@ LEFT_OUT = "left out: "
 
 @dataclass(frozen=True, eq=False)
 class PreparedPage:
-    """A page ready to be read.
-
-    Attributes
-    ----------
-    page : Page
-        The page, straightened.
-    cleaned : ndarray, (H, W) uint8
-        The same as dark on light, its paper exactly 255.
-    lines : tuple of TextLine
-        Its lines in reading order; empty if there is no text.
-    light_on_dark : bool
-        Whether it is printed light on dark.
-    notes : tuple of str
-        Corrections that were made, for the user.
+    """Page straightened and cleaned to dark on white, paper exactly 255, with its lines in reading
+    order.
     """
 
     page: Page
@@ -39,7 +27,7 @@ class PreparedPage:
     notes: tuple[str, ...]
 
     def strip(self, index: int, height_px: int) -> NDArray[np.uint8]:
-        """Return a line straightened, (height_px, W), ascenders to descenders filling it."""
+        """Return a line straightened, (height_px, W) uint8, ascenders to descenders filling it."""
         return cut_strip(self.cleaned, self.page.mm_per_pixel, self.lines[index], height_px)
 
 
@@ -49,18 +37,10 @@ def prepare_page(
     straightened: bool = True,
     quarter: bool = True,
 ) -> PreparedPage:
-    """Prepare a page for reading.
+    """Prepare a scan, a photograph or a picture of print for reading; find its polarity if not
+    given.
 
-    Parameters
-    ----------
-    page : Page
-        A scan, a photograph or a picture of print.
-    light_on_dark : bool, optional
-        Whether it is printed light on dark; found out if not given.
-    straightened : bool
-        Lay sheets flat and turn text level first.
-    quarter : bool
-        Also turn text that runs up or down the page.
+    ``quarter`` allows a turn by 90° where the text runs up or down the page.
     """
     notes: list[str] = []
     if straightened:

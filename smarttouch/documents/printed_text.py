@@ -23,13 +23,7 @@ _SIZE_PX = _LINE_MM * _PER_MM * 1.26
 
 
 def print_text(text: str) -> Page:
-    """Print a text as black on white at 300 dots per inch.
-
-    Raises
-    ------
-    PageError
-        If there is nothing to print, or too much.
-    """
+    """Print a text as black on white at 300 dots per inch."""
     lines = _wrapped(text)
     height_mm = 2 * _MARGIN_MM + (len(lines) - 1) * _LINE_STEP_MM + _LINE_MM
     if height_mm > LARGEST_MM:
@@ -49,13 +43,7 @@ def print_text(text: str) -> Page:
 
 
 def prepare_text(text: str) -> PreparedPage:
-    """Print a text and return it ready to be read, with its known lines.
-
-    Raises
-    ------
-    PageError
-        If there is nothing to print, or too much.
-    """
+    """Print a text and return it ready to be read, with its known lines."""
     page, font = print_text(text), ImageFont.load_default(size=_SIZE_PX)
     # Of letters that stand on the baseline or hang below it, from where the line begins.
     high, low, x_high = (font.getbbox(letters, anchor="ls") for letters in ("dlA", "gpy", "x"))

@@ -17,21 +17,12 @@ _SAME_LEVEL = 0.5
 
 
 def reading_order(left: Floats, right: Floats, y: Floats, height: Floats) -> list[int]:
-    """Return the indices of lines in reading order.
+    """Return the indices of lines in reading order, by their ends, baselines and heights, each
+    (N,).
 
-    Two rules say which of two lines comes first (after Breuel, High
-    performance document layout analysis, 2003): the upper one, where one
-    stands above the other; the left one, where they stand in columns beside
-    each other and no line between them reaches over both.
-
-    Parameters
-    ----------
-    left, right : ndarray, (N,)
-        Ends of each line.
-    y : ndarray, (N,)
-        Of its baseline.
-    height : ndarray, (N,)
-        Of its box.
+    Two rules say which of two lines comes first (after Breuel, High performance document layout
+    analysis, 2003): the upper one, where one stands above the other; the left one, where they stand
+    in columns beside each other and no line between them reaches over both.
     """
     left, right = _of_headlines(left, right, y, height)
     shared = np.minimum(right[:, None], right) - np.maximum(left[:, None], left)

@@ -55,14 +55,8 @@ def find_rows(
 ) -> list[Indices]:
     """Return the indices of the letters of each row, from left to right.
 
-    Parameters
-    ----------
-    letters : Spots
-        Candidates for letters.
-    spots : Spots
-        All ink of the page: marks between letters fill a gap.
-    dividers : ndarray, (H, W) bool, optional
-        Vertical rules and pictures, which end a row.
+    Rows end at ``dividers``, (H, W) bool: vertical rules and pictures. Marks among ``spots``, all
+    ink of the page, fill a gap between letters.
     """
     count = len(letters.area)
     if count < 2:

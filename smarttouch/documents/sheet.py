@@ -36,12 +36,8 @@ _MOST_ANGLE = 35.0
 
 
 def find_sheet(grey: Grey) -> Corners | None:
-    """Return the corners of a bright sheet on a darker background; None if there is none.
-
-    Returns
-    -------
-    ndarray, (4, 2), px
-        Top left, top right, bottom right, bottom left: x, y.
+    """Return the corners of a bright sheet on a darker background, (4, 2) px, x and y, clockwise
+    from the top left; None if there is none.
     """
     factor = _SIDE_PX / max(grey.shape)
     size = (max(8, round(grey.shape[1] * factor)), max(8, round(grey.shape[0] * factor)))

@@ -44,17 +44,9 @@ _CLEARLY = 0.6
 def straighten(page: Page, quarter: bool = True) -> tuple[Page, list[str]]:
     """Return a page with its text level, and the corrections, one sentence each.
 
-    The sheet of a photograph is laid flat; text that runs up or down is turned
-    by a quarter; what is left of skew, up to 15°, is turned level. A page with
-    nothing to mend is returned as it is. Whether it stands on its head is
-    not looked at.
-
-    Parameters
-    ----------
-    page : Page
-        A scan or a photograph.
-    quarter : bool
-        Also turn text that runs up or down; False if its direction is known.
+    The sheet of a photograph is laid flat; text that runs up or down is turned by a quarter, if
+    allowed; what is left of skew, up to 15°, is turned level. A page that needs no correction is
+    returned as it is. Whether it is upside down is not examined.
     """
     notes = []
     corners = find_sheet(page.grey)
@@ -84,18 +76,12 @@ def straighten(page: Page, quarter: bool = True) -> tuple[Page, list[str]]:
 
 
 def measure_skew(ink: NDArray[np.bool_], height: float) -> tuple[float, float]:
-    """Return the clockwise skew of text in degrees, at most 15, and its contrast.
+    """Return the clockwise skew of the ink of letters, (H, W) bool, in degrees, at most 15, and its
+    contrast.
 
-    Ink is counted in rows along many directions: along the lines of text, full
-    and empty rows differ most (projection profiles, Postl 1986). How much more
-    than along the usual direction shows whether there is text at all.
-
-    Parameters
-    ----------
-    ink : ndarray, (H, W) bool
-        Letters and nothing else.
-    height : float, px
-        Usual height of a letter.
+    Ink is counted in rows along many directions: along the lines of text, full and empty rows
+    differ most (projection profiles, Postl 1986). How much more than along the usual direction
+    shows whether there is text at all.
     """
     points = np.argwhere(ink)
     points = points[:: max(1, len(points) // _POINTS)]

@@ -21,26 +21,10 @@ _FADED = 2
 def cut_strip(
     cleaned: NDArray[np.uint8], mm_per_pixel: float, line: TextLine, height_px: int
 ) -> NDArray[np.uint8]:
-    """Cut a line out of a page, straightened along its baseline.
+    """Return a line cut out of a page and straightened along its baseline, (height_px, W) uint8.
 
-    The print, from its ascenders to its descenders, fills the strip's height.
-    What reaches into it from the lines above and below is left out.
-
-    Parameters
-    ----------
-    cleaned : ndarray, (H, W) uint8
-        The page, its paper 255.
-    mm_per_pixel : float, mm
-        Its scale.
-    line : TextLine
-        Line to cut out.
-    height_px : int
-        Rows of the strip.
-
-    Returns
-    -------
-    ndarray, (height_px, W) uint8
-        As wide as the line is long, and `SIDES` of paper at each end.
+    Its print, from ascenders to descenders, fills the height; `SIDES` of paper stay at each end.
+    What reaches in from the lines above and below is left out.
     """
     line_px = line.height_mm / mm_per_pixel
     # Made smaller, a strip is first sampled as finely as the page and then averaged.

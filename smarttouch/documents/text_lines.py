@@ -38,20 +38,7 @@ _TELLING = 10.0
 
 @dataclass(frozen=True)
 class TextLine:
-    """Line of text, mm from the page's top left corner.
-
-    Attributes
-    ----------
-    left_mm, right_mm : float, mm
-        Ends of the line.
-    baseline : tuple of float
-        Coefficients of y on the distance from ``left_mm``, lowest first; mm.
-    x_height_mm : float, mm
-        From the baseline to the top of an x.
-    ascent_mm, descent_mm : float, mm
-        Reach of its print above and below the baseline: the same for
-        all lines of one print, whichever letters they have.
-    """
+    """Line of text, mm from the page's top left corner."""
 
     left_mm: float
     right_mm: float
@@ -92,15 +79,7 @@ class TextLine:
 
 
 def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]:
-    """Return the lines of text in reading order; empty if none are found.
-
-    Parameters
-    ----------
-    page : Page
-        Page to search.
-    light_on_dark : bool, optional
-        Whether it is printed light on dark; None to find out.
-    """
+    """Return the lines of text in reading order; find the polarity of the page if it is None."""
     page, paper = ink_of_lines(page, light_on_dark)
     return lines_of(paper, page.mm_per_pixel)[0]
 

@@ -160,14 +160,8 @@ def _are_solid(letters: Spots) -> bool:
 def outside_pictures(
     lines: list[tuple[Baseline, Spots]], spots: Spots
 ) -> list[tuple[Baseline, Spots]]:
-    """Return the lines without those that have ink of no line on both sides: chance in a picture.
-
-    Parameters
-    ----------
-    lines : list of (Baseline, Spots)
-        Rows that look like text, and their letters.
-    spots : Spots
-        All ink of the page.
+    """Return the lines without those that have ink of no line on both sides: chance in a
+    picture.
     """
     x, y = (spots.left + spots.right) / 2, (spots.top + spots.bottom) / 2
     size = spots.width * spots.height
@@ -199,17 +193,11 @@ def outside_pictures(
 
 
 def credible(lines: list[tuple[Baseline, Spots]], ink: int) -> list[Baseline]:
-    """Return the lines without specks that look like one letter.
+    """Return the lines without specks that look like one letter, on a page with ``ink`` pixels of
+    ink.
 
-    One or two letters alone are believed if they are as large as a line of
-    the page, or are most of what is on it.
-
-    Parameters
-    ----------
-    lines : list of (Baseline, Spots)
-        Rows that look like text, and their letters.
-    ink : int, px
-        All ink of the page.
+    One or two letters alone are accepted if they are as large as a line of the page, or are most of
+    its ink.
     """
     sure = [
         len(row.area) >= _MANY or (len(row.area) >= _SURE and baseline.strokes > _FEWEST_STROKES)

@@ -19,17 +19,7 @@ _BESIDE = 1.5
 
 
 def part_lines(ink: NDArray[np.bool_], spots: Spots, height: float) -> NDArray[np.bool_]:
-    """Return the ink, cut where letters of one line touch those of the next.
-
-    Parameters
-    ----------
-    ink : ndarray, (H, W) bool
-        Ink of the page.
-    spots : Spots
-        Its spots.
-    height : float, px
-        Usual height of a letter.
-    """
+    """Return the ink, (H, W) bool, cut where letters of one line touch those of the next."""
     tall = (spots.height > _TWO_LINES * height) & (spots.height < _MOST_LINES * height)
     words = tall & (spots.width > spots.height)
     letters = tall & ~words & (spots.height < _TWO_LETTERS * height)

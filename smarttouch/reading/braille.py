@@ -39,19 +39,9 @@ class Presentation(StrEnum):
 
 @dataclass(frozen=True)
 class Braille:
-    """Braille presentation: cells under the finger.
+    """Braille presentation: cells under the finger, by a table of `open_table`.
 
-    Attributes
-    ----------
-    table : str
-        As `open_table` knows it.
-    presentation : Presentation
-    at_once : int
-        Lines of Braille under the finger at once.
-    embossed : bool, optional
-        Whether images show raised dots; found out if not given.
-    light_from_deg : float, °, optional
-        Direction of the light on raised dots; detected if not given.
+    Whether images show raised dots, and where their light comes from, is detected if not given.
     """
 
     table: str = DEFAULT_TABLE
@@ -77,24 +67,12 @@ class Braille:
         return Motion(speed_mm_s * layout.width_mm / layout.cell_mm, layout.width_mm, gaps=True)
 
     def layout(self, profile: Profile, cells: tuple[str, ...] = ()) -> CellLayout:
-        """Return the places of the dots of lines of cells on an array.
-
-        Raises
-        ------
-        ReadingError
-            If the array has no room for them.
-        """
+        """Return the places of the dots of lines of cells on an array."""
         eight = any(pattern(each) >= SIX_DOT_PATTERNS for line in cells for each in line)
         return cell_layout(profile, self.at_once, eight)
 
     def lines(self, source: Source, profile: Profile) -> Iterator[TouchLine]:
-        """Yield lines of cells.
-
-        Raises
-        ------
-        SmartTouchError
-            If there is nothing that could be read.
-        """
+        """Yield lines of cells."""
         self.layout(profile)
         group: list[Cells] = []
         for each in self._cells_of(source):
@@ -143,13 +121,8 @@ class Braille:
                 yield cells, text, _place_on_paper(index, cells)
 
     def paragraphs(self, source: Source) -> list[str]:
-        """Return a document as cells: one line for each paragraph of print or line of embossed
+        """Return a document as cells: a line for each paragraph of print or line of embossed
         Braille.
-
-        Raises
-        ------
-        SmartTouchError
-            If there is nothing that could be read.
         """
         table = open_table(self.table)
         empty, paragraphs = EmptyPages(source.note), []

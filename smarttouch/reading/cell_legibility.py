@@ -20,19 +20,7 @@ def silent(_done: int, _total: int) -> None:
 
 @dataclass(frozen=True)
 class BrailleLegibility:
-    """Legibility of Braille.
-
-    Attributes
-    ----------
-    cell_error_rate : float
-        Part of the cells that were not delivered as they should.
-    cells, lines : int
-        Number of cells, and of lines.
-    wanted, delivered : str
-        Cells, a line each.
-    text : str or None
-        The delivered cells as text; None if the table cannot go back.
-    """
+    """Legibility of Braille: wanted and delivered cells, a line each, and the part that differs."""
 
     cell_error_rate: float
     cells: int
@@ -45,22 +33,7 @@ class BrailleLegibility:
 def legibility_of_braille(
     source: Source, reading: Reading, braille: Braille, progress: Progress = silent
 ) -> BrailleLegibility:
-    """Deliver cells, and decode the delivered dots.
-
-    Parameters
-    ----------
-    source : Source
-        Anything that can be read as Braille.
-    reading : Reading
-        Presentation under the finger.
-    braille : Braille
-    progress : callable
-
-    Raises
-    ------
-    SmartTouchError
-        If there is nothing to read, or a run would end.
-    """
+    """Deliver cells, and decode the delivered dots."""
     profile = reading.profile
     lines = list(braille.lines(source, profile))
     pictures = [

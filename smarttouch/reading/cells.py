@@ -22,25 +22,7 @@ TONE = Tone(0.5, 0.5, prepared=True)
 
 @dataclass(frozen=True)
 class CellLayout:
-    """Places of the dots of cells on a grid of electrodes, in electrodes.
-
-    Attributes
-    ----------
-    rows, columns : int
-        Of the array.
-    dot_x, dot_y : int
-        From dot to dot.
-    cell, line : int
-        From cell to cell, and from line to line.
-    lines : int
-        Lines of Braille under the finger at once.
-    eight : bool
-        Whether cells have eight dots.
-    pitch_mm : tuple of float, mm
-        Of the electrodes, across and down.
-    pixel_mm : float, mm
-        Of the images that are drawn.
-    """
+    """Places of the dots of cells on a grid of electrodes; distances are counted in electrodes."""
 
     rows: int
     columns: int
@@ -101,16 +83,8 @@ class CellLayout:
         return TouchLine(image, first_mm, end_mm, text, lines)
 
     def decode(self, picture: LinePicture, lines: tuple[str, ...], apart: bool) -> tuple[str, ...]:
-        """Return the delivered cells.
-
-        Parameters
-        ----------
-        picture : LinePicture
-            Delivered activation of the electrodes.
-        lines : tuple of str
-            Lines of cells as long as those that were read.
-        apart : bool
-            Whether they came one by one.
+        """Return the delivered cells, as many as there are in ``lines``; ``apart`` if they came one
+        by one.
         """
         found = []
         count = 8 if self.eight else 6
@@ -138,13 +112,7 @@ class CellLayout:
 
 
 def cell_layout(profile: Profile, lines: int = 1, eight: bool = False) -> CellLayout:
-    """Return the layout of Braille on an array, at the distances of Braille on paper.
-
-    Raises
-    ------
-    ReadingError
-        If the array is no grid, or has no room for it.
-    """
+    """Return the layout of Braille on an array, at the distances of Braille on paper."""
     electrodes = profile.electrodes
     rows, columns = _grid_of(electrodes, profile.name)
     pitch_x, pitch_y = electrodes.cell_mm

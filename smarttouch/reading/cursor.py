@@ -24,22 +24,7 @@ cells that are the same would be felt as one."""
 
 @dataclass(frozen=True)
 class Spot:
-    """Position of the finger.
-
-    Attributes
-    ----------
-    index : int
-        Of the line.
-    line : TouchLine or None
-        None where there is nothing under the finger.
-    x_mm, y_mm : float, mm
-        Middle of the array, from the left end and the middle of the line.
-    force_n : float, N
-        Force of the finger; NaN if it has another source.
-    marked : bool
-        Whether a point in the middle of the array marks the line's start: intensity rises with
-        delivered pulses alone, and with these before those of the text.
-    """
+    """Position of the finger on a line."""
 
     index: int
     line: TouchLine | None
@@ -51,16 +36,8 @@ class Spot:
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of lines under the finger.
-
-    Attributes
-    ----------
-    speed_mm_s : float, mm/s
-        Of the text.
-    step_mm : float, mm
-        Step of the motion; smooth if 0.
-    gaps : bool
-        Whether each step begins with a short silence.
+    """Motion of lines under the finger: smooth if the step is 0; ``gaps`` silence each step's
+    start.
     """
 
     speed_mm_s: float
@@ -86,20 +63,9 @@ class Cursor(Protocol):
 
 
 class SweepingCursor:
-    """Cursor that sweeps line after line, with a pause between.
+    """Cursor that sweeps line after line, pressing with ``press_n``, with a pause after each.
 
-    Parameters
-    ----------
-    feed : LineFeed
-        Lines to read.
-    motion : Motion
-        Motion of the lines.
-    press_n : float, N
-        Force of the finger on a line.
-    pause_s : float, s
-        After each line.
-    waits : bool
-        Whether the next line comes only when a key asks for it.
+    If it ``waits``, the next line comes only when a key asks for it.
     """
 
     knows_force = True
@@ -181,15 +147,7 @@ class SweepingCursor:
 
 
 class FollowingCursor:
-    """Cursor at a live source's position on the page.
-
-    Parameters
-    ----------
-    feed : LineFeed
-        What is read; its lines know their places.
-    source : Source
-        An open one: its pose counts, from the beginning of the first line.
-    """
+    """Cursor at the pose of a live source, counted from the beginning of the first line."""
 
     def __init__(self, feed: LineFeed, source: Source) -> None:
         self._feed, self._source = feed, source

@@ -30,22 +30,7 @@ from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
 
 @dataclass(frozen=True)
 class Reading:
-    """Presentation of lines under the finger.
-
-    Attributes
-    ----------
-    profile : Profile
-        As `profile_for_reading` returns it.
-    bank : KernelBank
-    tone : Tone
-        Tone curve from ink to activation.
-    motion : Motion
-    mode : Mode
-    sharing : SlotPolicy
-        Classes whose points share slots.
-    intensity : float, in [0, 1]
-        Of the strongest comfortable current.
-    """
+    """Presentation of lines under the finger, for a profile of `profile_for_reading`."""
 
     profile: Profile
     bank: KernelBank
@@ -58,20 +43,7 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class DeliveredLine:
-    """A line as the skin got it.
-
-    Attributes
-    ----------
-    picture : LinePicture
-        Answers under the electrodes, where they were.
-    length_mm : float, mm
-    poses : dict of int to Pose
-        Places of the sequences, by number.
-    answers : dict of int to ndarray, (E,) in [0, 1]
-        Answers under the electrodes, by number of the sequence.
-    numbers, width_us, current_ua : ndarray, (N,), (N,), (N, E)
-        Slots that were delivered: their sequence, their width and their currents in µA.
-    """
+    """A line as it was delivered to the skin, sequence by sequence."""
 
     picture: LinePicture
     length_mm: float
@@ -90,13 +62,8 @@ def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
 def deliver_pulses(line: TouchLine, reading: Reading) -> DeliveredLine:
     """Read a line with a virtual finger on a simulated board.
 
-    Frames, kernels, pressure gate, soft start, the proof of safety, the bytes
-    and the board's own check are those of a live run; only the clock is not.
-
-    Raises
-    ------
-    SmartTouchError
-        Any error that ends such a run.
+    Frames, kernels, pressure gate, soft start, the proof of safety, the bytes and the board's own
+    check are those of a live run; only the clock is not.
     """
     profile = reading.profile
     feed = LineFeed(iter([line])).start()

@@ -18,10 +18,7 @@ JOIN_S = 0.3
 class LineFeed:
     """Takes lines from an iterator on a thread of its own, and keeps those around the finger.
 
-    Parameters
-    ----------
-    lines : iterator of TouchLine
-        Its exceptions are raised by `line` when that place is reached.
+    An exception of the iterator is raised by `line` when that place is reached.
     """
 
     def __init__(self, lines: Iterator[TouchLine]) -> None:
@@ -42,13 +39,7 @@ class LineFeed:
         return self
 
     def line(self, index: int) -> TouchLine | None:
-        """Return a line; None if it is not ready, dropped, or there is none (see `ended`).
-
-        Raises
-        ------
-        Exception
-            Fault before that line.
-        """
+        """Return a line; None if it is not ready, dropped, or there is none (see `ended`)."""
         with self._changed:
             if index >= self._count and self._error is not None:
                 raise self._error

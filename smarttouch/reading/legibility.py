@@ -29,23 +29,12 @@ _GAP = 0.45
 
 @dataclass(frozen=True)
 class Legibility:
-    """Legibility of letter shapes.
+    """Legibility of letter shapes: error rates of what Tesseract read, and its texts.
 
-    Attributes
-    ----------
-    character_error_rate, word_error_rate : float
-        Of the text that Tesseract read from the delivered pulses.
-    sampling_limit : float
-        Of the text that it read from the ideal of that array: the ink in the
-        cell of each electrode, at the same pitch and sweep.
-    page_error_rate : float or None
-        Of the text that it read from the page itself; None where that text
-        is what the others are compared with.
-    text, limit_text, page_text, truth : str
-        Text recognized from each, and the true text.
-    lines : int
-    delivered : sequence of (sequence of DeliveredLine, str)
-        Lines of each page as they were delivered, and the languages they are in.
+    ``sampling_limit`` is the character error rate for the ideal of the array: the ink in the cell
+    of each electrode, at the same pitch and sweep; ``page_error_rate`` that for the page itself,
+    None where the others are compared with its text. ``delivered`` has the lines and languages of
+    each page.
     """
 
     character_error_rate: float
@@ -67,23 +56,8 @@ def legibility_of_shapes(
     truth: str | None = None,
     progress: Progress = silent,
 ) -> Legibility:
-    """Deliver letter shapes, and recognize the delivered pictures.
-
-    Parameters
-    ----------
-    source : Source
-        Pages with text.
-    reading : Reading
-        Presentation under the finger.
-    shapes : Shapes
-    truth : str, optional
-        True text; Tesseract's result on the page if not given.
-    progress : callable
-
-    Raises
-    ------
-    SmartTouchError
-        If there is no text, Tesseract is missing, or a run would end.
+    """Deliver letter shapes, and compare the text recognized in the delivered pictures with the
+    truth, or with Tesseract's text of the page itself.
     """
     options, profile = source.options, reading.profile
     step_mm = reading.motion.speed_mm_s / profile.pulse.rate_hz
@@ -126,24 +100,9 @@ def legibility_at_nerve(
     anatomy: str | Anatomy,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Let simulated fingers feel delivered letter shapes, and recognize what each felt.
-
-    Parameters
-    ----------
-    found : Legibility
-        Of letter shapes.
-    reading : Reading
-    fingers : int
-        Number of them, by seeds from 1 on.
-    anatomy : str or Anatomy
-        Of them: a name, a file, or the anatomy itself.
-    progress : callable
-
-    Returns
-    -------
-    dict
-        ``at_board``, the error rate at the electrodes; ``at_nerve`` with ``median`` and
-        ``worst_tenth``; ``wrong_class``, ``misplaced`` and ``silent_points``.
+    """Return error rates at the board and at the nerve of simulated fingers, by seeds from 1 on:
+    ``at_board``, ``at_nerve`` with ``median`` and ``worst_tenth``, ``wrong_class``, ``misplaced``
+    and ``silent_points``.
     """
     work = Parallel(n_jobs=-1 if fingers > 1 else 1, return_as="generator", max_nbytes=None)
     seeds = range(1, fingers + 1)
@@ -155,21 +114,8 @@ def legibility_at_nerve(
 def legibility_on_finger(
     found: Legibility, reading: Reading, seed: int, anatomy: str | Anatomy
 ) -> tuple[NerveReading, float]:
-    """Let one finger feel delivered letter shapes; return what it felt, and the error rate.
-
-    Parameters
-    ----------
-    found, reading, anatomy
-        See `legibility_at_nerve`.
-    seed : int
-        Of the finger.
-
-    Returns
-    -------
-    NerveReading
-        Without its pictures.
-    float
-        Error rate of characters.
+    """Return the response of the finger of a seed to delivered letter shapes, without its pictures,
+    and the character error rate.
     """
     lines = [line for page, _ in found.delivered for line in page]
     felt = read_at_nerve(lines, Finger(reading.profile, seed, anatomy), reading.mode.afferents)
@@ -198,16 +144,8 @@ def _read(pictures: Sequence[LinePicture], languages: str) -> str:
 
 @dataclass(frozen=True)
 class Measured:
-    """Legibility of a text in either presentation.
-
-    Attributes
-    ----------
-    figures : dict
-        All of it, for a JSON file.
-    rows : list of (str, str)
-        The most important figures, by name.
-    text : str
-        What was read from the delivered pulses.
+    """Legibility of a text in either presentation: all figures for a JSON file, the most important
+    ones by name, and the text read from the delivered pulses.
     """
 
     figures: dict[str, Any]
@@ -224,24 +162,10 @@ def measure_legibility(
     fingers: int = 0,
     anatomy: str = "branched",
 ) -> Measured:
-    """Let a text be felt as letter shapes or Braille, and read what was felt.
+    """Deliver a text as letter shapes or Braille, and read it back; shapes at the nerve of fingers,
+    too.
 
-    Parameters
-    ----------
-    source, reading, progress
-        See `legibility_of_shapes`.
-    presented : Shapes or Braille
-    truth : Path, optional
-        File of what the text says, for shapes.
-    fingers : int
-        Number of simulated fingers that feel letter shapes, too.
-    anatomy : str
-        Of these fingers.
-
-    Raises
-    ------
-    SmartTouchError
-        See `legibility_of_shapes` and `legibility_of_braille`.
+    ``truth`` is a file of the true text of shapes.
     """
     speed = {"speed_mm_s": reading.motion.speed_mm_s}
     if isinstance(presented, Braille):

@@ -17,21 +17,10 @@ LINE_GAP_MM = 4.0
 
 
 class ReadingSource(OpticalSource):
-    """Frames of lines that pass under the finger.
+    """Frames of lines that pass under the finger, for a profile of `profile_for_reading`.
 
-    The pose of a frame is on a sheet on which all lines lie below each other,
-    at the scale of the array.
-
-    Parameters
-    ----------
-    title : str
-        Title of the text.
-    profile : Profile
-        As `profile_for_reading` returns it.
-    feed : LineFeed
-        Started.
-    cursor : Cursor
-        Moves over it.
+    The pose of a frame is on a sheet on which all lines lie below each other, at the scale of the
+    array.
     """
 
     ended = "end of the text"

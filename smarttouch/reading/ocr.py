@@ -48,20 +48,7 @@ _USUAL_TIMEOUT_S = 120.0
 
 @dataclass(frozen=True)
 class RecognizedLine:
-    """Recognized line of text.
-
-    Attributes
-    ----------
-    text : str
-        Empty if there was none.
-    box_px : tuple of int
-        Left, top, width and height of its words, in pixels of the image; all of
-        the image if there are none.
-    confidence : float, in [0, 1]
-        Mean over its words, weighted by their lengths; 0 without any.
-    paragraph : int
-        Index of its paragraph in the image, from 0.
-    """
+    """Recognized line of text; all of the image, without confidence, if it has no words."""
 
     text: str
     box_px: tuple[int, int, int, int]
@@ -71,13 +58,7 @@ class RecognizedLine:
 
 @dataclass(frozen=True)
 class Recognized:
-    """Recognized text of an image.
-
-    Attributes
-    ----------
-    lines : tuple of RecognizedLine
-        In reading order.
-    """
+    """Recognized text of an image, its lines in reading order."""
 
     lines: tuple[RecognizedLine, ...]
 
@@ -101,28 +82,11 @@ def recognize(
     dpi: float | None = None,
     timeout_s: float = _USUAL_TIMEOUT_S,
 ) -> Recognized:
-    """Recognize the text of an image.
+    """Recognize the text of an image, (H, W) uint8, dark on bright; ``languages`` as in
+    ``eng+deu``.
 
-    Tesseract does not mend an image: paper should be white and evenly lit, and
-    an x about 20 pixels high. Below 10, enlarge it first, unless it is blurred.
-
-    Parameters
-    ----------
-    image : ndarray, (H, W) uint8
-        Dark text on bright paper. A blank one has no lines.
-    languages : str
-        Codes of what it is written in, the most likely first, joined by plus signs.
-    layout : Layout
-        Layout of the image.
-    dpi : float, optional
-        Pixels per inch; estimated from the text if not given.
-    timeout_s : float, s
-        When to give up.
-
-    Raises
-    ------
-    ReadingError
-        If Tesseract or its data are missing, it fails or takes too long.
+    Tesseract does not correct an image: paper should be white and evenly lit, and an x about 20
+    pixels high. Below 10, enlarge it first, unless it is blurred.
     """
     words = read_words([image], languages, layout, timeout_s, dpi)
     lines: list[RecognizedLine] = []
@@ -138,27 +102,10 @@ def recognize_lines(
     strips: Sequence[NDArray[np.uint8]],
     languages: str = "eng",
 ) -> list[RecognizedLine]:
-    """Recognize strips with one straight line of text each, in one call.
+    """Recognize strips, (h, W_i) uint8, of one straight line of text each, by one call of
+    Tesseract.
 
-    The program starts only once for all of them, and sees each by itself.
-
-    Parameters
-    ----------
-    strips : sequence of ndarray, (h, W_i) uint8
-        Dark text on white paper, from ascenders to descenders; 24 pixels of
-        height are enough.
-    languages : str
-        Codes of what they are written in, joined by plus signs.
-
-    Returns
-    -------
-    list of RecognizedLine
-        One for each strip, in pixels of it; without text where none was seen.
-
-    Raises
-    ------
-    ReadingError
-        If Tesseract or its data are missing, it fails or takes too long.
+    Strips are dark on white, from ascenders to descenders; a height of 24 pixels is enough.
     """
     margins = [math.ceil(STRIP_MARGIN * len(strip)) for strip in strips]
     framed = [
@@ -177,30 +124,12 @@ def recognize_lines(
 def upright(
     image: NDArray[np.uint8], languages: str = "eng", timeout_s: float = _USUAL_TIMEOUT_S
 ) -> int:
-    """Return the clockwise rotation by which a page becomes upright, in degrees.
+    """Return the clockwise rotation by which a page, dark on bright, becomes upright, in degrees; 0
+    if unsure.
 
-    Tesseract's own judgment counts where it is sure. Where it is not, mostly on
-    pages of a few words, the page is read all four ways: the most legible is
-    right if it is legible indeed, and clearly more so than the page as it is.
-
-    Parameters
-    ----------
-    image : ndarray, (H, W) uint8
-        Dark text on bright paper.
-    languages : str
-        Codes of what it is written in, joined by plus signs.
-    timeout_s : float, s
-        When to give up, for each of the two ways to tell.
-
-    Returns
-    -------
-    int
-        0, 90, 180 or 270; 0 if unsure.
-
-    Raises
-    ------
-    ReadingError
-        If Tesseract or its data are missing, or it fails.
+    Tesseract's own judgment counts where it is sure. Where it is not, mostly on pages of a few
+    words, the page is read all four ways: the most legible one is right if it is legible enough,
+    and clearly more so than the page as it is.
     """
     probe = _busiest(image)
     try:

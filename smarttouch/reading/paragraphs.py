@@ -27,20 +27,12 @@ _HEAD_WORDS = 9
 def paragraphs(
     lines: Sequence[TextLine], texts: Sequence[str], keep_headers: bool = False
 ) -> list[str]:
-    """Return the paragraphs and headings of a page.
+    """Return the paragraphs and headings of a page from its lines, in reading order, and their
+    texts.
 
-    A paragraph begins after a gap, with an indented or centered line, and with
-    print of another size; a column goes on in the next. Words that lines divide
-    are joined; a hyphen stays where the page has the word with it.
-
-    Parameters
-    ----------
-    lines : sequence of TextLine
-        Lines of the page in reading order.
-    texts : sequence of str
-        Text of each.
-    keep_headers : bool
-        Keep running heads and the numbers of pages.
+    A paragraph begins after a gap, with an indented or centered line, and with print of another
+    size; a column continues in the next. Words that lines divide are joined; a hyphen stays where
+    the page has the word with it.
     """
     step_mm = _usual_step_mm(lines)
     kept = list(range(len(texts)))

@@ -66,13 +66,7 @@ class Shapes:
         return Motion(usual_speed(profile, rate_hz) if speed_mm_s is None else speed_mm_s)
 
     def lines(self, source: Source, profile: Profile) -> Iterator[TouchLine]:
-        """Yield lines of letter shapes.
-
-        Raises
-        ------
-        SmartTouchError
-            If there is nothing that could be read.
-        """
+        """Yield lines of letter shapes."""
         require_rows(profile, source.note)
         if source.holds_cells:
             raise ReadingError(
@@ -88,18 +82,7 @@ class Shapes:
 
 
 def shape_line(prepared: PreparedPage, index: int, profile: Profile, style: Style) -> TouchLine:
-    """Return a line of print, magnified so that ascender to descender fills the array.
-
-    Parameters
-    ----------
-    prepared : PreparedPage
-        The page.
-    index : int
-        Index of the line.
-    profile : Profile
-        As `profile_for_reading` returns it.
-    style : Style
-    """
+    """Return a line of print, magnified so that ascender to descender fills the array."""
     line = prepared.lines[index]
     rows = profile.optics.sensor_rows
     strip = prepared.strip(index, rows)

@@ -44,21 +44,7 @@ class TooSlowError(ReadingError):
 
 @dataclass(frozen=True)
 class Word:
-    """A word, with its image and its place in it.
-
-    Attributes
-    ----------
-    text : str
-        Never empty.
-    image : int
-        Index of its image.
-    line : tuple of int
-        Block, paragraph of the block and line of the paragraph.
-    box_px : tuple of int
-        Left, top, width and height.
-    confidence : float, in [0, 1]
-        Tesseract's.
-    """
+    """A word, with its image and its place in it."""
 
     text: str
     image: int
@@ -68,13 +54,7 @@ class Word:
 
 
 def find_tesseract() -> Path:
-    """Return the path of the program.
-
-    Raises
-    ------
-    ReadingError
-        If it is not installed.
-    """
+    """Return the path of the program."""
     found = shutil.which("tesseract")
     if found is None:
         raise ReadingError(
@@ -87,13 +67,7 @@ def find_tesseract() -> Path:
 
 
 def languages() -> list[str]:
-    """Return the codes of the installed languages.
-
-    Raises
-    ------
-    ReadingError
-        If Tesseract is not installed, or fails.
-    """
+    """Return the codes of the installed languages."""
     done = _run(["--list-langs"], b"", 30)
     _require_success(done)
     # Its first line is a title, and osd is for orientations.
@@ -107,25 +81,9 @@ def read_words(
     timeout_s: float,
     dpi: float | None = None,
 ) -> list[Word]:
-    """Return the words of images, in reading order, by one call of the program.
+    """Return the words of images, (H_i, W_i) uint8, dark on bright, in reading order, by one call.
 
-    Parameters
-    ----------
-    images : sequence of ndarray, (H_i, W_i) uint8
-        Dark text on bright paper; blank and empty ones have no words.
-    languages : str
-        Codes joined by plus signs.
-    layout : Layout
-        Layout of each of them.
-    timeout_s : float, s
-        When to give up.
-    dpi : float, optional
-        Pixels per inch; estimated if not given.
-
-    Raises
-    ------
-    ReadingError
-        If Tesseract or its data are missing, it fails or takes too long.
+    Blank and empty images have no words; ``languages`` are codes joined by plus signs.
     """
     if not re.fullmatch(r"\w+(\+\w+)*", languages, re.ASCII):
         raise ReadingError(
@@ -168,13 +126,8 @@ def read_words(
 def read_orientation(image: NDArray[np.uint8], timeout_s: float) -> int | None:
     """Return the clockwise rotation of an image in degrees; None if Tesseract is not sure.
 
-    It is never sure of fewer than 50 letters, nor where its data for
-    orientations (osd) are missing.
-
-    Raises
-    ------
-    ReadingError
-        If Tesseract is missing or takes too long.
+    It is never sure of fewer than 50 letters, nor where its data for orientations (osd) are
+    missing.
     """
     find_tesseract()
     if _is_blank(image):

@@ -8,14 +8,8 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Place:
-    """Place of a line on its page, for a finger that moves over the page itself.
-
-    Attributes
-    ----------
-    left_mm, right_mm, middle_mm : float, mm
-        Its ends and its middle, from the page's top left corner.
-    scale : float
-        Millimeters under the array for one on the page.
+    """Place of a line on its page, from the top left corner, for a finger that moves over the
+    page.
     """
 
     left_mm: float
@@ -26,20 +20,8 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class TouchLine:
-    """A line of letter shapes or Braille cells, at the size of the array.
-
-    Attributes
-    ----------
-    image : ndarray, (H, W) uint8
-        Ink dark on 255; as high as the array.
-    start_mm, end_mm : float, mm
-        First and last place of the array's middle, from the image's left edge.
-    text : str
-        Text of the line, if known.
-    cells : tuple of str
-        Braille cells, a string for each line of them; empty for letter shapes.
-    place : Place, optional
-        Place on its page.
+    """A line of letter shapes or Braille cells, at the size of the array; text and cells if
+    known.
     """
 
     image: NDArray[np.uint8]

@@ -40,23 +40,8 @@ def open_camera(
 ) -> LiveSource:
     """Open ``camera:N``, or a camera by its device, as in ``camera:/dev/video2``.
 
-    Parameters
-    ----------
-    rest : str
-        Part of the URL after the colon.
-    profile : Profile
-        Optics.
-    size : tuple of int, pixels, optional
-        Width and height; the camera's usual ones if not given.
-    exposure : float, optional
-        In the camera's own units, 100 µs with most on Linux; automatic if not given.
-    fps : float, Hz, optional
-        Images a second; the camera's usual rate if not given.
-
-    Raises
-    ------
-    SourceError
-        If there is no such camera, or an option is invalid.
+    ``exposure`` is in the camera's own units, 100 µs with most on Linux, ``size`` in pixels; the
+    camera's own settings are used for what is not given.
     """
     return LiveSource(CameraDevice(rest, size, exposure, fps), profile)
 
@@ -102,15 +87,7 @@ def _format(capture: cv2.VideoCapture) -> tuple[int, int, float]:
 
 
 class CameraDevice(ImageDevice):
-    """Images of one camera, in grey.
-
-    Parameters
-    ----------
-    rest : str
-        Its number, or its device.
-    size, exposure, fps
-        See `open_camera`. What the camera does not take becomes a note.
-    """
+    """Images of one camera, in grey; settings that the camera does not accept become a note."""
 
     def __init__(
         self,
@@ -250,13 +227,7 @@ class CameraDevice(ImageDevice):
 
 
 def to_grey(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return an image of OpenCV in grey, (H, W); deep ones by their upper eight bits.
-
-    Raises
-    ------
-    SourceError
-        If it is no image.
-    """
+    """Return an image of OpenCV in grey, (H, W) uint8; 16-bit images by their upper eight bits."""
     if image.dtype == np.uint16:
         image = (image >> 8).astype(np.uint8)
     channels = 1 if image.ndim == 2 else image.shape[-1]

@@ -26,20 +26,10 @@ MOST_BROKEN = 0.02
 
 
 class FlatField:
-    """Dark level and gain of every pixel.
+    """Dark level and gain of every pixel, (H, W) float32; the gain is 0 where the pixel is dead or
+    hot.
 
-    Parameters
-    ----------
-    dark : ndarray, (H, W) float32
-        Grey level without light.
-    gain : ndarray, (H, W) float32
-        By which what is above the dark level is multiplied; 0 where the pixel
-        is dead or hot: it then shows what the nearest good one does.
-
-    Raises
-    ------
-    SourceError
-        If the two do not go together, or are no numbers.
+    Such a pixel then shows the value of the nearest good one.
     """
 
     def __init__(self, dark: NDArray[np.float32], gain: NDArray[np.float32]) -> None:
@@ -82,13 +72,7 @@ class FlatField:
         return np.flatnonzero(broken), (rows * self.gain.shape[1] + columns)[broken]
 
     def correct(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return a corrected image, with the same response of every pixel.
-
-        Raises
-        ------
-        SourceError
-            If the image has another shape than what was calibrated.
-        """
+        """Return a corrected image, with the same response of every pixel."""
         if image.shape != self.gain.shape:
             (rows, columns), (height, width) = image.shape[:2], self.gain.shape
             raise _no_field(
@@ -115,11 +99,6 @@ class FlatField:
         """Return the flat field by images in the dark and of blank white paper.
 
         White stays as bright as it was on most pixels.
-
-        Raises
-        ------
-        CalibrationError
-            If the two hardly differ, white is saturated, or too many pixels are broken.
         """
         dark, white = mean_image(dark_images), mean_image(white_images)
         if dark.shape != white.shape:
@@ -174,24 +153,12 @@ class FlatField:
         return file.getvalue()
 
     def save(self, path: str | Path) -> None:
-        """Write the flat field to an ``.npz`` file.
-
-        Raises
-        ------
-        SourceError
-            If that cannot be.
-        """
+        """Write the flat field to an ``.npz`` file."""
         write_bytes(Path(path), self.to_bytes(), SourceError)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Return the flat field of a file.
-
-        Raises
-        ------
-        SourceError
-            If there is none, or it is not one.
-        """
+        """Return the flat field of a file."""
         if not Path(path).exists():
             message = (
                 f"no flat field {path}: put it beside the profile, or remove optics.flat_field"
@@ -219,13 +186,7 @@ def _no_field(problem: str, value: object, message: str, allowed: object = None)
 
 
 def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
-    """Return the mean of images of one shape.
-
-    Raises
-    ------
-    CalibrationError
-        If there are none, or they differ in shape.
-    """
+    """Return the mean of images of one shape."""
     if not len(images):
         raise CalibrationError(
             "no frames came: check the source", about="frames", problem="missing"

@@ -59,13 +59,7 @@ class _Trial(NamedTuple):
 
 
 class Matcher:
-    """Finds shift and turn between an image and the one before, in pixels of the working image.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns of the images.
-    """
+    """Finds shift and turn between an image and the one before, in pixels of the working image."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         small = max(shape) * FINER <= MOST_PIXELS

@@ -13,18 +13,7 @@ from smarttouch.sources.motion import MotionTracker
 
 
 class FramePreprocessor:
-    """Corrects images by the flat field, and sums the motion between them to a pose.
-
-    Parameters
-    ----------
-    profile : Profile
-        Its optics.
-
-    Raises
-    ------
-    SourceError, CalibrationError
-        If the profile's flat field cannot be read.
-    """
+    """Corrects images by the profile's flat field, and sums the motion between them to a pose."""
 
     def __init__(self, profile: Profile) -> None:
         self._correct: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] | None = None

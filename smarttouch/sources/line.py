@@ -9,20 +9,7 @@ _LARGEST_READ = 65536
 
 
 def read_what_came(port: Port, title: str) -> bytes:
-    """Return the bytes that have arrived; wait for the first up to the port's timeout.
-
-    Parameters
-    ----------
-    port : Port
-        Open.
-    title : str
-        Of what is at its other end, for the message.
-
-    Raises
-    ------
-    SourceLostError
-        If the port is gone.
-    """
+    """Return the bytes that have arrived; wait for the first up to the port's timeout."""
     try:
         # One byte more than has come would cost the whole timeout.
         data = bytes(port.read(port.in_waiting or 1))

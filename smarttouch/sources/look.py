@@ -17,17 +17,8 @@ ASKED_HZ = 100.0
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """Account of what a source gave.
-
-    Attributes
-    ----------
-    force_n : ndarray, (N,) float64, N
-        At each time it was read; NaN where it is not known.
-    last : Frame, Stimulus or None
-        The newest frame.
-    age_ms : ndarray, (N,) float64, ms
-        Age of each frame.
-    lasted_s : float
+    """Frames and force that a source gave in a time: force at each read, NaN where unknown, and
+    ages, (N,).
     """
 
     force_n: NDArray[np.float64]

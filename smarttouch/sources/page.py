@@ -62,13 +62,7 @@ def open_page(
 
 
 def _magnification(text: str, page: Page, profile: Profile, light_on_dark: bool) -> float:
-    """Return a factor as given, or the one by which the usual lines of a page fill the array.
-
-    Raises
-    ------
-    PageError
-        If it is neither a number in its range nor ``auto``.
-    """
+    """Return a factor as given, or the one by which the usual lines of a page fill the array."""
     if text != "auto":
         try:
             factor = float(text)
@@ -123,27 +117,11 @@ def open_text(
 
 
 class PageSource(OpticalSource):
-    """Frames of a finger that moves over a page.
+    """Frames of a finger that moves over a page line by line, or along the recorded path of a CSV
+    file.
 
-    Parameters
-    ----------
-    page : Page
-        Page under the finger.
-    profile : Profile
-        Optics and force.
-    title : str
-        Title on the screen.
-    seed : int
-        Of noise and force; the same seed gives the same frames, in whatever
-        order they are read.
-    speed_mm_s : float, mm/s
-        Along a line.
-    path : Path, optional
-        CSV of a recorded path, instead of reading line by line.
-    light_on_dark : bool
-        For light print on dark paper.
-    notice : str
-        Sentence told to the user at the start.
+    The seed is that of noise and force: the same one gives the same frames, in whatever order they
+    are read.
     """
 
     ended = "end of the page"

@@ -47,18 +47,7 @@ class Path2D(Protocol):
 class ReadingPath:
     """Path along the lines of a page, one after another; in strips if it has no lines.
 
-    Parameters
-    ----------
-    page : Page
-        Page to read.
-    profile : Profile
-        Field of view and force.
-    speed_mm_s : float, mm/s
-        Speed along a line.
-    seed : int
-        Of the force's slow variation.
-    light_on_dark : bool
-        For light print on dark paper.
+    The seed is that of the slow variation of the force.
     """
 
     def __init__(
@@ -105,13 +94,7 @@ class ReadingPath:
 
 
 class RecordedPath:
-    """A path from a CSV file with the columns time_s, x_mm, y_mm, angle_deg, force_n.
-
-    Raises
-    ------
-    SourceError
-        If the file is missing or wrong, with the line number.
-    """
+    """A path from a CSV file with the columns time_s, x_mm, y_mm, angle_deg, force_n."""
 
     def __init__(self, path: Path) -> None:
         self._table = read_csv(path, SourceError).numbers(_COLUMNS).T.copy()

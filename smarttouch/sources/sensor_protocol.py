@@ -67,17 +67,7 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class ArrayFrame:
-    """One frame of a sensor array.
-
-    Attributes
-    ----------
-    number : int
-        Of the frame, modulo 2³².
-    time_us : int
-        Device time, modulo 2³².
-    image : ndarray, (H, W) uint8
-        Read-only.
-    """
+    """One frame of a sensor array, read-only; number and device time are modulo 2³²."""
 
     number: int
     time_us: int
@@ -105,20 +95,7 @@ Message = ArrayFrame | CellReading | Info
 
 
 def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
-    """Return a frame in its wire format.
-
-    Parameters
-    ----------
-    number, time_us : int
-        Taken modulo 2³².
-    image : ndarray, (H, W) uint8
-        1 to 255 rows and columns.
-
-    Raises
-    ------
-    SourceError
-        If it is larger or empty, or of another kind.
-    """
+    """Return a frame, (H, W) uint8 with 1 to 255 rows and columns, in its wire format."""
     if image.ndim != 2 or image.dtype != np.uint8:
         raise SourceError(
             f"a frame on the wire is grey, one byte a pixel, not {image.dtype} of {image.shape}",
@@ -141,13 +118,7 @@ def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
 
 
 def encode_force(number: int, time_us: int, reading: int | None) -> bytes:
-    """Return a load cell's reading in its wire format.
-
-    Raises
-    ------
-    SourceError
-        If no signed 32 bits can hold it.
-    """
+    """Return a load cell's reading in its wire format."""
     value = NO_READING if reading is None else reading
     if not NO_READING <= value < 2**31:
         raise SourceError(
@@ -208,11 +179,8 @@ def gap(before: int, number: int) -> int:
 class MessageStream:
     """Parser of messages in a stream that may start in the middle of one.
 
-    Attributes
-    ----------
-    broken : int
-        Pieces between zeros that were no packet or said nothing known; but not the
-        first one, which may have lost its start.
+    ``broken`` counts pieces between zeros that were no packet or an unknown one, but not the first,
+    which may have lost its start.
     """
 
     def __init__(self) -> None:

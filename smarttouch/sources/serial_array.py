@@ -26,22 +26,7 @@ _UNREADABLE_S = 1.5
 
 
 def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -> LiveSource:
-    """Open ``serial-array:PORT``.
-
-    Parameters
-    ----------
-    rest : str
-        A device, ``tcp://HOST:PORT``, or any URL that pyserial knows.
-    profile : Profile
-        Optics: scale of the motion, flat field.
-    baud : int, optional
-        Speed of the line; 921,600 if not given.
-
-    Raises
-    ------
-    SourceError
-        If there is no such port, or it cannot be opened.
-    """
+    """Open ``serial-array:PORT``: a device, ``tcp://HOST:PORT``, or any URL that pyserial knows."""
     if not rest:
         raise SourceError(
             "serial-array: names no port: give one, as in serial-array:/dev/ttyACM0",
@@ -58,26 +43,8 @@ def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -
 
 
 class SerialArrayDevice(ImageDevice):
-    """Frames from a serial line.
-
-    Parameters
-    ----------
-    port : str
-        Its name.
-    baud : int
-
-    Attributes
-    ----------
-    frames : int
-        That came whole.
-    passed_over : int
-        Frames that came together with a newer one.
-    lost : int
-        Frames that are missing by the device's numbers.
-    garbled : int
-        Pieces between zeros that were no packet, or an unknown one.
-    device : str
-        Name reported by the device; empty if none.
+    """Frames from a serial line, with counts of those complete, passed over for a newer one and
+    lost by the device's numbers, and of garbled pieces.
     """
 
     def __init__(self, port: str, baud: int = USUAL_BAUD) -> None:

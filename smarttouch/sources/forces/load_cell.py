@@ -43,53 +43,25 @@ _KINDS: dict[str, tuple[int, Callable[[], Readings]]] = {
 
 
 def open_hx711(rest: str, profile: Profile) -> ForceSource:
-    """Open ``hx711:PORT``, a sketch that prints one reading per line.
-
-    Raises
-    ------
-    SourceError
-        If the profile has no curve, the port cannot be opened, or no reading comes.
-    """
+    """Open ``hx711:PORT``, a sketch that prints one reading per line."""
     return LoadCellForce(f"hx711:{rest}", profile)
 
 
 def open_loadcell(rest: str, profile: Profile) -> ForceSource:
-    """Open ``loadcell:PORT``, a load cell with the sensors' own format.
-
-    Raises
-    ------
-    SourceError
-        If the profile has no curve, the port cannot be opened, or no reading comes.
-    """
+    """Open ``loadcell:PORT``, a load cell with the sensors' own format."""
     return LoadCellForce(f"loadcell:{rest}", profile)
 
 
 def open_cell(url: str) -> "LoadCell":
-    """Open a load cell for its raw readings, without a curve.
-
-    Raises
-    ------
-    SourceError
-        If the URL is none of a load cell, the port cannot be opened, or no reading comes.
-    """
+    """Open a load cell for its raw readings, without a curve."""
     # Without a curve contact is not known; a sketch that has set zero stands still there.
     return LoadCell(url, presses=lambda reading: reading != 0)
 
 
 class LoadCell(Closing):
-    """A load cell whose readings a thread takes in.
+    """Load cell at ``hx711:PORT`` or ``loadcell:PORT``, either with ``?baud=N``, read by a thread.
 
-    Parameters
-    ----------
-    url : str
-        ``hx711:PORT`` or ``loadcell:PORT``, either with ``?baud=N``.
-    presses : callable
-        Whether a reading means contact: only then is standing still a fault.
-
-    Raises
-    ------
-    SourceError
-        If it cannot be opened, or no reading comes from it.
+    ``presses`` says whether a reading means contact: only then are constant readings a fault.
     """
 
     def __init__(self, url: str, presses: Callable[[float], bool]) -> None:
@@ -121,13 +93,7 @@ class LoadCell(Closing):
             return self._watch.reading(time.perf_counter_ns())
 
     def collect(self, seconds: float) -> NDArray[np.float64]:
-        """Wait, and return the raw readings that arrived meanwhile, (N,); one at least.
-
-        Raises
-        ------
-        SourceError
-            If none came.
-        """
+        """Wait, and return the raw readings that arrived meanwhile, (N,); one at least."""
         with self._news:
             self._collected = []
         self._closing.wait(seconds)
@@ -214,20 +180,7 @@ class LoadCell(Closing):
 
 
 class LoadCellForce(ForceSource):
-    """Force of a load cell by the profile's curve.
-
-    Parameters
-    ----------
-    url : str
-        Of the cell.
-    profile : Profile
-        With ``force.curve``.
-
-    Raises
-    ------
-    SourceError
-        If the profile has no curve, the port cannot be opened, or no reading comes.
-    """
+    """Force of a load cell by the profile's ``force.curve``."""
 
     def __init__(self, url: str, profile: Profile) -> None:
         if profile.force.curve is None:

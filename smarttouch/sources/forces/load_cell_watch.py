@@ -15,16 +15,9 @@ SATURATED = (float(-(2**23)), float(2**23 - 1))
 
 
 class CellWatch:
-    """Tracks the readings of one cell; the time is passed in each call.
+    """Tracks the readings of one cell; the time is passed in each call, warnings go to ``notes``.
 
-    Parameters
-    ----------
-    title : str
-        Of the cell, for the notes.
-    notes : list of str
-        List of warnings, one sentence for each cause.
-    presses : callable
-        Whether a reading means contact: only then is standing still a fault.
+    ``presses`` says whether a reading means contact: only then are constant readings a fault.
     """
 
     def __init__(self, title: str, notes: list[str], presses: Callable[[float], bool]) -> None:

@@ -43,12 +43,8 @@ class Readings(Protocol):
 
 
 def parse_line(line: bytes) -> float | None:
-    """Return the reading of a line; NaN if it reports none; None if it is invalid.
-
-    Parameters
-    ----------
-    line : bytes
-        Without its end.
+    """Return the reading of a line without its end; NaN if it reports none; None if it is
+    invalid.
     """
     if not _TEXT.fullmatch(line):
         return None
