@@ -30,9 +30,9 @@ Image = NDArray[np.float32]
 class FoundCells(NamedTuple):
     """Cells found in a picture."""
 
-    px: NDArray[np.float64]
-    patterns: NDArray[np.int_]
-    certainty: NDArray[np.float64]
+    px: NDArray[np.float64]  # (N, 2), middles: column and row
+    patterns: NDArray[np.int_]  # (N,), bit k is dot k + 1
+    certainty: NDArray[np.float64]  # (N,) in [0, 1], that all of a cell is right
 
 
 def find_cells(grey: NDArray[np.uint8]) -> FoundCells:

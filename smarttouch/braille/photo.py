@@ -47,10 +47,10 @@ _BOTH_SIDES = 0.6
 class BraillePage:
     """Cells of a page of Braille."""
 
-    lines: list[str]
-    cells_px: NDArray[np.float64]
-    patterns: NDArray[np.int_]
-    certainty: float
+    lines: list[str]  # without trailing blanks; empty where there is room for a line
+    cells_px: NDArray[np.float64]  # (N, 2), middles: column and row
+    patterns: NDArray[np.int_]  # (N,), bit k is dot k + 1
+    certainty: float  # mean over the cells
     notes: list[str]
 
 

@@ -24,9 +24,9 @@ _MOST_NAMED = 12
 class Loaded:
     """Input as cells."""
 
-    paragraphs: list[str]
-    pages: Pages | None
-    notes: list[str]
+    paragraphs: list[str]  # a line of a text, or lines that a file of cells runs over
+    pages: Pages | None  # as a file of cells has them
+    notes: list[str]  # warnings for the user
 
 
 def file_of(source: str) -> Path | None:

@@ -54,7 +54,7 @@ class Table:
     name: str
     title: str
     code: Code
-    note: str | None = None
+    note: str | None = None  # warning for the user
 
     def missing(self, text: str) -> str:
         """Return the characters of a text that the table has no cells for, each once."""

@@ -25,7 +25,7 @@ class Shown:
     cells: str = ""
     text: str = ""
     number: int = 0
-    time_ns: int = 0
+    time_ns: int = 0  # of time.perf_counter_ns; 0 if unknown
 
     @property
     def cursor(self) -> int | None:

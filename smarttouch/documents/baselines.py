@@ -47,13 +47,13 @@ class Baseline:
 
     left: float
     right: float
-    baseline: Floats
+    baseline: Floats  # (D,) coefficients, lowest first, over the distance from left
     x_height: float
-    profile: Floats
-    profile_top: float
-    step: float
-    strokes: float
-    reach: tuple[float, float]
+    profile: Floats  # (N,) ink at each height, in [0, 1], from the top down
+    profile_top: float  # x-heights above the baseline
+    step: float  # from row to row of the profile, x-heights
+    strokes: float  # met halfway up an x, per x-height of the row's length
+    reach: tuple[float, float]  # of tall and of deep letters from the baseline, x-heights
 
     def at(self, x: NDArray[Any]) -> Floats:
         """Return the baseline's y at x, px; straight beyond the row's ends."""

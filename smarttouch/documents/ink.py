@@ -59,8 +59,8 @@ class Paper:
     """Page as dark on light, (H, W): paper exactly 255, ink near 0; and the mask of its ink."""
 
     cleaned: Grey
-    ink: NDArray[np.bool_]
-    light_on_dark: bool
+    ink: NDArray[np.bool_]  # (H, W); empty on blank paper
+    light_on_dark: bool  # as printed; inverted here
 
 
 def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:

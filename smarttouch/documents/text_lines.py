@@ -42,9 +42,9 @@ class TextLine:
 
     left_mm: float
     right_mm: float
-    baseline: tuple[float, ...]
+    baseline: tuple[float, ...]  # coefficients of y, lowest first, over the distance from left_mm
     x_height_mm: float
-    ascent_mm: float
+    ascent_mm: float  # of all lines of one print, whichever letters they have
     descent_mm: float
 
     def baseline_mm(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -26,14 +26,14 @@ class CellLayout:
 
     rows: int
     columns: int
-    dot_x: int
+    dot_x: int  # from dot to dot
     dot_y: int
-    cell: int
-    line: int
-    lines: int
-    eight: bool
-    pitch_mm: tuple[float, float]
-    pixel_mm: float
+    cell: int  # from cell to cell
+    line: int  # from line to line
+    lines: int  # under the finger at once
+    eight: bool  # dots a cell, or six
+    pitch_mm: tuple[float, float]  # of the electrodes, across and down
+    pixel_mm: float  # of the images that are drawn
 
     @property
     def height(self) -> int:

@@ -27,11 +27,13 @@ class Spot:
     """Position of the finger on a line."""
 
     index: int
-    line: TouchLine | None
-    x_mm: float = 0.0
-    y_mm: float = 0.0
-    force_n: float = 0.0
+    line: TouchLine | None  # None where there is nothing under the finger
+    x_mm: float = 0.0  # of the array's middle, from the line's left end
+    y_mm: float = 0.0  # from the line's middle
+    force_n: float = 0.0  # NaN if it has another source
     marked: bool = False
+    """Whether a point in the middle of the array marks the line's start: intensity rises with
+    delivered pulses alone, and with these before those of the text."""
 
 
 @dataclass(frozen=True)

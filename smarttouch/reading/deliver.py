@@ -34,11 +34,11 @@ class Reading:
 
     profile: Profile
     bank: KernelBank
-    tone: Tone
+    tone: Tone  # from ink to activation
     motion: Motion
     mode: Mode = Mode.RA
     sharing: SlotPolicy = NO_SHARING
-    intensity: float = 1.0
+    intensity: float = 1.0  # in [0, 1], of the highest comfortable current
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +47,11 @@ class DeliveredLine:
 
     picture: LinePicture
     length_mm: float
-    poses: dict[int, Pose]
-    answers: dict[int, NDArray[np.float32]]
-    numbers: NDArray[np.uint32]
-    width_us: NDArray[np.float32]
-    current_ua: NDArray[np.int16]
+    poses: dict[int, Pose]  # by number of the sequence
+    answers: dict[int, NDArray[np.float32]]  # (E,) in [0, 1], by number of the sequence
+    numbers: NDArray[np.uint32]  # (N,), sequence of each delivered slot
+    width_us: NDArray[np.float32]  # (N,)
+    current_ua: NDArray[np.int16]  # (N, E), positive is cathodic
 
 
 def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:

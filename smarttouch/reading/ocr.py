@@ -51,8 +51,8 @@ class RecognizedLine:
     """Recognized line of text; all of the image, without confidence, if it has no words."""
 
     text: str
-    box_px: tuple[int, int, int, int]
-    confidence: float
+    box_px: tuple[int, int, int, int]  # left, top, width, height
+    confidence: float  # in [0, 1], mean over its words, weighted by their lengths
     paragraph: int = 0
 
 

@@ -35,8 +35,8 @@ class RecognitionOptions:
     password: str | None = None
     light_on_dark: bool | None = None
     languages: str = "eng"
-    keep_headers: bool = False
-    scale_matters: bool = False
+    keep_headers: bool = False  # running heads and page numbers stay in a text
+    scale_matters: bool = False  # millimeters on the page count
 
 
 def document_pages(

@@ -48,9 +48,9 @@ class Word:
 
     text: str
     image: int
-    line: tuple[int, int, int]
-    box_px: tuple[int, int, int, int]
-    confidence: float
+    line: tuple[int, int, int]  # block, paragraph of the block, line of the paragraph
+    box_px: tuple[int, int, int, int]  # left, top, width, height
+    confidence: float  # in [0, 1]
 
 
 def find_tesseract() -> Path:

@@ -15,7 +15,7 @@ class Place:
     left_mm: float
     right_mm: float
     middle_mm: float
-    scale: float
+    scale: float  # millimeters under the array for one on the page
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,9 +24,9 @@ class TouchLine:
     known.
     """
 
-    image: NDArray[np.uint8]
-    start_mm: float
+    image: NDArray[np.uint8]  # (H, W), dark on 255, as high as the array
+    start_mm: float  # first and last place of the array's middle, from the image's left edge
     end_mm: float
     text: str = ""
-    cells: tuple[str, ...] = ()
+    cells: tuple[str, ...] = ()  # a string for each line of Braille
     place: Place | None = None
