@@ -54,16 +54,11 @@ class DeliveredLine:
     current_ua: NDArray[np.int16]  # (N, E), positive is cathodic
 
 
-def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
-    """Return the delivered picture of a line, see `deliver_pulses`."""
-    return deliver_pulses(line, reading).picture
-
-
 def deliver_pulses(line: TouchLine, reading: Reading) -> DeliveredLine:
     """Read a line with a virtual finger on a simulated board.
 
     Frames, kernels, pressure gate, soft start, the proof of safety, the bytes and the board's own
-    check are those of a live run; only the clock is not.
+    check are those of a live run; only the clock is virtual.
     """
     profile = reading.profile
     feed = LineFeed(iter([line])).start()
@@ -94,8 +89,8 @@ def deliver_pulses(line: TouchLine, reading: Reading) -> DeliveredLine:
 
 
 def deliver_lines(lines: Sequence[TouchLine], reading: Reading) -> Iterator[DeliveredLine]:
-    """Read many lines, on all cores; yield what was delivered of each as it is ready."""
-    # Starting a process takes longer than one line does.
+    """Deliver many lines on all cores; yield each as it is ready."""
+    # A process takes longer to start than one line to deliver.
     work = Parallel(n_jobs=-1 if len(lines) > 1 else 1, return_as="generator", max_nbytes=None)
     yield from work(delayed(deliver_pulses)(line, reading) for line in lines)
 

@@ -14,28 +14,15 @@ from smarttouch.reading.tesseract import (
     Layout,
     TooSlowError,
     Word,
-    find_tesseract,
-    languages,
     read_orientation,
     read_words,
 )
 
-__all__ = [
-    "Layout",
-    "Recognized",
-    "RecognizedLine",
-    "find_tesseract",
-    "languages",
-    "recognize",
-    "recognize_lines",
-    "upright",
-]
-
 STRIP_MARGIN = 0.25
-"""White around a strip, of its height. Over noisy and blurred strips, 1.6 % of the characters were
-wrong with it, 3.1 % with 0.15 and 2.3 % with 0.45."""
+"""White margin around a strip, relative to its height. Over noisy and blurred strips, 1.6 % of the
+characters were wrong with it, 3.1 % with 0.15 and 2.3 % with 0.45."""
 LEGIBLE = 0.75
-"""Confidence of a text that lies the right way up, at least. Over 44 prints of one to five words
+"""Least confidence of a text that is upright. Over 44 prints of one to five words
 it was 0.78 to 0.97, that of the same prints turned at most 0.87."""
 CLEARER = 0.08
 """Least difference of confidence between upright and turned; over the same prints, 0.12."""
@@ -48,10 +35,9 @@ _USUAL_TIMEOUT_S = 120.0
 
 @dataclass(frozen=True)
 class RecognizedLine:
-    """Recognized line of text; all of the image, without confidence, if it has no words."""
+    """Recognized line of text; empty, with a confidence of 0, if it has no words."""
 
     text: str
-    box_px: tuple[int, int, int, int]  # left, top, width, height
     confidence: float  # in [0, 1], mean over its words, weighted by their lengths
     paragraph: int = 0
 
@@ -94,7 +80,7 @@ def recognize(
     for place, of_line in itertools.groupby(words, key=lambda word: word.line):
         paragraph += place[:2] != last
         last = place[:2]
-        lines.append(_line(list(of_line), 0, image.shape, paragraph))
+        lines.append(_line(list(of_line), paragraph))
     return Recognized(tuple(lines))
 
 
@@ -107,18 +93,16 @@ def recognize_lines(
 
     Strips are dark on white, from ascenders to descenders; a height of 24 pixels is enough.
     """
-    margins = [math.ceil(STRIP_MARGIN * len(strip)) for strip in strips]
     framed = [
-        np.pad(strip, margin, constant_values=255) if strip.size else strip
-        for strip, margin in zip(strips, margins, strict=True)
+        np.pad(strip, math.ceil(STRIP_MARGIN * len(strip)), constant_values=255)
+        if strip.size
+        else strip
+        for strip in strips
     ]
     words: list[list[Word]] = [[] for _ in strips]
     for word in read_words(framed, languages, Layout.LINE, _USUAL_TIMEOUT_S):
         words[word.image].append(word)
-    return [
-        _line(each, margin, strip.shape)
-        for each, margin, strip in zip(words, margins, strips, strict=True)
-    ]
+    return [_line(each) for each in words]
 
 
 def upright(
@@ -133,13 +117,13 @@ def upright(
     """
     probe = _busiest(image)
     try:
-        told = read_orientation(probe, timeout_s)
-        if told is not None:
-            return told
+        turn_deg = read_orientation(probe, timeout_s)
+        if turn_deg is not None:
+            return turn_deg
         ways = [np.rot90(probe, -turns) for turns in range(4)]
         words = read_words(ways, languages, Layout.BLOCK, timeout_s)
     except TooSlowError:
-        # Pictures and noise are what takes that long.
+        # Only pictures and noise take that long.
         return 0
     legible = [
         _mean((word.confidence, word.text) for word in words if word.image == turns)
@@ -165,31 +149,13 @@ def _busiest(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return image[top : top + height, left : left + width]
 
 
-def _line(
-    words: Sequence[Word], margin: int, shape: tuple[int, ...], paragraph: int = 0
-) -> RecognizedLine:
-    """Join words recognized on an image of a shape with a margin around it."""
-    height, width = shape
-    if not words:
-        return RecognizedLine("", (0, 0, width, height), 0.0, paragraph)
-    left, top, wide, high = np.array([word.box_px for word in words]).T
-    left, right = np.clip([left.min() - margin, (left + wide).max() - margin], 0, width).tolist()
-    top, bottom = np.clip([top.min() - margin, (top + high).max() - margin], 0, height).tolist()
-    return RecognizedLine(
-        _joined([word.text for word in words]),
-        (left, top, right - left, bottom - top),
-        _mean((word.confidence, word.text) for word in words),
-        paragraph,
-    )
-
-
-def _joined(words: Sequence[str]) -> str:
-    """Return words with spaces between them, except where Chinese and Japanese have none."""
-    text = words[0]
-    for word in words[1:]:
-        unspaced = _is_ideographic(text[-1]) and _is_ideographic(word[0])
-        text += word if unspaced else f" {word}"
-    return text
+def _line(words: Sequence[Word], paragraph: int = 0) -> RecognizedLine:
+    """Return words as a line, with spaces between them but for Chinese and Japanese."""
+    text = ""
+    for word in words:
+        unspaced = not text or (_is_ideographic(text[-1]) and _is_ideographic(word.text[0]))
+        text += word.text if unspaced else f" {word.text}"
+    return RecognizedLine(text, _mean((word.confidence, word.text) for word in words), paragraph)
 
 
 def _is_ideographic(sign: str) -> bool:
