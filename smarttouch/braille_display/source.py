@@ -24,7 +24,7 @@ from smarttouch.sources.stimulus import Stimulus
 
 USUAL_CELLS = 20
 REST_S = 0.3
-"""Time that the first cell after a jump stays before the others follow."""
+"""Time for which the first cell after a jump stays before the others follow."""
 
 
 def open_brltty(
@@ -91,13 +91,13 @@ class BrailleDisplaySource(StimulusSource):
         self._name, self._pan = self.title, pan
         self._press_n = press_n(profile)
         self._shape = (profile.optics.sensor_columns, profile.optics.sensor_rows)
-        # In one step an electrode passes, or a cell, in as long as that takes to pass.
+        # A step is an electrode or a cell, and takes as long as that needs to pass.
         self._steps_a_cell = 1 if self.apart else self.layout.cell
         self._steps_a_s = speed_mm_s / self.layout.cell_mm * self._steps_a_cell
         self._shown = Shown()
         self._dots = np.zeros((self.layout.rows, 0), np.bool_)
         self._first, self._since_s = 0, 0.0
-        """The cell that it began with, and for how long it has gone on from there."""
+        """Cell at the start of the motion, and its duration so far."""
         self._cursor: int | None = None
         self._before_ns: int | None = None
         self._paused = self._panned = False
@@ -173,7 +173,7 @@ class BrailleDisplaySource(StimulusSource):
         )
 
     def close(self) -> None:
-        """Leave BRLTTY."""
+        """Close the connection to BRLTTY."""
         self.connection.close()
 
     def _toggle_pause(self) -> None:
@@ -184,7 +184,7 @@ class BrailleDisplaySource(StimulusSource):
         self._first, self._since_s, self._panned = cell, 0.0, False
 
     def _take(self, shown: Shown) -> None:
-        """Take over what BRLTTY shows now, and go to what is new in it."""
+        """Take over what BRLTTY shows, and go to its first new cell."""
         before, self._shown = self._shown, shown
         if shown.number == before.number:
             return
@@ -212,10 +212,10 @@ class BrailleDisplaySource(StimulusSource):
         return (self.layout.columns - self.layout.dot_x - 1) // 2
 
     def _step(self) -> int:
-        """Return how many steps the finger is from the first cell."""
+        """Return the number of steps from the first cell to the finger."""
         moved_s = self._since_s if self.apart else max(0.0, self._since_s - REST_S)
         step = self._first * self._steps_a_cell + int(moved_s * self._steps_a_s + 1e-6)
-        # Behind the last cell it waits.
+        # Motion ends behind the last cell.
         end = self._shown.length * self._steps_a_cell + self._margin * (not self.apart)
         return min(step, end)
 
@@ -240,7 +240,7 @@ class BrailleDisplaySource(StimulusSource):
         layout = self.layout
         window = np.zeros((layout.rows, layout.columns), np.bool_)
         if self.apart and (self._since_s * self._steps_a_s + 1e-6) % 1 < GAP:
-            # Two cells that are the same would be felt as one.
+            # Two equal cells would be felt as one.
             return window
         left = self._left(step)
         first, last = max(left, 0), min(left + layout.columns, self._dots.shape[1])

@@ -1,4 +1,4 @@
-"""Legibility of Braille: the part of the cells that was delivered as it should."""
+"""Legibility of Braille: the part of the cells that was delivered correctly."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -52,14 +52,14 @@ def legibility_of_braille(
         for one, other in zip(*pair, strict=True)
     )
     table = open_table(braille.table)
-    felt = "\n".join(delivered)
+    shown = "\n".join(delivered)
     return BrailleLegibility(
         cell_error_rate=wrong / count,
         cells=count,
         lines=len(wanted),
         wanted="\n".join(wanted),
-        delivered=felt,
-        text=table.to_text(felt) if table.code.goes_back else None,
+        delivered=shown,
+        text=table.to_text(shown) if table.code.goes_back else None,
     )
 
 

@@ -94,8 +94,8 @@ class CellLayout:
             if apart:
                 columns = columns + (self.columns - self.dot_x - 1) // 2
             across, down = self.pitch_mm
-            felt = picture.at((columns + 0.5) * across, (rows + 0.5) * down) > 0.5
-            found.append(dots_to_cells(felt.reshape(len(cells), count)))
+            dots = picture.at((columns + 0.5) * across, (rows + 0.5) * down) > 0.5
+            found.append(dots_to_cells(dots.reshape(len(cells), count)))
         return tuple(found)
 
     def _draw(
@@ -122,7 +122,7 @@ def cell_layout(profile: Profile, lines: int = 1, eight: bool = False) -> CellLa
         columns=columns,
         dot_x=dot_x,
         dot_y=dot_y,
-        # Cells are farther apart than the dots in them, or they could not be told apart.
+        # Cells must be farther apart than their dots to be distinguishable.
         cell=max(2 * dot_x + 1, round(CELL_MM / pitch_x)),
         line=max(3 * dot_y + 1, round(LINE_MM / pitch_y)),
         lines=lines,

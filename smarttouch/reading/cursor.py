@@ -14,12 +14,11 @@ from smarttouch.sources.source import Source
 LAND_S = 0.15
 """Time of landing on a line, when intensity begins to rise."""
 SETTLE_S = 0.75
-"""Time of rest at the line's start, until intensity is up: meanwhile a point marks the start."""
+"""Time of rest at the line's start while intensity rises; a point marks the start meanwhile."""
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 2000.0
 LONGEST_PAUSE_S = 3600.0
 GAP = 0.2
-"""Silent part of the time of a step, where text comes step by step and not in one move: two
-cells that are the same would be felt as one."""
+"""Silent part of each step of text that moves in steps: two equal cells would be felt as one."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ class SweepingCursor:
         self._feed, self._motion = feed, motion
         self._press_n, self._pause_s, self._waits = press_n, pause_s, waits
         self._index, self._line_s = 0, 0.0
-        """The line, and for how long it has been read."""
+        """Index of the line, and the time spent on it."""
         self._before_ns: int | None = None
         self._paused = False
         self._asked: deque[int] = deque()
@@ -114,7 +113,7 @@ class SweepingCursor:
             self._go_to(max(self._feed.earliest, self._index + self._asked.popleft()))
         line = self._feed.line(self._index)
         if line is None:
-            # A key may have asked for more lines than there are.
+            # A key may have moved beyond the last line.
             return None if self._feed.ended(self._index) else Spot(self._index, None)
         if not self._paused:
             self._line_s += elapsed_s
@@ -141,7 +140,7 @@ class SweepingCursor:
                 shown = None
             way_mm = math.floor(steps) * step_mm
             if self._motion.gaps and self._line_s < SETTLE_S:
-                # What comes step by step is as strong and as long each time: also the first.
+                # All steps are equally strong and long, the first one too.
                 shown, way_mm = None, -step_mm
         press_n = self._press_n if self._line_s >= LAND_S else 0.0
         marked = self._line_s < SETTLE_S
@@ -159,7 +158,7 @@ class FollowingCursor:
 
     @property
     def keys(self) -> dict[str, Callable[[], None]]:
-        """Return none: a finger that moves by itself needs no keys."""
+        """No keys: the finger moves by itself."""
         return {}
 
     def at(self, time_ns: int) -> Spot | None:

@@ -12,7 +12,7 @@ AHEAD = 30
 BEHIND = 60
 """Past lines kept for going back."""
 JOIN_S = 0.3
-"""Longest delay of the end by a page that is being recognized."""
+"""Longest wait at the end for a page that is being recognized."""
 
 
 class LineFeed:
@@ -23,7 +23,7 @@ class LineFeed:
 
     def __init__(self, lines: Iterator[TouchLine]) -> None:
         self.earliest = 0
-        """The first line that can still be gone back to."""
+        """Index of the earliest line that is kept."""
         self._lines: dict[int, TouchLine] = {}
         self._count = 0
         self._reached = 0
@@ -78,7 +78,7 @@ class LineFeed:
         if self._thread.is_alive():
             self._thread.join(JOIN_S)
         if self._thread.is_alive():
-            # An interpreter that ends beneath a library at work is aborted.
+            # An interpreter that exits while a library works on a thread aborts.
             atexit.register(self._thread.join)
 
     def _take_all(self, lines: Iterator[TouchLine]) -> None:

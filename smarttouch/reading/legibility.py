@@ -19,9 +19,9 @@ from smarttouch.reading.error_rate import character_error_rate, word_error_rate
 from smarttouch.reading.nerve import NerveReading, nerve_figures, read_at_nerve
 from smarttouch.reading.ocr import Layout, recognize
 from smarttouch.reading.printed import LINE_PIXELS, recognized_lines
-from smarttouch.reading.shapes import Shapes, Style, shape_line
+from smarttouch.reading.shapes import Shapes, Style, require_rows, shape_line
 from smarttouch.reading.source import Source
-from smarttouch.reading.window import require_rows, rows_of
+from smarttouch.reading.window import rows_of
 
 _GAP = 0.45
 """Gap between lines for recognition, relative to their height."""
@@ -70,11 +70,11 @@ def legibility_of_shapes(
         indices = range(len(page.lines))
         page_texts += [text for _, text in recognized_lines(page, options, source.note)]
         lines = [shape_line(page, index, profile, shapes.style) for index in indices]
-        felt = kept(deliver_lines(lines, reading), total, total + len(indices), progress)
+        shown = kept(deliver_lines(lines, reading), total, total + len(indices), progress)
         graded = (shape_line(page, index, profile, Style.GRADED) for index in indices)
         ideal = [ideal_picture(line, profile, step_mm) for line in graded]
-        delivered.append((felt, options.languages))
-        texts.append(_read([each.picture for each in felt], options.languages))
+        delivered.append((shown, options.languages))
+        texts.append(_read([each.picture for each in shown], options.languages))
         limit_texts.append(_read(ideal, options.languages))
         total += len(indices)
     page_text, text, limit_text = ("\n".join(each) for each in (page_texts, texts, limit_texts))
@@ -118,19 +118,19 @@ def legibility_on_finger(
     and the character error rate.
     """
     lines = [line for page, _ in found.delivered for line in page]
-    felt = read_at_nerve(lines, Finger(reading.profile, seed, anatomy), reading.mode.afferents)
-    pictures = iter(felt.pictures)
+    response = read_at_nerve(lines, Finger(reading.profile, seed, anatomy), reading.mode.afferents)
+    pictures = iter(response.pictures)
     texts = [
         _read([next(pictures) for _ in page], languages) for page, languages in found.delivered
     ]
-    return replace(felt, pictures=[]), character_error_rate(found.truth, "\n".join(texts))
+    return replace(response, pictures=[]), character_error_rate(found.truth, "\n".join(texts))
 
 
 def _read(pictures: Sequence[LinePicture], languages: str) -> str:
-    """Return the text of pictures that lie below each other, as on a page.
+    """Return the text of pictures placed below each other, as on a page.
 
-    Tesseract reads such soft lines with the help of those around them: alone, one
-    line without ascenders is nothing to it.
+    Tesseract reads such soft lines with the help of those around them; it reads nothing from a
+    single line without ascenders.
     """
     strips = [picture.picture(LINE_PIXELS) for picture in pictures]
     gap = round(_GAP * LINE_PIXELS)
@@ -178,10 +178,10 @@ def measure_legibility(
         ]
         text = cells.delivered if cells.text is None else cells.text
         return Measured({**how, **speed, **asdict(cells)}, rows, text)
-    course = load_anatomy(anatomy)
+    paths = load_anatomy(anatomy)
     require_rows(reading.profile, source.note)
-    said = source.words if truth is None else read_text(truth)
-    found = legibility_of_shapes(source, reading, presented, said, progress)
+    text = source.words if truth is None else read_text(truth)
+    found = legibility_of_shapes(source, reading, presented, text, progress)
     rate = found.page_error_rate
     rows = [
         ("characters", str(len(found.truth))),
@@ -193,7 +193,7 @@ def measure_legibility(
     shape = {"as": "shapes", "style": presented.style.value, "rows": rows_of(reading.profile)}
     figures = {f.name: getattr(found, f.name) for f in fields(found) if f.name != "delivered"}
     if fingers:
-        nerve = legibility_at_nerve(found, reading, fingers, course, progress)
+        nerve = legibility_at_nerve(found, reading, fingers, paths, progress)
         figures |= {"fingers": fingers, "anatomy": anatomy, **nerve}
         rows += [
             (f"error rate, nerve, {name.replace('_', ' ')}", f"{rate:.3f}")

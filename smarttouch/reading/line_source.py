@@ -57,8 +57,8 @@ class ReadingSource(OpticalSource):
             self.index = spot.index
             line = self._feed.line(self.index)
             if line is not None:
-                says = f": {line.text}" if line.text else ""
-                self.title = f"{self._name}, line {self.index + 1}{says}"
+                text = f": {line.text}" if line.text else ""
+                self.title = f"{self._name}, line {self.index + 1}{text}"
         image = np.full(self._shape, 255, np.uint8)
         if spot.line is not None:
             rows, columns = self._shape

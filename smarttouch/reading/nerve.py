@@ -1,4 +1,4 @@
-"""Legibility at the nerve: lines as the afferents of simulated fingers report them."""
+"""Legibility at the nerve: lines as the afferents of simulated fingers respond to them."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Paragraphs of a page, put together from its lines as those who transcribe books do."""
+"""Paragraphs of a page, joined from its lines as Braille transcribers do."""
 
 import re
 from collections.abc import Sequence
@@ -53,7 +53,7 @@ def paragraphs(
         else:
             found[-1] = _joined(found[-1], text, words)
         if before is not None and _middle_mm(lines[k]) < _middle_mm(lines[before]):
-            # The next column has an end of its own.
+            # The next column has its own right edge.
             right_mm = -np.inf
         before = k
     return found
@@ -76,7 +76,7 @@ def _begins(before: TextLine, line: TextLine, step_mm: float, right_mm: float) -
     if sizes[1] > _LARGER * sizes[0] or step >= _GAP * step_mm:
         return True
     if step <= 0:
-        # The next column goes on.
+        # The paragraph continues in the next column.
         return False
     indent = (line.left_mm - before.left_mm) / line.x_height_mm
     short, shorter = (

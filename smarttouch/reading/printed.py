@@ -53,10 +53,10 @@ def document_pages(
             parse_pages(options.pages, len(document)) if options.pages else range(len(document))
         )
         for index in wanted:
-            told = len(document.notes)
+            before = len(document.notes)
             page = document.page(index)
             if options.scale_matters:
-                for words in document.notes[told:]:
+                for words in document.notes[before:]:
                     note(words)
             yield index + 1, page
 
@@ -71,7 +71,7 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
         turned_page = replace(prepared.page, grey=turned)
         prepared = prepare_page(turned_page, options.light_on_dark, quarter=False)
         if QUARTER in notes:
-            # It was guessed, and counts against the clock.
+            # That turn was a guess, counterclockwise.
             turn_deg = (turn_deg - 90) % 360
         notes = [words for words in notes if words != QUARTER and not words.startswith(LEFT_OUT)]
         if turn_deg:
@@ -129,7 +129,7 @@ def recognized_lines(
     count, start, size = len(prepared.lines), 0, 1
     confidences: list[tuple[int, float]] = []
     while start < count:
-        # A long piece is recognized faster than many short ones, but the first touch waits for it.
+        # Long pieces are faster in all, but reading starts after the first one.
         indices = range(start, min(count, start + size))
         strips = [prepared.strip(index, LINE_PIXELS) for index in indices]
         for index, line in zip(indices, recognize_lines(strips, options.languages), strict=True):

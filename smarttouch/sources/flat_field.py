@@ -37,18 +37,18 @@ class FlatField:
             raise _no_field(
                 "malformed",
                 (dark.shape, gain.shape),
-                f"a flat field with a dark level of shape {dark.shape} and a gain of shape "
-                f"{gain.shape} is none: calibrate the optics again",
+                f"the dark level of shape {dark.shape} and the gain of shape {gain.shape} are no "
+                "flat field: calibrate the optics again",
             )
         if not (np.isfinite(dark).all() and np.isfinite(gain).all() and (gain >= 0).all()):
             raise _no_field(
                 "impossible",
                 None,
-                "the flat field has gains that are negative or no numbers: calibrate the optics "
+                "the flat field has values that are negative or not finite: calibrate the optics "
                 "again",
             )
         if not gain.any():
-            message = "the flat field calls every pixel dead: calibrate the optics again"
+            message = "every pixel is dead in the flat field: calibrate the optics again"
             raise _no_field("dead", gain.size, message)
         self.dark = np.ascontiguousarray(dark, np.float32)
         self.gain = np.ascontiguousarray(gain, np.float32)
@@ -189,7 +189,7 @@ def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
     """Return the mean of images of one shape."""
     if not len(images):
         raise CalibrationError(
-            "no frames came: check the source", about="frames", problem="missing"
+            "no frames arrived: check the source", about="frames", problem="missing"
         )
     shapes = {image.shape for image in images}
     if len(shapes) > 1:

@@ -79,7 +79,7 @@ class Matcher:
         self._beside = np.arange(columns, dtype=np.float32) - np.float32(self._middle[0])
         self._below = np.arange(rows, dtype=np.float32)[:, None] - np.float32(self._middle[1])
         self.turns = True
-        """Whether turns are looked for."""
+        """Whether turns are estimated."""
         self._usual: Shift = (0.0, 0.0)
         """The last accepted shift: fingers move steadily."""
 
@@ -123,11 +123,11 @@ class Matcher:
         return None if along is None else (along, 0.0)
 
     def _turned(self, best: _Trial) -> _Trial | None:
-        """Return a better trial that turns, too; None if there is none."""
+        """Return a better trial with a turn; None if there is none."""
         rows, columns = best.common
         slope_x, slope_y = self._slope_x[best.common], self._slope_y[best.common]
         turning = slope_y * self._beside[columns] - slope_x * self._below[rows]
-        # Light that is fixed to the sensor moves over the print: it must not seem a turn.
+        # Light fixed to the sensor moves over the print, and must not be taken for a turn.
         level = self._before[best.common]
         lights = level, level * self._beside[columns], level * self._below[rows]
         slopes = np.stack([each.ravel() for each in (slope_x, slope_y, turning, *lights)])
@@ -156,7 +156,7 @@ class Matcher:
         best = self._best({phase, self._usual, (0.0, 0.0)})
         if best is not None and best.unexplained <= _PROMISING:
             return best
-        # Phase correlation takes all details alike, and the finest of a blurred print are noise.
+        # Phase correlation weights all detail alike, and the finest of blurred print is noise.
         return self._best({self._correlate(_correlation, _COARSER)}) or best
 
     def _best(self, shifts: set[Shift]) -> _Trial | None:

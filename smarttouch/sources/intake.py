@@ -21,7 +21,7 @@ class FramePreprocessor:
             from smarttouch.sources.flat_field import FlatField
 
             flat_field = FlatField.load(Path(profile.optics.flat_field))
-            # What the first call imports must not delay the first image of a run.
+            # The first call imports scipy, which must not delay the first image of a run.
             flat_field.correct(np.zeros(flat_field.gain.shape, np.uint8))
             self._correct = flat_field.correct
         self._tracker = MotionTracker(profile)
@@ -39,5 +39,5 @@ class FramePreprocessor:
         return image, Pose(self._x_mm, self._y_mm, self._angle_rad)
 
     def interrupt(self) -> None:
-        """Ignore the motion to the next image, as the time between is unknown."""
+        """Ignore the motion to the next image, after an unknown time."""
         self._tracker.forget()

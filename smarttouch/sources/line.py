@@ -11,7 +11,7 @@ _LARGEST_READ = 65536
 def read_what_came(port: Port, title: str) -> bytes:
     """Return the bytes that have arrived; wait for the first up to the port's timeout."""
     try:
-        # One byte more than has come would cost the whole timeout.
+        # Waiting for one byte more than has arrived would take the whole timeout.
         data = bytes(port.read(port.in_waiting or 1))
         # Over TCP pyserial never reports how much has arrived.
         wire = getattr(port, "_socket", None)

@@ -49,14 +49,14 @@ def open_page(
 ) -> "PageSource":
     """Open ``page:FILE``; options are those of `PageSource`, its scale, and its magnification.
 
-    The page is felt so much larger than the profile shows it; ``auto`` lets its usual lines
-    fill the array.
+    The page is magnified beyond the profile's scale; ``auto`` makes its usual lines fill the
+    array.
     """
     page, notice = load_or_guess(Path(rest), dpi, page_width_mm)
     factor = _magnification(magnify, page, profile, light_on_dark)
     if factor != 1:
         page = Page(page.grey, page.mm_per_pixel * factor)
-        notice = f"{notice + '; ' if notice else ''}it is felt {factor:.3g} times as large"
+        notice = f"{notice + '; ' if notice else ''}it is magnified {factor:.3g} times"
     title = Path(rest).name
     return PageSource(page, profile, title, seed, speed_mm_s, path, light_on_dark, notice)
 
@@ -70,7 +70,7 @@ def _magnification(text: str, page: Page, profile: Profile, light_on_dark: bool)
             factor = math.nan
         if not LEAST_MAGNIFIED <= factor <= MOST_MAGNIFIED:
             raise PageError(
-                f"magnify {text} is no magnification: give auto, or a number from "
+                f"magnify {text} is not possible: give auto, or a number from "
                 f"{LEAST_MAGNIFIED:g} to {MOST_MAGNIFIED:g}",
                 about="magnify",
                 problem="out of range",
@@ -207,7 +207,7 @@ def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float, in
         cv2.GaussianBlur(surface, (0, 0), BLUR_MM / surface_mm, borderType=cv2.BORDER_REPLICATE),
         np.uint8,
     )
-    # Beyond its edges the paper goes on, in the grey it has there.
+    # The paper continues beyond its edges, in its grey there.
     margin, soft = round(_MARGIN_MM / surface_mm), _MARGIN_BLUR_MM / surface_mm
     whole = np.pad(surface, margin)
     whole[:margin] = np.pad(_soft_edge(surface, soft), margin, mode="edge")
@@ -221,7 +221,7 @@ def _soft_edge(grey: NDArray[np.uint8], sigma: float) -> NDArray[np.uint8]:
     """Return the first row of an image as it would be if all of it were blurred."""
     reach = math.ceil(3 * sigma)
     weights = cv2.getGaussianKernel(2 * reach + 1, sigma)[:, 0]
-    # Before the first row comes the first again, and after the last the last.
+    # The first and last rows are repeated beyond the edges.
     rows = np.arange(-reach, reach + 1).clip(0, len(grey) - 1)
     soft = np.convolve(np.pad(weights @ grey[rows], reach, mode="edge"), weights, "valid")
     return np.rint(soft).astype(np.uint8)

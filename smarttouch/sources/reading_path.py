@@ -31,7 +31,7 @@ _PRESS = 1.1
 _WAVER = 0.08
 """Slow variation of the reading force."""
 _STEP_MM = 2.0
-"""Distance of the points of a path along a line: it bends less than can be felt."""
+"""Distance of the points of a path along a line: its bend between them is negligible."""
 _COLUMNS = ("time_s", "x_mm", "y_mm", "angle_deg", "force_n")
 
 
@@ -108,7 +108,7 @@ class RecordedPath:
 
 
 def _at(table: Floats, time_s: float) -> Iterator[float]:
-    """Return what the other rows of a table have at a time of its first."""
+    """Interpolate the other rows of a table at a time of its first row."""
     return map(float, map(partial(np.interp, time_s, table[0]), table[1:]))
 
 
@@ -125,7 +125,7 @@ def _printed(page: Page, light_on_dark: bool) -> TextLine:
 
 def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:
     """Cut a line that is taller than the field into parallel strips."""
-    # A field over: ascenders that just stick out need no second pass.
+    # Ascenders that reach just beyond the field need no second pass.
     count = max(1, math.ceil(line.height_mm / height_mm - 0.15))
     step = line.height_mm / count
     return [

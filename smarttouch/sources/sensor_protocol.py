@@ -1,13 +1,13 @@
 """Wire format of sensors; a specification for firmware.
 
-The device streams by itself, over a USB or any other serial line; the host says
+The device streams on its own, over a USB or any other serial line; the host sends
 nothing. A packet is COBS-encoded and ends with one 0x00, so a receiver that has
-lost its place finds it again at the next zero. Decoded, all little endian::
+lost its place resynchronizes at the next zero. Decoded, all little endian::
 
     u8  version = 1
     u8  type
     u32 number      counts the packets of its type from 0 on and wraps; a gap
-                    tells the host how many were lost
+                    gives the number of lost ones
     ... payload
     u32 CRC-32      (IEEE 802.3) of all before it
 
@@ -17,7 +17,7 @@ type name  payload
 0x41 FRAME u8 rows H, u8 columns W, u32 device time µs, u8 pixels [H][W]: row
            by row from the top left, 0 black to 255 white, as seen on the page
 0x42 FORCE i32 reading of the load cell, u32 device time µs; the reading
-           −2147483648 says that there is none
+           −2147483648 means none
 0x43 INFO  name of the device and its firmware in UTF-8, at most 255 bytes;
            once a second is enough, and none is needed
 ==== ===== ==================================================================
@@ -170,7 +170,7 @@ def _decode_frame(number: int, payload: bytes) -> ArrayFrame | None:
 def gap(before: int, number: int) -> int:
     """Return the number of packets missing between two numbers.
 
-    A device that has started anew, or an old packet, is no gap.
+    A device that has restarted, or an old packet, is no gap.
     """
     missing = (number - before - 1) % NUMBERS
     return missing if missing < NUMBERS // 2 else 0

@@ -1,8 +1,8 @@
 """``serial-array:PORT``: a patch of photo-transistors or an optical-mouse sensor on a serial line.
 
 The device streams frames of up to 255 × 255 pixels in the format of
-`smarttouch.sources.sensor_protocol`. What is read at once is taken apart at once;
-of several frames in it the newest is taken and the others are counted.
+`smarttouch.sources.sensor_protocol`. Of several frames that
+arrive together the newest is taken and the others are counted.
 """
 
 import contextlib
@@ -29,13 +29,13 @@ def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -
     """Open ``serial-array:PORT``: a device, ``tcp://HOST:PORT``, or any URL that pyserial knows."""
     if not rest:
         raise SourceError(
-            "serial-array: names no port: give one, as in serial-array:/dev/ttyACM0",
+            "serial-array: has no port: give one, as in serial-array:/dev/ttyACM0",
             about="port",
             problem="missing",
         )
     if baud is not None and baud < 1:
         raise SourceError(
-            f"{baud} baud is no speed of a line: give bits a second, as in 115200",
+            f"{baud} baud is not a line speed: give bits per second, as in 115200",
             about="baud",
             value=baud,
         )
@@ -43,19 +43,19 @@ def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -
 
 
 class SerialArrayDevice(ImageDevice):
-    """Frames from a serial line, with counts of those complete, passed over for a newer one and
+    """Frames from a serial line, with counts of those complete and
     lost by the device's numbers, and of garbled pieces.
     """
 
     def __init__(self, port: str, baud: int = USUAL_BAUD) -> None:
         self.title = f"serial array {port}"
-        self.frames = self.passed_over = self.lost = self.garbled = 0
+        self.frames = self.lost = self.garbled = 0
         self.device = ""
         self._name, self._baud = port, baud
         self._port: Port | None = None
         self._stream = MessageStream()
         self._before: int | None = None
-        self._heard = 0
+        self._received = 0
         self._listening_since_ns: int | None = None
         self._said = DeviceWarnings(self.notes)
 
@@ -88,16 +88,16 @@ class SerialArrayDevice(ImageDevice):
 
     def _begin(self, port: Port) -> None:
         with contextlib.suppress(*LINE_ERRORS):
-            # What fails here fails again in the first read.
+            # A failure here occurs again in the first read.
             port.reset_input_buffer()
         self._stream = MessageStream()
-        # What a device sent while nobody listened is not lost on the line.
+        # Frames sent before the port was opened do not count as lost.
         self._before = None
         self._listening_since_ns = time.perf_counter_ns()
 
     def _take(self, data: bytes) -> Shot | None:
         """Return the newest of the frames completed by these bytes."""
-        self._heard += len(data)
+        self._received += len(data)
         newest, frames, broken = None, 0, self._stream.broken
         for message in self._stream.feed(data):
             if isinstance(message, ArrayFrame):
@@ -106,12 +106,11 @@ class SerialArrayDevice(ImageDevice):
                 self._count_lost(message.number)
             elif isinstance(message, Info):
                 self.device = message.name
-            # Readings of a load cell on the same device are for others.
+            # Force readings on the same line are ignored here.
         self._count_garbled(self._stream.broken - broken)
         if newest is None:
             return None
         self.frames += frames
-        self.passed_over += frames - 1
         return Shot(newest.image, time.perf_counter_ns(), frames - 1)
 
     def _count_lost(self, number: int) -> None:
@@ -125,15 +124,15 @@ class SerialArrayDevice(ImageDevice):
         self.garbled += pieces
         if pieces and self.frames:
             what = _count(self.garbled, "piece")
-            self._said.put("garbled", f"{self.title}: {what} of what came could not be read")
+            self._said.put("garbled", f"{self.title}: {what} of the input could not be read")
 
     def _require_frames(self) -> None:
-        """Raise if much has arrived, and none of it was ever a frame."""
+        """Raise if bytes have arrived for a while, and never a frame."""
         assert self._listening_since_ns is not None
         listened_s = (time.perf_counter_ns() - self._listening_since_ns) / 1e9
-        if self._heard and not self.frames and listened_s > _UNREADABLE_S:
+        if self._received and not self.frames and listened_s > _UNREADABLE_S:
             raise SourceError(
-                f"what comes from {self._name} is no frames: check its speed (now "
+                f"{self._name} sends no frames: check its speed (now "
                 f"{self._baud} baud) and that the device sends the format of "
                 "smarttouch/sources/sensor_protocol.py",
                 about="port",

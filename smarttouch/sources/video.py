@@ -71,7 +71,7 @@ class PacedClip(ImageDevice):
 
     def open(self) -> None:
         self._clip.open()
-        # A slow show of slides is not stale before its next image is overdue.
+        # Slow slides are not stale before the next one is overdue.
         self.stale_s = max(STALE_S, 2 / self._clip.rate_hz)
 
     def grab(self, timeout_s: float) -> Shot | None:

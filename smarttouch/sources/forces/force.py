@@ -24,7 +24,7 @@ class ForceSource(Device, ABC):
 
     is_live: ClassVar[bool] = True
     """Whether the force is that of a finger that presses now, measured or stated by a person; any
-    other opens no current on a board that a finger may be on."""
+    other opens no current on a board that a finger may touch."""
 
     @abstractmethod
     def read(self, time_ns: int) -> float:
@@ -63,7 +63,7 @@ class FixedForce(ForceSource):
             self._force_n = math.nan
         if not 0 <= self._force_n <= LARGEST_FIXED_N:
             raise SourceError(
-                f"fixed:{text} is no force: give newtons from 0 to {LARGEST_FIXED_N:g}, as in "
+                f"fixed:{text} is not a force: give newtons from 0 to {LARGEST_FIXED_N:g}, as in "
                 "fixed:0.5",
                 about="force",
                 problem="impossible",

@@ -9,7 +9,7 @@ FRESH_S = 0.35
 """Age up to which a reading is fresh: enough for cells with ten conversions a second."""
 FROZEN_READINGS = 20
 FROZEN_S = 2.0
-"""Time of equal readings after which a cell is frozen: a converter's noise never stands still."""
+"""Time of equal readings after which a cell is frozen: a converter always has noise."""
 SATURATED = (float(-(2**23)), float(2**23 - 1))
 """Ends of the HX711's range: overloaded, or nothing is connected."""
 
@@ -32,16 +32,16 @@ class CellWatch:
         self._silence = OutageTracker(
             self._said,
             f"{title}: no reading",
-            f"let it send ten a second or more, none counts for longer than {FRESH_S:g} s",
+            f"a reading is valid for {FRESH_S:g} s, so ten a second or more are needed",
         )
         self._frost = OutageTracker(
             self._said,
-            f"{title}: readings stood still under pressure",
+            f"{title}: readings were constant under pressure",
             "it is frozen, or prints too few decimals",
         )
         self._absence = OutageTracker(self._said, f"{title} was gone", "check the cable")
 
-    def hear(self, readings: list[float], now_ns: int) -> None:
+    def take(self, readings: list[float], now_ns: int) -> None:
         """Take new readings, oldest first."""
         for value in readings:
             known = self._count(value)
@@ -55,7 +55,7 @@ class CellWatch:
             self._heard_ns = now_ns
             self._frost.update(self._frozen(now_ns), now_ns, self._same_since_ns)
 
-    def look(self, now_ns: int, garbled: int, last_garbled: str) -> None:
+    def check(self, now_ns: int, garbled: int, last_garbled: str) -> None:
         """Update the state between readings; ``garbled`` is input without a reading."""
         heard_ns = self._heard_ns
         if heard_ns is not None and now_ns - heard_ns > FRESH_S * 1e9:
@@ -66,7 +66,7 @@ class CellWatch:
         if garbled:
             times = "once" if garbled == 1 else f"{garbled} times"
             self._said.put(
-                "garbled", f"{self._title}: what came was no reading {times}, last {last_garbled}"
+                "garbled", f"{self._title}: input without a reading {times}, last {last_garbled}"
             )
 
     def lose(self, now_ns: int) -> None:
@@ -102,7 +102,5 @@ class CellWatch:
             return math.nan
         if math.isnan(value):
             self._none += 1
-            self._said.put(
-                "none", f"{self._title}: {self._none} of its readings said that there is none"
-            )
+            self._said.put("none", f"{self._title}: {self._none} of its packets had no reading")
         return value
