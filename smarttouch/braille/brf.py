@@ -1,4 +1,4 @@
-"""BRF, files for Braille printers: North American ASCII Braille, pages parted by form feeds."""
+"""BRF files for Braille printers: North American ASCII Braille, pages separated by form feeds."""
 
 from pathlib import Path
 

@@ -34,7 +34,7 @@ def require_cells(line: str) -> None:
     for column, character in enumerate(line):
         if not is_cell(character):
             raise BrailleError(
-                f"{character!r} at place {column + 1} is not a cell of Braille: give characters "
+                f"{character!r} at position {column + 1} is not a Braille cell: give characters "
                 "U+2800 to U+28FF",
                 about="cell",
                 problem="malformed",

@@ -1,4 +1,4 @@
-"""Files of cells and texts, read whole; each fault is an error with one sentence."""
+"""Files of cells and texts, read whole."""
 
 import codecs
 from enum import StrEnum
@@ -38,7 +38,7 @@ def kind_of(path: Path) -> Kind:
     if b"%PDF-" in data or data.translate(None, _NO_TEXT) != data:
         return Kind.PAGES
     try:
-        # What is cut off at the end may be half a character.
+        # The last character may be cut.
         codecs.getincrementaldecoder("utf-8")().decode(data)
     except UnicodeDecodeError:
         return Kind.PAGES

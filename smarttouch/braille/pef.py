@@ -79,7 +79,7 @@ def parse_pef(data: bytes, name: str = "PEF") -> Pages:
     ]
     if not pages:
         raise BrailleError(
-            f"{name} is a PEF file without a page: there is nothing to read",
+            f"{name} is a PEF file without pages",
             about="file",
             problem="empty",
             value=name,
@@ -96,7 +96,7 @@ def _refuse_declarations(data: bytes, name: str) -> None:
 
     def refuse(*_: object) -> None:
         raise BrailleError(
-            f"{name} declares a document type, which PEF files have no use for",
+            f"{name} declares a document type, which PEF files must not have",
             about="file",
             problem="doctype",
             value=name,

@@ -1,4 +1,4 @@
-"""Lines of Braille, made of cells that were found one by one."""
+"""Lines of Braille, joined from single cells."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,7 @@ def cell_pitch(px: Points) -> float:
 
 
 def slope_of(px: Points, pitch_px: float) -> float:
-    """Return how far lines fall to the right, as a part of the way."""
+    """Return the slope of lines, positive if they fall to the right."""
     steps = (px[None] - px[:, None]).reshape(-1, 2)
     near = (steps[:, 0] > 0.6 * pitch_px) & (steps[:, 0] < 3.5 * pitch_px)
     near &= np.abs(steps[:, 1]) < 0.3 * steps[:, 0]
@@ -40,9 +40,9 @@ def slope_of(px: Points, pitch_px: float) -> float:
 
 
 def lines_of(found: FoundCells) -> tuple[list[str], list[int]]:
-    """Return lines of cells, with blanks where there is room for them, and which cells they hold.
+    """Return lines of cells, with blanks where there is room for them, and the indices of cells.
 
-    Print beside Braille, and what lies across its lines, is left out.
+    Print beside Braille, and cells between its lines, are left out.
     """
     pitch_px = cell_pitch(found.px) or 1.0
     slope = slope_of(found.px, pitch_px)

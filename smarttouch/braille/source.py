@@ -1,4 +1,4 @@
-"""Input in Braille: a text, a text file, or a file of cells; and output of cells."""
+"""Input of texts and files of cells, and output of cells."""
 
 import re
 from dataclasses import dataclass
@@ -13,9 +13,9 @@ from smarttouch.braille.tables import Table
 from smarttouch.errors import BrailleError
 
 TEXT = "text:"
-"""Before words that are read themselves."""
+"""Prefix of words that are not a file name."""
 _NAME = re.compile(r"\.{0,2}/\S+|\S*\.[A-Za-z]\w{1,3}")
-"""Something without a blank that ends as names of files do, or begins as paths do."""
+"""A word that ends like a file name or begins like a path."""
 _MOST_NAMED = 12
 """Characters listed in a note on left-out ones."""
 
@@ -42,7 +42,7 @@ def file_of(source: str) -> Path | None:
         return None
     if not there and _NAME.fullmatch(source):
         raise BrailleError(
-            f"no file {source}: check its name, or give {TEXT}{source} for these words",
+            f"there is no file {source}: check its name, or give {TEXT}{source} for these words",
             about="file",
             problem="missing",
             value=Path(source),

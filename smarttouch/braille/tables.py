@@ -19,20 +19,19 @@ _MARKED = re.compile(
     r"[^\W\d_]"
     r"[\u0300-\u036f\u064b-\u065f\u0670\u093c\u09bc\u0a3c\u0b3c\u0cbc\u3099\u309a]+"
 )
-"""A letter and the marks that may belong to it."""
+"""A letter and its combining marks."""
 _TAG = re.compile(r"[a-z]{2,3}(-[A-Z]{2})?")
 """Tag of a language, with its country or without."""
 MISSING_NOTE = (
-    f"liblouis is not here: built-in English grade 1; for other tables and grade 2: {louis.INSTALL}"
+    f"liblouis is not installed: built-in English grade 1; for others and grade 2: {louis.INSTALL}"
 )
 
 
 class Code(Protocol):
     """Braille code that translates one line at a time."""
 
-    goes_back: bool
-    remedy: str
-    """Remedy for characters without cells."""
+    goes_back: bool  # translates cells back
+    remedy: str  # for characters without cells
 
     def missing(self, line: str) -> str:
         """Return the characters of a line that it has no cells for, each once."""
@@ -80,8 +79,8 @@ class Table:
         """Return cells as text, line by line; a cell without meaning stays as it is."""
         if not self.code.goes_back:
             raise BrailleError(
-                f"table {self.name} turns texts into cells only, it cannot read them back: "
-                "choose another table",
+                f"table {self.name} translates texts into cells only: choose another table to "
+                "translate back",
                 about="table",
                 problem="impossible",
                 value=self.name,
@@ -93,13 +92,13 @@ class Table:
 
 
 class _EnglishLouis(LouisCode):
-    """English, written by liblouis, which has more signs, and read by our own code.
+    """English, encoded by liblouis, which has more signs, and decoded by the built-in code.
 
-    Of a thousand sentences liblouis reads 77 back without their capitals, ours none.
+    Of a thousand sentences liblouis loses the capitals of 77, the built-in code of none.
     """
 
     def decode(self, cells: str) -> str:
-        """Return cells as text; words with a cell unknown to our own code are read by liblouis."""
+        """Return cells as text; words with a cell unknown to the built-in code go to liblouis."""
         text = Grade1().decode(cells)
         if not any(map(is_cell, text)):
             return text
@@ -121,8 +120,8 @@ class _Known(NamedTuple):
     built_in: Callable[[], Code] | None = None
 
 
-# Whether a table goes back was measured, a thousand sentences each: de-2 and en-gb-2 read none,
-# or one in thirty, as they were; de-0 and de-1 all but brackets, and numbers after a colon.
+# Back-translation was measured on a thousand sentences each: de-2 and en-gb-2 restore none, or one
+# in thirty; de-0 and de-1 all but brackets, and numbers after a colon.
 _KNOWN = {
     "en-1": _Known("English (UEB), uncontracted", "en-ueb-g1.ctb", True, Grade1),
     "en-2": _Known("English (UEB), contracted", "en-ueb-g2.ctb", True),
@@ -178,12 +177,12 @@ def open_table(name: str = DEFAULT_TABLE) -> Table:
 
 
 def _tidy(text: str, code: Code) -> str:
-    """Return a text with plain spaces and whole letters, nothing invisible but joiners.
+    """Return a text with plain spaces and composed letters, nothing invisible but joiners.
 
-    Marks are joined with their letter where one character is both, and otherwise left in
-    their order: Unicode's own forms would reorder Arabic marks and take Punjabi letters apart.
+    Marks are composed with their letter where one character is both, and otherwise left in
+    their order: Unicode's normal forms would reorder Arabic marks and decompose Punjabi letters.
     """
-    # Half-width kana have their voice marks apart.
+    # Half-width kana have separate voice marks.
     whole = re.sub(r"[ｦ-ﾟ]+", lambda found: unicodedata.normalize("NFKC", found[0]), text)
     plain = re.sub(r"[^\S\n]", " ", whole.replace("\r\n", "\n"))
     visible = "".join(
@@ -204,6 +203,6 @@ def _tidy(text: str, code: Code) -> str:
 
 @cache
 def _excluded() -> dict[str, str]:
-    """Return the letters that Unicode takes apart for good, by their parts."""
+    """Return the letters that Unicode excludes from composition, by their parts."""
     every = map(chr, range(0x0900, 0x1000))
     return {parts: each for each in every if len(parts := unicodedata.normalize("NFC", each)) > 1}

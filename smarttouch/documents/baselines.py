@@ -28,9 +28,10 @@ _RISE = 0.5
 """Weight of an edge at the top of letters, relative to one at the bottom."""
 _ROUNDS = 3
 _STROKE = 96
-"""Density at which a line crosses a stroke: thin ones of small print are not black."""
+"""Density at which a stroke begins: thin strokes of small print are not black."""
 _TALL = 95
-"""Per cent of letters that are no taller than the tall ones; few are accented or touch others."""
+"""Percentile of letter heights that is taken as that of tall letters; a few are accented or touch
+others."""
 _GAP = 0.3
 """White that separates two lines, in x-heights."""
 _CLOSE = 0.02
@@ -166,7 +167,7 @@ def _fitted(x: Floats, y: Floats, weight: Floats, degree: int) -> tuple[Floats, 
 def _pieces(
     density: NDArray[np.uint8], left: float, right: float, curve: Floats, height: float
 ) -> tuple[Floats, Floats]:
-    """Return the ink of each piece at each height along a curve, (P, N), and its place."""
+    """Return the ink of each piece at each height along a curve, (P, N), and its place, (P,)."""
     count = max(1, round((right - left) / height / _PIECE))
     columns = max(8, round((right - left) / height * _COLUMNS / count)) * count
     along = (np.arange(columns) + 0.5) * (right - left) / columns
@@ -198,10 +199,10 @@ def _strokes(
 
 
 def _shifts(pieces: Floats) -> tuple[Floats, Floats]:
-    """Return the offset of each piece from the mean, in steps, and its reliability."""
+    """Return the offset of each piece from the mean, (P,) steps, and its reliability."""
     most = round(_SHIFT * _STEPS)
     edges = np.diff(cv2.GaussianBlur(pieces, (0, 0), sigmaX=1.5, sigmaY=1e-6), axis=1)
-    # Letters end at the baseline more often than they begin at the top of an x: figures do not.
+    # More letters end at the baseline than begin at the top of an x: figures do not.
     edges = np.where(edges > 0, _RISE * edges, edges) * np.hanning(edges.shape[1])
     usual = edges.mean(axis=0)
     spread = np.fft.rfft(edges, 2 * edges.shape[1])
@@ -229,5 +230,5 @@ def _edges(profile: Floats) -> tuple[float, float]:
 def _peak(values: Floats, at: int) -> float:
     before, here, after = values[at - 1 : at + 2]
     bend = 2 * here - before - after
-    # Between two rows of the profile.
+    # The slope at an index lies half a row beyond it.
     return at + 0.5 + (float((after - before) / 2 / bend) if bend > 0 else 0.0)

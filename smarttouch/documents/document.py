@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 PDF_DPI = 300.0
 MOST_RENDERED_PIXELS = 36_000_000
-"""Most pixels of a PDF's page, A2 at 300 dots per inch. Larger ones are rendered coarser: most of
-them are scans that take their pixels for points, and have no finer details than those."""
+"""Most pixels of a PDF's page, A2 at 300 dots per inch. Larger ones are rendered coarser: most are
+scans whose size in points is that in pixels, without finer detail."""
 GUESSED_WIDTH_MM = 210.0
 """Width of an A4 page, for images without a stated size."""
 _POINT_MM = INCH_MM / 72
@@ -64,10 +64,10 @@ def parse_pages(text: str, count: int) -> list[int]:
     """
     indexes: list[int] = []
     for part in text.split(","):
-        # Nine digits: longer numbers are no pages, and Python refuses the longest.
+        # Python refuses to convert very long numbers.
         match = re.fullmatch(r"\s*([0-9]{1,9})\s*(-\s*([0-9]{1,9})?\s*)?", part)
         if match is None:
-            message = f"pages {text}: {part.strip()!r} is no page: write 1,3-5 or 7-"
+            message = f"pages {text}: {part.strip()!r} is not a page: write 1,3-5 or 7-"
             raise PageError(message, about="pages", problem="malformed", value=part.strip())
         first = int(match[1])
         last = int(match[3] or count) if match[2] else first
@@ -82,7 +82,7 @@ def parse_pages(text: str, count: int) -> list[int]:
                 )
         if last < first:
             raise PageError(
-                f"pages {text}: {first} is behind {last}: write {last}-{first}",
+                f"pages {text}: {first} is after {last}: write {last}-{first}",
                 about="pages",
                 problem="conflict",
                 value=(first, last),
@@ -136,7 +136,7 @@ class ImageDocument(Document):
         super().__init__(path)
         self._dpi, self._page_width_mm = dpi, page_width_mm
         with open_image(path, _DOCUMENT) as image:
-            # Other kinds have frames too: those of an animation are no pages.
+            # Frames of other formats are animations.
             self._count = getattr(image, "n_frames", 1) if image.format == "TIFF" else 1
 
     def __len__(self) -> int:
@@ -153,8 +153,8 @@ class ImageDocument(Document):
         if mm_per_pixel is None:
             mm_per_pixel = min(GUESSED_WIDTH_MM / width, LARGEST_MM / height)
             self._note(
-                f"{self.path} does not say how large it is: "
-                f"taken as {width * mm_per_pixel:.0f} mm wide"
+                f"{self.path} does not state its size: "
+                f"assumed to be {width * mm_per_pixel:.0f} mm wide"
             )
         require_size_mm(str(self.path), width * mm_per_pixel, height * mm_per_pixel)
         return Page(grey, mm_per_pixel)
@@ -204,7 +204,7 @@ class PdfDocument(Document):
         scale = mm / mm_per_pixel
         require_pixels(name, math.ceil(width * scale), math.ceil(height * scale))
         with contextlib.closing(sheet.render(scale=scale, grayscale=True)) as bitmap:
-            # A copy: the bitmap's own memory goes with it.
+            # A copy, as the bitmap frees its memory.
             grey = np.array(bitmap.to_numpy(), np.uint8).reshape(bitmap.height, bitmap.width)
             return Page(grey, mm_per_pixel)
 
@@ -232,13 +232,13 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument":
         pdf = pypdfium2.PdfDocument(path, password)
     except pypdfium2.PdfiumError as error:
         if "password" not in str(error).lower():
-            message = f"{path} is damaged, or has no pages: save it anew"
+            message = f"{path} is damaged, or has no pages: save it again"
             raise PageError(message, about="file", problem="damaged", value=path) from None
         problem, message = "missing", f"{path} is encrypted: give its password"
         if password is not None:
-            problem, message = "wrong", f"{path} is encrypted: give its password, not another"
+            problem, message = "wrong", f"{path} is encrypted: this is not its password"
         raise PageError(message, about="password", problem=problem, value=path) from None
-    # What is filled in would be missing without it; it must come before any page.
+    # Needed to render filled-in fields, before any page is opened.
     if pdf.get_formtype() == pypdfium2.raw.FORMTYPE_ACRO_FORM:
         pdf.init_forms()
     return pdf

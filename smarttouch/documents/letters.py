@@ -10,7 +10,7 @@ _FEWEST_PIXELS = 3
 """Fewest pixels of a spot; a smaller one is a speck in any readable print."""
 _LEAST_SIDE = 3
 _MOST_PART = 0.25
-"""Part of the shorter side above which a spot is a picture, a frame or a dark margin."""
+"""Part of the page's shorter side above which a spot is a picture, a frame or a dark margin."""
 _LETTER = (0.55, 9.0)
 """Range of letter heights on a page, relative to the usual one; dots are lower."""
 _COMMA = (0.8, 0.5)
@@ -20,15 +20,15 @@ _LONGEST = 40.0
 _THICK = 0.5
 """Width of a vertical rule, in letter heights, above which it is a bar of a picture."""
 _FILLED = 0.15
-"""Part of its box that a picture fills at least."""
+"""Least part of its box that a picture fills."""
 _RULE = 12.0
 """Ratio of length to height above which a spot is a rule."""
 _UNDERLINE, _THIN = 3.0, 0.3
 """Least length and most thickness of a line under a word, in letter heights."""
 _BELOW, _HANGING = 0.4, 0.2
-"""Height below it, in the same, and the part of it that is ink at most: of descenders."""
+"""Height of the zone below it, in the same, and most ink there: that of descenders."""
 _STANDING = 0.5
-"""Part of its length over which letters stand on it, at least; bars of large letters have less."""
+"""Least part of its length that has letters above it; bars of large letters have less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +152,7 @@ def _labeled(ink: NDArray[np.bool_]) -> tuple[Spots, NDArray[np.int_], NDArray[n
 
 def find_dividers(ink: NDArray[np.bool_], height: float) -> NDArray[np.bool_]:
     """Return the ink of vertical rules, (H, W) bool: between columns, of frames and tables."""
-    # One that is not quite upright steps aside by a pixel.
+    # A slightly tilted rule steps sideways by a pixel.
     wide = cv2.dilate(ink.view(np.uint8), np.ones((1, 3), np.uint8))
     upright = cv2.morphologyEx(wide, cv2.MORPH_OPEN, np.ones((round(_RULE * height), 1), np.uint8))
     side = max(4, round(_THICK * height) + 2)
@@ -176,5 +176,5 @@ def find_rules(ink: NDArray[np.bool_], height: float) -> NDArray[np.bool_]:
         below = ink[top + high + 1 : top + high + 1 + deep, columns]
         if below.size and below.mean() < _HANGING and above.mean() > _STANDING:
             rules[top : top + high, columns][labels[top : top + high, columns] == label] = 1
-    # A rule that is not quite level, or frayed, steps up and down by a pixel.
+    # A slightly tilted or frayed rule steps up and down by a pixel.
     return np.asarray(cv2.dilate(rules, np.ones((3, 1), np.uint8)), np.uint8).view(np.bool_)

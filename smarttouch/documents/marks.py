@@ -9,7 +9,7 @@ from smarttouch.documents.baselines import Baseline
 from smarttouch.documents.letters import Spots, widest_white
 
 _THINNEST, _SHORTEST, _LONGEST = 0.06, 0.15, 2.5
-"""Shorter and longer side of a dot, a dash or a letter that stands alone, in x-heights."""
+"""Shorter and longer side of a dot, a dash or a single letter, in x-heights."""
 _REACH = 1.2
 """Largest distance of a mark from its line's end, in x-heights."""
 _ABOVE, _BELOW = 1.6, 0.5

@@ -14,14 +14,14 @@ _LEAST_SIDE = 1.5
 _LEAST_DARK = 0.35
 """Least part of a panel's box that is dark."""
 _LEAST_BOX = 0.8
-"""Least part of its box that a panel fills with what is in it; letters that touch have less."""
-_FEWEST = 4
-"""Fewest light letters; two large letters that touch have as many holes at most."""
+"""Least part of its box that a panel and its contents fill; touching letters have less."""
+_FEWEST_LIGHT = 4
+"""Fewest light letters; two large touching letters have at most as many holes."""
 _LETTER = (0.5, 9.0)
 """Range of their usual height, in usual heights of the letters of the page: halftones have less,
 and what is larger is a window in the panel."""
 _BLACK = np.uint8(40)
-"""Level below which a panel is its paper, without grain."""
+"""Level below which a panel's grain is cut off."""
 
 
 def turn_panels(paper: Paper) -> Paper:
@@ -42,7 +42,7 @@ def turn_panels(paper: Paper) -> Paper:
         if ink is paper.ink:
             ink, cleaned = ink.copy(), cleaned.copy()
         ink[box] ^= panel
-        # Its own blurred edge would be a frame.
+        # Its blurred edge would become a frame.
         inside = cv2.erode(panel.view(np.uint8), np.ones((3, 3), np.uint8), borderValue=0) > 0
         ink[box] &= inside | ~panel
         above = np.maximum(cleaned[box], _BLACK) - _BLACK
@@ -67,7 +67,7 @@ def _panel(ink: NDArray[np.bool_], area: int, height: float) -> NDArray[np.bool_
     usual = usual_height(holes, ink.shape)
     if usual is None or not _LETTER[0] * height < usual < _LETTER[1] * height:
         return None
-    if np.count_nonzero((holes.height > usual / 2) & (holes.height < 2 * usual)) < _FEWEST:
+    if np.count_nonzero((holes.height > usual / 2) & (holes.height < 2 * usual)) < _FEWEST_LIGHT:
         return None
     for k, outline in enumerate(outlines):
         _, _, wide, high = cv2.boundingRect(outline)

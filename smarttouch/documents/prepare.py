@@ -11,7 +11,7 @@ from smarttouch.documents.strips import cut_strip
 from smarttouch.documents.text_lines import TextLine, ink_of_lines, lines_of
 
 LEFT_OUT = "left out: "
-"""Beginning of the note of what is not among the lines."""
+"""Beginning of the note on what is not among the lines."""
 
 
 @dataclass(frozen=True, eq=False)

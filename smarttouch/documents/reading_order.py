@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from smarttouch.documents.baselines import Floats
+
 Flags = NDArray[np.bool_]
 
 _LEAST_SHARED = 0.2
@@ -11,7 +12,7 @@ _LEAST_SHARED = 0.2
 _HEADLINE, _SAME_SIZE = 1.3, 0.15
 """Least height of a headline, in usual ones of the page, and difference between its lines."""
 _LEVEL = 1.5
-"""Distance, in line heights, within which two lines stand beside each other."""
+"""Distance, in line heights, within which two lines are side by side."""
 _SAME_LEVEL = 0.5
 """Difference of baselines, in line heights, of parts of one title or foot."""
 
@@ -73,13 +74,13 @@ def _left_column(left: Floats, y: Floats, height: Floats, over: Flags) -> Flags:
     """Return for each pair, (N, N), whether one is read first because it is on the left."""
     beside = ~over & (left[:, None] < left)
     level = np.abs(y[:, None] - y) < _LEVEL * np.maximum(height[:, None], height)
-    # Lines of either column stand where the other line is: else these two are no columns.
+    # Each column must have lines beside the other one.
     columns = (over.astype(np.uint8) @ level.astype(np.uint8)) > 0
     columns |= columns.T
     first = beside & columns
     for line in np.flatnonzero(first.any(axis=1)):
         between = (np.minimum(y[line], y)[:, None] < y) & (y < np.maximum(y[line], y)[:, None])
-        # Row: the other line; column: one that may part the two.
+        # Rows: the other line; columns: a line that may separate the two.
         first[line] &= ~(between & over[line] & over).any(axis=1)
     return first
 
@@ -90,6 +91,6 @@ def _sorted(first: Flags, usual: NDArray[np.int_]) -> list[int]:
     order = []
     while waiting:
         blocked = first[np.ix_(waiting, waiting)].any(axis=0)
-        # Rules that contradict each other leave none free: the usual order decides.
+        # Contradictory rules leave none free: the usual order decides.
         order.append(waiting.pop(int(blocked.argmin())))
     return order

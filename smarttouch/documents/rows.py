@@ -1,4 +1,4 @@
-"""Rows of letters that stand side by side, cut between columns."""
+"""Rows of letters, side by side, cut between columns."""
 
 from dataclasses import dataclass
 
@@ -86,7 +86,7 @@ def neighbors(letters: Spots) -> Links:
     """Link each letter to the next one on its right, where both agree."""
     height = letters.height
     middle = (letters.top + letters.bottom) / 2
-    # Twice as far apart in height is as far apart as this in the row.
+    # Vertical distance counts twice.
     tree = cKDTree(np.column_stack([letters.left, 2 * middle]))
     near = min(_NEIGHBORS, len(height) - 1) + 1
     reach = _WIDEST_GAP * float(height.max())
@@ -111,7 +111,7 @@ def neighbors(letters: Spots) -> Links:
         & (first != second)
     )
     first, second, gap, beside, lower = (each[kept] for each in (first, second, gap, beside, lower))
-    # What stands a pixel off is as far as what stands a pixel farther on.
+    # A pixel of vertical offset costs as much as a pixel of gap.
     cost = np.maximum(gap, 0) + (lower - beside)
     follows = _cheapest(first, cost)
     precedes = _cheapest(second, cost)
@@ -137,7 +137,7 @@ def _undivided(letters: Spots, links: Links, dividers: NDArray[np.bool_]) -> Lin
 
 def _without_gutters(letters: Spots, links: Links, spots: Spots) -> Links:
     """Remove links over a white lane that runs down between columns."""
-    # Of both letters: a parenthesis is much taller than the others.
+    # Mean of both letters, as a parenthesis is much taller than the others.
     mean = (letters.height[links.first] + letters.height[links.second]) / 2
     part = links.gap / mean
     spaces = part[part > _LEAST_SPACE]
@@ -153,7 +153,7 @@ def _without_gutters(letters: Spots, links: Links, spots: Spots) -> Links:
         )
         if white[1] - white[0] <= narrowest * size:
             continue
-        # Columns begin, or end, one below the other: the lane lies at an edge of the gap.
+        # Columns are aligned at one side, so the lane lies at an edge of the gap.
         width = _NARROWEST * size
         middle = (white[0] + white[1]) / 2
         lanes = (white[1] - width, white[0], middle - width / 2)

@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Grey = NDArray[np.uint8]
+from smarttouch.documents.ink import Grey
+
 Corners = NDArray[np.float64]
 
 _SIDE_PX = 480

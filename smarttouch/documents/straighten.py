@@ -6,17 +6,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.documents.ink import reduced, separate_ink
+from smarttouch.documents.ink import Grey, reduced, separate_ink
 from smarttouch.documents.letters import Spots, letters_alone
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.rows import neighbors
 from smarttouch.documents.sheet import find_sheet, flattened
 
-Grey = NDArray[np.uint8]
-
 MOST_SKEW_DEG = 15.0
 QUARTER = "the text ran up or down the page, which was turned by 90°"
-"""Note of a turn by a quarter, against the clock."""
+"""Note of a turn by a quarter, counterclockwise."""
 LEAST_SKEW_DEG = 0.2
 """Least skew worth correcting: lines are followed through less."""
 _REDUCED_PIXELS = 2_000_000
@@ -33,10 +31,10 @@ _TOUCHING = 0.1
 """Gap of touching letters, in letter heights."""
 _EDGE_MEANS = 40
 """Places across a page at which the grey of its edges is averaged."""
-_TELLING = 0.3
-"""Visible rise of a line over its whole length, in letter heights."""
+_LEAST_RISE = 0.3
+"""Least rise of a line over its whole length, in letter heights."""
 _LEAST_CONTRAST = 3.2
-"""Least contrast of rows and gaps along the text to any direction; pictures have up to 2.9."""
+"""Least contrast of rows along the text, relative to other directions; pictures have up to 2.9."""
 _CLEARLY = 0.6
 """Least log ratio by which letters are closer in columns than in rows."""
 
@@ -100,10 +98,9 @@ def measure_skew(ink: NDArray[np.bool_], height: float) -> tuple[float, float]:
 
 
 def _runs_downwards(letters: Spots) -> bool:
-    """Return whether letters follow each other down the page instead of along it.
+    """Return whether letters follow each other down the page instead of across it.
 
-    Within a word they are nearer to each other than in any other direction;
-    where words have run together, these are long.
+    Letters of a word are closest along the line; words that have run together are long.
     """
     gaps = []
     for each in (letters, letters.transposed):
@@ -119,7 +116,7 @@ def _runs_downwards(letters: Spots) -> bool:
 def _least_skew_deg(letters: Spots, height: float) -> float:
     """Return the least measurable skew: little text determines its direction poorly."""
     left, right = np.percentile(letters.left, 2), np.percentile(letters.right, 98)
-    return max(LEAST_SKEW_DEG, math.degrees(_TELLING * height / max(float(right - left), 1.0)))
+    return max(LEAST_SKEW_DEG, math.degrees(_LEAST_RISE * height / max(float(right - left), 1.0)))
 
 
 def _turned(grey: Grey, quarter: bool, skew_deg: float) -> Grey:

@@ -29,11 +29,11 @@ from smarttouch.documents.textlike import credible, is_text, is_too_small, outsi
 from smarttouch.documents.touching import part_lines
 
 _HOPELESS, _MISSES = 60, 3
-"""Rows that are no text, and more per row that is, after which the rest is a picture's."""
+"""Failed rows, and additional ones per line of text, after which the rest is a picture's."""
 _SMALL_PX, _MOST_PIXELS = 9.0, 40_000_000
 """Usual height of spots below which a page is enlarged, and the largest it may become."""
-_TELLING = 10.0
-"""Length of a row, in letter heights, that determines its slope."""
+_LONG_ROW = 10.0
+"""Least length of a row, in letter heights, that determines its slope."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def lines_of(paper: Paper, mm_per_pixel: float) -> tuple[list[TextLine], str]:
     parted = part_lines(paper.ink & ~rules & ~dividers, spots, height)
     spots, pictures, count = find_pictures(parted, height)
     density = np.where(rules | dividers, np.uint8(0), 255 - paper.cleaned)
-    found, small = _courses(density, spots, height, dividers | pictures)
+    found, small = _followed_rows(density, spots, height, dividers | pictures)
     baselines = with_marks(found, spots)
     left_out = _left_out(small, count)
     if not baselines:
@@ -131,18 +131,16 @@ def lines_of(paper: Paper, mm_per_pixel: float) -> tuple[list[TextLine], str]:
 
 
 def _left_out(small: int, pictures: int) -> str:
-    """Return what is not among the lines of a page, in words; empty if nothing is known of."""
+    """Return in words what of a page is not among its lines; empty if nothing."""
     counts = ((small, "line", "too small"), (pictures, "picture", ""))
-    said = [f"{n} {what}{'s' * (n > 1)} {why}".strip() for n, what, why in counts if n]
-    return ", ".join(said)
+    return ", ".join(f"{n} {what}{'s' * (n > 1)} {why}".strip() for n, what, why in counts if n)
 
 
-def _courses(
+def _followed_rows(
     density: NDArray[np.uint8], spots: Spots, height: float, dividers: NDArray[np.bool_]
 ) -> tuple[list[Baseline], int]:
-    """Follow all rows of letters, the long ones first.
-
-    Return those that are text, and the number of those too small to tell.
+    """Follow all rows of letters, long ones first; return those of text, and the number of those
+    that are too small to be read.
     """
     small = 0
     letters = spots.of(like_letters(spots, height))
@@ -153,12 +151,12 @@ def _courses(
     for tried, row in enumerate(rows):
         if tried > _HOPELESS + _MISSES * len(lines):
             break
-        tells = _length(row) > _TELLING
-        baseline = follow(density, row, None if tells else _slope_around(row, guides))
+        is_long = _length(row) > _LONG_ROW
+        baseline = follow(density, row, None if is_long else _slope_around(row, guides))
         small += is_too_small(baseline, row)
         if is_text(baseline, row):
             lines.append((baseline, row))
-            if tells:
+            if is_long:
                 guides.append(baseline)
     return credible(outside_pictures(lines, spots), int(spots.area.sum())), small
 
@@ -174,7 +172,7 @@ def _slope_around(row: Spots, guides: list[Baseline]) -> float:
 
     def away(guide: Baseline) -> float:
         beyond = max(guide.left - x, x - guide.right, 0.0)
-        # Another column bends otherwise: lines above and below are more reliable.
+        # Columns bend differently: lines above and below are more reliable.
         return abs(float(guide.at(np.array(x))) - y) + 2 * beyond
 
     return min(guides, key=away).slope_at(x) if guides else 0.0

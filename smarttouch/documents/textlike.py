@@ -11,7 +11,7 @@ _LEAST_X_HEIGHT_PX = 3.5
 _SURE = 3
 """Fewest letters of a line; with fewer, specks form lines by chance."""
 _TEXT = 10
-"""Lines of a page beside which one or two letters alone are not believed."""
+"""Lines of a page beside which one or two single letters are rejected."""
 _SIMILAR = 1.7
 """Ratio of x-heights of lines on a page; capitals and figures measure taller."""
 _MOST_OF_ALL = 0.8
@@ -69,7 +69,7 @@ def is_text(baseline: Baseline, letters: Spots) -> bool:
     """Return whether a row of letters that was followed is a line of text."""
     if baseline.x_height < _LEAST_X_HEIGHT_PX:
         return False
-    # Dashes and wide spaces are no letters, and have little ink.
+    # Dashes and wide spaces have little ink.
     covered = min(1.0, float(letters.width.sum()) / (baseline.right - baseline.left))
     if _are_capitals(baseline, letters):
         return True
@@ -121,7 +121,7 @@ def _are_letters(baseline: Baseline, letters: Spots, covered: float) -> bool:
     length = length_px / baseline.x_height
     base = baseline.at((letters.left + letters.right) / 2)
     tops, bottoms = (base - edge for edge in (letters.top, letters.bottom))
-    # Where most letters are tall, these are what was measured as an x.
+    # Where most letters are tall, they were measured as an x.
     on_levels = max(
         min(_on_a_level(tops, _TOPS, x), _on_a_level(bottoms, _BOTTOMS, x))
         for x in (baseline.x_height, baseline.x_height / _TOPS[1])
@@ -222,7 +222,7 @@ def credible(lines: list[tuple[Baseline, Spots]], ink: int) -> list[Baseline]:
     kept = []
     for (baseline, _), is_sure in zip(lines, sure, strict=True):
         ratio = np.maximum(baseline.x_height / sizes, sizes / baseline.x_height)
-        # Beside all text are the edges of sheets.
+        # Edges of sheets lie beside all text.
         beside = len(sizes) >= _TEXT and not left.min() <= baseline.left <= right.max()
         if is_sure or (ratio.min() < _SIMILAR and not beside):
             kept.append(baseline)

@@ -53,7 +53,7 @@ def _part_letters(
 ) -> None:
     """Cut a narrow spot between the lines beside it, if there are two.
 
-    A large letter stands beside large letters, or has a line on one side only.
+    A large letter has large letters beside it, or a line on one side only.
     """
     left, right = int(spots.left[index]), int(spots.right[index])
     top, bottom = int(spots.top[index]), int(spots.bottom[index])

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.profile import Profile
+from smarttouch.sources.flat_field import FlatField
 from smarttouch.sources.frame import Pose
 from smarttouch.sources.motion import MotionTracker
 
@@ -18,8 +19,6 @@ class FramePreprocessor:
     def __init__(self, profile: Profile) -> None:
         self._correct: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] | None = None
         if profile.optics.flat_field is not None:
-            from smarttouch.sources.flat_field import FlatField
-
             flat_field = FlatField.load(Path(profile.optics.flat_field))
             # The first call imports scipy, which must not delay the first image of a run.
             flat_field.correct(np.zeros(flat_field.gain.shape, np.uint8))
