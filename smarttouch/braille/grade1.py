@@ -31,8 +31,7 @@ _SAME = str.maketrans({"–": "—", "…": "...", "‐": "-", "‑": "-", "−"
 """Characters that differ in print, and not in Braille."""
 
 _CAPITAL, _CAPITAL_WORD, _CAPITAL_PASSAGE, _CAPITALS_END = "⠠", "⠠⠠", "⠠⠠⠠", "⠠⠄"
-_PASSAGE_WORDS = 3
-"""Words in capitals one after another that make a passage (8.5)."""
+_PASSAGE_WORDS = 3  # words in capitals one after another that make a passage (8.5)
 _NUMBER, _GRADE_1, _NUMBER_SPACE = "⠼", "⠰", "⠐"
 _ONE_QUOTE_OR_QUESTION, _CLOSING_QUOTE, _ANY_QUOTE, _SURE_QUOTE = "⠦", "⠴", "⠠⠶", "⠘⠦"
 _OPENING = frozenset(" ([{<—-/‘«")

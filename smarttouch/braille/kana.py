@@ -56,10 +56,8 @@ _POINT, _COMMA = "⠂", "⠄"
 
 _BRACKETS = {"「": "⠤", "」": "⠤", "『": "⠰⠤", "』": "⠤⠆", "(": "⠶", ")": "⠶"}
 _STOPS = {"。": "⠲", "、": "⠰", "?": "⠢", "!": "⠖", "・": "⠐"}
-_BLANKS = {"。": 2, "?": 2, "!": 2, "、": 1, "・": 1}
-"""Blank cells that follow a stop in a line."""
-_UNPARTED = frozenset("」』)。、?!・…~,.")
-"""Signs not separated from a stop by a blank cell."""
+_BLANKS = {"。": 2, "?": 2, "!": 2, "、": 1, "・": 1}  # blank cells that follow a stop in a line
+_UNPARTED = frozenset("」』)。、?!・…~,.")  # signs not separated from a stop by a blank cell
 _SIGNS = {**_BRACKETS, **_STOPS, "~": "⠤⠤", "…": "⠂⠂⠂"}
 _KNOWN = frozenset({*_SYLLABLES, *_FULL_SIZE, *_DIGITS, *_SIGNS, *" ,."})
 _WIDE = str.maketrans("?!()~", "？！（）〜")

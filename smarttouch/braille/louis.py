@@ -18,19 +18,15 @@ JOINERS = "\u200c\u200d"
 """Invisible characters that shape their neighbors, and have cells of their own in some codes."""
 _LIBRARIES = ("liblouis.so.20", "liblouis.so", "liblouis.20.dylib", "liblouis.dylib")
 
-_DOTS = 0x8000
-"""Offset of cells in back-translation, in every version (LOU_DOTS)."""
-_DOTS_IO, _UNICODE_CELLS, _NO_UNDEFINED = 4, 64, 128
-"""Values of ``translationModes`` in liblouis.h."""
+_DOTS = 0x8000  # offset of cells in back-translation, in every version (LOU_DOTS)
+_DOTS_IO, _UNICODE_CELLS, _NO_UNDEFINED = 4, 64, 128  # values of ``translationModes`` in liblouis.h
 _LOG_OFF = 60000
 _LONGEST_NAME = 200
 """Longest name of a table; file names have at most 255 bytes, and old versions do not check."""
-_ROOMS = (8, 64)
-"""Characters of output per one of input; the second if the first was not enough."""
+_ROOMS = (8, 64)  # characters of output per one of input; the second if the first was not enough
 _UNDEFINED = "\uf8ff"
 """Private character that no table defines, to obtain the output of undefined ones."""
-_ESCAPE = re.compile(r"\\([0-9A-F]*)/")
-"""Output for a cell that a table cannot read: its dots."""
+_ESCAPE = re.compile(r"\\([0-9A-F]*)/")  # output for a cell that a table cannot read: its dots
 
 _lock = threading.Lock()
 """Lock of liblouis, which keeps its state in globals."""

@@ -22,24 +22,18 @@ DISTURBED = 0.7
 FEWEST_CELLS = 4
 LEAST_SHARE = 0.03
 """Least part of the paper that cells cover on a page of unknown kind."""
-_ENOUGH = 0.1
-"""Covered part above which no other scale is tried."""
+_ENOUGH = 0.1  # covered part above which no other scale is tried
 CELL_HEIGHT = 1.6
 """Height of a line, in distances of cells."""
 _SIDES_PX = (980, 1370, 700, 1900, 500, 350, 250)
 """Longer sides to which a page is scaled in turn: its lines may be many or few."""
-_PITCH_PX = 25.0
-"""Distance of cells at which they are read, in the middle of the network's range."""
+_PITCH_PX = 25.0  # distance of cells at which they are read, in the middle of the network's range
 _TURNS_DEG = (-15.0, 15.0)
-_MOST_ENLARGED = 1.5
-"""Largest enlargement of a picture."""
+_MOST_ENLARGED = 1.5  # largest enlargement of a picture
 _TILE_PX = 224
-_TILES = ((0.5, 0.5), (0.28, 0.3), (0.72, 0.7))
-"""Centers of the tiles by which a view is judged."""
-_LEVEL_DEG = 1.0
-"""Slope of lines above which a page is turned."""
-_OTHER_SIDE = 0.2
-"""Least lead in certainty by which dots lit from below count as the raised ones."""
+_TILES = ((0.5, 0.5), (0.28, 0.3), (0.72, 0.7))  # centers of the tiles by which a view is judged
+_LEVEL_DEG = 1.0  # slope of lines above which a page is turned
+_OTHER_SIDE = 0.2  # least lead in certainty by which dots lit from below count as the raised ones
 _BOTH_SIDES = 0.6
 
 

@@ -8,16 +8,11 @@ from smarttouch.braille.network import FoundCells
 
 Points = NDArray[np.float64]
 
-_LEVEL = 0.35
-"""Largest distance of a cell from the line of the one before it, in cells."""
-_LONGEST_GAP = 12.0
-"""Longest gap within a line, in cells."""
-_ONE_LINE = 0.8
-"""Largest distance of two parts of one line, in cells; lines are 1.4 and more apart."""
-_OVERLAP = 0.6
-"""Distance of cells below which they are one, in cells."""
-_LEAST_CERTAINTY = 0.35
-"""Least mean certainty of a row: print beside Braille has less."""
+_LEVEL = 0.35  # largest distance of a cell from the line of the one before it, in cells
+_LONGEST_GAP = 12.0  # longest gap within a line, in cells
+_ONE_LINE = 0.8  # largest distance of two parts of one line, in cells; lines are 1.4 and more apart
+_OVERLAP = 0.6  # distance of cells below which they are one, in cells
+_LEAST_CERTAINTY = 0.35  # least mean certainty of a row: print beside Braille has less
 
 
 def cell_pitch(px: Points) -> float:

@@ -16,8 +16,7 @@ TEXT = "text:"
 """Prefix of words that are not a file name."""
 _NAME = re.compile(r"\.{0,2}/\S+|\S*\.[A-Za-z]\w{1,3}")
 """A word that ends like a file name or begins like a path."""
-_MOST_NAMED = 12
-"""Characters listed in a note on left-out ones."""
+_MOST_NAMED = 12  # characters listed in a note on left-out ones
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,7 @@ _MARKED = re.compile(
     r"[\u0300-\u036f\u064b-\u065f\u0670\u093c\u09bc\u0a3c\u0b3c\u0cbc\u3099\u309a]+"
 )
 """A letter and its combining marks."""
-_TAG = re.compile(r"[a-z]{2,3}(-[A-Z]{2})?")
-"""Tag of a language, with its country or without."""
+_TAG = re.compile(r"[a-z]{2,3}(-[A-Z]{2})?")  # tag of a language, with its country or without
 MISSING_NOTE = (
     f"liblouis is not installed: built-in English grade 1; for others and grade 2: {louis.INSTALL}"
 )

@@ -12,32 +12,21 @@ from smarttouch.documents.letters import Spots
 
 Floats = NDArray[np.float64]
 
-_STEPS = 20
-"""Rows of the profile per height of its letters."""
-_BAND = 1.6
-"""Half height of the band around a row, in heights of its letters."""
-_COLUMNS = 8
-"""Columns per height of its letters."""
-_PIECE = 5.0
-"""Length of a piece that is shifted as one, in heights of its letters."""
-_SUPPORT = (2, 4, 8)
-"""Fewest pieces for a slope, a bend, and a second bend of a line."""
-_SHIFT = 0.6
-"""Largest shift of a piece from the first guess, in heights of its letters."""
-_RISE = 0.5
-"""Weight of an edge at the top of letters, relative to one at the bottom."""
+_STEPS = 20  # rows of the profile per height of its letters
+_BAND = 1.6  # half height of the band around a row, in heights of its letters
+_COLUMNS = 8  # columns per height of its letters
+_PIECE = 5.0  # length of a piece that is shifted as one, in heights of its letters
+_SUPPORT = (2, 4, 8)  # fewest pieces for a slope, a bend, and a second bend of a line
+_SHIFT = 0.6  # largest shift of a piece from the first guess, in heights of its letters
+_RISE = 0.5  # weight of an edge at the top of letters, relative to one at the bottom
 _ROUNDS = 3
-_STROKE = 96
-"""Density at which a stroke begins: thin strokes of small print are not black."""
+_STROKE = 96  # density at which a stroke begins: thin strokes of small print are not black
 _TALL = 95
 """Percentile of letter heights that is taken as that of tall letters; a few are accented or touch
 others."""
-_GAP = 0.3
-"""White that separates two lines, in x-heights."""
-_CLOSE = 0.02
-"""Distance of the pieces from a good curve, in heights of its letters."""
-_WORTH = 0.7
-"""Factor by which a curve of higher degree must reduce most distances."""
+_GAP = 0.3  # white that separates two lines, in x-heights
+_CLOSE = 0.02  # distance of the pieces from a good curve, in heights of its letters
+_WORTH = 0.7  # factor by which a curve of higher degree must reduce most distances
 
 
 @dataclass(frozen=True, eq=False)

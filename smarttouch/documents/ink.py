@@ -14,22 +14,15 @@ _REDUCTION, _REDUCED_PIXELS = 4, 20_000
 """Reduction at which paper is estimated, less on small pages: light changes slowly."""
 _WINDOW_PX, _LEAST_WINDOWS = 51, 12
 """Window of paper, wider than any stroke of text, and the least number of them across a page."""
-_WIDER = 5
-"""Factor to a second window, wider than any stroke of a headline."""
-_SOLID = 0.4
-"""Part of the level of paper farther away below which a dark area is ink, not shadow."""
-_STEP = 0.6
-"""Part of the level of neighboring paper below which paper ends."""
+_WIDER = 5  # factor to a second window, wider than any stroke of a headline
+_SOLID = 0.4  # part of the level of paper farther away below which a dark area is ink, not shadow
+_STEP = 0.6  # part of the level of neighboring paper below which paper ends
 _LEAST_LIGHT = 0.25
 """Part of the brightest paper's level below which an area is the table, not paper."""
-_DARKEST = 40.0
-"""Grey level below which an area is too dark to contain ink."""
-_PAPER = 210
-"""Level of paper in the divided image, with room above it for noise."""
-_LEAST_CONTRAST = 0.12
-"""Least contrast of ink against the paper around it."""
-_LEAST_GRAINS = 5.5
-"""Least contrast of ink, in standard deviations of the paper's grain."""
+_DARKEST = 40.0  # grey level below which an area is too dark to contain ink
+_PAPER = 210  # level of paper in the divided image, with room above it for noise
+_LEAST_CONTRAST = 0.12  # least contrast of ink against the paper around it
+_LEAST_GRAINS = 5.5  # least contrast of ink, in standard deviations of the paper's grain
 _GRAINS = 6.7
 """Contrast at which ink begins, in the same; limited to the following parts of Otsu's threshold."""
 _LEAST_PART, _MOST_PART = 0.7, 1.1
@@ -37,21 +30,15 @@ _EVEN_INK = 0.35
 """Contrast of Otsu's threshold, relative to paper, below which ink is uneven and begins earlier."""
 _THROUGH = 0.6
 """Least peak contrast of a spot, relative to the usual ink; fainter ones show through."""
-_POOL = 4
-"""Side, in pixels, of the blocks in which spots that show through are detected."""
+_POOL = 4  # side, in pixels, of the blocks in which spots that show through are detected
 _DARKER_QUARTER = 0.25
-_DIRECTION_PIXELS = 12_500
-"""Size of the image in which light and dark are compared."""
-_WINDOWS = 16
-"""Windows across a page in which ink is tested to be darker or lighter than paper."""
+_DIRECTION_PIXELS = 12_500  # size of the image in which light and dark are compared
+_WINDOWS = 16  # windows across a page in which ink is tested to be darker or lighter than paper
 _LEAST_SKEW = 0.8
 """Skewness above which print is light on dark: print has 1.5 and more, photographs have less."""
-_FEWEST = 4
-"""Fewest dark pixels, in a quarter of the image, that are not there by chance."""
-_QUARTILES = 1.349
-"""Between the quartiles of a normal distribution, in standard deviations."""
-_BRIGHT = 0.7
-"""Part of the paper's level above which pixels are mostly paper."""
+_FEWEST = 4  # fewest dark pixels, in a quarter of the image, that are not there by chance
+_QUARTILES = 1.349  # between the quartiles of a normal distribution, in standard deviations
+_BRIGHT = 0.7  # part of the paper's level above which pixels are mostly paper
 
 
 @dataclass(frozen=True, eq=False)

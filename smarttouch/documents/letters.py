@@ -6,23 +6,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_FEWEST_PIXELS = 3
-"""Fewest pixels of a spot; a smaller one is a speck in any readable print."""
+_FEWEST_PIXELS = 3  # fewest pixels of a spot; a smaller one is a speck in any readable print
 _LEAST_SIDE = 3
 _MOST_PART = 0.25
 """Part of the page's shorter side above which a spot is a picture, a frame or a dark margin."""
 _LETTER = (0.55, 9.0)
 """Range of letter heights on a page, relative to the usual one; dots are lower."""
-_COMMA = (0.8, 0.5)
-"""Largest height and width of a comma or a quote, relative to the usual height."""
+_COMMA = (0.8, 0.5)  # largest height and width of a comma or a quote, relative to the usual height
 _LONGEST = 40.0
 """Largest ratio of length to height of a word with touching letters; longer ones are rules."""
-_THICK = 0.5
-"""Width of a vertical rule, in letter heights, above which it is a bar of a picture."""
-_FILLED = 0.15
-"""Least part of its box that a picture fills."""
-_RULE = 12.0
-"""Ratio of length to height above which a spot is a rule."""
+_THICK = 0.5  # width of a vertical rule, in letter heights, above which it is a bar of a picture
+_FILLED = 0.15  # least part of its box that a picture fills
+_RULE = 12.0  # ratio of length to height above which a spot is a rule
 _UNDERLINE, _THIN = 3.0, 0.3
 """Least length and most thickness of a line under a word, in letter heights."""
 _BELOW, _HANGING = 0.4, 0.2

@@ -25,12 +25,10 @@ IMAGE = "a readable image: give a PNG, JPEG or TIFF"
 _SCALE = "dpi or page_width_mm"
 _LEAST_BELIEVED_DPI = 50.0
 """Lowest plausible resolution; files state less (1 or 72 by default) where it is unknown."""
-_EVEN = 1.02
-"""Ratio of resolutions across and down below which they are equal."""
+_EVEN = 1.02  # ratio of resolutions across and down below which they are equal
 _MOST_UNEVEN = 4.0
 """Largest plausible ratio: the coarsest kind of fax has 2.1; more is an error of the file."""
-_ORIENTATION = 0x0112
-"""EXIF tag; 5 and above lay the rows of the file upright."""
+_ORIENTATION = 0x0112  # EXIF tag; 5 and above lay the rows of the file upright
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
 """Exceptions that Pillow raises on damaged files."""
 

@@ -9,19 +9,15 @@ from numpy.typing import NDArray
 from smarttouch.documents.ink import Paper
 from smarttouch.documents.letters import find_spots, usual_height
 
-_LEAST_SIDE = 1.5
-"""Least side of a panel, in usual heights of letters."""
-_LEAST_DARK = 0.35
-"""Least part of a panel's box that is dark."""
+_LEAST_SIDE = 1.5  # least side of a panel, in usual heights of letters
+_LEAST_DARK = 0.35  # least part of a panel's box that is dark
 _LEAST_BOX = 0.8
 """Least part of its box that a panel and its contents fill; touching letters have less."""
-_FEWEST_LIGHT = 4
-"""Fewest light letters; two large touching letters have at most as many holes."""
+_FEWEST_LIGHT = 4  # fewest light letters; two large touching letters have at most as many holes
 _LETTER = (0.5, 9.0)
 """Range of their usual height, in usual heights of the letters of the page: halftones have less,
 and what is larger is a window in the panel."""
-_BLACK = np.uint8(40)
-"""Level below which a panel's grain is cut off."""
+_BLACK = np.uint8(40)  # level below which a panel's grain is cut off
 
 
 def turn_panels(paper: Paper) -> Paper:

@@ -6,12 +6,9 @@ from smarttouch.documents.baselines import Baseline, Floats
 
 ASCENT, DESCENT = 1.5, 0.45
 """Usual heights of a b above and of a p below the baseline, in x-heights."""
-_SAME = 0.15
-"""Difference of x-heights that may be a measurement error."""
-_NEAREST = 9
-"""Number of neighboring lines with which a line shares its x-height."""
-_LOW_EDGE = 0.12
-"""Ink at the end of the ascenders, relative to their middle."""
+_SAME = 0.15  # difference of x-heights that may be a measurement error
+_NEAREST = 9  # number of neighboring lines with which a line shares its x-height
+_LOW_EDGE = 0.12  # ink at the end of the ascenders, relative to their middle
 _FEWEST = 0.03
 """Least ink of ascenders or descenders, relative to the line, by which they are measured."""
 _FARTHER = 1.2

@@ -13,8 +13,7 @@ from smarttouch.errors import PageError
 PRINT_DPI = 300
 _PRINT_WIDTH_MM = 92.0
 _MARGIN_MM = 7.0
-_LINE_MM = 4.2
-"""Height of a line, ascender to descender."""
+_LINE_MM = 4.2  # height of a line, ascender to descender
 _LINE_STEP_MM = 8.0
 _COLUMNS = 30
 _INK_LEVEL = 15

@@ -11,10 +11,8 @@ _LEAST_SHARED = 0.2
 """Least overlap of lines, one above the other, as a part of the shorter one's length."""
 _HEADLINE, _SAME_SIZE = 1.3, 0.15
 """Least height of a headline, in usual ones of the page, and difference between its lines."""
-_LEVEL = 1.5
-"""Distance, in line heights, within which two lines are side by side."""
-_SAME_LEVEL = 0.5
-"""Difference of baselines, in line heights, of parts of one title or foot."""
+_LEVEL = 1.5  # distance, in line heights, within which two lines are side by side
+_SAME_LEVEL = 0.5  # difference of baselines, in line heights, of parts of one title or foot
 
 
 def reading_order(left: Floats, right: Floats, y: Floats, height: Floats) -> list[int]:

@@ -12,32 +12,23 @@ from smarttouch.documents.letters import Spots, widest_white
 
 Indices = NDArray[np.int_]
 
-_NEIGHBORS = 10
-"""Candidates for the next letter, near the right edge of a letter."""
+_NEIGHBORS = 10  # candidates for the next letter, near the right edge of a letter
 _WIDEST_GAP = 3.8
 """Widest gap in a row, in heights of the taller letter: a dash or = between two spaces."""
 _LEAST_OVERLAP = 0.45
 """Least vertical overlap of two letters of a row, as a part of the lower one's height."""
 _MOST_RATIO = 2.8
 """Largest ratio of heights in a row: a parenthesis has 2.5 times the height of an x."""
-_FEW = 2
-"""Letters in a row that is accepted only if it is isolated."""
+_FEW = 2  # letters in a row that is accepted only if it is isolated
 _AROUND, _CROWD = 2.0, 5
 """Radius, in heights, around such a letter, and the largest number of letters in it."""
-_LEAST_SPACE = 0.35
-"""Narrowest space, in letter heights; a narrower gap is within a word."""
-_NARROWEST = 0.75
-"""Narrowest gutter between columns, in letter heights."""
-_WIDER = 1.9
-"""Factor by which a gutter is wider than the usual space between words."""
-_WIDE = 2.2
-"""Gap, in letter heights, that may be a gutter however wide the usual ones are."""
-_GUTTER_LINES = 2
-"""Lines above or below, on either side, that a gutter must separate as well."""
-_OTHER_LINE = 0.8
-"""Least distance of lines, in letter heights."""
-_BESIDE = 12.0
-"""Largest distance of their letters from the gutter, in letter heights."""
+_LEAST_SPACE = 0.35  # narrowest space, in letter heights; a narrower gap is within a word
+_NARROWEST = 0.75  # narrowest gutter between columns, in letter heights
+_WIDER = 1.9  # factor by which a gutter is wider than the usual space between words
+_WIDE = 2.2  # gap, in letter heights, that may be a gutter however wide the usual ones are
+_GUTTER_LINES = 2  # lines above or below, on either side, that a gutter must separate as well
+_OTHER_LINE = 0.8  # least distance of lines, in letter heights
+_BESIDE = 12.0  # largest distance of their letters from the gutter, in letter heights
 _FAR = 1 << 30
 
 

@@ -21,22 +21,15 @@ _REDUCED_PIXELS = 2_000_000
 """Size of the image in which skew is measured: letters of an A4 page are 10 pixels high."""
 _COARSE_DEG, _FINE_DEG = 0.5, 0.05
 _POINTS = 30_000
-_FEWEST_LETTERS = 8
-"""Fewest letters that determine the direction of the text."""
-_BINS = 5.0
-"""Rows per letter height in which ink is counted."""
-_FAR = 3.2
-"""Gap assumed where there is none, in letter heights."""
-_TOUCHING = 0.1
-"""Gap of touching letters, in letter heights."""
-_EDGE_MEANS = 40
-"""Places across a page at which the grey of its edges is averaged."""
-_LEAST_RISE = 0.3
-"""Least rise of a line over its whole length, in letter heights."""
+_FEWEST_LETTERS = 8  # fewest letters that determine the direction of the text
+_BINS = 5.0  # rows per letter height in which ink is counted
+_FAR = 3.2  # gap assumed where there is none, in letter heights
+_TOUCHING = 0.1  # gap of touching letters, in letter heights
+_EDGE_MEANS = 40  # places across a page at which the grey of its edges is averaged
+_LEAST_RISE = 0.3  # least rise of a line over its whole length, in letter heights
 _LEAST_CONTRAST = 3.2
 """Least contrast of rows along the text, relative to other directions; pictures have up to 2.9."""
-_CLEARLY = 0.6
-"""Least log ratio by which letters are closer in columns than in rows."""
+_CLEARLY = 0.6  # least log ratio by which letters are closer in columns than in rows
 
 
 def straighten(page: Page, quarter: bool = True) -> tuple[Page, list[str]]:

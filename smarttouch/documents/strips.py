@@ -8,14 +8,11 @@ from numpy.typing import NDArray
 
 from smarttouch.documents.text_lines import TextLine
 
-_AROUND = 0.8
-"""Extent of the page considered above and below a line, in heights of the line."""
+_AROUND = 0.8  # extent of the page considered above and below a line, in heights of the line
 SIDES = 0.25
 """Paper kept before and after a line, in heights of the line."""
-_INK = 128
-"""Level below which is ink, when the spots of neighboring lines are located."""
-_FADED = 2
-"""Samples by which the grey edge of a spot reaches beyond its ink."""
+_INK = 128  # level below which is ink, when the spots of neighboring lines are located
+_FADED = 2  # samples by which the grey edge of a spot reaches beyond its ink
 
 
 def cut_strip(

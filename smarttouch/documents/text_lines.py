@@ -32,8 +32,7 @@ _HOPELESS, _MISSES = 60, 3
 """Failed rows, and additional ones per line of text, after which the rest is a picture's."""
 _SMALL_PX, _MOST_PIXELS = 9.0, 40_000_000
 """Usual height of spots below which a page is enlarged, and the largest it may become."""
-_LONG_ROW = 10.0
-"""Least length of a row, in letter heights, that determines its slope."""
+_LONG_ROW = 10.0  # least length of a row, in letter heights, that determines its slope
 
 
 @dataclass(frozen=True)

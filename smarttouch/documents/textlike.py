@@ -6,36 +6,27 @@ from numpy.typing import NDArray
 from smarttouch.documents.baselines import Baseline
 from smarttouch.documents.letters import Spots
 
-_LEAST_X_HEIGHT_PX = 3.5
-"""Least x-height of readable print."""
-_SURE = 3
-"""Fewest letters of a line; with fewer, specks form lines by chance."""
-_TEXT = 10
-"""Lines of a page beside which one or two single letters are rejected."""
-_SIMILAR = 1.7
-"""Ratio of x-heights of lines on a page; capitals and figures measure taller."""
-_MOST_OF_ALL = 0.8
-"""Part of the page's ink in one or two letters, on a page without other text."""
+_LEAST_X_HEIGHT_PX = 3.5  # least x-height of readable print
+_SURE = 3  # fewest letters of a line; with fewer, specks form lines by chance
+_TEXT = 10  # lines of a page beside which one or two single letters are rejected
+_SIMILAR = 1.7  # ratio of x-heights of lines on a page; capitals and figures measure taller
+_MOST_OF_ALL = 0.8  # part of the page's ink in one or two letters, on a page without other text
 _ZONE = (0.15, 0.9)
 """Ink of the letters between baseline and top of an x; thin print has 0.3, bold 0.6."""
-_MOST_BETWEEN = 0.35
-"""Least ink between this line and its neighbors, relative to that in the line."""
+_MOST_BETWEEN = 0.35  # least ink between this line and its neighbors, relative to that in the line
 _MOST_BESIDE = 0.65
 """Ink beside ascenders or descenders, relative to that in the line; print has 0.1 to 0.5."""
 _LEAST_EDGE = 2.0
 """Fall of the ink at the baseline per x-height, of the ink in the line; print has 4 and more."""
 _FEWEST_STROKES, _MOST_STROKES = 0.75, 2.6
 """Strokes per x-height of letters; print has 0.9 to 1.9, specks have fewer."""
-_FEWER_STROKES = 0.45
-"""Factor of strokes where letters run together."""
+_FEWER_STROKES = 0.45  # factor of strokes where letters run together
 _STROKE_MORE = 0.7
 """Additional strokes per x-height of a single digit, which has no space beside it."""
 _TOPS, _BOTTOMS = (1.0, 1.45), (0.0, -0.42)
 """Heights at which letters begin and end, in x-heights over the baseline."""
-_MANY = 8
-"""Number of letters in a line that must have some white between them."""
-_SOLID = 0.75
-"""Filled part of a spot's box: letters have 0.4 to 0.65, a disc 0.79."""
+_MANY = 8  # number of letters in a line that must have some white between them
+_SOLID = 0.75  # filled part of a spot's box: letters have 0.4 to 0.65, a disc 0.79
 _LEAST_OWN = 0.6
 """Letters' part of the ink between baseline and top of an x: print has 1.0 and more."""
 _NEAR, _NEAR_PX = 0.2, 0.5
@@ -54,10 +45,8 @@ _FEWEST_CAPITALS, _IN_LINE, _MOSTLY, _WIDE = 5, 0.07, 0.7, (0.3, 1.35)
 them at least, and their usual width in heights; bars of a code are narrower."""
 _OWN, _BAND = (-0.7, 1.9), 2.1
 """Extent of a line over its baseline, and of the bands beside it, in x-heights."""
-_FOREIGN = 0.4
-"""Most ink of no line in either band, relative to that of its letters."""
-_TOUCHING = 1.3
-"""Usual width of spots in which letters run together, in x-heights."""
+_FOREIGN = 0.4  # most ink of no line in either band, relative to that of its letters
+_TOUCHING = 1.3  # usual width of spots in which letters run together, in x-heights
 
 
 def is_too_small(baseline: Baseline, letters: Spots) -> bool:

@@ -5,17 +5,12 @@ from numpy.typing import NDArray
 
 from smarttouch.documents.letters import Spots, like_letters
 
-_TWO_LINES = 1.7
-"""Usual heights of a spot that may span two lines of text."""
+_TWO_LINES = 1.7  # usual heights of a spot that may span two lines of text
 _MOST_LINES = 12.0
-_LEAST_LINE = 0.6
-"""Least height of a line, relative to the usual height."""
-_VALLEY = 0.35
-"""Ink between two lines of words that touch, relative to that in either."""
-_TWO_LETTERS = 4.0
-"""Largest height, in usual ones, of two letters that touch, one below the other."""
-_BESIDE = 1.5
-"""Largest distance of letters beside them, in usual heights."""
+_LEAST_LINE = 0.6  # least height of a line, relative to the usual height
+_VALLEY = 0.35  # ink between two lines of words that touch, relative to that in either
+_TWO_LETTERS = 4.0  # largest height, in usual ones, of two letters that touch, one below the other
+_BESIDE = 1.5  # largest distance of letters beside them, in usual heights
 
 
 def part_lines(ink: NDArray[np.bool_], spots: Spots, height: float) -> NDArray[np.bool_]:

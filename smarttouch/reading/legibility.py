@@ -23,8 +23,7 @@ from smarttouch.reading.shapes import Shapes, Style, require_rows, shape_line
 from smarttouch.reading.source import Source
 from smarttouch.reading.window import rows_of
 
-_GAP = 0.45
-"""Gap between lines for recognition, relative to their height."""
+_GAP = 0.45  # gap between lines for recognition, relative to their height
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,8 @@ LEGIBLE = 0.75
 it was 0.78 to 0.97, that of the same prints turned at most 0.87."""
 CLEARER = 0.08
 """Least difference of confidence between upright and turned; over the same prints, 0.12."""
-_PROBE_SIDE = 1600
-"""Side of the part of a page by which its orientation is determined."""
-_PROBE_GRID = 8
-"""Grid, in pixels, on which that part is placed."""
+_PROBE_SIDE = 1600  # side of the part of a page by which its orientation is determined
+_PROBE_GRID = 8  # grid, in pixels, on which that part is placed
 _USUAL_TIMEOUT_S = 120.0
 
 

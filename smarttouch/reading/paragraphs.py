@@ -7,8 +7,7 @@ import numpy as np
 
 from smarttouch.documents.text_lines import TextLine
 
-_GAP = 1.35
-"""Lines farther apart than this part of the usual distance begin a paragraph."""
+_GAP = 1.35  # lines farther apart than this part of the usual distance begin a paragraph
 _LARGER = 1.2
 """Ratio of x-heights from which lines are of different prints, as a heading and its text."""
 _INDENT, _MOST_INDENT = 0.8, 8.0
@@ -19,8 +18,7 @@ _NUMBER = re.compile(r"[\W_]*(?:\d{1,4}|[ivxlc]{1,7})[\W_]*", re.IGNORECASE)
 """A line that is the number of a page."""
 _NUMBERED = re.compile(r"(?:\d{1,4}|[ivxlc]{2,7})\s.+|.+\s(?:\d{1,4}|[ivxlc]{2,7})", re.IGNORECASE)
 """A line that begins or ends with one."""
-_HEAD_GAP = 1.2
-"""Distance of a running head from the text, of the usual one, at least."""
+_HEAD_GAP = 1.2  # distance of a running head from the text, of the usual one, at least
 _HEAD_WORDS = 9
 
 

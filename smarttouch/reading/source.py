@@ -12,8 +12,7 @@ from smarttouch.documents.prepare import PreparedPage
 from smarttouch.documents.printed_text import prepare_text
 from smarttouch.reading.printed import Note, RecognitionOptions, document_pages, prepared_pages
 
-_PRINTED_AT_ONCE = 20
-"""Lines of a text on one printed page."""
+_PRINTED_AT_ONCE = 20  # lines of a text on one printed page
 
 
 @dataclass(frozen=True)

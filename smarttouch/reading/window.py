@@ -7,8 +7,7 @@ FEWEST_ROWS = 4
 """Fewest rows on which letters can be distinguished."""
 SAMPLES_PER_PITCH = 4
 """Pulses of an electrode while the text moves by one cell."""
-_PRESS = 1.1
-"""Reading force of a virtual finger, relative to the profile's full force."""
+_PRESS = 1.1  # reading force of a virtual finger, relative to the profile's full force
 
 
 def profile_for_reading(profile: Profile) -> Profile:

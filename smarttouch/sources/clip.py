@@ -22,8 +22,7 @@ FASTEST_HZ = 1000.0
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
 _FEWEST_PIXELS = 2
 _MOST_PIXELS = 80_000_000
-_MISSING = 0.05
-"""Accepted part of missing frames; containers only estimate how many they hold."""
+_MISSING = 0.05  # accepted part of missing frames; containers only estimate how many they hold
 _TURNED = ("JPEG", "TIFF")
 """Formats that may state the camera's orientation before they are decoded."""
 _TEXT = cv2.VideoWriter.fourcc(*"ansi")

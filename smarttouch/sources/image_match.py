@@ -22,23 +22,18 @@ LEAST_SLOPE = 6.0
 noise of 2 levels and uneven light make some 1.5."""
 MOST_UNEXPLAINED = 0.25
 """Share of the grey levels' variance that the shift may leave unexplained."""
-_PROMISING = 0.5
-"""Largest such share before the shift is refined."""
+_PROMISING = 0.5  # largest such share before the shift is refined
 _STEPS = 4
-_CLOSE = 0.02
-"""Length of a step, in pixels, below which the iteration ends."""
+_CLOSE = 0.02  # length of a step, in pixels, below which the iteration ends
 _LONGEST_STEP = 2.0
-_LEAST_OVERLAP = 0.5
-"""Least share of either side common to two images: a longer jump is rejected."""
+_LEAST_OVERLAP = 0.5  # least share of either side common to two images: a longer jump is rejected
 _FEWEST_COMMON = 2
 _FEWEST_PIXELS = 4
-_NOISE = 4.0
-"""Variance of a sensor's noise, levels²."""
+_NOISE = 4.0  # variance of a sensor's noise, levels²
 
 _NEARLY = 1.05
 """Ratio of what trials leave unexplained below which both are as good: light adds to it."""
-_MOST_TURN_RAD = 0.1
-"""Largest turn from image to image."""
+_MOST_TURN_RAD = 0.1  # largest turn from image to image
 _COARSER = 2
 
 Image = NDArray[np.float32]

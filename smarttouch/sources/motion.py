@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from smarttouch.profile import Optics, Profile
 from smarttouch.sources.image_match import Matcher, Shift
 
-_SQUARE = 1.03
-"""Ratio of the sides of pixels below which they are square."""
+_SQUARE = 1.03  # ratio of the sides of pixels below which they are square
 
 
 class MotionTracker:

@@ -26,12 +26,10 @@ NOISE_LEVELS = 2.0
 USUAL_MM_S = 40.0
 LEAST_MAGNIFIED, MOST_MAGNIFIED = 0.1, 10.0
 """Range of the magnification of a page beyond the profile's."""
-_SHADE = 0.1
-"""Relative loss of light at the corners of the patch."""
+_SHADE = 0.1  # relative loss of light at the corners of the patch
 _SLOPE = 0.03
 _MARGIN_MM = 4.0
-_MARGIN_BLUR_MM = 1.0
-"""Blur of the paper beyond the page's edges, which removes the page's texture."""
+_MARGIN_BLUR_MM = 1.0  # blur of the paper beyond the page's edges, which removes the page's texture
 _MOST_PIXELS = 60_000_000
 
 

@@ -26,12 +26,9 @@ SETTLE_S = 0.6
 """Time of rest at the start of a line."""
 LIFT_S = 0.15
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 500.0
-_PRESS = 1.1
-"""Reading force, relative to the profile's full force."""
-_WAVER = 0.08
-"""Slow variation of the reading force."""
-_STEP_MM = 2.0
-"""Distance of the points of a path along a line: its bend between them is negligible."""
+_PRESS = 1.1  # reading force, relative to the profile's full force
+_WAVER = 0.08  # slow variation of the reading force
+_STEP_MM = 2.0  # distance of the points of a path along a line: its bend between them is negligible
 _COLUMNS = ("time_s", "x_mm", "y_mm", "angle_deg", "force_n")
 
 

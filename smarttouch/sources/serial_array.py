@@ -19,8 +19,7 @@ from smarttouch.wire.port import LINE_ERRORS, Port, open_port
 
 USUAL_BAUD = 921_600
 """Default speed of lines that have one; over USB it has no effect."""
-_WAIT_S = 0.05
-"""Longest single read."""
+_WAIT_S = 0.05  # longest single read
 _UNREADABLE_S = 1.5
 """Time without a valid frame from the start, after which the device is no sensor."""
 
