@@ -3,8 +3,9 @@
 from pathlib import Path
 
 from smarttouch.braille.cells import BLANK, SIX_DOT_PATTERNS, Pages, pattern, require_cells
-from smarttouch.braille.files import read_bytes, write_bytes
+from smarttouch.braille.files import MOST_BYTES
 from smarttouch.errors import BrailleError
+from smarttouch.files import read_bytes, write_bytes
 
 # North American Braille ASCII, as printers take it; in the order of the patterns 0 to 63.
 _CODE = " A1B'K2L@CIF/MSP\"E3H9O6R^DJG>NTQ,*5<-U8V.%[$+X!&;:4\\0Z7(_?W]#Y)="
@@ -15,12 +16,12 @@ _CELL_OF |= {code + 32: cell for code, cell in _CELL_OF.items() if 64 <= code < 
 
 def read_brf(path: Path) -> Pages:
     """Read a BRF file."""
-    return parse_brf(read_bytes(path), str(path))
+    return parse_brf(read_bytes(path, BrailleError, MOST_BYTES), str(path))
 
 
 def write_brf(path: Path, pages: Pages) -> None:
     """Write a BRF file; raise if a cell has dots 7 or 8, which BRF cannot hold."""
-    write_bytes(path, format_brf(pages))
+    write_bytes(path, format_brf(pages), BrailleError)
 
 
 def format_brf(pages: Pages) -> bytes:

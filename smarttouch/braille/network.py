@@ -16,7 +16,10 @@ STRIDE = 4
 LEAST = 0.4
 """Least certainty of a position where a cell is found."""
 _DILATIONS = (1, 1, 2, 4, 8, 2, 1)
-_NEAR_PX, _AROUND_PX = 41, 81  # sides of the squares over which brightness and contrast are normalized
+_NEAR_PX, _AROUND_PX = (
+    41,
+    81,
+)  # sides of the squares over which brightness and contrast are normalized
 _APART_PX = 11, 14
 """Least distance of cells, across and down: those of the finest pages have 18 and 28."""
 _TOGETHER = 1024  # positions of a map computed at once: their input fits into a processor's cache

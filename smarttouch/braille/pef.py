@@ -6,8 +6,9 @@ from pathlib import Path
 from xml.parsers import expat
 
 from smarttouch.braille.cells import Pages, require_cells
-from smarttouch.braille.files import read_bytes, write_bytes
+from smarttouch.braille.files import MOST_BYTES
 from smarttouch.errors import BrailleError
+from smarttouch.files import read_bytes, write_bytes
 
 # PEF 1.0, public specification (2010): http://pef-format.org
 _PEF = "http://www.daisy.org/ns/2008/pef"
@@ -17,12 +18,12 @@ _FORMAT = "application/x-pef+xml"
 
 def read_pef(path: Path) -> Pages:
     """Read the pages of a PEF file, of all its volumes and sections."""
-    return parse_pef(read_bytes(path), str(path))
+    return parse_pef(read_bytes(path, BrailleError, MOST_BYTES), str(path))
 
 
 def write_pef(path: Path, pages: Pages) -> None:
     """Write a PEF file of one volume; its title is the file's name."""
-    write_bytes(path, format_pef(pages, path.stem))
+    write_bytes(path, format_pef(pages, path.stem), BrailleError)
 
 
 def format_pef(pages: Pages, title: str) -> bytes:

@@ -6,11 +6,12 @@ from pathlib import Path
 
 from smarttouch.braille.brf import read_brf, write_brf
 from smarttouch.braille.cells import BLANK, Pages, is_cell
-from smarttouch.braille.files import Kind, kind_of, read_text, write_bytes
+from smarttouch.braille.files import Kind, kind_of, read_plain_text
 from smarttouch.braille.layout import join
 from smarttouch.braille.pef import read_pef, write_pef
 from smarttouch.braille.tables import Table
 from smarttouch.errors import BrailleError
+from smarttouch.files import write_bytes
 
 TEXT = "text:"
 """Prefix of words that are not a file name."""
@@ -63,7 +64,7 @@ def load_cells(source: str, table: Table, leave_out: bool = False) -> Loaded:
         pages = (read_brf if kind is Kind.BRF else read_pef)(file)
         paragraphs = join(pages)
     else:
-        text = source.removeprefix(TEXT) if file is None else read_text(file)
+        text = source.removeprefix(TEXT) if file is None else read_plain_text(file)
         if _is_braille(text):
             cells = "".join(BLANK if each in " \t" else each for each in text)
         else:
@@ -88,7 +89,7 @@ def write_cells(path: Path, pages: Pages) -> None:
         write_pef(path, pages)
     elif suffix == ".txt":
         lines = "".join(f"{line}\n" for page in pages for line in page)
-        write_bytes(path, lines.encode())
+        write_bytes(path, lines.encode(), BrailleError)
     else:
         raise BrailleError(
             f"cannot write {path}: give a name that ends in .brf, .pef or .txt",

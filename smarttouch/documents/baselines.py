@@ -49,6 +49,11 @@ class Baseline:
         """Return the baseline's y at x, px; straight beyond the row's ends."""
         return along(self.baseline, np.asarray(x, np.float64) - self.left, self.right - self.left)
 
+    @property
+    def middle_y(self) -> float:
+        """Baseline's y halfway along the row, px."""
+        return float(self.at(np.array((self.left + self.right) / 2)))
+
     def slope_at(self, x: float) -> float:
         """Return the slope of the baseline at x, positive if it falls."""
         inside = min(max(x - self.left, 0.0), self.right - self.left)

@@ -55,8 +55,7 @@ def shared_x_heights(baselines: list[Baseline], ascent: float) -> Floats:
     """
     size = np.array([baseline.x_height for baseline in baselines])
     length = np.array([baseline.right - baseline.left for baseline in baselines])
-    middle = np.array([(baseline.left + baseline.right) / 2 for baseline in baselines])
-    y = np.array([float(baseline.at(x)) for baseline, x in zip(baselines, middle, strict=True)])
+    y = np.array([baseline.middle_y for baseline in baselines])
     above = np.array(
         [
             baseline.ink_between(1.1, 1.4) / baseline.ink_between(0.05, 0.95)

@@ -116,13 +116,10 @@ def lines_of(paper: Paper, mm_per_pixel: float) -> tuple[list[TextLine], str]:
         return [], left_out
     ascent, descent = reach_of_print(baselines)
     x_height = shared_x_heights(baselines, ascent)
-    middle = [
-        float(baseline.at(np.array((baseline.left + baseline.right) / 2))) for baseline in baselines
-    ]
     order = reading_order(
         np.array([baseline.left for baseline in baselines]),
         np.array([baseline.right for baseline in baselines]),
-        np.array(middle),
+        np.array([baseline.middle_y for baseline in baselines]),
         (ascent + descent) * x_height,
     )
     lines = [_line(baselines[k], float(x_height[k]), ascent, descent, mm_per_pixel) for k in order]

@@ -161,11 +161,7 @@ def outside_pictures(
         of_a_line |= inside & (above > _OWN[0]) & (above < _OWN[1])
 
     def foreign(baseline: Baseline, low: float, high: float) -> float:
-        top, bottom = (
-            float(baseline.at(np.array((baseline.left + baseline.right) / 2)))
-            - height * baseline.x_height
-            for height in (high, low)
-        )
+        top, bottom = (baseline.middle_y - height * baseline.x_height for height in (high, low))
         across = np.minimum(spots.right, baseline.right) - np.maximum(spots.left, baseline.left)
         down = np.minimum(spots.bottom, bottom) - np.maximum(spots.top, top)
         part = np.maximum(across, 0) * np.maximum(down, 0) / size
@@ -192,27 +188,17 @@ def credible(lines: list[tuple[Baseline, Spots]], ink: int) -> list[Baseline]:
         len(row.area) >= _MANY or (len(row.area) >= _SURE and baseline.strokes > _FEWEST_STROKES)
         for baseline, row in lines
     ]
-    sizes = np.array(
-        [baseline.x_height for (baseline, _), is_sure in zip(lines, sure, strict=True) if is_sure]
-    )
-    if not len(sizes):
+    found = [baseline for (baseline, _), is_sure in zip(lines, sure, strict=True) if is_sure]
+    sizes = np.array([baseline.x_height for baseline in found])
+    if not found:
         alone = sum(int(row.area.sum()) for _, row in lines)
         return [baseline for baseline, _ in lines] if alone > _MOST_OF_ALL * ink else []
-    left, right = (
-        np.array(
-            [
-                getattr(baseline, end)
-                for (baseline, _), is_sure in zip(lines, sure, strict=True)
-                if is_sure
-            ]
-        )
-        for end in ("left", "right")
-    )
+    left, right = min(each.left for each in found), max(each.right for each in found)
     kept = []
     for (baseline, _), is_sure in zip(lines, sure, strict=True):
         ratio = np.maximum(baseline.x_height / sizes, sizes / baseline.x_height)
         # Edges of sheets lie beside all text.
-        beside = len(sizes) >= _TEXT and not left.min() <= baseline.left <= right.max()
+        beside = len(found) >= _TEXT and not left <= baseline.left <= right
         if is_sure or (ratio.min() < _SIMILAR and not beside):
             kept.append(baseline)
     return kept

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
-from smarttouch.braille.files import read_text
+from smarttouch.braille.files import read_plain_text
 from smarttouch.delivered.line import LinePicture
 from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.physiology.finger import Finger
@@ -179,7 +179,7 @@ def measure_legibility(
         return Measured({**how, **speed, **asdict(cells)}, rows, text)
     paths = load_anatomy(anatomy)
     require_rows(reading.profile, source.note)
-    text = source.words if truth is None else read_text(truth)
+    text = source.words if truth is None else read_plain_text(truth)
     found = legibility_of_shapes(source, reading, presented, text, progress)
     rate = found.page_error_rate
     rows = [

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from smarttouch.braille.files import Kind, kind_of, read_text
+from smarttouch.braille.files import Kind, kind_of, read_plain_text
 from smarttouch.braille.source import TEXT
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.prepare import PreparedPage
@@ -44,7 +44,7 @@ class Source:
         if self.name.startswith(TEXT):
             return self.name[len(TEXT) :]
         if self.kind is Kind.TEXT:
-            return read_text(Path(self.name))
+            return read_plain_text(Path(self.name))
         return None
 
     def pages(self) -> Iterator[tuple[int, Page]]:
