@@ -17,10 +17,11 @@ from smarttouch.reading.cell_legibility import Progress, kept, legibility_of_bra
 from smarttouch.reading.deliver import DeliveredLine, Reading, deliver_lines, ideal_picture
 from smarttouch.reading.error_rate import character_error_rate, word_error_rate
 from smarttouch.reading.nerve import NerveReading, nerve_figures, read_at_nerve
-from smarttouch.reading.ocr import Layout, recognize
+from smarttouch.reading.ocr import recognize
 from smarttouch.reading.printed import LINE_PIXELS, recognized_lines
 from smarttouch.reading.shapes import Shapes, Style, require_rows, shape_line
 from smarttouch.reading.source import Source
+from smarttouch.reading.tesseract import Layout
 from smarttouch.reading.window import rows_of
 
 _GAP = 0.45  # gap between lines for recognition, relative to their height
@@ -179,8 +180,8 @@ def measure_legibility(
         return Measured({**how, **speed, **asdict(cells)}, rows, text)
     paths = load_anatomy(anatomy)
     require_rows(reading.profile, source.note)
-    text = source.words if truth is None else read_plain_text(truth)
-    found = legibility_of_shapes(source, reading, presented, text, progress)
+    true_text = source.words if truth is None else read_plain_text(truth)
+    found = legibility_of_shapes(source, reading, presented, true_text, progress)
     rate = found.page_error_rate
     rows = [
         ("characters", str(len(found.truth))),

@@ -17,9 +17,7 @@ READ_HZ = 100.0
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """Frames and force that a source gave in a time: force at each read, NaN where unknown, and
-    ages, (N,).
-    """
+    """Sample of a source: force at each read, NaN where unknown, and age of each frame, (N,)."""
 
     force_n: NDArray[np.float64]
     last: Input | None
@@ -31,7 +29,7 @@ class Look:
         rows = [
             ("source", source.title),
             ("frames", f"{source.frames}, {source.frames / self.lasted_s:.1f} a second"),
-            ("read", f"{source.frames - source.dropped_frames}, asked {READ_HZ:g} times a second"),
+            ("read", f"{source.frames - source.dropped_frames}, polled at {READ_HZ:g} Hz"),
             ("passed over", str(source.dropped_frames)),
         ]
         if self.last is not None:
@@ -72,7 +70,7 @@ def look_at_force(source: ForceSource, seconds: float) -> list[tuple[str, str]]:
     return [
         ("force of", source.title),
         ("force", _range(force_n)),
-        ("unknown", f"{unknown} of {len(force_n)} times asked"),
+        ("unknown", f"{unknown} of {len(force_n)} reads"),
     ]
 
 

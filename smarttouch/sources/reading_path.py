@@ -64,7 +64,7 @@ class ReadingPath:
         rows: list[tuple[float, float, float, float, float]] = []
         time_s = 0.0
         for line in self.lines:
-            x, y, angle, passed_mm = _course(line, field[0])
+            x, y, angle, passed_mm = _middle_path(line, field[0])
             if rows:
                 x_before, y_before = rows[-1][1:3]
                 time_s += math.hypot(x[0] - x_before, y[0] - y_before) / RETURN_MM_S
@@ -75,9 +75,9 @@ class ReadingPath:
             lifting_at = max(sweep_at, time_s - LIFT_S / 3)
             passing = sweep_at + passed_mm / speed_mm_s
             times = np.sort(np.append(passing, lifting_at))
-            course = (np.interp(times, passing, each) for each in (x, y, angle))
+            places = (np.interp(times, passing, each) for each in (x, y, angle))
             press = np.interp(times, (lifting_at, time_s), (1.0, 0.0))
-            rows.extend(zip(times, *course, press, strict=True))
+            rows.extend(zip(times, *places, press, strict=True))
         self._table = np.array(rows).T.copy()
         self.duration_s = time_s
 
@@ -136,7 +136,7 @@ def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:
     ]
 
 
-def _course(line: TextLine, field_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
+def _middle_path(line: TextLine, field_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Return x, y, angle of a finger along the middle of a line, and the distance covered."""
     start, end = line.left_mm - field_mm / 2, line.right_mm + field_mm / 2
     x = np.linspace(start, end, max(2, math.ceil((end - start) / _STEP_MM)))

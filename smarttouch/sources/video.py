@@ -22,9 +22,7 @@ HOPELESS_NS = 250_000_000
 
 
 def open_video(rest: str, profile: Profile, *, unpaced: bool = False) -> OpticalSource:
-    """Open ``video:FILE``, any video that OpenCV reads; ``unpaced`` gives every frame, one a
-    read.
-    """
+    """Open ``video:FILE``, any video that OpenCV reads; ``unpaced`` gives one frame a read."""
     return _open(VideoFile(Path(rest)), profile, unpaced)
 
 
@@ -33,7 +31,7 @@ def open_frames(
 ) -> OpticalSource:
     """Open ``frames:DIR``, a folder of images of one size, in natural order of their names.
 
-    ``fps`` is 30 if not given; ``unpaced`` gives every image, one a read.
+    ``fps`` is 30 if not given; ``unpaced`` gives one image a read.
     """
     rate_hz = USUAL_HZ if fps is None else fps
     words = f"a rate of {rate_hz:g} images a second"
