@@ -81,8 +81,8 @@ class LouisCode:
         return self.translate(line).cells
 
     def translate(self, line: str, emphasis: Sequence[Emphasis] = ()) -> Translated:
-        """Return a line of text as cells, with the places of its characters and the emphasis of
-        each.
+        """Return a line of text as cells, with the places of its characters, given their
+        emphasis.
         """
         return _translate(self._table, line, _DOTS_IO | _UNICODE_CELLS, emphasis=emphasis)
 

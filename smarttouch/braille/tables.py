@@ -141,8 +141,9 @@ def known_tables() -> dict[str, str]:
 
 
 def open_table(name: str = DEFAULT_TABLE) -> Table:
-    """Open a table by a short name, by the file name of a table of liblouis, or by a language tag,
-    such as ``fr`` or ``pt-BR``: its plainest table.
+    """Open a table by a short name, the file name of a liblouis table, or a language tag.
+
+    A tag such as ``fr`` or ``pt-BR`` gives the plainest table of the language.
     """
     if _TAG.fullmatch(name):
         own = name.lower().partition("-")[0]

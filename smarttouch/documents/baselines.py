@@ -31,9 +31,7 @@ _WORTH = 0.7  # factor by which a curve of higher degree must reduce most distan
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """Row of letters, straightened and measured; lengths in px of the page, profile in
-    x-heights.
-    """
+    """Row of letters, straightened and measured, in px of the page or in x-heights."""
 
     left: float
     right: float

@@ -46,11 +46,10 @@ def open_document(
     page_width_mm: float | None = None,
     password: str | None = None,
 ) -> "Document":
-    """Open a PDF, a TIFF of one or many pages, or any other image; its content decides, not its
-    name.
+    """Open a PDF, a TIFF of one or many pages, or any other image, recognized by its content.
 
-    ``dpi`` stands for an image's own resolution, or for the 300 at which a PDF is rendered;
-    ``page_width_mm`` for the file's own scale.
+    ``dpi`` replaces an image's own resolution, or the 300 at which a PDF is rendered;
+    ``page_width_mm`` replaces the file's own scale.
     """
     check_scale_options(dpi, page_width_mm)
     if _is_pdf(path):
@@ -59,9 +58,7 @@ def open_document(
 
 
 def parse_pages(text: str, count: int) -> list[int]:
-    """Return the indices, from 0, of pages in a list such as ``1,3-5`` or ``7-``, in the given
-    order.
-    """
+    """Return the indices, from 0, of pages in a list such as ``1,3-5`` or ``7-``, in its order."""
     indexes: list[int] = []
     for part in text.split(","):
         # Python refuses to convert very long numbers.
@@ -93,9 +90,7 @@ def parse_pages(text: str, count: int) -> list[int]:
 
 
 class Document(Closing, ABC):
-    """Pages that are loaded on request, by one thread at a time; ``notes`` lists what was
-    assumed.
-    """
+    """Pages loaded on request, by one thread at a time; ``notes`` lists what was assumed."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -51,8 +51,7 @@ class Paper:
 
 
 def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
-    """Separate ink from paper in an image, (H, W) uint8, bright is white; find the polarity if not
-    given.
+    """Separate ink from paper in an image, (H, W) uint8, detecting its polarity if not given.
 
     The page is divided by its paper, as it would look without ink. The threshold is Otsu's, moved
     towards the paper where that is even and away from it where it has grain; spots that stay faint

@@ -28,9 +28,7 @@ _STANDING = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Spots:
-    """Connected spots of ink, (N,) int px: boxes, whose right and bottom are the first outside, and
-    areas.
-    """
+    """Connected spots of ink, (N,) px; right and bottom are the first column and row outside."""
 
     left: NDArray[np.int_]
     top: NDArray[np.int_]
@@ -71,9 +69,7 @@ def find_spots(ink: NDArray[np.bool_]) -> Spots:
 
 
 def usual_height(spots: Spots, shape: tuple[int, int]) -> float | None:
-    """Return the usual height of letters, px; None if every spot is a rule, a picture or too
-    small.
-    """
+    """Return the usual height of letters, px; None if no spot may be one."""
     height, width = spots.height, spots.width
     kept = (
         (height >= _LEAST_SIDE)

@@ -48,9 +48,7 @@ class Page:
 
 
 def load_page(path: Path, dpi: float | None = None, page_width_mm: float | None = None) -> Page:
-    """Load an image of a page: grey, color, palette, 16 bit or transparent, at the given or its own
-    scale.
-    """
+    """Load an image of a page, of any color mode, at the given or its own scale."""
     check_scale_options(dpi, page_width_mm)
     with open_image(path) as image:
         grey, mm_per_pixel = read_grey(path, image, dpi, page_width_mm)

@@ -48,9 +48,7 @@ def turn_panels(paper: Paper) -> Paper:
 
 
 def _panel(ink: NDArray[np.bool_], area: int, height: float) -> NDArray[np.bool_] | None:
-    """Return the mask of a panel without the windows in it, from the ink in a spot's box, (h, w)
-    bool; None if the spot is no panel.
-    """
+    """Return the mask of a panel, without windows, in a spot's box of ink, (h, w) bool, or None."""
     outlines, nested = cv2.findContours(ink.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     outer = max(
         (k for k in range(len(outlines)) if nested[0, k, 3] < 0),

@@ -16,7 +16,7 @@ LEFT_OUT = "left out: "
 
 @dataclass(frozen=True, eq=False)
 class PreparedPage:
-    """Page straightened and cleaned to dark on white, paper exactly 255, with its lines in reading
+    """Page straightened and cleaned to dark on white, its paper 255, with lines in reading
     order.
     """
 
@@ -37,7 +37,7 @@ def prepare_page(
     straightened: bool = True,
     quarter: bool = True,
 ) -> PreparedPage:
-    """Prepare a scan, a photograph or a picture of print for reading; find its polarity if not
+    """Prepare a scan, photograph or picture of print for reading, detecting its polarity if not
     given.
 
     ``quarter`` allows a turn by 90° where the text runs up or down the page.

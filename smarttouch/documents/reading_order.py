@@ -16,12 +16,11 @@ _SAME_LEVEL = 0.5  # difference of baselines, in line heights, of parts of one t
 
 
 def reading_order(left: Floats, right: Floats, y: Floats, height: Floats) -> list[int]:
-    """Return the indices of lines in reading order, by their ends, baselines and heights, each
-    (N,).
+    """Return the indices of lines in reading order, from their ends, baselines and heights, (N,).
 
-    Two rules say which of two lines comes first (after Breuel, High performance document layout
-    analysis, 2003): the upper one, where one stands above the other; the left one, where they stand
-    in columns beside each other and no line between them reaches over both.
+    Two rules give the order of two lines (after Breuel, High performance document layout analysis,
+    2003): the upper one comes first where one is above the other; the left one where they are in
+    columns side by side and no line between them spans both.
     """
     left, right = _of_headlines(left, right, y, height)
     shared = np.minimum(right[:, None], right) - np.maximum(left[:, None], left)

@@ -27,9 +27,7 @@ _MOST_ANGLE = 35.0  # largest deviation of a corner from a right angle, in degre
 
 
 def find_sheet(grey: Grey) -> Corners | None:
-    """Return the corners of a bright sheet on a darker background, (4, 2) px, x and y, clockwise
-    from the top left; None if there is none.
-    """
+    """Return the corners of a bright sheet, (4, 2) px, clockwise from the top left, or None."""
     factor = _SIDE_PX / max(grey.shape)
     size = (max(8, round(grey.shape[1] * factor)), max(8, round(grey.shape[0] * factor)))
     small = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)

@@ -67,8 +67,7 @@ def straighten(page: Page, quarter: bool = True) -> tuple[Page, list[str]]:
 
 
 def measure_skew(ink: NDArray[np.bool_], height: float) -> tuple[float, float]:
-    """Return the clockwise skew of the ink of letters, (H, W) bool, in degrees, at most 15, and its
-    contrast.
+    """Return the clockwise skew of the ink of letters, (H, W) bool, at most 15°, and its contrast.
 
     Ink is counted in rows along many directions: along the lines of text, full and empty rows
     differ most (projection profiles, Postl 1986). How much more than along the usual direction

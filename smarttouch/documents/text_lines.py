@@ -135,9 +135,7 @@ def _left_out(small: int, pictures: int) -> str:
 def _followed_rows(
     density: NDArray[np.uint8], spots: Spots, height: float, dividers: NDArray[np.bool_]
 ) -> tuple[list[Baseline], int]:
-    """Follow all rows of letters, long ones first; return those of text, and the number of those
-    that are too small to be read.
-    """
+    """Return the baselines of rows that are text, and the number of those too small to be read."""
     small = 0
     letters = spots.of(like_letters(spots, height))
     rows = [letters.of(row) for row in find_rows(letters, spots, dividers)]

@@ -149,9 +149,7 @@ def _are_solid(letters: Spots) -> bool:
 def outside_pictures(
     lines: list[tuple[Baseline, Spots]], spots: Spots
 ) -> list[tuple[Baseline, Spots]]:
-    """Return the lines without those that have ink of no line on both sides: chance in a
-    picture.
-    """
+    """Return the lines without those amid other ink on both sides, which are parts of pictures."""
     x, y = (spots.left + spots.right) / 2, (spots.top + spots.bottom) / 2
     size = spots.width * spots.height
     of_a_line = np.zeros(len(x), np.bool_)
@@ -178,8 +176,7 @@ def outside_pictures(
 
 
 def credible(lines: list[tuple[Baseline, Spots]], ink: int) -> list[Baseline]:
-    """Return the lines without specks that look like one letter, on a page with ``ink`` pixels of
-    ink.
+    """Return the lines without specks that look like one letter; ``ink`` is that of the page, px.
 
     One or two letters alone are accepted if they are as large as a line of the page, or are most of
     its ink.

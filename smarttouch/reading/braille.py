@@ -121,7 +121,7 @@ class Braille:
                 yield cells, text, _place_on_paper(index, cells)
 
     def paragraphs(self, source: Source) -> list[str]:
-        """Return a document as cells: a line for each paragraph of print or line of embossed
+        """Return a document as cells, a line for each paragraph of print or line of embossed
         Braille.
         """
         table = open_table(self.table)

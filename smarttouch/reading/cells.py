@@ -83,8 +83,8 @@ class CellLayout:
         return TouchLine(image, first_mm, end_mm, text, lines)
 
     def decode(self, picture: LinePicture, lines: tuple[str, ...], apart: bool) -> tuple[str, ...]:
-        """Return the delivered cells, as many as there are in ``lines``; ``apart`` if they came one
-        by one.
+        """Return the delivered cells in place of those of ``lines``; ``apart`` if they came one by
+        one.
         """
         found = []
         count = 8 if self.eight else 6

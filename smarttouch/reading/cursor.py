@@ -37,8 +37,8 @@ class Spot:
 
 @dataclass(frozen=True)
 class Motion:
-    """Motion of lines under the finger: smooth if the step is 0; ``gaps`` silence each step's
-    start.
+    """Motion of lines under the finger: smooth if the step is 0; with ``gaps`` steps begin
+    silently.
     """
 
     speed_mm_s: float

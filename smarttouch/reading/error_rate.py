@@ -31,8 +31,7 @@ def normalize(text: str) -> str:
 
 
 def character_error_rate(truth: str, text: str) -> float:
-    """Return the Levenshtein distance of two normalized texts in characters, per character of the
-    truth.
+    """Return the Levenshtein distance of normalized texts per character of the truth.
 
     It is 0 for equal texts and above 1 where more was read than is there.
     """
@@ -40,7 +39,7 @@ def character_error_rate(truth: str, text: str) -> float:
 
 
 def word_error_rate(truth: str, text: str) -> float:
-    """Return the Levenshtein distance of two normalized texts in words, per word of the truth."""
+    """Return the Levenshtein distance of normalized texts in words, per word of the truth."""
     return _rate(normalize(truth).split(), normalize(text).split())
 
 

@@ -56,8 +56,9 @@ def legibility_of_shapes(
     truth: str | None = None,
     progress: Progress = silent,
 ) -> Legibility:
-    """Deliver letter shapes, and compare the text recognized in the delivered pictures with the
-    truth, or with Tesseract's text of the page itself.
+    """Deliver letter shapes, and compare the text recognized in what was delivered with the truth.
+
+    The truth is Tesseract's text of the page itself if not given.
     """
     options, profile = source.options, reading.profile
     step_mm = reading.motion.speed_mm_s / profile.pulse.rate_hz
@@ -100,9 +101,10 @@ def legibility_at_nerve(
     anatomy: str | Anatomy,
     progress: Progress = silent,
 ) -> dict[str, Any]:
-    """Return error rates at the board and at the nerve of simulated fingers, by seeds from 1 on:
-    ``at_board``, ``at_nerve`` with ``median`` and ``worst_tenth``, ``wrong_class``, ``misplaced``
-    and ``silent_points``.
+    """Return error rates at the board and at the nerves of simulated fingers, by seeds from 1 on.
+
+    They are ``at_board``, ``at_nerve`` with ``median`` and ``worst_tenth``, ``wrong_class``,
+    ``misplaced`` and ``silent_points``.
     """
     work = Parallel(n_jobs=-1 if fingers > 1 else 1, return_as="generator", max_nbytes=None)
     seeds = range(1, fingers + 1)
@@ -114,8 +116,8 @@ def legibility_at_nerve(
 def legibility_on_finger(
     found: Legibility, reading: Reading, seed: int, anatomy: str | Anatomy
 ) -> tuple[NerveReading, float]:
-    """Return the response of the finger of a seed to delivered letter shapes, without its pictures,
-    and the character error rate.
+    """Return a finger's response to delivered shapes, without pictures, and the error rate
+    there.
     """
     lines = [line for page, _ in found.delivered for line in page]
     response = read_at_nerve(lines, Finger(reading.profile, seed, anatomy), reading.mode.afferents)
@@ -144,9 +146,7 @@ def _read(pictures: Sequence[LinePicture], languages: str) -> str:
 
 @dataclass(frozen=True)
 class Measured:
-    """Legibility of a text in either presentation: all figures for a JSON file, the most important
-    ones by name, and the text read from the delivered pulses.
-    """
+    """Legibility of a text: figures for a JSON file, the main ones by name, and the text read."""
 
     figures: dict[str, Any]
     rows: list[tuple[str, str]]
@@ -162,8 +162,7 @@ def measure_legibility(
     fingers: int = 0,
     anatomy: str = "branched",
 ) -> Measured:
-    """Deliver a text as letter shapes or Braille, and read it back; shapes at the nerve of fingers,
-    too.
+    """Deliver a text as shapes or Braille, and read it back; shapes at the nerves of fingers, too.
 
     ``truth`` is a file of the true text of shapes.
     """

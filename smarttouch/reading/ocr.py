@@ -66,11 +66,11 @@ def recognize(
     dpi: float | None = None,
     timeout_s: float = _USUAL_TIMEOUT_S,
 ) -> Recognized:
-    """Recognize the text of an image, (H, W) uint8, dark on bright; ``languages`` as in
-    ``eng+deu``.
+    """Recognize the text of an image, (H, W) uint8, dark on bright.
 
-    Tesseract does not correct an image: paper should be white and evenly lit, and an x about 20
-    pixels high. Below 10, enlarge it first, unless it is blurred.
+    ``languages`` are codes as in ``eng+deu``. Tesseract does not correct an image: paper should be
+    white and evenly lit, and an x about 20 pixels high. Below 10, enlarge it first, unless it is
+    blurred.
     """
     words = read_words([image], languages, layout, timeout_s, dpi)
     lines: list[RecognizedLine] = []
@@ -86,8 +86,7 @@ def recognize_lines(
     strips: Sequence[NDArray[np.uint8]],
     languages: str = "eng",
 ) -> list[RecognizedLine]:
-    """Recognize strips, (h, W_i) uint8, of one straight line of text each, by one call of
-    Tesseract.
+    """Recognize strips, (h, W_i) uint8, of one straight line each, by one call of Tesseract.
 
     Strips are dark on white, from ascenders to descenders; a height of 24 pixels is enough.
     """
@@ -106,8 +105,7 @@ def recognize_lines(
 def upright(
     image: NDArray[np.uint8], languages: str = "eng", timeout_s: float = _USUAL_TIMEOUT_S
 ) -> int:
-    """Return the clockwise rotation by which a page, dark on bright, becomes upright, in degrees; 0
-    if unsure.
+    """Return the clockwise rotation that makes a page upright, in degrees; 0 if unsure.
 
     Tesseract's own judgment counts where it is sure. Where it is not, mostly on pages of a few
     words, the page is read all four ways: the most legible one is right if it is legible enough,

@@ -25,8 +25,7 @@ _HEAD_WORDS = 9
 def paragraphs(
     lines: Sequence[TextLine], texts: Sequence[str], keep_headers: bool = False
 ) -> list[str]:
-    """Return the paragraphs and headings of a page from its lines, in reading order, and their
-    texts.
+    """Return the paragraphs and headings of a page from its lines and their texts.
 
     A paragraph begins after a gap, with an indented or centered line, and with print of another
     size; a column continues in the next. Words that lines divide are joined; a hyphen stays where

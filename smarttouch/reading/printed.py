@@ -25,9 +25,7 @@ Note = Callable[[str], None]
 
 @dataclass(frozen=True)
 class RecognitionOptions:
-    """Options of a document: pages as in ``1,3-5``, scale, password, polarity, languages of
-    Tesseract.
-    """
+    """Pages of a document, such as ``1,3-5``, their scale and polarity, and recognition of text."""
 
     pages: str | None = None
     dpi: float | None = None

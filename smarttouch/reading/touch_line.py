@@ -8,9 +8,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class Place:
-    """Place of a line on its page, from the top left corner, for a finger that moves over the
-    page.
-    """
+    """Place of a line from the page's top left corner, for a finger that moves over the page."""
 
     left_mm: float
     right_mm: float
@@ -20,9 +18,7 @@ class Place:
 
 @dataclass(frozen=True, eq=False)
 class TouchLine:
-    """A line of letter shapes or Braille cells, at the size of the array; text and cells if
-    known.
-    """
+    """A line of letter shapes or Braille cells, at the size of the array."""
 
     image: NDArray[np.uint8]  # (H, W), dark on 255, as high as the array
     start_mm: float  # first and last place of the array's middle, from the image's left edge

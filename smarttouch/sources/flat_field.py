@@ -26,10 +26,9 @@ MOST_BROKEN = 0.02
 
 
 class FlatField:
-    """Dark level and gain of every pixel, (H, W) float32; the gain is 0 where the pixel is dead or
-    hot.
+    """Dark level and gain of every pixel, (H, W) float32; the gain of dead and hot ones is 0.
 
-    Such a pixel then shows the value of the nearest good one.
+    Such a pixel shows the value of the nearest good one.
     """
 
     def __init__(self, dark: NDArray[np.float32], gain: NDArray[np.float32]) -> None:

@@ -27,11 +27,11 @@ class MotionTracker:
         self._first = True
 
     def follow(self, image: NDArray[np.uint8]) -> Shift:
-        """Return the displacement of the patch on the page since the last image, mm, along rows and
-        columns of this one, (H, W) uint8.
+        """Return the motion of the patch on the page since the last image, mm along its rows and
+        columns.
 
-        When the print moves left in it, the patch has moved right. An image of another size starts
-        again.
+        When the print moves left in the image, the patch has moved right. An image of another size
+        starts again.
         """
         if self._matcher is None or image.shape != self._shape:
             self._shape = (image.shape[0], image.shape[1])

@@ -115,8 +115,7 @@ def open_text(
 
 
 class PageSource(OpticalSource):
-    """Frames of a finger that moves over a page line by line, or along the recorded path of a CSV
-    file.
+    """Frames of a finger that moves over a page line by line, or along a recorded path.
 
     The seed is that of noise and force: the same one gives the same frames, in whatever order they
     are read.

@@ -42,9 +42,7 @@ def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -
 
 
 class SerialArrayDevice(ImageDevice):
-    """Frames from a serial line, with counts of those complete and
-    lost by the device's numbers, and of garbled pieces.
-    """
+    """Frames from a serial line, with counts of complete and lost ones and of garbled pieces."""
 
     def __init__(self, port: str, baud: int = USUAL_BAUD) -> None:
         self.title = f"serial array {port}"

@@ -43,7 +43,7 @@ class Readings(Protocol):
 
 
 def parse_line(line: bytes) -> float | None:
-    """Return the reading of a line without its end; NaN if it reports none; None if it is
+    """Return the reading of a line without its end; NaN if it reports none, None if it is
     invalid.
     """
     if not _TEXT.fullmatch(line):
