@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.braille.network import FoundCells, find_cells
-from smarttouch.braille.rows import cell_pitch, lines_of, slope_of
+from smarttouch.braille.rows import cell_lines, cell_pitch, slope_of
 from smarttouch.documents.page_image import Page
 from smarttouch.errors import PageError
 
@@ -88,7 +88,7 @@ def read_braille(page: Page, light_from_deg: float | None = None) -> BraillePage
         if below:
             grey, view = 255 - grey, other
     found, back = _read(grey, view)
-    lines, kept = lines_of(found)
+    lines, kept = cell_lines(found)
     certainty = float(found.certainty[kept].mean()) if kept else 0.0
     if len(kept) < FEWEST_CELLS or certainty < LEAST_CERTAINTY:
         raise PageError(

@@ -34,7 +34,7 @@ def slope_of(px: Points, pitch_px: float) -> float:
     return float(np.median(steps[near, 1] / steps[near, 0])) if near.any() else 0.0
 
 
-def lines_of(found: FoundCells) -> tuple[list[str], list[int]]:
+def cell_lines(found: FoundCells) -> tuple[list[str], list[int]]:
     """Return lines of cells, with blanks where there is room for them, and the indices of cells.
 
     Print beside Braille, and cells between its lines, are left out.

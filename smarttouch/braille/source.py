@@ -9,7 +9,7 @@ from smarttouch.braille.cells import BLANK, Pages, is_cell
 from smarttouch.braille.files import Kind, kind_of, read_plain_text
 from smarttouch.braille.layout import join
 from smarttouch.braille.pef import read_pef, write_pef
-from smarttouch.braille.tables import Table
+from smarttouch.braille.tables import BrailleTable
 from smarttouch.errors import BrailleError
 from smarttouch.files import write_bytes
 
@@ -50,7 +50,7 @@ def file_of(source: str) -> Path | None:
     return Path(source) if there else None
 
 
-def load_cells(source: str, table: Table, leave_out: bool = False) -> Loaded:
+def load_cells(source: str, table: BrailleTable, leave_out: bool = False) -> Loaded:
     """Load cells from a text or a file of cells, and translate text with the table.
 
     ``source`` is the name of a file, ``text:`` and words, or words that name no file; a text may
@@ -104,7 +104,7 @@ def _is_braille(text: str) -> bool:
     return any(map(is_cell, text)) and all(is_cell(each) or each in " \t\n" for each in text)
 
 
-def _notes(table: Table, missing: str) -> list[str]:
+def _notes(table: BrailleTable, missing: str) -> list[str]:
     notes = [table.note] if table.note else []
     if missing:
         named = " ".join(missing[:_MOST_NAMED]) + (" …" if len(missing) > _MOST_NAMED else "")

@@ -26,7 +26,7 @@ MISSING_NOTE = (
 )
 
 
-class Code(Protocol):
+class BrailleCode(Protocol):
     """Braille code that translates one line at a time."""
 
     goes_back: bool  # translates cells back
@@ -46,12 +46,12 @@ class Code(Protocol):
 
 
 @dataclass(frozen=True)
-class Table:
+class BrailleTable:
     """A Braille code under the name that a user gave."""
 
     name: str
     title: str
-    code: Code
+    code: BrailleCode
     note: str | None = None  # warning for the user
 
     def missing(self, text: str) -> str:
@@ -116,7 +116,7 @@ class _Known(NamedTuple):
     file: str | None
     """File of liblouis; None if it is built in."""
     goes_back: bool
-    built_in: Callable[[], Code] | None = None
+    built_in: Callable[[], BrailleCode] | None = None
 
 
 # Back-translation was measured on a thousand sentences each: de-2 and en-gb-2 restore none, or one
@@ -140,7 +140,7 @@ def known_tables() -> dict[str, str]:
     return {name: known.title for name, known in _KNOWN.items()}
 
 
-def open_table(name: str = DEFAULT_TABLE) -> Table:
+def open_table(name: str = DEFAULT_TABLE) -> BrailleTable:
     """Open a table by a short name, the file name of a liblouis table, or a language tag.
 
     A tag such as ``fr`` or ``pt-BR`` gives the plainest table of the language.
@@ -153,7 +153,7 @@ def open_table(name: str = DEFAULT_TABLE) -> Table:
     known = _KNOWN.get(name)
     if known is None:
         if "." in name and louis.has_table(name):
-            return Table(name, louis.title_of(name), LouisCode(name))
+            return BrailleTable(name, louis.title_of(name), LouisCode(name))
         raise BrailleError(
             f"unknown table {name!r}: choose one of {', '.join(_KNOWN)}, or give the tag of a "
             "language (pt), or the file name of a table of liblouis",
@@ -164,7 +164,7 @@ def open_table(name: str = DEFAULT_TABLE) -> Table:
         )
     if known.file is not None and louis.has_table(known.file):
         code = _EnglishLouis if known.built_in is Grade1 else LouisCode
-        return Table(name, known.title, code(known.file, known.goes_back))
+        return BrailleTable(name, known.title, code(known.file, known.goes_back))
     if known.built_in is None:
         raise BrailleError(
             f"table {name} ({known.title}) needs liblouis: {louis.INSTALL}",
@@ -173,10 +173,10 @@ def open_table(name: str = DEFAULT_TABLE) -> Table:
             value=name,
             remedy=louis.INSTALL,
         )
-    return Table(name, known.title, known.built_in(), MISSING_NOTE if known.file else None)
+    return BrailleTable(name, known.title, known.built_in(), MISSING_NOTE if known.file else None)
 
 
-def _tidy(text: str, code: Code) -> str:
+def _tidy(text: str, code: BrailleCode) -> str:
     """Return a text with plain spaces and composed letters, nothing invisible but joiners.
 
     Marks are composed with their letter where one character is both, and otherwise left in

@@ -9,7 +9,7 @@ import time
 from dataclasses import dataclass, replace
 from typing import Self
 
-from smarttouch.braille_display.messages import MOST_CELLS, Messages, Shown
+from smarttouch.braille_display.messages import MOST_CELLS, BrlttyMessages, DisplayContent
 from smarttouch.errors import SourceError
 
 USUAL_PORT = 35752
@@ -28,7 +28,7 @@ class Address:
     listens: bool
 
     @classmethod
-    def read(cls, text: str) -> Self:
+    def parse(cls, text: str) -> Self:
         """Return the address in ``HOST:PORT``, ``listen:PORT`` or ``listen:HOST:PORT``."""
         first, _, rest = text.partition(":")
         listens = first in ("", "listen")
@@ -65,7 +65,7 @@ class BrlttyConnection:
                 allowed=(1, MOST_CELLS),
             )
         self.address, self.cells = address, cells
-        self.shown: Shown | None = None
+        self.shown: DisplayContent | None = None
         self.connections = 0
         self.garbled = 0
         self._number = 0
@@ -149,7 +149,7 @@ class BrlttyConnection:
         line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         line.settimeout(None)
         line.sendall(f"cells {self.cells}\r\n".encode())
-        messages = Messages()
+        messages = BrlttyMessages()
         while not self._closing:
             if not select.select([line], [], [], AGAIN_S)[0]:
                 continue

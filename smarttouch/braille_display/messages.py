@@ -19,7 +19,7 @@ _CURSOR = 0b1100_0000
 
 
 @dataclass(frozen=True)
-class Shown:
+class DisplayContent:
     """Content of the display: cells, their text, the count of updates, and when it arrived."""
 
     cells: str = ""
@@ -38,7 +38,7 @@ class Shown:
         """Number of cells up to the last that is not blank."""
         return len(self.cells.rstrip(BLANK))
 
-    def first_new(self, before: "Shown") -> int | None:
+    def first_new(self, before: "DisplayContent") -> int | None:
         """Return the first cell to be presented again; None if nothing but a cursor has changed.
 
         A cursor at the first change or right behind it means typing: that cell; otherwise the
@@ -53,11 +53,11 @@ class Shown:
         return None
 
 
-class Messages:
+class BrlttyMessages:
     """Parser of lines that arrive in pieces of any length; counts those that are no message."""
 
     def __init__(self) -> None:
-        self.shown = Shown()
+        self.shown = DisplayContent()
         self.garbled = 0
         self._rest = b""
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from smarttouch.afferent import Afferent
 from smarttouch.braille_display.connection import Address, BrlttyConnection
-from smarttouch.braille_display.messages import Shown
+from smarttouch.braille_display.messages import DisplayContent
 from smarttouch.errors import SourceError
 from smarttouch.profile import Profile
 from smarttouch.reading.braille import Presentation
@@ -50,7 +50,7 @@ def open_brltty(
             value=show,
             allowed=tuple(map(str, Presentation)),
         )
-    connection = BrlttyConnection(Address.read(rest), cells)
+    connection = BrlttyConnection(Address.parse(rest), cells)
     source = BrailleDisplaySource(connection, profile, Presentation(show), speed_mm_s, pan)
     connection.open()
     return source
@@ -94,7 +94,7 @@ class BrailleDisplaySource(StimulusSource):
         # A step is an electrode or a cell, and takes as long as that needs to pass.
         self._steps_a_cell = 1 if self.apart else self.layout.cell
         self._steps_a_s = speed_mm_s / self.layout.cell_mm * self._steps_a_cell
-        self._shown = Shown()
+        self._shown = DisplayContent()
         self._dots = np.zeros((self.layout.rows, 0), np.bool_)
         self._first, self._since_s = 0, 0.0
         """Cell at the start of the motion, and its duration so far."""
@@ -183,7 +183,7 @@ class BrailleDisplaySource(StimulusSource):
         self._jumps += 1
         self._first, self._since_s, self._panned = cell, 0.0, False
 
-    def _take(self, shown: Shown) -> None:
+    def _take(self, shown: DisplayContent) -> None:
         """Take over what BRLTTY shows, and go to its first new cell."""
         before, self._shown = self._shown, shown
         if shown.number == before.number:

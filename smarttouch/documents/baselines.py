@@ -45,7 +45,9 @@ class Baseline:
 
     def at(self, x: NDArray[Any]) -> Floats:
         """Return the baseline's y at x, px; straight beyond the row's ends."""
-        return along(self.baseline, np.asarray(x, np.float64) - self.left, self.right - self.left)
+        return curve_at(
+            self.baseline, np.asarray(x, np.float64) - self.left, self.right - self.left
+        )
 
     @property
     def middle_y(self) -> float:
@@ -76,14 +78,14 @@ class Baseline:
         return float(np.convolve(chosen, np.ones(gap) / gap, "valid").min())
 
 
-def along(coefficients: Floats, distance: Floats, length: float) -> Floats:
+def curve_at(coefficients: Floats, distance: Floats, length: float) -> Floats:
     """Return a curve at distances from its start; straight beyond its ends."""
     inside = np.clip(distance, 0, length)
     slope = polynomial.polyval(inside, polynomial.polyder(coefficients))
     return np.asarray(polynomial.polyval(inside, coefficients) + slope * (distance - inside))
 
 
-def follow(density: NDArray[np.uint8], row: Spots, slope: float | None = None) -> Baseline:
+def follow_baseline(density: NDArray[np.uint8], row: Spots, slope: float | None = None) -> Baseline:
     """Return the measured baseline of a row of letters in a density of ink, (H, W) uint8, 255 full.
 
     Pieces of the row are shifted up and down until their ink fits that of the whole row best; a

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.straighten import straighten
 from smarttouch.documents.strips import cut_strip
-from smarttouch.documents.text_lines import TextLine, ink_of_lines, lines_of
+from smarttouch.documents.text_lines import TextLine, ink_of_lines, lines_in_ink
 
 LEFT_OUT = "left out: "
 """Beginning of the note on what is not among the lines."""
@@ -46,7 +46,7 @@ def prepare_page(
     if straightened:
         page, notes = straighten(page, quarter)
     page, paper = ink_of_lines(page, light_on_dark)
-    lines, left_out = lines_of(paper, page.mm_per_pixel)
+    lines, left_out = lines_in_ink(paper, page.mm_per_pixel)
     if left_out:
         notes.append(f"{LEFT_OUT}{left_out}")
     return PreparedPage(page, paper.cleaned, tuple(lines), paper.light_on_dark, tuple(notes))

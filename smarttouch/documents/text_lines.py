@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from smarttouch.documents.baselines import Baseline, along, follow
+from smarttouch.documents.baselines import Baseline, curve_at, follow_baseline
 from smarttouch.documents.ink import Paper, separate_ink
 from smarttouch.documents.letters import (
     Spots,
@@ -25,7 +25,7 @@ from smarttouch.documents.panels import turn_panels
 from smarttouch.documents.print_size import reach_of_print, shared_x_heights
 from smarttouch.documents.reading_order import reading_order
 from smarttouch.documents.rows import find_rows
-from smarttouch.documents.textlike import credible, is_text, is_too_small, outside_pictures
+from smarttouch.documents.textlike import credible_lines, is_text, is_too_small, outside_pictures
 from smarttouch.documents.touching import part_lines
 
 _HOPELESS, _MISSES = 60, 3
@@ -49,7 +49,7 @@ class TextLine:
     def baseline_mm(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the baseline's y at x, mm; straight beyond the line's ends."""
         length = self.right_mm - self.left_mm
-        return along(np.array(self.baseline), x_mm - self.left_mm, length)
+        return curve_at(np.array(self.baseline), x_mm - self.left_mm, length)
 
     def slope(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the slope of the baseline at x, positive if it falls."""
@@ -80,7 +80,7 @@ class TextLine:
 def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]:
     """Return the lines of text in reading order; find the polarity of the page if it is None."""
     page, paper = ink_of_lines(page, light_on_dark)
-    return lines_of(paper, page.mm_per_pixel)[0]
+    return lines_in_ink(paper, page.mm_per_pixel)[0]
 
 
 def ink_of_lines(page: Page, light_on_dark: bool | None) -> tuple[Page, Paper]:
@@ -98,7 +98,7 @@ def ink_of_lines(page: Page, light_on_dark: bool | None) -> tuple[Page, Paper]:
     return page, turn_panels(paper)
 
 
-def lines_of(paper: Paper, mm_per_pixel: float) -> tuple[list[TextLine], str]:
+def lines_in_ink(paper: Paper, mm_per_pixel: float) -> tuple[list[TextLine], str]:
     """Return the lines of text on a page with separated ink, and what is left out, in words."""
     spots = find_spots(paper.ink)
     height = usual_height(spots, paper.ink.shape)
@@ -146,13 +146,13 @@ def _followed_rows(
         if tried > _HOPELESS + _MISSES * len(lines):
             break
         is_long = _length(row) > _LONG_ROW
-        baseline = follow(density, row, None if is_long else _slope_around(row, guides))
+        baseline = follow_baseline(density, row, None if is_long else _slope_around(row, guides))
         small += is_too_small(baseline, row)
         if is_text(baseline, row):
             lines.append((baseline, row))
             if is_long:
                 guides.append(baseline)
-    return credible(outside_pictures(lines, spots), int(spots.area.sum())), small
+    return credible_lines(outside_pictures(lines, spots), int(spots.area.sum())), small
 
 
 def _length(row: Spots) -> float:

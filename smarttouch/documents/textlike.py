@@ -175,7 +175,7 @@ def outside_pictures(
     ]
 
 
-def credible(lines: list[tuple[Baseline, Spots]], ink: int) -> list[Baseline]:
+def credible_lines(lines: list[tuple[Baseline, Spots]], ink: int) -> list[Baseline]:
     """Return the lines without specks that look like one letter; ``ink`` is that of the page, px.
 
     One or two letters alone are accepted if they are as large as a line of the page, or are most of

@@ -7,13 +7,13 @@ from enum import StrEnum
 from smarttouch.braille.cells import BLANK, SIX_DOT_PATTERNS, pattern
 from smarttouch.braille.photo import looks_like_braille, read_braille
 from smarttouch.braille.source import TEXT, load_cells
-from smarttouch.braille.tables import DEFAULT_TABLE, Table, open_table
+from smarttouch.braille.tables import DEFAULT_TABLE, BrailleTable, open_table
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.text_lines import TextLine
 from smarttouch.imaging.mapping import Tone
 from smarttouch.profile import Profile
 from smarttouch.reading.cells import CELL_MM, LINE_MM, TONE, CellLayout, cell_layout
-from smarttouch.reading.cursor import Motion
+from smarttouch.reading.cursor import LineMotion
 from smarttouch.reading.printed import (
     EmptyPages,
     recognized_lines,
@@ -57,14 +57,14 @@ class Braille:
 
     def motion(
         self, profile: Profile, speed_mm_s: float | None = None, rate_hz: float | None = None
-    ) -> Motion:
+    ) -> LineMotion:
         """Return the motion of cells: as fast as shapes, in steps of an electrode or a cell."""
         speed_mm_s = usual_speed(profile, rate_hz) if speed_mm_s is None else speed_mm_s
         layout = self.layout(profile)
         if self.presentation is Presentation.LINE:
-            return Motion(speed_mm_s, layout.pitch_mm[0])
+            return LineMotion(speed_mm_s, layout.pitch_mm[0])
         # A cell stays for as long as a line would take to move on by one.
-        return Motion(speed_mm_s * layout.width_mm / layout.cell_mm, layout.width_mm, gaps=True)
+        return LineMotion(speed_mm_s * layout.width_mm / layout.cell_mm, layout.width_mm, gaps=True)
 
     def layout(self, profile: Profile, cells: tuple[str, ...] = ()) -> CellLayout:
         """Return the places of the dots of lines of cells on an array."""
@@ -166,7 +166,7 @@ class Braille:
         return found.lines
 
 
-def _note_missing(source: Source, number: int, table: Table, missing: str) -> None:
+def _note_missing(source: Source, number: int, table: BrailleTable, missing: str) -> None:
     if missing:
         source.note(
             f"page {number}: left out, as table {table.name} has no cells for them: "

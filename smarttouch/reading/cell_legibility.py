@@ -14,7 +14,7 @@ Progress = Callable[[int, int], None]
 """Callback with the number of finished lines and of all."""
 
 
-def silent(_done: int, _total: int) -> None:
+def no_progress(_done: int, _total: int) -> None:
     """Report nothing."""
 
 
@@ -31,13 +31,13 @@ class BrailleLegibility:
 
 
 def legibility_of_braille(
-    source: Source, reading: Reading, braille: Braille, progress: Progress = silent
+    source: Source, reading: Reading, braille: Braille, progress: Progress = no_progress
 ) -> BrailleLegibility:
     """Deliver cells, and decode the delivered dots."""
     profile = reading.profile
     lines = list(braille.lines(source, profile))
     pictures = [
-        each.picture for each in kept(deliver_lines(lines, reading), 0, len(lines), progress)
+        each.picture for each in collect(deliver_lines(lines, reading), 0, len(lines), progress)
     ]
     wanted: list[str] = []
     delivered: list[str] = []
@@ -63,7 +63,7 @@ def legibility_of_braille(
     )
 
 
-def kept(lines: Iterable[_Item], before: int, total: int, progress: Progress) -> list[_Item]:
+def collect(lines: Iterable[_Item], before: int, total: int, progress: Progress) -> list[_Item]:
     """Return all lines, or fingers, and report each as it comes."""
     found: list[_Item] = []
     for line in lines:

@@ -36,7 +36,7 @@ class Spot:
 
 
 @dataclass(frozen=True)
-class Motion:
+class LineMotion:
     """Motion of lines under the finger: smooth if the step is 0; with ``gaps`` steps begin
     silently.
     """
@@ -75,7 +75,7 @@ class SweepingCursor:
     def __init__(
         self,
         feed: LineFeed,
-        motion: Motion,
+        motion: LineMotion,
         press_n: float,
         pause_s: float = 0.0,
         waits: bool = False,

@@ -16,7 +16,7 @@ from smarttouch.imaging.mapping import Tone
 from smarttouch.imaging.registration import Registration
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
-from smarttouch.reading.cursor import Motion, SweepingCursor
+from smarttouch.reading.cursor import LineMotion, SweepingCursor
 from smarttouch.reading.feed import LineFeed
 from smarttouch.reading.line_source import ReadingSource
 from smarttouch.reading.touch_line import TouchLine
@@ -35,7 +35,7 @@ class Reading:
     profile: Profile
     bank: KernelBank
     tone: Tone  # from ink to activation
-    motion: Motion
+    motion: LineMotion
     mode: Mode = Mode.RA
     sharing: SlotPolicy = NO_SHARING
     intensity: float = 1.0  # in [0, 1], of the highest comfortable current

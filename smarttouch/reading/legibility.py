@@ -13,7 +13,7 @@ from smarttouch.delivered.line import LinePicture
 from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.reading.braille import Braille
-from smarttouch.reading.cell_legibility import Progress, kept, legibility_of_braille, silent
+from smarttouch.reading.cell_legibility import Progress, collect, legibility_of_braille, no_progress
 from smarttouch.reading.deliver import DeliveredLine, Reading, deliver_lines, ideal_picture
 from smarttouch.reading.error_rate import character_error_rate, word_error_rate
 from smarttouch.reading.nerve import NerveReading, nerve_figures, read_at_nerve
@@ -54,7 +54,7 @@ def legibility_of_shapes(
     reading: Reading,
     shapes: Shapes,
     truth: str | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Legibility:
     """Deliver letter shapes, and compare the text recognized in what was delivered with the truth.
 
@@ -71,7 +71,7 @@ def legibility_of_shapes(
         indices = range(len(page.lines))
         page_texts += [text for _, text in recognized_lines(page, options, source.note)]
         lines = [shape_line(page, index, profile, shapes.style) for index in indices]
-        shown = kept(deliver_lines(lines, reading), total, total + len(indices), progress)
+        shown = collect(deliver_lines(lines, reading), total, total + len(indices), progress)
         graded = (shape_line(page, index, profile, Style.GRADED) for index in indices)
         ideal = [ideal_picture(line, profile, step_mm) for line in graded]
         delivered.append((shown, options.languages))
@@ -99,7 +99,7 @@ def legibility_at_nerve(
     reading: Reading,
     fingers: int,
     anatomy: str | Anatomy,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> dict[str, Any]:
     """Return error rates at the board and at the nerves of simulated fingers, by seeds from 1 on.
 
@@ -109,7 +109,7 @@ def legibility_at_nerve(
     work = Parallel(n_jobs=-1 if fingers > 1 else 1, return_as="generator", max_nbytes=None)
     seeds = range(1, fingers + 1)
     each = work(delayed(legibility_on_finger)(found, reading, seed, anatomy) for seed in seeds)
-    readings, errors = zip(*kept(each, 0, fingers, progress), strict=True)
+    readings, errors = zip(*collect(each, 0, fingers, progress), strict=True)
     return {"at_board": found.character_error_rate, **nerve_figures(readings, errors)}
 
 
@@ -158,7 +158,7 @@ def measure_legibility(
     reading: Reading,
     presented: Shapes | Braille,
     truth: Path | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     fingers: int = 0,
     anatomy: str = "branched",
 ) -> Measured:

@@ -15,7 +15,7 @@ from smarttouch.errors import ReadingError
 from smarttouch.imaging.mapping import Tone
 from smarttouch.imaging.registration import PIXELS_PER_CELL
 from smarttouch.profile import Profile
-from smarttouch.reading.cursor import Motion
+from smarttouch.reading.cursor import LineMotion
 from smarttouch.reading.printed import Note
 from smarttouch.reading.source import Source
 from smarttouch.reading.touch_line import Place, TouchLine
@@ -64,9 +64,9 @@ class Shapes:
 
     def motion(
         self, profile: Profile, speed_mm_s: float | None = None, rate_hz: float | None = None
-    ) -> Motion:
+    ) -> LineMotion:
         """Return the motion of lines: smooth, so that every edge passes every electrode."""
-        return Motion(usual_speed(profile, rate_hz) if speed_mm_s is None else speed_mm_s)
+        return LineMotion(usual_speed(profile, rate_hz) if speed_mm_s is None else speed_mm_s)
 
     def lines(self, source: Source, profile: Profile) -> Iterator[TouchLine]:
         """Yield lines of letter shapes."""

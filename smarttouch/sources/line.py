@@ -8,7 +8,7 @@ from smarttouch.wire.port import LINE_ERRORS, Port, reason
 _LARGEST_READ = 65536
 
 
-def read_what_came(port: Port, title: str) -> bytes:
+def read_available(port: Port, title: str) -> bytes:
     """Return the bytes that have arrived; wait for the first up to the port's timeout."""
     try:
         # Waiting for one byte more than has arrived would take the whole timeout.

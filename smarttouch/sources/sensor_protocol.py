@@ -57,7 +57,7 @@ _FRAME = struct.Struct("<BBI")
 _FORCE = struct.Struct("<iI")
 
 
-class Kind(IntEnum):
+class PacketKind(IntEnum):
     """Types of packets."""
 
     FRAME = 0x41
@@ -114,7 +114,7 @@ def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
             allowed=MOST_PIXELS_A_SIDE,
         )
     head = _FRAME.pack(rows, columns, time_us % NUMBERS)
-    return frame_packet(VERSION, Kind.FRAME, number % NUMBERS, head + image.tobytes())
+    return frame_packet(VERSION, PacketKind.FRAME, number % NUMBERS, head + image.tobytes())
 
 
 def encode_force(number: int, time_us: int, reading: int | None) -> bytes:
@@ -128,13 +128,13 @@ def encode_force(number: int, time_us: int, reading: int | None) -> bytes:
             value=value,
         )
     payload = _FORCE.pack(value, time_us % NUMBERS)
-    return frame_packet(VERSION, Kind.FORCE, number % NUMBERS, payload)
+    return frame_packet(VERSION, PacketKind.FORCE, number % NUMBERS, payload)
 
 
 def encode_info(number: int, name: str) -> bytes:
     """Return a device's description in its wire format; a name that is too long is cut."""
     text = name.encode("utf-8", "replace")[:LARGEST_NAME].decode("utf-8", "ignore")
-    return frame_packet(VERSION, Kind.INFO, number % NUMBERS, text.encode())
+    return frame_packet(VERSION, PacketKind.INFO, number % NUMBERS, text.encode())
 
 
 def decode(packet: Packet) -> Message | None:
@@ -143,14 +143,14 @@ def decode(packet: Packet) -> Message | None:
         return None
     payload = packet.payload
     match packet.kind:
-        case Kind.FRAME:
+        case PacketKind.FRAME:
             return _decode_frame(packet.number, payload)
-        case Kind.FORCE:
+        case PacketKind.FORCE:
             if len(payload) != _FORCE.size:
                 return None
             value, time_us = _FORCE.unpack(payload)
             return CellReading(packet.number, time_us, None if value == NO_READING else value)
-        case Kind.INFO:
+        case PacketKind.INFO:
             if len(payload) > LARGEST_NAME:
                 return None
             return Info(packet.number, payload.decode("utf-8", "replace"))

@@ -12,7 +12,7 @@ from smarttouch.errors import SourceError
 from smarttouch.profile import Profile
 from smarttouch.sources.capture import LiveSource
 from smarttouch.sources.image_device import ImageDevice, Shot
-from smarttouch.sources.line import read_what_came
+from smarttouch.sources.line import read_available
 from smarttouch.sources.notes import DeviceWarnings
 from smarttouch.sources.sensor_protocol import ArrayFrame, Info, MessageStream, gap
 from smarttouch.wire.port import LINE_ERRORS, Port, open_port
@@ -69,7 +69,7 @@ class SerialArrayDevice(ImageDevice):
             self._begin(port)
         deadline = time.monotonic() + timeout_s
         while True:
-            shot = self._take(read_what_came(port, self.title))
+            shot = self._take(read_available(port, self.title))
             if shot is not None:
                 return shot
             if time.monotonic() >= deadline:

@@ -10,7 +10,7 @@ from smarttouch.afferent import Mode
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.braille.cells import POSITION, dots_to_cells
 from smarttouch.braille_display.connection import Address, BrlttyConnection
-from smarttouch.braille_display.messages import Shown
+from smarttouch.braille_display.messages import DisplayContent
 from smarttouch.braille_display.source import BrailleDisplaySource
 from smarttouch.delivered.perception import DeliveredAnswers
 from smarttouch.kernels.bank import load_bank
@@ -48,7 +48,7 @@ def brltty(tmp_path):
 
 def shown(connection):
     """Return what is shown; nothing while there is no connection."""
-    return connection.shown or Shown()
+    return connection.shown or DisplayContent()
 
 
 def put(writer, connection, text, there, cursor=0):

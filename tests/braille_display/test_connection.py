@@ -23,13 +23,13 @@ HANGS_S = 60
     ],
 )
 def test_addresses(text, host, port, listens):
-    assert Address.read(text) == Address(host, port, listens)
+    assert Address.parse(text) == Address(host, port, listens)
 
 
 @pytest.mark.parametrize("text", ["listen:0", "listen:70000", "desk:x", "desk:-1"])
 def test_what_is_no_address(text):
     with pytest.raises(SourceError) as caught:
-        Address.read(text)
+        Address.parse(text)
     assert caught.value.about == "address"
     assert caught.value.value == text
 

@@ -10,7 +10,7 @@ from smarttouch.delivered.line import PIXELS_PER_PITCH, LinePicture
 from smarttouch.errors import SafetyError
 from smarttouch.imaging.mapping import Tone
 from smarttouch.profile import Profile
-from smarttouch.reading.cursor import Motion
+from smarttouch.reading.cursor import LineMotion
 from smarttouch.reading.deliver import Reading, deliver_lines, deliver_pulses, ideal_picture
 from smarttouch.reading.shapes import Shapes, Style
 from smarttouch.reading.window import usual_speed
@@ -21,7 +21,7 @@ GRADED = Tone(0.0, 1.0, prepared=True)
 
 @pytest.fixture
 def way(reading, reading_bank):
-    return Reading(reading, reading_bank, GRADED, Motion(usual_speed(reading)))
+    return Reading(reading, reading_bank, GRADED, LineMotion(usual_speed(reading)))
 
 
 def profile_of(picture):

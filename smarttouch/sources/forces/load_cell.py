@@ -22,7 +22,7 @@ from smarttouch.profile import Profile
 from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.forces.load_cell_watch import CellWatch
 from smarttouch.sources.forces.readings import PacketReadings, Readings, TextReadings
-from smarttouch.sources.line import read_what_came
+from smarttouch.sources.line import read_available
 from smarttouch.wire.port import LINE_ERRORS, Port, open_port
 
 FIRST_READING_S = 5.0
@@ -143,7 +143,7 @@ class LoadCell(Closing):
                 port = self._reopen()
                 continue
             try:
-                data = read_what_came(port, self.title)
+                data = read_available(port, self.title)
             except SourceLostError:
                 _let_go(port)
                 port = None
