@@ -33,7 +33,7 @@ scans whose size in points is that in pixels, without finer detail."""
 GUESSED_WIDTH_MM = 210.0
 """Width of an A4 page, for images without a stated size."""
 _POINT_MM = INCH_MM / 72
-_DOCUMENT = "a document that can be read: give a PDF, PNG, JPEG or TIFF"
+_DOCUMENT = "a readable document: give a PDF, PNG, JPEG or TIFF"
 _SIGNATURE = b"%PDF-"
 _SIGNATURE_WITHIN = 1024
 """Bytes at a file's start in which readers look for the signature (ISO 32000-1, Annex H.3.4.1)."""

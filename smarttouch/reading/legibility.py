@@ -173,7 +173,7 @@ def measure_legibility(
         rows = [
             ("cells", str(cells.cells)),
             ("lines", str(cells.lines)),
-            ("error rate, felt", f"{cells.cell_error_rate:.3f}"),
+            ("error rate, delivered", f"{cells.cell_error_rate:.3f}"),
         ]
         text = cells.delivered if cells.text is None else cells.text
         return Measured({**how, **speed, **asdict(cells)}, rows, text)
@@ -187,7 +187,7 @@ def measure_legibility(
         ("lines", str(found.lines)),
         ("error rate, page", "-" if rate is None else f"{rate:.3f}"),
         ("error rate, sampling limit", f"{found.sampling_limit:.3f}"),
-        ("error rate, felt", f"{found.character_error_rate:.3f}"),
+        ("error rate, delivered", f"{found.character_error_rate:.3f}"),
     ]
     shape = {"as": "shapes", "style": presented.style.value, "rows": rows_of(reading.profile)}
     figures = {f.name: getattr(found, f.name) for f in fields(found) if f.name != "delivered"}

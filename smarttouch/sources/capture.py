@@ -85,7 +85,7 @@ class LiveSource(OpticalSource):
         self._raised = False
         self._is_open = True
         self._lost_ns: int | None = None
-        self._gone = OutageTracker(DeviceWarnings(self.notes), f"{device.title} was gone")
+        self._gone = OutageTracker(DeviceWarnings(self.notes), f"{device.title} was disconnected")
         try:
             device.open()
         except BaseException:
@@ -204,8 +204,8 @@ class LiveSource(OpticalSource):
             self._intake.interrupt()
         elif gone_s > self._replug_s:
             message = (
-                f"{self.title} was lost and did not return within {self._replug_s:g} s: plug it in "
-                "and start again"
+                f"{self.title} was disconnected and did not return within {self._replug_s:g} s: "
+                "plug it in and start again"
             )
             raise self._error("gone", message, self._replug_s)
 

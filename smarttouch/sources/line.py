@@ -20,6 +20,6 @@ def read_available(port: Port, title: str) -> bytes:
                 data += wire.recv(_LARGEST_READ)
     except LINE_ERRORS as error:
         raise SourceLostError(
-            f"{title} is gone: {reason(error)}", about="port", problem="gone", value=title
+            f"{title} was disconnected: {reason(error)}", about="port", problem="gone", value=title
         ) from None
     return data

@@ -54,7 +54,7 @@ class SerialArrayDevice(ImageDevice):
         self._before: int | None = None
         self._received = 0
         self._listening_since_ns: int | None = None
-        self._said = DeviceWarnings(self.notes)
+        self._warnings = DeviceWarnings(self.notes)
 
     def open(self) -> None:
         """Open the port. Earlier bytes are discarded at the first `grab`."""
@@ -115,13 +115,15 @@ class SerialArrayDevice(ImageDevice):
         self._before = number
         if missing:
             self.lost += missing
-            self._said.put("lost", f"{self.title}: {_count(self.lost, 'frame')} lost on the line")
+            self._warnings.put(
+                "lost", f"{self.title}: {_count(self.lost, 'frame')} lost on the line"
+            )
 
     def _count_garbled(self, pieces: int) -> None:
         self.garbled += pieces
         if pieces and self.frames:
             what = _count(self.garbled, "piece")
-            self._said.put("garbled", f"{self.title}: {what} of the input could not be read")
+            self._warnings.put("garbled", f"{self.title}: {what} of the input could not be read")
 
     def _require_frames(self) -> None:
         """Raise if bytes have arrived for a while, and never a frame."""

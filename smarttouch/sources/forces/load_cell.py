@@ -129,7 +129,7 @@ class LoadCell(Closing):
             )
         raise self._mute(
             f"the {self.title} sent no reading within {FIRST_READING_S:g} s: check that it is on "
-            "and sends without being asked",
+            "and streams its readings",
             FIRST_READING_S,
         )
 

@@ -24,22 +24,24 @@ class CellWatch:
         self._title = title
         self._presses = presses
         self._value = math.nan
-        self._heard_ns: int | None = None
+        self._last_ns: int | None = None
         self._same_since_ns = 0
         self._same = 0
-        self._none = self._saturated = 0
-        self._said = DeviceWarnings(notes)
+        self._empty = self._saturated = 0
+        self._warnings = DeviceWarnings(notes)
         self._silence = OutageTracker(
-            self._said,
+            self._warnings,
             f"{title}: no reading",
             f"a reading is valid for {FRESH_S:g} s, so ten a second or more are needed",
         )
-        self._frost = OutageTracker(
-            self._said,
+        self._freeze = OutageTracker(
+            self._warnings,
             f"{title}: readings were constant under pressure",
             "it is frozen, or prints too few decimals",
         )
-        self._absence = OutageTracker(self._said, f"{title} was gone", "check the cable")
+        self._absence = OutageTracker(
+            self._warnings, f"{title} was disconnected", "check the cable"
+        )
 
     def take(self, readings: list[float], now_ns: int) -> None:
         """Take new readings, oldest first."""
@@ -52,20 +54,20 @@ class CellWatch:
         if readings:
             self._silence.update(False, now_ns)
             self._absence.update(False, now_ns)
-            self._heard_ns = now_ns
-            self._frost.update(self._frozen(now_ns), now_ns, self._same_since_ns)
+            self._last_ns = now_ns
+            self._freeze.update(self._frozen(now_ns), now_ns, self._same_since_ns)
 
     def check(self, now_ns: int, garbled: int, last_garbled: str) -> None:
         """Update the state between readings; ``garbled`` is input without a reading."""
-        heard_ns = self._heard_ns
-        if heard_ns is not None and now_ns - heard_ns > FRESH_S * 1e9:
-            self._silence.update(True, now_ns, heard_ns)
-            self._frost.update(False, heard_ns)
+        last_ns = self._last_ns
+        if last_ns is not None and now_ns - last_ns > FRESH_S * 1e9:
+            self._silence.update(True, now_ns, last_ns)
+            self._freeze.update(False, last_ns)
         if self._absence.is_on:
             self._absence.update(True, now_ns)
         if garbled:
             times = "once" if garbled == 1 else f"{garbled} times"
-            self._said.put(
+            self._warnings.put(
                 "garbled", f"{self._title}: input without a reading {times}, last {last_garbled}"
             )
 
@@ -74,12 +76,12 @@ class CellWatch:
         self._absence.update(True, now_ns)
         # A lost port explains the missing readings: no note on silence besides.
         self._silence.update(False, now_ns)
-        self._frost.update(False, now_ns)
-        self._heard_ns, self._value, self._same = None, math.nan, 0
+        self._freeze.update(False, now_ns)
+        self._last_ns, self._value, self._same = None, math.nan, 0
 
     def reading(self, now_ns: int) -> float:
         """Return the newest reading; NaN if it is unknown."""
-        if self._heard_ns is None or now_ns - self._heard_ns > FRESH_S * 1e9:
+        if self._last_ns is None or now_ns - self._last_ns > FRESH_S * 1e9:
             return math.nan
         return math.nan if self._frozen(now_ns) else self._value
 
@@ -94,13 +96,15 @@ class CellWatch:
         """Return a reading, or NaN for an invalid one, with a note."""
         if value in SATURATED:
             self._saturated += 1
-            self._said.put(
+            self._warnings.put(
                 "saturated",
                 f"{self._title}: at the end of its range, {value:.0f}, in {self._saturated} "
                 "readings: overloaded, or not connected",
             )
             return math.nan
         if math.isnan(value):
-            self._none += 1
-            self._said.put("none", f"{self._title}: {self._none} of its packets had no reading")
+            self._empty += 1
+            self._warnings.put(
+                "none", f"{self._title}: {self._empty} of its packets had no reading"
+            )
         return value
