@@ -20,7 +20,7 @@ class FramePreprocessor:
         self._correct: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] | None = None
         if profile.optics.flat_field is not None:
             flat_field = FlatField.load(Path(profile.optics.flat_field))
-            # The first call imports scipy, which must not delay the first image of a run.
+            # The first call may import scipy, which must not delay the first image of a run.
             flat_field.correct(np.zeros(flat_field.gain.shape, np.uint8))
             self._correct = flat_field.correct
         self._tracker = MotionTracker(profile)

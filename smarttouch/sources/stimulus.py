@@ -25,7 +25,7 @@ class Stimulus(TactileImage):
     pose : Pose
         Pose of the finger.
     number : int
-        Number at its source, from 0; equal numbers mean the same stimulus.
+        Number at its source, from 0; equal numbers mean the same place or part.
     age_ns : int
         Age when it was read.
     stale : bool
