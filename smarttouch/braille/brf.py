@@ -1,10 +1,11 @@
-"""BRF, files for Braille printers: North American ASCII Braille, pages parted by form feeds."""
+"""BRF files for Braille printers: North American ASCII Braille, pages separated by form feeds."""
 
 from pathlib import Path
 
 from smarttouch.braille.cells import BLANK, SIX_DOT_PATTERNS, Pages, pattern, require_cells
-from smarttouch.braille.files import read_bytes, write_bytes
+from smarttouch.braille.files import MOST_BYTES
 from smarttouch.errors import BrailleError
+from smarttouch.files import read_bytes, write_bytes
 
 # North American Braille ASCII, as printers take it; in the order of the patterns 0 to 63.
 _CODE = " A1B'K2L@CIF/MSP\"E3H9O6R^DJG>NTQ,*5<-U8V.%[$+X!&;:4\\0Z7(_?W]#Y)="
@@ -14,25 +15,13 @@ _CELL_OF |= {code + 32: cell for code, cell in _CELL_OF.items() if 64 <= code < 
 
 
 def read_brf(path: Path) -> Pages:
-    """Read a BRF file.
-
-    Raises
-    ------
-    BrailleError
-        If it cannot be read, or holds what is no cell.
-    """
-    return parse_brf(read_bytes(path), str(path))
+    """Read a BRF file."""
+    return parse_brf(read_bytes(path, BrailleError, MOST_BYTES), str(path))
 
 
 def write_brf(path: Path, pages: Pages) -> None:
-    """Write a BRF file.
-
-    Raises
-    ------
-    BrailleError
-        If it cannot be written, or a cell has dots 7 or 8: BRF has no such cells.
-    """
-    write_bytes(path, format_brf(pages))
+    """Write a BRF file; raise if a cell has dots 7 or 8, which BRF cannot hold."""
+    write_bytes(path, format_brf(pages), BrailleError)
 
 
 def format_brf(pages: Pages) -> bytes:
@@ -45,15 +34,7 @@ def format_brf(pages: Pages) -> bytes:
 
 
 def parse_brf(data: bytes, name: str = "BRF") -> Pages:
-    """Return the pages of a BRF file.
-
-    Parameters
-    ----------
-    data : bytes
-        Content of the file.
-    name : str
-        Name for error messages.
-    """
+    """Return the pages of a BRF file; ``name`` is for error messages."""
     # A DOS file may end in ^Z, and a page in a form feed.
     text = data.removesuffix(b"\x1a").decode("latin-1").replace("\r\n", "\n")
     pages, count = [], 0

@@ -30,17 +30,11 @@ def pattern(cell: str) -> int:
 
 
 def require_cells(line: str) -> None:
-    """Raise unless a line consists of cells.
-
-    Raises
-    ------
-    BrailleError
-        If a character of it is none.
-    """
+    """Raise unless a line consists of cells."""
     for column, character in enumerate(line):
         if not is_cell(character):
             raise BrailleError(
-                f"{character!r} at place {column + 1} is not a cell of Braille: give characters "
+                f"{character!r} at position {column + 1} is not a Braille cell: give characters "
                 "U+2800 to U+28FF",
                 about="cell",
                 problem="malformed",
@@ -49,36 +43,14 @@ def require_cells(line: str) -> None:
 
 
 def cells_to_dots(cells: str) -> NDArray[np.bool_]:
-    """Return the dots of a line of cells.
-
-    Returns
-    -------
-    ndarray, (N, 8) bool
-        Column k is dot k + 1.
-
-    Raises
-    ------
-    BrailleError
-        If a character is not a cell.
-    """
+    """Return the dots of a line of cells, (N, 8) bool; column k is dot k + 1."""
     require_cells(cells)
     patterns = np.array([pattern(cell) for cell in cells], np.uint8)
     return np.unpackbits(patterns[:, None], axis=1, bitorder="little").astype(bool)
 
 
 def dots_to_cells(dots: NDArray[Any]) -> str:
-    """Return a line of cells from its dots.
-
-    Parameters
-    ----------
-    dots : ndarray, (N, 8) or (N, 6) bool
-        Column k is dot k + 1.
-
-    Raises
-    ------
-    BrailleError
-        If there are other than 6 or 8 dots a cell.
-    """
+    """Return a line of cells from its dots, (N, 8) or (N, 6) bool; column k is dot k + 1."""
     if dots.ndim != 2 or dots.shape[1] not in (6, 8):
         raise BrailleError(
             f"dots of shape {dots.shape} are not cells: give (N, 6) or (N, 8)",

@@ -1,11 +1,11 @@
-"""Files of cells and texts, read whole; each fault is an error with one sentence."""
+"""Files of cells and texts, read whole."""
 
 import codecs
 from enum import StrEnum
 from pathlib import Path
 
-from smarttouch import files
 from smarttouch.errors import BrailleError
+from smarttouch.files import MOST_DOCUMENT_BYTES, decoded, open_file, read_bytes
 
 MOST_BYTES = 50_000_000
 """Largest file; a book has a few million cells."""
@@ -25,15 +25,9 @@ class Kind(StrEnum):
 
 
 def kind_of(path: Path) -> Kind:
-    """Return what a file holds, by how it begins; only .brf and .txt say so by their names.
-
-    Raises
-    ------
-    BrailleError
-        If it cannot be read.
-    """
+    """Return the kind of a file by its first bytes; only .brf and .txt are known by their names."""
     suffix = path.suffix.lower()
-    with files.open_file(path, BrailleError, files.MOST_DOCUMENT_BYTES) as file:
+    with open_file(path, BrailleError, MOST_DOCUMENT_BYTES) as file:
         data = file.read(_BEGINNING_BYTES)
     if suffix == ".brf":
         return Kind.BRF
@@ -44,42 +38,14 @@ def kind_of(path: Path) -> Kind:
     if b"%PDF-" in data or data.translate(None, _NO_TEXT) != data:
         return Kind.PAGES
     try:
-        # What is cut off at the end may be half a character.
+        # The last character may be cut.
         codecs.getincrementaldecoder("utf-8")().decode(data)
     except UnicodeDecodeError:
         return Kind.PAGES
     return Kind.TEXT
 
 
-def read_bytes(path: Path) -> bytes:
-    """Return the content of a file.
-
-    Raises
-    ------
-    BrailleError
-        If it cannot be read, or is far too large.
-    """
-    return files.read_bytes(path, BrailleError, MOST_BYTES)
-
-
-def read_text(path: Path) -> str:
-    """Return a text file in UTF-8, with newlines only, and no byte-order mark.
-
-    Raises
-    ------
-    BrailleError
-        If it cannot be read, or is not UTF-8.
-    """
-    text = files.read_text(path, BrailleError, MOST_BYTES)
+def read_plain_text(path: Path) -> str:
+    """Return a text file in UTF-8, with newlines only, and no byte-order mark."""
+    text = decoded(read_bytes(path, BrailleError, MOST_BYTES), path, BrailleError)
     return text.replace("\r\n", "\n").replace("\r", "\n")
-
-
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file.
-
-    Raises
-    ------
-    BrailleError
-        If it cannot be written.
-    """
-    files.write_bytes(path, data, BrailleError)

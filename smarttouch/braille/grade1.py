@@ -14,7 +14,7 @@ _ACCENTS = {
     "\u0300": "⠘⠡", "\u0301": "⠘⠌", "\u0302": "⠘⠩", "\u0303": "⠘⠻", "\u0308": "⠘⠒",
     "\u030a": "⠘⠫", "\u030c": "⠘⠬", "\u0327": "⠘⠯",
 }  # fmt: skip
-"""Cells of accents, by the combining mark; they stand before the letter."""
+"""Cells of accents, by the combining mark; they precede the letter."""
 _SIGNS = {
     " ": BLANK, ".": "⠲", ",": "⠂", ";": "⠆", ":": "⠒", "!": "⠖", "'": "⠄", "-": "⠤",
     "—": "⠠⠤", "‘": "⠠⠦", "’": "⠠⠴", "«": "⠸⠦", "»": "⠸⠴",
@@ -31,8 +31,7 @@ _SAME = str.maketrans({"–": "—", "…": "...", "‐": "-", "‑": "-", "−"
 """Characters that differ in print, and not in Braille."""
 
 _CAPITAL, _CAPITAL_WORD, _CAPITAL_PASSAGE, _CAPITALS_END = "⠠", "⠠⠠", "⠠⠠⠠", "⠠⠄"
-_PASSAGE_WORDS = 3
-"""Words in capitals one after another that make a passage (8.5)."""
+_PASSAGE_WORDS = 3  # words in capitals one after another that make a passage (8.5)
 _NUMBER, _GRADE_1, _NUMBER_SPACE = "⠼", "⠰", "⠐"
 _ONE_QUOTE_OR_QUESTION, _CLOSING_QUOTE, _ANY_QUOTE, _SURE_QUOTE = "⠦", "⠴", "⠠⠶", "⠘⠦"
 _OPENING = frozenset(" ([{<—-/‘«")
@@ -49,8 +48,8 @@ _SIGN_OF = {cells: sign for sign, cells in _SIGNS.items()} | {
 class Grade1:
     """Code of letters, accents, numbers, capitals and punctuation; decodes its own cells exactly.
 
-    Where print has two forms of one sign, the plain one comes back: straight
-    double quotes and apostrophes, and one kind of dash.
+    Where print has two forms of one sign, the plain one is decoded: straight double quotes and
+    apostrophes, and one kind of dash.
     """
 
     goes_back = True
@@ -177,7 +176,7 @@ def _letter(character: str) -> str:
 
 
 def _capitals(text: str) -> tuple[dict[int, str], dict[int, str]]:
-    """Return the indicators of capitals that stand before, and after, characters of a text."""
+    """Return the indicators of capitals before, and after, characters of a text."""
     before, after = {}, {}
     covered: set[int] = set()
     for first, last in _passages(text):

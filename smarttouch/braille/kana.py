@@ -4,8 +4,8 @@ import unicodedata
 
 from smarttouch.braille.cells import BLANK
 
-# The vowel lies in dots 1, 2 and 4, the consonant in dots 3, 5 and 6; what changes a syllable
-# stands in a cell before it. Checked against the kana of liblouis' ja-kantenji table.
+# Dots 1, 2 and 4 are the vowel, 3, 5 and 6 the consonant; a prefix cell modifies a syllable.
+# Checked against the kana of liblouis' ja-kantenji table.
 _ROWS = {
     "あいうえお": "⠁⠃⠉⠋⠊", "かきくけこ": "⠡⠣⠩⠫⠪", "さしすせそ": "⠱⠳⠹⠻⠺",
     "たちつてと": "⠕⠗⠝⠟⠞", "なにぬねの": "⠅⠇⠍⠏⠎", "はひふへほ": "⠥⠧⠭⠯⠮",
@@ -56,10 +56,8 @@ _POINT, _COMMA = "⠂", "⠄"
 
 _BRACKETS = {"「": "⠤", "」": "⠤", "『": "⠰⠤", "』": "⠤⠆", "(": "⠶", ")": "⠶"}
 _STOPS = {"。": "⠲", "、": "⠰", "?": "⠢", "!": "⠖", "・": "⠐"}
-_BLANKS = {"。": 2, "?": 2, "!": 2, "、": 1, "・": 1}
-"""Blank cells that follow a stop in a line."""
-_UNPARTED = frozenset("」』)。、?!・…~,.")
-"""Signs not separated from a stop by a blank cell."""
+_BLANKS = {"。": 2, "?": 2, "!": 2, "、": 1, "・": 1}  # blank cells that follow a stop in a line
+_UNPARTED = frozenset("」』)。、?!・…~,.")  # signs not separated from a stop by a blank cell
 _SIGNS = {**_BRACKETS, **_STOPS, "~": "⠤⠤", "…": "⠂⠂⠂"}
 _KNOWN = frozenset({*_SYLLABLES, *_FULL_SIZE, *_DIGITS, *_SIGNS, *" ,."})
 _WIDE = str.maketrans("?!()~", "？！（）〜")
@@ -68,9 +66,8 @@ _WIDE = str.maketrans("?!()~", "？！（）〜")
 class Kana:
     """Kana Braille.
 
-    Katakana become hiragana, and come back as hiragana. Kana are taken as they are
-    spelled: to write the particles は and へ as わ and え, a long う as ー, and spaces
-    between words, is the writer's part.
+    Katakana become hiragana, also in back-translation. Kana are translated as spelled: the
+    writer writes the particles は and へ as わ and え, a long う as ー, and spaces between words.
     """
 
     goes_back = True

@@ -18,22 +18,10 @@ CONTINUED = "⠐"
 def lay_out(
     paragraphs: Sequence[str], columns: int = COLUMNS, rows: int = ROWS, indent: int = INDENT
 ) -> Pages:
-    """Return pages of lines of cells.
+    """Return paragraphs of cells as pages of lines; an empty one stays an empty line.
 
-    Parameters
-    ----------
-    paragraphs : sequence of str
-        Cells; an empty one stays an empty line. Blank cells around one are dropped.
-    columns, rows : int
-        Cells a line and lines a page, at most.
-    indent : int
-        Blank cells before the first line of a paragraph. Without any, ``join``
-        cannot tell paragraphs apart.
-
-    Raises
-    ------
-    BrailleError
-        If the page is too small.
+    Blank cells around a paragraph are dropped, and ``indent`` of them put before it; without any,
+    `join` cannot separate paragraphs.
     """
     if columns < indent + 2 or rows < 1:
         raise BrailleError(
@@ -49,16 +37,9 @@ def lay_out(
 
 
 def join(pages: Pages, columns: int | None = None) -> list[str]:
-    """Return the paragraphs of pages that were laid out.
+    """Return the paragraphs of pages that were laid out, in lines of at most ``columns`` cells.
 
     A line that begins with a blank cell, or follows an empty one, begins a paragraph.
-
-    Parameters
-    ----------
-    pages : list of list of str
-        Pages of lines of cells.
-    columns : int, optional
-        Cells a line had at most; those of the longest line, if not given.
     """
     lines = [line for page in pages for line in page]
     columns = columns or max(map(len, lines), default=0)

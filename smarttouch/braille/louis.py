@@ -15,22 +15,18 @@ from smarttouch.errors import BrailleError
 
 INSTALL = "apt install liblouis20 liblouis-data"
 JOINERS = "\u200c\u200d"
-"""Invisible characters that shape those beside them, and have cells of their own in some codes."""
+"""Invisible characters that shape their neighbors, and have cells of their own in some codes."""
 _LIBRARIES = ("liblouis.so.20", "liblouis.so", "liblouis.20.dylib", "liblouis.dylib")
 
-_DOTS = 0x8000
-"""Offset of cells in back-translation, in every version (LOU_DOTS)."""
-_DOTS_IO, _UNICODE_CELLS, _NO_UNDEFINED = 4, 64, 128
-"""Values of ``translationModes`` in liblouis.h."""
+_DOTS = 0x8000  # offset of cells in back-translation, in every version (LOU_DOTS)
+_DOTS_IO, _UNICODE_CELLS, _NO_UNDEFINED = 4, 64, 128  # values of ``translationModes`` in liblouis.h
 _LOG_OFF = 60000
 _LONGEST_NAME = 200
-"""Longest name of a table; a file name has 255 bytes at most, and old versions do not check."""
-_ROOMS = (8, 64)
-"""Characters of output per one of input; the second if the first was not enough."""
+"""Longest name of a table; file names have at most 255 bytes, and old versions do not check."""
+_ROOMS = (8, 64)  # characters of output per one of input; the second if the first was not enough
 _UNDEFINED = "\uf8ff"
 """Private character that no table defines, to obtain the output of undefined ones."""
-_ESCAPE = re.compile(r"\\([0-9A-F]*)/")
-"""Output for a cell that a table cannot read: its dots."""
+_ESCAPE = re.compile(r"\\([0-9A-F]*)/")  # output for a cell that a table cannot read: its dots
 
 _lock = threading.Lock()
 """Lock of liblouis, which keeps its state in globals."""
@@ -56,19 +52,9 @@ class Translated(NamedTuple):
 
 
 class LouisCode:
-    """Braille code of a table of liblouis.
+    """Braille code of a table of liblouis, by its file name, such as ``en-ueb-g2.ctb``.
 
-    Parameters
-    ----------
-    table : str
-        File name of the table, such as ``en-ueb-g2.ctb``.
-    goes_back : bool, optional
-        Whether its cells can be read; as the table itself says, if not given.
-
-    Raises
-    ------
-    BrailleError
-        If liblouis is missing, or has no such table.
+    Whether its cells can be translated back is read from the table if not given.
     """
 
     remedy = "leave them out, or choose another table"
@@ -76,7 +62,7 @@ class LouisCode:
     def __init__(self, table: str, goes_back: bool | None = None) -> None:
         if not has_table(table):
             raise BrailleError(
-                f"there is no liblouis table {table!r} here: {INSTALL}",
+                f"liblouis has no table {table!r} here: {INSTALL}",
                 about="table",
                 problem="missing",
                 value=table,
@@ -95,13 +81,8 @@ class LouisCode:
         return self.translate(line).cells
 
     def translate(self, line: str, emphasis: Sequence[Emphasis] = ()) -> Translated:
-        """Return a line of text as cells, with the places of its characters.
-
-        Parameters
-        ----------
-        line : str
-        emphasis : sequence of Emphasis
-            Of each character; plain where it ends.
+        """Return a line of text as cells, with the places of its characters, given their
+        emphasis.
         """
         return _translate(self._table, line, _DOTS_IO | _UNICODE_CELLS, emphasis=emphasis)
 
@@ -123,7 +104,7 @@ class LouisCode:
         if unicodedata.category(character).startswith("C") and character not in JOINERS:
             return False
         if character.isascii():
-            # Some tables show the undefined as a question mark or a blank.
+            # Some tables translate undefined characters as a question mark or a blank.
             return True
         if _encoding() == "utf-16-le" and ord(character) > 0xFFFF:
             return False
@@ -147,7 +128,7 @@ def has_table(table: str) -> bool:
     if library is None or not table.isprintable() or len(table.encode()) > _LONGEST_NAME:
         return False
     if not all(table.split(",")):
-        # For a name that is empty liblouis reads memory that is not its own.
+        # liblouis reads out of bounds for an empty name.
         return False
     with _lock:
         return bool(library.lou_checkTable(table.encode()))
@@ -156,24 +137,21 @@ def has_table(table: str) -> bool:
 def find_table(language: str) -> str | None:
     """Return the file name of the plainest table of a language tag, such as ``pt`` or ``pt-BR``.
 
-    Parameters
-    ----------
-    language : str
-        Where there is no table of its region, that of the language itself is taken.
+    Where there is no table of its region, that of the language itself is taken.
     """
     own = language.lower().partition("-")[0]
     for tag in (language, own):
         for kind in (" type:literary contraction:no", " type:literary", ""):
-            found = _asked("lou_findTable", f"language:{tag}{kind}".encode())
-            # It finds tables of other languages, too, if all else fits.
-            if found and own == _asked("lou_getTableInfo", found.encode(), b"language"):
+            found = _query("lou_findTable", f"language:{tag}{kind}".encode())
+            # It also finds tables of other languages.
+            if found and own == _query("lou_getTableInfo", found.encode(), b"language"):
                 return found.rpartition("/")[2]
     return None
 
 
 def title_of(table: str) -> str:
     """Return the name that a table gives itself; that of its file if none."""
-    return _asked("lou_getTableInfo", table.encode(), b"display-name") or f"liblouis table {table}"
+    return _query("lou_getTableInfo", table.encode(), b"display-name") or f"liblouis table {table}"
 
 
 class TableFile(NamedTuple):
@@ -197,22 +175,22 @@ def table_files() -> list[TableFile]:
     return [
         TableFile(
             name.decode().rpartition("/")[2],
-            _asked("lou_getTableInfo", name, b"language"),
-            _asked("lou_getTableInfo", name, b"display-name"),
+            _query("lou_getTableInfo", name, b"language"),
+            _query("lou_getTableInfo", name, b"display-name"),
         )
         for name in names
     ]
 
 
-def _asked(function: str, *arguments: bytes) -> str:
-    """Return the text that a function of liblouis gives; empty if none, or without liblouis."""
+def _query(function: str, *arguments: bytes) -> str:
+    """Return the text from a function of liblouis; empty if none, or without liblouis."""
     library = _library()
     if library is None:
         return ""
     with _lock:
-        asked = getattr(library, function)
-        asked.restype = ctypes.c_char_p
-        return (asked(*arguments) or b"").decode("utf-8", "replace")
+        call = getattr(library, function)
+        call.restype = ctypes.c_char_p
+        return (call(*arguments) or b"").decode("utf-8", "replace")
 
 
 @cache
@@ -223,14 +201,14 @@ def _library() -> ctypes.CDLL | None:
             library = ctypes.CDLL(name)
         except OSError:
             continue
-        # Else it writes to stderr what we say in a sentence.
+        # Errors are raised, not written to stderr.
         library.lou_setLogLevel(_LOG_OFF)
         return library
     return None
 
 
 def _goes_both_ways(table: str) -> bool:
-    return _asked("lou_getTableInfo", table.encode(), b"direction") != "forward"
+    return _query("lou_getTableInfo", table.encode(), b"direction") != "forward"
 
 
 @cache
@@ -263,7 +241,7 @@ def _translate(
             )  # fmt: skip
         if not done:
             break
-        # The consumed input does not always show cut output, but that fills its room.
+        # Cut output fills its room, even where all input was consumed.
         if read.value == length and written.value <= room // 2:
             made = outbuf.raw[: written.value * width].decode(encoding, "replace")
             return Translated(made, cell_of[:length], character_of[: written.value])

@@ -12,37 +12,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 STRIDE = 4
-"""Pixels of the picture per place of the network's map."""
+"""Pixels of the picture per position of the network's map."""
 LEAST = 0.4
-"""Least certainty of a place where a cell is found."""
+"""Least certainty of a position where a cell is found."""
 _DILATIONS = (1, 1, 2, 4, 8, 2, 1)
-_NEAR_PX = 41
-_AROUND_PX = 81
-"""Sides of the squares over which brightness and contrast are made even."""
+_NEAR_PX, _AROUND_PX = (
+    41,
+    81,
+)  # sides of the squares over which brightness and contrast are normalized
 _APART_PX = 11, 14
 """Least distance of cells, across and down: those of the finest pages have 18 and 28."""
-_TOGETHER = 1024
-"""Places of a map that are made at once: what goes into them fits into a processor's cache."""
+_TOGETHER = 1024  # positions of a map computed at once: their input fits into a processor's cache
 
 Image = NDArray[np.float32]
 
 
 class FoundCells(NamedTuple):
-    """Cells found in a picture.
+    """Cells found in a picture."""
 
-    Attributes
-    ----------
-    px : ndarray, (N, 2) px
-        Their middles, column and row.
-    patterns : ndarray, (N,) int
-        Their dots: bit k is dot k + 1.
-    certainty : ndarray, (N,), in [0, 1]
-        That there is a cell, and that each of its dots is right.
-    """
-
-    px: NDArray[np.float64]
-    patterns: NDArray[np.int_]
-    certainty: NDArray[np.float64]
+    px: NDArray[np.float64]  # (N, 2), middles: column and row
+    patterns: NDArray[np.int_]  # (N,), bit k is dot k + 1
+    certainty: NDArray[np.float64]  # (N,) in [0, 1], that all of a cell is right
 
 
 def find_cells(grey: NDArray[np.uint8]) -> FoundCells:
@@ -57,7 +47,7 @@ def find_cells(grey: NDArray[np.uint8]) -> FoundCells:
     strength, dots = there[rows, columns], maps[3:, rows, columns]
     px = np.column_stack([columns + maps[1, rows, columns], rows + maps[2, rows, columns]])
     px = px.astype(float) * STRIDE + (STRIDE - 1) / 2
-    kept = _apart(px, strength)
+    kept = _without_overlaps(px, strength)
     dots = dots[:, kept]
     return FoundCells(
         px[kept],
@@ -67,7 +57,7 @@ def find_cells(grey: NDArray[np.uint8]) -> FoundCells:
 
 
 def _even(grey: NDArray[np.uint8]) -> Image:
-    """Return a picture with an even background, and even contrast."""
+    """Return a picture with normalized background and contrast."""
     picture = grey.astype(np.float32)
     near = picture - cv2.blur(picture, (_NEAR_PX,) * 2, borderType=cv2.BORDER_REFLECT)
     spread = np.maximum(cv2.blur(near * near, (_AROUND_PX,) * 2, borderType=cv2.BORDER_REFLECT), 0)
@@ -75,7 +65,7 @@ def _even(grey: NDArray[np.uint8]) -> Image:
 
 
 def _run(picture: Image) -> Image:
-    """Return maps, (9, H, W): of cells, of where they are beside the place, of their dots."""
+    """Return maps, (9, H, W): certainty of a cell, its two offsets, and its six dots."""
     layers = _layers()
     image = picture[None]
     for (weights, bias), stride in zip(layers[:3], (1, 2, 2), strict=True):
@@ -91,7 +81,7 @@ def _run(picture: Image) -> Image:
 def _convolved(
     image: Image, weights: Image, bias: Image, stride: int = 1, dilation: int = 1
 ) -> Image:
-    """Return an image, (C, H, W), through weights, (D, C, K, K), by products of bands of rows."""
+    """Return an image, (C, H, W), convolved by weights, (D, C, K, K), in bands of rows."""
     count, channels, size, _ = weights.shape
     edge = dilation * (size // 2)
     framed = np.pad(image, ((0, 0), (edge, edge), (edge, edge)))
@@ -121,8 +111,8 @@ def _layers() -> list[tuple[Image, Image]]:
         ]
 
 
-def _apart(px: NDArray[np.float64], strength: Image) -> NDArray[np.int_]:
-    """Return which cells, (M,), stay of those that overlap: the surest."""
+def _without_overlaps(px: NDArray[np.float64], strength: Image) -> NDArray[np.int_]:
+    """Return the indices, (M,), of the most certain of cells that overlap."""
     kept: list[int] = []
     across, down = _APART_PX
     for each in np.argsort(-strength, kind="stable"):

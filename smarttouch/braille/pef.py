@@ -6,8 +6,9 @@ from pathlib import Path
 from xml.parsers import expat
 
 from smarttouch.braille.cells import Pages, require_cells
-from smarttouch.braille.files import read_bytes, write_bytes
+from smarttouch.braille.files import MOST_BYTES
 from smarttouch.errors import BrailleError
+from smarttouch.files import read_bytes, write_bytes
 
 # PEF 1.0, public specification (2010): http://pef-format.org
 _PEF = "http://www.daisy.org/ns/2008/pef"
@@ -16,25 +17,13 @@ _FORMAT = "application/x-pef+xml"
 
 
 def read_pef(path: Path) -> Pages:
-    """Read the pages of a PEF file, of all its volumes and sections.
-
-    Raises
-    ------
-    BrailleError
-        If it cannot be read, or is not PEF.
-    """
-    return parse_pef(read_bytes(path), str(path))
+    """Read the pages of a PEF file, of all its volumes and sections."""
+    return parse_pef(read_bytes(path, BrailleError, MOST_BYTES), str(path))
 
 
 def write_pef(path: Path, pages: Pages) -> None:
-    """Write a PEF file of one volume; its title is the file's name.
-
-    Raises
-    ------
-    BrailleError
-        If it cannot be written, or a character is not a cell.
-    """
-    write_bytes(path, format_pef(pages, path.stem))
+    """Write a PEF file of one volume; its title is the file's name."""
+    write_bytes(path, format_pef(pages, path.stem), BrailleError)
 
 
 def format_pef(pages: Pages, title: str) -> bytes:
@@ -69,15 +58,7 @@ def format_pef(pages: Pages, title: str) -> bytes:
 
 
 def parse_pef(data: bytes, name: str = "PEF") -> Pages:
-    """Return the pages of a PEF file.
-
-    Parameters
-    ----------
-    data : bytes
-        Content of the file.
-    name : str
-        Name for error messages.
-    """
+    """Return the pages of a PEF file; ``name`` is for error messages."""
     try:
         _refuse_declarations(data, name)
         root = ET.fromstring(data)
@@ -99,7 +80,7 @@ def parse_pef(data: bytes, name: str = "PEF") -> Pages:
     ]
     if not pages:
         raise BrailleError(
-            f"{name} is a PEF file without a page: there is nothing to read",
+            f"{name} is a PEF file without pages",
             about="file",
             problem="empty",
             value=name,
@@ -116,7 +97,7 @@ def _refuse_declarations(data: bytes, name: str) -> None:
 
     def refuse(*_: object) -> None:
         raise BrailleError(
-            f"{name} declares a document type, which PEF files have no use for",
+            f"{name} declares a document type, which PEF files must not have",
             about="file",
             problem="doctype",
             value=name,

@@ -9,68 +9,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.braille.network import FoundCells, find_cells
-from smarttouch.braille.rows import cell_pitch, lines_of, slope_of
+from smarttouch.braille.rows import cell_lines, cell_pitch, slope_of
 from smarttouch.documents.page_image import Page
 from smarttouch.errors import PageError
 
 LEAST_CERTAINTY = 0.45
 """Least certainty of a page that is read."""
 CERTAIN = 0.6
-"""Certainty of Braille on a page that was not announced as Braille."""
+"""Least certainty of Braille on a page of unknown kind."""
 DISTURBED = 0.7
 """Certainty below which the reader is warned."""
 FEWEST_CELLS = 4
 LEAST_SHARE = 0.03
-"""Least part of the paper that cells cover on a page that was not announced as Braille."""
-_ENOUGH = 0.1
-"""Part that is covered above which no other scale is tried."""
+"""Least part of the paper that cells cover on a page of unknown kind."""
+_ENOUGH = 0.1  # covered part above which no other scale is tried
 CELL_HEIGHT = 1.6
 """Height of a line, in distances of cells."""
 _SIDES_PX = (980, 1370, 700, 1900, 500, 350, 250)
-"""Longer sides at which a page is looked at: its lines may be many or few."""
-_PITCH_PX = 25.0
-"""Distance of cells at which they are read, in the middle of what the network knows."""
+"""Longer sides to which a page is scaled in turn: its lines may be many or few."""
+_PITCH_PX = 25.0  # distance of cells at which they are read, in the middle of the network's range
 _TURNS_DEG = (-15.0, 15.0)
-_MOST_ENLARGED = 1.5
-"""Largest enlargement of a picture."""
+_MOST_ENLARGED = 1.5  # largest enlargement of a picture
 _TILE_PX = 224
-_TILES = ((0.5, 0.5), (0.28, 0.3), (0.72, 0.7))
-"""Middles of the parts that are looked at first."""
-_LEVEL_DEG = 1.0
-"""Slope of lines above which a page is turned."""
-_OTHER_SIDE = 0.2
-"""Least lead in certainty by which dots lit from below are taken for the raised ones."""
+_TILES = ((0.5, 0.5), (0.28, 0.3), (0.72, 0.7))  # centers of the tiles by which a view is judged
+_LEVEL_DEG = 1.0  # slope of lines above which a page is turned
+_OTHER_SIDE = 0.2  # least lead in certainty by which dots lit from below count as the raised ones
 _BOTH_SIDES = 0.6
 
 
 @dataclass(frozen=True, eq=False)
 class BraillePage:
-    """Cells of a page of Braille.
+    """Cells of a page of Braille."""
 
-    Attributes
-    ----------
-    lines : list of str
-        Cells of each line, without blanks at its end; empty where there is
-        room for a line without dots.
-    cells_px : ndarray, (N, 2) px
-        Middles of the cells, column and row.
-    patterns : ndarray, (N,) int
-        Their dots: bit k is dot k + 1.
-    certainty : float, in [0, 1]
-        Mean of the cells'.
-    notes : list of str
-        Warnings for the reader.
-    """
-
-    lines: list[str]
-    cells_px: NDArray[np.float64]
-    patterns: NDArray[np.int_]
-    certainty: float
+    lines: list[str]  # without trailing blanks; empty where there is room for a line
+    cells_px: NDArray[np.float64]  # (N, 2), middles: column and row
+    patterns: NDArray[np.int_]  # (N,), bit k is dot k + 1
+    certainty: float  # mean over the cells
     notes: list[str]
 
 
 class _View(NamedTuple):
-    """A way to look at a page, and what it showed."""
+    """Scale and turn of a page, and the cells found there."""
 
     scale: float
     turn_deg: float
@@ -80,28 +59,16 @@ class _View(NamedTuple):
 
     @property
     def score(self) -> float:
-        """Certainty counts twice: at a wrong scale, much is found, and badly."""
+        """Certainty counts twice: a wrong scale gives many uncertain cells."""
         return self.certainty**2 * min(1.0, self.share / _ENOUGH)
 
 
 def read_braille(page: Page, light_from_deg: float | None = None) -> BraillePage:
-    """Read a photograph or scan of a page of Braille, raised or printed.
+    """Read a photograph or scan of a page of Braille, raised or printed, turned by up to 25°.
 
-    The page's scale is not used: cells show their own. A page may be turned by up to 25°.
-
-    Parameters
-    ----------
-    page : Page
-        The photograph.
-    light_from_deg : float, °, optional
-        Direction of the light: 0 is the right, 90 the top of the picture. It separates dots
-        of the front from those of the back; from above if not given, unless only dots that
-        are lit from below make cells.
-
-    Raises
-    ------
-    PageError
-        If the page shows no Braille, or the direction of the light is none.
+    The page's scale is not used: cells show their own. ``light_from_deg`` is the direction of the
+    light, 0 the right and 90 the top of the picture, which separates dots of the front from those
+    of the back; from above if not given, unless only dots lit from below make cells.
     """
     if light_from_deg is not None and not math.isfinite(light_from_deg):
         raise PageError(
@@ -121,12 +88,12 @@ def read_braille(page: Page, light_from_deg: float | None = None) -> BraillePage
         if below:
             grey, view = 255 - grey, other
     found, back = _read(grey, view)
-    lines, kept = lines_of(found)
+    lines, kept = cell_lines(found)
     certainty = float(found.certainty[kept].mean()) if kept else 0.0
     if len(kept) < FEWEST_CELLS or certainty < LEAST_CERTAINTY:
         raise PageError(
-            f"of {len(kept)} cells that may be there, {found.certainty[kept].sum():.0f} are "
-            "certain, too few: is it a page of Braille, upright, sharp and lit from one side?",
+            f"only {found.certainty[kept].sum():.0f} of {len(kept)} possible cells are certain: is "
+            "it a page of Braille, upright, sharp and lit from one side?",
             about="page",
             problem="too few",
             value=certainty,
@@ -134,18 +101,18 @@ def read_braille(page: Page, light_from_deg: float | None = None) -> BraillePage
         )
     notes = []
     if certainty < DISTURBED:
-        notes.append(f"cells are certain to {certainty:.0%} only: some of them are wrong")
+        notes.append(f"cells are certain to {certainty:.0%} only: some are wrong")
     if both:
         notes.append(
-            "dots of both sides are seen; those read are raised if the light comes from above: "
-            "say where from if it does not"
+            "dots of both sides are visible; those read are raised if the light comes from above: "
+            "give its direction otherwise"
         )
     cells_px = found.px[kept] @ back[:, :2].T + back[:, 2]
     return BraillePage(lines, cells_px, found.patterns[kept], certainty, notes)
 
 
 def looks_like_braille(page: Page) -> bool:
-    """Return whether a page is certainly Braille, upright and lit from above, by a quick look."""
+    """Return whether parts of a page are certainly Braille, upright and lit from above."""
     view = _best_view(page.grey)
     return view.share > LEAST_SHARE and view.certainty > CERTAIN
 
@@ -165,7 +132,7 @@ def _best_view(grey: NDArray[np.uint8], turns_deg: tuple[float, ...] = ()) -> _V
 
 
 def _glance(grey: NDArray[np.uint8], scale: float, turn_deg: float) -> _View:
-    """Return what some parts of a page show, and how to look at it closer."""
+    """Return the view with the cells of some tiles, at the scale and turn that fit these."""
     picture, _ = _scaled(grey, scale, turn_deg)
     size = np.array(picture.shape)
     pitches, slopes, covered, sure = [], [], 0.0, list[float]()
@@ -189,7 +156,7 @@ def _glance(grey: NDArray[np.uint8], scale: float, turn_deg: float) -> _View:
 
 
 def _read(grey: NDArray[np.uint8], view: _View) -> tuple[FoundCells, NDArray[np.float64]]:
-    """Return the cells of a page in a picture of it, and the map to the page's own pixels."""
+    """Return the cells of a page in a view, and the map to the page's pixels, (2, 3)."""
     picture, back = _scaled(grey, view.scale, view.turn_deg)
     return find_cells(picture), back
 
@@ -197,7 +164,7 @@ def _read(grey: NDArray[np.uint8], view: _View) -> tuple[FoundCells, NDArray[np.
 def _scaled(
     grey: NDArray[np.uint8], scale: float, turn_deg: float
 ) -> tuple[NDArray[np.uint8], NDArray[np.float64]]:
-    """Return a page smaller or larger and turned, and the map of its pixels to the page's."""
+    """Return a page scaled and turned, and the map of its pixels to the page's, (2, 3)."""
     size = tuple(max(16, round(scale * side)) for side in grey.shape[::-1])
     way = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
     picture = np.asarray(cv2.resize(grey, size, interpolation=way), np.uint8)

@@ -1,4 +1,4 @@
-"""Lines of Braille, made of cells that were found one by one."""
+"""Lines of Braille, joined from single cells."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,16 +8,11 @@ from smarttouch.braille.network import FoundCells
 
 Points = NDArray[np.float64]
 
-_LEVEL = 0.35
-"""Largest distance of a cell from the line of the one before it, in cells."""
-_LONGEST_GAP = 12.0
-"""Longest gap within a line, in cells."""
-_ONE_LINE = 0.8
-"""Largest distance of two parts of one line, in cells; lines are 1.4 and more apart."""
-_OVERLAP = 0.6
-"""Distance of cells below which they are one, in cells."""
-_LEAST_CERTAINTY = 0.35
-"""Least mean certainty of a row: print beside Braille has less."""
+_LEVEL = 0.35  # largest distance of a cell from the line of the one before it, in cells
+_LONGEST_GAP = 12.0  # longest gap within a line, in cells
+_ONE_LINE = 0.8  # largest distance of two parts of one line, in cells; lines are 1.4 and more apart
+_OVERLAP = 0.6  # distance of cells below which they are one, in cells
+_LEAST_CERTAINTY = 0.35  # least mean certainty of a row: print beside Braille has less
 
 
 def cell_pitch(px: Points) -> float:
@@ -32,17 +27,17 @@ def cell_pitch(px: Points) -> float:
 
 
 def slope_of(px: Points, pitch_px: float) -> float:
-    """Return how far lines fall to the right, as a part of the way."""
+    """Return the slope of lines, positive if they fall to the right."""
     steps = (px[None] - px[:, None]).reshape(-1, 2)
     near = (steps[:, 0] > 0.6 * pitch_px) & (steps[:, 0] < 3.5 * pitch_px)
     near &= np.abs(steps[:, 1]) < 0.3 * steps[:, 0]
     return float(np.median(steps[near, 1] / steps[near, 0])) if near.any() else 0.0
 
 
-def lines_of(found: FoundCells) -> tuple[list[str], list[int]]:
-    """Return lines of cells, with blanks where there is room for them, and which cells they hold.
+def cell_lines(found: FoundCells) -> tuple[list[str], list[int]]:
+    """Return lines of cells, with blanks where there is room for them, and the indices of cells.
 
-    Print beside Braille, and what lies across its lines, is left out.
+    Print beside Braille, and cells between its lines, are left out.
     """
     pitch_px = cell_pitch(found.px) or 1.0
     slope = slope_of(found.px, pitch_px)

@@ -1,4 +1,4 @@
-"""Input in Braille: a text, a text file, or a file of cells; and output of cells."""
+"""Input of texts and files of cells, and output of cells."""
 
 import re
 from dataclasses import dataclass
@@ -6,46 +6,33 @@ from pathlib import Path
 
 from smarttouch.braille.brf import read_brf, write_brf
 from smarttouch.braille.cells import BLANK, Pages, is_cell
-from smarttouch.braille.files import Kind, kind_of, read_text, write_bytes
+from smarttouch.braille.files import Kind, kind_of, read_plain_text
 from smarttouch.braille.layout import join
 from smarttouch.braille.pef import read_pef, write_pef
-from smarttouch.braille.tables import Table
+from smarttouch.braille.tables import BrailleTable
 from smarttouch.errors import BrailleError
+from smarttouch.files import write_bytes
 
 TEXT = "text:"
-"""Before words that are read themselves."""
+"""Prefix of words that are not a file name."""
 _NAME = re.compile(r"\.{0,2}/\S+|\S*\.[A-Za-z]\w{1,3}")
-"""Something without a blank that ends as names of files do, or begins as paths do."""
-_MOST_NAMED = 12
-"""Characters listed in a note on left-out ones."""
+"""A word that ends like a file name or begins like a path."""
+_MOST_NAMED = 12  # characters listed in a note on left-out ones
 
 
 @dataclass(frozen=True)
 class Loaded:
-    """Input as cells.
+    """Input as cells."""
 
-    Attributes
-    ----------
-    paragraphs : list of str
-        Cells, a paragraph each: a line of a text, or lines that a file of cells runs over.
-    pages : list of list of str, or None
-        Pages of lines as a file of cells has them.
-    notes : list of str
-        Warnings for the user.
-    """
-
-    paragraphs: list[str]
-    pages: Pages | None
-    notes: list[str]
+    paragraphs: list[str]  # a line of a text, or lines that a file of cells runs over
+    pages: Pages | None  # as a file of cells has them
+    notes: list[str]  # warnings for the user
 
 
 def file_of(source: str) -> Path | None:
     """Return the file that a source is the name of; None if it is words.
 
-    Raises
-    ------
-    BrailleError
-        If it looks like the name of a file, and there is none.
+    What looks like the name of a file that does not exist is an error.
     """
     if source.startswith(TEXT) or not source:
         return None
@@ -55,7 +42,7 @@ def file_of(source: str) -> Path | None:
         return None
     if not there and _NAME.fullmatch(source):
         raise BrailleError(
-            f"no file {source}: check its name, or give {TEXT}{source} for these words",
+            f"there is no file {source}: check its name, or give {TEXT}{source} for these words",
             about="file",
             problem="missing",
             value=Path(source),
@@ -63,23 +50,11 @@ def file_of(source: str) -> Path | None:
     return Path(source) if there else None
 
 
-def load_cells(source: str, table: Table, leave_out: bool = False) -> Loaded:
-    """Load cells.
+def load_cells(source: str, table: BrailleTable, leave_out: bool = False) -> Loaded:
+    """Load cells from a text or a file of cells, and translate text with the table.
 
-    Parameters
-    ----------
-    source : str
-        The name of a file with a text or with cells, ``text:`` and words, or words that name
-        no file; cells may stand in a text in place of letters, if nothing else does.
-    table : Table
-        Turns texts into cells.
-    leave_out : bool
-        Leave out, and note, what the table has no cells for.
-
-    Raises
-    ------
-    BrailleError
-        If there is no such file, nothing in it, or a character without cells.
+    ``source`` is the name of a file, ``text:`` and words, or words that name no file; a text may
+    consist of cells only. ``leave_out`` drops and notes the characters without cells.
     """
     file = file_of(source)
     kind = None if file is None else kind_of(file)
@@ -89,7 +64,7 @@ def load_cells(source: str, table: Table, leave_out: bool = False) -> Loaded:
         pages = (read_brf if kind is Kind.BRF else read_pef)(file)
         paragraphs = join(pages)
     else:
-        text = source.removeprefix(TEXT) if file is None else read_text(file)
+        text = source.removeprefix(TEXT) if file is None else read_plain_text(file)
         if _is_braille(text):
             cells = "".join(BLANK if each in " \t" else each for each in text)
         else:
@@ -106,13 +81,7 @@ def load_cells(source: str, table: Table, leave_out: bool = False) -> Loaded:
 
 
 def write_cells(path: Path, pages: Pages) -> None:
-    """Write pages of cells in the format of the file's name.
-
-    Raises
-    ------
-    BrailleError
-        If the name ends in none of .brf, .pef and .txt, or the file cannot be written.
-    """
+    """Write pages of cells in the format of the file's name: .brf, .pef or .txt."""
     suffix = path.suffix.lower()
     if suffix == ".brf":
         write_brf(path, pages)
@@ -120,7 +89,7 @@ def write_cells(path: Path, pages: Pages) -> None:
         write_pef(path, pages)
     elif suffix == ".txt":
         lines = "".join(f"{line}\n" for page in pages for line in page)
-        write_bytes(path, lines.encode())
+        write_bytes(path, lines.encode(), BrailleError)
     else:
         raise BrailleError(
             f"cannot write {path}: give a name that ends in .brf, .pef or .txt",
@@ -135,7 +104,7 @@ def _is_braille(text: str) -> bool:
     return any(map(is_cell, text)) and all(is_cell(each) or each in " \t\n" for each in text)
 
 
-def _notes(table: Table, missing: str) -> list[str]:
+def _notes(table: BrailleTable, missing: str) -> list[str]:
     notes = [table.note] if table.note else []
     if missing:
         named = " ".join(missing[:_MOST_NAMED]) + (" …" if len(missing) > _MOST_NAMED else "")

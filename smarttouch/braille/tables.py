@@ -19,20 +19,18 @@ _MARKED = re.compile(
     r"[^\W\d_]"
     r"[\u0300-\u036f\u064b-\u065f\u0670\u093c\u09bc\u0a3c\u0b3c\u0cbc\u3099\u309a]+"
 )
-"""A letter and the marks that may belong to it."""
-_TAG = re.compile(r"[a-z]{2,3}(-[A-Z]{2})?")
-"""Tag of a language, with its country or without."""
+"""A letter and its combining marks."""
+_TAG = re.compile(r"[a-z]{2,3}(-[A-Z]{2})?")  # tag of a language, with its country or without
 MISSING_NOTE = (
-    f"liblouis is not here: built-in English grade 1; for other tables and grade 2: {louis.INSTALL}"
+    f"liblouis is not installed: built-in English grade 1; for others and grade 2: {louis.INSTALL}"
 )
 
 
-class Code(Protocol):
+class BrailleCode(Protocol):
     """Braille code that translates one line at a time."""
 
-    goes_back: bool
-    remedy: str
-    """Remedy for characters without cells."""
+    goes_back: bool  # translates cells back
+    remedy: str  # for characters without cells
 
     def missing(self, line: str) -> str:
         """Return the characters of a line that it has no cells for, each once."""
@@ -48,43 +46,20 @@ class Code(Protocol):
 
 
 @dataclass(frozen=True)
-class Table:
-    """A Braille code under the name that a user gave.
-
-    Attributes
-    ----------
-    name, title : str
-        Name such as ``en-1``, and its title.
-    code : Code
-        Braille code that translates.
-    note : str or None
-        Warning for the user.
-    """
+class BrailleTable:
+    """A Braille code under the name that a user gave."""
 
     name: str
     title: str
-    code: Code
-    note: str | None = None
+    code: BrailleCode
+    note: str | None = None  # warning for the user
 
     def missing(self, text: str) -> str:
         """Return the characters of a text that the table has no cells for, each once."""
         return self.code.missing(_tidy(text, self.code).replace("\n", ""))
 
     def to_cells(self, text: str, leave_out: bool = False) -> str:
-        """Return a text as cells, line by line.
-
-        Parameters
-        ----------
-        text : str
-            Its lines end with a newline.
-        leave_out : bool
-            Leave out what the table has no cells for: ``missing`` lists them.
-
-        Raises
-        ------
-        BrailleError
-            If the table has no cells for a character, and it is not to be left out.
-        """
+        """Return a text as cells, line by line; ``leave_out`` drops characters without cells."""
         tidy = _tidy(text, self.code)
         missing = self.code.missing(tidy.replace("\n", ""))
         if missing and not leave_out:
@@ -100,17 +75,11 @@ class Table:
         return "\n".join(self.code.encode(line) for line in tidy.split("\n"))
 
     def to_text(self, cells: str) -> str:
-        """Return cells as text, line by line; a cell without meaning stays as it is.
-
-        Raises
-        ------
-        BrailleError
-            If the table cannot go back, or a character is not a cell.
-        """
+        """Return cells as text, line by line; a cell without meaning stays as it is."""
         if not self.code.goes_back:
             raise BrailleError(
-                f"table {self.name} turns texts into cells only, it cannot read them back: "
-                "choose another table",
+                f"table {self.name} translates texts into cells only: choose another table to "
+                "translate back",
                 about="table",
                 problem="impossible",
                 value=self.name,
@@ -122,13 +91,13 @@ class Table:
 
 
 class _EnglishLouis(LouisCode):
-    """English, written by liblouis, which has more signs, and read by our own code.
+    """English, encoded by liblouis, which has more signs, and decoded by the built-in code.
 
-    Of a thousand sentences liblouis reads 77 back without their capitals, ours none.
+    Of a thousand sentences liblouis loses the capitals of 77, the built-in code of none.
     """
 
     def decode(self, cells: str) -> str:
-        """Return cells as text; words with a cell unknown to our own code are read by liblouis."""
+        """Return cells as text; words with a cell unknown to the built-in code go to liblouis."""
         text = Grade1().decode(cells)
         if not any(map(is_cell, text)):
             return text
@@ -147,11 +116,11 @@ class _Known(NamedTuple):
     file: str | None
     """File of liblouis; None if it is built in."""
     goes_back: bool
-    built_in: Callable[[], Code] | None = None
+    built_in: Callable[[], BrailleCode] | None = None
 
 
-# Whether a table goes back was measured, a thousand sentences each: de-2 and en-gb-2 read none,
-# or one in thirty, as they were; de-0 and de-1 all but brackets, and numbers after a colon.
+# Back-translation was measured on a thousand sentences each: de-2 and en-gb-2 restore none, or one
+# in thirty; de-0 and de-1 all but brackets, and numbers after a colon.
 _KNOWN = {
     "en-1": _Known("English (UEB), uncontracted", "en-ueb-g1.ctb", True, Grade1),
     "en-2": _Known("English (UEB), contracted", "en-ueb-g2.ctb", True),
@@ -171,19 +140,10 @@ def known_tables() -> dict[str, str]:
     return {name: known.title for name, known in _KNOWN.items()}
 
 
-def open_table(name: str = DEFAULT_TABLE) -> Table:
-    """Open a table.
+def open_table(name: str = DEFAULT_TABLE) -> BrailleTable:
+    """Open a table by a short name, the file name of a liblouis table, or a language tag.
 
-    Parameters
-    ----------
-    name : str
-        A short name of ``known_tables``, the file name of a table of liblouis, or the tag of a
-        language, such as ``fr`` or ``pt-BR``: its plainest table.
-
-    Raises
-    ------
-    BrailleError
-        If there is no such table, or it needs liblouis and that is missing.
+    A tag such as ``fr`` or ``pt-BR`` gives the plainest table of the language.
     """
     if _TAG.fullmatch(name):
         own = name.lower().partition("-")[0]
@@ -193,7 +153,7 @@ def open_table(name: str = DEFAULT_TABLE) -> Table:
     known = _KNOWN.get(name)
     if known is None:
         if "." in name and louis.has_table(name):
-            return Table(name, louis.title_of(name), LouisCode(name))
+            return BrailleTable(name, louis.title_of(name), LouisCode(name))
         raise BrailleError(
             f"unknown table {name!r}: choose one of {', '.join(_KNOWN)}, or give the tag of a "
             "language (pt), or the file name of a table of liblouis",
@@ -204,7 +164,7 @@ def open_table(name: str = DEFAULT_TABLE) -> Table:
         )
     if known.file is not None and louis.has_table(known.file):
         code = _EnglishLouis if known.built_in is Grade1 else LouisCode
-        return Table(name, known.title, code(known.file, known.goes_back))
+        return BrailleTable(name, known.title, code(known.file, known.goes_back))
     if known.built_in is None:
         raise BrailleError(
             f"table {name} ({known.title}) needs liblouis: {louis.INSTALL}",
@@ -213,16 +173,16 @@ def open_table(name: str = DEFAULT_TABLE) -> Table:
             value=name,
             remedy=louis.INSTALL,
         )
-    return Table(name, known.title, known.built_in(), MISSING_NOTE if known.file else None)
+    return BrailleTable(name, known.title, known.built_in(), MISSING_NOTE if known.file else None)
 
 
-def _tidy(text: str, code: Code) -> str:
-    """Return a text with plain spaces and whole letters, nothing invisible but joiners.
+def _tidy(text: str, code: BrailleCode) -> str:
+    """Return a text with plain spaces and composed letters, nothing invisible but joiners.
 
-    Marks are joined with their letter where one character is both, and otherwise left in
-    their order: Unicode's own forms would reorder Arabic marks and take Punjabi letters apart.
+    Marks are composed with their letter where one character is both, and otherwise left in
+    their order: Unicode's normal forms would reorder Arabic marks and decompose Punjabi letters.
     """
-    # Half-width kana have their voice marks apart.
+    # Half-width kana have separate voice marks.
     whole = re.sub(r"[ｦ-ﾟ]+", lambda found: unicodedata.normalize("NFKC", found[0]), text)
     plain = re.sub(r"[^\S\n]", " ", whole.replace("\r\n", "\n"))
     visible = "".join(
@@ -243,6 +203,6 @@ def _tidy(text: str, code: Code) -> str:
 
 @cache
 def _excluded() -> dict[str, str]:
-    """Return the letters that Unicode takes apart for good, by their parts."""
+    """Return the letters that Unicode excludes from composition, by their parts."""
     every = map(chr, range(0x0900, 0x1000))
     return {parts: each for each in every if len(parts := unicodedata.normalize("NFC", each)) > 1}

@@ -6,45 +6,30 @@ import select
 import socket
 import threading
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Self
 
-from smarttouch.braille_display.messages import MOST_CELLS, Messages, Shown
+from smarttouch.braille_display.messages import MOST_CELLS, BrlttyMessages, DisplayContent
 from smarttouch.errors import SourceError
 
 USUAL_PORT = 35752
-"""Where BRLTTY's virtual driver connects, if it is told nothing else."""
+"""Port to which BRLTTY's virtual driver connects by default."""
 AGAIN_S = 0.25
-"""From one attempt to the next, and longest time until the end is noticed."""
+"""Interval between attempts, and longest time until a close is noticed."""
 JOIN_S = 1.0
 
 
 @dataclass(frozen=True)
 class Address:
-    """Where BRLTTY is met.
-
-    Attributes
-    ----------
-    host : str
-    port : int
-    listens : bool
-        Whether BRLTTY connects to it, and not it to BRLTTY.
-    """
+    """Address at which BRLTTY and this end meet; the one that ``listens`` may be this end."""
 
     host: str
     port: int
     listens: bool
 
     @classmethod
-    def read(cls, text: str) -> Self:
-        """Return the address in ``HOST:PORT``, ``listen:PORT`` or ``listen:HOST:PORT``.
-
-        Raises
-        ------
-        SourceError
-            If it is none.
-        """
+    def parse(cls, text: str) -> Self:
+        """Return the address in ``HOST:PORT``, ``listen:PORT`` or ``listen:HOST:PORT``."""
         first, _, rest = text.partition(":")
         listens = first in ("", "listen")
         host, _, port = (rest if listens else text).rpartition(":")
@@ -52,7 +37,7 @@ class Address:
         number = int(port or USUAL_PORT) if re.fullmatch(r"\d{0,5}", port) else 0
         if not 0 < number < 65536:
             raise SourceError(
-                f"{text!r} is no place to meet BRLTTY: give listen:PORT, listen:HOST:PORT or "
+                f"{text!r} is not an address of BRLTTY: give listen:PORT, listen:HOST:PORT or "
                 f"HOST:PORT, as in listen:{USUAL_PORT}",
                 about="address",
                 problem="malformed",
@@ -67,18 +52,8 @@ class Address:
 class BrlttyConnection:
     """Keeps the newest cells and sends commands; survives BRLTTY's restarts.
 
-    Parameters
-    ----------
-    address : Address
-    cells : int
-        Width that BRLTTY is told.
-
-    Attributes
-    ----------
-    shown : Shown or None
-        The newest; None while there is no connection.
-    connections : int
-        How often one was made.
+    ``cells`` is the width reported to BRLTTY, ``shown`` its newest content, None without a
+    connection, and ``connections`` the number made so far.
     """
 
     def __init__(self, address: Address, cells: int) -> None:
@@ -90,24 +65,17 @@ class BrlttyConnection:
                 allowed=(1, MOST_CELLS),
             )
         self.address, self.cells = address, cells
-        self.shown: Shown | None = None
+        self.shown: DisplayContent | None = None
         self.connections = 0
         self.garbled = 0
         self._number = 0
-        self._changed = threading.Condition()
         self._closing = False
         self._line: socket.socket | None = None
         self._listener: socket.socket | None = None
         self._thread = threading.Thread(target=self._keep, name="brltty", daemon=True)
 
     def open(self) -> Self:
-        """Listen, or connect for the first time.
-
-        Raises
-        ------
-        SourceError
-            If the port cannot be had, or nobody is there.
-        """
+        """Listen, or connect for the first time."""
         where = (self.address.host, self.address.port)
         try:
             if self.address.listens:
@@ -131,32 +99,20 @@ class BrlttyConnection:
         return self
 
     def send(self, command: str) -> None:
-        """Send a command of BRLTTY's, as ``fwinrt``; without a connection it is dropped."""
+        """Send a command of BRLTTY's, such as ``fwinrt``; it is dropped without a connection."""
         line = self._line
         if line is not None:
             with contextlib.suppress(OSError):
                 line.sendall(f"{command}\r\n".encode())
 
-    def wait_for(self, number: int, timeout_s: float) -> bool:
-        """Wait until the cells have been updated so often; return whether they have."""
-
-        return self.wait_until(
-            lambda: self.shown is not None and self.shown.number >= number, timeout_s
-        )
-
-    def wait_until(self, holds: Callable[[], bool], timeout_s: float) -> bool:
-        """Wait until something holds of what is shown; return whether it does."""
-        with self._changed:
-            return self._changed.wait_for(holds, timeout_s)
-
     def close(self) -> None:
-        """End the connection; BRLTTY looks for the display again by itself."""
+        """End the connection; BRLTTY tries to reconnect by itself."""
         self._closing = True
         if self._thread.is_alive():
             self._thread.join(JOIN_S)
 
     def _keep(self) -> None:
-        """Hold the connection until closing; nobody else closes what is waited on here."""
+        """Hold the connection until closing; sockets are closed by this thread alone."""
         try:
             self._hold()
         finally:
@@ -175,7 +131,7 @@ class BrlttyConnection:
             self.connections += 1
             with contextlib.suppress(OSError):
                 self._serve(line)
-            self._publish(None)
+            self.shown = None
             self._line = None
             line.close()
 
@@ -189,11 +145,11 @@ class BrlttyConnection:
         return self._line
 
     def _serve(self, line: socket.socket) -> None:
-        """Take what comes until it ends."""
+        """Read messages until the connection ends."""
         line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         line.settimeout(None)
         line.sendall(f"cells {self.cells}\r\n".encode())
-        messages = Messages()
+        messages = BrlttyMessages()
         while not self._closing:
             if not select.select([line], [], [], AGAIN_S)[0]:
                 continue
@@ -207,9 +163,4 @@ class BrlttyConnection:
             if shown.number:
                 self._number += shown.number - updates
                 now_ns = time.perf_counter_ns()
-                self._publish(replace(shown, number=self._number, time_ns=now_ns))
-
-    def _publish(self, shown: Shown | None) -> None:
-        with self._changed:
-            self.shown = shown
-            self._changed.notify_all()
+                self.shown = replace(shown, number=self._number, time_ns=now_ns)

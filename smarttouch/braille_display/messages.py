@@ -1,8 +1,8 @@
 """Messages of BRLTTY's virtual Braille display, as lines of text.
 
-BRLTTY is told ``cells 20``, names of its commands, and ``quit``. It sends what is on the
-display as ``Visual "Hello"`` and ``Braille "1257|15|123|123|135"``, the dots of each cell
-between bars and a space where there are none; quotes and backslashes stand behind a backslash.
+The host sends ``cells 20``, names of BRLTTY's commands, and ``quit``. BRLTTY sends the content of
+the display as ``Visual "Hello"`` and ``Braille "1257|15|123|123|135"``, the dots of each cell
+between bars and a space where there are none; quotes and backslashes follow a backslash.
 """
 
 import re
@@ -19,29 +19,17 @@ _CURSOR = 0b1100_0000
 
 
 @dataclass(frozen=True)
-class Shown:
-    """Cells, text and cursor on the display.
-
-    Attributes
-    ----------
-    cells : str
-        Characters U+2800 to U+28FF.
-    text : str
-        What they stand for.
-    number : int
-        Counts the updates of the cells.
-    time_ns : int
-        When it arrived, by the monotonic clock; 0 if not known.
-    """
+class DisplayContent:
+    """Content of the display: cells, their text, the count of updates, and when it arrived."""
 
     cells: str = ""
     text: str = ""
     number: int = 0
-    time_ns: int = 0
+    time_ns: int = 0  # of time.perf_counter_ns; 0 if unknown
 
     @property
     def cursor(self) -> int | None:
-        """Place of the cursor: the only cell with dots 7 and 8; None if there is no such one."""
+        """Index of the cursor, the only cell with dots 7 and 8; None without one."""
         under = [index for index, cell in enumerate(self.cells) if ord(cell) & _CURSOR == _CURSOR]
         return under[0] if len(under) == 1 else None
 
@@ -50,11 +38,11 @@ class Shown:
         """Number of cells up to the last that is not blank."""
         return len(self.cells.rstrip(BLANK))
 
-    def first_new(self, before: "Shown") -> int | None:
-        """Return the first cell to be felt anew; None if nothing but a cursor has changed.
+    def first_new(self, before: "DisplayContent") -> int | None:
+        """Return the first cell to be presented again; None if nothing but a cursor has changed.
 
-        Where the cursor stands at the first change or right behind it, something was typed
-        there; else the line is another one, to be felt from its beginning.
+        A cursor at the first change or right behind it means typing: that cell; otherwise the
+        line is another one, presented from its beginning.
         """
         size = max(len(self.cells), len(before.cells))
         now, former = (each.cells.ljust(size, BLANK) for each in (self, before))
@@ -65,24 +53,16 @@ class Shown:
         return None
 
 
-class Messages:
-    """Takes lines apart as they arrive, in pieces of any length.
-
-    Attributes
-    ----------
-    shown : Shown
-        The newest cells and text.
-    garbled : int
-        Lines that were no message.
-    """
+class BrlttyMessages:
+    """Parser of lines that arrive in pieces of any length; counts those that are no message."""
 
     def __init__(self) -> None:
-        self.shown = Shown()
+        self.shown = DisplayContent()
         self.garbled = 0
         self._rest = b""
 
     def feed(self, data: bytes) -> None:
-        """Take in what has arrived."""
+        """Parse the bytes that have arrived."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
             self._take(line.decode("utf-8", "replace").rstrip("\r"))
@@ -93,14 +73,14 @@ class Messages:
     def _take(self, line: str) -> None:
         found = _MESSAGE.fullmatch(line)
         if found is None:
-            # Others, as the status cells, are nothing to feel.
+            # Status cells are not presented.
             self.garbled += not line.startswith("Status")
             return
-        kind, said = found.groups()
+        kind, content = found.groups()
         if kind == "Visual":
-            self.shown = replace(self.shown, text=re.sub(r"\\(.)", r"\1", said).rstrip())
+            self.shown = replace(self.shown, text=re.sub(r"\\(.)", r"\1", content).rstrip())
             return
-        dots = said.split("|")
+        dots = content.split("|")
         if len(dots) > MOST_CELLS or not all(map(_DOTS.fullmatch, dots)):
             self.garbled += 1
             return

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from smarttouch.afferent import Afferent
 from smarttouch.braille_display.connection import Address, BrlttyConnection
-from smarttouch.braille_display.messages import Shown
+from smarttouch.braille_display.messages import DisplayContent
 from smarttouch.errors import SourceError
 from smarttouch.profile import Profile
 from smarttouch.reading.braille import Presentation
@@ -24,7 +24,7 @@ from smarttouch.sources.stimulus import Stimulus
 
 USUAL_CELLS = 20
 REST_S = 0.3
-"""Time that the first cell after a jump stays before the others follow."""
+"""Time for which the first cell after a jump stays before the others follow."""
 
 
 def open_brltty(
@@ -36,28 +36,11 @@ def open_brltty(
     speed_mm_s: float | None = None,
     pan: bool = False,
 ) -> "BrailleDisplaySource":
-    """Open ``brltty:HOST:PORT``, which BRLTTY listens at, or ``brltty:listen:PORT``.
+    """Open ``brltty:HOST:PORT``, where BRLTTY listens, or ``brltty:listen:PORT``.
 
-    Parameters
-    ----------
-    rest : str
-        Where BRLTTY is met; it connects to port 35752 of this machine if nothing is said.
-    profile : Profile
-    cells : int
-        Width of the display.
-    show : str
-        "line": cells move through under the finger; "cell": one at a time.
-    speed_mm_s : float, mm/s, optional
-        Of the cells; the profile's rate decides if not given.
-    pan : bool
-        Whether the window moves on by itself at its end.
-
-    Raises
-    ------
-    SourceError
-        If nobody is there, or an option is impossible.
-    ReadingError
-        If the array has no room for cells of eight dots.
+    The port is 35752 of this machine if none is given; the speed follows the profile's pulse rate.
+    ``show`` is "line" for cells that move under the finger, or "cell" for one at a time; with
+    ``pan`` the window moves on by itself at its end.
     """
     if show not in list(Presentation):
         raise SourceError(
@@ -67,28 +50,18 @@ def open_brltty(
             value=show,
             allowed=tuple(map(str, Presentation)),
         )
-    connection = BrlttyConnection(Address.read(rest), cells)
+    connection = BrlttyConnection(Address.parse(rest), cells)
     source = BrailleDisplaySource(connection, profile, Presentation(show), speed_mm_s, pan)
     connection.open()
     return source
 
 
 class BrailleDisplaySource(StimulusSource):
-    """Gives the cells that BRLTTY shows, dot by dot an electrode.
+    """Presents the cells that BRLTTY shows, one electrode a dot; closes the connection with itself.
 
-    Cells that change are felt from the first that is new, and where only the cursor moved,
-    from there. Then the finger goes on to the last cell and waits. Without BRLTTY nothing is
-    felt.
-
-    Parameters
-    ----------
-    connection : BrlttyConnection
-        Is closed with this.
-    profile : Profile
-    presentation : Presentation
-    speed_mm_s : float, mm/s, optional
-    pan : bool
-        Whether BRLTTY is asked for what follows once the last cell has been felt.
+    Changed cells are presented from the first that is new, and where only the cursor moved, from
+    there, up to the last cell. Nothing is presented without BRLTTY. With ``pan`` BRLTTY moves its
+    window on after the last cell.
     """
 
     knows_force = True
@@ -118,13 +91,13 @@ class BrailleDisplaySource(StimulusSource):
         self._name, self._pan = self.title, pan
         self._press_n = press_n(profile)
         self._shape = (profile.optics.sensor_columns, profile.optics.sensor_rows)
-        # In one step an electrode passes, or a cell, in as long as that takes to pass.
+        # A step is an electrode or a cell, and takes as long as that needs to pass.
         self._steps_a_cell = 1 if self.apart else self.layout.cell
         self._steps_a_s = speed_mm_s / self.layout.cell_mm * self._steps_a_cell
-        self._shown = Shown()
+        self._shown = DisplayContent()
         self._dots = np.zeros((self.layout.rows, 0), np.bool_)
         self._first, self._since_s = 0, 0.0
-        """The cell that it began with, and for how long it has gone on from there."""
+        """Cell at the start of the motion, and its duration so far."""
         self._cursor: int | None = None
         self._before_ns: int | None = None
         self._paused = self._panned = False
@@ -200,7 +173,7 @@ class BrailleDisplaySource(StimulusSource):
         )
 
     def close(self) -> None:
-        """Leave BRLTTY."""
+        """Close the connection to BRLTTY."""
         self.connection.close()
 
     def _toggle_pause(self) -> None:
@@ -210,8 +183,8 @@ class BrailleDisplaySource(StimulusSource):
         self._jumps += 1
         self._first, self._since_s, self._panned = cell, 0.0, False
 
-    def _take(self, shown: Shown) -> None:
-        """Take over what BRLTTY shows now, and go to what is new in it."""
+    def _take(self, shown: DisplayContent) -> None:
+        """Take over what BRLTTY shows, and go to its first new cell."""
         before, self._shown = self._shown, shown
         if shown.number == before.number:
             return
@@ -239,10 +212,10 @@ class BrailleDisplaySource(StimulusSource):
         return (self.layout.columns - self.layout.dot_x - 1) // 2
 
     def _step(self) -> int:
-        """Return how many steps the finger is from the first cell."""
+        """Return the number of steps from the first cell to the finger."""
         moved_s = self._since_s if self.apart else max(0.0, self._since_s - REST_S)
         step = self._first * self._steps_a_cell + int(moved_s * self._steps_a_s + 1e-6)
-        # Behind the last cell it waits.
+        # Motion ends behind the last cell.
         end = self._shown.length * self._steps_a_cell + self._margin * (not self.apart)
         return min(step, end)
 
@@ -267,7 +240,7 @@ class BrailleDisplaySource(StimulusSource):
         layout = self.layout
         window = np.zeros((layout.rows, layout.columns), np.bool_)
         if self.apart and (self._since_s * self._steps_a_s + 1e-6) % 1 < GAP:
-            # Two cells that are the same would be felt as one.
+            # Two equal cells would be felt as one.
             return window
         left = self._left(step)
         first, last = max(left, 0), min(left + layout.columns, self._dots.shape[1])

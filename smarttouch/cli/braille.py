@@ -39,12 +39,11 @@ def braille(
     tables: Annotated[bool, typer.Option("--tables", help="List the tables.")] = False,
 ) -> None:
     """Turn a text into Braille, or Braille into a text."""
-    from smarttouch.braille.files import write_bytes
     from smarttouch.braille.layout import COLUMNS, INDENT, ROWS, lay_out
     from smarttouch.braille.source import load_cells, write_cells
     from smarttouch.braille.tables import open_table
     from smarttouch.errors import BrailleError
-    from smarttouch.files import require_folder
+    from smarttouch.files import require_folder, write_bytes
 
     if tables:
         _print_tables()
@@ -69,7 +68,7 @@ def braille(
             raise BrailleError(
                 message, about="file", problem="unknown", value=output, allowed=(".txt",)
             )
-        write_bytes(output, text.encode())
+        write_bytes(output, text.encode(), BrailleError)
         print(output)
         return
     pages = loaded.pages

@@ -73,7 +73,8 @@ def read(
     with contextlib.ExitStack() as stack:
         feed = LineFeed(presentation.lines(text, chosen))
         stack.callback(feed.close)
-        first_line_awaited(feed.start(), run.quiet)
+        feed.start()
+        first_line_awaited(partial(feed.wait_for, 0), run.quiet)
         cursor: Cursor
         if follow is None:
             cursor = SweepingCursor(feed, motion, press_n(chosen), pause_s, wait)

@@ -12,70 +12,47 @@ from smarttouch.documents.letters import Spots
 
 Floats = NDArray[np.float64]
 
-_STEPS = 20
-"""Rows of the profile per height of its letters."""
-_BAND = 1.6
-"""Half height of the band around a row, in heights of its letters."""
-_COLUMNS = 8
-"""Columns per height of its letters."""
-_PIECE = 5.0
-"""Length of a piece that is shifted as one, in heights of its letters."""
-_SUPPORT = (2, 4, 8)
-"""Fewest pieces for a slope, a bend, and a second bend of a line."""
-_SHIFT = 0.6
-"""Largest shift of a piece from the first guess, in heights of its letters."""
-_RISE = 0.5
-"""Weight of an edge at the top of letters, relative to one at the bottom."""
+_STEPS = 20  # rows of the profile per height of its letters
+_BAND = 1.6  # half height of the band around a row, in heights of its letters
+_COLUMNS = 8  # columns per height of its letters
+_PIECE = 5.0  # length of a piece that is shifted as one, in heights of its letters
+_SUPPORT = (2, 4, 8)  # fewest pieces for a slope, a bend, and a second bend of a line
+_SHIFT = 0.6  # largest shift of a piece from the first guess, in heights of its letters
+_RISE = 0.5  # weight of an edge at the top of letters, relative to one at the bottom
 _ROUNDS = 3
-_STROKE = 96
-"""Density at which a line crosses a stroke: thin ones of small print are not black."""
+_STROKE = 96  # density at which a stroke begins: thin strokes of small print are not black
 _TALL = 95
-"""Per cent of letters that are no taller than the tall ones; few are accented or touch others."""
-_GAP = 0.3
-"""White that separates two lines, in x-heights."""
-_CLOSE = 0.02
-"""Distance of the pieces from a good curve, in heights of its letters."""
-_WORTH = 0.7
-"""Factor by which a curve of higher degree must reduce most distances."""
+"""Percentile of letter heights that is taken as that of tall letters; a few are accented or touch
+others."""
+_GAP = 0.3  # white that separates two lines, in x-heights
+_CLOSE = 0.02  # distance of the pieces from a good curve, in heights of its letters
+_WORTH = 0.7  # factor by which a curve of higher degree must reduce most distances
 
 
 @dataclass(frozen=True, eq=False)
 class Baseline:
-    """Row of letters, straightened and measured; all in pixels of the page.
-
-    Attributes
-    ----------
-    left, right : float, px
-        Ends of the row.
-    baseline : ndarray, (D,)
-        Coefficients of its baseline, lowest first, over the distance from ``left``.
-    x_height : float, px
-        From the baseline to the top of an x.
-    profile : ndarray, (N,)
-        Ink at each height, in [0, 1], from above down.
-    profile_top : float
-        Top of the profile, in x-heights above the baseline.
-    step : float
-        From row to row of the profile, in x-heights.
-    strokes : float
-        Strokes met halfway up an x, per x-height of the row's length.
-    reach : tuple of float
-        Heights of its tall letters above and of its deep ones below the baseline, in x-heights.
-    """
+    """Row of letters, straightened and measured, in px of the page or in x-heights."""
 
     left: float
     right: float
-    baseline: Floats
+    baseline: Floats  # (D,) coefficients, lowest first, over the distance from left
     x_height: float
-    profile: Floats
-    profile_top: float
-    step: float
-    strokes: float
-    reach: tuple[float, float]
+    profile: Floats  # (N,) ink at each height, in [0, 1], from the top down
+    profile_top: float  # x-heights above the baseline
+    step: float  # from row to row of the profile, x-heights
+    strokes: float  # met halfway up an x, per x-height of the row's length
+    reach: tuple[float, float]  # of tall and of deep letters from the baseline, x-heights
 
     def at(self, x: NDArray[Any]) -> Floats:
         """Return the baseline's y at x, px; straight beyond the row's ends."""
-        return along(self.baseline, np.asarray(x, np.float64) - self.left, self.right - self.left)
+        return curve_at(
+            self.baseline, np.asarray(x, np.float64) - self.left, self.right - self.left
+        )
+
+    @property
+    def middle_y(self) -> float:
+        """Baseline's y halfway along the row, px."""
+        return float(self.at(np.array((self.left + self.right) / 2)))
 
     def slope_at(self, x: float) -> float:
         """Return the slope of the baseline at x, positive if it falls."""
@@ -101,28 +78,20 @@ class Baseline:
         return float(np.convolve(chosen, np.ones(gap) / gap, "valid").min())
 
 
-def along(coefficients: Floats, distance: Floats, length: float) -> Floats:
+def curve_at(coefficients: Floats, distance: Floats, length: float) -> Floats:
     """Return a curve at distances from its start; straight beyond its ends."""
     inside = np.clip(distance, 0, length)
     slope = polynomial.polyval(inside, polynomial.polyder(coefficients))
     return np.asarray(polynomial.polyval(inside, coefficients) + slope * (distance - inside))
 
 
-def follow(density: NDArray[np.uint8], row: Spots, slope: float | None = None) -> Baseline:
-    """Follow the baseline of a row of letters.
+def follow_baseline(density: NDArray[np.uint8], row: Spots, slope: float | None = None) -> Baseline:
+    """Return the measured baseline of a row of letters in a density of ink, (H, W) uint8, 255 full.
 
-    Pieces of the row are shifted up and down until their ink fits that of the
-    whole row best; a smooth curve goes through them. The baseline is where the
-    ink ends most abruptly, the top of an x where it begins so.
-
-    Parameters
-    ----------
-    density : ndarray, (H, W) uint8
-        Ink of the page, 255 where it is full.
-    row : Spots
-        Letters of the row.
-    slope : float, optional
-        Of the lines around, for a row that is too short to tell.
+    Pieces of the row are shifted up and down until their ink fits that of the whole row best; a
+    smooth curve goes through them. The baseline is where the ink ends most abruptly, the top of an
+    x where it begins so. ``slope`` is that of the lines around, for a row too short to measure its
+    own.
     """
     height = row.usual_height
     left, right = float(row.left.min()), float(row.right.max())
@@ -192,7 +161,7 @@ def _fitted(x: Floats, y: Floats, weight: Floats, degree: int) -> tuple[Floats, 
 def _pieces(
     density: NDArray[np.uint8], left: float, right: float, curve: Floats, height: float
 ) -> tuple[Floats, Floats]:
-    """Return the ink of each piece at each height along a curve, (P, N), and its place."""
+    """Return the ink of each piece at each height along a curve, (P, N), and its place, (P,)."""
     count = max(1, round((right - left) / height / _PIECE))
     columns = max(8, round((right - left) / height * _COLUMNS / count)) * count
     along = (np.arange(columns) + 0.5) * (right - left) / columns
@@ -224,10 +193,10 @@ def _strokes(
 
 
 def _shifts(pieces: Floats) -> tuple[Floats, Floats]:
-    """Return the offset of each piece from the mean, in steps, and its reliability."""
+    """Return the offset of each piece from the mean, (P,) steps, and its reliability."""
     most = round(_SHIFT * _STEPS)
     edges = np.diff(cv2.GaussianBlur(pieces, (0, 0), sigmaX=1.5, sigmaY=1e-6), axis=1)
-    # Letters end at the baseline more often than they begin at the top of an x: figures do not.
+    # More letters end at the baseline than begin at the top of an x: figures do not.
     edges = np.where(edges > 0, _RISE * edges, edges) * np.hanning(edges.shape[1])
     usual = edges.mean(axis=0)
     spread = np.fft.rfft(edges, 2 * edges.shape[1])
@@ -255,5 +224,5 @@ def _edges(profile: Floats) -> tuple[float, float]:
 def _peak(values: Floats, at: int) -> float:
     before, here, after = values[at - 1 : at + 2]
     bend = 2 * here - before - after
-    # Between two rows of the profile.
+    # The slope at an index lies half a row beyond it.
     return at + 0.5 + (float((after - before) / 2 / bend) if bend > 0 else 0.0)

@@ -28,12 +28,12 @@ if TYPE_CHECKING:
 
 PDF_DPI = 300.0
 MOST_RENDERED_PIXELS = 36_000_000
-"""Most pixels of a PDF's page, A2 at 300 dots per inch. Larger ones are rendered coarser: most of
-them are scans that take their pixels for points, and have no finer details than those."""
+"""Most pixels of a PDF's page, A2 at 300 dots per inch. Larger ones are rendered coarser: most are
+scans whose size in points is that in pixels, without finer detail."""
 GUESSED_WIDTH_MM = 210.0
 """Width of an A4 page, for images without a stated size."""
 _POINT_MM = INCH_MM / 72
-_DOCUMENT = "a document that can be read: give a PDF, PNG, JPEG or TIFF"
+_DOCUMENT = "a readable document: give a PDF, PNG, JPEG or TIFF"
 _SIGNATURE = b"%PDF-"
 _SIGNATURE_WITHIN = 1024
 """Bytes at a file's start in which readers look for the signature (ISO 32000-1, Annex H.3.4.1)."""
@@ -46,23 +46,10 @@ def open_document(
     page_width_mm: float | None = None,
     password: str | None = None,
 ) -> "Document":
-    """Open a PDF, a TIFF of one or many pages, or any other image.
+    """Open a PDF, a TIFF of one or many pages, or any other image, recognized by its content.
 
-    Parameters
-    ----------
-    path : Path
-        The file; its content decides what it is, not its name.
-    dpi : float, optional
-        Pixels per inch: of an image instead of its own, of a PDF instead of 300.
-    page_width_mm : float, optional, mm
-        Or the width of each page, instead of the file's own.
-    password : str, optional
-        Of an encrypted PDF.
-
-    Raises
-    ------
-    PageError
-        If there is no such document, or it cannot be opened.
+    ``dpi`` replaces an image's own resolution, or the 300 at which a PDF is rendered;
+    ``page_width_mm`` replaces the file's own scale.
     """
     check_scale_options(dpi, page_width_mm)
     if _is_pdf(path):
@@ -71,28 +58,13 @@ def open_document(
 
 
 def parse_pages(text: str, count: int) -> list[int]:
-    """Return the indexes, from 0, of pages in a list such as ``1,3-5`` or ``7-``.
-
-    Pages come in the order asked for, as often as asked for.
-
-    Parameters
-    ----------
-    text : str
-        Numbers from 1 and ranges of them, separated by commas.
-    count : int
-        Number of pages of the document.
-
-    Raises
-    ------
-    PageError
-        If this is nonsense, or there are no such pages.
-    """
+    """Return the indices, from 0, of pages in a list such as ``1,3-5`` or ``7-``, in its order."""
     indexes: list[int] = []
     for part in text.split(","):
-        # Nine digits: longer numbers are no pages, and Python refuses the longest.
+        # Python refuses to convert very long numbers.
         match = re.fullmatch(r"\s*([0-9]{1,9})\s*(-\s*([0-9]{1,9})?\s*)?", part)
         if match is None:
-            message = f"pages {text}: {part.strip()!r} is no page: write 1,3-5 or 7-"
+            message = f"pages {text}: {part.strip()!r} is not a page: write 1,3-5 or 7-"
             raise PageError(message, about="pages", problem="malformed", value=part.strip())
         first = int(match[1])
         last = int(match[3] or count) if match[2] else first
@@ -107,7 +79,7 @@ def parse_pages(text: str, count: int) -> list[int]:
                 )
         if last < first:
             raise PageError(
-                f"pages {text}: {first} is behind {last}: write {last}-{first}",
+                f"pages {text}: {first} is after {last}: write {last}-{first}",
                 about="pages",
                 problem="conflict",
                 value=(first, last),
@@ -118,18 +90,7 @@ def parse_pages(text: str, count: int) -> list[int]:
 
 
 class Document(Closing, ABC):
-    """Pages that are loaded when they are asked for, from one thread at a time.
-
-    Parameters
-    ----------
-    path : Path
-        Its file.
-
-    Attributes
-    ----------
-    notes : list of str
-        Sentences for the user about what was taken for granted so far.
-    """
+    """Pages loaded on request, by one thread at a time; ``notes`` lists what was assumed."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -140,13 +101,7 @@ class Document(Closing, ABC):
         """Return the number of pages."""
 
     def page(self, index: int) -> Page:
-        """Return a page by its index from 0.
-
-        Raises
-        ------
-        PageError
-            If there is no such page, or it cannot be read.
-        """
+        """Return a page by its index from 0."""
         if not 0 <= index < len(self):
             raise PageError(
                 f"{self.path} {_absent(index + 1, len(self))}",
@@ -176,7 +131,7 @@ class ImageDocument(Document):
         super().__init__(path)
         self._dpi, self._page_width_mm = dpi, page_width_mm
         with open_image(path, _DOCUMENT) as image:
-            # Other kinds have frames too: those of an animation are no pages.
+            # Frames of other formats are animations.
             self._count = getattr(image, "n_frames", 1) if image.format == "TIFF" else 1
 
     def __len__(self) -> int:
@@ -193,8 +148,8 @@ class ImageDocument(Document):
         if mm_per_pixel is None:
             mm_per_pixel = min(GUESSED_WIDTH_MM / width, LARGEST_MM / height)
             self._note(
-                f"{self.path} does not say how large it is: "
-                f"taken as {width * mm_per_pixel:.0f} mm wide"
+                f"{self.path} does not state its size: "
+                f"assumed to be {width * mm_per_pixel:.0f} mm wide"
             )
         require_size_mm(str(self.path), width * mm_per_pixel, height * mm_per_pixel)
         return Page(grey, mm_per_pixel)
@@ -244,7 +199,7 @@ class PdfDocument(Document):
         scale = mm / mm_per_pixel
         require_pixels(name, math.ceil(width * scale), math.ceil(height * scale))
         with contextlib.closing(sheet.render(scale=scale, grayscale=True)) as bitmap:
-            # A copy: the bitmap's own memory goes with it.
+            # A copy, as the bitmap frees its memory.
             grey = np.array(bitmap.to_numpy(), np.uint8).reshape(bitmap.height, bitmap.width)
             return Page(grey, mm_per_pixel)
 
@@ -272,13 +227,13 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument":
         pdf = pypdfium2.PdfDocument(path, password)
     except pypdfium2.PdfiumError as error:
         if "password" not in str(error).lower():
-            message = f"{path} is damaged, or has no pages: save it anew"
+            message = f"{path} is damaged, or has no pages: save it again"
             raise PageError(message, about="file", problem="damaged", value=path) from None
         problem, message = "missing", f"{path} is encrypted: give its password"
         if password is not None:
-            problem, message = "wrong", f"{path} is encrypted: give its password, not another"
+            problem, message = "wrong", f"{path} is encrypted: this is not its password"
         raise PageError(message, about="password", problem=problem, value=path) from None
-    # What is filled in would be missing without it; it must come before any page.
+    # Needed to render filled-in fields, before any page is opened.
     if pdf.get_formtype() == pypdfium2.raw.FORMTYPE_ACRO_FORM:
         pdf.init_forms()
     return pdf

@@ -13,79 +13,49 @@ Grey = NDArray[np.uint8]
 _REDUCTION, _REDUCED_PIXELS = 4, 20_000
 """Reduction at which paper is estimated, less on small pages: light changes slowly."""
 _WINDOW_PX, _LEAST_WINDOWS = 51, 12
-"""Window of paper, wider than any stroke of text; the page is as many of them wide."""
-_WIDER = 5
-"""Factor to a second one, wider than any stroke of a headline."""
-_SOLID = 0.4
-"""Part of the paper farther around below which a dark area is ink, not a shadow."""
-_STEP = 0.6
-"""Part of the paper beside below which it ends."""
+"""Window of paper, wider than any stroke of text, and the least number of them across a page."""
+_WIDER = 5  # factor to a second window, wider than any stroke of a headline
+_SOLID = 0.4  # part of the level of paper farther away below which a dark area is ink, not shadow
+_STEP = 0.6  # part of the level of neighboring paper below which paper ends
 _LEAST_LIGHT = 0.25
-"""Part of the brightest paper below which an area is no paper, but the table."""
-_DARKEST = 40.0
-"""Grey level below which an area is too dark to contain ink."""
-_PAPER = 210
-"""Level of the paper in the image divided by it: leaves room for noise above."""
-_LEAST_CONTRAST = 0.12
-"""Least contrast of ink against the paper around it."""
-_LEAST_GRAINS = 5.5
-"""Least contrast of ink, in standard deviations of the paper's grain."""
+"""Part of the brightest paper's level below which an area is the table, not paper."""
+_DARKEST = 40.0  # grey level below which an area is too dark to contain ink
+_PAPER = 210  # level of paper in the divided image, with room above it for noise
+_LEAST_CONTRAST = 0.12  # least contrast of ink against the paper around it
+_LEAST_GRAINS = 5.5  # least contrast of ink, in standard deviations of the paper's grain
 _GRAINS = 6.7
-"""Contrast, in the same, at which ink begins; within the following parts of Otsu's threshold."""
+"""Contrast at which ink begins, in the same; limited to the following parts of Otsu's threshold."""
 _LEAST_PART, _MOST_PART = 0.7, 1.1
 _EVEN_INK = 0.35
-"""Contrast of Otsu's threshold, of the paper, below which ink is uneven and begins earlier."""
+"""Contrast of Otsu's threshold, relative to paper, below which ink is uneven and begins earlier."""
 _THROUGH = 0.6
-"""Part of the usual contrast of ink that a spot reaches somewhere, unless it shows through."""
-_POOL = 4
-"""Pixels across and down that are one where spots that show through are looked for."""
+"""Least peak contrast of a spot, relative to the usual ink; fainter ones show through."""
+_POOL = 4  # side, in pixels, of the blocks in which spots that show through are detected
 _DARKER_QUARTER = 0.25
-_DIRECTION_PIXELS = 12_500
-"""Size of the image in which light and dark are compared."""
-_WINDOWS = 16
-"""Windows across a page in which ink is tested to be darker or lighter than paper."""
+_DIRECTION_PIXELS = 12_500  # size of the image in which light and dark are compared
+_WINDOWS = 16  # windows across a page in which ink is tested to be darker or lighter than paper
 _LEAST_SKEW = 0.8
 """Skewness above which print is light on dark: print has 1.5 and more, photographs have less."""
-_FEWEST = 4
-"""Fewest dark pixels, of a quarter of all, that are ink and no chance."""
-_QUARTILES = 1.349
-"""Between the quartiles of a normal distribution, in standard deviations."""
-_BRIGHT = 0.7
-"""Part of the paper's level above which is mostly paper."""
+_FEWEST = 4  # fewest dark pixels, in a quarter of the image, that are not there by chance
+_QUARTILES = 1.349  # between the quartiles of a normal distribution, in standard deviations
+_BRIGHT = 0.7  # part of the paper's level above which pixels are mostly paper
 
 
 @dataclass(frozen=True, eq=False)
 class Paper:
-    """Ink of a page, and its levels.
-
-    Attributes
-    ----------
-    cleaned : ndarray, (H, W) uint8
-        The page as dark on light: paper is exactly 255, ink is near 0, edges keep their grades.
-    ink : ndarray, (H, W) bool
-        Mask of ink; empty on blank paper.
-    light_on_dark : bool
-        Whether it was printed light on dark, and is inverted here.
-    """
+    """Page as dark on light, (H, W): paper exactly 255, ink near 0; and the mask of its ink."""
 
     cleaned: Grey
-    ink: NDArray[np.bool_]
-    light_on_dark: bool
+    ink: NDArray[np.bool_]  # (H, W); empty on blank paper
+    light_on_dark: bool  # as printed; inverted here
 
 
 def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
-    """Separate ink from paper.
+    """Separate ink from paper in an image, (H, W) uint8, detecting its polarity if not given.
 
-    The page is divided by its paper, as it would look without ink. The
-    threshold is Otsu's, moved towards the paper where that is calm and away
-    from it where it has grain; spots that stay faint show through from the back.
-
-    Parameters
-    ----------
-    grey : ndarray, (H, W) uint8
-        Bright is white.
-    light_on_dark : bool, optional
-        Whether it is printed light on dark; found out if not given.
+    The page is divided by its paper, as it would look without ink. The threshold is Otsu's, moved
+    towards the paper where that is even and away from it where it has grain; spots that stay faint
+    everywhere show through from the back.
     """
     small, factor = grey, 1
     while factor < _REDUCTION and small.size >= 4 * _REDUCED_PIXELS:
@@ -109,10 +79,9 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
 def is_light_on_dark(grey: Grey) -> bool:
     """Return whether a page is printed light on dark.
 
-    Around print most is paper: the few levels of ink lie far from the mean,
-    on the dark side of it for dark print. The third moment of the levels in a
-    window gives the side; where there is no print, or the edge of a sheet on a
-    darker table, it is small or cancels.
+    Around print most pixels are paper: the few of ink lie far from the mean, on its dark side for
+    dark print. The third moment of the levels in a window gives the side; it is small or cancels
+    without print, or at the edge of a sheet on a darker table.
     """
     step = max(1, round(math.sqrt(grey.size / _DIRECTION_PIXELS)))
     small = grey[::step, ::step].astype(np.float32)
@@ -137,7 +106,7 @@ def reduced(grey: Grey, pixels: int) -> Grey:
 
 
 def _halved(grey: Grey) -> Grey:
-    """Return an image of half the size, averaged; whole pixels are averaged fastest."""
+    """Return an image of half the size, averaged; a whole factor is fastest."""
     height, width = (max(1, side // 2) for side in grey.shape)
     even = grey[: 2 * height, : 2 * width]
     return np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
@@ -150,7 +119,7 @@ def _divided(grey: Grey, small: Grey, side: float) -> Grey:
     far = np.asarray(cv2.resize(far, near.shape[::-1]), np.uint8)
     solid = near < cv2.convertScaleAbs(far, alpha=_SOLID)
     paper = np.where(_inside(solid), far, near) if solid.any() else near
-    # Interpolated, the paper would reach beyond the edge of a sheet.
+    # Interpolation would extend the paper beyond the edge of a sheet.
     around = np.ones((5, 5), np.uint8)
     lowest, highest = cv2.erode(paper, around), cv2.dilate(paper, around)
     paper = np.where(lowest < cv2.convertScaleAbs(highest, alpha=_STEP), lowest, paper)
@@ -177,7 +146,7 @@ def _closed(small: Grey, side_px: float) -> Grey:
     """Return an image without dark spots narrower than a window."""
     side = max(3, round(side_px)) | 1
     square = cv2.getStructuringElement(cv2.MORPH_RECT, (side, side))
-    # Closing follows the brightest grains: smooth them first.
+    # Closing follows the brightest grains unless they are smoothed.
     calm = cv2.blur(small, (3, 3))
     closed = cv2.morphologyEx(calm, cv2.MORPH_CLOSE, square, borderType=cv2.BORDER_REPLICATE)
     return np.asarray(cv2.medianBlur(closed, 5), np.uint8)
@@ -185,7 +154,7 @@ def _closed(small: Grey, side_px: float) -> Grey:
 
 @dataclass(frozen=True)
 class _Levels:
-    """Levels of a divided page: full ink, least seen of a spot, last of ink, least of paper."""
+    """Levels of a divided page: full ink, faintest peak of a spot, end of ink, start of paper."""
 
     black: float
     seen: float
@@ -197,7 +166,7 @@ def _levels(flat: Grey) -> _Levels | None:
     """Return the levels of ink and paper; None without ink."""
     counts = cv2.calcHist([flat[::4]], [0], None, [256], [0, 256]).ravel().astype(np.float64)
     level = np.arange(256)
-    # The last level is where no paper was to be seen.
+    # Level 255 marks areas without paper.
     bright = np.where((level > _BRIGHT * _PAPER) & (level < 255), counts, 0)
     low, middle, high = np.searchsorted(np.cumsum(bright), np.array([1, 2, 3]) / 4 * bright.sum())
     grain = max(float(high - low) / _QUARTILES, 1.0)
@@ -228,11 +197,11 @@ def _otsu(counts: NDArray[np.float64]) -> int:
 
 
 def _leave_out_faint_spots(flat: Grey, levels: _Levels) -> None:
-    """Make spots of ink that stay faint all over white, and what is around them."""
+    """Make spots of ink that are faint everywhere white, with their surroundings."""
     height, width = (side // _POOL for side in flat.shape)
     if not height * width:
         return
-    # Rows at once, then columns: quicker than with a window.
+    # Rows, then columns: faster than a window.
     rows = [flat[k : _POOL * height : _POOL, : _POOL * width] for k in range(_POOL)]
     lowest = functools.reduce(np.minimum, rows)
     lowest = functools.reduce(np.minimum, [lowest[:, k::_POOL] for k in range(_POOL)])

@@ -6,42 +6,29 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_FEWEST_PIXELS = 3
-"""Fewest pixels of a spot; a smaller one is a speck in any readable print."""
+_FEWEST_PIXELS = 3  # fewest pixels of a spot; a smaller one is a speck in any readable print
 _LEAST_SIDE = 3
 _MOST_PART = 0.25
-"""Part of the shorter side above which a spot is a picture, a frame or a dark margin."""
+"""Part of the page's shorter side above which a spot is a picture, a frame or a dark margin."""
 _LETTER = (0.55, 9.0)
 """Range of letter heights on a page, relative to the usual one; dots are lower."""
-_COMMA = (0.8, 0.5)
-"""Largest height and width of a comma or a quote, relative to the usual height."""
+_COMMA = (0.8, 0.5)  # largest height and width of a comma or a quote, relative to the usual height
 _LONGEST = 40.0
 """Largest ratio of length to height of a word with touching letters; longer ones are rules."""
-_THICK = 0.5
-"""Width of a vertical rule, in letter heights, above which it is a bar of a picture."""
-_FILLED = 0.15
-"""Part of its box that a picture fills at least."""
-_RULE = 12.0
-"""Ratio of length to height above which a spot is a rule."""
+_THICK = 0.5  # width of a vertical rule, in letter heights, above which it is a bar of a picture
+_FILLED = 0.15  # least part of its box that a picture fills
+_RULE = 12.0  # ratio of length to height above which a spot is a rule
 _UNDERLINE, _THIN = 3.0, 0.3
 """Least length and most thickness of a line under a word, in letter heights."""
 _BELOW, _HANGING = 0.4, 0.2
-"""Height below it, in the same, and the part of it that is ink at most: of descenders."""
+"""Height of the zone below it, in the same, and most ink there: that of descenders."""
 _STANDING = 0.5
-"""Part of its length over which letters stand on it, at least; bars of large letters have less."""
+"""Least part of its length that has letters above it; bars of large letters have less."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spots:
-    """Connected spots of ink.
-
-    Attributes
-    ----------
-    left, top, right, bottom : ndarray, (N,) int, px
-        Their boxes; right and bottom are the first column and row outside.
-    area : ndarray, (N,) int, px
-        Pixels of each.
-    """
+    """Connected spots of ink, (N,) px; right and bottom are the first column and row outside."""
 
     left: NDArray[np.int_]
     top: NDArray[np.int_]
@@ -82,10 +69,7 @@ def find_spots(ink: NDArray[np.bool_]) -> Spots:
 
 
 def usual_height(spots: Spots, shape: tuple[int, int]) -> float | None:
-    """Return the usual height of letters, px; None if no spot looks like one.
-
-    Of what is neither a rule nor a picture.
-    """
+    """Return the usual height of letters, px; None if no spot may be one."""
     height, width = spots.height, spots.width
     kept = (
         (height >= _LEAST_SIDE)
@@ -99,15 +83,7 @@ def usual_height(spots: Spots, shape: tuple[int, int]) -> float | None:
 
 
 def like_letters(spots: Spots, height: float) -> NDArray[np.bool_]:
-    """Return for each spot, (N,), whether it may be a letter, or several that touch.
-
-    Parameters
-    ----------
-    spots : Spots
-        Ink of the page.
-    height : float, px
-        Usual height of a letter.
-    """
+    """Return for each spot, (N,) bool, whether it may be a letter, or several that touch."""
     smallest, largest = (part * height for part in _LETTER)
     right_size = (spots.height >= smallest) & (spots.height <= largest)
     right_size &= (spots.height > _COMMA[0] * height) | (spots.width > _COMMA[1] * height)
@@ -118,13 +94,6 @@ def find_pictures(ink: NDArray[np.bool_], height: float) -> tuple[Spots, NDArray
     """Return all spots of ink, the ink of pictures, (H, W) bool, and the number of these.
 
     Pictures are spots large both ways; those that overlap are one.
-
-    Parameters
-    ----------
-    ink : ndarray, (H, W) bool
-        Ink of the page.
-    height : float, px
-        Usual height of a letter.
     """
     spots, label, labels = _labeled(ink)
     large = np.minimum(spots.width, spots.height) > _LETTER[1] * height
@@ -154,17 +123,7 @@ def letters_alone(ink: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Spots, flo
 def widest_white(
     spots: Spots, left: float, right: float, top: float, bottom: float
 ) -> tuple[float, float]:
-    """Return the place of a gap with the widest part without any ink, such as a comma.
-
-    Parameters
-    ----------
-    spots : Spots
-        Ink of the page.
-    left, right : float, px
-        The gap.
-    top, bottom : float, px
-        Heights at which ink fills it.
-    """
+    """Return the ends of the widest part without ink, px, of a gap from ``left`` to ``right``."""
     inside = (spots.right > left) & (spots.left < right)
     inside &= (spots.bottom > top) & (spots.top < bottom)
     starts = np.concatenate([[left], np.sort(spots.right[inside])])
@@ -183,16 +142,8 @@ def _labeled(ink: NDArray[np.bool_]) -> tuple[Spots, NDArray[np.int_], NDArray[n
 
 
 def find_dividers(ink: NDArray[np.bool_], height: float) -> NDArray[np.bool_]:
-    """Return the ink of vertical rules, (H, W) bool: between columns, of frames and tables.
-
-    Parameters
-    ----------
-    ink : ndarray, (H, W) bool
-        Ink of the page.
-    height : float, px
-        Usual height of a letter.
-    """
-    # One that is not quite upright steps aside by a pixel.
+    """Return the ink of vertical rules, (H, W) bool: between columns, of frames and tables."""
+    # A slightly tilted rule steps sideways by a pixel.
     wide = cv2.dilate(ink.view(np.uint8), np.ones((1, 3), np.uint8))
     upright = cv2.morphologyEx(wide, cv2.MORPH_OPEN, np.ones((round(_RULE * height), 1), np.uint8))
     side = max(4, round(_THICK * height) + 2)
@@ -201,15 +152,7 @@ def find_dividers(ink: NDArray[np.bool_], height: float) -> NDArray[np.bool_]:
 
 
 def find_rules(ink: NDArray[np.bool_], height: float) -> NDArray[np.bool_]:
-    """Return the ink of horizontal rules, (H, W) bool: underlines, ruled paper, frames.
-
-    Parameters
-    ----------
-    ink : ndarray, (H, W) bool
-        Ink of the page.
-    height : float, px
-        Usual height of a letter.
-    """
+    """Return the ink of horizontal rules, (H, W) bool: underlines, ruled paper, frames."""
     page = ink.view(np.uint8)
     rules = cv2.morphologyEx(page, cv2.MORPH_OPEN, np.ones((1, round(_RULE * height)), np.uint8))
     run = np.ones((1, round(_UNDERLINE * height)), np.uint8)
@@ -224,5 +167,5 @@ def find_rules(ink: NDArray[np.bool_], height: float) -> NDArray[np.bool_]:
         below = ink[top + high + 1 : top + high + 1 + deep, columns]
         if below.size and below.mean() < _HANGING and above.mean() > _STANDING:
             rules[top : top + high, columns][labels[top : top + high, columns] == label] = 1
-    # A rule that is not quite level, or frayed, steps up and down by a pixel.
+    # A slightly tilted or frayed rule steps up and down by a pixel.
     return np.asarray(cv2.dilate(rules, np.ones((3, 1), np.uint8)), np.uint8).view(np.bool_)

@@ -9,39 +9,23 @@ from smarttouch.documents.baselines import Baseline
 from smarttouch.documents.letters import Spots, widest_white
 
 _THINNEST, _SHORTEST, _LONGEST = 0.06, 0.15, 2.5
-"""Shorter and longer side of a dot, a dash or a letter that stands alone, in x-heights."""
-_REACH = 1.2
-"""Largest distance of a mark from its line's end, in x-heights."""
+"""Shorter and longer side of a dot, a dash or a single letter, in x-heights."""
+_REACH = 1.2  # largest distance of a mark from its line's end, in x-heights
 _ABOVE, _BELOW = 1.6, 0.5
 """Largest distance of a mark's middle above and below the baseline, in x-heights."""
 _FARTHEST = 5.0
 """Longest row of marks, or gap to a line's other part, beyond a line's end, in x-heights."""
-_MEETING = 1.2
-"""Widest white between two parts of a line that is no gutter, in x-heights."""
-_OF_A_LINE = 0.7
-"""Least height of a line of its own, as a part of an x beside it."""
-_OF_TWO_LINES = 2.0
-"""Length of letters of two lines that touch, in x-heights."""
-_OF_TEXT = 0.75
-"""Strokes per x-height of a line of text; dots and accents have fewer."""
-_HANGING = 1.2
-"""Lowest end below a line of a mark that hangs from it, in x-heights."""
-_ONE_BASELINE = 0.35
-"""Largest offset of the baselines of two parts of a line, in x-heights."""
-_ONE_SIZE = 1.5
-"""Largest ratio of their x-heights."""
+_MEETING = 1.2  # widest white between two parts of a line that is no gutter, in x-heights
+_OF_A_LINE = 0.7  # least height of a line of its own, as a part of an x beside it
+_OF_TWO_LINES = 2.0  # length of letters of two lines that touch, in x-heights
+_OF_TEXT = 0.75  # strokes per x-height of a line of text; dots and accents have fewer
+_HANGING = 1.2  # lowest end below a line of a mark that hangs from it, in x-heights
+_ONE_BASELINE = 0.35  # largest offset of the baselines of two parts of a line, in x-heights
+_ONE_SIZE = 1.5  # largest ratio of their x-heights
 
 
 def with_marks(baselines: list[Baseline], spots: Spots) -> list[Baseline]:
-    """Extend lines by the marks at their ends, and join those that then meet.
-
-    Parameters
-    ----------
-    baselines : list of Baseline
-        Lines that were found by their letters.
-    spots : Spots
-        All ink of the page.
-    """
+    """Extend lines by the marks at their ends, and join those that then meet."""
     lines = sorted(_lengthened(baselines, spots), key=lambda line: line.left)
     joined: list[Baseline] = []
     for line in lines:

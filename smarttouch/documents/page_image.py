@@ -21,31 +21,21 @@ FEWEST_PIXELS = 8
 LARGEST_MM = 2000.0
 SMALLEST_MM = 2.0
 INCH_MM = 25.4
-IMAGE = "an image that can be read: give a PNG, JPEG or TIFF"
+IMAGE = "a readable image: give a PNG, JPEG or TIFF"
 _SCALE = "dpi or page_width_mm"
 _LEAST_BELIEVED_DPI = 50.0
-"""Lowest plausible resolution; files state less (1 or 72 by default) if nobody measured."""
-_EVEN = 1.02
-"""Ratio of resolutions across and down below which they are equal."""
+"""Lowest plausible resolution; files state less (1 or 72 by default) where it is unknown."""
+_EVEN = 1.02  # ratio of resolutions across and down below which they are equal
 _MOST_UNEVEN = 4.0
 """Largest plausible ratio: the coarsest kind of fax has 2.1; more is an error of the file."""
-_ORIENTATION = 0x0112
-"""EXIF tag; 5 and above lay the rows of the file upright."""
+_ORIENTATION = 0x0112  # EXIF tag; 5 and above lay the rows of the file upright
 _DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
 """Exceptions that Pillow raises on damaged files."""
 
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """A page, with its scale.
-
-    Attributes
-    ----------
-    grey : ndarray, (H, W) uint8
-        Bright is white.
-    mm_per_pixel : float, mm
-        Its scale.
-    """
+    """Page as grey levels, (H, W) uint8, bright is white, with its scale."""
 
     grey: NDArray[np.uint8]
     mm_per_pixel: float
@@ -58,30 +48,12 @@ class Page:
 
 
 def load_page(path: Path, dpi: float | None = None, page_width_mm: float | None = None) -> Page:
-    """Load an image of a page.
-
-    Any kind of image works: grey, color, palette, 16 bit, transparent (laid on
-    white). The scale is the one given, else the file's own.
-
-    Parameters
-    ----------
-    path : Path
-        The image file.
-    dpi : float, optional
-        Pixels per inch.
-    page_width_mm : float, optional, mm
-        Or the width of the whole image.
-
-    Raises
-    ------
-    PageError
-        If there is no such page, or no way to know its size.
-    """
+    """Load an image of a page, of any color mode, at the given or its own scale."""
     check_scale_options(dpi, page_width_mm)
     with open_image(path) as image:
         grey, mm_per_pixel = read_grey(path, image, dpi, page_width_mm)
     if mm_per_pixel is None:
-        message = f"{path} does not say how large it is: give {_SCALE}"
+        message = f"{path} does not state its size: give {_SCALE}"
         raise PageError(message, about="size_mm", problem="missing", value=path, remedy=_SCALE)
     height, width = grey.shape
     require_size_mm(str(path), width * mm_per_pixel, height * mm_per_pixel)
@@ -93,7 +65,7 @@ def check_scale_options(
 ) -> None:
     """Raise a PageError if the user's scale is invalid; ``width`` names the second."""
     if dpi is not None and width_mm is not None:
-        message = f"dpi and {width} are both given: one of them is enough"
+        message = f"dpi and {width} are both given: give one of them"
         raise PageError(message, about="dpi", problem="conflict", value=("dpi", width))
     for name, value in (("dpi", dpi), (width, width_mm)):
         if value is not None and not 0 < value < float("inf"):
@@ -102,21 +74,12 @@ def check_scale_options(
 
 @contextmanager
 def open_image(path: Path, kind: str = IMAGE) -> Iterator[Image.Image]:
-    """Open an image file; any exception of Pillow, here or inside, becomes a PageError.
-
-    Parameters
-    ----------
-    path : Path
-        The image file.
-    kind : str
-        Expected kind of file, for the error message.
-    """
+    """Open an image file; any exception of Pillow, here or inside, becomes a PageError."""
     try:
         with warnings.catch_warnings():
-            # Pillow warns of large images before we have looked at the size ourselves, and of
-            # damages that it then raises, or gets over.
+            # Sizes are checked later; damage is raised, or does no harm.
             warnings.filterwarnings("ignore", module=r"PIL\.")
-            # An open file: of a path, Pillow 13 gets turned TIFFs wrong by mapping them to memory.
+            # Opened here: Pillow 13 maps a path to memory, and reads rotated TIFFs wrongly.
             with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file, Image.open(file) as image:
                 yield image
     except Image.DecompressionBombError:
@@ -133,14 +96,9 @@ def open_image(path: Path, kind: str = IMAGE) -> Iterator[Image.Image]:
 def read_grey(
     path: Path, image: Image.Image, dpi: float | None = None, page_width_mm: float | None = None
 ) -> tuple[NDArray[np.uint8], float | None]:
-    """Return an open image in grey, and its scale in mm per pixel; None if unknown.
+    """Return an open image in grey, (H, W) uint8, and its scale in mm per pixel; None if unknown.
 
     Pixels that are not square, as in a fax, are stretched until they are.
-
-    Raises
-    ------
-    PageError
-        If it is too large, or too small to be a page.
     """
     require_pixels(str(path), *image.size)
     across, down = _stated_dpi(image)
@@ -220,6 +178,6 @@ def _to_grey(image: Image.Image) -> NDArray[np.uint8]:
 def _from_deep(values: NDArray[np.float64]) -> NDArray[np.uint8]:
     values = np.nan_to_num(values)
     peak = values.max(initial=0)
-    # Which white a deep file means is not written in it: the smallest usual one that holds it.
+    # A deep file does not state its white: the smallest usual one that fits is assumed.
     full = next((each for each in (1.0, 255.0, 65535.0) if peak <= each), peak)
     return np.asarray(np.clip(np.rint(values * (255 / full)), 0, 255), np.uint8)

@@ -9,29 +9,19 @@ from numpy.typing import NDArray
 from smarttouch.documents.ink import Paper
 from smarttouch.documents.letters import find_spots, usual_height
 
-_LEAST_SIDE = 1.5
-"""Least side of a panel, in usual heights of letters."""
-_LEAST_DARK = 0.35
-"""Least part of a panel's box that is dark."""
+_LEAST_SIDE = 1.5  # least side of a panel, in usual heights of letters
+_LEAST_DARK = 0.35  # least part of a panel's box that is dark
 _LEAST_BOX = 0.8
-"""Least part of its box that a panel fills with what is in it; letters that touch have less."""
-_FEWEST = 4
-"""Fewest light letters; two large letters that touch have as many holes at most."""
+"""Least part of its box that a panel and its contents fill; touching letters have less."""
+_FEWEST_LIGHT = 4  # fewest light letters; two large touching letters have at most as many holes
 _LETTER = (0.5, 9.0)
 """Range of their usual height, in usual heights of the letters of the page: halftones have less,
 and what is larger is a window in the panel."""
-_BLACK = np.uint8(40)
-"""Level below which a panel is its paper, without grain."""
+_BLACK = np.uint8(40)  # level below which a panel's grain is cut off
 
 
 def turn_panels(paper: Paper) -> Paper:
-    """Return a page whose panels are dark on light, too.
-
-    Parameters
-    ----------
-    paper : Paper
-        Ink of the page.
-    """
+    """Return a page with its panels made dark on light as well."""
     spots = find_spots(paper.ink)
     height = usual_height(spots, paper.ink.shape)
     if height is None:
@@ -48,7 +38,7 @@ def turn_panels(paper: Paper) -> Paper:
         if ink is paper.ink:
             ink, cleaned = ink.copy(), cleaned.copy()
         ink[box] ^= panel
-        # Its own blurred edge would be a frame.
+        # Its blurred edge would become a frame.
         inside = cv2.erode(panel.view(np.uint8), np.ones((3, 3), np.uint8), borderValue=0) > 0
         ink[box] &= inside | ~panel
         above = np.maximum(cleaned[box], _BLACK) - _BLACK
@@ -58,17 +48,7 @@ def turn_panels(paper: Paper) -> Paper:
 
 
 def _panel(ink: NDArray[np.bool_], area: int, height: float) -> NDArray[np.bool_] | None:
-    """Return where a panel is, without windows in it; None if a spot is none.
-
-    Parameters
-    ----------
-    ink : ndarray, (h, w) bool
-        Ink in the spot's box.
-    area : int, px
-        Of the spot.
-    height : float, px
-        Usual height of the page's letters.
-    """
+    """Return the mask of a panel, without windows, in a spot's box of ink, (h, w) bool, or None."""
     outlines, nested = cv2.findContours(ink.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
     outer = max(
         (k for k in range(len(outlines)) if nested[0, k, 3] < 0),
@@ -81,7 +61,7 @@ def _panel(ink: NDArray[np.bool_], area: int, height: float) -> NDArray[np.bool_
     usual = usual_height(holes, ink.shape)
     if usual is None or not _LETTER[0] * height < usual < _LETTER[1] * height:
         return None
-    if np.count_nonzero((holes.height > usual / 2) & (holes.height < 2 * usual)) < _FEWEST:
+    if np.count_nonzero((holes.height > usual / 2) & (holes.height < 2 * usual)) < _FEWEST_LIGHT:
         return None
     for k, outline in enumerate(outlines):
         _, _, wide, high = cv2.boundingRect(outline)

@@ -8,28 +8,16 @@ from numpy.typing import NDArray
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.straighten import straighten
 from smarttouch.documents.strips import cut_strip
-from smarttouch.documents.text_lines import TextLine, ink_of_lines, lines_of
+from smarttouch.documents.text_lines import TextLine, ink_of_lines, lines_in_ink
 
 LEFT_OUT = "left out: "
-"""Beginning of the note of what is not among the lines."""
+"""Beginning of the note on what is not among the lines."""
 
 
 @dataclass(frozen=True, eq=False)
 class PreparedPage:
-    """A page ready to be read.
-
-    Attributes
-    ----------
-    page : Page
-        The page, straightened.
-    cleaned : ndarray, (H, W) uint8
-        The same as dark on light, its paper exactly 255.
-    lines : tuple of TextLine
-        Its lines in reading order; empty if there is no text.
-    light_on_dark : bool
-        Whether it is printed light on dark.
-    notes : tuple of str
-        Corrections that were made, for the user.
+    """Page straightened and cleaned to dark on white, its paper 255, with lines in reading
+    order.
     """
 
     page: Page
@@ -39,7 +27,7 @@ class PreparedPage:
     notes: tuple[str, ...]
 
     def strip(self, index: int, height_px: int) -> NDArray[np.uint8]:
-        """Return a line straightened, (height_px, W), ascenders to descenders filling it."""
+        """Return a line straightened, (height_px, W) uint8, ascenders to descenders filling it."""
         return cut_strip(self.cleaned, self.page.mm_per_pixel, self.lines[index], height_px)
 
 
@@ -49,24 +37,16 @@ def prepare_page(
     straightened: bool = True,
     quarter: bool = True,
 ) -> PreparedPage:
-    """Prepare a page for reading.
+    """Prepare a scan, photograph or picture of print for reading, detecting its polarity if not
+    given.
 
-    Parameters
-    ----------
-    page : Page
-        A scan, a photograph or a picture of print.
-    light_on_dark : bool, optional
-        Whether it is printed light on dark; found out if not given.
-    straightened : bool
-        Lay sheets flat and turn text level first.
-    quarter : bool
-        Also turn text that runs up or down the page.
+    ``quarter`` allows a turn by 90° where the text runs up or down the page.
     """
     notes: list[str] = []
     if straightened:
         page, notes = straighten(page, quarter)
     page, paper = ink_of_lines(page, light_on_dark)
-    lines, left_out = lines_of(paper, page.mm_per_pixel)
+    lines, left_out = lines_in_ink(paper, page.mm_per_pixel)
     if left_out:
         notes.append(f"{LEFT_OUT}{left_out}")
     return PreparedPage(page, paper.cleaned, tuple(lines), paper.light_on_dark, tuple(notes))

@@ -1,20 +1,14 @@
-"""Size of the print: common to all lines of one print, whichever letters they have."""
+"""Size of print, common to all lines of one print, whichever letters they have."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-from smarttouch.documents.baselines import Baseline
-
-Floats = NDArray[np.float64]
+from smarttouch.documents.baselines import Baseline, Floats
 
 ASCENT, DESCENT = 1.5, 0.45
 """Usual heights of a b above and of a p below the baseline, in x-heights."""
-_SAME = 0.15
-"""Difference of x-heights that may be a measurement error."""
-_NEAREST = 9
-"""Number of neighboring lines with which a line shares its x-height."""
-_LOW_EDGE = 0.12
-"""Ink at the end of the ascenders, relative to their middle."""
+_SAME = 0.15  # difference of x-heights that may be a measurement error
+_NEAREST = 9  # number of neighboring lines with which a line shares its x-height
+_LOW_EDGE = 0.12  # ink at the end of the ascenders, relative to their middle
 _FEWEST = 0.03
 """Least ink of ascenders or descenders, relative to the line, by which they are measured."""
 _FARTHER = 1.2
@@ -26,7 +20,7 @@ _CAPITALS = 0.08
 def reach_of_print(baselines: list[Baseline]) -> tuple[float, float]:
     """Return the reach of ascenders and descenders from the baseline, in x-heights.
 
-    Of all lines of a page together: few single ones have enough of either.
+    It is measured over all lines of a page: few single ones have enough of either.
     """
     length = np.array([(each.right - each.left) / each.x_height for each in baselines])
     height = np.arange(-1.0, 2.2, 0.02)
@@ -37,7 +31,7 @@ def reach_of_print(baselines: list[Baseline]) -> tuple[float, float]:
     descent = _end(-height[::-1], ink[::-1], (0.15, 0.3), zone)
     reach = np.array([each.reach for each in baselines]).T
     tall, deep = (_weighted_median(each, length) for each in reach)
-    # Those of other scripts reach farther, and have ink at any height.
+    # Other scripts reach farther, with ink at any height.
     ascent, descent = ascent or ASCENT, descent or DESCENT
     return (
         tall if tall > _FARTHER * ascent else ascent,
@@ -55,15 +49,13 @@ def _end(height: Floats, ink: Floats, middle: tuple[float, float], zone: float) 
 
 
 def shared_x_heights(baselines: list[Baseline], ascent: float) -> Floats:
-    """Return the x-height of each line, shared with neighbors of the same print, px.
+    """Return the x-height of each line, shared with neighbors of the same print, (N,) px.
 
-    Lines of capitals and figures seem to have taller letters: they get those
-    of the print of which they are the capitals.
+    Lines of capitals and figures measure taller: they get the x-height of their print.
     """
     size = np.array([baseline.x_height for baseline in baselines])
     length = np.array([baseline.right - baseline.left for baseline in baselines])
-    middle = np.array([(baseline.left + baseline.right) / 2 for baseline in baselines])
-    y = np.array([float(baseline.at(x)) for baseline, x in zip(baselines, middle, strict=True)])
+    y = np.array([baseline.middle_y for baseline in baselines])
     above = np.array(
         [
             baseline.ink_between(1.1, 1.4) / baseline.ink_between(0.05, 0.95)

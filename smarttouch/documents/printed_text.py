@@ -1,4 +1,4 @@
-"""Pages printed from a text, on the spot."""
+"""Pages printed from a text."""
 
 import textwrap
 
@@ -13,23 +13,16 @@ from smarttouch.errors import PageError
 PRINT_DPI = 300
 _PRINT_WIDTH_MM = 92.0
 _MARGIN_MM = 7.0
-_LINE_MM = 4.2
-"""Height of a line, ascender to descender."""
+_LINE_MM = 4.2  # height of a line, ascender to descender
 _LINE_STEP_MM = 8.0
 _COLUMNS = 30
-_INK = 15
+_INK_LEVEL = 15
 _PER_MM = PRINT_DPI / INCH_MM
 _SIZE_PX = _LINE_MM * _PER_MM * 1.26
 
 
 def print_text(text: str) -> Page:
-    """Print a text as black on white at 300 dots per inch.
-
-    Raises
-    ------
-    PageError
-        If there is nothing to print, or too much.
-    """
+    """Print a text as black on white at 300 dots per inch."""
     lines = _wrapped(text)
     height_mm = 2 * _MARGIN_MM + (len(lines) - 1) * _LINE_STEP_MM + _LINE_MM
     if height_mm > LARGEST_MM:
@@ -44,20 +37,14 @@ def print_text(text: str) -> Page:
     sheet = Image.new("L", size, 255)
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=_SIZE_PX)
     for index, line in enumerate(lines):
-        draw.text((_MARGIN_MM * _PER_MM, _top_px(index)), line, fill=_INK, font=font)
+        draw.text((_MARGIN_MM * _PER_MM, _top_px(index)), line, fill=_INK_LEVEL, font=font)
     return Page(np.asarray(sheet), 1 / _PER_MM)
 
 
 def prepare_text(text: str) -> PreparedPage:
-    """Print a text and return it ready to be read, with its known lines.
-
-    Raises
-    ------
-    PageError
-        If there is nothing to print, or too much.
-    """
+    """Print a text and return it ready to be read, with its known lines."""
     page, font = print_text(text), ImageFont.load_default(size=_SIZE_PX)
-    # Of letters that stand on the baseline or hang below it, from where the line begins.
+    # Boxes from the baseline.
     high, low, x_high = (font.getbbox(letters, anchor="ls") for letters in ("dlA", "gpy", "x"))
     below_top_px = font.getbbox("x", anchor="la")[1] - x_high[1]
     lines = []

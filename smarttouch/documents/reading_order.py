@@ -3,35 +3,24 @@
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from smarttouch.documents.baselines import Floats
+
 Flags = NDArray[np.bool_]
 
 _LEAST_SHARED = 0.2
 """Least overlap of lines, one above the other, as a part of the shorter one's length."""
 _HEADLINE, _SAME_SIZE = 1.3, 0.15
 """Least height of a headline, in usual ones of the page, and difference between its lines."""
-_LEVEL = 1.5
-"""Distance, in line heights, within which two lines stand beside each other."""
-_SAME_LEVEL = 0.5
-"""Difference of baselines, in line heights, of parts of one title or foot."""
+_LEVEL = 1.5  # distance, in line heights, within which two lines are side by side
+_SAME_LEVEL = 0.5  # difference of baselines, in line heights, of parts of one title or foot
 
 
 def reading_order(left: Floats, right: Floats, y: Floats, height: Floats) -> list[int]:
-    """Return the indices of lines in reading order.
+    """Return the indices of lines in reading order, from their ends, baselines and heights, (N,).
 
-    Two rules say which of two lines comes first (after Breuel, High
-    performance document layout analysis, 2003): the upper one, where one
-    stands above the other; the left one, where they stand in columns beside
-    each other and no line between them reaches over both.
-
-    Parameters
-    ----------
-    left, right : ndarray, (N,)
-        Ends of each line.
-    y : ndarray, (N,)
-        Of its baseline.
-    height : ndarray, (N,)
-        Of its box.
+    Two rules give the order of two lines (after Breuel, High performance document layout analysis,
+    2003): the upper one comes first where one is above the other; the left one where they are in
+    columns side by side and no line between them spans both.
     """
     left, right = _of_headlines(left, right, y, height)
     shared = np.minimum(right[:, None], right) - np.maximum(left[:, None], left)
@@ -82,13 +71,13 @@ def _left_column(left: Floats, y: Floats, height: Floats, over: Flags) -> Flags:
     """Return for each pair, (N, N), whether one is read first because it is on the left."""
     beside = ~over & (left[:, None] < left)
     level = np.abs(y[:, None] - y) < _LEVEL * np.maximum(height[:, None], height)
-    # Lines of either column stand where the other line is: else these two are no columns.
+    # Each column must have lines beside the other one.
     columns = (over.astype(np.uint8) @ level.astype(np.uint8)) > 0
     columns |= columns.T
     first = beside & columns
     for line in np.flatnonzero(first.any(axis=1)):
         between = (np.minimum(y[line], y)[:, None] < y) & (y < np.maximum(y[line], y)[:, None])
-        # Row: the other line; column: one that may part the two.
+        # Rows: the other line; columns: a line that may separate the two.
         first[line] &= ~(between & over[line] & over).any(axis=1)
     return first
 
@@ -99,6 +88,6 @@ def _sorted(first: Flags, usual: NDArray[np.int_]) -> list[int]:
     order = []
     while waiting:
         blocked = first[np.ix_(waiting, waiting)].any(axis=0)
-        # Rules that contradict each other leave none free: the usual order decides.
+        # Contradictory rules leave none free: the usual order decides.
         order.append(waiting.pop(int(blocked.argmin())))
     return order

@@ -1,4 +1,4 @@
-"""Rows of letters that stand side by side, cut between columns."""
+"""Rows of letters, side by side, cut between columns."""
 
 from dataclasses import dataclass
 
@@ -12,32 +12,23 @@ from smarttouch.documents.letters import Spots, widest_white
 
 Indices = NDArray[np.int_]
 
-_NEIGHBORS = 10
-"""Candidates for the next letter, near the right edge of a letter."""
+_NEIGHBORS = 10  # candidates for the next letter, near the right edge of a letter
 _WIDEST_GAP = 3.8
 """Widest gap in a row, in heights of the taller letter: a dash or = between two spaces."""
 _LEAST_OVERLAP = 0.45
 """Least vertical overlap of two letters of a row, as a part of the lower one's height."""
 _MOST_RATIO = 2.8
 """Largest ratio of heights in a row: a parenthesis has 2.5 times the height of an x."""
-_FEW = 2
-"""Letters in a row that is accepted only if it is isolated."""
+_FEW = 2  # letters in a row that is accepted only if it is isolated
 _AROUND, _CROWD = 2.0, 5
 """Radius, in heights, around such a letter, and the largest number of letters in it."""
-_LEAST_SPACE = 0.35
-"""Narrowest space, in letter heights; a narrower gap is within a word."""
-_NARROWEST = 0.75
-"""Narrowest gutter between columns, in letter heights."""
-_WIDER = 1.9
-"""Factor by which a gutter is wider than the usual space between words."""
-_WIDE = 2.2
-"""Gap, in letter heights, that may be a gutter however wide the usual ones are."""
-_GUTTER_LINES = 2
-"""Lines above or below, on either side, that a gutter must separate as well."""
-_OTHER_LINE = 0.8
-"""Least distance of lines, in letter heights."""
-_BESIDE = 12.0
-"""Largest distance of their letters from the gutter, in letter heights."""
+_LEAST_SPACE = 0.35  # narrowest space, in letter heights; a narrower gap is within a word
+_NARROWEST = 0.75  # narrowest gutter between columns, in letter heights
+_WIDER = 1.9  # factor by which a gutter is wider than the usual space between words
+_WIDE = 2.2  # gap, in letter heights, that may be a gutter however wide the usual ones are
+_GUTTER_LINES = 2  # lines above or below, on either side, that a gutter must separate as well
+_OTHER_LINE = 0.8  # least distance of lines, in letter heights
+_BESIDE = 12.0  # largest distance of their letters from the gutter, in letter heights
 _FAR = 1 << 30
 
 
@@ -55,14 +46,8 @@ def find_rows(
 ) -> list[Indices]:
     """Return the indices of the letters of each row, from left to right.
 
-    Parameters
-    ----------
-    letters : Spots
-        Candidates for letters.
-    spots : Spots
-        All ink of the page: marks between letters fill a gap.
-    dividers : ndarray, (H, W) bool, optional
-        Vertical rules and pictures, which end a row.
+    Rows end at ``dividers``, (H, W) bool: vertical rules and pictures. Marks among ``spots``, all
+    ink of the page, fill a gap between letters.
     """
     count = len(letters.area)
     if count < 2:
@@ -92,7 +77,7 @@ def neighbors(letters: Spots) -> Links:
     """Link each letter to the next one on its right, where both agree."""
     height = letters.height
     middle = (letters.top + letters.bottom) / 2
-    # Twice as far apart in height is as far apart as this in the row.
+    # Vertical distance counts twice.
     tree = cKDTree(np.column_stack([letters.left, 2 * middle]))
     near = min(_NEIGHBORS, len(height) - 1) + 1
     reach = _WIDEST_GAP * float(height.max())
@@ -117,7 +102,7 @@ def neighbors(letters: Spots) -> Links:
         & (first != second)
     )
     first, second, gap, beside, lower = (each[kept] for each in (first, second, gap, beside, lower))
-    # What stands a pixel off is as far as what stands a pixel farther on.
+    # A pixel of vertical offset costs as much as a pixel of gap.
     cost = np.maximum(gap, 0) + (lower - beside)
     follows = _cheapest(first, cost)
     precedes = _cheapest(second, cost)
@@ -143,7 +128,7 @@ def _undivided(letters: Spots, links: Links, dividers: NDArray[np.bool_]) -> Lin
 
 def _without_gutters(letters: Spots, links: Links, spots: Spots) -> Links:
     """Remove links over a white lane that runs down between columns."""
-    # Of both letters: a parenthesis is much taller than the others.
+    # Mean of both letters, as a parenthesis is much taller than the others.
     mean = (letters.height[links.first] + letters.height[links.second]) / 2
     part = links.gap / mean
     spaces = part[part > _LEAST_SPACE]
@@ -159,7 +144,7 @@ def _without_gutters(letters: Spots, links: Links, spots: Spots) -> Links:
         )
         if white[1] - white[0] <= narrowest * size:
             continue
-        # Columns begin, or end, one below the other: the lane lies at an edge of the gap.
+        # Columns are aligned at one side, so the lane lies at an edge of the gap.
         width = _NARROWEST * size
         middle = (white[0] + white[1]) / 2
         lanes = (white[1] - width, white[0], middle - width / 2)

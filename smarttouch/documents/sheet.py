@@ -6,43 +6,28 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Grey = NDArray[np.uint8]
+from smarttouch.documents.ink import Grey
+
 Corners = NDArray[np.float64]
 
-_SIDE_PX = 480
-"""Longer side of the image in which a sheet is detected."""
-_LEAST_PART = 0.2
-"""Least part of the photograph covered by a sheet."""
-_MOST_PART = 0.97
-"""Part above which the image is the sheet itself, scanned."""
+_SIDE_PX = 480  # longer side of the image in which a sheet is detected
+_LEAST_PART = 0.2  # least part of the photograph covered by a sheet
+_MOST_PART = 0.97  # part above which the image is the sheet itself, scanned
 _THRESHOLDS = (1.0, 0.75, 0.5)
 """Multiples of Otsu's threshold: a shadow on the sheet may be as dark as its background."""
-_LEAST_FILLED = 0.93
-"""Least common part of the quadrilateral and the bright area."""
+_LEAST_FILLED = 0.93  # least common part of the quadrilateral and the bright area
 _LEAST_STEP = 25.0
 """Least drop in grey level from the paper to its background, across each visible edge."""
-_EDGE_PX = 6.0
-"""Distance from an edge at which both sides of it are compared, in that image."""
-_LEAST_SIDES = 3
-"""Fewest visible edges; the fourth may be the edge of the photograph."""
-_ROUGH = 0.02
-"""Tolerance of an outline with four corners, as a part of its length."""
-_LOOSE_PX = 5.0
-"""Largest distance of a side's points from it, in that image."""
-_INSET = 0.006
-"""Part of the sheet left out at its blurred edges."""
-_MOST_ANGLE = 35.0
-"""Largest deviation of a corner from a right angle, in degrees."""
+_EDGE_PX = 6.0  # distance from an edge at which both sides of it are compared, in that image
+_LEAST_SIDES = 3  # fewest visible edges; the fourth may be the edge of the photograph
+_ROUGH = 0.02  # tolerance of an outline with four corners, as a part of its length
+_LOOSE_PX = 5.0  # largest distance of a side's points from it, in that image
+_INSET = 0.006  # part of the sheet left out at its blurred edges
+_MOST_ANGLE = 35.0  # largest deviation of a corner from a right angle, in degrees
 
 
 def find_sheet(grey: Grey) -> Corners | None:
-    """Return the corners of a bright sheet on a darker background; None if there is none.
-
-    Returns
-    -------
-    ndarray, (4, 2), px
-        Top left, top right, bottom right, bottom left: x, y.
-    """
+    """Return the corners of a bright sheet, (4, 2) px, clockwise from the top left, or None."""
     factor = _SIDE_PX / max(grey.shape)
     size = (max(8, round(grey.shape[1] * factor)), max(8, round(grey.shape[0] * factor)))
     small = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)

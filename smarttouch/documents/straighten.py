@@ -6,55 +6,38 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.documents.ink import reduced, separate_ink
+from smarttouch.documents.ink import Grey, reduced, separate_ink
 from smarttouch.documents.letters import Spots, letters_alone
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.rows import neighbors
 from smarttouch.documents.sheet import find_sheet, flattened
 
-Grey = NDArray[np.uint8]
-
 MOST_SKEW_DEG = 15.0
 QUARTER = "the text ran up or down the page, which was turned by 90°"
-"""Note of a turn by a quarter, against the clock."""
+"""Note of a turn by a quarter, counterclockwise."""
 LEAST_SKEW_DEG = 0.2
 """Least skew worth correcting: lines are followed through less."""
 _REDUCED_PIXELS = 2_000_000
 """Size of the image in which skew is measured: letters of an A4 page are 10 pixels high."""
 _COARSE_DEG, _FINE_DEG = 0.5, 0.05
 _POINTS = 30_000
-_FEWEST_LETTERS = 8
-"""Fewest letters that determine the direction of the text."""
-_BINS = 5.0
-"""Rows per letter height in which ink is counted."""
-_FAR = 3.2
-"""Gap assumed where there is none, in letter heights."""
-_TOUCHING = 0.1
-"""Gap of touching letters, in letter heights."""
-_EDGE_MEANS = 40
-"""Places across a page at which the grey of its edges is averaged."""
-_TELLING = 0.3
-"""Visible rise of a line over its whole length, in letter heights."""
+_FEWEST_LETTERS = 8  # fewest letters that determine the direction of the text
+_BINS = 5.0  # rows per letter height in which ink is counted
+_FAR = 3.2  # gap assumed where there is none, in letter heights
+_TOUCHING = 0.1  # gap of touching letters, in letter heights
+_EDGE_MEANS = 40  # places across a page at which the grey of its edges is averaged
+_LEAST_RISE = 0.3  # least rise of a line over its whole length, in letter heights
 _LEAST_CONTRAST = 3.2
-"""Least contrast of rows and gaps along the text to any direction; pictures have up to 2.9."""
-_CLEARLY = 0.6
-"""Least log ratio by which letters are closer in columns than in rows."""
+"""Least contrast of rows along the text, relative to other directions; pictures have up to 2.9."""
+_CLEARLY = 0.6  # least log ratio by which letters are closer in columns than in rows
 
 
 def straighten(page: Page, quarter: bool = True) -> tuple[Page, list[str]]:
     """Return a page with its text level, and the corrections, one sentence each.
 
-    The sheet of a photograph is laid flat; text that runs up or down is turned
-    by a quarter; what is left of skew, up to 15°, is turned level. A page with
-    nothing to mend is returned as it is. Whether it stands on its head is
-    not looked at.
-
-    Parameters
-    ----------
-    page : Page
-        A scan or a photograph.
-    quarter : bool
-        Also turn text that runs up or down; False if its direction is known.
+    The sheet of a photograph is laid flat; text that runs up or down is turned by a quarter, if
+    allowed; what is left of skew, up to 15°, is turned level. A page that needs no correction is
+    returned as it is. Whether it is upside down is not examined.
     """
     notes = []
     corners = find_sheet(page.grey)
@@ -84,18 +67,11 @@ def straighten(page: Page, quarter: bool = True) -> tuple[Page, list[str]]:
 
 
 def measure_skew(ink: NDArray[np.bool_], height: float) -> tuple[float, float]:
-    """Return the clockwise skew of text in degrees, at most 15, and its contrast.
+    """Return the clockwise skew of the ink of letters, (H, W) bool, at most 15°, and its contrast.
 
-    Ink is counted in rows along many directions: along the lines of text, full
-    and empty rows differ most (projection profiles, Postl 1986). How much more
-    than along the usual direction shows whether there is text at all.
-
-    Parameters
-    ----------
-    ink : ndarray, (H, W) bool
-        Letters and nothing else.
-    height : float, px
-        Usual height of a letter.
+    Ink is counted in rows along many directions: along the lines of text, full and empty rows
+    differ most (projection profiles, Postl 1986). How much more than along the usual direction
+    shows whether there is text at all.
     """
     points = np.argwhere(ink)
     points = points[:: max(1, len(points) // _POINTS)]
@@ -114,10 +90,9 @@ def measure_skew(ink: NDArray[np.bool_], height: float) -> tuple[float, float]:
 
 
 def _runs_downwards(letters: Spots) -> bool:
-    """Return whether letters follow each other down the page instead of along it.
+    """Return whether letters follow each other down the page instead of across it.
 
-    Within a word they are nearer to each other than in any other direction;
-    where words have run together, these are long.
+    Letters of a word are closest along the line; words that have run together are long.
     """
     gaps = []
     for each in (letters, letters.transposed):
@@ -133,7 +108,7 @@ def _runs_downwards(letters: Spots) -> bool:
 def _least_skew_deg(letters: Spots, height: float) -> float:
     """Return the least measurable skew: little text determines its direction poorly."""
     left, right = np.percentile(letters.left, 2), np.percentile(letters.right, 98)
-    return max(LEAST_SKEW_DEG, math.degrees(_TELLING * height / max(float(right - left), 1.0)))
+    return max(LEAST_SKEW_DEG, math.degrees(_LEAST_RISE * height / max(float(right - left), 1.0)))
 
 
 def _turned(grey: Grey, quarter: bool, skew_deg: float) -> Grey:

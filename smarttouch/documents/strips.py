@@ -8,49 +8,30 @@ from numpy.typing import NDArray
 
 from smarttouch.documents.text_lines import TextLine
 
-_AROUND = 0.8
-"""Part of the page above and below a line that is considered, in heights of the line."""
+_AROUND = 0.8  # extent of the page considered above and below a line, in heights of the line
 SIDES = 0.25
 """Paper kept before and after a line, in heights of the line."""
-_INK = 128
-"""Level below which is ink, when the spots of neighboring lines are located."""
-_FADED = 2
-"""Samples by which the grey edge of a spot reaches beyond its ink."""
+_INK = 128  # level below which is ink, when the spots of neighboring lines are located
+_FADED = 2  # samples by which the grey edge of a spot reaches beyond its ink
 
 
 def cut_strip(
     cleaned: NDArray[np.uint8], mm_per_pixel: float, line: TextLine, height_px: int
 ) -> NDArray[np.uint8]:
-    """Cut a line out of a page, straightened along its baseline.
+    """Return a line cut out of a page and straightened along its baseline, (height_px, W) uint8.
 
-    The print, from its ascenders to its descenders, fills the strip's height.
-    What reaches into it from the lines above and below is left out.
-
-    Parameters
-    ----------
-    cleaned : ndarray, (H, W) uint8
-        The page, its paper 255.
-    mm_per_pixel : float, mm
-        Its scale.
-    line : TextLine
-        Line to cut out.
-    height_px : int
-        Rows of the strip.
-
-    Returns
-    -------
-    ndarray, (height_px, W) uint8
-        As wide as the line is long, and `SIDES` of paper at each end.
+    Its print, from ascenders to descenders, fills the height; `SIDES` of paper stay at each end.
+    What reaches in from the lines above and below is left out.
     """
     line_px = line.height_mm / mm_per_pixel
-    # Made smaller, a strip is first sampled as finely as the page and then averaged.
+    # A smaller strip is sampled as finely as the page, then averaged.
     steps = max(1, math.ceil(line_px / height_px))
     rows = steps * height_px
     scale_mm = line.height_mm / rows
     along_mm = _places(line, scale_mm * steps, steps)
     above = round(_AROUND * rows)
     across_mm = (np.arange(-above, rows + above) + 0.5) * scale_mm - line.ascent_mm
-    # The strokes of a curved page's letters stay upright: columns are cut as they stand.
+    # Columns are not tilted: strokes stay upright on a curved page.
     x_mm = np.broadcast_to(along_mm, (len(across_mm), len(along_mm)))
     y_mm = line.baseline_mm(along_mm) + across_mm[:, None]
     wide = cv2.remap(
@@ -92,6 +73,6 @@ def _without_neighbors(wide: NDArray[np.uint8], above: int, rows: int) -> NDArra
     side = 2 * _FADED + 1
     spots = foreign.astype(np.uint8)[labels[own]]
     faded = cv2.dilate(spots, np.ones((side, side), np.uint8)) > 0
-    # Ink of this line beside it stays.
+    # Ink of this line nearby is kept.
     faded &= (labels[own] == 0) | (spots > 0)
     return np.where(faded, np.uint8(255), strip)

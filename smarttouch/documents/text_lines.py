@@ -8,7 +8,7 @@ import numpy as np
 from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from smarttouch.documents.baselines import Baseline, along, follow
+from smarttouch.documents.baselines import Baseline, curve_at, follow_baseline
 from smarttouch.documents.ink import Paper, separate_ink
 from smarttouch.documents.letters import (
     Spots,
@@ -25,45 +25,31 @@ from smarttouch.documents.panels import turn_panels
 from smarttouch.documents.print_size import reach_of_print, shared_x_heights
 from smarttouch.documents.reading_order import reading_order
 from smarttouch.documents.rows import find_rows
-from smarttouch.documents.textlike import credible, is_text, is_too_small, outside_pictures
+from smarttouch.documents.textlike import credible_lines, is_text, is_too_small, outside_pictures
 from smarttouch.documents.touching import part_lines
 
 _HOPELESS, _MISSES = 60, 3
-"""Rows that are no text, and more per row that is, after which the rest is a picture's."""
+"""Failed rows, and additional ones per line of text, after which the rest is a picture's."""
 _SMALL_PX, _MOST_PIXELS = 9.0, 40_000_000
 """Usual height of spots below which a page is enlarged, and the largest it may become."""
-_TELLING = 10.0
-"""Length of a row, in letter heights, that determines its slope."""
+_LONG_ROW = 10.0  # least length of a row, in letter heights, that determines its slope
 
 
 @dataclass(frozen=True)
 class TextLine:
-    """Line of text, mm from the page's top left corner.
-
-    Attributes
-    ----------
-    left_mm, right_mm : float, mm
-        Ends of the line.
-    baseline : tuple of float
-        Coefficients of y on the distance from ``left_mm``, lowest first; mm.
-    x_height_mm : float, mm
-        From the baseline to the top of an x.
-    ascent_mm, descent_mm : float, mm
-        Reach of its print above and below the baseline: the same for
-        all lines of one print, whichever letters they have.
-    """
+    """Line of text, mm from the page's top left corner."""
 
     left_mm: float
     right_mm: float
-    baseline: tuple[float, ...]
+    baseline: tuple[float, ...]  # coefficients of y, lowest first, over the distance from left_mm
     x_height_mm: float
-    ascent_mm: float
+    ascent_mm: float  # of all lines of one print, whichever letters they have
     descent_mm: float
 
     def baseline_mm(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the baseline's y at x, mm; straight beyond the line's ends."""
         length = self.right_mm - self.left_mm
-        return along(np.array(self.baseline), x_mm - self.left_mm, length)
+        return curve_at(np.array(self.baseline), x_mm - self.left_mm, length)
 
     def slope(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the slope of the baseline at x, positive if it falls."""
@@ -92,17 +78,9 @@ class TextLine:
 
 
 def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]:
-    """Return the lines of text in reading order; empty if none are found.
-
-    Parameters
-    ----------
-    page : Page
-        Page to search.
-    light_on_dark : bool, optional
-        Whether it is printed light on dark; None to find out.
-    """
+    """Return the lines of text in reading order; find the polarity of the page if it is None."""
     page, paper = ink_of_lines(page, light_on_dark)
-    return lines_of(paper, page.mm_per_pixel)[0]
+    return lines_in_ink(paper, page.mm_per_pixel)[0]
 
 
 def ink_of_lines(page: Page, light_on_dark: bool | None) -> tuple[Page, Paper]:
@@ -120,7 +98,7 @@ def ink_of_lines(page: Page, light_on_dark: bool | None) -> tuple[Page, Paper]:
     return page, turn_panels(paper)
 
 
-def lines_of(paper: Paper, mm_per_pixel: float) -> tuple[list[TextLine], str]:
+def lines_in_ink(paper: Paper, mm_per_pixel: float) -> tuple[list[TextLine], str]:
     """Return the lines of text on a page with separated ink, and what is left out, in words."""
     spots = find_spots(paper.ink)
     height = usual_height(spots, paper.ink.shape)
@@ -131,20 +109,17 @@ def lines_of(paper: Paper, mm_per_pixel: float) -> tuple[list[TextLine], str]:
     parted = part_lines(paper.ink & ~rules & ~dividers, spots, height)
     spots, pictures, count = find_pictures(parted, height)
     density = np.where(rules | dividers, np.uint8(0), 255 - paper.cleaned)
-    found, small = _courses(density, spots, height, dividers | pictures)
+    found, small = _followed_rows(density, spots, height, dividers | pictures)
     baselines = with_marks(found, spots)
     left_out = _left_out(small, count)
     if not baselines:
         return [], left_out
     ascent, descent = reach_of_print(baselines)
     x_height = shared_x_heights(baselines, ascent)
-    middle = [
-        float(baseline.at(np.array((baseline.left + baseline.right) / 2))) for baseline in baselines
-    ]
     order = reading_order(
         np.array([baseline.left for baseline in baselines]),
         np.array([baseline.right for baseline in baselines]),
-        np.array(middle),
+        np.array([baseline.middle_y for baseline in baselines]),
         (ascent + descent) * x_height,
     )
     lines = [_line(baselines[k], float(x_height[k]), ascent, descent, mm_per_pixel) for k in order]
@@ -152,19 +127,15 @@ def lines_of(paper: Paper, mm_per_pixel: float) -> tuple[list[TextLine], str]:
 
 
 def _left_out(small: int, pictures: int) -> str:
-    """Return what is not among the lines of a page, in words; empty if nothing is known of."""
+    """Return in words what of a page is not among its lines; empty if nothing."""
     counts = ((small, "line", "too small"), (pictures, "picture", ""))
-    said = [f"{n} {what}{'s' * (n > 1)} {why}".strip() for n, what, why in counts if n]
-    return ", ".join(said)
+    return ", ".join(f"{n} {what}{'s' * (n > 1)} {why}".strip() for n, what, why in counts if n)
 
 
-def _courses(
+def _followed_rows(
     density: NDArray[np.uint8], spots: Spots, height: float, dividers: NDArray[np.bool_]
 ) -> tuple[list[Baseline], int]:
-    """Follow all rows of letters, the long ones first.
-
-    Return those that are text, and the number of those too small to tell.
-    """
+    """Return the baselines of rows that are text, and the number of those too small to be read."""
     small = 0
     letters = spots.of(like_letters(spots, height))
     rows = [letters.of(row) for row in find_rows(letters, spots, dividers)]
@@ -174,14 +145,14 @@ def _courses(
     for tried, row in enumerate(rows):
         if tried > _HOPELESS + _MISSES * len(lines):
             break
-        tells = _length(row) > _TELLING
-        baseline = follow(density, row, None if tells else _slope_around(row, guides))
+        is_long = _length(row) > _LONG_ROW
+        baseline = follow_baseline(density, row, None if is_long else _slope_around(row, guides))
         small += is_too_small(baseline, row)
         if is_text(baseline, row):
             lines.append((baseline, row))
-            if tells:
+            if is_long:
                 guides.append(baseline)
-    return credible(outside_pictures(lines, spots), int(spots.area.sum())), small
+    return credible_lines(outside_pictures(lines, spots), int(spots.area.sum())), small
 
 
 def _length(row: Spots) -> float:
@@ -195,7 +166,7 @@ def _slope_around(row: Spots, guides: list[Baseline]) -> float:
 
     def away(guide: Baseline) -> float:
         beyond = max(guide.left - x, x - guide.right, 0.0)
-        # Another column bends otherwise: lines above and below are more reliable.
+        # Columns bend differently: lines above and below are more reliable.
         return abs(float(guide.at(np.array(x))) - y) + 2 * beyond
 
     return min(guides, key=away).slope_at(x) if guides else 0.0

@@ -6,36 +6,27 @@ from numpy.typing import NDArray
 from smarttouch.documents.baselines import Baseline
 from smarttouch.documents.letters import Spots
 
-_LEAST_X_HEIGHT_PX = 3.5
-"""Least x-height of readable print."""
-_SURE = 3
-"""Fewest letters of a line; with fewer, specks form lines by chance."""
-_TEXT = 10
-"""Lines of a page beside which one or two letters alone are not believed."""
-_SIMILAR = 1.7
-"""Ratio of x-heights of lines on a page; capitals and figures measure taller."""
-_MOST_OF_ALL = 0.8
-"""Part of the page's ink in one or two letters, on a page without other text."""
+_LEAST_X_HEIGHT_PX = 3.5  # least x-height of readable print
+_SURE = 3  # fewest letters of a line; with fewer, specks form lines by chance
+_TEXT = 10  # lines of a page beside which one or two single letters are rejected
+_SIMILAR = 1.7  # ratio of x-heights of lines on a page; capitals and figures measure taller
+_MOST_OF_ALL = 0.8  # part of the page's ink in one or two letters, on a page without other text
 _ZONE = (0.15, 0.9)
 """Ink of the letters between baseline and top of an x; thin print has 0.3, bold 0.6."""
-_MOST_BETWEEN = 0.35
-"""Least ink between this line and its neighbors, relative to that in the line."""
+_MOST_BETWEEN = 0.35  # least ink between this line and its neighbors, relative to that in the line
 _MOST_BESIDE = 0.65
 """Ink beside ascenders or descenders, relative to that in the line; print has 0.1 to 0.5."""
 _LEAST_EDGE = 2.0
 """Fall of the ink at the baseline per x-height, of the ink in the line; print has 4 and more."""
 _FEWEST_STROKES, _MOST_STROKES = 0.75, 2.6
 """Strokes per x-height of letters; print has 0.9 to 1.9, specks have fewer."""
-_FEWER_STROKES = 0.45
-"""Factor of strokes where letters run together."""
+_FEWER_STROKES = 0.45  # factor of strokes where letters run together
 _STROKE_MORE = 0.7
 """Additional strokes per x-height of a single digit, which has no space beside it."""
 _TOPS, _BOTTOMS = (1.0, 1.45), (0.0, -0.42)
 """Heights at which letters begin and end, in x-heights over the baseline."""
-_MANY = 8
-"""Number of letters in a line that must have some white between them."""
-_SOLID = 0.75
-"""Filled part of a spot's box: letters have 0.4 to 0.65, a disc 0.79."""
+_MANY = 8  # number of letters in a line that must have some white between them
+_SOLID = 0.75  # filled part of a spot's box: letters have 0.4 to 0.65, a disc 0.79
 _LEAST_OWN = 0.6
 """Letters' part of the ink between baseline and top of an x: print has 1.0 and more."""
 _NEAR, _NEAR_PX = 0.2, 0.5
@@ -54,10 +45,8 @@ _FEWEST_CAPITALS, _IN_LINE, _MOSTLY, _WIDE = 5, 0.07, 0.7, (0.3, 1.35)
 them at least, and their usual width in heights; bars of a code are narrower."""
 _OWN, _BAND = (-0.7, 1.9), 2.1
 """Extent of a line over its baseline, and of the bands beside it, in x-heights."""
-_FOREIGN = 0.4
-"""Most ink of no line in either band, relative to that of its letters."""
-_TOUCHING = 1.3
-"""Usual width of spots in which letters run together, in x-heights."""
+_FOREIGN = 0.4  # most ink of no line in either band, relative to that of its letters
+_TOUCHING = 1.3  # usual width of spots in which letters run together, in x-heights
 
 
 def is_too_small(baseline: Baseline, letters: Spots) -> bool:
@@ -69,7 +58,7 @@ def is_text(baseline: Baseline, letters: Spots) -> bool:
     """Return whether a row of letters that was followed is a line of text."""
     if baseline.x_height < _LEAST_X_HEIGHT_PX:
         return False
-    # Dashes and wide spaces are no letters, and have little ink.
+    # Dashes and wide spaces have little ink.
     covered = min(1.0, float(letters.width.sum()) / (baseline.right - baseline.left))
     if _are_capitals(baseline, letters):
         return True
@@ -121,7 +110,7 @@ def _are_letters(baseline: Baseline, letters: Spots, covered: float) -> bool:
     length = length_px / baseline.x_height
     base = baseline.at((letters.left + letters.right) / 2)
     tops, bottoms = (base - edge for edge in (letters.top, letters.bottom))
-    # Where most letters are tall, these are what was measured as an x.
+    # Where most letters are tall, they were measured as an x.
     on_levels = max(
         min(_on_a_level(tops, _TOPS, x), _on_a_level(bottoms, _BOTTOMS, x))
         for x in (baseline.x_height, baseline.x_height / _TOPS[1])
@@ -160,15 +149,7 @@ def _are_solid(letters: Spots) -> bool:
 def outside_pictures(
     lines: list[tuple[Baseline, Spots]], spots: Spots
 ) -> list[tuple[Baseline, Spots]]:
-    """Return the lines without those that have ink of no line on both sides: chance in a picture.
-
-    Parameters
-    ----------
-    lines : list of (Baseline, Spots)
-        Rows that look like text, and their letters.
-    spots : Spots
-        All ink of the page.
-    """
+    """Return the lines without those amid other ink on both sides, which are parts of pictures."""
     x, y = (spots.left + spots.right) / 2, (spots.top + spots.bottom) / 2
     size = spots.width * spots.height
     of_a_line = np.zeros(len(x), np.bool_)
@@ -178,11 +159,7 @@ def outside_pictures(
         of_a_line |= inside & (above > _OWN[0]) & (above < _OWN[1])
 
     def foreign(baseline: Baseline, low: float, high: float) -> float:
-        top, bottom = (
-            float(baseline.at(np.array((baseline.left + baseline.right) / 2)))
-            - height * baseline.x_height
-            for height in (high, low)
-        )
+        top, bottom = (baseline.middle_y - height * baseline.x_height for height in (high, low))
         across = np.minimum(spots.right, baseline.right) - np.maximum(spots.left, baseline.left)
         down = np.minimum(spots.bottom, bottom) - np.maximum(spots.top, top)
         part = np.maximum(across, 0) * np.maximum(down, 0) / size
@@ -198,44 +175,27 @@ def outside_pictures(
     ]
 
 
-def credible(lines: list[tuple[Baseline, Spots]], ink: int) -> list[Baseline]:
-    """Return the lines without specks that look like one letter.
+def credible_lines(lines: list[tuple[Baseline, Spots]], ink: int) -> list[Baseline]:
+    """Return the lines without specks that look like one letter; ``ink`` is that of the page, px.
 
-    One or two letters alone are believed if they are as large as a line of
-    the page, or are most of what is on it.
-
-    Parameters
-    ----------
-    lines : list of (Baseline, Spots)
-        Rows that look like text, and their letters.
-    ink : int, px
-        All ink of the page.
+    One or two letters alone are accepted if they are as large as a line of the page, or are most of
+    its ink.
     """
     sure = [
         len(row.area) >= _MANY or (len(row.area) >= _SURE and baseline.strokes > _FEWEST_STROKES)
         for baseline, row in lines
     ]
-    sizes = np.array(
-        [baseline.x_height for (baseline, _), is_sure in zip(lines, sure, strict=True) if is_sure]
-    )
-    if not len(sizes):
+    found = [baseline for (baseline, _), is_sure in zip(lines, sure, strict=True) if is_sure]
+    sizes = np.array([baseline.x_height for baseline in found])
+    if not found:
         alone = sum(int(row.area.sum()) for _, row in lines)
         return [baseline for baseline, _ in lines] if alone > _MOST_OF_ALL * ink else []
-    left, right = (
-        np.array(
-            [
-                getattr(baseline, end)
-                for (baseline, _), is_sure in zip(lines, sure, strict=True)
-                if is_sure
-            ]
-        )
-        for end in ("left", "right")
-    )
+    left, right = min(each.left for each in found), max(each.right for each in found)
     kept = []
     for (baseline, _), is_sure in zip(lines, sure, strict=True):
         ratio = np.maximum(baseline.x_height / sizes, sizes / baseline.x_height)
-        # Beside all text are the edges of sheets.
-        beside = len(sizes) >= _TEXT and not left.min() <= baseline.left <= right.max()
+        # Edges of sheets lie beside all text.
+        beside = len(found) >= _TEXT and not left <= baseline.left <= right
         if is_sure or (ratio.min() < _SIMILAR and not beside):
             kept.append(baseline)
     return kept

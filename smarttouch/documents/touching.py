@@ -5,31 +5,16 @@ from numpy.typing import NDArray
 
 from smarttouch.documents.letters import Spots, like_letters
 
-_TWO_LINES = 1.7
-"""Usual heights of a spot that may span two lines of text."""
+_TWO_LINES = 1.7  # usual heights of a spot that may span two lines of text
 _MOST_LINES = 12.0
-_LEAST_LINE = 0.6
-"""Least height of a line, relative to the usual height."""
-_VALLEY = 0.35
-"""Ink between two lines of words that touch, relative to that in either."""
-_TWO_LETTERS = 4.0
-"""Largest height, in usual ones, of two letters that touch, one below the other."""
-_BESIDE = 1.5
-"""Largest distance of letters beside them, in usual heights."""
+_LEAST_LINE = 0.6  # least height of a line, relative to the usual height
+_VALLEY = 0.35  # ink between two lines of words that touch, relative to that in either
+_TWO_LETTERS = 4.0  # largest height, in usual ones, of two letters that touch, one below the other
+_BESIDE = 1.5  # largest distance of letters beside them, in usual heights
 
 
 def part_lines(ink: NDArray[np.bool_], spots: Spots, height: float) -> NDArray[np.bool_]:
-    """Return the ink, cut where letters of one line touch those of the next.
-
-    Parameters
-    ----------
-    ink : ndarray, (H, W) bool
-        Ink of the page.
-    spots : Spots
-        Its spots.
-    height : float, px
-        Usual height of a letter.
-    """
+    """Return the ink, (H, W) bool, cut where letters of one line touch those of the next."""
     tall = (spots.height > _TWO_LINES * height) & (spots.height < _MOST_LINES * height)
     words = tall & (spots.width > spots.height)
     letters = tall & ~words & (spots.height < _TWO_LETTERS * height)
@@ -63,7 +48,7 @@ def _part_letters(
 ) -> None:
     """Cut a narrow spot between the lines beside it, if there are two.
 
-    A large letter stands beside large letters, or has a line on one side only.
+    A large letter has large letters beside it, or a line on one side only.
     """
     left, right = int(spots.left[index]), int(spots.right[index])
     top, bottom = int(spots.top[index]), int(spots.bottom[index])

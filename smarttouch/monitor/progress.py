@@ -2,15 +2,10 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from typing import TYPE_CHECKING
 
 from rich.progress import Progress
 
 from smarttouch import terminal
-
-if TYPE_CHECKING:
-    from smarttouch.reading.feed import LineFeed
-
 
 Advance = Callable[[int, int], None]
 """Told how many are done, of how many."""
@@ -48,7 +43,7 @@ def _bar(title: str, quiet: bool) -> Iterator[Advance | None]:
             bar.stop()
 
 
-def first_line_awaited(feed: "LineFeed", quiet: bool) -> None:
+def first_line_awaited(wait: Callable[[], object], quiet: bool) -> None:
     """Show that a text is being prepared until its first line is ready.
 
     Raises
@@ -57,7 +52,7 @@ def first_line_awaited(feed: "LineFeed", quiet: bool) -> None:
         Whatever keeps it from being.
     """
     if quiet:
-        feed.wait_for(0)
+        wait()
         return
     with terminal.console(stderr=True).status("Preparing the text"):
-        feed.wait_for(0)
+        wait()

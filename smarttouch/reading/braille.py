@@ -7,13 +7,13 @@ from enum import StrEnum
 from smarttouch.braille.cells import BLANK, SIX_DOT_PATTERNS, pattern
 from smarttouch.braille.photo import looks_like_braille, read_braille
 from smarttouch.braille.source import TEXT, load_cells
-from smarttouch.braille.tables import DEFAULT_TABLE, Table, open_table
+from smarttouch.braille.tables import DEFAULT_TABLE, BrailleTable, open_table
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.text_lines import TextLine
 from smarttouch.imaging.mapping import Tone
 from smarttouch.profile import Profile
 from smarttouch.reading.cells import CELL_MM, LINE_MM, TONE, CellLayout, cell_layout
-from smarttouch.reading.cursor import Motion
+from smarttouch.reading.cursor import LineMotion
 from smarttouch.reading.printed import (
     EmptyPages,
     recognized_lines,
@@ -39,19 +39,9 @@ class Presentation(StrEnum):
 
 @dataclass(frozen=True)
 class Braille:
-    """Braille presentation: cells under the finger.
+    """Braille presentation: cells under the finger, by a table of `open_table`.
 
-    Attributes
-    ----------
-    table : str
-        As `open_table` knows it.
-    presentation : Presentation
-    at_once : int
-        Lines of Braille under the finger at once.
-    embossed : bool, optional
-        Whether images show raised dots; found out if not given.
-    light_from_deg : float, °, optional
-        Direction of the light on raised dots; detected if not given.
+    Whether images show raised dots, and where their light comes from, is detected if not given.
     """
 
     table: str = DEFAULT_TABLE
@@ -67,34 +57,22 @@ class Braille:
 
     def motion(
         self, profile: Profile, speed_mm_s: float | None = None, rate_hz: float | None = None
-    ) -> Motion:
+    ) -> LineMotion:
         """Return the motion of cells: as fast as shapes, in steps of an electrode or a cell."""
         speed_mm_s = usual_speed(profile, rate_hz) if speed_mm_s is None else speed_mm_s
         layout = self.layout(profile)
         if self.presentation is Presentation.LINE:
-            return Motion(speed_mm_s, layout.pitch_mm[0])
+            return LineMotion(speed_mm_s, layout.pitch_mm[0])
         # A cell stays for as long as a line would take to move on by one.
-        return Motion(speed_mm_s * layout.width_mm / layout.cell_mm, layout.width_mm, gaps=True)
+        return LineMotion(speed_mm_s * layout.width_mm / layout.cell_mm, layout.width_mm, gaps=True)
 
     def layout(self, profile: Profile, cells: tuple[str, ...] = ()) -> CellLayout:
-        """Return the places of the dots of lines of cells on an array.
-
-        Raises
-        ------
-        ReadingError
-            If the array has no room for them.
-        """
+        """Return the places of the dots of lines of cells on an array."""
         eight = any(pattern(each) >= SIX_DOT_PATTERNS for line in cells for each in line)
         return cell_layout(profile, self.at_once, eight)
 
     def lines(self, source: Source, profile: Profile) -> Iterator[TouchLine]:
-        """Yield lines of cells.
-
-        Raises
-        ------
-        SmartTouchError
-            If there is nothing that could be read.
-        """
+        """Yield lines of cells."""
         self.layout(profile)
         group: list[Cells] = []
         for each in self._cells_of(source):
@@ -143,13 +121,8 @@ class Braille:
                 yield cells, text, _place_on_paper(index, cells)
 
     def paragraphs(self, source: Source) -> list[str]:
-        """Return a document as cells: one line for each paragraph of print or line of embossed
+        """Return a document as cells, a line for each paragraph of print or line of embossed
         Braille.
-
-        Raises
-        ------
-        SmartTouchError
-            If there is nothing that could be read.
         """
         table = open_table(self.table)
         empty, paragraphs = EmptyPages(source.note), []
@@ -193,7 +166,7 @@ class Braille:
         return found.lines
 
 
-def _note_missing(source: Source, number: int, table: Table, missing: str) -> None:
+def _note_missing(source: Source, number: int, table: BrailleTable, missing: str) -> None:
     if missing:
         source.note(
             f"page {number}: left out, as table {table.name} has no cells for them: "

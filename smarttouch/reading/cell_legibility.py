@@ -1,4 +1,4 @@
-"""Legibility of Braille: the part of the cells that was delivered as it should."""
+"""Legibility of Braille: the part of the cells that was delivered correctly."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -14,25 +14,13 @@ Progress = Callable[[int, int], None]
 """Callback with the number of finished lines and of all."""
 
 
-def silent(_done: int, _total: int) -> None:
+def no_progress(_done: int, _total: int) -> None:
     """Report nothing."""
 
 
 @dataclass(frozen=True)
 class BrailleLegibility:
-    """Legibility of Braille.
-
-    Attributes
-    ----------
-    cell_error_rate : float
-        Part of the cells that were not delivered as they should.
-    cells, lines : int
-        Number of cells, and of lines.
-    wanted, delivered : str
-        Cells, a line each.
-    text : str or None
-        The delivered cells as text; None if the table cannot go back.
-    """
+    """Legibility of Braille: wanted and delivered cells, a line each, and the part that differs."""
 
     cell_error_rate: float
     cells: int
@@ -43,28 +31,13 @@ class BrailleLegibility:
 
 
 def legibility_of_braille(
-    source: Source, reading: Reading, braille: Braille, progress: Progress = silent
+    source: Source, reading: Reading, braille: Braille, progress: Progress = no_progress
 ) -> BrailleLegibility:
-    """Deliver cells, and decode the delivered dots.
-
-    Parameters
-    ----------
-    source : Source
-        Anything that can be read as Braille.
-    reading : Reading
-        Presentation under the finger.
-    braille : Braille
-    progress : callable
-
-    Raises
-    ------
-    SmartTouchError
-        If there is nothing to read, or a run would end.
-    """
+    """Deliver cells, and decode the delivered dots."""
     profile = reading.profile
     lines = list(braille.lines(source, profile))
     pictures = [
-        each.picture for each in kept(deliver_lines(lines, reading), 0, len(lines), progress)
+        each.picture for each in collect(deliver_lines(lines, reading), 0, len(lines), progress)
     ]
     wanted: list[str] = []
     delivered: list[str] = []
@@ -79,18 +52,18 @@ def legibility_of_braille(
         for one, other in zip(*pair, strict=True)
     )
     table = open_table(braille.table)
-    felt = "\n".join(delivered)
+    shown = "\n".join(delivered)
     return BrailleLegibility(
         cell_error_rate=wrong / count,
         cells=count,
         lines=len(wanted),
         wanted="\n".join(wanted),
-        delivered=felt,
-        text=table.to_text(felt) if table.code.goes_back else None,
+        delivered=shown,
+        text=table.to_text(shown) if table.code.goes_back else None,
     )
 
 
-def kept(lines: Iterable[_Item], before: int, total: int, progress: Progress) -> list[_Item]:
+def collect(lines: Iterable[_Item], before: int, total: int, progress: Progress) -> list[_Item]:
     """Return all lines, or fingers, and report each as it comes."""
     found: list[_Item] = []
     for line in lines:

@@ -22,36 +22,18 @@ TONE = Tone(0.5, 0.5, prepared=True)
 
 @dataclass(frozen=True)
 class CellLayout:
-    """Places of the dots of cells on a grid of electrodes, in electrodes.
-
-    Attributes
-    ----------
-    rows, columns : int
-        Of the array.
-    dot_x, dot_y : int
-        From dot to dot.
-    cell, line : int
-        From cell to cell, and from line to line.
-    lines : int
-        Lines of Braille under the finger at once.
-    eight : bool
-        Whether cells have eight dots.
-    pitch_mm : tuple of float, mm
-        Of the electrodes, across and down.
-    pixel_mm : float, mm
-        Of the images that are drawn.
-    """
+    """Places of the dots of cells on a grid of electrodes; distances are counted in electrodes."""
 
     rows: int
     columns: int
-    dot_x: int
+    dot_x: int  # from dot to dot
     dot_y: int
-    cell: int
-    line: int
-    lines: int
-    eight: bool
-    pitch_mm: tuple[float, float]
-    pixel_mm: float
+    cell: int  # from cell to cell
+    line: int  # from line to line
+    lines: int  # under the finger at once
+    eight: bool  # dots a cell, or six
+    pitch_mm: tuple[float, float]  # of the electrodes, across and down
+    pixel_mm: float  # of the images that are drawn
 
     @property
     def height(self) -> int:
@@ -101,16 +83,8 @@ class CellLayout:
         return TouchLine(image, first_mm, end_mm, text, lines)
 
     def decode(self, picture: LinePicture, lines: tuple[str, ...], apart: bool) -> tuple[str, ...]:
-        """Return the delivered cells.
-
-        Parameters
-        ----------
-        picture : LinePicture
-            Delivered activation of the electrodes.
-        lines : tuple of str
-            Lines of cells as long as those that were read.
-        apart : bool
-            Whether they came one by one.
+        """Return the delivered cells in place of those of ``lines``; ``apart`` if they came one by
+        one.
         """
         found = []
         count = 8 if self.eight else 6
@@ -120,8 +94,8 @@ class CellLayout:
             if apart:
                 columns = columns + (self.columns - self.dot_x - 1) // 2
             across, down = self.pitch_mm
-            felt = picture.at((columns + 0.5) * across, (rows + 0.5) * down) > 0.5
-            found.append(dots_to_cells(felt.reshape(len(cells), count)))
+            dots = picture.at((columns + 0.5) * across, (rows + 0.5) * down) > 0.5
+            found.append(dots_to_cells(dots.reshape(len(cells), count)))
         return tuple(found)
 
     def _draw(
@@ -138,13 +112,7 @@ class CellLayout:
 
 
 def cell_layout(profile: Profile, lines: int = 1, eight: bool = False) -> CellLayout:
-    """Return the layout of Braille on an array, at the distances of Braille on paper.
-
-    Raises
-    ------
-    ReadingError
-        If the array is no grid, or has no room for it.
-    """
+    """Return the layout of Braille on an array, at the distances of Braille on paper."""
     electrodes = profile.electrodes
     rows, columns = _grid_of(electrodes, profile.name)
     pitch_x, pitch_y = electrodes.cell_mm
@@ -154,7 +122,7 @@ def cell_layout(profile: Profile, lines: int = 1, eight: bool = False) -> CellLa
         columns=columns,
         dot_x=dot_x,
         dot_y=dot_y,
-        # Cells are farther apart than the dots in them, or they could not be told apart.
+        # Cells must be farther apart than their dots to be distinguishable.
         cell=max(2 * dot_x + 1, round(CELL_MM / pitch_x)),
         line=max(3 * dot_y + 1, round(LINE_MM / pitch_y)),
         lines=lines,

@@ -14,53 +14,31 @@ from smarttouch.sources.source import Source
 LAND_S = 0.15
 """Time of landing on a line, when intensity begins to rise."""
 SETTLE_S = 0.75
-"""Time of rest at the line's start, until intensity is up: meanwhile a point marks the start."""
+"""Time of rest at the line's start while intensity rises; a point marks the start meanwhile."""
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 2000.0
 LONGEST_PAUSE_S = 3600.0
 GAP = 0.2
-"""Silent part of the time of a step, where text comes step by step and not in one move: two
-cells that are the same would be felt as one."""
+"""Silent part of each step of text that moves in steps: two equal cells would be felt as one."""
 
 
 @dataclass(frozen=True)
 class Spot:
-    """Position of the finger.
-
-    Attributes
-    ----------
-    index : int
-        Of the line.
-    line : TouchLine or None
-        None where there is nothing under the finger.
-    x_mm, y_mm : float, mm
-        Middle of the array, from the left end and the middle of the line.
-    force_n : float, N
-        Force of the finger; NaN if it has another source.
-    marked : bool
-        Whether a point in the middle of the array marks the line's start: intensity rises with
-        delivered pulses alone, and with these before those of the text.
-    """
+    """Position of the finger on a line."""
 
     index: int
-    line: TouchLine | None
-    x_mm: float = 0.0
-    y_mm: float = 0.0
-    force_n: float = 0.0
+    line: TouchLine | None  # None where there is nothing under the finger
+    x_mm: float = 0.0  # of the array's middle, from the line's left end
+    y_mm: float = 0.0  # from the line's middle
+    force_n: float = 0.0  # NaN if it has another source
     marked: bool = False
+    """Whether a point in the middle of the array marks the line's start: intensity rises with
+    delivered pulses alone, and with these before those of the text."""
 
 
 @dataclass(frozen=True)
-class Motion:
-    """Motion of lines under the finger.
-
-    Attributes
-    ----------
-    speed_mm_s : float, mm/s
-        Of the text.
-    step_mm : float, mm
-        Step of the motion; smooth if 0.
-    gaps : bool
-        Whether each step begins with a short silence.
+class LineMotion:
+    """Motion of lines under the finger: smooth if the step is 0; with ``gaps`` steps begin
+    silently.
     """
 
     speed_mm_s: float
@@ -86,20 +64,9 @@ class Cursor(Protocol):
 
 
 class SweepingCursor:
-    """Cursor that sweeps line after line, with a pause between.
+    """Cursor that sweeps line after line, pressing with ``press_n``, with a pause after each.
 
-    Parameters
-    ----------
-    feed : LineFeed
-        Lines to read.
-    motion : Motion
-        Motion of the lines.
-    press_n : float, N
-        Force of the finger on a line.
-    pause_s : float, s
-        After each line.
-    waits : bool
-        Whether the next line comes only when a key asks for it.
+    If it ``waits``, the next line comes only when a key asks for it.
     """
 
     knows_force = True
@@ -108,7 +75,7 @@ class SweepingCursor:
     def __init__(
         self,
         feed: LineFeed,
-        motion: Motion,
+        motion: LineMotion,
         press_n: float,
         pause_s: float = 0.0,
         waits: bool = False,
@@ -117,7 +84,7 @@ class SweepingCursor:
         self._feed, self._motion = feed, motion
         self._press_n, self._pause_s, self._waits = press_n, pause_s, waits
         self._index, self._line_s = 0, 0.0
-        """The line, and for how long it has been read."""
+        """Index of the line, and the time spent on it."""
         self._before_ns: int | None = None
         self._paused = False
         self._asked: deque[int] = deque()
@@ -146,7 +113,7 @@ class SweepingCursor:
             self._go_to(max(self._feed.earliest, self._index + self._asked.popleft()))
         line = self._feed.line(self._index)
         if line is None:
-            # A key may have asked for more lines than there are.
+            # A key may have moved beyond the last line.
             return None if self._feed.ended(self._index) else Spot(self._index, None)
         if not self._paused:
             self._line_s += elapsed_s
@@ -173,7 +140,7 @@ class SweepingCursor:
                 shown = None
             way_mm = math.floor(steps) * step_mm
             if self._motion.gaps and self._line_s < SETTLE_S:
-                # What comes step by step is as strong and as long each time: also the first.
+                # All steps are equally strong and long, the first one too.
                 shown, way_mm = None, -step_mm
         press_n = self._press_n if self._line_s >= LAND_S else 0.0
         marked = self._line_s < SETTLE_S
@@ -181,15 +148,7 @@ class SweepingCursor:
 
 
 class FollowingCursor:
-    """Cursor at a live source's position on the page.
-
-    Parameters
-    ----------
-    feed : LineFeed
-        What is read; its lines know their places.
-    source : Source
-        An open one: its pose counts, from the beginning of the first line.
-    """
+    """Cursor at the pose of a live source, counted from the beginning of the first line."""
 
     def __init__(self, feed: LineFeed, source: Source) -> None:
         self._feed, self._source = feed, source
@@ -199,7 +158,7 @@ class FollowingCursor:
 
     @property
     def keys(self) -> dict[str, Callable[[], None]]:
-        """Return none: a finger that moves by itself needs no keys."""
+        """No keys: the finger moves by itself."""
         return {}
 
     def at(self, time_ns: int) -> Spot | None:

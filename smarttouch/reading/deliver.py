@@ -16,7 +16,7 @@ from smarttouch.imaging.mapping import Tone
 from smarttouch.imaging.registration import Registration
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
-from smarttouch.reading.cursor import Motion, SweepingCursor
+from smarttouch.reading.cursor import LineMotion, SweepingCursor
 from smarttouch.reading.feed import LineFeed
 from smarttouch.reading.line_source import ReadingSource
 from smarttouch.reading.touch_line import TouchLine
@@ -30,73 +30,35 @@ from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
 
 @dataclass(frozen=True)
 class Reading:
-    """Presentation of lines under the finger.
-
-    Attributes
-    ----------
-    profile : Profile
-        As `profile_for_reading` returns it.
-    bank : KernelBank
-    tone : Tone
-        Tone curve from ink to activation.
-    motion : Motion
-    mode : Mode
-    sharing : SlotPolicy
-        Classes whose points share slots.
-    intensity : float, in [0, 1]
-        Of the strongest comfortable current.
-    """
+    """Presentation of lines under the finger, for a profile of `profile_for_reading`."""
 
     profile: Profile
     bank: KernelBank
-    tone: Tone
-    motion: Motion
+    tone: Tone  # from ink to activation
+    motion: LineMotion
     mode: Mode = Mode.RA
     sharing: SlotPolicy = NO_SHARING
-    intensity: float = 1.0
+    intensity: float = 1.0  # in [0, 1], of the highest comfortable current
 
 
 @dataclass(frozen=True, eq=False)
 class DeliveredLine:
-    """A line as the skin got it.
-
-    Attributes
-    ----------
-    picture : LinePicture
-        Answers under the electrodes, where they were.
-    length_mm : float, mm
-    poses : dict of int to Pose
-        Places of the sequences, by number.
-    answers : dict of int to ndarray, (E,) in [0, 1]
-        Answers under the electrodes, by number of the sequence.
-    numbers, width_us, current_ua : ndarray, (N,), (N,), (N, E)
-        Slots that were delivered: their sequence, their width and their currents in µA.
-    """
+    """A line as it was delivered to the skin, sequence by sequence."""
 
     picture: LinePicture
     length_mm: float
-    poses: dict[int, Pose]
-    answers: dict[int, NDArray[np.float32]]
-    numbers: NDArray[np.uint32]
-    width_us: NDArray[np.float32]
-    current_ua: NDArray[np.int16]
-
-
-def deliver_line(line: TouchLine, reading: Reading) -> LinePicture:
-    """Return the delivered picture of a line, see `deliver_pulses`."""
-    return deliver_pulses(line, reading).picture
+    poses: dict[int, Pose]  # by number of the sequence
+    answers: dict[int, NDArray[np.float32]]  # (E,) in [0, 1], by number of the sequence
+    numbers: NDArray[np.uint32]  # (N,), sequence of each delivered slot
+    width_us: NDArray[np.float32]  # (N,)
+    current_ua: NDArray[np.int16]  # (N, E), positive is cathodic
 
 
 def deliver_pulses(line: TouchLine, reading: Reading) -> DeliveredLine:
     """Read a line with a virtual finger on a simulated board.
 
-    Frames, kernels, pressure gate, soft start, the proof of safety, the bytes
-    and the board's own check are those of a live run; only the clock is not.
-
-    Raises
-    ------
-    SmartTouchError
-        Any error that ends such a run.
+    Frames, kernels, pressure gate, soft start, the proof of safety, the bytes and the board's own
+    check are those of a live run; only the clock is virtual.
     """
     profile = reading.profile
     feed = LineFeed(iter([line])).start()
@@ -127,8 +89,8 @@ def deliver_pulses(line: TouchLine, reading: Reading) -> DeliveredLine:
 
 
 def deliver_lines(lines: Sequence[TouchLine], reading: Reading) -> Iterator[DeliveredLine]:
-    """Read many lines, on all cores; yield what was delivered of each as it is ready."""
-    # Starting a process takes longer than one line does.
+    """Deliver many lines on all cores; yield each as it is ready."""
+    # A process takes longer to start than one line to deliver.
     work = Parallel(n_jobs=-1 if len(lines) > 1 else 1, return_as="generator", max_nbytes=None)
     yield from work(delayed(deliver_pulses)(line, reading) for line in lines)
 

@@ -31,47 +31,22 @@ def normalize(text: str) -> str:
 
 
 def character_error_rate(truth: str, text: str) -> float:
-    """Return the Levenshtein distance of two texts in characters, per character of the truth.
+    """Return the Levenshtein distance of normalized texts per character of the truth.
 
     It is 0 for equal texts and above 1 where more was read than is there.
-
-    Parameters
-    ----------
-    truth : str
-        True text.
-    text : str
-        Recognized text; both are normalized first.
-
-    Raises
-    ------
-    ReadingError
-        If the truth has no characters.
     """
     return _rate(normalize(truth), normalize(text))
 
 
 def word_error_rate(truth: str, text: str) -> float:
-    """Return the Levenshtein distance of two texts in words, per word of the truth.
-
-    Parameters
-    ----------
-    truth : str
-        True text.
-    text : str
-        Recognized text; both are normalized first.
-
-    Raises
-    ------
-    ReadingError
-        If the truth has no words.
-    """
+    """Return the Levenshtein distance of normalized texts in words, per word of the truth."""
     return _rate(normalize(truth).split(), normalize(text).split())
 
 
 def _rate(truth: Sequence[str], text: Sequence[str]) -> float:
     if not truth:
         raise ReadingError(
-            "the text to compare with is empty: give what stands on the page",
+            "the text to compare with is empty: give the text of the page",
             about="truth",
             problem="empty",
         )

@@ -12,21 +12,18 @@ AHEAD = 30
 BEHIND = 60
 """Past lines kept for going back."""
 JOIN_S = 0.3
-"""Longest delay of the end by a page that is being recognized."""
+"""Longest wait at the end for a page that is being recognized."""
 
 
 class LineFeed:
     """Takes lines from an iterator on a thread of its own, and keeps those around the finger.
 
-    Parameters
-    ----------
-    lines : iterator of TouchLine
-        Its exceptions are raised by `line` when that place is reached.
+    An exception of the iterator is raised by `line` when that place is reached.
     """
 
     def __init__(self, lines: Iterator[TouchLine]) -> None:
         self.earliest = 0
-        """The first line that can still be gone back to."""
+        """Index of the earliest line that is kept."""
         self._lines: dict[int, TouchLine] = {}
         self._count = 0
         self._reached = 0
@@ -42,13 +39,7 @@ class LineFeed:
         return self
 
     def line(self, index: int) -> TouchLine | None:
-        """Return a line; None if it is not ready, dropped, or there is none (see `ended`).
-
-        Raises
-        ------
-        Exception
-            Fault before that line.
-        """
+        """Return a line; None if it is not ready, dropped, or there is none (see `ended`)."""
         with self._changed:
             if index >= self._count and self._error is not None:
                 raise self._error
@@ -87,7 +78,7 @@ class LineFeed:
         if self._thread.is_alive():
             self._thread.join(JOIN_S)
         if self._thread.is_alive():
-            # An interpreter that ends beneath a library at work is aborted.
+            # An interpreter that exits while a library works on a thread aborts.
             atexit.register(self._thread.join)
 
     def _take_all(self, lines: Iterator[TouchLine]) -> None:

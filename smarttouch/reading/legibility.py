@@ -8,44 +8,33 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
-from smarttouch.braille.files import read_text
+from smarttouch.braille.files import read_plain_text
 from smarttouch.delivered.line import LinePicture
 from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.reading.braille import Braille
-from smarttouch.reading.cell_legibility import Progress, kept, legibility_of_braille, silent
+from smarttouch.reading.cell_legibility import Progress, collect, legibility_of_braille, no_progress
 from smarttouch.reading.deliver import DeliveredLine, Reading, deliver_lines, ideal_picture
 from smarttouch.reading.error_rate import character_error_rate, word_error_rate
 from smarttouch.reading.nerve import NerveReading, nerve_figures, read_at_nerve
-from smarttouch.reading.ocr import Layout, recognize
+from smarttouch.reading.ocr import recognize
 from smarttouch.reading.printed import LINE_PIXELS, recognized_lines
-from smarttouch.reading.shapes import Shapes, Style, shape_line
+from smarttouch.reading.shapes import Shapes, Style, require_rows, shape_line
 from smarttouch.reading.source import Source
-from smarttouch.reading.window import require_rows, rows_of
+from smarttouch.reading.tesseract import Layout
+from smarttouch.reading.window import rows_of
 
-_GAP = 0.45
-"""Gap between lines for recognition, relative to their height."""
+_GAP = 0.45  # gap between lines for recognition, relative to their height
 
 
 @dataclass(frozen=True)
 class Legibility:
-    """Legibility of letter shapes.
+    """Legibility of letter shapes: error rates of what Tesseract read, and its texts.
 
-    Attributes
-    ----------
-    character_error_rate, word_error_rate : float
-        Of the text that Tesseract read from the delivered pulses.
-    sampling_limit : float
-        Of the text that it read from the ideal of that array: the ink in the
-        cell of each electrode, at the same pitch and sweep.
-    page_error_rate : float or None
-        Of the text that it read from the page itself; None where that text
-        is what the others are compared with.
-    text, limit_text, page_text, truth : str
-        Text recognized from each, and the true text.
-    lines : int
-    delivered : sequence of (sequence of DeliveredLine, str)
-        Lines of each page as they were delivered, and the languages they are in.
+    ``sampling_limit`` is the character error rate for the ideal of the array: the ink in the cell
+    of each electrode, at the same pitch and sweep; ``page_error_rate`` that for the page itself,
+    None where the others are compared with its text. ``delivered`` has the lines and languages of
+    each page.
     """
 
     character_error_rate: float
@@ -65,25 +54,11 @@ def legibility_of_shapes(
     reading: Reading,
     shapes: Shapes,
     truth: str | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Legibility:
-    """Deliver letter shapes, and recognize the delivered pictures.
+    """Deliver letter shapes, and compare the text recognized in what was delivered with the truth.
 
-    Parameters
-    ----------
-    source : Source
-        Pages with text.
-    reading : Reading
-        Presentation under the finger.
-    shapes : Shapes
-    truth : str, optional
-        True text; Tesseract's result on the page if not given.
-    progress : callable
-
-    Raises
-    ------
-    SmartTouchError
-        If there is no text, Tesseract is missing, or a run would end.
+    The truth is Tesseract's text of the page itself if not given.
     """
     options, profile = source.options, reading.profile
     step_mm = reading.motion.speed_mm_s / profile.pulse.rate_hz
@@ -96,11 +71,11 @@ def legibility_of_shapes(
         indices = range(len(page.lines))
         page_texts += [text for _, text in recognized_lines(page, options, source.note)]
         lines = [shape_line(page, index, profile, shapes.style) for index in indices]
-        felt = kept(deliver_lines(lines, reading), total, total + len(indices), progress)
+        shown = collect(deliver_lines(lines, reading), total, total + len(indices), progress)
         graded = (shape_line(page, index, profile, Style.GRADED) for index in indices)
         ideal = [ideal_picture(line, profile, step_mm) for line in graded]
-        delivered.append((felt, options.languages))
-        texts.append(_read([each.picture for each in felt], options.languages))
+        delivered.append((shown, options.languages))
+        texts.append(_read([each.picture for each in shown], options.languages))
         limit_texts.append(_read(ideal, options.languages))
         total += len(indices)
     page_text, text, limit_text = ("\n".join(each) for each in (page_texts, texts, limit_texts))
@@ -124,67 +99,40 @@ def legibility_at_nerve(
     reading: Reading,
     fingers: int,
     anatomy: str | Anatomy,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> dict[str, Any]:
-    """Let simulated fingers feel delivered letter shapes, and recognize what each felt.
+    """Return error rates at the board and at the nerves of simulated fingers, by seeds from 1 on.
 
-    Parameters
-    ----------
-    found : Legibility
-        Of letter shapes.
-    reading : Reading
-    fingers : int
-        Number of them, by seeds from 1 on.
-    anatomy : str or Anatomy
-        Of them: a name, a file, or the anatomy itself.
-    progress : callable
-
-    Returns
-    -------
-    dict
-        ``at_board``, the error rate at the electrodes; ``at_nerve`` with ``median`` and
-        ``worst_tenth``; ``wrong_class``, ``misplaced`` and ``silent_points``.
+    They are ``at_board``, ``at_nerve`` with ``median`` and ``worst_tenth``, ``wrong_class``,
+    ``misplaced`` and ``silent_points``.
     """
     work = Parallel(n_jobs=-1 if fingers > 1 else 1, return_as="generator", max_nbytes=None)
     seeds = range(1, fingers + 1)
     each = work(delayed(legibility_on_finger)(found, reading, seed, anatomy) for seed in seeds)
-    readings, errors = zip(*kept(each, 0, fingers, progress), strict=True)
+    readings, errors = zip(*collect(each, 0, fingers, progress), strict=True)
     return {"at_board": found.character_error_rate, **nerve_figures(readings, errors)}
 
 
 def legibility_on_finger(
     found: Legibility, reading: Reading, seed: int, anatomy: str | Anatomy
 ) -> tuple[NerveReading, float]:
-    """Let one finger feel delivered letter shapes; return what it felt, and the error rate.
-
-    Parameters
-    ----------
-    found, reading, anatomy
-        See `legibility_at_nerve`.
-    seed : int
-        Of the finger.
-
-    Returns
-    -------
-    NerveReading
-        Without its pictures.
-    float
-        Error rate of characters.
+    """Return a finger's response to delivered shapes, without pictures, and the error rate
+    there.
     """
     lines = [line for page, _ in found.delivered for line in page]
-    felt = read_at_nerve(lines, Finger(reading.profile, seed, anatomy), reading.mode.afferents)
-    pictures = iter(felt.pictures)
+    response = read_at_nerve(lines, Finger(reading.profile, seed, anatomy), reading.mode.afferents)
+    pictures = iter(response.pictures)
     texts = [
         _read([next(pictures) for _ in page], languages) for page, languages in found.delivered
     ]
-    return replace(felt, pictures=[]), character_error_rate(found.truth, "\n".join(texts))
+    return replace(response, pictures=[]), character_error_rate(found.truth, "\n".join(texts))
 
 
 def _read(pictures: Sequence[LinePicture], languages: str) -> str:
-    """Return the text of pictures that lie below each other, as on a page.
+    """Return the text of pictures placed below each other, as on a page.
 
-    Tesseract reads such soft lines with the help of those around them: alone, one
-    line without ascenders is nothing to it.
+    Tesseract reads such soft lines with the help of those around them; it reads nothing from a
+    single line without ascenders.
     """
     strips = [picture.picture(LINE_PIXELS) for picture in pictures]
     gap = round(_GAP * LINE_PIXELS)
@@ -198,17 +146,7 @@ def _read(pictures: Sequence[LinePicture], languages: str) -> str:
 
 @dataclass(frozen=True)
 class Measured:
-    """Legibility of a text in either presentation.
-
-    Attributes
-    ----------
-    figures : dict
-        All of it, for a JSON file.
-    rows : list of (str, str)
-        The most important figures, by name.
-    text : str
-        What was read from the delivered pulses.
-    """
+    """Legibility of a text: figures for a JSON file, the main ones by name, and the text read."""
 
     figures: dict[str, Any]
     rows: list[tuple[str, str]]
@@ -220,28 +158,13 @@ def measure_legibility(
     reading: Reading,
     presented: Shapes | Braille,
     truth: Path | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     fingers: int = 0,
     anatomy: str = "branched",
 ) -> Measured:
-    """Let a text be felt as letter shapes or Braille, and read what was felt.
+    """Deliver a text as shapes or Braille, and read it back; shapes at the nerves of fingers, too.
 
-    Parameters
-    ----------
-    source, reading, progress
-        See `legibility_of_shapes`.
-    presented : Shapes or Braille
-    truth : Path, optional
-        File of what the text says, for shapes.
-    fingers : int
-        Number of simulated fingers that feel letter shapes, too.
-    anatomy : str
-        Of these fingers.
-
-    Raises
-    ------
-    SmartTouchError
-        See `legibility_of_shapes` and `legibility_of_braille`.
+    ``truth`` is a file of the true text of shapes.
     """
     speed = {"speed_mm_s": reading.motion.speed_mm_s}
     if isinstance(presented, Braille):
@@ -250,26 +173,26 @@ def measure_legibility(
         rows = [
             ("cells", str(cells.cells)),
             ("lines", str(cells.lines)),
-            ("error rate, felt", f"{cells.cell_error_rate:.3f}"),
+            ("error rate, delivered", f"{cells.cell_error_rate:.3f}"),
         ]
         text = cells.delivered if cells.text is None else cells.text
         return Measured({**how, **speed, **asdict(cells)}, rows, text)
-    course = load_anatomy(anatomy)
+    paths = load_anatomy(anatomy)
     require_rows(reading.profile, source.note)
-    said = source.words if truth is None else read_text(truth)
-    found = legibility_of_shapes(source, reading, presented, said, progress)
+    true_text = source.words if truth is None else read_plain_text(truth)
+    found = legibility_of_shapes(source, reading, presented, true_text, progress)
     rate = found.page_error_rate
     rows = [
         ("characters", str(len(found.truth))),
         ("lines", str(found.lines)),
         ("error rate, page", "-" if rate is None else f"{rate:.3f}"),
         ("error rate, sampling limit", f"{found.sampling_limit:.3f}"),
-        ("error rate, felt", f"{found.character_error_rate:.3f}"),
+        ("error rate, delivered", f"{found.character_error_rate:.3f}"),
     ]
     shape = {"as": "shapes", "style": presented.style.value, "rows": rows_of(reading.profile)}
     figures = {f.name: getattr(found, f.name) for f in fields(found) if f.name != "delivered"}
     if fingers:
-        nerve = legibility_at_nerve(found, reading, fingers, course, progress)
+        nerve = legibility_at_nerve(found, reading, fingers, paths, progress)
         figures |= {"fingers": fingers, "anatomy": anatomy, **nerve}
         rows += [
             (f"error rate, nerve, {name.replace('_', ' ')}", f"{rate:.3f}")

@@ -17,21 +17,10 @@ LINE_GAP_MM = 4.0
 
 
 class ReadingSource(OpticalSource):
-    """Frames of lines that pass under the finger.
+    """Frames of lines that pass under the finger, for a profile of `profile_for_reading`.
 
-    The pose of a frame is on a sheet on which all lines lie below each other,
-    at the scale of the array.
-
-    Parameters
-    ----------
-    title : str
-        Title of the text.
-    profile : Profile
-        As `profile_for_reading` returns it.
-    feed : LineFeed
-        Started.
-    cursor : Cursor
-        Moves over it.
+    The pose of a frame is on a sheet on which all lines lie below each other, at the scale of the
+    array.
     """
 
     ended = "end of the text"
@@ -68,8 +57,8 @@ class ReadingSource(OpticalSource):
             self.index = spot.index
             line = self._feed.line(self.index)
             if line is not None:
-                says = f": {line.text}" if line.text else ""
-                self.title = f"{self._name}, line {self.index + 1}{says}"
+                text = f": {line.text}" if line.text else ""
+                self.title = f"{self._name}, line {self.index + 1}{text}"
         image = np.full(self._shape, 255, np.uint8)
         if spot.line is not None:
             rows, columns = self._shape

@@ -1,4 +1,4 @@
-"""Legibility at the nerve: lines as the afferents of simulated fingers report them."""
+"""Legibility at the nerve: lines as the afferents of simulated fingers respond to them."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -18,14 +18,10 @@ _FULL_QUANTILE = 0.99
 
 @dataclass(frozen=True, eq=False)
 class NerveReading:
-    """Lines on one finger.
+    """Lines as one finger responded to them, and means over the sequences that had slots.
 
-    Attributes
-    ----------
-    pictures : list of LinePicture
-    silent_points, wrong_class, misplaced : float
-        Means over the sequences that had slots, see `felt.Felt`; NaN if none of them fired. Active
-        are the electrodes at which the board's own answer is above the threshold.
+    The means are NaN if none of these fired. Active are the electrodes at which the board's own
+    response is above the threshold.
     """
 
     pictures: list[LinePicture]
@@ -37,17 +33,10 @@ class NerveReading:
 def read_at_nerve(
     lines: Sequence[DeliveredLine], finger: Finger, wanted: Collection[Afferent]
 ) -> NerveReading:
-    """Return what a finger feels of delivered lines.
+    """Return the response of a finger to delivered lines that were meant for some classes.
 
-    At each electrode stand the spikes of the receptors around it, of all classes, relative to
-    nearly the most that any electrode has.
-
-    Parameters
-    ----------
-    lines : sequence of DeliveredLine
-    finger : Finger
-    wanted : collection of Afferent
-        Classes that the lines were for.
+    Each electrode has the spikes of the receptors around it, of all classes, relative to nearly the
+    most that any electrode has.
     """
     profile = finger.profile
     places = profile.electrodes.position_mm

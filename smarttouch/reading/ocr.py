@@ -14,70 +14,35 @@ from smarttouch.reading.tesseract import (
     Layout,
     TooSlowError,
     Word,
-    find_tesseract,
-    languages,
     read_orientation,
     read_words,
 )
 
-__all__ = [
-    "Layout",
-    "Recognized",
-    "RecognizedLine",
-    "find_tesseract",
-    "languages",
-    "recognize",
-    "recognize_lines",
-    "upright",
-]
-
 STRIP_MARGIN = 0.25
-"""White around a strip, of its height. Over noisy and blurred strips, 1.6 % of the characters were
-wrong with it, 3.1 % with 0.15 and 2.3 % with 0.45."""
+"""White margin around a strip, relative to its height. Over noisy and blurred strips, 1.6 % of the
+characters were wrong with it, 3.1 % with 0.15 and 2.3 % with 0.45."""
 LEGIBLE = 0.75
-"""Confidence of a text that lies the right way up, at least. Over 44 prints of one to five words
+"""Least confidence of a text that is upright. Over 44 prints of one to five words
 it was 0.78 to 0.97, that of the same prints turned at most 0.87."""
 CLEARER = 0.08
 """Least difference of confidence between upright and turned; over the same prints, 0.12."""
-_PROBE_SIDE = 1600
-"""Side of the part of a page by which its orientation is determined."""
-_PROBE_GRID = 8
-"""Grid, in pixels, on which that part is placed."""
+_PROBE_SIDE = 1600  # side of the part of a page by which its orientation is determined
+_PROBE_GRID = 8  # grid, in pixels, on which that part is placed
 _USUAL_TIMEOUT_S = 120.0
 
 
 @dataclass(frozen=True)
 class RecognizedLine:
-    """Recognized line of text.
-
-    Attributes
-    ----------
-    text : str
-        Empty if there was none.
-    box_px : tuple of int
-        Left, top, width and height of its words, in pixels of the image; all of
-        the image if there are none.
-    confidence : float, in [0, 1]
-        Mean over its words, weighted by their lengths; 0 without any.
-    paragraph : int
-        Index of its paragraph in the image, from 0.
-    """
+    """Recognized line of text; empty, with a confidence of 0, if it has no words."""
 
     text: str
-    box_px: tuple[int, int, int, int]
-    confidence: float
+    confidence: float  # in [0, 1], mean over its words, weighted by their lengths
     paragraph: int = 0
 
 
 @dataclass(frozen=True)
 class Recognized:
-    """Recognized text of an image.
-
-    Attributes
-    ----------
-    lines : tuple of RecognizedLine
-        In reading order.
-    """
+    """Recognized text of an image, its lines in reading order."""
 
     lines: tuple[RecognizedLine, ...]
 
@@ -101,28 +66,11 @@ def recognize(
     dpi: float | None = None,
     timeout_s: float = _USUAL_TIMEOUT_S,
 ) -> Recognized:
-    """Recognize the text of an image.
+    """Recognize the text of an image, (H, W) uint8, dark on bright.
 
-    Tesseract does not mend an image: paper should be white and evenly lit, and
-    an x about 20 pixels high. Below 10, enlarge it first, unless it is blurred.
-
-    Parameters
-    ----------
-    image : ndarray, (H, W) uint8
-        Dark text on bright paper. A blank one has no lines.
-    languages : str
-        Codes of what it is written in, the most likely first, joined by plus signs.
-    layout : Layout
-        Layout of the image.
-    dpi : float, optional
-        Pixels per inch; estimated from the text if not given.
-    timeout_s : float, s
-        When to give up.
-
-    Raises
-    ------
-    ReadingError
-        If Tesseract or its data are missing, it fails or takes too long.
+    ``languages`` are codes as in ``eng+deu``. Tesseract does not correct an image: paper should be
+    white and evenly lit, and an x about 20 pixels high. Below 10, enlarge it first, unless it is
+    blurred.
     """
     words = read_words([image], languages, layout, timeout_s, dpi)
     lines: list[RecognizedLine] = []
@@ -130,7 +78,7 @@ def recognize(
     for place, of_line in itertools.groupby(words, key=lambda word: word.line):
         paragraph += place[:2] != last
         last = place[:2]
-        lines.append(_line(list(of_line), 0, image.shape, paragraph))
+        lines.append(_line(list(of_line), paragraph))
     return Recognized(tuple(lines))
 
 
@@ -138,79 +86,40 @@ def recognize_lines(
     strips: Sequence[NDArray[np.uint8]],
     languages: str = "eng",
 ) -> list[RecognizedLine]:
-    """Recognize strips with one straight line of text each, in one call.
+    """Recognize strips, (h, W_i) uint8, of one straight line each, by one call of Tesseract.
 
-    The program starts only once for all of them, and sees each by itself.
-
-    Parameters
-    ----------
-    strips : sequence of ndarray, (h, W_i) uint8
-        Dark text on white paper, from ascenders to descenders; 24 pixels of
-        height are enough.
-    languages : str
-        Codes of what they are written in, joined by plus signs.
-
-    Returns
-    -------
-    list of RecognizedLine
-        One for each strip, in pixels of it; without text where none was seen.
-
-    Raises
-    ------
-    ReadingError
-        If Tesseract or its data are missing, it fails or takes too long.
+    Strips are dark on white, from ascenders to descenders; a height of 24 pixels is enough.
     """
-    margins = [math.ceil(STRIP_MARGIN * len(strip)) for strip in strips]
     framed = [
-        np.pad(strip, margin, constant_values=255) if strip.size else strip
-        for strip, margin in zip(strips, margins, strict=True)
+        np.pad(strip, math.ceil(STRIP_MARGIN * len(strip)), constant_values=255)
+        if strip.size
+        else strip
+        for strip in strips
     ]
     words: list[list[Word]] = [[] for _ in strips]
     for word in read_words(framed, languages, Layout.LINE, _USUAL_TIMEOUT_S):
         words[word.image].append(word)
-    return [
-        _line(each, margin, strip.shape)
-        for each, margin, strip in zip(words, margins, strips, strict=True)
-    ]
+    return [_line(each) for each in words]
 
 
 def upright(
     image: NDArray[np.uint8], languages: str = "eng", timeout_s: float = _USUAL_TIMEOUT_S
 ) -> int:
-    """Return the clockwise rotation by which a page becomes upright, in degrees.
+    """Return the clockwise rotation that makes a page upright, in degrees; 0 if unsure.
 
-    Tesseract's own judgment counts where it is sure. Where it is not, mostly on
-    pages of a few words, the page is read all four ways: the most legible is
-    right if it is legible indeed, and clearly more so than the page as it is.
-
-    Parameters
-    ----------
-    image : ndarray, (H, W) uint8
-        Dark text on bright paper.
-    languages : str
-        Codes of what it is written in, joined by plus signs.
-    timeout_s : float, s
-        When to give up, for each of the two ways to tell.
-
-    Returns
-    -------
-    int
-        0, 90, 180 or 270; 0 if unsure.
-
-    Raises
-    ------
-    ReadingError
-        If Tesseract or its data are missing, or it fails.
+    Tesseract's own judgment counts where it is sure. Where it is not, mostly on pages of a few
+    words, the page is read all four ways: the most legible one is right if it is legible enough,
+    and clearly more so than the page as it is.
     """
     probe = _busiest(image)
     try:
-        told = read_orientation(probe, timeout_s)
-        if told is not None:
-            return told
+        turn_deg = read_orientation(probe, timeout_s)
+        if turn_deg is not None:
+            return turn_deg
         ways = [np.rot90(probe, -turns) for turns in range(4)]
         words = read_words(ways, languages, Layout.BLOCK, timeout_s)
     except TooSlowError:
-        # Pictures and noise are what takes that long.
+        # Only pictures and noise take that long.
         return 0
     legible = [
         _mean((word.confidence, word.text) for word in words if word.image == turns)
@@ -236,31 +145,13 @@ def _busiest(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return image[top : top + height, left : left + width]
 
 
-def _line(
-    words: Sequence[Word], margin: int, shape: tuple[int, ...], paragraph: int = 0
-) -> RecognizedLine:
-    """Join words recognized on an image of a shape with a margin around it."""
-    height, width = shape
-    if not words:
-        return RecognizedLine("", (0, 0, width, height), 0.0, paragraph)
-    left, top, wide, high = np.array([word.box_px for word in words]).T
-    left, right = np.clip([left.min() - margin, (left + wide).max() - margin], 0, width).tolist()
-    top, bottom = np.clip([top.min() - margin, (top + high).max() - margin], 0, height).tolist()
-    return RecognizedLine(
-        _joined([word.text for word in words]),
-        (left, top, right - left, bottom - top),
-        _mean((word.confidence, word.text) for word in words),
-        paragraph,
-    )
-
-
-def _joined(words: Sequence[str]) -> str:
-    """Return words with spaces between them, except where Chinese and Japanese have none."""
-    text = words[0]
-    for word in words[1:]:
-        unspaced = _is_ideographic(text[-1]) and _is_ideographic(word[0])
-        text += word if unspaced else f" {word}"
-    return text
+def _line(words: Sequence[Word], paragraph: int = 0) -> RecognizedLine:
+    """Return words as a line, with spaces between them but for Chinese and Japanese."""
+    text = ""
+    for word in words:
+        unspaced = not text or (_is_ideographic(text[-1]) and _is_ideographic(word.text[0]))
+        text += word.text if unspaced else f" {word.text}"
+    return RecognizedLine(text, _mean((word.confidence, word.text) for word in words), paragraph)
 
 
 def _is_ideographic(sign: str) -> bool:

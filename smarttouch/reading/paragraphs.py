@@ -1,4 +1,4 @@
-"""Paragraphs of a page, put together from its lines as those who transcribe books do."""
+"""Paragraphs of a page, joined from its lines as Braille transcribers do."""
 
 import re
 from collections.abc import Sequence
@@ -7,8 +7,7 @@ import numpy as np
 
 from smarttouch.documents.text_lines import TextLine
 
-_GAP = 1.35
-"""Lines farther apart than this part of the usual distance begin a paragraph."""
+_GAP = 1.35  # lines farther apart than this part of the usual distance begin a paragraph
 _LARGER = 1.2
 """Ratio of x-heights from which lines are of different prints, as a heading and its text."""
 _INDENT, _MOST_INDENT = 0.8, 8.0
@@ -19,28 +18,18 @@ _NUMBER = re.compile(r"[\W_]*(?:\d{1,4}|[ivxlc]{1,7})[\W_]*", re.IGNORECASE)
 """A line that is the number of a page."""
 _NUMBERED = re.compile(r"(?:\d{1,4}|[ivxlc]{2,7})\s.+|.+\s(?:\d{1,4}|[ivxlc]{2,7})", re.IGNORECASE)
 """A line that begins or ends with one."""
-_HEAD_GAP = 1.2
-"""Distance of a running head from the text, of the usual one, at least."""
+_HEAD_GAP = 1.2  # distance of a running head from the text, of the usual one, at least
 _HEAD_WORDS = 9
 
 
 def paragraphs(
     lines: Sequence[TextLine], texts: Sequence[str], keep_headers: bool = False
 ) -> list[str]:
-    """Return the paragraphs and headings of a page.
+    """Return the paragraphs and headings of a page from its lines and their texts.
 
-    A paragraph begins after a gap, with an indented or centered line, and with
-    print of another size; a column goes on in the next. Words that lines divide
-    are joined; a hyphen stays where the page has the word with it.
-
-    Parameters
-    ----------
-    lines : sequence of TextLine
-        Lines of the page in reading order.
-    texts : sequence of str
-        Text of each.
-    keep_headers : bool
-        Keep running heads and the numbers of pages.
+    A paragraph begins after a gap, with an indented or centered line, and with print of another
+    size; a column continues in the next. Words that lines divide are joined; a hyphen stays where
+    the page has the word with it.
     """
     step_mm = _usual_step_mm(lines)
     kept = list(range(len(texts)))
@@ -61,7 +50,7 @@ def paragraphs(
         else:
             found[-1] = _joined(found[-1], text, words)
         if before is not None and _middle_mm(lines[k]) < _middle_mm(lines[before]):
-            # The next column has an end of its own.
+            # The next column has its own right edge.
             right_mm = -np.inf
         before = k
     return found
@@ -84,7 +73,7 @@ def _begins(before: TextLine, line: TextLine, step_mm: float, right_mm: float) -
     if sizes[1] > _LARGER * sizes[0] or step >= _GAP * step_mm:
         return True
     if step <= 0:
-        # The next column goes on.
+        # The paragraph continues in the next column.
         return False
     indent = (line.left_mm - before.left_mm) / line.x_height_mm
     short, shorter = (

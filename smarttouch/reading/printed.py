@@ -25,25 +25,7 @@ Note = Callable[[str], None]
 
 @dataclass(frozen=True)
 class RecognitionOptions:
-    """Options of a document.
-
-    Attributes
-    ----------
-    pages : str, optional
-        Numbers as in ``1,3-5``; all if not given.
-    dpi, page_width_mm : float, optional
-        Scale.
-    password : str, optional
-        Of an encrypted PDF.
-    light_on_dark : bool, optional
-        Found out if not given.
-    languages : str
-        Of Tesseract, for example ``eng+deu``.
-    keep_headers : bool
-        Keep running heads and the numbers of pages in a text.
-    scale_matters : bool
-        Whether millimeters on the page count, as for a finger that moves over it.
-    """
+    """Pages of a document, such as ``1,3-5``, their scale and polarity, and recognition of text."""
 
     pages: str | None = None
     dpi: float | None = None
@@ -51,8 +33,8 @@ class RecognitionOptions:
     password: str | None = None
     light_on_dark: bool | None = None
     languages: str = "eng"
-    keep_headers: bool = False
-    scale_matters: bool = False
+    keep_headers: bool = False  # running heads and page numbers stay in a text
+    scale_matters: bool = False  # millimeters on the page count
 
 
 def document_pages(
@@ -60,13 +42,7 @@ def document_pages(
 ) -> Iterator[tuple[int, Page]]:
     """Yield numbers and pages of a document, one in memory at a time.
 
-    Their size is reported only where it matters: every line is made as
-    high as the array.
-
-    Raises
-    ------
-    PageError
-        If it cannot be read, or has no such page.
+    An assumed scale is reported only where it matters: every line is made as high as the array.
     """
     with open_document(
         path, dpi=options.dpi, page_width_mm=options.page_width_mm, password=options.password
@@ -75,10 +51,10 @@ def document_pages(
             parse_pages(options.pages, len(document)) if options.pages else range(len(document))
         )
         for index in wanted:
-            told = len(document.notes)
+            before = len(document.notes)
             page = document.page(index)
             if options.scale_matters:
-                for words in document.notes[told:]:
+                for words in document.notes[before:]:
                     note(words)
             yield index + 1, page
 
@@ -93,7 +69,7 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
         turned_page = replace(prepared.page, grey=turned)
         prepared = prepare_page(turned_page, options.light_on_dark, quarter=False)
         if QUARTER in notes:
-            # It was guessed, and counts against the clock.
+            # That turn was a guess, counterclockwise.
             turn_deg = (turn_deg - 90) % 360
         notes = [words for words in notes if words != QUARTER and not words.startswith(LEFT_OUT)]
         if turn_deg:
@@ -105,13 +81,7 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
 
 
 class EmptyPages:
-    """List of pages without anything readable.
-
-    Parameters
-    ----------
-    note : callable
-        Told at the end which they were.
-    """
+    """List of pages without anything readable, reported by a note at the end."""
 
     def __init__(self, note: Note) -> None:
         self._note = note
@@ -125,13 +95,7 @@ class EmptyPages:
             self._empty.append(number)
 
     def conclude(self) -> None:
-        """Report the empty pages.
-
-        Raises
-        ------
-        ReadingError
-            If no page showed anything.
-        """
+        """Report the empty pages; raise if all are."""
         if not self._found:
             raise ReadingError(
                 "no line of text was found: is it a page of print, sharp, and large enough "
@@ -146,13 +110,7 @@ class EmptyPages:
 def prepared_pages(
     pages: Iterator[tuple[int, Page]], options: RecognitionOptions, note: Note
 ) -> Iterator[PreparedPage]:
-    """Yield the pages that carry text, see `upright_page`.
-
-    Raises
-    ------
-    ReadingError
-        If none does.
-    """
+    """Yield the pages that carry text, see `upright_page`; raise if none does."""
     empty = EmptyPages(note)
     for number, page in pages:
         prepared = upright_page(number, page, options, note)
@@ -165,17 +123,11 @@ def prepared_pages(
 def recognized_lines(
     prepared: PreparedPage, options: RecognitionOptions, note: Note
 ) -> Iterator[tuple[int, str]]:
-    """Yield numbers and texts of the lines of a page; the first of them early.
-
-    Raises
-    ------
-    ReadingError
-        If Tesseract is missing, or does not know the language.
-    """
+    """Yield numbers and texts of the lines of a page; the first of them early."""
     count, start, size = len(prepared.lines), 0, 1
     confidences: list[tuple[int, float]] = []
     while start < count:
-        # A long piece is recognized faster than many short ones, but the first touch waits for it.
+        # Long pieces are faster in all, but reading starts after the first one.
         indices = range(start, min(count, start + size))
         strips = [prepared.strip(index, LINE_PIXELS) for index in indices]
         for index, line in zip(indices, recognize_lines(strips, options.languages), strict=True):

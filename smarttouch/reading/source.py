@@ -5,30 +5,19 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from smarttouch.braille.files import Kind, kind_of, read_text
+from smarttouch.braille.files import Kind, kind_of, read_plain_text
 from smarttouch.braille.source import TEXT
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.prepare import PreparedPage
 from smarttouch.documents.printed_text import prepare_text
 from smarttouch.reading.printed import Note, RecognitionOptions, document_pages, prepared_pages
 
-_PRINTED_AT_ONCE = 20
-"""Lines of a text on one printed page."""
+_PRINTED_AT_ONCE = 20  # lines of a text on one printed page
 
 
 @dataclass(frozen=True)
 class Source:
-    """Material that can be read.
-
-    Attributes
-    ----------
-    name : str
-        A file, or ``text:`` and words.
-    options : RecognitionOptions
-        Options of the document.
-    note : callable
-        Told what a user should know, a sentence each.
-    """
+    """Material that can be read: a file, or ``text:`` and words; warnings go to ``note``."""
 
     name: str
     options: RecognitionOptions = field(default_factory=RecognitionOptions)
@@ -41,13 +30,7 @@ class Source:
 
     @cached_property
     def kind(self) -> Kind:
-        """Kind of what it holds.
-
-        Raises
-        ------
-        BrailleError
-            If it is a file that cannot be read.
-        """
+        """Kind of what it holds."""
         return Kind.TEXT if self.name.startswith(TEXT) else kind_of(Path(self.name))
 
     @property
@@ -57,37 +40,19 @@ class Source:
 
     @cached_property
     def words(self) -> str | None:
-        """Text itself, if it is one; None for images and cells.
-
-        Raises
-        ------
-        BrailleError
-            If it is a file that cannot be read.
-        """
+        """The text itself; None for images and cells."""
         if self.name.startswith(TEXT):
             return self.name[len(TEXT) :]
         if self.kind is Kind.TEXT:
-            return read_text(Path(self.name))
+            return read_plain_text(Path(self.name))
         return None
 
     def pages(self) -> Iterator[tuple[int, Page]]:
-        """Yield numbers and pages of a document.
-
-        Raises
-        ------
-        PageError
-            If it cannot be read, or has no such page.
-        """
+        """Yield numbers and pages of a document."""
         return document_pages(Path(self.name), self.options, self.note)
 
     def prepared(self) -> Iterator[PreparedPage]:
-        """Yield pages with print on them: of a document, or of a text as it is printed.
-
-        Raises
-        ------
-        PageError, ReadingError
-            If it cannot be read, or there is none.
-        """
+        """Yield pages with print on them: of a document, or of a text as it is printed."""
         words = self.words
         if words is None:
             yield from prepared_pages(self.pages(), self.options, self.note)

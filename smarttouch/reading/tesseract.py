@@ -44,60 +44,25 @@ class TooSlowError(ReadingError):
 
 @dataclass(frozen=True)
 class Word:
-    """A word, with its image and its place in it.
-
-    Attributes
-    ----------
-    text : str
-        Never empty.
-    image : int
-        Index of its image.
-    line : tuple of int
-        Block, paragraph of the block and line of the paragraph.
-    box_px : tuple of int
-        Left, top, width and height.
-    confidence : float, in [0, 1]
-        Tesseract's.
-    """
+    """A word, with its image and its place in it."""
 
     text: str
     image: int
-    line: tuple[int, int, int]
-    box_px: tuple[int, int, int, int]
-    confidence: float
+    line: tuple[int, int, int]  # block, paragraph of the block, line of the paragraph
+    confidence: float  # in [0, 1]
 
 
 def find_tesseract() -> Path:
-    """Return the path of the program.
-
-    Raises
-    ------
-    ReadingError
-        If it is not installed.
-    """
+    """Return the path of the program."""
     found = shutil.which("tesseract")
     if found is None:
         raise ReadingError(
-            "Tesseract is not here: apt install tesseract-ocr (or brew install tesseract)",
+            "Tesseract is not installed: apt install tesseract-ocr (or brew install tesseract)",
             about="tesseract",
             problem="missing",
             remedy="apt install tesseract-ocr",
         )
     return Path(found)
-
-
-def languages() -> list[str]:
-    """Return the codes of the installed languages.
-
-    Raises
-    ------
-    ReadingError
-        If Tesseract is not installed, or fails.
-    """
-    done = _run(["--list-langs"], b"", 30)
-    _require_success(done)
-    # Its first line is a title, and osd is for orientations.
-    return sorted(set(done.stdout.split("\n")[1:]) - {"", "osd"})
 
 
 def read_words(
@@ -107,25 +72,9 @@ def read_words(
     timeout_s: float,
     dpi: float | None = None,
 ) -> list[Word]:
-    """Return the words of images, in reading order, by one call of the program.
+    """Return the words of images, (H_i, W_i) uint8, dark on bright, in reading order, by one call.
 
-    Parameters
-    ----------
-    images : sequence of ndarray, (H_i, W_i) uint8
-        Dark text on bright paper; blank and empty ones have no words.
-    languages : str
-        Codes joined by plus signs.
-    layout : Layout
-        Layout of each of them.
-    timeout_s : float, s
-        When to give up.
-    dpi : float, optional
-        Pixels per inch; estimated if not given.
-
-    Raises
-    ------
-    ReadingError
-        If Tesseract or its data are missing, it fails or takes too long.
+    Blank and empty images have no words; ``languages`` are codes joined by plus signs.
     """
     if not re.fullmatch(r"\w+(\+\w+)*", languages, re.ASCII):
         raise ReadingError(
@@ -141,47 +90,32 @@ def read_words(
     options = ["-l", languages, "--psm", str(layout.value)]
     if dpi is not None:
         options += ["--dpi", f"{dpi:.0f}"]
-    fitting = [_fitting(images[index]) for index in shown]
-    done = _run(["stdin", "stdout", *options, "tsv"], _one_file(fitting), timeout_s)
+    file = _one_file([_fitting(images[index]) for index in shown])
+    done = _run(["stdin", "stdout", *options, "tsv"], file, timeout_s)
     _require_success(done)
     words = []
     for row in done.stdout.split("\n"):
         cells = row.split("\t", _COLUMNS - 1)
         if cells[0] != _WORD or not cells[-1].strip():
             continue
-        page, block, paragraph, line, _, *box = (int(each) for each in cells[1:10])
-        index = shown[page - 1]
-        scale = len(images[index]) / len(fitting[page - 1])
-        left, top, width, height = (round(each * scale) for each in box)
-        words.append(
-            Word(
-                cells[-1].strip(),
-                index,
-                (block, paragraph, line),
-                (left, top, width, height),
-                min(max(float(cells[10]) / 100, 0.0), 1.0),
-            )
-        )
+        page, block, paragraph, line = (int(each) for each in cells[1:5])
+        confidence = min(max(float(cells[10]) / 100, 0.0), 1.0)
+        words.append(Word(cells[-1].strip(), shown[page - 1], (block, paragraph, line), confidence))
     return words
 
 
 def read_orientation(image: NDArray[np.uint8], timeout_s: float) -> int | None:
     """Return the clockwise rotation of an image in degrees; None if Tesseract is not sure.
 
-    It is never sure of fewer than 50 letters, nor where its data for
-    orientations (osd) are missing.
-
-    Raises
-    ------
-    ReadingError
-        If Tesseract is missing or takes too long.
+    It is never sure of fewer than 50 letters, nor where its data for orientations (osd) are
+    missing.
     """
     find_tesseract()
     if _is_blank(image):
         return None
-    told = _run(["stdin", "stdout", "--psm", "0"], _one_file([_fitting(image)]), timeout_s).stdout
-    turn = re.search(r"^Rotate: (\d+)", told, re.MULTILINE)
-    sure = re.search(r"^Orientation confidence: ([\d.]+)", told, re.MULTILINE)
+    output = _run(["stdin", "stdout", "--psm", "0"], _one_file([_fitting(image)]), timeout_s).stdout
+    turn = re.search(r"^Rotate: (\d+)", output, re.MULTILINE)
+    sure = re.search(r"^Orientation confidence: ([\d.]+)", output, re.MULTILINE)
     if turn is None or sure is None or float(sure[1]) < SURE:
         return None
     return int(turn[1])
@@ -192,6 +126,7 @@ def _is_blank(image: NDArray[np.uint8]) -> bool:
 
 
 def _fitting(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return an image made smaller if a side of it is too long for Tesseract."""
     scale = LARGEST_SIDE / max(image.shape)
     if scale >= 1:
         return image
@@ -217,7 +152,7 @@ def _run(
             input=data,
             capture_output=True,
             timeout=timeout_s,
-            # Its threads wait for each other more than they work.
+            # With more threads, most of the time goes into waiting for each other.
             env={**os.environ, "OMP_THREAD_LIMIT": "1"},
             check=False,
         )
@@ -235,12 +170,12 @@ def _run(
             problem="unusable",
             value=program,
         ) from None
-    out, told = (each.decode("utf-8", "replace") for each in (done.stdout, done.stderr))
-    return subprocess.CompletedProcess(done.args, done.returncode, out, told)
+    out, errors = (each.decode("utf-8", "replace") for each in (done.stdout, done.stderr))
+    return subprocess.CompletedProcess(done.args, done.returncode, out, errors)
 
 
 def _require_success(done: "subprocess.CompletedProcess[str]") -> None:
-    # Of several languages it goes on without those that are missing.
+    # Missing ones of several languages do not change its exit status.
     missing = re.search(r"Failed loading language '(.+)'", done.stderr)
     if missing is not None:
         package = "tesseract-ocr-" + missing[1].lower().replace("_", "-")
@@ -252,9 +187,9 @@ def _require_success(done: "subprocess.CompletedProcess[str]") -> None:
             remedy=f"apt install {package}",
         )
     if done.returncode:
-        told = done.stderr.strip().split("\n")[-1] or "it says nothing"
+        reason = done.stderr.strip().split("\n")[-1] or "no message"
         raise ReadingError(
-            f"Tesseract failed with status {done.returncode}: {told}",
+            f"Tesseract failed with status {done.returncode}: {reason}",
             about="tesseract",
             problem="failed",
             value=done.returncode,

@@ -1,26 +1,20 @@
-"""Image under the array while it reads: a window of its size, without the optics of a source."""
+"""Image under the array: a window of its size, without the optics of a source."""
 
-from collections.abc import Callable
-
-from smarttouch.errors import ReadingError
 from smarttouch.imaging.registration import PIXELS_PER_CELL
 from smarttouch.profile import Profile
 
 FEWEST_ROWS = 4
 """Fewest rows on which letters can be distinguished."""
-ENOUGH_ROWS = 8
-"""Sufficient rows: on 4 half of the characters are lost, on 8 hardly one in a hundred."""
 SAMPLES_PER_PITCH = 4
 """Pulses of an electrode while the text moves by one cell."""
-_PRESS = 1.1
-"""Reading force of a virtual finger, relative to the profile's full force."""
+_PRESS = 1.1  # reading force of a virtual finger, relative to the profile's full force
 
 
 def profile_for_reading(profile: Profile) -> Profile:
     """Return a profile whose frames are the image under the array, at a scale of 1.
 
-    Text that is read comes from no optical source: optics, their registration and
-    their flat field play no part.
+    Text that is read comes from no optical source, so optics, registration and flat field are
+    not applied.
     """
     width_mm, height_mm = profile.electrodes.extent_mm
     pixel_mm = pixel_of(profile)
@@ -61,22 +55,3 @@ def press_n(profile: Profile) -> float:
 def rows_of(profile: Profile) -> int:
     """Return the number of rows of electrodes of an array."""
     return len({round(float(y), 3) for y in profile.electrodes.position_mm[:, 1]})
-
-
-def require_rows(profile: Profile, note: Callable[[str], None]) -> None:
-    """Raise unless an array has enough rows for letters; add a note if they are few."""
-    rows = rows_of(profile)
-    if rows < FEWEST_ROWS:
-        raise ReadingError(
-            f"{profile.name} has {rows} row{'s' * (rows > 1)} of electrodes, letter shapes need at "
-            f"least {FEWEST_ROWS}: choose another profile, for example electric-mouse",
-            about="profile",
-            problem="too few",
-            value=rows,
-            allowed=FEWEST_ROWS,
-        )
-    if rows < ENOUGH_ROWS:
-        note(
-            f"{profile.name} has {rows} rows of electrodes: many letters cannot be told apart on "
-            f"fewer than {ENOUGH_ROWS}, read Braille instead"
-        )

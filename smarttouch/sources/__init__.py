@@ -1,4 +1,4 @@
-"""Sources of what is felt: pages, cameras, files, serial arrays; and of finger force."""
+"""Sources of frames, stimuli and finger force, opened by URL."""
 
 import inspect
 from typing import Any
@@ -19,18 +19,18 @@ def open_source(
     ----------
     url : str
         Kind and place of the source; options of its kind may follow, as in
-        ``page:scan.png?dpi=300``, all but ``light_on_dark``, which others must know too.
+        ``page:scan.png?dpi=300``, except ``light_on_dark``, which imaging needs as well.
     profile : Profile
         Its optics and the finger's force.
     light_on_dark : bool
-        For sources that look for the print by themselves: it is lighter than the paper.
+        Whether print is lighter than paper, for sources that detect print themselves.
     **options
-        What the kind of source takes, see its module; those that are None were not given.
+        Options of this kind of source, see its module; None means not given.
 
     Raises
     ------
     SourceError
-        If there is no such kind, it does not take an option, or cannot be opened.
+        If the kind or an option of it is unknown, or it cannot be opened.
 
     Examples
     --------
@@ -40,9 +40,9 @@ def open_source(
     (64, 64)
     """
     opener, rest = find_opener("smarttouch.sources", url, SourceError, Source, ("rest", "profile"))
-    rest, told = read_options(opener, rest, SourceError, but=("light_on_dark",))
+    rest, in_url = read_options(opener, rest, SourceError, but=("light_on_dark",))
     given = given_options(opener, url, options, SourceError)
-    given = joined_options(url, given, told, SourceError)
+    given = joined_options(url, given, in_url, SourceError)
     if light_on_dark and "light_on_dark" in inspect.signature(opener).parameters:
         given["light_on_dark"] = True
     source: Source = opener(rest, profile, **given)

@@ -21,13 +21,13 @@ FAILURES = 5
 """Reads without an image in a row after which the camera is lost."""
 _PAUSE_S = 0.02
 COMPRESSED = float(cv2.VideoWriter.fourcc(*"MJPG"))
-"""Coding in which more images a second pass through USB."""
+"""Coding that fits more images a second through USB."""
 _MANUAL_EXPOSURE = 1
 """Manual value of V4L2_CID_EXPOSURE_AUTO, as OpenCV passes it on (3 is automatic)."""
 _BELIEVED_AGE_NS = 2_000_000_000
 _MOST_PIXELS = 100_000_000
 _BACKENDS = {"linux": cv2.CAP_V4L2, "darwin": cv2.CAP_AVFOUNDATION}
-"""Named, so that a camera is never mistaken for a file or an address on the network."""
+"""Fixed, so that OpenCV never takes a camera for a file or a network address."""
 
 
 def open_camera(
@@ -40,23 +40,8 @@ def open_camera(
 ) -> LiveSource:
     """Open ``camera:N``, or a camera by its device, as in ``camera:/dev/video2``.
 
-    Parameters
-    ----------
-    rest : str
-        Part of the URL after the colon.
-    profile : Profile
-        Optics.
-    size : tuple of int, pixels, optional
-        Width and height; the camera's usual ones if not given.
-    exposure : float, optional
-        In the camera's own units, 100 µs with most on Linux; automatic if not given.
-    fps : float, Hz, optional
-        Images a second; the camera's usual rate if not given.
-
-    Raises
-    ------
-    SourceError
-        If there is no such camera, or an option is invalid.
+    ``exposure`` is in the camera's own units, 100 µs with most on Linux, ``size`` in pixels; the
+    camera's own settings are used for what is not given.
     """
     return LiveSource(CameraDevice(rest, size, exposure, fps), profile)
 
@@ -67,7 +52,7 @@ SILENT = 0
 
 
 class _Quiet:
-    """Silences OpenCV's log as long as any thread is inside: its level is one for all."""
+    """Silences OpenCV's log, whose level is global, while any thread is inside."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -89,11 +74,11 @@ class _Quiet:
 
 
 QUIET_OPENCV = _Quiet()
-"""Context that keeps OpenCV's own warnings from the terminal: ours replace them."""
+"""Context that keeps OpenCV's own warnings off the terminal: notes replace them."""
 
 
 def _format(capture: cv2.VideoCapture) -> tuple[int, int, float]:
-    """Return width and height of the images, and how many come in a second."""
+    """Return width, height and rate of the images."""
     width, height, rate_hz = (
         capture.get(key)
         for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT, cv2.CAP_PROP_FPS)
@@ -102,15 +87,7 @@ def _format(capture: cv2.VideoCapture) -> tuple[int, int, float]:
 
 
 class CameraDevice(ImageDevice):
-    """Images of one camera, in grey.
-
-    Parameters
-    ----------
-    rest : str
-        Its number, or its device.
-    size, exposure, fps
-        See `open_camera`. What the camera does not take becomes a note.
-    """
+    """Images of one camera, in grey; settings that the camera does not accept become a note."""
 
     def __init__(
         self,
@@ -123,21 +100,21 @@ class CameraDevice(ImageDevice):
         self.title = f"camera {self._device}"
         if size is not None and not (min(size) >= 2 and size[0] * size[1] <= _MOST_PIXELS):
             raise SourceError(
-                f"a size of {size[0]} x {size[1]} is no size of an image: give two numbers of "
-                "pixels, for example 640 x 480",
+                f"an image of {size[0]} x {size[1]} pixels is not possible: give width and "
+                "height, for example 640 x 480",
                 about="size",
                 value=size,
             )
         if fps is not None and not 0 < fps <= 1000:
             raise SourceError(
-                f"{fps:g} images a second cannot be: give above 0, at most 1000",
+                f"{fps:g} images a second are not possible: give above 0, at most 1000",
                 about="fps",
                 value=fps,
                 allowed=1000,
             )
         if exposure is not None and not abs(exposure) < 1e9:
             raise SourceError(
-                f"an exposure of {exposure:g} cannot be: give one the camera knows",
+                f"an exposure of {exposure:g} is not possible: give one that the camera accepts",
                 about="exposure",
                 value=exposure,
             )
@@ -146,7 +123,7 @@ class CameraDevice(ImageDevice):
         self._failures = 0
 
     def open(self) -> None:
-        # The driver would wait ten seconds for an image before it reports none.
+        # By default the driver waits ten seconds for an image.
         os.environ.setdefault("OPENCV_VIDEOIO_V4L_SELECT_TIMEOUT", "1")
         with QUIET_OPENCV:
             try:
@@ -180,7 +157,7 @@ class CameraDevice(ImageDevice):
         if self._exposure is not None:
             manual = capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL_EXPOSURE)
             if not (capture.set(cv2.CAP_PROP_EXPOSURE, self._exposure) and manual):
-                self._note(f"does not take an exposure of {self._exposure:g}: it keeps its own")
+                self._note(f"does not accept an exposure of {self._exposure:g}: it keeps its own")
             else:
                 given = capture.get(cv2.CAP_PROP_EXPOSURE)
                 if abs(given - self._exposure) > 0.1 * abs(self._exposure):
@@ -250,19 +227,14 @@ class CameraDevice(ImageDevice):
 
 
 def to_grey(image: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return an image of OpenCV in grey, (H, W); deep ones by their upper eight bits.
-
-    Raises
-    ------
-    SourceError
-        If it is no image.
-    """
+    """Return an image of OpenCV in grey, (H, W) uint8; 16-bit images by their upper eight bits."""
     if image.dtype == np.uint16:
         image = (image >> 8).astype(np.uint8)
     channels = 1 if image.ndim == 2 else image.shape[-1]
     if image.dtype != np.uint8 or image.ndim not in (2, 3) or channels not in (1, 3, 4):
         raise SourceError(
-            f"images of {image.shape} {image.dtype} are not known: give grey or color",
+            f"images of shape {image.shape} and type {image.dtype} cannot be read: give grey or "
+            "color",
             about="image",
             problem="malformed",
             value=(image.shape, str(image.dtype)),
@@ -281,7 +253,7 @@ def _device(rest: str) -> int | str:
     elif number.startswith("/"):
         return number
     raise SourceError(
-        f"camera:{rest} is no camera: give its number, as in camera:0, or its device, as in "
+        f"camera:{rest} is not a camera: give its number, as in camera:0, or its device, as in "
         "camera:/dev/video2",
         about="camera",
         problem="malformed",

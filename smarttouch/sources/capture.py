@@ -20,15 +20,15 @@ from smarttouch.sources.source import OpticalSource
 FIRST_IMAGE_S = 2.0
 """Time limit of the first read, as devices start slowly."""
 GRAB_S = 0.1
-"""A device is asked for no longer at a time, so that closing is prompt."""
+"""Longest wait for a device in one call, so that closing is prompt."""
 RETRY_S = 0.25
-"""A lost device is looked for so often."""
+"""Interval of attempts to reopen a lost device."""
 JOIN_S = 2.0
 """Time to wait for a driver that hangs, before it is abandoned."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
+class _Captured:
     image: NDArray[np.uint8]
     pose: Pose
     taken_ns: int
@@ -36,9 +36,9 @@ class _Look:
 
 
 class LiveSource(OpticalSource):
-    """Newest frame wins: a thread grabs, `read` takes what is newest.
+    """Newest frame wins: a thread grabs images, `read` takes the newest.
 
-    The thread begins with the first `read`; images from before a run are nobody's.
+    The thread begins with the first `read`; images from before a run are discarded.
     Motion is followed from every image to the next, also those that are never read,
     and summed into the pose, which begins at (0, 0).
 
@@ -49,7 +49,7 @@ class LiveSource(OpticalSource):
     profile : Profile
         Optics: scale of the motion, flat field.
     replug_s : float, s
-        How long a lost device is waited for.
+        Longest wait for a lost device.
     now_ns : callable
         The clock of `Shot.taken_ns`.
 
@@ -77,15 +77,15 @@ class LiveSource(OpticalSource):
         self._stop = threading.Event()
         self._changed = threading.Condition()
         """Guards the counts and all attributes below."""
-        self._newest: _Look | None = None
+        self._newest: _Captured | None = None
         self._unread = False
         self._over = False
         self._closed = False
         self._failure: SourceError | None = None
-        self._told = False
+        self._raised = False
         self._is_open = True
         self._lost_ns: int | None = None
-        self._gone = OutageTracker(DeviceWarnings(self.notes), f"{device.title} was gone")
+        self._gone = OutageTracker(DeviceWarnings(self.notes), f"{device.title} was disconnected")
         try:
             device.open()
         except BaseException:
@@ -110,38 +110,38 @@ class LiveSource(OpticalSource):
                 self._thread.start()
                 self._changed.wait_for(lambda: self._newest or self._over, FIRST_IMAGE_S)
             if self._failure is not None:
-                self._told = True
+                self._raised = True
                 raise self._failure
             if self._over and not self._unread:
                 return None
-            look = self._newest
-            if look is None:
+            newest = self._newest
+            if newest is None:
                 message = (
-                    f"no image came within {FIRST_IMAGE_S:g} s from {self.title}: check that it "
-                    "is on, and that no other program uses it"
+                    f"{self.title} gave no image within {FIRST_IMAGE_S:g} s: check that it is on, "
+                    "and that no other program uses it"
                 )
                 raise self._error("mute", message, FIRST_IMAGE_S)
             self._unread = False
-        age_ns = max(0, self._now_ns() - look.taken_ns)
+        age_ns = max(0, self._now_ns() - newest.taken_ns)
         return Frame(
-            look.image,
+            newest.image,
             time_ns,
-            look.pose,
+            newest.pose,
             math.nan,
-            number=look.number,
+            number=newest.number,
             age_ns=age_ns,
             stale=age_ns > self._device.stale_s * 1e9,
         )
 
     def close(self) -> None:
-        """Stop the thread, close the device, and count what was never read as dropped."""
+        """Stop the thread, close the device, and count unread frames as dropped."""
         with self._changed:
             if self._closed:
                 return
             self._closed = True
             self.dropped_frames += self._unread
             self._unread = False
-            if self._failure is not None and not self._told:
+            if self._failure is not None and not self._raised:
                 self.notes.append(str(self._failure))
         self._stop.set()
         if self._thread is None:
@@ -175,7 +175,7 @@ class LiveSource(OpticalSource):
             self._device.close()
 
     def _grab(self) -> Shot | None:
-        """Return the next image; look for the device again where it is lost."""
+        """Return the next image; try to reopen a lost device."""
         try:
             if not self._is_open:
                 if self._stop.wait(RETRY_S):
@@ -196,7 +196,7 @@ class LiveSource(OpticalSource):
         return shot
 
     def _await_return(self, lost_ns: int, shot: Shot | None) -> None:
-        """Believe that a device is back when an image comes, not when it can be opened."""
+        """Count a device as back when an image comes, not when it can be opened."""
         gone_s = (self._now_ns() - lost_ns) / 1e9
         self._gone.update(shot is None, lost_ns + round(gone_s * 1e9), lost_ns)
         if shot is not None:
@@ -204,8 +204,8 @@ class LiveSource(OpticalSource):
             self._intake.interrupt()
         elif gone_s > self._replug_s:
             message = (
-                f"{self.title} is gone and was not back within {self._replug_s:g} s: plug it in "
-                "and start again"
+                f"{self.title} was disconnected and did not return within {self._replug_s:g} s: "
+                "plug it in and start again"
             )
             raise self._error("gone", message, self._replug_s)
 
@@ -217,7 +217,7 @@ class LiveSource(OpticalSource):
                 return
             self.frames += 1
             self.dropped_frames += self._unread
-            self._newest = _Look(image, pose, shot.taken_ns, self.frames - 1)
+            self._newest = _Captured(image, pose, shot.taken_ns, self.frames - 1)
             self._unread = True
             self._changed.notify_all()
 

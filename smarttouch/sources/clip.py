@@ -22,15 +22,13 @@ FASTEST_HZ = 1000.0
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
 _FEWEST_PIXELS = 2
 _MOST_PIXELS = 80_000_000
-_MISSING = 0.05
-"""Accepted part of missing frames; containers only estimate how many they hold."""
+_MISSING = 0.05  # accepted part of missing frames; containers only estimate how many they hold
 _TURNED = ("JPEG", "TIFF")
 """Formats that may state the camera's orientation before they are decoded."""
 _TEXT = cv2.VideoWriter.fourcc(*"ansi")
-# The decoder's messages on damaged frames would tear the screen. It reads this once, when a process
-# first opens any video.
+# Silences the decoder's messages on damaged frames; read once, when a process first opens a video.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-# Playlists would open other files, pipes and addresses.
+# Without playlists, which could open other files, pipes and addresses.
 os.environ.setdefault(
     "OPENCV_FFMPEG_CAPTURE_OPTIONS",
     "protocol_whitelist;file|format_whitelist;3gp,asf,avi,flv,gif,h264,hevc,ivf,m4v,matroska,mjpeg,"
@@ -83,19 +81,21 @@ class VideoFile(Clip):
         text = int(self._capture.get(cv2.CAP_PROP_FOURCC)) == _TEXT
         if not self._capture.isOpened() or text:
             self.close()
-            message = f"{self.path} is not a video that can be read: give an MP4, AVI, MKV or MOV"
+            message = f"{self.path} is not a readable video: give an MP4, AVI, MKV or MOV"
             raise _wrong("file", "malformed", self.path, message)
         rate_hz = self._capture.get(cv2.CAP_PROP_FPS)
         if 0 < rate_hz <= FASTEST_HZ:
             self.rate_hz = rate_hz
         else:
-            self.notes.append(f"{self.title} does not say its rate: {USUAL_HZ:g} Hz are assumed")
+            self.notes.append(
+                f"{self.title} does not state its frame rate: {USUAL_HZ:g} Hz is assumed"
+            )
         count = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
         self.count = int(count) if 0 < count < 1e9 else 0
         self._first = self.next()
         if self._first is None or min(self._first.shape) < _FEWEST_PIXELS:
             self.close()
-            message = f"{self.path} holds no frame that can be read: record it again"
+            message = f"{self.path} has no readable frame: record it again"
             raise _wrong("file", "empty", self.path, message)
 
     def next(self) -> NDArray[np.uint8] | None:
@@ -150,7 +150,7 @@ class ImageFolder(Clip):
         self._files = _images(self.path)
         self.count = len(self._files)
         with warnings.catch_warnings():
-            # Pillow warns of large images before we have looked at the size ourselves.
+            # Sizes are checked below.
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             sizes = [_size(file) for file in self._files]
         for file, (width, height) in zip(self._files, sizes, strict=True):
@@ -214,7 +214,7 @@ def _images(folder: Path) -> list[Path]:
         message = f"cannot read the folder {folder}: {error.strerror}"
         raise _wrong("folder", "unreadable", folder, message) from None
     if not files:
-        message = f"{folder} holds no images: give PNG, JPEG, BMP, TIFF or PGM files"
+        message = f"{folder} contains no images: give PNG, JPEG, BMP, TIFF or PGM files"
         raise _wrong("folder", "empty", folder, message)
     return sorted(files, key=_natural)
 
@@ -240,7 +240,7 @@ def _reading(file: Path) -> Iterator[Image.Image]:
         ):
             yield image
     except UnidentifiedImageError:
-        message = f"{file} is not an image that can be read: remove it"
+        message = f"{file} is not a readable image: remove it"
         raise _wrong("file", "malformed", file, message) from None
     except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
         message = f"{file} cannot be read, remove it: {error}"

@@ -1,20 +1,20 @@
-"""Base of sources and of what knows the force."""
+"""Base of sources of input and of finger force."""
 
 from smarttouch.closing import Closing
 
 
 class Device(Closing):
-    """Base of what is opened by its URL and closed, and has notes for the user.
+    """Base of sources that are opened by URL, closed, and have notes for the user.
 
     Parameters
     ----------
     title : str
-        What it is, in a few words.
+        Name in a few words.
 
     Attributes
     ----------
     url : str
-        By which it was opened.
+        URL by which it was opened.
     notes : list of str
         Warnings after a run, a sentence each.
     """

@@ -26,20 +26,9 @@ MOST_BROKEN = 0.02
 
 
 class FlatField:
-    """Dark level and gain of every pixel.
+    """Dark level and gain of every pixel, (H, W) float32; the gain of dead and hot ones is 0.
 
-    Parameters
-    ----------
-    dark : ndarray, (H, W) float32
-        Grey level without light.
-    gain : ndarray, (H, W) float32
-        By which what is above the dark level is multiplied; 0 where the pixel
-        is dead or hot: it then shows what the nearest good one does.
-
-    Raises
-    ------
-    SourceError
-        If the two do not go together, or are no numbers.
+    Such a pixel shows the value of the nearest good one.
     """
 
     def __init__(self, dark: NDArray[np.float32], gain: NDArray[np.float32]) -> None:
@@ -47,18 +36,18 @@ class FlatField:
             raise _no_field(
                 "malformed",
                 (dark.shape, gain.shape),
-                f"a flat field with a dark level of shape {dark.shape} and a gain of shape "
-                f"{gain.shape} is none: calibrate the optics again",
+                f"the dark level of shape {dark.shape} and the gain of shape {gain.shape} are no "
+                "flat field: calibrate the optics again",
             )
         if not (np.isfinite(dark).all() and np.isfinite(gain).all() and (gain >= 0).all()):
             raise _no_field(
                 "impossible",
                 None,
-                "the flat field has gains that are negative or no numbers: calibrate the optics "
+                "the flat field has values that are negative or not finite: calibrate the optics "
                 "again",
             )
         if not gain.any():
-            message = "the flat field calls every pixel dead: calibrate the optics again"
+            message = "every pixel is dead in the flat field: calibrate the optics again"
             raise _no_field("dead", gain.size, message)
         self.dark = np.ascontiguousarray(dark, np.float32)
         self.gain = np.ascontiguousarray(gain, np.float32)
@@ -82,13 +71,7 @@ class FlatField:
         return np.flatnonzero(broken), (rows * self.gain.shape[1] + columns)[broken]
 
     def correct(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return a corrected image, with the same response of every pixel.
-
-        Raises
-        ------
-        SourceError
-            If the image has another shape than what was calibrated.
-        """
+        """Return a corrected image, with the same response of every pixel."""
         if image.shape != self.gain.shape:
             (rows, columns), (height, width) = image.shape[:2], self.gain.shape
             raise _no_field(
@@ -115,11 +98,6 @@ class FlatField:
         """Return the flat field by images in the dark and of blank white paper.
 
         White stays as bright as it was on most pixels.
-
-        Raises
-        ------
-        CalibrationError
-            If the two hardly differ, white is saturated, or too many pixels are broken.
         """
         dark, white = mean_image(dark_images), mean_image(white_images)
         if dark.shape != white.shape:
@@ -174,24 +152,12 @@ class FlatField:
         return file.getvalue()
 
     def save(self, path: str | Path) -> None:
-        """Write the flat field to an ``.npz`` file.
-
-        Raises
-        ------
-        SourceError
-            If that cannot be.
-        """
+        """Write the flat field to an ``.npz`` file."""
         write_bytes(Path(path), self.to_bytes(), SourceError)
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Return the flat field of a file.
-
-        Raises
-        ------
-        SourceError
-            If there is none, or it is not one.
-        """
+        """Return the flat field of a file."""
         if not Path(path).exists():
             message = (
                 f"no flat field {path}: put it beside the profile, or remove optics.flat_field"
@@ -219,16 +185,10 @@ def _no_field(problem: str, value: object, message: str, allowed: object = None)
 
 
 def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
-    """Return the mean of images of one shape.
-
-    Raises
-    ------
-    CalibrationError
-        If there are none, or they differ in shape.
-    """
+    """Return the mean of images of one shape."""
     if not len(images):
         raise CalibrationError(
-            "no frames came: check the source", about="frames", problem="missing"
+            "no frames arrived: check the source", about="frames", problem="missing"
         )
     shapes = {image.shape for image in images}
     if len(shapes) > 1:

@@ -1,4 +1,4 @@
-"""Frames: images with the place and force at which they were taken."""
+"""Frames: images with the pose and force at which they were taken."""
 
 import math
 from dataclasses import dataclass
@@ -29,17 +29,17 @@ class Frame:
     image : ndarray, (H, W) uint8
         Grey levels, bright is white.
     time_ns : int
-        When it is felt: the requested time, since the start of the run.
+        Requested time, since the start of the run.
     pose : Pose
         Pose of the sensor.
     force_n : float, N
-        How hard the finger presses; NaN where the source does not know.
+        Force of the finger; NaN if unknown.
     number : int
         Of the image at its source, from 0; the same number is the same image again.
     age_ns : int
         Age of the image when it was read.
     stale : bool
-        The source has fallen silent: what the image shows may be gone.
+        Whether the source has gone silent and the image may be outdated.
     """
 
     image: NDArray[np.uint8]

@@ -14,8 +14,8 @@ STALE_S = 0.5
 class SourceEndedError(Exception):
     """A device has no more images, as at the end of a file.
 
-    ``note`` is what a user should know of the end, ``missed`` how many images the device
-    skipped since its last shot.
+    ``note`` is a warning for the user, ``missed`` the number of images skipped since the last
+    shot.
     """
 
     def __init__(self, note: str = "", missed: int = 0) -> None:
@@ -52,12 +52,12 @@ class ImageDevice(ABC):
 
     @cached_property
     def notes(self) -> list[str]:
-        """Notes on the device for its user; `LiveSource` hands them on as its own."""
+        """Warnings for the user; `LiveSource` passes them on as its own."""
         return []
 
     @abstractmethod
     def open(self) -> None:
-        """Open the source, or reopen it after a loss; raise SourceError if that fails."""
+        """Open the device, or reopen it after a loss; raise SourceError if that fails."""
 
     @abstractmethod
     def grab(self, timeout_s: float) -> Shot | None:
@@ -66,7 +66,7 @@ class ImageDevice(ABC):
         Raises
         ------
         SourceLostError
-            If the device is gone.
+            If the device is lost.
         SourceEndedError
             If there will be no more images.
         """

@@ -22,23 +22,18 @@ LEAST_SLOPE = 6.0
 noise of 2 levels and uneven light make some 1.5."""
 MOST_UNEXPLAINED = 0.25
 """Share of the grey levels' variance that the shift may leave unexplained."""
-_PROMISING = 0.5
-"""Largest such share before the shift is refined."""
+_PROMISING = 0.5  # largest such share before the shift is refined
 _STEPS = 4
-_CLOSE = 0.02
-"""Length of a step, in pixels, below which the iteration ends."""
+_CLOSE = 0.02  # length of a step, in pixels, below which the iteration ends
 _LONGEST_STEP = 2.0
-_LEAST_OVERLAP = 0.5
-"""Least share of either side common to two images: a longer jump is rejected."""
+_LEAST_OVERLAP = 0.5  # least share of either side common to two images: a longer jump is rejected
 _FEWEST_COMMON = 2
 _FEWEST_PIXELS = 4
-_NOISE = 4.0
-"""Variance of a sensor's noise, levels²."""
+_NOISE = 4.0  # variance of a sensor's noise, levels²
 
 _NEARLY = 1.05
 """Ratio of what trials leave unexplained below which both are as good: light adds to it."""
-_MOST_TURN_RAD = 0.1
-"""Largest turn from image to image."""
+_MOST_TURN_RAD = 0.1  # largest turn from image to image
 _COARSER = 2
 
 Image = NDArray[np.float32]
@@ -59,13 +54,7 @@ class _Trial(NamedTuple):
 
 
 class Matcher:
-    """Finds shift and turn between an image and the one before, in pixels of the working image.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns of the images.
-    """
+    """Finds shift and turn between an image and the one before, in pixels of the working image."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         small = max(shape) * FINER <= MOST_PIXELS
@@ -85,7 +74,7 @@ class Matcher:
         self._beside = np.arange(columns, dtype=np.float32) - np.float32(self._middle[0])
         self._below = np.arange(rows, dtype=np.float32)[:, None] - np.float32(self._middle[1])
         self.turns = True
-        """Whether turns are looked for."""
+        """Whether turns are estimated."""
         self._usual: Shift = (0.0, 0.0)
         """The last accepted shift: fingers move steadily."""
 
@@ -129,11 +118,11 @@ class Matcher:
         return None if along is None else (along, 0.0)
 
     def _turned(self, best: _Trial) -> _Trial | None:
-        """Return a better trial that turns, too; None if there is none."""
+        """Return a better trial with a turn; None if there is none."""
         rows, columns = best.common
         slope_x, slope_y = self._slope_x[best.common], self._slope_y[best.common]
         turning = slope_y * self._beside[columns] - slope_x * self._below[rows]
-        # Light that is fixed to the sensor moves over the print: it must not seem a turn.
+        # Light fixed to the sensor moves over the print, and must not be taken for a turn.
         level = self._before[best.common]
         lights = level, level * self._beside[columns], level * self._below[rows]
         slopes = np.stack([each.ravel() for each in (slope_x, slope_y, turning, *lights)])
@@ -162,7 +151,7 @@ class Matcher:
         best = self._best({phase, self._usual, (0.0, 0.0)})
         if best is not None and best.unexplained <= _PROMISING:
             return best
-        # Phase correlation takes all details alike, and the finest of a blurred print are noise.
+        # Phase correlation weights all detail alike, and the finest of blurred print is noise.
         return self._best({self._correlate(_correlation, _COARSER)}) or best
 
     def _best(self, shifts: set[Shift]) -> _Trial | None:

@@ -8,31 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.profile import Profile
+from smarttouch.sources.flat_field import FlatField
 from smarttouch.sources.frame import Pose
 from smarttouch.sources.motion import MotionTracker
 
 
 class FramePreprocessor:
-    """Corrects images by the flat field, and sums the motion between them to a pose.
-
-    Parameters
-    ----------
-    profile : Profile
-        Its optics.
-
-    Raises
-    ------
-    SourceError, CalibrationError
-        If the profile's flat field cannot be read.
-    """
+    """Corrects images by the profile's flat field, and sums the motion between them to a pose."""
 
     def __init__(self, profile: Profile) -> None:
         self._correct: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] | None = None
         if profile.optics.flat_field is not None:
-            from smarttouch.sources.flat_field import FlatField
-
             flat_field = FlatField.load(Path(profile.optics.flat_field))
-            # What the first call imports must not delay the first image of a run.
+            # The first call may import scipy, which must not delay the first image of a run.
             flat_field.correct(np.zeros(flat_field.gain.shape, np.uint8))
             self._correct = flat_field.correct
         self._tracker = MotionTracker(profile)
@@ -50,5 +38,5 @@ class FramePreprocessor:
         return image, Pose(self._x_mm, self._y_mm, self._angle_rad)
 
     def interrupt(self) -> None:
-        """Ignore the motion to the next image, as the time between is unknown."""
+        """Ignore the motion to the next image, after an unknown time."""
         self._tracker.forget()

@@ -8,23 +8,10 @@ from smarttouch.wire.port import LINE_ERRORS, Port, reason
 _LARGEST_READ = 65536
 
 
-def read_what_came(port: Port, title: str) -> bytes:
-    """Return the bytes that have arrived; wait for the first up to the port's timeout.
-
-    Parameters
-    ----------
-    port : Port
-        Open.
-    title : str
-        Of what is at its other end, for the message.
-
-    Raises
-    ------
-    SourceLostError
-        If the port is gone.
-    """
+def read_available(port: Port, title: str) -> bytes:
+    """Return the bytes that have arrived; wait for the first up to the port's timeout."""
     try:
-        # One byte more than has come would cost the whole timeout.
+        # Waiting for one byte more than has arrived would take the whole timeout.
         data = bytes(port.read(port.in_waiting or 1))
         # Over TCP pyserial never reports how much has arrived.
         wire = getattr(port, "_socket", None)
@@ -33,6 +20,6 @@ def read_what_came(port: Port, title: str) -> bytes:
                 data += wire.recv(_LARGEST_READ)
     except LINE_ERRORS as error:
         raise SourceLostError(
-            f"{title} is gone: {reason(error)}", about="port", problem="gone", value=title
+            f"{title} was disconnected: {reason(error)}", about="port", problem="gone", value=title
         ) from None
     return data

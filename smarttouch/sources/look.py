@@ -1,4 +1,4 @@
-"""A look at a source of frames or force for some seconds: how many come, how old, how strong."""
+"""Sample of a source of frames or force over some seconds: rates, ages and forces."""
 
 import time
 from collections.abc import Iterator
@@ -11,24 +11,13 @@ from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.source import Source
 from smarttouch.sources.stimulus import Input
 
-ASKED_HZ = 100.0
+READ_HZ = 100.0
 """Rate at which a source is read."""
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """Account of what a source gave.
-
-    Attributes
-    ----------
-    force_n : ndarray, (N,) float64, N
-        At each time it was read; NaN where it is not known.
-    last : Frame, Stimulus or None
-        The newest frame.
-    age_ms : ndarray, (N,) float64, ms
-        Age of each frame.
-    lasted_s : float
-    """
+    """Sample of a source: force at each read, NaN where unknown, and age of each frame, (N,)."""
 
     force_n: NDArray[np.float64]
     last: Input | None
@@ -36,11 +25,11 @@ class Look:
     lasted_s: float
 
     def rows(self, source: Source) -> list[tuple[str, str]]:
-        """Return what is to be known of a source, in words."""
+        """Return names and values of the sample, in words."""
         rows = [
             ("source", source.title),
             ("frames", f"{source.frames}, {source.frames / self.lasted_s:.1f} a second"),
-            ("read", f"{source.frames - source.dropped_frames}, asked {ASKED_HZ:g} times a second"),
+            ("read", f"{source.frames - source.dropped_frames}, polled at {READ_HZ:g} Hz"),
             ("passed over", str(source.dropped_frames)),
         ]
         if self.last is not None:
@@ -70,27 +59,27 @@ def look_at_frames(source: Source, seconds: float) -> Look:
         np.array([each.force_n for each in frames], np.float64),
         last,
         np.array([each.age_ns / 1e6 for each in frames]),
-        seconds if last is None else max(last.time_ns / 1e9, 1 / ASKED_HZ),
+        seconds if last is None else max(last.time_ns / 1e9, 1 / READ_HZ),
     )
 
 
 def look_at_force(source: ForceSource, seconds: float) -> list[tuple[str, str]]:
-    """Read an open source of force for a time; return what is to be known of it, in words."""
+    """Read an open source of force for a time; return names and values, in words."""
     force_n = np.array([source.read(time_ns) for time_ns in _ticks(seconds)])
     unknown = int(np.isnan(force_n).sum())
     return [
         ("force of", source.title),
         ("force", _range(force_n)),
-        ("unknown", f"{unknown} of {len(force_n)} times asked"),
+        ("unknown", f"{unknown} of {len(force_n)} reads"),
     ]
 
 
 def _ticks(seconds: float) -> Iterator[int]:
-    """Yield nanoseconds since the first answer, at absolute deadlines."""
+    """Yield nanoseconds since the first read, at absolute deadlines."""
     yield 0
     start_ns = time.perf_counter_ns()
-    for count in range(1, round(seconds * ASKED_HZ) + 1):
-        due_ns = round(count * 1e9 / ASKED_HZ)
+    for count in range(1, round(seconds * READ_HZ) + 1):
+        due_ns = round(count * 1e9 / READ_HZ)
         time.sleep(max(0, start_ns + due_ns - time.perf_counter_ns()) / 1e9)
         yield due_ns
 

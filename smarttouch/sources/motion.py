@@ -8,25 +8,14 @@ from numpy.typing import NDArray
 from smarttouch.profile import Optics, Profile
 from smarttouch.sources.image_match import Matcher, Shift
 
-_SQUARE = 1.03
-"""Ratio of the sides of pixels below which they are square."""
+_SQUARE = 1.03  # ratio of the sides of pixels below which they are square
 
 
 class MotionTracker:
     """Tracks the motion of a patch over the page by its images.
 
     Motion that cannot be measured counts as none: on blank paper, along a straight edge that fills
-    the patch, where two images have too little in common.
-
-    Parameters
-    ----------
-    profile : Profile
-        Scale and rotation of its optics.
-
-    Attributes
-    ----------
-    turn_rad : float
-        Turn of the patch, clockwise, between the last two images; 0 if unknown.
+    the patch, or where two images have too little in common.
     """
 
     def __init__(self, profile: Profile) -> None:
@@ -38,18 +27,11 @@ class MotionTracker:
         self._first = True
 
     def follow(self, image: NDArray[np.uint8]) -> Shift:
-        """Return the displacement of the patch on the page since the last image.
+        """Return the motion of the patch on the page since the last image, mm along its rows and
+        columns.
 
-        Parameters
-        ----------
-        image : ndarray, (H, W) uint8
-            Grey. One of another size than the image before starts anew.
-
-        Returns
-        -------
-        tuple of float, mm
-            Along rows and columns of the later image. When the print moves left
-            in it, the patch has moved right.
+        When the print moves left in the image, the patch has moved right. An image of another size
+        starts again.
         """
         if self._matcher is None or image.shape != self._shape:
             self._shape = (image.shape[0], image.shape[1])
@@ -73,12 +55,8 @@ def page_per_pixel(
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the motion on the page that shifts the image by one pixel, (2, 2) mm.
 
-    Parameters
-    ----------
-    optics : Optics
-        Of a homography, what it does in its middle.
-    shape : tuple of int
-        Rows and columns of the image that spans the field of view.
+    ``shape`` is that of the image that spans the field of view; a homography counts as in its
+    middle.
     """
     rows, columns = shape
     if optics.homography is None:

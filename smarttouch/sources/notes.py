@@ -2,13 +2,7 @@
 
 
 class DeviceWarnings:
-    """Warnings that are updated instead of being repeated.
-
-    Parameters
-    ----------
-    notes : list of str
-        List of the warnings; others may append to it, and nothing is ever removed.
-    """
+    """Warnings that are updated instead of being repeated, in a list to which others may append."""
 
     def __init__(self, notes: list[str]) -> None:
         self._notes = notes
@@ -24,16 +18,7 @@ class DeviceWarnings:
 
 
 class OutageTracker:
-    """Outages of one kind: their number and total duration.
-
-    Parameters
-    ----------
-    notes : DeviceWarnings
-    words : str
-        Description of the outage, as in "the load cell was silent".
-    remedy : str
-        Remedy; none if empty.
-    """
+    """Number and total duration of outages, described as in "the load cell was silent"."""
 
     def __init__(self, notes: DeviceWarnings, words: str, remedy: str = "") -> None:
         self._notes = notes

@@ -26,12 +26,10 @@ NOISE_LEVELS = 2.0
 USUAL_MM_S = 40.0
 LEAST_MAGNIFIED, MOST_MAGNIFIED = 0.1, 10.0
 """Range of the magnification of a page beyond the profile's."""
-_SHADE = 0.1
-"""Relative loss of light at the corners of the patch."""
+_SHADE = 0.1  # relative loss of light at the corners of the patch
 _SLOPE = 0.03
 _MARGIN_MM = 4.0
-_MARGIN_BLUR_MM = 1.0
-"""Blur of the paper beyond the page's edges, which removes the page's texture."""
+_MARGIN_BLUR_MM = 1.0  # blur of the paper beyond the page's edges, which removes the page's texture
 _MOST_PIXELS = 60_000_000
 
 
@@ -49,26 +47,20 @@ def open_page(
 ) -> "PageSource":
     """Open ``page:FILE``; options are those of `PageSource`, its scale, and its magnification.
 
-    The page is felt so much larger than the profile shows it; ``auto`` lets its usual lines
-    fill the array.
+    The page is magnified beyond the profile's scale; ``auto`` makes its usual lines fill the
+    array.
     """
     page, notice = load_or_guess(Path(rest), dpi, page_width_mm)
     factor = _magnification(magnify, page, profile, light_on_dark)
     if factor != 1:
         page = Page(page.grey, page.mm_per_pixel * factor)
-        notice = f"{notice + '; ' if notice else ''}it is felt {factor:.3g} times as large"
+        notice = f"{notice + '; ' if notice else ''}it is magnified {factor:.3g} times"
     title = Path(rest).name
     return PageSource(page, profile, title, seed, speed_mm_s, path, light_on_dark, notice)
 
 
 def _magnification(text: str, page: Page, profile: Profile, light_on_dark: bool) -> float:
-    """Return a factor as given, or the one by which the usual lines of a page fill the array.
-
-    Raises
-    ------
-    PageError
-        If it is neither a number in its range nor ``auto``.
-    """
+    """Return a factor as given, or the one by which the usual lines of a page fill the array."""
     if text != "auto":
         try:
             factor = float(text)
@@ -76,7 +68,7 @@ def _magnification(text: str, page: Page, profile: Profile, light_on_dark: bool)
             factor = math.nan
         if not LEAST_MAGNIFIED <= factor <= MOST_MAGNIFIED:
             raise PageError(
-                f"magnify {text} is no magnification: give auto, or a number from "
+                f"magnify {text} is not possible: give auto, or a number from "
                 f"{LEAST_MAGNIFIED:g} to {MOST_MAGNIFIED:g}",
                 about="magnify",
                 problem="out of range",
@@ -123,27 +115,10 @@ def open_text(
 
 
 class PageSource(OpticalSource):
-    """Frames of a finger that moves over a page.
+    """Frames of a finger that moves over a page line by line, or along a recorded path.
 
-    Parameters
-    ----------
-    page : Page
-        Page under the finger.
-    profile : Profile
-        Optics and force.
-    title : str
-        Title on the screen.
-    seed : int
-        Of noise and force; the same seed gives the same frames, in whatever
-        order they are read.
-    speed_mm_s : float, mm/s
-        Along a line.
-    path : Path, optional
-        CSV of a recorded path, instead of reading line by line.
-    light_on_dark : bool
-        For light print on dark paper.
-    notice : str
-        Sentence told to the user at the start.
+    The seed is that of noise and force: the same one gives the same frames, in whatever order they
+    are read.
     """
 
     ended = "end of the page"
@@ -229,7 +204,7 @@ def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float, in
         cv2.GaussianBlur(surface, (0, 0), BLUR_MM / surface_mm, borderType=cv2.BORDER_REPLICATE),
         np.uint8,
     )
-    # Beyond its edges the paper goes on, in the grey it has there.
+    # The paper continues beyond its edges, in its grey there.
     margin, soft = round(_MARGIN_MM / surface_mm), _MARGIN_BLUR_MM / surface_mm
     whole = np.pad(surface, margin)
     whole[:margin] = np.pad(_soft_edge(surface, soft), margin, mode="edge")
@@ -243,7 +218,7 @@ def _soft_edge(grey: NDArray[np.uint8], sigma: float) -> NDArray[np.uint8]:
     """Return the first row of an image as it would be if all of it were blurred."""
     reach = math.ceil(3 * sigma)
     weights = cv2.getGaussianKernel(2 * reach + 1, sigma)[:, 0]
-    # Before the first row comes the first again, and after the last the last.
+    # The first and last rows are repeated beyond the edges.
     rows = np.arange(-reach, reach + 1).clip(0, len(grey) - 1)
     soft = np.convolve(np.pad(weights @ grey[rows], reach, mode="edge"), weights, "valid")
     return np.rint(soft).astype(np.uint8)

@@ -26,12 +26,9 @@ SETTLE_S = 0.6
 """Time of rest at the start of a line."""
 LIFT_S = 0.15
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 500.0
-_PRESS = 1.1
-"""Reading force, relative to the profile's full force."""
-_WAVER = 0.08
-"""Slow variation of the reading force."""
-_STEP_MM = 2.0
-"""Distance of the points of a path along a line: it bends less than can be felt."""
+_PRESS = 1.1  # reading force, relative to the profile's full force
+_WAVER = 0.08  # slow variation of the reading force
+_STEP_MM = 2.0  # distance of the points of a path along a line: its bend between them is negligible
 _COLUMNS = ("time_s", "x_mm", "y_mm", "angle_deg", "force_n")
 
 
@@ -47,18 +44,7 @@ class Path2D(Protocol):
 class ReadingPath:
     """Path along the lines of a page, one after another; in strips if it has no lines.
 
-    Parameters
-    ----------
-    page : Page
-        Page to read.
-    profile : Profile
-        Field of view and force.
-    speed_mm_s : float, mm/s
-        Speed along a line.
-    seed : int
-        Of the force's slow variation.
-    light_on_dark : bool
-        For light print on dark paper.
+    The seed is that of the slow variation of the force.
     """
 
     def __init__(
@@ -78,7 +64,7 @@ class ReadingPath:
         rows: list[tuple[float, float, float, float, float]] = []
         time_s = 0.0
         for line in self.lines:
-            x, y, angle, passed_mm = _course(line, field[0])
+            x, y, angle, passed_mm = _middle_path(line, field[0])
             if rows:
                 x_before, y_before = rows[-1][1:3]
                 time_s += math.hypot(x[0] - x_before, y[0] - y_before) / RETURN_MM_S
@@ -89,9 +75,9 @@ class ReadingPath:
             lifting_at = max(sweep_at, time_s - LIFT_S / 3)
             passing = sweep_at + passed_mm / speed_mm_s
             times = np.sort(np.append(passing, lifting_at))
-            course = (np.interp(times, passing, each) for each in (x, y, angle))
+            places = (np.interp(times, passing, each) for each in (x, y, angle))
             press = np.interp(times, (lifting_at, time_s), (1.0, 0.0))
-            rows.extend(zip(times, *course, press, strict=True))
+            rows.extend(zip(times, *places, press, strict=True))
         self._table = np.array(rows).T.copy()
         self.duration_s = time_s
 
@@ -105,13 +91,7 @@ class ReadingPath:
 
 
 class RecordedPath:
-    """A path from a CSV file with the columns time_s, x_mm, y_mm, angle_deg, force_n.
-
-    Raises
-    ------
-    SourceError
-        If the file is missing or wrong, with the line number.
-    """
+    """A path from a CSV file with the columns time_s, x_mm, y_mm, angle_deg, force_n."""
 
     def __init__(self, path: Path) -> None:
         self._table = read_csv(path, SourceError).numbers(_COLUMNS).T.copy()
@@ -125,7 +105,7 @@ class RecordedPath:
 
 
 def _at(table: Floats, time_s: float) -> Iterator[float]:
-    """Return what the other rows of a table have at a time of its first."""
+    """Interpolate the other rows of a table at a time of its first row."""
     return map(float, map(partial(np.interp, time_s, table[0]), table[1:]))
 
 
@@ -142,7 +122,7 @@ def _printed(page: Page, light_on_dark: bool) -> TextLine:
 
 def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:
     """Cut a line that is taller than the field into parallel strips."""
-    # A field over: ascenders that just stick out need no second pass.
+    # Ascenders that reach just beyond the field need no second pass.
     count = max(1, math.ceil(line.height_mm / height_mm - 0.15))
     step = line.height_mm / count
     return [
@@ -156,7 +136,7 @@ def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:
     ]
 
 
-def _course(line: TextLine, field_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
+def _middle_path(line: TextLine, field_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Return x, y, angle of a finger along the middle of a line, and the distance covered."""
     start, end = line.left_mm - field_mm / 2, line.right_mm + field_mm / 2
     x = np.linspace(start, end, max(2, math.ceil((end - start) / _STEP_MM)))

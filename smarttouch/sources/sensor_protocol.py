@@ -1,13 +1,13 @@
 """Wire format of sensors; a specification for firmware.
 
-The device streams by itself, over a USB or any other serial line; the host says
+The device streams on its own, over a USB or any other serial line; the host sends
 nothing. A packet is COBS-encoded and ends with one 0x00, so a receiver that has
-lost its place finds it again at the next zero. Decoded, all little endian::
+lost its place resynchronizes at the next zero. Decoded, all little endian::
 
     u8  version = 1
     u8  type
     u32 number      counts the packets of its type from 0 on and wraps; a gap
-                    tells the host how many were lost
+                    gives the number of lost ones
     ... payload
     u32 CRC-32      (IEEE 802.3) of all before it
 
@@ -17,7 +17,7 @@ type name  payload
 0x41 FRAME u8 rows H, u8 columns W, u32 device time µs, u8 pixels [H][W]: row
            by row from the top left, 0 black to 255 white, as seen on the page
 0x42 FORCE i32 reading of the load cell, u32 device time µs; the reading
-           −2147483648 says that there is none
+           −2147483648 means none
 0x43 INFO  name of the device and its firmware in UTF-8, at most 255 bytes;
            once a second is enough, and none is needed
 ==== ===== ==================================================================
@@ -57,7 +57,7 @@ _FRAME = struct.Struct("<BBI")
 _FORCE = struct.Struct("<iI")
 
 
-class Kind(IntEnum):
+class PacketKind(IntEnum):
     """Types of packets."""
 
     FRAME = 0x41
@@ -67,17 +67,7 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class ArrayFrame:
-    """One frame of a sensor array.
-
-    Attributes
-    ----------
-    number : int
-        Of the frame, modulo 2³².
-    time_us : int
-        Device time, modulo 2³².
-    image : ndarray, (H, W) uint8
-        Read-only.
-    """
+    """One frame of a sensor array, read-only; number and device time are modulo 2³²."""
 
     number: int
     time_us: int
@@ -105,20 +95,7 @@ Message = ArrayFrame | CellReading | Info
 
 
 def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
-    """Return a frame in its wire format.
-
-    Parameters
-    ----------
-    number, time_us : int
-        Taken modulo 2³².
-    image : ndarray, (H, W) uint8
-        1 to 255 rows and columns.
-
-    Raises
-    ------
-    SourceError
-        If it is larger or empty, or of another kind.
-    """
+    """Return a frame, (H, W) uint8 with 1 to 255 rows and columns, in its wire format."""
     if image.ndim != 2 or image.dtype != np.uint8:
         raise SourceError(
             f"a frame on the wire is grey, one byte a pixel, not {image.dtype} of {image.shape}",
@@ -137,17 +114,11 @@ def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
             allowed=MOST_PIXELS_A_SIDE,
         )
     head = _FRAME.pack(rows, columns, time_us % NUMBERS)
-    return frame_packet(VERSION, Kind.FRAME, number % NUMBERS, head + image.tobytes())
+    return frame_packet(VERSION, PacketKind.FRAME, number % NUMBERS, head + image.tobytes())
 
 
 def encode_force(number: int, time_us: int, reading: int | None) -> bytes:
-    """Return a load cell's reading in its wire format.
-
-    Raises
-    ------
-    SourceError
-        If no signed 32 bits can hold it.
-    """
+    """Return a load cell's reading in its wire format."""
     value = NO_READING if reading is None else reading
     if not NO_READING <= value < 2**31:
         raise SourceError(
@@ -157,13 +128,13 @@ def encode_force(number: int, time_us: int, reading: int | None) -> bytes:
             value=value,
         )
     payload = _FORCE.pack(value, time_us % NUMBERS)
-    return frame_packet(VERSION, Kind.FORCE, number % NUMBERS, payload)
+    return frame_packet(VERSION, PacketKind.FORCE, number % NUMBERS, payload)
 
 
 def encode_info(number: int, name: str) -> bytes:
     """Return a device's description in its wire format; a name that is too long is cut."""
     text = name.encode("utf-8", "replace")[:LARGEST_NAME].decode("utf-8", "ignore")
-    return frame_packet(VERSION, Kind.INFO, number % NUMBERS, text.encode())
+    return frame_packet(VERSION, PacketKind.INFO, number % NUMBERS, text.encode())
 
 
 def decode(packet: Packet) -> Message | None:
@@ -172,14 +143,14 @@ def decode(packet: Packet) -> Message | None:
         return None
     payload = packet.payload
     match packet.kind:
-        case Kind.FRAME:
+        case PacketKind.FRAME:
             return _decode_frame(packet.number, payload)
-        case Kind.FORCE:
+        case PacketKind.FORCE:
             if len(payload) != _FORCE.size:
                 return None
             value, time_us = _FORCE.unpack(payload)
             return CellReading(packet.number, time_us, None if value == NO_READING else value)
-        case Kind.INFO:
+        case PacketKind.INFO:
             if len(payload) > LARGEST_NAME:
                 return None
             return Info(packet.number, payload.decode("utf-8", "replace"))
@@ -199,7 +170,7 @@ def _decode_frame(number: int, payload: bytes) -> ArrayFrame | None:
 def gap(before: int, number: int) -> int:
     """Return the number of packets missing between two numbers.
 
-    A device that has started anew, or an old packet, is no gap.
+    A device that has restarted, or an old packet, is no gap.
     """
     missing = (number - before - 1) % NUMBERS
     return missing if missing < NUMBERS // 2 else 0
@@ -208,11 +179,8 @@ def gap(before: int, number: int) -> int:
 class MessageStream:
     """Parser of messages in a stream that may start in the middle of one.
 
-    Attributes
-    ----------
-    broken : int
-        Pieces between zeros that were no packet or said nothing known; but not the
-        first one, which may have lost its start.
+    ``broken`` counts pieces between zeros that were no packet or an unknown one, but not the first,
+    which may have lost its start.
     """
 
     def __init__(self) -> None:

@@ -1,8 +1,8 @@
 """``serial-array:PORT``: a patch of photo-transistors or an optical-mouse sensor on a serial line.
 
 The device streams frames of up to 255 × 255 pixels in the format of
-`smarttouch.sources.sensor_protocol`. What is read at once is taken apart at once;
-of several frames in it the newest is taken and the others are counted.
+`smarttouch.sources.sensor_protocol`. Of several frames that
+arrive together the newest is taken and the others are counted.
 """
 
 import contextlib
@@ -12,45 +12,29 @@ from smarttouch.errors import SourceError
 from smarttouch.profile import Profile
 from smarttouch.sources.capture import LiveSource
 from smarttouch.sources.image_device import ImageDevice, Shot
-from smarttouch.sources.line import read_what_came
+from smarttouch.sources.line import read_available
 from smarttouch.sources.notes import DeviceWarnings
 from smarttouch.sources.sensor_protocol import ArrayFrame, Info, MessageStream, gap
 from smarttouch.wire.port import LINE_ERRORS, Port, open_port
 
 USUAL_BAUD = 921_600
 """Default speed of lines that have one; over USB it has no effect."""
-_WAIT_S = 0.05
-"""Longest single read."""
+_WAIT_S = 0.05  # longest single read
 _UNREADABLE_S = 1.5
 """Time without a valid frame from the start, after which the device is no sensor."""
 
 
 def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -> LiveSource:
-    """Open ``serial-array:PORT``.
-
-    Parameters
-    ----------
-    rest : str
-        A device, ``tcp://HOST:PORT``, or any URL that pyserial knows.
-    profile : Profile
-        Optics: scale of the motion, flat field.
-    baud : int, optional
-        Speed of the line; 921,600 if not given.
-
-    Raises
-    ------
-    SourceError
-        If there is no such port, or it cannot be opened.
-    """
+    """Open ``serial-array:PORT``: a device, ``tcp://HOST:PORT``, or any URL that pyserial knows."""
     if not rest:
         raise SourceError(
-            "serial-array: names no port: give one, as in serial-array:/dev/ttyACM0",
+            "serial-array: has no port: give one, as in serial-array:/dev/ttyACM0",
             about="port",
             problem="missing",
         )
     if baud is not None and baud < 1:
         raise SourceError(
-            f"{baud} baud is no speed of a line: give bits a second, as in 115200",
+            f"{baud} baud is not a line speed: give bits per second, as in 115200",
             about="baud",
             value=baud,
         )
@@ -58,39 +42,19 @@ def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -
 
 
 class SerialArrayDevice(ImageDevice):
-    """Frames from a serial line.
-
-    Parameters
-    ----------
-    port : str
-        Its name.
-    baud : int
-
-    Attributes
-    ----------
-    frames : int
-        That came whole.
-    passed_over : int
-        Frames that came together with a newer one.
-    lost : int
-        Frames that are missing by the device's numbers.
-    garbled : int
-        Pieces between zeros that were no packet, or an unknown one.
-    device : str
-        Name reported by the device; empty if none.
-    """
+    """Frames from a serial line, with counts of complete and lost ones and of garbled pieces."""
 
     def __init__(self, port: str, baud: int = USUAL_BAUD) -> None:
         self.title = f"serial array {port}"
-        self.frames = self.passed_over = self.lost = self.garbled = 0
+        self.frames = self.lost = self.garbled = 0
         self.device = ""
         self._name, self._baud = port, baud
         self._port: Port | None = None
         self._stream = MessageStream()
         self._before: int | None = None
-        self._heard = 0
+        self._received = 0
         self._listening_since_ns: int | None = None
-        self._said = DeviceWarnings(self.notes)
+        self._warnings = DeviceWarnings(self.notes)
 
     def open(self) -> None:
         """Open the port. Earlier bytes are discarded at the first `grab`."""
@@ -105,7 +69,7 @@ class SerialArrayDevice(ImageDevice):
             self._begin(port)
         deadline = time.monotonic() + timeout_s
         while True:
-            shot = self._take(read_what_came(port, self.title))
+            shot = self._take(read_available(port, self.title))
             if shot is not None:
                 return shot
             if time.monotonic() >= deadline:
@@ -121,16 +85,16 @@ class SerialArrayDevice(ImageDevice):
 
     def _begin(self, port: Port) -> None:
         with contextlib.suppress(*LINE_ERRORS):
-            # What fails here fails again in the first read.
+            # A failure here occurs again in the first read.
             port.reset_input_buffer()
         self._stream = MessageStream()
-        # What a device sent while nobody listened is not lost on the line.
+        # Frames sent before the port was opened do not count as lost.
         self._before = None
         self._listening_since_ns = time.perf_counter_ns()
 
     def _take(self, data: bytes) -> Shot | None:
         """Return the newest of the frames completed by these bytes."""
-        self._heard += len(data)
+        self._received += len(data)
         newest, frames, broken = None, 0, self._stream.broken
         for message in self._stream.feed(data):
             if isinstance(message, ArrayFrame):
@@ -139,12 +103,11 @@ class SerialArrayDevice(ImageDevice):
                 self._count_lost(message.number)
             elif isinstance(message, Info):
                 self.device = message.name
-            # Readings of a load cell on the same device are for others.
+            # Force readings on the same line are ignored here.
         self._count_garbled(self._stream.broken - broken)
         if newest is None:
             return None
         self.frames += frames
-        self.passed_over += frames - 1
         return Shot(newest.image, time.perf_counter_ns(), frames - 1)
 
     def _count_lost(self, number: int) -> None:
@@ -152,21 +115,23 @@ class SerialArrayDevice(ImageDevice):
         self._before = number
         if missing:
             self.lost += missing
-            self._said.put("lost", f"{self.title}: {_count(self.lost, 'frame')} lost on the line")
+            self._warnings.put(
+                "lost", f"{self.title}: {_count(self.lost, 'frame')} lost on the line"
+            )
 
     def _count_garbled(self, pieces: int) -> None:
         self.garbled += pieces
         if pieces and self.frames:
             what = _count(self.garbled, "piece")
-            self._said.put("garbled", f"{self.title}: {what} of what came could not be read")
+            self._warnings.put("garbled", f"{self.title}: {what} of the input could not be read")
 
     def _require_frames(self) -> None:
-        """Raise if much has arrived, and none of it was ever a frame."""
+        """Raise if bytes have arrived for a while, and never a frame."""
         assert self._listening_since_ns is not None
         listened_s = (time.perf_counter_ns() - self._listening_since_ns) / 1e9
-        if self._heard and not self.frames and listened_s > _UNREADABLE_S:
+        if self._received and not self.frames and listened_s > _UNREADABLE_S:
             raise SourceError(
-                f"what comes from {self._name} is no frames: check its speed (now "
+                f"{self._name} sends no frames: check its speed (now "
                 f"{self._baud} baud) and that the device sends the format of "
                 "smarttouch/sources/sensor_protocol.py",
                 about="port",

@@ -21,23 +21,23 @@ class Source(Device, ABC):
     duration_s: float | None = None
     """Duration; None if it never ends by itself."""
     ended: ClassVar[str] = "the source has ended"
-    """Words for its end."""
+    """Message at its end."""
     emit: Emit = staticmethod(emit_nowhere)
-    """Hands on events of the source; set by the run."""
+    """Receives events of the source; set by the run."""
     knows_force: bool = False
     """Whether its inputs have a force."""
     measures_force: bool = False
-    """Whether that force is measured on a finger while it runs. Any other force presses only on
-    boards that no finger can be on."""
+    """Whether that force is measured on a finger during the run. Any other force counts only on
+    boards that no finger can touch."""
     frames: int = 0
     """Distinct frames or stimuli that it delivered."""
     dropped_frames: int = 0
-    """Those that came but were never read."""
+    """Frames or stimuli that arrived but were never read."""
     keys_help: ClassVar[str] = ""
-    """Words on its keys."""
+    """Help text for its keys."""
 
     def narrowed(self, profile: Profile) -> Profile:
-        """Return the profile that plans what the source gives to a finger; never a wider one."""
+        """Return the profile used to plan this source's stimulation; never with wider limits."""
         return profile
 
     @property
@@ -47,11 +47,11 @@ class Source(Device, ABC):
 
     @abstractmethod
     def read(self, time_ns: int) -> Input | None:
-        """Return what is felt at ``time_ns`` since the start; None at the end."""
+        """Return the input at ``time_ns`` since the start; None at the end."""
 
 
 class OpticalSource(Source):
-    """Source of frames, which are imaged before they are felt."""
+    """Source of frames, which imaging turns into tactile images."""
 
     @abstractmethod
     def read(self, time_ns: int) -> Frame | None:

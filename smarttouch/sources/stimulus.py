@@ -1,4 +1,4 @@
-"""Stimuli: tactile images that a source gives by itself, without an image to be felt."""
+"""Stimuli: tactile images that a source gives directly, without imaging."""
 
 from dataclasses import dataclass
 
@@ -13,25 +13,25 @@ _ORIGIN = Pose(0.0, 0.0)
 
 @dataclass(frozen=True, eq=False)
 class Stimulus(TactileImage):
-    """Tactile image with its own level and, if it wishes, its own period: see `TactileImage`.
+    """Tactile image of a source, with an optional period of its own: see `TactileImage`.
 
     Attributes
     ----------
     activation, time_ns, force_n, level
-        See `TactileImage`; the force is NaN where the source does not know.
+        See `TactileImage`; the force is NaN if unknown.
     period_us : int, µs, optional
-        Until the source wants to be read again; every class that is active pulses once. None:
-        the mode's classes pulse at the profile's rates.
+        Time to the next read, in which every active class pulses once. None: the mode's
+        classes pulse at the profile's rates.
     pose : Pose
-        Where the finger is.
+        Pose of the finger.
     number : int
-        At its source, from 0; the same number is the same place or part again.
+        Number at its source, from 0; equal numbers mean the same place or part.
     age_ns : int
-        How old it was when it was asked for.
+        Age when it was read.
     stale : bool
-        The source has fallen silent: nothing may be felt of it.
+        Whether the source has gone silent; such a stimulus makes no current.
     image : ndarray, (H, W) uint8, optional
-        Grey levels of what lies under the finger, where there is something to see.
+        Grey levels under the finger, for display.
     """
 
     pose: Pose = _ORIGIN

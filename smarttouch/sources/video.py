@@ -22,22 +22,7 @@ HOPELESS_NS = 250_000_000
 
 
 def open_video(rest: str, profile: Profile, *, unpaced: bool = False) -> OpticalSource:
-    """Open ``video:FILE``, whatever kind of video OpenCV reads.
-
-    Parameters
-    ----------
-    rest : str
-        The file.
-    profile : Profile
-        Optics.
-    unpaced : bool
-        Each read gives the next frame, and none is dropped.
-
-    Raises
-    ------
-    SourceError
-        If there is no such video.
-    """
+    """Open ``video:FILE``, any video that OpenCV reads; ``unpaced`` gives one frame a read."""
     return _open(VideoFile(Path(rest)), profile, unpaced)
 
 
@@ -46,21 +31,7 @@ def open_frames(
 ) -> OpticalSource:
     """Open ``frames:DIR``, a folder of images of one size, in natural order of their names.
 
-    Parameters
-    ----------
-    rest : str
-        The folder.
-    profile : Profile
-        Optics.
-    fps : float, Hz, optional
-        Images a second; 30 if not given.
-    unpaced : bool
-        Each read gives the next image, and none is dropped.
-
-    Raises
-    ------
-    SourceError
-        If there is no such folder, or an image in it does not fit.
+    ``fps`` is 30 if not given; ``unpaced`` gives one image a read.
     """
     rate_hz = USUAL_HZ if fps is None else fps
     words = f"a rate of {rate_hz:g} images a second"
@@ -78,15 +49,7 @@ def _open(clip: Clip, profile: Profile, unpaced: bool) -> OpticalSource:
 
 
 class PacedClip(ImageDevice):
-    """Gives each image at its time, as a camera would; the first at the first `grab`.
-
-    Parameters
-    ----------
-    clip : Clip
-        Not open yet.
-    now_ns, sleep : callable
-        The clock, and how to wait by it, in seconds.
-    """
+    """Gives each image at its time, as a camera would; the first at the first `grab`."""
 
     def __init__(
         self,
@@ -106,7 +69,7 @@ class PacedClip(ImageDevice):
 
     def open(self) -> None:
         self._clip.open()
-        # A slow show of slides is not stale before its next image is overdue.
+        # Slow slides are not stale before the next one is overdue.
         self.stale_s = max(STALE_S, 2 / self._clip.rate_hz)
 
     def grab(self, timeout_s: float) -> Shot | None:
@@ -150,15 +113,7 @@ class PacedClip(ImageDevice):
 
 
 class UnpacedClip(OpticalSource):
-    """Each read gives the next image; none is dropped, however long the reader takes.
-
-    Parameters
-    ----------
-    clip : Clip
-        Not open yet.
-    profile : Profile
-        Optics.
-    """
+    """Gives the next image at each read; none is dropped, however long the reader takes."""
 
     def __init__(self, clip: Clip, profile: Profile) -> None:
         super().__init__(clip.title)
@@ -168,13 +123,7 @@ class UnpacedClip(OpticalSource):
         clip.open()
 
     def read(self, time_ns: int) -> Frame | None:
-        """Return the next frame; None at the end.
-
-        Raises
-        ------
-        SourceError
-            If the image is damaged.
-        """
+        """Return the next frame; None at the end."""
         image = self._clip.next()
         if image is None:
             return None

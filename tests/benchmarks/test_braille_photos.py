@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from smarttouch.braille.network import FoundCells
 from smarttouch.braille.photo import BraillePage, looks_like_braille, read_braille
-from smarttouch.braille.rows import cell_pitch, lines_of
+from smarttouch.braille.rows import cell_lines, cell_pitch
 from smarttouch.documents.page_image import Page
 from smarttouch.errors import PageError
 
@@ -71,7 +71,7 @@ def test_real_pages():
         right, px = max(
             ((hits(each, patterns, found), each) for each in ways), key=lambda way: way[0]
         )
-        wanted = "\n".join(lines_of(FoundCells(px, patterns, np.ones(len(px))))[0])
+        wanted = "\n".join(cell_lines(FoundCells(px, patterns, np.ones(len(px))))[0])
         errors = Levenshtein.distance("\n".join(found.lines), wanted)
         f = 2 * right / (len(px) + len(found.cells_px))
         warned = any("certain" in note for note in found.notes)

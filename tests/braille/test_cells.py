@@ -43,6 +43,6 @@ def test_cells_give_the_dots_back(dots):
 def test_what_is_no_cell():
     with raises(BrailleError, about="cell", problem="malformed", value="b") as caught:
         cells_to_dots("⠁b")
-    assert "place 2" in str(caught.value)
+    assert "position 2" in str(caught.value)
     with raises(BrailleError, about="dots", problem="malformed", value=(3, 7)):
         dots_to_cells(np.zeros((3, 7), bool))

@@ -4,7 +4,7 @@ import pytest
 
 from smarttouch.braille import louis
 from smarttouch.braille.grade1 import Grade1
-from smarttouch.braille.tables import Table, open_table
+from smarttouch.braille.tables import BrailleTable, open_table
 
 from .sentences import make_sentences
 
@@ -40,7 +40,7 @@ def hiragana(text):
 
 
 def test_english_as_built_in():
-    assert share_back(Table("en-1", "", Grade1()), "english", str) == 1
+    assert share_back(BrailleTable("en-1", "", Grade1()), "english", str) == 1
 
 
 def test_japanese():

@@ -130,7 +130,7 @@ def test_what_has_no_cells():
 def test_letters_are_not_cells():
     with raises(BrailleError, about="cell", problem="malformed", value="x") as caught:
         open_table().to_text("⠁\n⠁x")
-    assert "place 2" in str(caught.value)
+    assert "position 2" in str(caught.value)
 
 
 @needs_liblouis

@@ -10,7 +10,7 @@ from smarttouch.afferent import Mode
 from smarttouch.boards.emulator.simulated import SimulatedBoard
 from smarttouch.braille.cells import POSITION, dots_to_cells
 from smarttouch.braille_display.connection import Address, BrlttyConnection
-from smarttouch.braille_display.messages import Shown
+from smarttouch.braille_display.messages import DisplayContent
 from smarttouch.braille_display.source import BrailleDisplaySource
 from smarttouch.delivered.perception import DeliveredAnswers
 from smarttouch.kernels.bank import load_bank
@@ -21,7 +21,7 @@ from smarttouch.reading.window import profile_for_reading
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.runner import Runner
-from tests.braille_display.real import Brltty, cells_of, free_port, require_brltty
+from tests.braille_display.real import Brltty, cells_of, free_port, require_brltty, wait_until
 
 HANGS_S = 60
 ROUTE = 1 << 16
@@ -48,14 +48,14 @@ def brltty(tmp_path):
 
 def shown(connection):
     """Return what is shown; nothing while there is no connection."""
-    return connection.shown or Shown()
+    return connection.shown or DisplayContent()
 
 
 def put(writer, connection, text, there, cursor=0):
     """Write a text until it is shown: just after its start BRLTTY can lose what is written."""
     for _ in range(HANGS_S):
         writer.write(text, cursor)
-        if connection.wait_until(there, 1.0):
+        if wait_until(there, 1.0):
             return
     raise AssertionError(text, connection.shown)
 
@@ -167,7 +167,7 @@ def test_it_survives_ten_restarts_of_brltty(brltty):
     real, connection = brltty
     for number in range(10):
         real.start()
-        assert connection.wait_until(lambda: connection.shown is not None, HANGS_S)
+        assert wait_until(lambda: connection.shown is not None, HANGS_S)
         assert connection.connections == number + 1
         real.kill()
-        assert connection.wait_until(lambda: connection.shown is None, HANGS_S)
+        assert wait_until(lambda: connection.shown is None, HANGS_S)

@@ -13,7 +13,7 @@ from smarttouch.braille_display.source import BrailleDisplaySource
 from smarttouch.profile import load_profile
 from smarttouch.reading.window import profile_for_reading
 
-from .real import Brltty, cells_of, free_port, require_brltty
+from .real import Brltty, cells_of, free_port, require_brltty, wait_until
 
 COLUMNS, ROWS, WIDTH = 40, 6, 10
 KEY, SIZE = 0xBACD072F - (1 << 32), 4 + 2 * 66 * 132
@@ -97,7 +97,7 @@ def test_what_a_program_prints_is_read_by_panning(tmp_path):
         for key, (text, cells) in [*wanted, ("h", prompt)]:
             if key:
                 source.keys[key]()
-            there = connection.wait_until(lambda text=text, cells=cells: shows(text, cells), 30)
+            there = wait_until(lambda text=text, cells=cells: shows(text, cells), 30)
             assert there, connection.shown
     finally:
         real.kill()

@@ -4,7 +4,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.braille_display.messages import LONGEST_LINE, MOST_CELLS, Messages, Shown
+from smarttouch.braille_display.messages import (
+    LONGEST_LINE,
+    MOST_CELLS,
+    BrlttyMessages,
+    DisplayContent,
+)
 
 CELLS = st.text(st.characters(min_codepoint=0x2800, max_codepoint=0x28FF), min_size=1, max_size=40)
 
@@ -22,17 +27,17 @@ def said(cells, text=""):
 def test_lines_are_found_in_any_pieces(shows, data):
     stream = b"".join(said(*each) for each in shows)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=8)))
-    messages = Messages()
+    messages = BrlttyMessages()
     for begin, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
         messages.feed(stream[begin:end])
     cells, text = shows[-1]
-    assert messages.shown == Shown(cells, text.rstrip(), len(shows))
+    assert messages.shown == DisplayContent(cells, text.rstrip(), len(shows))
     assert messages.garbled == 0
 
 
 @given(st.lists(st.binary(max_size=80), max_size=20))
 def test_anything_may_come(pieces):
-    messages = Messages()
+    messages = BrlttyMessages()
     for each in pieces:
         messages.feed(each)
     messages.feed(b"\n" + said("⠓⠊"))
@@ -45,11 +50,11 @@ def test_anything_may_come(pieces):
      b'Braille "' + b"|" * MOST_CELLS + b'"', b"x" * (LONGEST_LINE + 1)],
 )  # fmt: skip
 def test_what_is_no_message_is_counted(line):
-    messages = Messages()
+    messages = BrlttyMessages()
     messages.feed(line)
     messages.feed(b"\r\n")
     assert messages.garbled >= 1
-    assert messages.shown == Shown()
+    assert messages.shown == DisplayContent()
 
 
 @pytest.mark.parametrize(
@@ -65,9 +70,9 @@ def test_what_is_no_message_is_counted(line):
     ],
 )
 def test_the_first_new_cell(before, now, first):
-    assert Shown(now).first_new(Shown(before)) == first
+    assert DisplayContent(now).first_new(DisplayContent(before)) == first
 
 
 @pytest.mark.parametrize(("cells", "cursor"), [("⠓⣊", 1), ("⠓⡊", None), ("⣓⣊", None), ("", None)])
 def test_a_cursor_is_the_only_cell_with_both_low_dots(cells, cursor):
-    assert Shown(cells).cursor == cursor
+    assert DisplayContent(cells).cursor == cursor

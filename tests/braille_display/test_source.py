@@ -7,7 +7,7 @@ import pytest
 
 from smarttouch.afferent import Afferent
 from smarttouch.braille.cells import dots_to_cells
-from smarttouch.braille_display.messages import Shown
+from smarttouch.braille_display.messages import DisplayContent
 from smarttouch.braille_display.source import REST_S, BrailleDisplaySource, open_brltty
 from smarttouch.errors import ReadingError, SourceError
 from smarttouch.profile import load_profile
@@ -29,7 +29,7 @@ class Told:
 
     def show(self, cells):
         number = self.shown.number if self.shown else 0
-        self.shown = Shown(cells, number=number + 1)
+        self.shown = DisplayContent(cells, number=number + 1)
 
     def close(self):
         """Have nothing to close."""

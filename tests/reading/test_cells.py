@@ -13,7 +13,7 @@ from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.reading.braille import Braille, Presentation
 from smarttouch.reading.cells import CELL_MM, DOT_MM, LINE_MM, cell_layout
-from smarttouch.reading.deliver import Reading, deliver_line
+from smarttouch.reading.deliver import Reading, deliver_pulses
 from smarttouch.reading.window import profile_for_reading
 
 from ..raising import raises
@@ -83,7 +83,7 @@ def delivered(name, line_cells, presentation, at_once=1):
     line = layout.one_by_one(line_cells) if apart else layout.moving(line_cells)
     # One pulse for each place is enough for a machine; gaps need some more.
     motion = braille.motion(profile, profile.electrodes.cell_mm[0] * 20)
-    picture = deliver_line(line, Reading(profile, bank, braille.tone, motion))
+    picture = deliver_pulses(line, Reading(profile, bank, braille.tone, motion)).picture
     return layout.decode(picture, line_cells, apart)
 
 
@@ -116,7 +116,9 @@ def test_a_dot_that_was_not_delivered_is_missed():
     line = layout.moving(("⠿⠿",))
     line.image[:24] = 255
     braille = Braille()
-    picture = deliver_line(line, Reading(profile, bank, braille.tone, braille.motion(profile)))
+    picture = deliver_pulses(
+        line, Reading(profile, bank, braille.tone, braille.motion(profile))
+    ).picture
     assert layout.decode(picture, ("⠿⠿",), apart=False) == ("⠶⠶",)
 
 

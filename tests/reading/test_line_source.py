@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smarttouch.reading.cursor import Motion, Spot, SweepingCursor
+from smarttouch.reading.cursor import LineMotion, Spot, SweepingCursor
 from smarttouch.reading.line_source import ReadingSource
 from smarttouch.reading.window import pixel_of
 
@@ -66,7 +66,7 @@ def test_lines_lie_one_below_the_other(reading, feed_of, make_line):
 
 def test_it_heeds_the_keys_of_its_cursor(reading, feed_of, make_line):
     feed = feed_of(make_line(), make_line())
-    source = ReadingSource("x", reading, feed, SweepingCursor(feed, Motion(25.0), 1.0))
+    source = ReadingSource("x", reading, feed, SweepingCursor(feed, LineMotion(25.0), 1.0))
     source.read(0)
     source.keys["right"]()
     source.read(20_000_000)

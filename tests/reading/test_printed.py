@@ -32,7 +32,7 @@ class Reads:
 
     def __call__(self, strips, languages):
         self.pieces.append(len(strips))
-        return [RecognizedLine(self.lines.pop(0), (0, 0, 9, 9), self.confidence) for _ in strips]
+        return [RecognizedLine(self.lines.pop(0), self.confidence) for _ in strips]
 
 
 @pytest.fixture

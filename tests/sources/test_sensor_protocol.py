@@ -17,8 +17,8 @@ from smarttouch.sources.sensor_protocol import (
     ArrayFrame,
     CellReading,
     Info,
-    Kind,
     MessageStream,
+    PacketKind,
     decode,
     encode_force,
     encode_frame,
@@ -112,15 +112,15 @@ HEAD = bytes([2, 3, 0, 0, 0, 0])
 @pytest.mark.parametrize(
     ("kind", "payload"),
     [
-        (Kind.FRAME, b""),
-        (Kind.FRAME, HEAD[:5]),
-        (Kind.FRAME, HEAD + bytes(5)),
-        (Kind.FRAME, HEAD + bytes(7)),
-        (Kind.FRAME, bytes([0, 3, 0, 0, 0, 0])),
-        (Kind.FRAME, bytes([3, 0, 0, 0, 0, 0])),
-        (Kind.FORCE, bytes(7)),
-        (Kind.FORCE, bytes(9)),
-        (Kind.INFO, bytes(256)),
+        (PacketKind.FRAME, b""),
+        (PacketKind.FRAME, HEAD[:5]),
+        (PacketKind.FRAME, HEAD + bytes(5)),
+        (PacketKind.FRAME, HEAD + bytes(7)),
+        (PacketKind.FRAME, bytes([0, 3, 0, 0, 0, 0])),
+        (PacketKind.FRAME, bytes([3, 0, 0, 0, 0, 0])),
+        (PacketKind.FORCE, bytes(7)),
+        (PacketKind.FORCE, bytes(9)),
+        (PacketKind.INFO, bytes(256)),
         (0x44, b""),
     ],
 )
@@ -129,11 +129,11 @@ def test_malformed_payloads_say_nothing(kind, payload):
 
 
 def test_another_version_says_nothing():
-    assert decode(Packet(Kind.FRAME, 0, HEAD + bytes(6), VERSION)) is not None
-    assert decode(Packet(Kind.FRAME, 0, HEAD + bytes(6), VERSION + 1)) is None
+    assert decode(Packet(PacketKind.FRAME, 0, HEAD + bytes(6), VERSION)) is not None
+    assert decode(Packet(PacketKind.FRAME, 0, HEAD + bytes(6), VERSION + 1)) is None
 
 
-@given(st.sampled_from([*Kind, 0, 255]), st.binary(max_size=80))
+@given(st.sampled_from([*PacketKind, 0, 255]), st.binary(max_size=80))
 def test_no_payload_crashes(kind, payload):
     message = decode(Packet(kind, 0, payload, VERSION))
     if isinstance(message, ArrayFrame):

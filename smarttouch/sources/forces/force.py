@@ -24,7 +24,7 @@ class ForceSource(Device, ABC):
 
     is_live: ClassVar[bool] = True
     """Whether the force is that of a finger that presses now, measured or stated by a person; any
-    other opens no current on a board that a finger may be on."""
+    other opens no current on a board that a finger may touch."""
 
     @abstractmethod
     def read(self, time_ns: int) -> float:
@@ -35,13 +35,7 @@ class ForceSource(Device, ABC):
 
 
 def open_force(url: str, profile: Profile) -> ForceSource:
-    """Open a source of finger force by its URL.
-
-    Raises
-    ------
-    SourceError
-        If there is no such kind or it cannot be opened.
-    """
+    """Open a source of finger force by its URL."""
     opener, rest = find_opener(
         "smarttouch.forces", url, SourceError, ForceSource, ("rest", "profile")
     )
@@ -60,18 +54,7 @@ def open_recorded(rest: str, profile: Profile) -> ForceSource:
 
 
 class FixedForce(ForceSource):
-    """Constant force, which a person states to be there.
-
-    Parameters
-    ----------
-    text : str
-        0 to 20 N.
-
-    Raises
-    ------
-    SourceError
-        If it is another number, or none.
-    """
+    """Constant force, 0 to 20 N, which a person states to be there."""
 
     def __init__(self, text: str) -> None:
         try:
@@ -80,7 +63,7 @@ class FixedForce(ForceSource):
             self._force_n = math.nan
         if not 0 <= self._force_n <= LARGEST_FIXED_N:
             raise SourceError(
-                f"fixed:{text} is no force: give newtons from 0 to {LARGEST_FIXED_N:g}, as in "
+                f"fixed:{text} is not a force: give newtons from 0 to {LARGEST_FIXED_N:g}, as in "
                 "fixed:0.5",
                 about="force",
                 problem="impossible",
@@ -95,18 +78,10 @@ class FixedForce(ForceSource):
 
 
 class RecordedForce(ForceSource):
-    """Force from a table, linear between its rows; unknown before the first and after the last.
+    """Force from a CSV table, linear between its rows; unknown before the first and after the last.
 
-    Parameters
-    ----------
-    path : Path
-        CSV with a heading; the columns ``time_s`` (since the start of the run, rising) and
-        ``force_n`` are used, others are not, so a recorded path will do.
-
-    Raises
-    ------
-    SourceError
-        If the file is missing or wrong, with the line number.
+    The columns ``time_s``, since the start of the run and rising, and ``force_n`` are used, others
+    are not, so a recorded path will do.
     """
 
     is_live = False

@@ -22,13 +22,13 @@ from smarttouch.profile import Profile
 from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.forces.load_cell_watch import CellWatch
 from smarttouch.sources.forces.readings import PacketReadings, Readings, TextReadings
-from smarttouch.sources.line import read_what_came
+from smarttouch.sources.line import read_available
 from smarttouch.wire.port import LINE_ERRORS, Port, open_port
 
 FIRST_READING_S = 5.0
 """Time limit of the first reading: some boards restart when the port opens, for two seconds."""
 MUTE_S = 2.0
-"""Least time without a reading after which a cell counts as mute."""
+"""Least time without a reading after which a cell counts as silent."""
 RETRY_S = 0.25
 """Interval of attempts to reopen a lost port."""
 JOIN_S = 2.0
@@ -43,53 +43,25 @@ _KINDS: dict[str, tuple[int, Callable[[], Readings]]] = {
 
 
 def open_hx711(rest: str, profile: Profile) -> ForceSource:
-    """Open ``hx711:PORT``, a sketch that prints one reading per line.
-
-    Raises
-    ------
-    SourceError
-        If the profile has no curve, the port cannot be opened, or no reading comes.
-    """
+    """Open ``hx711:PORT``, a sketch that prints one reading per line."""
     return LoadCellForce(f"hx711:{rest}", profile)
 
 
 def open_loadcell(rest: str, profile: Profile) -> ForceSource:
-    """Open ``loadcell:PORT``, a load cell with the sensors' own format.
-
-    Raises
-    ------
-    SourceError
-        If the profile has no curve, the port cannot be opened, or no reading comes.
-    """
+    """Open ``loadcell:PORT``, a load cell with the sensors' own format."""
     return LoadCellForce(f"loadcell:{rest}", profile)
 
 
 def open_cell(url: str) -> "LoadCell":
-    """Open a load cell for its raw readings, without a curve.
-
-    Raises
-    ------
-    SourceError
-        If the URL is none of a load cell, the port cannot be opened, or no reading comes.
-    """
-    # Without a curve contact is not known; a sketch that has set zero stands still there.
+    """Open a load cell for its raw readings, without a curve."""
+    # Contact is unknown without a curve; a tared sketch sends constant zeros.
     return LoadCell(url, presses=lambda reading: reading != 0)
 
 
 class LoadCell(Closing):
-    """A load cell whose readings a thread takes in.
+    """Load cell at ``hx711:PORT`` or ``loadcell:PORT``, either with ``?baud=N``, read by a thread.
 
-    Parameters
-    ----------
-    url : str
-        ``hx711:PORT`` or ``loadcell:PORT``, either with ``?baud=N``.
-    presses : callable
-        Whether a reading means contact: only then is standing still a fault.
-
-    Raises
-    ------
-    SourceError
-        If it cannot be opened, or no reading comes from it.
+    ``presses`` says whether a reading means contact: only then are constant readings a fault.
     """
 
     def __init__(self, url: str, presses: Callable[[float], bool]) -> None:
@@ -101,7 +73,7 @@ class LoadCell(Closing):
         self._watch = CellWatch(self.title, self.notes, presses)
         self._news = threading.Condition()
         """Guards the watch and the collected readings."""
-        self._any = self._heard = False
+        self._any = self._received = False
         self._collected: list[float] | None = None
         self._closing = threading.Event()
         port = open_port(name, self._baud, _WAIT_S, SourceError)
@@ -121,25 +93,18 @@ class LoadCell(Closing):
             return self._watch.reading(time.perf_counter_ns())
 
     def collect(self, seconds: float) -> NDArray[np.float64]:
-        """Wait, and return the raw readings that arrived meanwhile, (N,); one at least.
-
-        Raises
-        ------
-        SourceError
-            If none came.
-        """
+        """Wait, and return the raw readings that arrived meanwhile, (N,); one at least."""
         with self._news:
             self._collected = []
         self._closing.wait(seconds)
-        # Where this computer stood still, its cable is no worse for it.
+        # A pause of this computer is no fault of the cable.
         patience_s = max(seconds, MUTE_S)
         with self._news:
             self._news.wait_for(lambda: bool(self._collected), patience_s - seconds)
             came, self._collected = self._collected, None
         if not came:
             raise self._mute(
-                f"no reading came from the {self.title} in {patience_s:g} s: check its cable and "
-                "power",
+                f"the {self.title} sent no reading in {patience_s:g} s: check its cable and power",
                 patience_s,
             )
         return np.array(came, np.float64)
@@ -153,18 +118,18 @@ class LoadCell(Closing):
         with self._news:
             if self._news.wait_for(lambda: self._any, FIRST_READING_S):
                 return
-        if self._heard:
+        if self._received:
             raise SourceError(
-                f"what comes from the {self.title} is no readings: check its speed (now "
-                f"{self._baud}; another one is set by ?baud=N after the port) and what it sends",
+                f"the {self.title} sends no readings: check its speed (now {self._baud}; set "
+                "another by ?baud=N after the port) and what it sends",
                 about="port",
                 problem="malformed",
                 value=self._name,
                 remedy="?baud=",
             )
         raise self._mute(
-            f"no reading came within {FIRST_READING_S:g} s from the {self.title}: check that it "
-            "is on and sends by itself",
+            f"the {self.title} sent no reading within {FIRST_READING_S:g} s: check that it is on "
+            "and streams its readings",
             FIRST_READING_S,
         )
 
@@ -178,7 +143,7 @@ class LoadCell(Closing):
                 port = self._reopen()
                 continue
             try:
-                data = read_what_came(port, self.title)
+                data = read_available(port, self.title)
             except SourceLostError:
                 _let_go(port)
                 port = None
@@ -191,9 +156,9 @@ class LoadCell(Closing):
         came = self._readings.feed(data)
         now_ns = time.perf_counter_ns()
         with self._news:
-            self._heard = self._heard or bool(data)
-            self._watch.hear(came, now_ns)
-            self._watch.look(now_ns, self._readings.garbled, self._readings.last_garbled)
+            self._received = self._received or bool(data)
+            self._watch.take(came, now_ns)
+            self._watch.check(now_ns, self._readings.garbled, self._readings.last_garbled)
             if came:
                 self._any = True
                 if self._collected is not None:
@@ -214,20 +179,7 @@ class LoadCell(Closing):
 
 
 class LoadCellForce(ForceSource):
-    """Force of a load cell by the profile's curve.
-
-    Parameters
-    ----------
-    url : str
-        Of the cell.
-    profile : Profile
-        With ``force.curve``.
-
-    Raises
-    ------
-    SourceError
-        If the profile has no curve, the port cannot be opened, or no reading comes.
-    """
+    """Force of a load cell by the profile's ``force.curve``."""
 
     def __init__(self, url: str, profile: Profile) -> None:
         if profile.force.curve is None:
@@ -275,16 +227,16 @@ def _parse(url: str) -> tuple[str, str, int]:
     kind, _, rest = url.partition(":")
     if kind not in _KINDS:
         kinds = " or ".join(f"{each}:PORT" for each in _KINDS)
-        message, known = f"{url!r} is no load cell: give {kinds}", tuple(_KINDS)
+        message, known = f"{url!r} is not a load cell: give {kinds}", tuple(_KINDS)
         raise SourceError(message, about="force", problem="unknown", value=url, allowed=known)
-    name, asked, speed = rest.partition("?baud=")
+    name, option, speed = rest.partition("?baud=")
     if not name:
-        message = f"{url!r} names no port: give one, as in {kind}:/dev/ttyUSB0"
+        message = f"{url!r} has no port: give one, as in {kind}:/dev/ttyUSB0"
         raise SourceError(message, about="port", problem="missing", value=url)
-    if not asked:
+    if not option:
         return kind, name, _KINDS[kind][0]
     if not (speed.isdecimal() and 0 < int(speed) < 10**8):
-        message = f"{url!r}: {speed!r} is no speed of a line: give bits a second, 115200"
+        message = f"{url!r}: {speed!r} is not a line speed: give bits per second, as in 115200"
         raise SourceError(message, about="?baud=", value=speed)
     return kind, name, int(speed)
 

@@ -7,8 +7,8 @@ Text is what HX711 sketches print, one reading to a line::
     one reading:\t4.5\t| average:\t4.6
     0.00 kg
 
-The first number that is no part of a word counts, so the 711 of ``HX711`` does not. A line
-that ends with a colon is a label, its value comes in the next one. Text has no check sum: a
+The first number that is not part of a word counts, so the 711 of ``HX711`` does not. A line
+that ends with a colon is a label, its value comes in the next one. Text has no checksum: a
 lost digit passes for a smaller number. The framed form
 (`smarttouch.sources.sensor_protocol`, FORCE) has one.
 """
@@ -43,12 +43,8 @@ class Readings(Protocol):
 
 
 def parse_line(line: bytes) -> float | None:
-    """Return the reading of a line; NaN if it reports none; None if it is invalid.
-
-    Parameters
-    ----------
-    line : bytes
-        Without its end.
+    """Return the reading of a line without its end; NaN if it reports none, None if it is
+    invalid.
     """
     if not _TEXT.fullmatch(line):
         return None
@@ -64,8 +60,8 @@ def parse_line(line: bytes) -> float | None:
 class TextReadings:
     """Readings in lines of text.
 
-    The first line counts for nothing: it may have lost its start. Nor does the first reading
-    after bytes that are no text: among garbage there are digits too.
+    The first line is ignored, as it may have lost its start, and so is the first reading after
+    bytes that are no text, as garbage has digits, too.
     """
 
     def __init__(self) -> None:

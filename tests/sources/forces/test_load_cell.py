@@ -150,51 +150,51 @@ class TestWatch:
         """Return the time after the last of so many equal readings."""
         for k in range(round(seconds * rate_hz) + 1):
             now_ns = round((start_s + k / rate_hz) * SECOND)
-            watch.hear([value], now_ns)
-            watch.look(now_ns, 0, "")
+            watch.take([value], now_ns)
+            watch.check(now_ns, 0, "")
         return now_ns
 
     def test_nothing_is_known_before_the_first(self, watch, notes):
-        watch.look(5 * SECOND, 0, "")
+        watch.check(5 * SECOND, 0, "")
         assert math.isnan(watch.reading(5 * SECOND))
         assert notes == []
 
     def test_a_reading_counts_while_it_is_fresh(self, watch, notes):
-        watch.hear([1, 2, 3], 0)
+        watch.take([1, 2, 3], 0)
         fresh_ns = round(FRESH_S * SECOND)
         assert watch.reading(fresh_ns) == 3
         assert math.isnan(watch.reading(fresh_ns + 1))
-        watch.look(fresh_ns + 1, 0, "")
-        watch.look(2 * SECOND, 0, "")
-        watch.hear([4], 3 * SECOND)
+        watch.check(fresh_ns + 1, 0, "")
+        watch.check(2 * SECOND, 0, "")
+        watch.take([4], 3 * SECOND)
         assert watch.reading(3 * SECOND) == 4
         (note,) = notes
         assert numbers_in(note) == [3.0, FRESH_S]
-        watch.look(4 * SECOND, 0, "")
-        watch.hear([5], 4 * SECOND)
+        watch.check(4 * SECOND, 0, "")
+        watch.take([5], 4 * SECOND)
         (note,) = notes
         assert numbers_in(note) == [4.0, 2, FRESH_S]
 
     def test_ten_a_second_pass(self, watch, notes):
         for k in range(50):
-            watch.hear([k], k * SECOND // 10)
-            watch.look(k * SECOND // 10 + SECOND // 11, 0, "")
+            watch.take([k], k * SECOND // 10)
+            watch.check(k * SECOND // 10 + SECOND // 11, 0, "")
             assert watch.reading((k + 1) * SECOND // 10) == k
         assert notes == []
 
     def test_a_cell_that_says_it_has_none(self, watch, notes):
-        watch.hear([200, math.nan], 0)
+        watch.take([200, math.nan], 0)
         assert math.isnan(watch.reading(0))
-        watch.hear([math.nan], 1)
-        watch.hear([201], 2)
+        watch.take([math.nan], 1)
+        watch.take([201], 2)
         assert watch.reading(2) == 201
         (note,) = notes
         assert numbers_in(note) == [2]
 
     @pytest.mark.parametrize("end", [2**23 - 1, -(2**23)])
     def test_the_ends_of_the_range(self, watch, notes, end):
-        watch.hear([float(end)], 0)
-        watch.hear([float(end)], 1)
+        watch.take([float(end)], 0)
+        watch.take([float(end)], 1)
         assert math.isnan(watch.reading(1))
         (note,) = notes
         assert numbers_in(note) == [end, 2]
@@ -204,7 +204,7 @@ class TestWatch:
         assert watch.reading(now_ns) == 150
         now_ns = self.stand_still(watch, 150.0, 3.0, start_s=2.0)
         assert math.isnan(watch.reading(now_ns))
-        watch.hear([151.0], 6 * SECOND)
+        watch.take([151.0], 6 * SECOND)
         assert watch.reading(6 * SECOND) == 151
         (note,) = notes
         assert numbers_in(note) == [6.0]
@@ -212,8 +212,8 @@ class TestWatch:
     def test_slow_cells_need_twenty(self, watch):
         now_ns = self.stand_still(watch, 150.0, 5.9, rate_hz=3)
         assert watch.reading(now_ns) == 150
-        watch.hear([150.0], now_ns + SECOND // 3)
-        watch.hear([150.0], now_ns + SECOND // 3)
+        watch.take([150.0], now_ns + SECOND // 3)
+        watch.take([150.0], now_ns + SECOND // 3)
         assert math.isnan(watch.reading(now_ns + SECOND // 3))
 
     def test_standing_still_at_rest_is_no_fault(self, watch, notes):
@@ -223,27 +223,27 @@ class TestWatch:
 
     def test_noise_is_never_frozen(self, watch, notes):
         for k in range(400):
-            watch.hear([150.0 + k % 2], k * SECOND // 80)
+            watch.take([150.0 + k % 2], k * SECOND // 80)
         assert watch.reading(5 * SECOND) == 151
         assert notes == []
 
     def test_gone_and_back(self, watch, notes):
-        watch.hear([1.0], 0)
+        watch.take([1.0], 0)
         watch.lose(SECOND)
         assert math.isnan(watch.reading(SECOND))
         watch.lose(2 * SECOND)
         assert [numbers_in(note) for note in notes] == [[1.0]]
-        watch.look(3 * SECOND, 0, "")
+        watch.check(3 * SECOND, 0, "")
         assert [numbers_in(note) for note in notes] == [[2.0]]
-        watch.hear([2.0], 4 * SECOND)
+        watch.take([2.0], 4 * SECOND)
         assert watch.reading(4 * SECOND) == 2
         assert [numbers_in(note) for note in notes] == [[3.0]]
 
     def test_garbage_is_noted_once(self, watch, notes):
-        watch.look(0, 1, "'x'")
+        watch.check(0, 1, "'x'")
         (note,) = notes
         assert "'x'" in note
-        watch.look(0, 24, "'y'")
+        watch.check(0, 24, "'y'")
         (note,) = notes
         assert "'y'" in note
         assert numbers_in(note) == [24]
