@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from smarttouch.errors import CalibrationError
 from smarttouch.sources.flat_field import FlatField, mean_image
 
-Images = Sequence[NDArray[np.uint8]]
+_Stack = Sequence[NDArray[np.uint8]]
 
 MOST_UNEVEN = 0.05
 """Largest unevenness of white after correction; with more, the paper is not blank, or it moved."""
@@ -56,7 +56,7 @@ class OpticsFound:
         )
 
 
-def measure_optics(dark: Images, white: Images) -> OpticsFound:
+def measure_optics(dark: _Stack, white: _Stack) -> OpticsFound:
     """Return the flat field of a sensor from images in the dark and of blank paper.
 
     Raises
@@ -95,7 +95,7 @@ def measure_optics(dark: Images, white: Images) -> OpticsFound:
     )
 
 
-def _held_out(dark: Images, white: Images, field: FlatField) -> float:
+def _held_out(dark: _Stack, white: _Stack, field: FlatField) -> float:
     """Return the unevenness of paper after a correction made from every other frame only."""
     if min(len(dark), len(white)) > 1:
         field = FlatField.measure(dark[::2], white[::2])

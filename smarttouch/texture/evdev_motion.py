@@ -22,7 +22,7 @@ _WAIT_S = 0.1
 _GROUP = "join the group input (sudo usermod -aG input $USER) and log in again"
 
 
-def open_it(rest: str, *, cpi: float = USUAL_CPI, grab: bool = False) -> "EvdevMotion":
+def open_evdev(rest: str, *, cpi: float = USUAL_CPI, grab: bool = False) -> "EvdevMotion":
     """Open ``evdev:DEVICE``, or the first mouse that is found; options are `EvdevMotion`'s.
 
     Raises

@@ -11,15 +11,15 @@ from smarttouch.sources.device import Device
 from smarttouch.url_options import joined_options, read_options
 
 _OPENERS = {
-    "evdev": "smarttouch.texture.evdev_motion",
-    "path": "smarttouch.texture.path_motion",
-    "sweep": "smarttouch.texture.sweep_motion",
-    "window": "smarttouch.texture.window_motion",
+    "evdev": ("smarttouch.texture.evdev_motion", "open_evdev"),
+    "path": ("smarttouch.texture.path_motion", "open_path"),
+    "sweep": ("smarttouch.texture.sweep_motion", "open_sweep"),
+    "window": ("smarttouch.texture.window_motion", "open_window"),
 }
-"""Modules by name of the kind; each has a function ``open_it(rest, **options)``."""
+"""Module and function ``(rest, **options)`` of each kind; imported when one is opened."""
 _NOT_IN_URLS = ("span_mm", "lane_mm", "origin_mm")
 """Options of a sweep that follow from the texture."""
-_ANY_SOURCE = "smarttouch.texture.source_motion"
+_ANY_SOURCE = ("smarttouch.texture.source_motion", "open_posed_source")
 
 
 class Motion(Device, ABC):
@@ -70,7 +70,7 @@ def open_motion(url: str, **options: Any) -> Motion:
         that knows its pose, as ``camera:0``. Options may stand in it, as in
         ``sweep:?speed_mm_s=20``.
     **options
-        Options of the kind, see ``open_it`` in its module; those that are None were not given.
+        Options of the kind, see its opener; those that are None were not given.
 
     Raises
     ------
@@ -81,7 +81,8 @@ def open_motion(url: str, **options: Any) -> Motion:
     sources = known_names("smarttouch.sources")
     if not colon or kind not in {*_OPENERS, *sources}:
         raise unknown("motion", url, (*_OPENERS, *sources), SourceError)
-    opener = import_module(_OPENERS.get(kind, _ANY_SOURCE)).open_it
+    module, function = _OPENERS.get(kind, _ANY_SOURCE)
+    opener = getattr(import_module(module), function)
     given = given_options(opener, url, options, SourceError)
     if kind not in _OPENERS:
         motion: Motion = opener(url, **given)

@@ -8,11 +8,11 @@ from smarttouch.sources.frame import Pose
 from smarttouch.sources.source import Source
 from smarttouch.texture.motion import Motion
 
-RESOLUTION_MM = 0.02
+_IMAGE_RESOLUTION_MM = 0.02
 """Jitter at rest of motion found in images; an estimate of ours."""
 
 
-def open_it(url: str, *, profile: Profile | None = None) -> "SourceMotion":
+def open_posed_source(url: str, *, profile: Profile | None = None) -> "SourceMotion":
     """Open any source that knows its pose; its optics are electric-mouse's if none are given."""
     return SourceMotion(open_source(url, profile or load_profile(DEFAULT_PROFILE)))
 
@@ -26,7 +26,7 @@ class SourceMotion(Motion):
         An open one, which is closed with this.
     """
 
-    resolution_mm = RESOLUTION_MM
+    resolution_mm = _IMAGE_RESOLUTION_MM
 
     def __init__(self, source: Source) -> None:
         super().__init__(f"the motion of {source.title}")

@@ -24,7 +24,7 @@ _TREMOR_MM = 0.05
 """Root mean square along each axis; an estimate of ours for a hand that lies on a mouse."""
 
 
-def open_it(
+def open_sweep(
     rest: str,
     *,
     speed_mm_s: float = USUAL_MM_S,

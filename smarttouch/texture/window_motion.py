@@ -26,7 +26,7 @@ _POLL_MS = 50
 _START_S = 10.0
 
 
-def open_it(rest: str, *, texture: Texture | None = None) -> "WindowMotion":
+def open_window(rest: str, *, texture: Texture | None = None) -> "WindowMotion":
     """Open ``window:``.
 
     Parameters

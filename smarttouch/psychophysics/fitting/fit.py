@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smarttouch.psychophysics.fitting.answers import Array, Counts
+from smarttouch.psychophysics.fitting.answers import Counts
 from smarttouch.psychophysics.fitting.bootstrap import (
     CONFIDENCE,
     SAMPLES,
@@ -15,7 +15,7 @@ from smarttouch.psychophysics.fitting.bootstrap import (
 )
 from smarttouch.psychophysics.fitting.likelihood import Maximum, maximize, saturated
 from smarttouch.psychophysics.fitting.posterior import credible_interval
-from smarttouch.psychophysics.fitting.psychometric import Model, Parameters
+from smarttouch.psychophysics.fitting.psychometric import Array, Model, Parameters
 
 _STARTS = 20
 _SUDDEN_SHARE = 0.05
