@@ -21,27 +21,10 @@ from smarttouch.files import (
 
 
 class Progress(Closing):
-    """Findings until now, in a file beside the profile to come.
+    """Results of a threshold session until now, by electrode, in a file beside the profile to come.
 
-    Until it is closed no other session can go on with the same file.
-
-    Parameters
-    ----------
-    path : Path
-        The file; read if it is there.
-    settings : mapping
-        Settings that must be the same for earlier results to count.
-
-    Attributes
-    ----------
-    found : dict of int to Thresholds
-        By electrode.
-
-    Raises
-    ------
-    CalibrationError
-        If the file is no such thing, from a session with other settings, or another session
-        goes on with it now.
+    They count only where `settings` are the same. Until it is closed no other session can continue
+    the same file.
     """
 
     def __init__(self, path: Path, settings: Mapping[str, Any]) -> None:

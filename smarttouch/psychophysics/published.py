@@ -137,15 +137,8 @@ def chronaxie_row(profile: Profile, anatomy: Anatomy) -> Row:
 
 
 def told_apart(finger: Finger, current_ma: Array, places_mm: Array) -> bool:
-    """Return whether what is felt dips between two places.
-
-    Parameters
-    ----------
-    finger : Finger
-    current_ma : ndarray, (S, E), mA
-        Slots.
-    places_mm : ndarray, (2, 2), mm
-    """
+    """Return whether the map of spikes from slots, (S, E) mA, dips between two places, (2, 2)
+    mm."""
     width_us = np.full(len(current_ma), finger.profile.pulse.width_us)
     fires = SpikeModel(finger).drive(1000 * current_ma, width_us) >= 1
     along = np.linspace(-0.25, 1.25, _ACROSS)[:, None]

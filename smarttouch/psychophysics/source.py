@@ -42,33 +42,10 @@ Pulses = Generator[Stimulus, None, None]
 
 
 class ExperimentSource(StimulusSource, Listener):
-    """Presents trial after trial.
+    """Source that presents trial after trial.
 
     Each begins when the intensity is there that the user has chosen; one whose current is lost
-    within an interval (paused, finger lifted, board gone) is presented anew.
-
-    Parameters
-    ----------
-    trials : Trials
-        Trials to present.
-    profile : Profile
-        Array, force and limits.
-    course : TrialTiming
-        Timing of a trial.
-    press_n : float, N, optional
-        Force of a virtual finger; boards that a finger may be on need another source.
-    clock : Clock, optional
-        Tells when a key was pressed between two stimuli; the time of the last one counts if
-        not given.
-
-    Attributes
-    ----------
-    asking : Trial or None
-        The one whose answer is waited for.
-    playing : tuple of int or None
-        Which presentation and which of its intervals the last stimulus belongs to.
-    repeats, spoiled : int
-        Trials felt again because the participant wished so, or presented anew.
+    within an interval (paused, finger lifted, board gone) is presented again.
     """
 
     ended = "the experiment is over"
@@ -78,7 +55,10 @@ class ExperimentSource(StimulusSource, Listener):
         trials: Trials,
         profile: Profile,
         course: TrialTiming,
+        # force of a virtual finger; boards that a finger may be on need another source
         press_n: float | None = None,
+        # tells when a key was pressed between two stimuli; the time of the last one counts if not
+        # given
         clock: Clock | None = None,
     ) -> None:
         super().__init__(trials.title)

@@ -25,13 +25,9 @@ _ANY_SOURCE = ("smarttouch.texture.source_motion", "open_posed_source")
 class Motion(Device, ABC):
     """Source of the displacement of a hand, opened by its URL.
 
-    Attributes
-    ----------
-    origin_mm : tuple of float, mm, or None
-        Start on a texture, from its top left corner; in its middle if None.
-        Known after the first look.
-    force_n : float, N
-        Force of the finger at the last read, where ``knows_force``.
+    It starts at `origin_mm` of a texture, from its top left corner, known after the first read; in
+    the middle if that is None. `force_n` is that of the finger at the last read, where
+    `knows_force`.
     """
 
     duration_s: float | None = None
@@ -47,35 +43,16 @@ class Motion(Device, ABC):
 
     @abstractmethod
     def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return the displacement from the start, right and down; None at the end.
-
-        Parameters
-        ----------
-        time_ns : int
-            Since the start of the run; rises from call to call.
-
-        Returns
-        -------
-        tuple of float, mm, or None
-        """
+        """Return the displacement from the start, right and down, mm; None at the end. `time_ns`
+        rises."""
 
 
 def open_motion(url: str, **options: Any) -> Motion:
-    """Open a source of hand motion, for example ``evdev:`` or ``sweep:``.
+    """Open ``sweep:``, ``evdev:DEVICE``, ``window:``, ``path:CSV``, or any source that knows its
+    pose.
 
-    Parameters
-    ----------
-    url : str
-        ``sweep:``, ``evdev:DEVICE``, ``window:``, ``path:CSV``, or the URL of any source
-        that knows its pose, as ``camera:0``. Options may stand in it, as in
-        ``sweep:?speed_mm_s=20``.
-    **options
-        Options of the kind, see its opener; those that are None were not given.
-
-    Raises
-    ------
-    SourceError
-        If there is no such kind, it does not take an option, or cannot be opened.
+    Options may stand in the URL, as in ``sweep:?speed_mm_s=20``; those that are None were not
+    given.
     """
     kind, colon, rest = url.partition(":")
     sources = known_names("smarttouch.sources")

@@ -24,16 +24,8 @@ def open_path(rest: str) -> "PathMotion":
 class PathMotion(Motion):
     """Motion along the points of a table, in straight lines.
 
-    Parameters
-    ----------
-    path : Path
-        CSV file whose heading names the columns ``time_s``, ``x_mm`` and ``y_mm`` (on the
-        texture, from its top left corner) and may name ``force_n``; others are not used.
-
-    Raises
-    ------
-    SourceError
-        If the file is missing or wrong, with the line number.
+    The heading of the CSV file names the columns ``time_s``, ``x_mm`` and ``y_mm`` (on the texture,
+    from its top left corner) and may name ``force_n``; others are not used.
     """
 
     resolution_mm = _PATH_RESOLUTION_MM

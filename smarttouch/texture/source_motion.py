@@ -18,13 +18,7 @@ def open_posed_source(url: str, *, profile: Profile | None = None) -> "SourceMot
 
 
 class SourceMotion(Motion):
-    """Motion by a source's pose.
-
-    Parameters
-    ----------
-    source : Source
-        An open one, which is closed with this.
-    """
+    """Motion by the pose of a source, which is closed with it."""
 
     resolution_mm = _IMAGE_RESOLUTION_MM
 

@@ -16,33 +16,19 @@ _NUMBER = r"([0-9]*\.?[0-9]+)"
 def open_texture(
     spec: str,
     *,
+    # dpi, width_mm: scale of a file that does not say; width of a text
     dpi: float | None = None,
     width_mm: float | None = None,
+    # way between two pulses on what is high and wide; measured if not given
     grain_mm: float | None = None,
-    tiled: bool = False,
-    light_on_dark: bool = False,
+    tiled: bool = False,  # repeat it without end
+    light_on_dark: bool = False,  # whether bright parts are high
 ) -> Texture:
-    """Open a texture.
+    """Open a texture: a grating, a text, an image or a height map.
 
-    Parameters
-    ----------
-    spec : str
-        ``grating:4mm``, ``grating:4mm,30deg``, ``text:STRING``, or a file: an image (ink is
-        high), or a height map (16 bits or floating point, or .npy: bright is high). Options
-        may stand behind it, as in ``wood.png?dpi=300&tiled``.
-    dpi, width_mm : float, optional
-        Scale of a file that does not say; width of a text.
-    grain_mm : float, optional, mm
-        Way between two pulses on what is high and wide; measured if not given.
-    tiled : bool
-        Repeat it without end.
-    light_on_dark : bool
-        Whether bright parts are high.
-
-    Raises
-    ------
-    PageError
-        If there is no such texture, or an option is not for it.
+    ``grating:4mm``, ``grating:4mm,30deg``, ``text:STRING``, or a file: an image (ink is high), or a
+    height map (16 bits or floating point, or .npy: bright is high). Options may stand behind it, as
+    in ``wood.png?dpi=300&tiled``.
     """
     place, told = read_options(open_texture, spec, PageError)
     if told:

@@ -42,16 +42,9 @@ class FrequencySense:
     Perceived is the soft minimum of the pulses' frequency f and of the highest frequency L
     that the activity of PC and RA lets believe: (f^−n + L^−n)^(−1/n), with noise on its
     logarithm.
-
-    Attributes
-    ----------
-    weber : float
-        75 % threshold where L is far away.
-    sharpness : float
-        n.
     """
 
-    weber: float = BASE_WEBER
+    weber: float = BASE_WEBER  # 75 % threshold where L is far away
     sharpness: float = SHARPNESS
 
     def believable_hz(self, ratio: float) -> float:

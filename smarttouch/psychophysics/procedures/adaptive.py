@@ -27,11 +27,6 @@ def frequency_procedures(
     """Return a staircase or QUEST+ of each standard, mixed at random.
 
     Comparisons are faster than the standard: the upper threshold is looked for.
-
-    Raises
-    ------
-    ExperimentError
-        If a standard leaves no room below the highest frequency.
     """
     procedures: list[Procedure] = []
     for index, standard in enumerate(standards):

@@ -15,24 +15,14 @@ PAIRS_IN_A_BLOCK = 4
 
 @dataclass(frozen=True)
 class Condition:
-    """Stimulus of one trial.
+    """Stimulus of one trial."""
 
-    Attributes
-    ----------
-    standard : float
-        Standard; 0 if there is none.
-    comparison : float
-        Comparison, in the same unit.
-    comparison_interval : int
-        In which interval the comparison comes, 1 or 2; 0 where there are no two intervals.
-    repetition, trial, index : int
-        PsychoPy's thisRepN, thisTrialN and thisIndex: which repetition of all conditions, the
-        how-manieth trial of it, and which of the conditions.
-    """
-
-    standard: float
+    standard: float  # standard; 0 if there is none
     comparison: float
+    # in which interval the comparison comes, 1 or 2; 0 where there are no two intervals
     comparison_interval: int
+    # repetition, trial, index: PsychoPy's thisRepN, thisTrialN and thisIndex: which repetition of
+    # all conditions, which trial of it, and which of the conditions
     repetition: int
     index: int
     trial: int = 0
@@ -64,15 +54,7 @@ class Procedure(Protocol):
 
 
 class Interleaved:
-    """Several procedures at once, with trials mixed at random.
-
-    Parameters
-    ----------
-    procedures : sequence of Procedure
-        One of each standard, for example.
-    seed : int
-        Of the order.
-    """
+    """Several procedures at once, one of each standard for example, with trials mixed at random."""
 
     def __init__(self, procedures: Sequence[Procedure], seed: int = 0) -> None:
         if not procedures:

@@ -10,18 +10,7 @@ from smarttouch.psychophysics.procedures.procedure import Condition
 
 
 class Repeats:
-    """Repeated trials whose comparison is not a number but the result of the trial.
-
-    Parameters
-    ----------
-    repetitions : int
-        Number of trials.
-
-    Raises
-    ------
-    ExperimentError
-        If there are none.
-    """
+    """Repeated trials whose comparison is not a number but the result of the trial."""
 
     def __init__(self, repetitions: int) -> None:
         if repetitions < 1:
