@@ -40,7 +40,7 @@ def find_dots(image: NDArray[np.uint8]) -> Dots:
     """Find the target's dots in an image."""
     if min(image.shape) < FEWEST_SIDE:
         raise CalibrationError(
-            f"an image of {image.shape[1]} × {image.shape[0]} pixels is too coarse to tell dots: "
+            f"an image of {image.shape[1]} × {image.shape[0]} pixels is too coarse for dots: "
             f"{FEWEST_SIDE} a side are needed",
             about="image",
             problem="too small",

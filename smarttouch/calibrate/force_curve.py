@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from smarttouch.calibrate.polynomial import fit, hysteresis, left_out, rises, zero_of
 from smarttouch.errors import CalibrationError
 from smarttouch.profile import ForceLaw
+from smarttouch.psychophysics.procedures.repeats import middle_and_spread
 from smarttouch.sources.forces.load_cell import open_cell
 
 STANDARD_GRAVITY = 9.80665
@@ -42,8 +43,7 @@ class Weighing:
 
     grams: float
     reading: float  # median of the raw readings
-    # of single readings, as a standard deviation, but robust: 1.4826 times the median deviation
-    spread: float
+    spread: float  # robust standard deviation of single readings
     drift: float  # from the first half of the readings to the second
     count: int  # number of readings
 
@@ -120,8 +120,7 @@ def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
             allowed=FEWEST_READINGS,
             remedy="seconds",
         )
-    middle = float(np.median(good))
-    spread = 1.4826 * float(np.median(np.abs(good - middle)))
+    middle, spread = middle_and_spread(good)
     half = len(good) // 2
     drift = float(np.median(good[half:]) - np.median(good[:half]))
     return Weighing(grams, middle, spread, drift, len(good))

@@ -1,14 +1,14 @@
 """Ascending method of limits: current rises until it is felt, then until it is enough.
 
-Pure: it says which level comes next and is told whether a key was pressed. Who makes the
-current flow, and how fast steps follow one another, is not its business.
+Pure: it returns the next level and takes whether a key was pressed; current and timing are the
+caller's.
 """
 
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smarttouch.psychophysics.procedures.repeats import middle_and_spread
 from smarttouch.psychophysics.source import STEP_S
 
 TICK_S = STEP_S
@@ -70,7 +70,7 @@ class Thresholds:
 class AscendingLimits:
     """Ascending limits at one electrode.
 
-    In a loop until `done`: make the current of `next` flow for `TICK_S`, then tell
+    In a loop until `done`: make the current of `next` flow for `TICK_S`, then give
     `answer` whether a key was pressed meanwhile. In each run the first key means
     *felt*, the second *strong enough*.
     """
@@ -148,7 +148,7 @@ class AscendingLimits:
         return Thresholds(
             middle,
             float(np.median(comfort)),
-            _robust_spread(threshold),
+            middle_and_spread(threshold)[1] / middle,
             len(threshold),
             self.false_presses,
         )
@@ -190,9 +190,3 @@ class AscendingLimits:
         self.runs.append(Run(self._threshold_ma, comfort_ma))
         if not self.done:
             self._begin()
-
-
-def _robust_spread(found: NDArray[np.float64]) -> float:
-    """Return a standard deviation over the median, from the median deviation."""
-    middle = float(np.median(found))
-    return 1.4826 * float(np.median(np.abs(found - middle))) / middle

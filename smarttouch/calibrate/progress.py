@@ -72,7 +72,7 @@ class Progress(Closing):
             found = {int(site): _thresholds(entry) for site, entry in stored["found"].items()}
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
             raise CalibrationError(
-                f"{self.path} is not the beginning of a threshold session: remove it to begin anew",
+                f"{self.path} is not the beginning of a threshold session: remove it to start over",
                 about="file",
                 problem="malformed",
                 value=self.path,
@@ -82,7 +82,7 @@ class Progress(Closing):
             if before != value:
                 raise CalibrationError(
                     f"{self.path} was begun with another {key}: go on with the same, or remove it "
-                    "to begin anew",
+                    "to start over",
                     about=key,
                     problem="conflict",
                     value=value,

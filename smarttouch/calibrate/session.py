@@ -10,7 +10,7 @@ from smarttouch.boards.board import Board
 from smarttouch.calibrate.adaptive import AdaptiveThreshold
 from smarttouch.calibrate.limits import AscendingLimits, Thresholds
 from smarttouch.calibrate.progress import Progress
-from smarttouch.calibrate.stimulus import ceiling_ma, slew_ma_s
+from smarttouch.calibrate.stimulus import ceiling_ma, measuring_profile, slew_ma_s
 from smarttouch.errors import CalibrationError
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.observers.known import KnownObserver
@@ -36,7 +36,6 @@ class ThresholdSession:
     def __init__(
         self,
         profile: Profile,  # to be measured
-        measuring: Profile,  # what `measuring_profile` makes of it
         board: Board,  # its own largest current counts too, from when it is open
         sites: Sequence[int],
         # keeps each electrode as it is done; those that it has already are left out
@@ -48,7 +47,8 @@ class ThresholdSession:
         # given each electrode and its result
         show: Callable[[int, Thresholds], None] = lambda _site, _found: None,
     ) -> None:
-        self._profile, self._measuring, self._board = profile, measuring, board
+        self._profile, self._board = profile, board
+        self._measuring = measuring_profile(profile)
         self._sites, self._progress = sites, progress
         self._adaptive, self._repeats, self._seed, self._show = adaptive, repeats, seed, show
         self._trials = self._measure_all()

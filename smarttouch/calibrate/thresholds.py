@@ -80,7 +80,7 @@ class ThresholdProcedure:
         # A simulated subject feels simulated currents, and does not wait.
         display = Display("simulated:" if self.simulate else self.board_url, measuring)
         session = ThresholdSession(
-            profile, measuring, display.board, self.sites, progress,
+            profile, display.board, self.sites, progress,
             adaptive=self.adaptive, repeats=self.repeats, seed=self.seed,
             show=lambda site, found: say(_describe(site, found)),
         )  # fmt: skip

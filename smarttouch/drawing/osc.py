@@ -230,7 +230,7 @@ def _bound(host: str, port: int, alone: bool) -> socket.socket:
         kind, *_, place = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
         if alone and not ipaddress.ip_address(str(place[0]).partition("%")[0]).is_loopback:
             raise SourceError(
-                f"everybody who reaches {host} could send: give a key, as in "
+                f"any program that reaches {host} could send: give a key, as in "
                 f"osc:{host}:{port}?key=FILE, or the port alone",
                 about="key",
                 problem="missing",

@@ -1,4 +1,4 @@
-"""Senders of packets: programs of this user, or whoever has the key of a file."""
+"""Senders of packets: programs of this user, or holders of a key in a file."""
 
 import hmac
 import os

@@ -101,8 +101,7 @@ def feel_letters(
 
 def letters_on_finger(
     finger: Finger,  # its seed is that of the noise, too
-    # mapping of str to (Slots, ndarray): slots and electrodes of each letter, see
-    # `letter_sequences`
+    # slots and electrodes of each letter, see `letter_sequences`
     shown: Mapping[str, tuple[Slots, NDArray[np.bool_]]],
     wanted: Sequence[Afferent],
     known: Mapping[str, Floats],  # see `letter_templates`

@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 
 WIDTHS_US = (50.0, 100.0, 200.0, 500.0)
 _DIP = 0.8
-"""Level between two places, over the lower of both, below which they are told apart. Ours."""
+"""Level between two places, over the lower of both, below which they are resolved. Ours."""
 _BLUR_MM = 0.6
 """Standard deviation of a receptive field in that. Ours."""
 _ACROSS = 33
@@ -151,7 +151,7 @@ def told_apart(finger: Finger, current_ma: Array, places_mm: Array) -> bool:
 
 
 def gap_rows(fingers: Sequence[Finger]) -> list[Row]:
-    """Return the part of fingers that tell two points, or a bar with a gap, from one."""
+    """Return the part of fingers that resolve two points, or a gap in a bar."""
     profile = fingers[0].profile
     bank = load_bank(profile)
     position = profile.electrodes.position_mm

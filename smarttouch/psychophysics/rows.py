@@ -182,7 +182,7 @@ def _parse(data: bytes, path: Path) -> list[TrialRow]:
         except (IndexError, ValueError):
             raise ExperimentError(
                 f"{path}, line {number}: {COLUMNS[name]} is missing or not what belongs there; "
-                "mend or delete the line",
+                "correct or delete the line",
                 about=COLUMNS[name],
                 problem="malformed",
                 value=dict(enumerate(line)).get(place[name]),

@@ -57,8 +57,7 @@ class ExperimentSource(StimulusSource, Listener):
         course: TrialTiming,
         # force of a virtual finger; boards that a finger may be on need another source
         press_n: float | None = None,
-        # tells when a key was pressed between two stimuli; the time of the last one counts if not
-        # given
+        # time of keys between two stimuli; None: that of the last stimulus
         clock: Clock | None = None,
     ) -> None:
         super().__init__(trials.title)
@@ -151,7 +150,7 @@ class ExperimentSource(StimulusSource, Listener):
     def _prepare(self, trial: Trial) -> Pulses:
         """Be silent, after the faintest pulses where these must open the intensity first."""
         train = trial.intervals[0]
-        # A blank begins as the train that it stands for, so that nothing tells the two apart.
+        # A blank begins as the train that it stands for, so that nothing distinguishes the two.
         activation = train.activation if train.blanked is None else train.blanked
         faint = np.float32(_FAINT) * (activation > 0)
         # What rises within the trial begins low, and needs no more than that.
@@ -176,7 +175,7 @@ class ExperimentSource(StimulusSource, Listener):
                 yield from self._be_silent(PAUSE_S, level)
 
     def _attempt(self, trial: Trial) -> Generator[Stimulus, None, Answer | None]:
-        """Present a trial and ask; return None if it is to be presented anew."""
+        """Present a trial and ask; return None if it is to be presented again."""
         self._presentation += 1
         self._lost = False
         for index, train in enumerate(trial.intervals):
@@ -192,7 +191,7 @@ class ExperimentSource(StimulusSource, Listener):
                 self.spoiled += 1
                 self.emit(
                     TrialEvent(
-                        self._now_ns, f"trial {self._trials.done + 1} anew: current was lost"
+                        self._now_ns, f"trial {self._trials.done + 1} again: current was lost"
                     )
                 )
                 return None

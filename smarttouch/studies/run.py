@@ -127,11 +127,11 @@ def _file(
     parts: Path, digest: str, profile: Profile, anatomy: Anatomy, course: str, seed: int
 ) -> Path:
     """Return the file of rows that depend on these, and on nothing else."""
-    told = [
+    depends_on = [
         VERSION, digest, course, seed, profile.model_dump(mode="json"),
         anatomy.model_dump(mode="json"),
     ]  # fmt: skip
-    key = hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+    key = hashlib.sha256(json.dumps(depends_on, sort_keys=True).encode()).hexdigest()
     return parts / f"{key[:24]}.csv"
 
 
@@ -162,5 +162,5 @@ def _kept(path: Path) -> list[Row] | None:
     try:
         return from_csv(read_text(path, SmartTouchError, _MOST_PART_BYTES))
     except (SmartTouchError, ValueError, TypeError, csv.Error):
-        # It is felt anew: that is slow, not wrong.
+        # It is computed again: slow, not wrong.
         return None

@@ -123,7 +123,7 @@ def _open(path: str) -> "InputDevice[str]":
     if not _is_mouse(device):
         name = device.name
         device.close()
-        message = f"{path}, {name}, tells no motion along two axes: choose a mouse"
+        message = f"{path}, {name}, reports no motion along two axes: choose a mouse"
         raise _wrong("no mouse", path, message)
     return device
 

@@ -64,6 +64,6 @@ def open_motion(url: str, **options: Any) -> Motion:
     if kind not in _OPENERS:
         motion: Motion = opener(url, **given)
     else:
-        rest, told = read_options(opener, rest, SourceError, _NOT_IN_URLS)
-        motion = opener(rest, **joined_options(url, given, told, SourceError))
+        rest, in_url = read_options(opener, rest, SourceError, _NOT_IN_URLS)
+        motion = opener(rest, **joined_options(url, given, in_url, SourceError))
     return motion

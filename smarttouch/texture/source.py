@@ -105,7 +105,7 @@ class MouseSource(StimulusSource):
         self._place = (math.nan, math.nan)
         self._image = np.full(self._shape, 255, np.uint8)
         self._said = DeviceWarnings(self.notes)
-        self._told = False
+        self._warned = False
 
     def read(self, time_ns: int) -> Stimulus | None:
         """Return what passes under the array at a time; None at the end of the motion."""
@@ -152,13 +152,13 @@ class MouseSource(StimulusSource):
         passed = self._feeler.move(*place)
         self.merged += passed.merged
         kept = self._limit.keep(passed.height, time_ns)
-        if self._limit.left_out and not self._told:
-            self._told = True
+        if self._limit.left_out and not self._warned:
+            self._warned = True
             self.emit(
                 Note(
                     time_ns,
-                    f"the texture passes faster than {self.fastest_hz:g} pulses a second can "
-                    "tell: some are left out",
+                    f"the texture passes faster than {self.fastest_hz:g} pulses a second "
+                    "can follow: some are left out",
                 )
             )
         return kept

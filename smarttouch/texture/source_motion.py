@@ -38,7 +38,7 @@ class SourceMotion(Motion):
             return None
         if self._first is None:
             self._first = given.pose
-        # What was seen last may be gone: nobody knows whether the finger is still there.
+        # What was seen last may be gone: whether the finger is still there is unknown.
         self.force_n = math.nan if given.stale else given.force_n
         return given.pose.x_mm - self._first.x_mm, given.pose.y_mm - self._first.y_mm
 

@@ -30,14 +30,14 @@ def open_texture(
     height map (16 bits or floating point, or .npy: bright is high). Options may stand behind it, as
     in ``wood.png?dpi=300&tiled``.
     """
-    place, told = read_options(open_texture, spec, PageError)
-    if told:
+    place, in_url = read_options(open_texture, spec, PageError)
+    if in_url:
         given = {
             "dpi": dpi, "width_mm": width_mm, "grain_mm": grain_mm, "tiled": tiled or None,
             "light_on_dark": light_on_dark or None,
         }  # fmt: skip
         given = {name: value for name, value in given.items() if value is not None}
-        return open_texture(place, **joined_options(spec, given, told, PageError))
+        return open_texture(place, **joined_options(spec, given, in_url, PageError))
     kind, _, rest = spec.partition(":")
     if kind == "grating" and ":" in spec:
         given = {
@@ -51,7 +51,7 @@ def open_texture(
         return _grating(spec, rest)
     if kind == "text" and ":" in spec:
         if dpi is not None:
-            message = "dpi is for images, and a text is printed anew: give its width"
+            message = "dpi is for images, and a text has no resolution of its own: give its width"
             raise PageError(message, about="dpi", problem="conflict", value=dpi, remedy="width_mm")
         heights = print_heights(rest, width_mm)
     else:

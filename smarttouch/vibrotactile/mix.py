@@ -26,7 +26,7 @@ from smarttouch.vibrotactile.train import Times, merged, shortest_us, thinned
 
 PC_RATE_HZ = 150.0
 """Most pulses of PC a second, so one for every second cycle at its best frequency. Ours; faster
-ones told the paper's subjects little in PC mode (Section III-C.1, above 100 Hz)."""
+ones were of little use to the paper's subjects in PC mode (Section III-C.1, above 100 Hz)."""
 VIBRATION_US = 20_000
 """Interval of new amplitudes of vibrators. Ours."""
 

@@ -102,7 +102,7 @@ def _cells(path: Path) -> tuple[tuple[str, ...], list[tuple[int, _Cells]]]:
         if len(row) < len(head):
             raise ExperimentError(
                 f"{path}, line {number}: {len(row)} cells, not {len(head)} as in the first line; "
-                "mend or delete it",
+                "correct or delete it",
                 about="line",
                 problem="too few",
                 value=len(row),
@@ -119,7 +119,7 @@ def _number(text: str, where: str, column: str) -> float:
     number = finite(text)
     if math.isnan(number):
         raise ExperimentError(
-            f"{where}: {column} is {text!r}, not a number; mend or delete it",
+            f"{where}: {column} is {text!r}, not a number; correct or delete it",
             about=column,
             problem="malformed",
             value=text,

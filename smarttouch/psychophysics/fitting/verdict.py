@@ -90,8 +90,8 @@ class Finding:
         notes = []
         if self.sureness.sudden:
             notes.append(
-                f"answers change too suddenly around {self.fit.at(0.5):.4g} to tell the slope: the "
-                "interval is that of the posterior"
+                f"answers change too suddenly around {self.fit.at(0.5):.4g} to determine the "
+                "slope: the interval is that of the posterior"
             )
         elif self.sureness.sparse:
             notes.append("few answers at some comparisons: the interval is that of the posterior")

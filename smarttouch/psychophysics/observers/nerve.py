@@ -17,7 +17,7 @@ from smarttouch.psychophysics.observers.interval import Interval
 Floats = NDArray[np.float32]
 
 _LONGEST_US = 60_000
-"""Longest pause between pulses that is told from shorter ones: refractory times are shorter."""
+"""Longest pause that counts in full: refractory times are shorter."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,7 +27,7 @@ __all__ = [
 _YES_OR_NO = ("felt", "enough")
 GRATING_LIMIT_MM = 0.94
 """Finest grooves whose direction a fingertip identifies (Van Boven and Johnson, Neurology 44,
-1994). That places are told apart as well as grooves, and in 75 %, is our assumption."""
+1994). Ours: places are discriminated as well as grooves, in 75 % of trials."""
 
 
 class Observer(Protocol):

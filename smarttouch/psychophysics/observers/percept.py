@@ -1,7 +1,7 @@
 """Model of the perceived frequency of a pulse train.
 
 The paper's own explanation of its thresholds (Section III-C) as a model. Pulses fire RA
-and, if they reach deep enough, PC. RA's pulses tell the frequency; but who has learned
+and, if they reach deep enough, PC. RA's pulses carry the frequency; but a person who has learned
 from mechanical vibration what a frequency feels like expects ever more PC with it. A train
 with too little PC for its frequency is taken for a slower one.
 

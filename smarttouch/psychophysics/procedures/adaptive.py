@@ -4,12 +4,11 @@ from collections.abc import Sequence
 
 from smarttouch.errors import ExperimentError
 from smarttouch.psychophysics.fitting.psychometric import Model
+from smarttouch.psychophysics.procedures.constant import WIDEST_RATIO
 from smarttouch.psychophysics.procedures.procedure import Interleaved, Procedure
 from smarttouch.psychophysics.procedures.quest import QuestPlus
 from smarttouch.psychophysics.procedures.staircase import WeightedStaircase
 
-WIDEST_RATIO = 2.0
-"""Comparison over standard, as in the paper's constant stimuli (Section III.C)."""
 NARROWEST_RATIO = 1.01
 _START_RATIO = 1.6
 """First ratio of a staircase: clearly faster (our own choice)."""

@@ -32,7 +32,7 @@ class Procedure(Protocol):
     """Procedure: until `done`, show the condition of `next`, then pass its result to `answer`.
 
     The same arguments and answers lead to the same conditions: a session is resumed by
-    answering anew what has been answered before.
+    giving it the same answers again.
     """
 
     @property
@@ -47,7 +47,7 @@ class Procedure(Protocol):
         """Return the condition of the next trial; the same until it is answered."""
 
     def answer(self, success: bool | None) -> None:
-        """Take the result: judged higher, felt, or correct; None if there was no answer."""
+        """Accept the result: judged higher, felt, or correct; None if there was no answer."""
 
     def estimate(self) -> Estimate | None:
         """Return the threshold; None if it is not determined."""

@@ -3,6 +3,7 @@
 import math
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from smarttouch.errors import ExperimentError
 from smarttouch.psychophysics.fitting.estimate import Estimate
@@ -50,7 +51,7 @@ class Repeats:
         return None
 
 
-def middle_and_spread(values: list[float]) -> tuple[float, float]:
-    """Return the median, and the standard deviation by the median deviation."""
+def middle_and_spread(values: ArrayLike) -> tuple[float, float]:
+    """Return the median, and a robust standard deviation: 1.4826 times the median deviation."""
     middle = float(np.median(values))
-    return middle, 1.4826 * float(np.median(np.abs(np.array(values) - middle)))
+    return middle, 1.4826 * float(np.median(np.abs(np.asarray(values) - middle)))
