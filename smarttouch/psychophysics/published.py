@@ -20,8 +20,8 @@ from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.membrane import weiss_fit
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import Profile, load_profile
-from smarttouch.psychophysics import letters_felt
 from smarttouch.psychophysics.letters import ALPHABET
+from smarttouch.psychophysics.letters_felt import feel_letters
 from smarttouch.psychophysics.paper_effects import CLEAR_MA, against_all, inner_sites, kernel_ma
 
 Array = NDArray[np.float64]
@@ -194,7 +194,7 @@ def letters_row(
 ) -> Row:
     """Return the part of letters that is read from the spikes in RA mode."""
     profile = load_profile(name)
-    found = letters_felt.feel_letters(profile, load_bank(profile), Mode.RA, anatomy, seeds, letters)
+    found = feel_letters(profile, load_bank(profile), Mode.RA, anatomy, seeds, letters)
     right = 1 - median(
         fmean(each.read_as != each.letter for each in found if each.seed == seed) for seed in seeds
     )

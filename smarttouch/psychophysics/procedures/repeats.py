@@ -1,9 +1,10 @@
 """Procedure that repeats one trial, for experiments in which the answer is the measurement."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import NDArray
 
 from smarttouch.errors import ExperimentError
 from smarttouch.psychophysics.fitting.estimate import Estimate
@@ -51,7 +52,7 @@ class Repeats:
         return None
 
 
-def middle_and_spread(values: ArrayLike) -> tuple[float, float]:
+def middle_and_spread(values: Sequence[float] | NDArray[np.float64]) -> tuple[float, float]:
     """Return the median, and a robust standard deviation: 1.4826 times the median deviation."""
     middle = float(np.median(values))
     return middle, 1.4826 * float(np.median(np.abs(np.asarray(values) - middle)))
