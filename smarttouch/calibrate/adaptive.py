@@ -35,20 +35,11 @@ class AdaptiveThreshold:
     """Adaptive procedure at one electrode.
 
     In a loop until `done`: show the level of `next`, then `answer` whether it was felt.
-
-    Attributes
-    ----------
-    expected_ma : float, mA
-        The ascending estimate.
-    ceiling_ma : float, mA
-        Never exceeded; the ascending comfort is a good one.
-    seed : int or tuple of int
-        Of when blank trials come.
     """
 
-    expected_ma: float
-    ceiling_ma: float
-    seed: int | tuple[int, ...] = 0
+    expected_ma: float  # the ascending estimate
+    ceiling_ma: float  # never exceeded; the ascending comfort is a good one
+    seed: int | tuple[int, ...] = 0  # of when blank trials come
     trials: int = 0
     blanks: int = 0
     guessed: int = 0

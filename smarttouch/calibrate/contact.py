@@ -22,22 +22,12 @@ MOST_LOSSES = 3
 
 @dataclass(frozen=True, eq=False)
 class ContactFound:
-    """Contact of each electrode.
+    """Contact of each electrode."""
 
-    Attributes
-    ----------
-    kohm : ndarray, (E,)
-        Medians; infinite where open.
-    spread_kohm : ndarray, (E,)
-        Robust standard deviations; NaN of one measurement, or where open.
-    condition : tuple of str, (E,)
-        Result of most measurements; ``unsure`` where they disagree.
-    repeats : int
-    current_ma : float
-    """
-
-    kohm: NDArray[np.float64]
+    kohm: NDArray[np.float64]  # (E,): medians; infinite where open
+    # (E,): robust standard deviations; NaN of one measurement, or where open
     spread_kohm: NDArray[np.float64]
+    # (E,): result of most measurements; ``unsure`` where they disagree
     condition: tuple[Condition, ...]
     repeats: int
     current_ma: float
@@ -77,19 +67,8 @@ class ContactFound:
 def measure_contact(
     opened: Callable[[], AbstractContextManager[Board]], repeats: int
 ) -> list[Impedance]:
-    """Measure so often; a board that is lost meanwhile is opened anew, a few times.
-
-    Parameters
-    ----------
-    opened : callable
-        Opens the board.
-    repeats : int
-
-    Raises
-    ------
-    BoardError
-        If it cannot measure, or is lost again and again.
-    """
+    """Measure repeatedly; a board that is lost meanwhile is opened again, up to `MOST_LOSSES`
+    times."""
     found: list[Impedance] = []
     losses = 0
     while True:
@@ -105,13 +84,7 @@ def measure_contact(
 
 
 def judge_contact(measured: Sequence[Impedance]) -> ContactFound:
-    """Return the joint result of repeated measurements.
-
-    Raises
-    ------
-    CalibrationError
-        If no finger lies on the array, or it does not lie still.
-    """
+    """Return the joint result of repeated measurements."""
     if any(each.lifted for each in measured):
         raise CalibrationError(
             "no electrode touches anything: put the finger on the array, and measure again",

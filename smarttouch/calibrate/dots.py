@@ -30,31 +30,17 @@ _MOST_SHEAR = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Dots:
-    """Dots found in an image, with their names.
+    """Dots found in an image, with their names."""
 
-    Attributes
-    ----------
-    pixel : ndarray, (N, 2)
-        Their centers: column, row; pixel centers are at whole numbers.
-    cell : ndarray, (N, 2) int
-        Their columns and rows on the target.
-    """
-
-    pixel: Points
-    cell: NDArray[np.int_]
+    pixel: Points  # (N, 2): their centers: column, row; pixel centers are at whole numbers
+    cell: NDArray[np.int_]  # (N, 2) int: their columns and rows on the target
 
 
 def find_dots(image: NDArray[np.uint8]) -> Dots:
-    """Find the target's dots in an image.
-
-    Raises
-    ------
-    CalibrationError
-        If there are none, or the L of large dots is not seen whole.
-    """
+    """Find the target's dots in an image."""
     if min(image.shape) < FEWEST_SIDE:
         raise CalibrationError(
-            f"an image of {image.shape[1]} × {image.shape[0]} pixels is too coarse to tell dots: "
+            f"an image of {image.shape[1]} × {image.shape[0]} pixels is too coarse for dots: "
             f"{FEWEST_SIDE} a side are needed",
             about="image",
             problem="too small",

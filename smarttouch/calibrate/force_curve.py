@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from smarttouch.calibrate.polynomial import fit, hysteresis, left_out, rises, zero_of
 from smarttouch.errors import CalibrationError
 from smarttouch.profile import ForceLaw
+from smarttouch.psychophysics.procedures.repeats import middle_and_spread
 from smarttouch.sources.forces.load_cell import open_cell
 
 STANDARD_GRAVITY = 9.80665
@@ -38,26 +39,13 @@ class Cell(Protocol):
 
 @dataclass(frozen=True)
 class Weighing:
-    """Readings of one weight on the cell.
-
-    Attributes
-    ----------
-    grams : float, g
-    reading : float
-        Median of the raw readings.
-    spread : float
-        Of single readings, as a standard deviation, but robust: 1.4826 times the median deviation.
-    drift : float
-        From the first half of the readings to the second.
-    count : int
-        Number of readings.
-    """
+    """Readings of one weight on the cell."""
 
     grams: float
-    reading: float
-    spread: float
-    drift: float
-    count: int
+    reading: float  # median of the raw readings
+    spread: float  # robust standard deviation of single readings
+    drift: float  # from the first half of the readings to the second
+    count: int  # number of readings
 
     @property
     def force_n(self) -> float:
@@ -66,36 +54,17 @@ class Weighing:
 
 @dataclass(frozen=True)
 class ForceFound:
-    """A curve, and its errors.
+    """A curve, and its errors."""
 
-    Attributes
-    ----------
-    curve : tuple of float
-        Coefficients of a polynomial, lowest first: reading to N.
-    zero : float
-        Reading without a weight, by the curve.
-    slope_n : float
-        N for one count, at the middle of the range.
-    residual_n : float, N
-        Root of the mean square.
-    worst_n : float, N
-    noise_n : float, N
-        Of a single reading.
-    hysteresis_n : float, N
-        Largest difference between two weighings of one weight; NaN if none came twice.
-    full_n : float, N
-        Full force, the reference of percentages.
-    weighings : tuple of Weighing
-    """
-
-    curve: tuple[float, ...]
-    zero: float
-    slope_n: float
-    residual_n: float
+    curve: tuple[float, ...]  # coefficients of a polynomial, lowest first: reading to N
+    zero: float  # reading without a weight, by the curve
+    slope_n: float  # N for one count, at the middle of the range
+    residual_n: float  # root of the mean square
     worst_n: float
-    noise_n: float
+    noise_n: float  # of a single reading
+    # largest difference between two weighings of one weight; NaN if none came twice
     hysteresis_n: float
-    full_n: float
+    full_n: float  # full force, the reference of percentages
     weighings: tuple[Weighing, ...]
 
     def force_n(self, reading: float) -> float:
@@ -120,13 +89,7 @@ class ForceFound:
 
 
 def weigh_on(url: str, weights: Iterable[float], seconds: float) -> list[Weighing]:
-    """Weigh on a load cell by its URL, each of some weights in grams when its turn has come.
-
-    Raises
-    ------
-    SmartTouchError
-        If it cannot be opened, or does not answer.
-    """
+    """Weigh on a load cell by its URL; each weight, in grams, is taken when it lies on the cell."""
     with open_cell(url) as cell:
         return [weigh(cell, grams, seconds) for grams in weights]
 
@@ -144,15 +107,7 @@ def parse_grams(text: str) -> list[float]:
 
 
 def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
-    """Take readings of one weight.
-
-    Raises
-    ------
-    SourceError
-        If none come.
-    CalibrationError
-        If there are too few, or most are no numbers.
-    """
+    """Take readings of one weight."""
     raw = np.asarray(cell.collect(seconds), np.float64)
     good = raw[np.isfinite(raw)]
     if len(good) < FEWEST_READINGS or len(good) < (1 - MOST_MISSING) * len(raw):
@@ -165,28 +120,18 @@ def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
             allowed=FEWEST_READINGS,
             remedy="seconds",
         )
-    middle = float(np.median(good))
-    spread = 1.4826 * float(np.median(np.abs(good - middle)))
+    middle, spread = middle_and_spread(good)
     half = len(good) // 2
     drift = float(np.median(good[half:]) - np.median(good[:half]))
     return Weighing(grams, middle, spread, drift, len(good))
 
 
 def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
-    """Fit a line, or a parabola where that is clearly better, to weighings.
+    """Fit a line, or a parabola where that is clearly better, to weighings of three weights or
+    more.
 
-    Parameters
-    ----------
-    weighings : sequence of Weighing
-        Of three different weights or more; one given twice, on the way up and
-        on the way down, gives the hysteresis.
-    law : ForceLaw
-        Its full force is what residuals are judged by.
-
-    Raises
-    ------
-    CalibrationError
-        If the readings do not follow the weights.
+    One weight given twice, on the way up and on the way down, gives the hysteresis. Residuals are
+    judged by the law's full force.
     """
     grams = np.array([each.grams for each in weighings])
     reading = np.array([each.reading for each in weighings])

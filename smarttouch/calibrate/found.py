@@ -14,13 +14,7 @@ Found = Mapping[int, Thresholds]
 
 
 def parse_electrodes(text: str | None, profile: Profile) -> list[int]:
-    """Return the electrodes in a list such as ``0-7,12``; all that are not masked if None.
-
-    Raises
-    ------
-    CalibrationError
-        If it names none, or one that there is not.
-    """
+    """Return the electrodes in a list such as ``0-7,12``; all that are not masked if None."""
     count = len(profile.electrodes)
     if text is None:
         return [int(each) for each in profile.driven]
@@ -53,11 +47,6 @@ def filled(profile: Profile, found: Found) -> tuple[list[float], list[float]]:
     """Return thresholds and comfortable maxima of all electrodes, mA.
 
     Electrodes not measured, not felt, or without room between the two keep their values.
-
-    Raises
-    ------
-    CalibrationError
-        If nothing usable was found.
     """
     usable = {site: each for site, each in found.items() if each.usable}
     if not usable:

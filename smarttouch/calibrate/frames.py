@@ -18,13 +18,7 @@ _LOOK_S = 0.002
 
 
 def images_of(url: str, profile: Profile, count: int, *, corrected: bool) -> Images:
-    """Return the next images of a source by its URL; with the profile's flat field, or without.
-
-    Raises
-    ------
-    SmartTouchError
-        If it cannot be opened, or see `collect_images`.
-    """
+    """Return the next images of a source by its URL; with the profile's flat field, or without."""
     # What lies in files need not be waited for.
     from_file = url.startswith(("frames:", "video:")) and "unpaced" not in url
     seen_by = profile if corrected else uncorrected(profile)
@@ -33,13 +27,7 @@ def images_of(url: str, profile: Profile, count: int, *, corrected: bool) -> Ima
 
 
 def collect_images(source: Source, count: int) -> Images:
-    """Return the next images of a source, each once; fewer where it ends before.
-
-    Raises
-    ------
-    CalibrationError
-        If none came, or the source fell silent.
-    """
+    """Return the next images of a source, each once; fewer where it ends before."""
     images: Images = []
     seen: set[int] = set()
     start = time.perf_counter_ns()

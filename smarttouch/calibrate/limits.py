@@ -1,14 +1,14 @@
 """Ascending method of limits: current rises until it is felt, then until it is enough.
 
-Pure: it says which level comes next and is told whether a key was pressed. Who makes the
-current flow, and how fast steps follow one another, is not its business.
+Pure: it returns the next level and takes whether a key was pressed; current and timing are the
+caller's.
 """
 
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from smarttouch.psychophysics.procedures.repeats import middle_and_spread
 from smarttouch.psychophysics.source import STEP_S
 
 TICK_S = STEP_S
@@ -46,25 +46,15 @@ class Run:
 
 @dataclass(frozen=True)
 class Thresholds:
-    """Thresholds of one electrode.
+    """Thresholds of one electrode."""
 
-    Attributes
-    ----------
-    threshold_ma, comfort_ma : float, mA
-        Medians of the runs. NaN if it was not felt up to the ceiling; the
-        ceiling where it was never enough.
-    spread : float
-        Of the runs' thresholds, robust standard deviation over their median.
-    runs : int
-    false_presses : int
-        Keys while no current flowed.
-    """
-
+    # threshold_ma, comfort_ma: medians of the runs. NaN if it was not felt up to the ceiling; the
+    # ceiling where it was never enough.
     threshold_ma: float
     comfort_ma: float
-    spread: float
+    spread: float  # of the runs' thresholds, robust standard deviation over their median
     runs: int
-    false_presses: int
+    false_presses: int  # keys while no current flowed
 
     @property
     def felt(self) -> bool:
@@ -80,29 +70,16 @@ class Thresholds:
 class AscendingLimits:
     """Ascending limits at one electrode.
 
-    In a loop until `done`: make the current of `next` flow for `TICK_S`, then tell
+    In a loop until `done`: make the current of `next` flow for `TICK_S`, then give
     `answer` whether a key was pressed meanwhile. In each run the first key means
     *felt*, the second *strong enough*.
-
-    Attributes
-    ----------
-    ceiling_ma : float, mA
-        Never exceeded.
-    expected_ma : float, mA
-        Expected threshold; sets the slope of the current.
-    repeats : int
-        Runs, if they agree.
-    fastest_ma_s : float, mA/s
-        The current rises no faster, whatever is expected.
-    seed : int or tuple of int
-        Of pauses and starts.
     """
 
-    ceiling_ma: float
-    expected_ma: float
-    repeats: int = 3
-    fastest_ma_s: float = float("inf")
-    seed: int | tuple[int, ...] = 0
+    ceiling_ma: float  # never exceeded
+    expected_ma: float  # expected threshold; sets the slope of the current
+    repeats: int = 3  # runs, if they agree
+    fastest_ma_s: float = float("inf")  # the current rises no faster, whatever is expected
+    seed: int | tuple[int, ...] = 0  # of pauses and starts
     runs: list[Run] = field(default_factory=list, init=False)
     false_presses: int = field(default=0, init=False)
     hurried: int = field(default=0, init=False)
@@ -171,7 +148,7 @@ class AscendingLimits:
         return Thresholds(
             middle,
             float(np.median(comfort)),
-            _robust_spread(threshold),
+            middle_and_spread(threshold)[1] / middle,
             len(threshold),
             self.false_presses,
         )
@@ -213,9 +190,3 @@ class AscendingLimits:
         self.runs.append(Run(self._threshold_ma, comfort_ma))
         if not self.done:
             self._begin()
-
-
-def _robust_spread(found: NDArray[np.float64]) -> float:
-    """Return a standard deviation over the median, from the median deviation."""
-    middle = float(np.median(found))
-    return 1.4826 * float(np.median(np.abs(found - middle))) / middle

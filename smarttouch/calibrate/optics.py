@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from smarttouch.errors import CalibrationError
 from smarttouch.sources.flat_field import FlatField, mean_image
 
-Images = Sequence[NDArray[np.uint8]]
+_Stack = Sequence[NDArray[np.uint8]]
 
 MOST_UNEVEN = 0.05
 """Largest unevenness of white after correction; with more, the paper is not blank, or it moved."""
@@ -17,33 +17,21 @@ MOST_UNEVEN = 0.05
 
 @dataclass(frozen=True, eq=False)
 class OpticsFound:
-    """A flat field, and the figures of the sensor with it.
-
-    Attributes
-    ----------
-    field : FlatField
-    uneven_before, uneven_after : float
-        Standard deviation of blank paper over its mean. After the correction
-        it is judged on frames that the correction was not made from, if there
-        are two of each kind or more.
-    noise_levels : float
-        From frame to frame, of the usual pixel, on white, grey levels; NaN of one frame.
-    dark_level : float
-        Of the usual pixel, grey levels.
-    dead, hot : int
-        Pixels that do not answer light, and that shine in the dark.
-    frames : tuple of int
-        Dark and white frames used.
-    """
+    """A flat field, and the figures of the sensor with it."""
 
     field: FlatField
+    # uneven_before, uneven_after: standard deviation of blank paper over its mean. After the
+    # correction it is judged on frames that the correction was not made from, if there are two of
+    # each kind or more.
     uneven_before: float
     uneven_after: float
+    # from frame to frame, of the usual pixel, on white, grey levels; NaN of one frame
     noise_levels: float
-    dark_level: float
+    dark_level: float  # of the usual pixel, grey levels
+    # dead, hot: pixels that do not answer light, and that shine in the dark
     dead: int
     hot: int
-    frames: tuple[int, int]
+    frames: tuple[int, int]  # dark and white frames used
 
     def sentence(self) -> str:
         """Return the sentence for the profile."""
@@ -56,14 +44,8 @@ class OpticsFound:
         )
 
 
-def measure_optics(dark: Images, white: Images) -> OpticsFound:
-    """Return the flat field of a sensor from images in the dark and of blank paper.
-
-    Raises
-    ------
-    CalibrationError
-        If the images cannot have been what they should be.
-    """
+def measure_optics(dark: _Stack, white: _Stack) -> OpticsFound:
+    """Return the flat field of a sensor from images in the dark and of blank paper."""
     field = FlatField.measure(dark, white)
     before = _uneven(mean_image(white) - mean_image(dark), field)
     after = _held_out(dark, white, field)
@@ -95,7 +77,7 @@ def measure_optics(dark: Images, white: Images) -> OpticsFound:
     )
 
 
-def _held_out(dark: Images, white: Images, field: FlatField) -> float:
+def _held_out(dark: _Stack, white: _Stack, field: FlatField) -> float:
     """Return the unevenness of paper after a correction made from every other frame only."""
     if min(len(dark), len(white)) > 1:
         field = FlatField.measure(dark[::2], white[::2])

@@ -107,13 +107,7 @@ class ProfileFile:
         self._table("calibrated")[what] = entry
 
     def write(self, others: Mapping[Path, bytes] | None = None) -> Profile:
-        """Write the profile and the files that go with it; return it as it loads.
-
-        Raises
-        ------
-        CalibrationError
-            If it would not load, or cannot be written; nothing is replaced then.
-        """
+        """Write the profile and the files that go with it; return it as it loads."""
         files = dict(others or {})
         for path in (self.output, *files):
             self._require_free(path)
@@ -187,40 +181,20 @@ class ProfileFile:
 
 
 def file_to_calibrate(
-    part: str,
+    part: str,  # calibration
+    # profile that was asked for; where the output is there, one that differs from it in
+    # calibrations only
     start: str | None,
-    usual: str,
+    usual: str,  # what a new output begins as where no profile was asked for
     output: Path,
-    overwrite: bool = False,
+    overwrite: bool = False,  # whether the part may be there already
     *,
+    # whether nothing real is measured: added to what was, only with ``overwrite``
     simulated: bool = False,
 ) -> ProfileFile:
     """Return the profile that a calibration adds its part to, on its way to the output.
 
-    Where the output is there it is gone on with: all in it is kept but this part.
-
-    Parameters
-    ----------
-    part : str
-        Calibration.
-    start : str, optional
-        Profile that was asked for; where the output is there, one that differs from it in
-        calibrations only.
-    usual : str
-        What a new output begins as where no profile was asked for.
-    output : Path
-    overwrite : bool
-        Whether the part may be there already.
-    simulated : bool
-        Whether nothing real is measured: added to what was, only with ``overwrite``.
-
-    Raises
-    ------
-    ProfileError
-        If the start, or an output that is there, is no profile.
-    CalibrationError
-        If the output may not be written, has the part, is of another device, or was measured and
-        this is not.
+    An output that exists is continued: all in it is kept but this part.
     """
     if not output.exists():
         return ProfileFile(start or usual, output, overwrite)

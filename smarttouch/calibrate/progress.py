@@ -21,27 +21,10 @@ from smarttouch.files import (
 
 
 class Progress(Closing):
-    """Findings until now, in a file beside the profile to come.
+    """Results of a threshold session until now, by electrode, in a file beside the profile to come.
 
-    Until it is closed no other session can go on with the same file.
-
-    Parameters
-    ----------
-    path : Path
-        The file; read if it is there.
-    settings : mapping
-        Settings that must be the same for earlier results to count.
-
-    Attributes
-    ----------
-    found : dict of int to Thresholds
-        By electrode.
-
-    Raises
-    ------
-    CalibrationError
-        If the file is no such thing, from a session with other settings, or another session
-        goes on with it now.
+    They count only where `settings` are the same. Until it is closed no other session can continue
+    the same file.
     """
 
     def __init__(self, path: Path, settings: Mapping[str, Any]) -> None:
@@ -89,7 +72,7 @@ class Progress(Closing):
             found = {int(site): _thresholds(entry) for site, entry in stored["found"].items()}
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
             raise CalibrationError(
-                f"{self.path} is not the beginning of a threshold session: remove it to begin anew",
+                f"{self.path} is not the beginning of a threshold session: remove it to start over",
                 about="file",
                 problem="malformed",
                 value=self.path,
@@ -99,7 +82,7 @@ class Progress(Closing):
             if before != value:
                 raise CalibrationError(
                     f"{self.path} was begun with another {key}: go on with the same, or remove it "
-                    "to begin anew",
+                    "to start over",
                     about=key,
                     problem="conflict",
                     value=value,

@@ -26,34 +26,18 @@ Center = Literal["target", "image"]
 
 @dataclass(frozen=True, eq=False)
 class RegistrationFound:
-    """A fit, and its residuals.
+    """A fit, and its residuals."""
 
-    Attributes
-    ----------
-    homography : ndarray, (3, 3)
-        Millimeters on the page around the middle of what the array covers to pixels.
-    shape : tuple of int
-        Rows and columns of the image.
-    electrode_pixel : ndarray, (E, 2)
-        Column and row at which each electrode looks.
-    residual_px, residual_mm : ndarray, (N,)
-        Of each dot, in the image and on the page.
-    pitch_mm : float
-        Of the electrodes, on the page.
-    tilt_deg : float
-        By how much a square on the page is foreshortened.
-    mirrored : bool
-        The sensor sees the page as in a mirror.
-    """
-
+    # (3, 3): millimeters on the page around the middle of what the array covers to pixels
     homography: NDArray[np.float64]
-    shape: tuple[int, int]
-    electrode_pixel: Points
+    shape: tuple[int, int]  # rows and columns of the image
+    electrode_pixel: Points  # (E, 2): column and row at which each electrode looks
+    # residual_px, residual_mm: (N,), of each dot, in the image and on the page
     residual_px: NDArray[np.float64]
     residual_mm: NDArray[np.float64]
-    pitch_mm: float
-    tilt_deg: float
-    mirrored: bool
+    pitch_mm: float  # of the electrodes, on the page
+    tilt_deg: float  # by how much a square on the page is foreshortened
+    mirrored: bool  # the sensor sees the page as in a mirror
 
     @property
     def rms_mm(self) -> float:
@@ -91,23 +75,10 @@ class RegistrationFound:
 def register(
     image: NDArray[np.uint8], profile: Profile, target: DotTarget, center: Center = "target"
 ) -> RegistrationFound:
-    """Fit the place on the page of each pixel, from one image of the target.
+    """Fit the place on the page of each pixel, from one image (H, W) of the target or a mean of
+    several.
 
-    Parameters
-    ----------
-    image : ndarray, (H, W) uint8
-        The target, or the mean of several images of it.
-    profile : Profile
-        Its array and magnification.
-    target : DotTarget
-        Printed target.
-    center : {"target", "image"}
-        Center of the array: the middle of the L, or of the image.
-
-    Raises
-    ------
-    CalibrationError
-        If too little is seen, or the fit is not good enough to be believed.
+    The center of the array is the middle of the L, or that of the image.
     """
     dots = find_dots(image)
     dots = _within(dots, target)

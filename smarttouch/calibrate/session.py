@@ -10,7 +10,7 @@ from smarttouch.boards.board import Board
 from smarttouch.calibrate.adaptive import AdaptiveThreshold
 from smarttouch.calibrate.limits import AscendingLimits, Thresholds
 from smarttouch.calibrate.progress import Progress
-from smarttouch.calibrate.stimulus import ceiling_ma, slew_ma_s
+from smarttouch.calibrate.stimulus import ceiling_ma, measuring_profile, slew_ma_s
 from smarttouch.errors import CalibrationError
 from smarttouch.profile import Profile
 from smarttouch.psychophysics.observers.known import KnownObserver
@@ -29,45 +29,26 @@ _Trials = Generator[Trial, Answer, Thresholds]
 
 
 class ThresholdSession:
-    """Trials that measure one electrode after the other.
-
-    Parameters
-    ----------
-    profile : Profile
-        To be measured.
-    measuring : Profile
-        What `measuring_profile` makes of it.
-    board : Board
-        Its own largest current counts too, from when it is open.
-    sites : sequence of int
-    progress : Progress
-        Keeps each electrode as it is done; those that it has already are left out.
-    adaptive : bool
-        Whether yes-or-no trials follow the rising current.
-    repeats : int
-        Of the rising current.
-    seed : int
-        Of all that is drawn.
-    show : callable
-        Given each electrode and its result.
-    """
+    """Trials that measure one electrode after the other."""
 
     title = "thresholds"
 
     def __init__(
         self,
-        profile: Profile,
-        measuring: Profile,
-        board: Board,
+        profile: Profile,  # to be measured
+        board: Board,  # its own largest current counts too, from when it is open
         sites: Sequence[int],
+        # keeps each electrode as it is done; those that it has already are left out
         progress: Progress,
         *,
-        adaptive: bool = False,
-        repeats: int = 3,
-        seed: int = 0,
+        adaptive: bool = False,  # whether yes-or-no trials follow the rising current
+        repeats: int = 3,  # of the rising current
+        seed: int = 0,  # of all that is drawn
+        # given each electrode and its result
         show: Callable[[int, Thresholds], None] = lambda _site, _found: None,
     ) -> None:
-        self._profile, self._measuring, self._board = profile, measuring, board
+        self._profile, self._board = profile, board
+        self._measuring = measuring_profile(profile)
         self._sites, self._progress = sites, progress
         self._adaptive, self._repeats, self._seed, self._show = adaptive, repeats, seed, show
         self._trials = self._measure_all()

@@ -11,38 +11,21 @@ from smarttouch.calibrate.force_curve import STANDARD_GRAVITY, Weighing, weigh
 
 @dataclass
 class SimulatedCell:
-    """Simulated load cell.
+    """Simulated load cell."""
 
-    Attributes
-    ----------
-    counts_per_n, zero : float
-        Scale and offset of an ideal cell.
-    bend : float
-        Deficit of the reading at full force, as a part; at half, a quarter of that.
-    hysteresis_n : float, N
-        Lag of the reading on the way down, at half of the heaviest weight it has carried.
-    noise_n : float, N
-        Of a single reading.
-    garbage : float
-        Part of the readings that are far off.
-    missing : float
-        Part of the readings that are NaN.
-    full_n : float, N
-    grams : float, g
-        Weight on it; set by `put`.
-    """
-
+    # counts_per_n, zero: scale and offset of an ideal cell
     counts_per_n: float = 4.1e5
     zero: float = 83_000.0
-    bend: float = 0.0
+    bend: float = 0.0  # deficit of the reading at full force, as a part; at half, a quarter of that
+    # lag of the reading on the way down, at half of the heaviest weight it has carried
     hysteresis_n: float = 0.0
-    noise_n: float = 0.002
-    garbage: float = 0.0
-    missing: float = 0.0
+    noise_n: float = 0.002  # of a single reading
+    garbage: float = 0.0  # part of the readings that are far off
+    missing: float = 0.0  # part of the readings that are NaN
     full_n: float = 1.0
     seed: int = 0
     rate_hz: float = 80.0
-    grams: float = 0.0
+    grams: float = 0.0  # weight on it; set by `put`
     _most_n: float = field(default=0.0, init=False)
 
     def __post_init__(self) -> None:

@@ -42,17 +42,10 @@ class DotTarget:
     Columns and rows are counted right and down from the dot where the L has
     its middle: that one is laid under the middle of the array, with the L
     upright as one reads.
-
-    Attributes
-    ----------
-    pitch_mm : float, mm
-        From dot to dot.
-    reach : int
-        Columns and rows on each side of the middle.
     """
 
-    pitch_mm: float
-    reach: int
+    pitch_mm: float  # from dot to dot
+    reach: int  # columns and rows on each side of the middle
 
     @cached_property
     def dots(self) -> NDArray[np.float64]:
@@ -77,13 +70,7 @@ class DotTarget:
         return np.asarray((away <= self.radius_mm(columns, rows)) & there)
 
     def draw(self, path: Path) -> None:
-        """Write the target as a PNG file with its resolution.
-
-        Raises
-        ------
-        CalibrationError
-            If it cannot be written.
-        """
+        """Write the target as a PNG file with its resolution."""
         dot_per_mm = PRINT_DPI / _INCH_MM
         middle = round(((self.reach + 0.5) * self.pitch_mm + _MARGIN_MM) * dot_per_mm)
         side = 2 * middle + 1
@@ -107,20 +94,8 @@ class DotTarget:
 
 
 def target_for(profile: Profile, dot_pitch_mm: float | None = None) -> DotTarget:
-    """Return the target for a sensor, with about five dots across its field.
-
-    Parameters
-    ----------
-    profile : Profile
-        Its optics give the approximate field of view.
-    dot_pitch_mm : float, optional, mm
-        Another pitch than the usual one.
-
-    Raises
-    ------
-    CalibrationError
-        If the sensor is too coarse for any, or the pitch out of reach.
-    """
+    """Return the target for a sensor, with about five dots across its field, or of the given
+    pitch."""
     optics = profile.optics
     field_mm = min(optics.field_width_mm, optics.field_height_mm)
     pitch_mm = dot_pitch_mm

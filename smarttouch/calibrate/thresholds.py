@@ -38,29 +38,17 @@ _LOOK_S = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class ThresholdProcedure:
-    """Measurement of thresholds: its board, its electrodes and its method.
+    """Measurement of thresholds: its board, its electrodes and its method."""
 
-    Attributes
-    ----------
-    start : str
-        Profile that the file began as.
-    file : ProfileFile
-        Where it goes.
-    board_url : str
-    sites : sequence of int
-    adaptive, repeats, seed
-        See `ThresholdSession`.
-    simulate : bool
-        A simulated subject answers, on the board ``simulated:``, without waiting.
-    """
-
-    start: str
-    file: ProfileFile
+    start: str  # profile that the file began as
+    file: ProfileFile  # where it goes
     board_url: str
     sites: Sequence[int]
+    # adaptive, repeats, seed: see `ThresholdSession`
     adaptive: bool = False
     repeats: int = 3
     seed: int = 0
+    # a simulated subject answers, on the board ``simulated:``, without waiting
     simulate: bool = False
 
     def progress(self) -> Progress:
@@ -78,40 +66,21 @@ class ThresholdProcedure:
 
     def measure(
         self,
-        progress: Progress,
+        progress: Progress,  # keeps each as it is done
+        # hands every key to a function while a block runs; an empty one is a terminal that is gone
         keys: Callable[[Callable[[str], None]], AbstractContextManager[None]],
-        say: Callable[[str], None],
+        say: Callable[[str], None],  # shows a line
         stop: StopRequest,
+        # opens a board for a block
         opened: Callable[[Board, StopRequest], AbstractContextManager[Board]],
-        force: str | None = None,
+        force: str | None = None,  # URL of the finger's force; see `Runner`
     ) -> None:
-        """Measure electrode after electrode.
-
-        Parameters
-        ----------
-        progress : Progress
-            Keeps each as it is done.
-        keys : callable
-            Hands every key to a function while a block runs; an empty one is a terminal that is
-            gone.
-        say : callable
-            Shows a line.
-        stop : StopRequest
-        opened : callable
-            Opens a board for a block.
-        force : str, optional
-            URL of the finger's force; see `Runner`.
-
-        Raises
-        ------
-        CalibrationError
-            If it was stopped, or a subject cannot be believed.
-        """
+        """Measure electrode after electrode."""
         profile, measuring = self.file.profile, measuring_profile(self.file.profile)
         # A simulated subject feels simulated currents, and does not wait.
         display = Display("simulated:" if self.simulate else self.board_url, measuring)
         session = ThresholdSession(
-            profile, measuring, display.board, self.sites, progress,
+            profile, display.board, self.sites, progress,
             adaptive=self.adaptive, repeats=self.repeats, seed=self.seed,
             show=lambda site, found: say(_describe(site, found)),
         )  # fmt: skip

@@ -20,38 +20,21 @@ _INK_LEVEL = 0.15
 
 @dataclass(frozen=True)
 class View:
-    """Pose of a camera over the page.
+    """Pose of a camera over the page."""
 
-    Attributes
-    ----------
-    tilt_deg, toward_deg : float
-        Between the line of sight and the page's normal, and which way it leans.
-    turn_deg : float
-        About the line of sight.
-    offset_mm : tuple of float, mm
-        Place on the page at the middle of the image.
-    distance_mm : float, mm
-        From the page, along the line of sight; perspective grows as it falls.
-    zoom : float
-        Pixels per millimeter, of what the profile says.
-    blur_px, noise_levels : float
-        Of the optics and of the sensor, standard deviations.
-    uneven : float
-        By how much of itself the light varies over the image.
-    seed : int
-        Of the noise, and of where the light comes from.
-    """
-
+    # tilt_deg, toward_deg: between the line of sight and the page's normal, and which way it leans
     tilt_deg: float = 0.0
     toward_deg: float = 0.0
-    turn_deg: float = 0.0
-    offset_mm: tuple[float, float] = (0.0, 0.0)
+    turn_deg: float = 0.0  # about the line of sight
+    offset_mm: tuple[float, float] = (0.0, 0.0)  # place on the page at the middle of the image
+    # from the page, along the line of sight; perspective grows as it falls
     distance_mm: float = 30.0
-    zoom: float = 1.0
+    zoom: float = 1.0  # pixels per millimeter, of what the profile says
+    # blur_px, noise_levels: of the optics and of the sensor, standard deviations
     blur_px: float = 0.5
     noise_levels: float = 2.0
-    uneven: float = 0.3
-    seed: int = 0
+    uneven: float = 0.3  # by how much of itself the light varies over the image
+    seed: int = 0  # of the noise, and of where the light comes from
 
     def homography(self, optics: Optics, shape: tuple[int, int]) -> NDArray[np.float64]:
         """Return the map from page to pixels: a pinhole camera over a plane."""

@@ -19,16 +19,9 @@ Levels = NDArray[np.uint8]
 
 @dataclass(frozen=True, eq=False)
 class Pattern:
-    """Activation of the electrodes for a while.
+    """Activation of the electrodes for a while."""
 
-    Attributes
-    ----------
-    level : ndarray, (E,) uint8
-        255 is full activation.
-    duration_ms : int, ms
-    """
-
-    level: Levels
+    level: Levels  # (E,) uint8: 255 is full activation
     duration_ms: int = USUAL_MS
 
 

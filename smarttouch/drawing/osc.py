@@ -32,14 +32,7 @@ _JOIN_S = 1.0
 
 
 def open_osc(rest: str, profile: Profile, key: Path | None = None) -> "OscSource":
-    """Open ``osc:PORT``, which listens on 127.0.0.1, or ``osc:ADDRESS:PORT?key=FILE``.
-
-    Raises
-    ------
-    SourceError
-        If that is no port, it cannot be had, or the extra ``osc`` is missing; or if there is
-        neither a key nor another way to know this user's programs, as on other addresses.
-    """
+    """Open ``osc:PORT``, which listens on 127.0.0.1, or ``osc:ADDRESS:PORT?key=FILE``."""
     host, _, port = rest.rpartition(":")
     if not re.fullmatch(r"\d{1,5}", port) or not 0 < int(port) < 65536:
         raise SourceError(
@@ -52,35 +45,22 @@ def open_osc(rest: str, profile: Profile, key: Path | None = None) -> "OscSource
 
 
 class OscSource(StimulusSource):
-    """Gives what comes as messages; half a second of silence is nothing.
+    """Source of what arrives as messages; half a second of silence is an empty pattern.
 
     ========================================  ==================================================
     ``/smarttouch/electrodes`` levels         of all electrodes: numbers, or a blob of bytes
-    ``/smarttouch/image`` width height grey   row by row, bright is felt: numbers, or a blob
+    ``/smarttouch/image`` width height grey   row by row, bright is active: numbers, or a blob
     ``/smarttouch/point`` x y [level [mm]]    from the top left, 0 to 1; within a radius if given
-    ``/smarttouch/clear``                     nothing is felt
+    ``/smarttouch/clear``                     no electrode is active
     ========================================  ==================================================
 
     Numbers are from 0 to 1, bytes from 0 to 255. Each packet is a pattern of its own: points of one
     bundle belong together.
 
     Without a key, packets of programs of this user on this machine are taken and no others, see
-    `OwnPrograms`. With one, each comes within ``/smarttouch/signed``, a blob: see `Key`.
-
-    Parameters
-    ----------
-    profile : Profile
-    host : str
-    port : int
-    key : Path, optional
-        File of a secret; needed where other machines can send.
-
-    Attributes
-    ----------
-    wrong : int
-        Packets that were not understood.
-    refused : int
-        Packets of others.
+    `OwnPrograms`. With the key of a file, needed where other machines can send, each comes within
+    ``/smarttouch/signed``, a blob: see `Key`. `wrong` counts packets that were not understood,
+    `refused` those of others.
     """
 
     knows_force = True
@@ -244,18 +224,13 @@ def _numbers(values: Sequence[Any], count: int) -> NDArray[np.float32]:
 
 
 def _bound(host: str, port: int, alone: bool) -> socket.socket:
-    """Return a socket at an address; one that other machines reach only if not for this one alone.
-
-    Raises
-    ------
-    SourceError
-        If it cannot be had, or others could send.
-    """
+    """Return a socket at an address; one that other machines reach only if not for this one
+    alone."""
     try:
         kind, *_, place = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
         if alone and not ipaddress.ip_address(str(place[0]).partition("%")[0]).is_loopback:
             raise SourceError(
-                f"everybody who reaches {host} could send: give a key, as in "
+                f"any program that reaches {host} could send: give a key, as in "
                 f"osc:{host}:{port}?key=FILE, or the port alone",
                 about="key",
                 problem="missing",

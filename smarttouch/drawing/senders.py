@@ -1,4 +1,4 @@
-"""Senders of packets: programs of this user, or whoever has the key of a file."""
+"""Senders of packets: programs of this user, or holders of a key in a file."""
 
 import hmac
 import os
@@ -57,11 +57,6 @@ class OwnPrograms:
     A packet is taken if a socket of this user, and of no other, had its port before the packet came
     and has it still. That another user's packet waits for that user's port to become ours is then
     of no use, only the first packets of a new socket are lost.
-
-    Raises
-    ------
-    SourceError
-        If the system does not say whose sockets there are.
     """
 
     def __init__(self) -> None:
@@ -102,11 +97,6 @@ class Key:
     Such a packet is HMAC-SHA256 (RFC 2104) of all that follows, the time in ns since 1970 in 8
     bytes, the highest first, and a packet of OSC. Each time is above those before, so that no
     packet can be sent a second time.
-
-    Raises
-    ------
-    SourceError
-        If it is no file, one that others may read, or too short.
     """
 
     def __init__(self, path: Path) -> None:

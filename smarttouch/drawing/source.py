@@ -31,13 +31,7 @@ _MOST_BYTES = 20_000_000
 
 
 def open_draw(rest: str, profile: Profile) -> "DrawSource":
-    """Open ``draw:``, or ``draw:FILE.json`` with patterns as `PatternFile` writes them.
-
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, or is of another array.
-    """
+    """Open ``draw:``, or ``draw:FILE.json`` with patterns as `PatternFile` writes them."""
     source = DrawSource(profile)
     if rest:
         source.patterns = read_patterns(Path(rest), profile)
@@ -45,18 +39,7 @@ def open_draw(rest: str, profile: Profile) -> "DrawSource":
 
 
 class DrawSource(StimulusSource):
-    """Gives the drawing of a page, or the patterns of a list one after another.
-
-    Parameters
-    ----------
-    profile : Profile
-
-    Attributes
-    ----------
-    patterns : list of Pattern
-    changes : int
-        Counts what pages must show anew.
-    """
+    """Source of the drawing of a page, or of a list of patterns one after another."""
 
     knows_force = True
     on_page = True
@@ -118,13 +101,7 @@ class DrawSource(StimulusSource):
             }
 
     def draw(self, words: str) -> None:
-        """Do what a page asks for; see the methods whose names begin with ``_do_``.
-
-        Raises
-        ------
-        ValueError
-            If it cannot be understood.
-        """
+        """Do what a page asks for; see the methods whose names begin with ``_do_``."""
         verb, _, rest = words.partition(" ")
         does = getattr(self, f"_do_{verb}", None) if verb.isidentifier() else None
         if does is None:
@@ -230,11 +207,6 @@ def read_patterns(path: Path, profile: Profile) -> list[Pattern]:
     """Return the patterns of a file as `PatternFile` writes it.
 
     The last lasts as long as the one before it.
-
-    Raises
-    ------
-    SourceError
-        If it cannot be read, or is of another array.
     """
     try:
         with open_file(path, SourceError, _MOST_BYTES) as file:

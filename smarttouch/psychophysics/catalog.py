@@ -43,89 +43,45 @@ _SLOWER = 2.0
 
 @dataclass(frozen=True)
 class ExperimentOptions:
-    """Options of an experiment; None means not given.
-
-    Attributes
-    ----------
-    afferent : Afferent
-    procedure : str
-    standards : tuple of float, Hz
-    repetitions, trials : int
-        Of each condition (constant), of each standard (adaptive).
-    site : int
-    train_s, rate_hz : float
-    letters : str
-    two_intervals : bool
-        Detection: in which of two, and not yes or no.
-    seed : int
-    """
+    """Options of an experiment; None means not given."""
 
     afferent: Afferent = Afferent.RA
     procedure: str | None = None
     standards: tuple[float, ...] | None = None
+    # repetitions, trials: of each condition (constant), of each standard (adaptive)
     repetitions: int | None = None
     trials: int | None = None
     site: int | None = None
     train_s: float | None = None
     rate_hz: float | None = None
     letters: str | None = None
-    two_intervals: bool = False
+    two_intervals: bool = False  # detection: in which of two, and not yes or no
     seed: int = 0
 
 
 @dataclass(frozen=True)
 class Design:
-    """An experiment ready to be run.
-
-    Attributes
-    ----------
-    task : Task
-    procedure : Procedure
-    method : str
-        The procedure's name.
-    again : bool
-        Whether a trial may be felt again.
-    notes : list of str
-        Warnings for the user.
-    """
+    """An experiment ready to be run."""
 
     task: Task
     procedure: Procedure
-    method: str
-    again: bool = True
-    notes: list[str] = field(default_factory=list)
+    method: str  # the procedure's name
+    again: bool = True  # whether a trial may be repeated
+    notes: list[str] = field(default_factory=list)  # warnings for the user
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """One experiment of the catalog.
+    """One experiment of the catalog."""
 
-    Attributes
-    ----------
-    about : str
-        In one line.
-    methods : tuple of str
-        Procedures that make sense, the usual one first.
-    train_s : float, s
-        Default length of a train.
-    make : callable
-        Puts it together.
-    """
-
-    about: str
-    methods: tuple[str, ...]
-    train_s: float
-    make: Callable[[Stimuli, ExperimentOptions, str], Design]
+    about: str  # in one line
+    methods: tuple[str, ...]  # procedures that make sense, the usual one first
+    train_s: float  # default length of a train
+    make: Callable[[Stimuli, ExperimentOptions, str], Design]  # puts it together
 
 
 def design(name: str, profile: Profile, wanted: ExperimentOptions) -> Design:
-    """Build an experiment of the catalog.
-
-    Raises
-    ------
-    ExperimentError
-        If there is no such experiment, or it cannot be as it is asked for.
-    """
+    """Build an experiment of the catalog."""
     if name not in CATALOG:
         raise ExperimentError(
             f"there is no experiment {name!r}: choose {' or '.join(CATALOG)}",

@@ -11,13 +11,7 @@ from smarttouch.errors import ExperimentError
 
 
 def read_cell(text: str, kind: Any) -> str | bool | float | None:
-    """Return the value in a cell; kinds are those of the attributes of `TrialRow`.
-
-    Raises
-    ------
-    ValueError
-        If it is of another kind.
-    """
+    """Return the value in a cell; kinds are those of the attributes of `TrialRow`."""
     if kind is str:
         return text
     kinds = get_args(kind) or (kind,)
@@ -34,13 +28,7 @@ def read_cell(text: str, kind: Any) -> str | bool | float | None:
 
 
 def write_cell(value: str | float | None, column: str) -> str:
-    """Return the text of a cell.
-
-    Raises
-    ------
-    ExperimentError
-        If no cell can hold the value.
-    """
+    """Return the text of a cell."""
     if isinstance(value, str):
         if "\n" in value or "\r" in value:
             raise ExperimentError(

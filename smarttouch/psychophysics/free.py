@@ -47,11 +47,6 @@ def up_to_the_ceiling(profile: Profile) -> Profile:
     """Return a profile whose strongest current is the limit of the device, not of the finger.
 
     The subject's hand is on the amplitude, from zero (paper: 0 to 2.0 mA, Section III-A).
-
-    Raises
-    ------
-    ExperimentError
-        If a threshold is not below that.
     """
     limits, count = profile.limits, len(profile.electrodes)
     # Sequences hold whole µA: charge and total have room for what rounding leaves over.
@@ -74,18 +69,7 @@ def up_to_the_ceiling(profile: Profile) -> Profile:
 
 
 class FreeLog(Closing):
-    """Every change, on disk at once.
-
-    Parameters
-    ----------
-    path : Path
-        A CSV file; must not be there yet.
-
-    Raises
-    ------
-    ExperimentError
-        If it is there, or cannot be written.
-    """
+    """Log of every change, on disk at once, in a CSV file that must not exist yet."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -107,13 +91,7 @@ class FreeLog(Closing):
         self.write(COLUMNS)
 
     def write(self, row: tuple[object, ...]) -> None:
-        """Add a row.
-
-        Raises
-        ------
-        ExperimentError
-            If the disk does not take it.
-        """
+        """Add a row."""
         try:
             self._writer.writerow(row)
             self._file.flush()
@@ -126,14 +104,7 @@ class FreeLog(Closing):
 
 
 class HandControls(Controls):
-    """Controls whose level a knob may move: up when it moves away from the user.
-
-    Parameters
-    ----------
-    state, modes
-        See `Controls`.
-    knob : Knob, optional
-    """
+    """Controls whose level a knob may move: up when it moves away from the user."""
 
     def __init__(
         self, state: ControlState, modes: tuple[Mode, ...] = (), *, knob: Knob | None = None
@@ -155,39 +126,18 @@ class HandControls(Controls):
 
 
 class FreeSource(StimulusSource, Listener):
-    """Gives one train that never ends, as the user turns it.
-
-    Another class or site begins at zero intensity.
-
-    Parameters
-    ----------
-    profile : Profile
-        As `up_to_the_ceiling` returns it.
-    offered : tuple of Afferent
-        The classes that its kernels reach.
-    log : FreeLog
-        Told of every change.
-    afferent : Afferent
-    site : int or None
-        To begin with; the middle if None.
-    rate_hz : float, Hz
-    press_n : float, N, optional
-        Force of a virtual finger; boards that a finger may be on need another source.
-
-    Raises
-    ------
-    ExperimentError
-        If that class, site or rate is not offered.
-    """
+    """Source of one endless train that the user adjusts; another class or site begins at zero
+    intensity."""
 
     def __init__(
         self,
-        profile: Profile,
-        offered: tuple[Afferent, ...],
-        log: FreeLog,
+        profile: Profile,  # as `up_to_the_ceiling` returns it
+        offered: tuple[Afferent, ...],  # the classes that its kernels reach
+        log: FreeLog,  # receives every change
         afferent: Afferent = Afferent.RA,
-        site: int | None = None,
+        site: int | None = None,  # to begin with; the middle if None
         rate_hz: float = 50.0,
+        # force of a virtual finger; boards that a finger may be on need another source
         press_n: float | None = None,
     ) -> None:
         super().__init__("free stimulation")

@@ -15,13 +15,8 @@ _DRAWN_PX = 400
 
 
 def parse_letters(text: str | None) -> str:
-    """Return the letters that ``ABC`` names, each once; the alphabet if None.
-
-    Raises
-    ------
-    ExperimentError
-        If there are fewer than two, or others than A to Z.
-    """
+    """Return the letters that ``ABC`` names, each once, two or more of A to Z; the alphabet if
+    None."""
     letters = ALPHABET if text is None else "".join(dict.fromkeys(text.upper().replace(",", "")))
     strange = [each for each in letters if each not in ALPHABET]
     if strange or len(letters) < 2:
@@ -35,25 +30,10 @@ def parse_letters(text: str | None) -> str:
 
 
 def draw_letter(letter: str, profile: Profile) -> NDArray[np.float32]:
-    """Return the activation of each electrode that draws a letter as large as the array.
+    """Return the activation, (E,) float32, 0 or 1, that draws a letter as large as the array.
 
-    Drawn in the middle, in its own proportions, with strokes one electrode wide; an electrode is
-    on or off.
-
-    Parameters
-    ----------
-    letter : str
-    profile : Profile
-        Of an array with rows and columns.
-
-    Returns
-    -------
-    ndarray, (E,) float32, 0 or 1
-
-    Raises
-    ------
-    ExperimentError
-        If the array has too few rows for letters.
+    Drawn in the middle of an array with rows and columns, in its own proportions, with strokes one
+    electrode wide.
     """
     rows = rows_of(profile)
     if rows < FEWEST_ROWS:

@@ -36,22 +36,12 @@ _OPENING_US = 500_000
 
 @dataclass(frozen=True)
 class LetterFelt:
-    """One letter on one finger.
-
-    Attributes
-    ----------
-    letter : str
-    seed : int
-        Of the finger.
-    felt : Felt
-    read_as : str
-        Letter that the spikes resemble most; empty without a spike.
-    """
+    """One letter on one finger."""
 
     letter: str
     seed: int
     felt: Felt
-    read_as: str
+    read_as: str  # letter that the spikes resemble most; empty without a spike
 
 
 def letter_sequence(
@@ -89,31 +79,16 @@ def letter_sequences(
 
 
 def feel_letters(
-    profile: Profile,
+    profile: Profile,  # of an array with rows and columns
     bank: KernelBank,
-    mode: Mode,
-    anatomy: str,
-    seeds: Sequence[int],
+    mode: Mode,  # RA, SAI or PC
+    anatomy: str,  # name or file of the fingers' anatomy
+    seeds: Sequence[int],  # of the fingers
     letters: str = ALPHABET,
+    # called with the number of finished fingers and of all
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> list[LetterFelt]:
-    """Put letters on fingers, each at full comfort in one mode.
-
-    Parameters
-    ----------
-    profile : Profile
-        Of an array with rows and columns.
-    bank : KernelBank
-    mode : Mode
-        RA, SAI or PC.
-    anatomy : str
-        Name or file of the fingers' anatomy.
-    seeds : sequence of int
-        Of the fingers.
-    letters : str
-    progress : callable
-        Is given the number of finished fingers and of all.
-    """
+    """Put letters on fingers, each at full comfort in one mode."""
     shown = letter_sequences(letters, profile, bank, mode)
     known = letter_templates(profile)
     found: list[LetterFelt] = []
@@ -125,23 +100,13 @@ def feel_letters(
 
 
 def letters_on_finger(
-    finger: Finger,
+    finger: Finger,  # its seed is that of the noise, too
+    # slots and electrodes of each letter, see `letter_sequences`
     shown: Mapping[str, tuple[Slots, NDArray[np.bool_]]],
     wanted: Sequence[Afferent],
-    known: Mapping[str, Floats],
+    known: Mapping[str, Floats],  # see `letter_templates`
 ) -> list[LetterFelt]:
-    """Return what a finger feels of letters, each for ten periods.
-
-    Parameters
-    ----------
-    finger : Finger
-        Its seed is that of the noise, too.
-    shown : mapping of str to (Slots, ndarray)
-        Slots and electrodes of each letter, see `letter_sequences`.
-    wanted : sequence of Afferent
-    known : mapping of str to ndarray
-        See `letter_templates`.
-    """
+    """Return what a finger feels of letters, each for ten periods."""
     model, places = SpikeModel(finger, finger.seed), finger.profile.electrodes.position_mm
     found = []
     for letter, (slots, active) in shown.items():
@@ -217,13 +182,7 @@ def error_at_board(
 
 
 def require_letters(text: str) -> str:
-    """Return letters from A to Z, each once.
-
-    Raises
-    ------
-    ExperimentError
-        If there are others, or none.
-    """
+    """Return letters from A to Z, each once."""
     letters = "".join(dict.fromkeys(text.upper()))
     if not letters or set(letters) - set(ALPHABET):
         raise ExperimentError(

@@ -20,15 +20,11 @@ def bystander_margins(
     seeds: Sequence[int],
     letters: str = ALPHABET,
 ) -> dict[str, float]:
-    """Return the factor on all currents at which the first of each class fires.
+    """Return the factor on all currents at which the first of each class fires, and the smaller of
+    Aδ and C as "nociceptive".
 
-    Medians over fingers, of the worst letter each; above 1 none fires at full comfort.
-    Infinite where no legal currents fire it.
-
-    Returns
-    -------
-    dict of str to float
-        By class, and "nociceptive": the smaller of Aδ and C.
+    Medians over fingers, of the worst letter each; above 1 none fires at full comfort. Infinite
+    where no legal currents fire it.
     """
     shown = [each for each, _ in letter_sequences(letters, profile, bank, mode).values()]
     rows: list[dict[str, float]] = []

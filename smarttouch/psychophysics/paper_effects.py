@@ -36,22 +36,13 @@ fires, and currents with them."""
 
 @dataclass(frozen=True)
 class Shift:
-    """Distance of what is felt from the electrode, mm.
+    """Distance of what is felt from the electrode, mm."""
 
-    Attributes
-    ----------
-    x_mm, y_mm : float
-        Means over the afferents that fire; y is negative toward the fingertip.
-    away_mm : float
-        Root mean square distance.
-    afferents : float
-        Number of afferents that fire, mean over electrodes and fingers.
-    """
-
+    # x_mm, y_mm: means over the afferents that fire; y is negative toward the fingertip
     x_mm: float
     y_mm: float
-    away_mm: float
-    afferents: float
+    away_mm: float  # root mean square distance
+    afferents: float  # number of afferents that fire, mean over electrodes and fingers
 
 
 def fired(finger: Finger, current_ma: Array) -> NDArray[np.bool_]:
@@ -107,16 +98,8 @@ def stages(anatomy: str | Anatomy, seeds: Sequence[int]) -> dict[Afferent, Array
 def shift(
     fingers: Sequence[Finger], current_ma: Array, sites: Sequence[int], classes: Sequence[Afferent]
 ) -> Shift:
-    """Return where the afferents of some classes are whose axons each site's currents fire.
-
-    Parameters
-    ----------
-    fingers : sequence of Finger
-    current_ma : ndarray, (E, E), mA
-        Currents of each site.
-    sites : sequence of int
-    classes : sequence of Afferent
-    """
+    """Return where the afferents of some classes lie whose axons each site's currents, (E, E) mA,
+    fire."""
     away, tried = [np.zeros((0, 2))], 0
     for finger in fingers:
         answers = fired(finger, current_ma[list(sites)])
@@ -165,21 +148,12 @@ def reached(
 
 
 def effects(
-    anatomy: str | Anatomy,
-    seeds: Sequence[int],
+    anatomy: str | Anatomy,  # of the fingers
+    seeds: Sequence[int],  # of the fingers
+    # called with the number of finished parts and of all
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> list[Row]:
-    """Return the paper's effects and the fingers' figures, as rows of a table.
-
-    Parameters
-    ----------
-    anatomy : str or Anatomy
-        Of the fingers.
-    seeds : sequence of int
-        Of the fingers.
-    progress : callable
-        Is given the number of finished parts and of all.
-    """
+    """Return the paper's effects and the fingers' figures, as rows of a table."""
     is_like = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
     mouse = load_profile("electric-mouse")
     bank, sites = load_bank(mouse), inner_sites(mouse)

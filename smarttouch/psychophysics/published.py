@@ -20,15 +20,15 @@ from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.membrane import weiss_fit
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import Profile, load_profile
-from smarttouch.psychophysics import letters_felt
 from smarttouch.psychophysics.letters import ALPHABET
+from smarttouch.psychophysics.letters_felt import feel_letters
 from smarttouch.psychophysics.paper_effects import CLEAR_MA, against_all, inner_sites, kernel_ma
 
 Array = NDArray[np.float64]
 
 WIDTHS_US = (50.0, 100.0, 200.0, 500.0)
 _DIP = 0.8
-"""Level between two places, over the lower of both, below which they are told apart. Ours."""
+"""Level between two places, over the lower of both, below which they are resolved. Ours."""
 _BLUR_MM = 0.6
 """Standard deviation of a receptive field in that. Ours."""
 _ACROSS = 33
@@ -137,15 +137,8 @@ def chronaxie_row(profile: Profile, anatomy: Anatomy) -> Row:
 
 
 def told_apart(finger: Finger, current_ma: Array, places_mm: Array) -> bool:
-    """Return whether what is felt dips between two places.
-
-    Parameters
-    ----------
-    finger : Finger
-    current_ma : ndarray, (S, E), mA
-        Slots.
-    places_mm : ndarray, (2, 2), mm
-    """
+    """Return whether the map of spikes from slots, (S, E) mA, dips between two places, (2, 2)
+    mm."""
     width_us = np.full(len(current_ma), finger.profile.pulse.width_us)
     fires = SpikeModel(finger).drive(1000 * current_ma, width_us) >= 1
     along = np.linspace(-0.25, 1.25, _ACROSS)[:, None]
@@ -158,7 +151,7 @@ def told_apart(finger: Finger, current_ma: Array, places_mm: Array) -> bool:
 
 
 def gap_rows(fingers: Sequence[Finger]) -> list[Row]:
-    """Return the part of fingers that tell two points, or a bar with a gap, from one."""
+    """Return the part of fingers that resolve two points, or a gap in a bar."""
     profile = fingers[0].profile
     bank = load_bank(profile)
     position = profile.electrodes.position_mm
@@ -201,7 +194,7 @@ def letters_row(
 ) -> Row:
     """Return the part of letters that is read from the spikes in RA mode."""
     profile = load_profile(name)
-    found = letters_felt.feel_letters(profile, load_bank(profile), Mode.RA, anatomy, seeds, letters)
+    found = feel_letters(profile, load_bank(profile), Mode.RA, anatomy, seeds, letters)
     right = 1 - median(
         fmean(each.read_as != each.letter for each in found if each.seed == seed) for seed in seeds
     )

@@ -26,67 +26,35 @@ _SAME = ("experiment", "procedure", "participant", "session", "seed")
 
 @dataclass(frozen=True)
 class TrialRow:
-    """One trial. The attributes are the columns of the file, in their order.
+    """One trial. The attributes are the columns of the file, in their order."""
 
-    Attributes
-    ----------
-    repetition, trial, number, index : int
-        PsychoPy's thisRepN, thisTrialN, thisN and thisIndex: repetition, trial in it, trial of
-        all, which condition; all from 0.
-    experiment : str
-        Its name.
-    procedure : str
-        ``constant``, ``staircase`` or ``questplus``.
-    standard : float or None
-        Standard; None (an empty cell) if there is none.
-    comparison : float
-        Level, frequency or distance of what was tested.
-    comparison_interval : int or None
-        1 or 2; None where there are no two intervals.
-    unit : str
-        Of standard and comparison: Hz, mA, mm.
-    target, response : str
-        Stimulus and response as text; an empty response is none.
-    success : bool or None
-        Discrimination: the comparison was judged higher or stronger. Detection: it was felt.
-        Identification: it was named. None if no answer came. 1, 0 or empty in the file.
-    rt : float or None, s
-        From the end of the stimulus to the answer.
-    time_s : float, s
-        Of the run, at the answer.
-    level : float
-        Amplitude that the user had chosen, 0 to 1.
-    participant, session, date : str
-        Participant, session, and the time it began.
-    seed : int
-        Of the order of trials.
-    frame_rate_hz : float or None
-        PsychoPy's frameRate: sequences a second.
-    version : str
-        Of smarttouch.
-    """
-
+    # repetition, trial, number, index: PsychoPy's thisRepN, thisTrialN, thisN and thisIndex:
+    # repetition, trial in it, trial of all, which condition; all from 0
     repetition: int
     trial: int
     number: int
     index: int
     experiment: str
-    procedure: str
-    standard: float | None
-    comparison: float
-    comparison_interval: int | None
-    unit: str
+    procedure: str  # ``constant``, ``staircase`` or ``questplus``
+    standard: float | None  # standard; None (an empty cell) if there is none
+    comparison: float  # level, frequency or distance of what was tested
+    comparison_interval: int | None  # 1 or 2; None where there are no two intervals
+    unit: str  # of standard and comparison: Hz, mA, mm
+    # target, response: stimulus and response as text; an empty response is none
     target: str
     response: str
+    # discrimination: the comparison was judged higher or stronger. Detection: it was felt.
+    # Identification: it was named. None if no answer came. 1, 0 or empty in the file.
     success: bool | None
-    rt: float | None
-    time_s: float
-    level: float
+    rt: float | None  # from the end of the stimulus to the answer
+    time_s: float  # of the run, at the answer
+    level: float  # amplitude that the user had chosen, 0 to 1
+    # participant, session, date: participant, session, and the time it began
     participant: str
     session: str
     date: str
-    seed: int
-    frame_rate_hz: float | None
+    seed: int  # of the order of trials
+    frame_rate_hz: float | None  # PsychoPy's frameRate: sequences a second
     version: str
 
 
@@ -103,13 +71,7 @@ COLUMNS = {each.name: _PSYCHOPY.get(each.name, each.name) for each in fields(Tri
 
 @dataclass(frozen=True)
 class About:
-    """Identity of a file: participant, session and experiment, repeated in each row.
-
-    Attributes
-    ----------
-    experiment, procedure, participant, session : str
-    seed : int
-    """
+    """Identity of a file: participant, session and experiment, repeated in each row."""
 
     experiment: str
     procedure: str
@@ -119,30 +81,10 @@ class About:
 
 
 class RowFile(Closing):
-    """A file that rows are added to, each on disk before `append` returns.
+    """CSV file that rows are added to, each on disk before `append` returns.
 
-    A file that is there already goes on; a line that was cut off when a program was killed is
-    dropped from it first. As long as it is open no other run can write to it.
-
-    Parameters
-    ----------
-    path : Path
-        The CSV file; made if missing.
-    about : About
-        Identity that an existing file must have.
-    overwrite : bool
-        Whether to begin anew.
-
-    Attributes
-    ----------
-    rows : list of TrialRow
-        Those in the file.
-
-    Raises
-    ------
-    ExperimentError
-        If it cannot be opened, another run has it open, it is no such file, or it is about
-        something else.
+    An existing file is continued if it is of the same identity; a line that was cut off when a
+    program was killed is dropped from it first. As long as it is open no other run can write to it.
     """
 
     def __init__(self, path: Path, about: About, overwrite: bool = False) -> None:
@@ -178,13 +120,7 @@ class RowFile(Closing):
             raise unwritable(ExperimentError, self.path, error) from None
 
     def append(self, row: TrialRow) -> None:
-        """Add one trial.
-
-        Raises
-        ------
-        ExperimentError
-            If it is about something else, has what no cell can hold, or cannot be written.
-        """
+        """Add one trial."""
         self._require_same([row])
         line = write_line(write_cell(getattr(row, name), COLUMNS[name]) for name in COLUMNS)
         try:
@@ -218,13 +154,7 @@ class RowFile(Closing):
 
 
 def read_rows(path: Path) -> list[TrialRow]:
-    """Return the trials of a file; a line that was cut off at its end is dropped.
-
-    Raises
-    ------
-    ExperimentError
-        If it cannot be read, or a line is not what such a file has.
-    """
+    """Return the trials of a file; a line that was cut off at its end is dropped."""
     data = read_bytes(path, ExperimentError)
     return _parse(data[: data.rfind(b"\n") + 1], path)
 
@@ -252,7 +182,7 @@ def _parse(data: bytes, path: Path) -> list[TrialRow]:
         except (IndexError, ValueError):
             raise ExperimentError(
                 f"{path}, line {number}: {COLUMNS[name]} is missing or not what belongs there; "
-                "mend or delete the line",
+                "correct or delete the line",
                 about=COLUMNS[name],
                 problem="malformed",
                 value=dict(enumerate(line)).get(place[name]),

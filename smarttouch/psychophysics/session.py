@@ -15,29 +15,8 @@ _SAME = 1e-6
 class Session:
     """Session that supplies trials, and writes a row for each answer before the next one.
 
-    The file is all that is remembered: its answers are given to the procedure anew, which leads
-    to the trial that comes next. A trial without its row is presented again.
-
-    Parameters
-    ----------
-    task : Task
-        Task that makes trials of conditions.
-    procedure : Procedure
-        A fresh one, of the same arguments as before.
-    file : RowFile
-        Open; with the answers of earlier runs.
-    date : str
-        When this run began.
-
-    Attributes
-    ----------
-    resumed : int
-        Trials that were there already.
-
-    Raises
-    ------
-    ExperimentError
-        If the file's trials are not those of this procedure.
+    The file is all that is remembered: its answers are given again to a fresh procedure of the same
+    arguments, which leads to the trial that comes next. A trial without its row is presented again.
     """
 
     def __init__(self, task: Task, procedure: Procedure, file: RowFile, date: str) -> None:
@@ -81,13 +60,7 @@ class Session:
         return None if self._procedure.done else self._task.trial(self._procedure.next())
 
     def record(self, trial: Trial, answer: Answer) -> None:
-        """Write an answer, and pass it to the procedure.
-
-        Raises
-        ------
-        ExperimentError
-            If the file cannot be written.
-        """
+        """Write an answer, and pass it to the procedure."""
         condition = trial.condition
         success = answer.response == trial.success if answer.response else None
         about = self._file.about

@@ -22,23 +22,13 @@ from smarttouch.psychophysics.timing import TrialTiming
 
 @dataclass(frozen=True)
 class ExperimentSession:
-    """One run of an experiment.
-
-    Attributes
-    ----------
-    made : Design
-    session : Session
-    profile : Profile
-    course : TrialTiming
-    path : Path
-        File of the answers.
-    """
+    """One run of an experiment."""
 
     made: Design
     session: Session
     profile: Profile
     course: TrialTiming
-    path: Path
+    path: Path  # file of the answers
 
     def source(self, pressing_n: float | None, *, in_real_time: bool) -> ExperimentSource:
         """Return the source of its stimuli; force is made up if it is given."""
@@ -109,13 +99,7 @@ def parse_standards(text: str | None) -> tuple[float, ...] | None:
 def usual_name(
     experiment: str, participant: str, session: str, seed: int | None
 ) -> tuple[str, int]:
-    """Return what an experiment's file is called without ending, and the seed of its orders.
-
-    Raises
-    ------
-    SmartTouchError
-        If a name cannot be part of a file's, or the seed is negative.
-    """
+    """Return what an experiment's file is called without ending, and the seed of its orders."""
     for parameter, name in (("participant", participant), ("session", session)):
         if any(not (each.isalnum() or each in "-_.") for each in name):
             raise SmartTouchError(

@@ -42,33 +42,10 @@ Pulses = Generator[Stimulus, None, None]
 
 
 class ExperimentSource(StimulusSource, Listener):
-    """Presents trial after trial.
+    """Source that presents trial after trial.
 
     Each begins when the intensity is there that the user has chosen; one whose current is lost
-    within an interval (paused, finger lifted, board gone) is presented anew.
-
-    Parameters
-    ----------
-    trials : Trials
-        Trials to present.
-    profile : Profile
-        Array, force and limits.
-    course : TrialTiming
-        Timing of a trial.
-    press_n : float, N, optional
-        Force of a virtual finger; boards that a finger may be on need another source.
-    clock : Clock, optional
-        Tells when a key was pressed between two stimuli; the time of the last one counts if
-        not given.
-
-    Attributes
-    ----------
-    asking : Trial or None
-        The one whose answer is waited for.
-    playing : tuple of int or None
-        Which presentation and which of its intervals the last stimulus belongs to.
-    repeats, spoiled : int
-        Trials felt again because the participant wished so, or presented anew.
+    within an interval (paused, finger lifted, board gone) is presented again.
     """
 
     ended = "the experiment is over"
@@ -78,7 +55,9 @@ class ExperimentSource(StimulusSource, Listener):
         trials: Trials,
         profile: Profile,
         course: TrialTiming,
+        # force of a virtual finger; boards that a finger may be on need another source
         press_n: float | None = None,
+        # time of keys between two stimuli; None: that of the last stimulus
         clock: Clock | None = None,
     ) -> None:
         super().__init__(trials.title)
@@ -171,7 +150,7 @@ class ExperimentSource(StimulusSource, Listener):
     def _prepare(self, trial: Trial) -> Pulses:
         """Be silent, after the faintest pulses where these must open the intensity first."""
         train = trial.intervals[0]
-        # A blank begins as the train that it stands for, so that nothing tells the two apart.
+        # A blank begins as the train that it stands for, so that nothing distinguishes the two.
         activation = train.activation if train.blanked is None else train.blanked
         faint = np.float32(_FAINT) * (activation > 0)
         # What rises within the trial begins low, and needs no more than that.
@@ -196,7 +175,7 @@ class ExperimentSource(StimulusSource, Listener):
                 yield from self._be_silent(PAUSE_S, level)
 
     def _attempt(self, trial: Trial) -> Generator[Stimulus, None, Answer | None]:
-        """Present a trial and ask; return None if it is to be presented anew."""
+        """Present a trial and ask; return None if it is to be presented again."""
         self._presentation += 1
         self._lost = False
         for index, train in enumerate(trial.intervals):
@@ -212,7 +191,7 @@ class ExperimentSource(StimulusSource, Listener):
                 self.spoiled += 1
                 self.emit(
                     TrialEvent(
-                        self._now_ns, f"trial {self._trials.done + 1} anew: current was lost"
+                        self._now_ns, f"trial {self._trials.done + 1} again: current was lost"
                     )
                 )
                 return None

@@ -17,32 +17,17 @@ LONGEST_S = 60.0
 
 @dataclass(frozen=True, eq=False)
 class Train:
-    """Train of pulses at one frequency.
+    """Train of pulses at one frequency."""
 
-    Attributes
-    ----------
-    activation : ndarray, (3, E) float32, in [0, 1]
-        One row for each `Afferent`; all zero is a blank of the same length.
-    period_us : int, µs
-        From pulse to pulse.
-    pulses : int
-        It ends one period after the last.
-    level : float, in [0, 1]
-        Of the strongest comfortable current, on top of what the user wishes.
-    rises : bool
-        Whether it rises to that level evenly from nothing, over its whole length.
-    soft_s : float, s
-        Time in which it rises to that level; 0 is at once.
-    blanked : ndarray, (3, E) float32, optional
-        Activation of the train that this one is the blank of.
-    """
-
+    # (3, E) float32, in [0, 1]: one row for each `Afferent`; all zero is a blank of the same length
     activation: NDArray[np.float32]
-    period_us: int
-    pulses: int
+    period_us: int  # from pulse to pulse
+    pulses: int  # it ends one period after the last
+    # in [0, 1]: of the strongest comfortable current, on top of what the user wishes
     level: float = 1.0
-    rises: bool = False
-    soft_s: float = 0.0
+    rises: bool = False  # whether it rises to that level evenly from nothing, over its whole length
+    soft_s: float = 0.0  # time in which it rises to that level; 0 is at once
+    # (3, E) float32: activation of the train that this one is the blank of
     blanked: NDArray[np.float32] | None = None
 
     @property
@@ -69,22 +54,7 @@ class Train:
 
 
 class Stimuli:
-    """Factory of trains for one class of afferents.
-
-    Parameters
-    ----------
-    profile : Profile
-        Array, limits and currents.
-    afferent : Afferent
-        Class that the trains drive.
-    train_s : float, s
-        Length of a train.
-
-    Raises
-    ------
-    ExperimentError
-        If trains cannot be that long.
-    """
+    """Factory of trains of one length for one class of afferents."""
 
     def __init__(self, profile: Profile, afferent: Afferent, train_s: float) -> None:
         if not 0 < train_s <= LONGEST_S:
@@ -97,13 +67,7 @@ class Stimuli:
         self.profile, self.afferent, self.train_s = profile, afferent, train_s
 
     def train(self, where: Sequence[int] | NDArray[np.float32], rate_hz: float) -> Train:
-        """Return a train on some sites, or with an activation of each, (E,).
-
-        Raises
-        ------
-        ExperimentError
-            If the frequency is above the profile's limit, or too low for a train.
-        """
+        """Return a train on some sites, or with an activation of each, (E,)."""
         limit_hz = self.profile.limits.rate_hz
         if not 0 < rate_hz <= limit_hz:
             raise ExperimentError(

@@ -31,26 +31,14 @@ _LOOK_S = 0.25
 
 
 class Subject(Listener):
-    """Subject that answers an experiment in place of a person.
-
-    Parameters
-    ----------
-    source : ExperimentSource
-        Experiment to answer, by its keys.
-    observer : Observer
-        Observer that decides.
-    look_s : float, s
-        Interval of its decisions while a current rises.
-    reaction_s : float, s
-        From such a decision to the key.
-    """
+    """Subject that answers an experiment in place of a person."""
 
     def __init__(
         self,
-        source: ExperimentSource,
-        observer: Observer,
-        look_s: float = _LOOK_S,
-        reaction_s: float = 0.0,
+        source: ExperimentSource,  # experiment to answer, by its keys
+        observer: Observer,  # observer that decides
+        look_s: float = _LOOK_S,  # interval of its decisions while a current rises
+        reaction_s: float = 0.0,  # from such a decision to the key
     ) -> None:
         super().__init__()
         self._source, self._observer = source, observer
@@ -64,13 +52,7 @@ class Subject(Listener):
         self._looked_ns = 0
 
     def start(self, run: RunContext) -> None:
-        """Attach to the board: its record of delivered pulses is the observer's only input.
-
-        Raises
-        ------
-        ExperimentError
-            If the board is not a simulated one.
-        """
+        """Attach to the board: its record of delivered pulses is the observer's only input."""
         self.attend(run.board)
 
     def attend(self, board: Board) -> None:
@@ -133,15 +115,11 @@ class Subject(Listener):
 
 
 def interval_of(pulses: Pulses, starts: dict[int, tuple[int, int]]) -> Interval:
-    """Return the pulses that the sequences of one interval delivered.
+    """Return the pulses that the sequences of one interval delivered, from
+    `SimulatedBoard.take_pulses`.
 
-    Parameters
-    ----------
-    pulses : tuple of ndarray
-        Delivered pulses, see `SimulatedBoard.take_pulses`.
-    starts : dict
-        When each sequence of the interval began, ns, and the discharge after each of its slots,
-        µs, by its number.
+    `starts` has, by the number of each sequence, when it began, ns, and the discharge after each of
+    its slots, µs.
     """
     number, width_us, current_ua = pulses
     mine = np.isin(number, list(starts))
@@ -157,28 +135,14 @@ def interval_of(pulses: Pulses, starts: dict[int, tuple[int, int]]) -> Interval:
 
 def make_observer(
     kind: str,
-    profile: Profile,
-    seed: int,
-    templates: Mapping[str, NDArray[np.float32]] | None = None,
-    finger: int = 1,
-    anatomy: str | Path = "paper",
+    profile: Profile,  # profile of the finger whose spikes the model judges
+    seed: int,  # of its noise
+    templates: Mapping[str, NDArray[np.float32]] | None = None,  # (E,): the letters that it knows
+    finger: int = 1,  # seed of the model's finger
+    anatomy: str | Path = "paper",  # of the model's finger
 ) -> Observer:
-    """Return who answers: ``model``, or ``random``, ``first`` and ``silent``, who are of no use.
-
-    Parameters
-    ----------
-    kind : str
-    profile : Profile
-        Profile of the finger whose spikes the model judges.
-    seed : int
-        Of its noise.
-    templates : mapping of str to ndarray, (E,), optional
-        The letters that it knows.
-    finger : int
-        Seed of the model's finger.
-    anatomy : str or Path
-        Of the model's finger.
-    """
+    """Return the observer of a kind: ``model``; or ``random``, ``first`` or ``silent``, for
+    checks."""
     if kind == "random":
         return RandomObserver(seed)
     if kind == "first":
@@ -198,16 +162,10 @@ class TwoLooks:
     If it was felt in both or in none, a coin is tossed: so does a threshold that is either passed
     or not (high-threshold theory, Green and Swets, Signal Detection Theory and Psychophysics, 1966,
     chapter 5).
-
-    Attributes
-    ----------
-    observer : Observer
-    seed : int
-        Of the coin.
     """
 
     observer: Observer
-    seed: int = 0
+    seed: int = 0  # of the coin
 
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)

@@ -184,15 +184,10 @@ class LocalizationTask:
 
 @dataclass(frozen=True, eq=False)
 class LetterTask:
-    """Letter recognition: which letter was it? A condition is its place in the list, from 0.
-
-    Attributes
-    ----------
-    drawn : mapping of str to ndarray, (E,) float32
-        Activation of each electrode for each letter.
-    """
+    """Letter recognition: which letter was it? A condition is its place in the list, from 0."""
 
     stimuli: Stimuli
+    # (E,) float32: activation of each electrode for each letter
     drawn: Mapping[str, NDArray[np.float32]]
     rate_hz: float
 

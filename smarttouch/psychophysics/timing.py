@@ -7,31 +7,14 @@ from smarttouch.errors import ExperimentError
 
 @dataclass(frozen=True)
 class TrialTiming:
-    """Timing of a trial.
+    """Timing of a trial."""
 
-    Attributes
-    ----------
-    gap_s : float, s
-        Between two intervals.
-    answer_s : float or None, s
-        Time limit for an answer; no limit if None.
-    again : bool
-        Whether a participant may feel a trial once more.
-    patience_s : float or None, s
-        Time limit for the current to reach its level before a trial; no limit if None.
-    most_spoiled : int or None
-        Times that a trial is presented anew because its current was lost; no limit if None.
-
-    Raises
-    ------
-    ExperimentError
-        If it cannot go so.
-    """
-
-    gap_s: float = 0.5
-    answer_s: float | None = 10.0
-    again: bool = True
+    gap_s: float = 0.5  # between two intervals
+    answer_s: float | None = 10.0  # time limit for an answer; no limit if None
+    again: bool = True  # whether a participant may feel a trial once more
+    # time limit for the current to reach its level before a trial; no limit if None
     patience_s: float | None = None
+    # times that a trial is presented again because its current was lost; no limit if None
     most_spoiled: int | None = None
 
     def __post_init__(self) -> None:

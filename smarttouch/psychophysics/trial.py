@@ -36,48 +36,20 @@ class Course(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """Stimuli and question of one trial.
+    """Stimuli and question of one trial."""
 
-    Attributes
-    ----------
-    condition : Condition
-        Of the procedure.
-    intervals : tuple of Train
-        One after another.
-    task : str
-        Kind of question, for observers: faster, felt, two, side, which, enough.
-    question : str
-        For the screen.
-    answers : mapping of str to str
-        Response by key.
-    target : str
-        The response that is true; empty if none is.
-    success : str
-        The response that is a success, see `TrialRow`.
-    words : str
-        Stimulus as text, for the report of the run.
-    unit : str
-        Of the condition.
-    compares : bool
-        Whether the condition has a standard.
-    exact : bool
-        Whether it counts in milliamperes, so that nothing may lower the current.
-    course : Course, optional
-        Sets the level of its only train; every key is an answer then.
-    """
-
-    condition: Condition
-    intervals: tuple[Train, ...]
-    task: str
+    condition: Condition  # of the procedure
+    intervals: tuple[Train, ...]  # one after another
+    task: str  # kind of question, for observers: faster, felt, two, side, which, enough
     question: str
-    answers: Mapping[str, str]
-    target: str
-    success: str
-    words: str
-    unit: str
-    compares: bool = False
-    exact: bool = False
-    course: Course | None = None
+    answers: Mapping[str, str]  # response by key
+    target: str  # the response that is true; empty if none is
+    success: str  # the response that is a success, see `TrialRow`
+    words: str  # stimulus as text, for the report of the run
+    unit: str  # of the condition
+    compares: bool = False  # whether the condition has a standard
+    exact: bool = False  # whether it counts in milliamperes, so that nothing may lower the current
+    course: Course | None = None  # sets the level of its only train; every key is an answer then
 
     @property
     def alternatives(self) -> tuple[str, ...]:
@@ -92,27 +64,13 @@ class Trial:
 
 @dataclass(frozen=True)
 class Answer:
-    """Result of a trial.
+    """Result of a trial."""
 
-    Attributes
-    ----------
-    response : str
-        Empty if none came.
-    rt_s : float or None, s
-        From the end of the last interval.
-    time_s : float, s
-        Of the run.
-    level : float
-        Amplitude that the user had chosen, 0 to 1.
-    reached : float or None, mA
-        Current at the answer, where it rises.
-    """
-
-    response: str
-    rt_s: float | None
-    time_s: float
-    level: float
-    reached: float | None = None
+    response: str  # empty if none came
+    rt_s: float | None  # from the end of the last interval
+    time_s: float  # of the run
+    level: float  # amplitude that the user had chosen, 0 to 1
+    reached: float | None = None  # current at the answer, where it rises
 
 
 class Task(Protocol):

@@ -22,15 +22,9 @@ Advance = Callable[[int, int], None]
 
 @dataclass(frozen=True)
 class Choice:
-    """One choice of everything but the finger.
+    """One choice of everything but the finger."""
 
-    Attributes
-    ----------
-    profile, kernels, mode, scan : str
-        As the study names them.
-    intensity : float
-    """
-
+    # profile, kernels, mode, scan: as the study names them
     profile: str
     kernels: str
     mode: str
@@ -40,16 +34,10 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """Letters as one choice delivers them.
-
-    Attributes
-    ----------
-    choice : Choice
-    letters : dict of str to (DeliveredSlots, ndarray)
-        Slots of each letter, and its electrodes (E,).
-    """
+    """Letters as one choice delivers them."""
 
     choice: Choice
+    # slots of each letter, and its electrodes (E,)
     letters: dict[str, tuple[DeliveredSlots, NDArray[np.bool_]]]
 
     @property
@@ -75,13 +63,8 @@ def choices(study: Study) -> Iterator[Choice]:
 class Grid:
     """Profiles, banks and sequences of a study.
 
-    Parameters
-    ----------
-    study : Study
-    beside : Path
-        Folder from which files of profiles and anatomies are named.
-    progress : callable, optional
-        Is given how many sites of a bank are designed, of how many, if any have to be.
+    Files are named from the folder `beside`; `progress` is called with the number of sites of a
+    bank that are designed, and of all, if any have to be.
     """
 
     def __init__(self, study: Study, beside: Path, progress: Advance | None = None) -> None:
@@ -99,13 +82,7 @@ class Grid:
             return name
 
     def bank(self, choice: Choice) -> tuple[Profile, KernelBank]:
-        """Return the profile with a choice's objective, and its kernels.
-
-        Raises
-        ------
-        SmartTouchError
-            If the board of the profile cannot make them.
-        """
+        """Return the profile with a choice's objective, and its kernels."""
         key = choice.profile, choice.kernels
         if key not in self._banks:
             profile = self.profiles[choice.profile]

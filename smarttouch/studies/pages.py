@@ -21,19 +21,11 @@ _SHAPES = Shapes(Style.GRADED)
 
 @dataclass(frozen=True)
 class ShownPage:
-    """One page in one choice.
-
-    Parameters
-    ----------
-    grid : Grid
-    choice : Choice
-    page : str
-        As the study names it.
-    """
+    """One page in one choice."""
 
     grid: Grid
     choice: Choice
-    page: str
+    page: str  # as the study names it
 
     @cached_property
     def reading(self) -> Reading:
@@ -47,13 +39,7 @@ class ShownPage:
 
     @cached_property
     def delivered(self) -> Legibility:
-        """Delivered lines, and the truth: the text that Tesseract reads of the page itself.
-
-        Raises
-        ------
-        SmartTouchError
-            See `legibility_of_shapes`.
-        """
+        """Delivered lines, and the truth: the text that Tesseract reads of the page itself."""
         source = Source(str(self.grid.file(self.page)))
         return legibility_of_shapes(source, self.reading, _SHAPES, source.words)
 

@@ -80,11 +80,5 @@ class Study(Table):
 
 
 def load_study(path: Path) -> Study:
-    """Load the plan of a study.
-
-    Raises
-    ------
-    ProfileError
-        If there is none, or it has unknown keys or impossible values.
-    """
+    """Load the plan of a study."""
     return load_model(path, Study)

@@ -21,30 +21,10 @@ from smarttouch.studies.grid import Choice, Shown
 
 @dataclass(frozen=True)
 class Row:
-    """One finger and one pattern.
+    """One finger and one pattern."""
 
-    Attributes
-    ----------
-    profile, anatomy, finger, kernels, mode, scan, intensity
-        What was chosen; the finger is its seed.
-    pattern : str
-        A letter, or the name of a page.
-    read_as : str
-        Letter that was read of the spikes; nothing for a page.
-    error : float
-        1 where a letter was read as another, else 0; of a page the error rate of characters.
-    silent_points, wrong_class, misplaced : float
-        See `felt.Felt`; NaN without a spike.
-    spikes : int
-        All spikes of a letter in ten periods.
-    ra, sai, pc : int
-        Afferents that fired.
-    slots : int
-        Slots of a period.
-    total_ma : float
-        Mean total current of a slot.
-    """
-
+    # profile, anatomy, finger, kernels, mode, scan, intensity: what was chosen; the finger is its
+    # seed
     profile: str
     anatomy: str
     finger: int
@@ -52,35 +32,29 @@ class Row:
     mode: str
     scan: str
     intensity: float
-    pattern: str
-    read_as: str
+    pattern: str  # a letter, or the name of a page
+    read_as: str  # letter that was read of the spikes; nothing for a page
+    # 1 where a letter was read as another, else 0; of a page the error rate of characters
     error: float
+    # silent_points, wrong_class, misplaced: see `felt.Felt`; NaN without a spike
     silent_points: float
     wrong_class: float
     misplaced: float
-    spikes: int
+    spikes: int  # all spikes of a letter in ten periods
+    # ra, sai, pc: afferents that fired
     ra: int
     sai: int
     pc: int
-    slots: int
-    total_ma: float
+    slots: int  # slots of a period
+    total_ma: float  # mean total current of a slot
 
     @classmethod
     def of(
         cls, choice: Choice, anatomy: str, finger: int, pattern: str, felt: Felt | NerveReading,
         current_ua: Sequence[NDArray[np.int16]], error: float, read_as: str = "",
     ) -> "Row":  # fmt: skip
-        """Return the row of what was felt; of a page nothing is counted.
-
-        Parameters
-        ----------
-        choice : Choice
-        anatomy, finger, pattern, error, read_as
-            As in the row.
-        felt : Felt or NerveReading
-        current_ua : sequence of ndarray, (S, E), µA
-            Currents of all slots.
-        """
+        """Return the row of one response; of a page nothing is counted. Currents are (S, E) µA
+        each."""
         letter = felt if isinstance(felt, Felt) else None
         ra, sai, pc = (letter.afferents[each] if letter else 0 for each in Afferent)
         slots = sum(map(len, current_ua))
@@ -101,19 +75,7 @@ _KINDS = {"str": str, "int": int, "float": float}
 def rows_of_finger(
     profile: Profile, anatomy: Anatomy, name: str, seed: int, shown: Sequence[Shown]
 ) -> list[Row]:
-    """Return what one finger feels of all letters in all choices.
-
-    Parameters
-    ----------
-    profile : Profile
-    anatomy : Anatomy
-    name : str
-        Of the anatomy, as the study has it.
-    seed : int
-        Of the finger.
-    shown : sequence of Shown
-        Of this profile.
-    """
+    """Return the rows of one finger for all letters in all choices of its profile."""
     from threadpoolctl import threadpool_limits
 
     known, rows = letter_templates(profile), []

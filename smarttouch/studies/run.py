@@ -31,52 +31,26 @@ _Rows = Callable[[], list[Row]]
 
 @dataclass(frozen=True, eq=False)
 class _Work:
-    """One finger with all of its letters, or with one page.
+    """One finger with all of its letters, or with one page."""
 
-    Attributes
-    ----------
-    file : Path
-        Where its rows are kept.
-    prepared : callable
-        Returns what makes its rows, wherever that is done.
-    """
-
-    file: Path
-    prepared: Callable[[], _Rows]
+    file: Path  # where its rows are kept
+    prepared: Callable[[], _Rows]  # returns what makes its rows, wherever that is done
 
 
 def run_study(
     study: Study,
-    beside: Path,
-    folder: Path,
+    beside: Path,  # folder from which the study names files
+    folder: Path,  # where to; made if missing
+    # designing, progress: called with how many sites of a bank, and fingers, are done, of how many
     designing: Advance | None = None,
     progress: Advance | None = None,
 ) -> list[Row]:
-    """Run a study, or what is left of it, and write its table.
+    """Run a study, or what is left of it, and return its table, which is also in ``rows.csv``.
 
-    The work goes through `joblib.Parallel`: on all cores, or wherever ``joblib.parallel_config``
-    sends it. Rows of finished fingers are kept in the folder, each finger's in a file of its own,
-    and are used again where all that they depend on is the same.
-
-    Parameters
-    ----------
-    study : Study
-    beside : Path
-        Folder from which the study names files.
-    folder : Path
-        Where to; made if missing.
-    designing, progress : callable, optional
-        Are given how many sites of a bank, and fingers, are done, of how many.
-
-    Returns
-    -------
-    list of Row
-        By profile, anatomy, finger, choice and letter, then by page; also in ``rows.csv``.
-
-    Raises
-    ------
-    SmartTouchError
-        If something is named that is not there, or the folder cannot be written.
+    Rows are by profile, anatomy, finger, choice and letter, then by page. The work goes through
+    `joblib.Parallel`: on all cores, or wherever ``joblib.parallel_config`` sends it. Rows of
+    finished fingers are kept in the folder, each finger's in a file of its own, and are used again
+    where all that they depend on is the same.
     """
     parts = folder / _PARTS
     try:
@@ -153,11 +127,11 @@ def _file(
     parts: Path, digest: str, profile: Profile, anatomy: Anatomy, course: str, seed: int
 ) -> Path:
     """Return the file of rows that depend on these, and on nothing else."""
-    told = [
+    depends_on = [
         VERSION, digest, course, seed, profile.model_dump(mode="json"),
         anatomy.model_dump(mode="json"),
     ]  # fmt: skip
-    key = hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+    key = hashlib.sha256(json.dumps(depends_on, sort_keys=True).encode()).hexdigest()
     return parts / f"{key[:24]}.csv"
 
 
@@ -188,5 +162,5 @@ def _kept(path: Path) -> list[Row] | None:
     try:
         return from_csv(read_text(path, SmartTouchError, _MOST_PART_BYTES))
     except (SmartTouchError, ValueError, TypeError, csv.Error):
-        # It is felt anew: that is slow, not wrong.
+        # It is computed again: slow, not wrong.
         return None

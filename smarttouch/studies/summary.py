@@ -20,26 +20,14 @@ _CHOSEN = ("profile", "kernels", "mode", "scan", "intensity")
 
 @dataclass(frozen=True)
 class Summed:
-    """One choice on the fingers of one anatomy.
-
-    Attributes
-    ----------
-    anatomy : str
-    label : str
-        What the choice is, where choices of the study differ.
-    fingers : dict of str to list of float
-        Mean over patterns of each of `MEASURES`, by finger.
-    best : float
-        Part of the fingers on which no other choice is read with fewer errors; ties count for all.
-    total_ma : float
-        Mean total current of a slot.
-    """
+    """One choice on the fingers of one anatomy."""
 
     anatomy: str
-    label: str
-    fingers: dict[str, list[float]]
+    label: str  # what the choice is, where choices of the study differ
+    fingers: dict[str, list[float]]  # mean over patterns of each of `MEASURES`, by finger
+    # part of the fingers on which no other choice is read with fewer errors; ties count for all
     best: float
-    total_ma: float
+    total_ma: float  # mean total current of a slot
 
     def middle(self, measure: str) -> float:
         """Return the median over fingers."""

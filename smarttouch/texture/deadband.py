@@ -15,13 +15,8 @@ _ROUNDING = 1 + 1e-6
 class Deadband:
     """Place that follows another as a block follows a rubber band: it sticks, then slides behind.
 
-    Once the place has stood still for one look, its jumping to and fro by one
-    count along both axes moves nothing, for ever.
-
-    Parameters
-    ----------
-    resolution_mm : float, mm
-        One count; 0 follows exactly.
+    Once the place has stood still for one read, jitter by one count (`resolution_mm`; 0 follows
+    exactly) along both axes never moves it.
     """
 
     def __init__(self, resolution_mm: float) -> None:

@@ -22,35 +22,15 @@ _WAIT_S = 0.1
 _GROUP = "join the group input (sudo usermod -aG input $USER) and log in again"
 
 
-def open_it(rest: str, *, cpi: float = USUAL_CPI, grab: bool = False) -> "EvdevMotion":
-    """Open ``evdev:DEVICE``, or the first mouse that is found; options are `EvdevMotion`'s.
-
-    Raises
-    ------
-    SourceError
-        If there is none, it may not be read, or the extra is missing.
-    """
+def open_evdev(rest: str, *, cpi: float = USUAL_CPI, grab: bool = False) -> "EvdevMotion":
+    """Open ``evdev:DEVICE``, or the first mouse found; options are those of `EvdevMotion`."""
     require_within(SourceError, "cpi", cpi, 10, 100_000, f"a mouse of {cpi:g} counts per inch")
     return EvdevMotion(_open(rest) if rest else _first_mouse(), cpi, grab)
 
 
 class EvdevMotion(Motion):
-    """Adds up the counts of a mouse on a thread of its own.
-
-    Parameters
-    ----------
-    device : evdev.InputDevice
-        Closed with this.
-    cpi : float
-        Its counts per inch.
-    grab : bool
-        Keep its motion and buttons from everybody else, as long as this is open.
-
-    Raises
-    ------
-    SourceError
-        If somebody else has grabbed it.
-    """
+    """Adds up the counts of a mouse on a thread of its own; `grab` keeps them from other
+    programs."""
 
     def __init__(self, device: "InputDevice[str]", cpi: float, grab: bool = False) -> None:
         super().__init__(f"{device.name} at {cpi:g} counts per inch")
@@ -71,13 +51,7 @@ class EvdevMotion(Motion):
         self._thread.start()
 
     def read(self, time_ns: int) -> tuple[float, float]:
-        """Return the displacement of the mouse since the first read.
-
-        Raises
-        ------
-        SourceLostError
-            If it was pulled out.
-        """
+        """Return the displacement of the mouse since the first read."""
         if self._gone:
             raise SourceLostError(
                 f"{self._path} is gone: plug the mouse in again",
@@ -149,7 +123,7 @@ def _open(path: str) -> "InputDevice[str]":
     if not _is_mouse(device):
         name = device.name
         device.close()
-        message = f"{path}, {name}, tells no motion along two axes: choose a mouse"
+        message = f"{path}, {name}, reports no motion along two axes: choose a mouse"
         raise _wrong("no mouse", path, message)
     return device
 

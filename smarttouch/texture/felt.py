@@ -14,15 +14,7 @@ from smarttouch.texture.texture import Texture
 
 
 class TextureDrawing(FeltDrawing):
-    """Shows the strongest answer at every place: too few pulses come to average them.
-
-    Parameters
-    ----------
-    profile, bank, afferents
-        See `Perception`.
-    texture : Texture
-        What lay under the hand.
-    """
+    """Picture of the strongest response at every place: the pulses are too few to average."""
 
     strongest, longest_px = True, 3000
 

@@ -20,18 +20,10 @@ _AROUND = 2
 
 
 def dominant_pitch_mm(height: NDArray[np.float32], mm_per_pixel: float) -> float | None:
-    """Return the pitch that dominates a relief, mm; None if none does.
+    """Return the pitch that dominates a relief, (H, W), mm; None if none does.
 
-    Parameters
-    ----------
-    height : ndarray, (H, W) float32
-    mm_per_pixel : float, mm
-
-    Notes
-    -----
-    Welch's windowed periodogram (1967), in two dimensions: a ridge to ridge
-    distance is prominent if the main lobe of one spatial frequency, and of its
-    mirror image, carry at least a quarter of the variance.
+    By Welch's windowed periodogram (1967), in two dimensions: a pitch dominates if the main lobe of
+    one spatial frequency, and of its mirror image, carry at least a quarter of the variance.
     """
     shrink = min(1.0, _SIDE / max(height.shape))
     if shrink < 1:

@@ -16,20 +16,8 @@ _WAVE = np.asarray(
 
 
 class Grating(Texture):
-    """Ridges at one pitch, unbounded; one runs through the origin.
-
-    Parameters
-    ----------
-    pitch_mm : float, mm
-        From ridge to ridge.
-    angle_deg : float, degrees
-        Clockwise rotation of the ridges from upright.
-
-    Raises
-    ------
-    PageError
-        If no finger could feel that.
-    """
+    """Ridges at one pitch, unbounded, turned clockwise from upright; one runs through the
+    origin."""
 
     def __init__(self, pitch_mm: float, angle_deg: float = 0.0) -> None:
         words = f"a grating of {pitch_mm:g} mm"
@@ -59,16 +47,12 @@ class Grating(Texture):
 
 
 class GratingFeeler:
-    """Each electrode has a phase of the grating; a ridge passes at each whole number.
+    """Sampler of a grating: each electrode, (E, 2) mm, has a phase; a ridge passes at each whole
+    number.
 
-    The phase is the spatial frequency times the place in the world, so that an
-    electrode pulses spatial frequency times speed times a second (paper,
-    Section IV-C), at places that do not move with the hand.
-
-    Parameters
-    ----------
-    per_mm : ndarray, (2,), cycles/mm
-    position_mm : ndarray, (E, 2), mm
+    The phase is the spatial frequency, (2,) cycles/mm, times the place in the world, so that an
+    electrode pulses spatial frequency times speed times a second (paper, Section IV-C), at places
+    that do not move with the hand.
     """
 
     def __init__(self, per_mm: NDArray[np.float64], position_mm: NDArray[np.float64]) -> None:

@@ -11,27 +11,23 @@ from smarttouch.sources.device import Device
 from smarttouch.url_options import joined_options, read_options
 
 _OPENERS = {
-    "evdev": "smarttouch.texture.evdev_motion",
-    "path": "smarttouch.texture.path_motion",
-    "sweep": "smarttouch.texture.sweep_motion",
-    "window": "smarttouch.texture.window_motion",
+    "evdev": ("smarttouch.texture.evdev_motion", "open_evdev"),
+    "path": ("smarttouch.texture.path_motion", "open_path"),
+    "sweep": ("smarttouch.texture.sweep_motion", "open_sweep"),
+    "window": ("smarttouch.texture.window_motion", "open_window"),
 }
-"""Modules by name of the kind; each has a function ``open_it(rest, **options)``."""
+"""Module and function ``(rest, **options)`` of each kind; imported when one is opened."""
 _NOT_IN_URLS = ("span_mm", "lane_mm", "origin_mm")
 """Options of a sweep that follow from the texture."""
-_ANY_SOURCE = "smarttouch.texture.source_motion"
+_ANY_SOURCE = ("smarttouch.texture.source_motion", "open_posed_source")
 
 
 class Motion(Device, ABC):
     """Source of the displacement of a hand, opened by its URL.
 
-    Attributes
-    ----------
-    origin_mm : tuple of float, mm, or None
-        Start on a texture, from its top left corner; in its middle if None.
-        Known after the first look.
-    force_n : float, N
-        Force of the finger at the last read, where ``knows_force``.
+    It starts at `origin_mm` of a texture, from its top left corner, known after the first read; in
+    the middle if that is None. `force_n` is that of the finger at the last read, where
+    `knows_force`.
     """
 
     duration_s: float | None = None
@@ -47,45 +43,27 @@ class Motion(Device, ABC):
 
     @abstractmethod
     def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return the displacement from the start, right and down; None at the end.
-
-        Parameters
-        ----------
-        time_ns : int
-            Since the start of the run; rises from call to call.
-
-        Returns
-        -------
-        tuple of float, mm, or None
-        """
+        """Return the displacement from the start, right and down, mm; None at the end. `time_ns`
+        rises."""
 
 
 def open_motion(url: str, **options: Any) -> Motion:
-    """Open a source of hand motion, for example ``evdev:`` or ``sweep:``.
+    """Open ``sweep:``, ``evdev:DEVICE``, ``window:``, ``path:CSV``, or any source that knows its
+    pose.
 
-    Parameters
-    ----------
-    url : str
-        ``sweep:``, ``evdev:DEVICE``, ``window:``, ``path:CSV``, or the URL of any source
-        that knows its pose, as ``camera:0``. Options may stand in it, as in
-        ``sweep:?speed_mm_s=20``.
-    **options
-        Options of the kind, see ``open_it`` in its module; those that are None were not given.
-
-    Raises
-    ------
-    SourceError
-        If there is no such kind, it does not take an option, or cannot be opened.
+    Options may stand in the URL, as in ``sweep:?speed_mm_s=20``; those that are None were not
+    given.
     """
     kind, colon, rest = url.partition(":")
     sources = known_names("smarttouch.sources")
     if not colon or kind not in {*_OPENERS, *sources}:
         raise unknown("motion", url, (*_OPENERS, *sources), SourceError)
-    opener = import_module(_OPENERS.get(kind, _ANY_SOURCE)).open_it
+    module, function = _OPENERS.get(kind, _ANY_SOURCE)
+    opener = getattr(import_module(module), function)
     given = given_options(opener, url, options, SourceError)
     if kind not in _OPENERS:
         motion: Motion = opener(url, **given)
     else:
-        rest, told = read_options(opener, rest, SourceError, _NOT_IN_URLS)
-        motion = opener(rest, **joined_options(url, given, told, SourceError))
+        rest, in_url = read_options(opener, rest, SourceError, _NOT_IN_URLS)
+        motion = opener(rest, **joined_options(url, given, in_url, SourceError))
     return motion

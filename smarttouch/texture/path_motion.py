@@ -8,12 +8,12 @@ from smarttouch.errors import SourceError
 from smarttouch.tables import read_csv
 from smarttouch.texture.motion import Motion
 
-RESOLUTION_MM = 0.01
+_PATH_RESOLUTION_MM = 0.01
 """Resolution of recorded paths; an estimate of ours."""
 _NEEDED = ("time_s", "x_mm", "y_mm")
 
 
-def open_it(rest: str) -> "PathMotion":
+def open_path(rest: str) -> "PathMotion":
     """Open ``path:CSV``."""
     if not rest:
         message = "path: names no file: give one, as in path:way.csv"
@@ -24,19 +24,11 @@ def open_it(rest: str) -> "PathMotion":
 class PathMotion(Motion):
     """Motion along the points of a table, in straight lines.
 
-    Parameters
-    ----------
-    path : Path
-        CSV file whose heading names the columns ``time_s``, ``x_mm`` and ``y_mm`` (on the
-        texture, from its top left corner) and may name ``force_n``; others are not used.
-
-    Raises
-    ------
-    SourceError
-        If the file is missing or wrong, with the line number.
+    The heading of the CSV file names the columns ``time_s``, ``x_mm`` and ``y_mm`` (on the texture,
+    from its top left corner) and may name ``force_n``; others are not used.
     """
 
-    resolution_mm = RESOLUTION_MM
+    resolution_mm = _PATH_RESOLUTION_MM
 
     def __init__(self, path: Path) -> None:
         super().__init__(f"the way of {path.name}")

@@ -30,42 +30,20 @@ _BLUR_MM = 0.2
 
 
 class Relief(Texture):
-    """Heights on a map.
+    """Heights on a map, and the depth of each place within high ground.
 
-    Parameters
-    ----------
-    heights : Heights
-        Heights, drawn dark where high.
-    grain_mm : float, mm, optional
-        Way between two pulses on wide high ground; the dominant pitch if not given, and 2 mm
-        if there is none.
-    tiled : bool
-        Repeat it without end.
-    inverted : bool
-        Turn high and low.
-
-    Attributes
-    ----------
-    grain_mm : float, mm
-    woven : bool
-        Whether a pitch dominates it.
-    pixel_mm : float, mm
-        Of the maps.
-    height, depth : ndarray, (H, W) float32
-        In [0, 1]; in mm to where the high ground ends, at most half a grain.
-
-    Raises
-    ------
-    PageError
-        If the grain is no length that can be felt.
+    `height` is (H, W) in [0, 1]; `depth`, (H, W) mm, the distance to where the high ground ends, at
+    most half a grain; `woven` whether a pitch dominates; `pixel_mm` the pitch of the maps.
     """
 
     def __init__(
         self,
-        heights: Heights,
+        heights: Heights,  # heights, drawn dark where high
+        # way between two pulses on wide high ground; the dominant pitch if not given, and 2 mm if
+        # there is none
         grain_mm: float | None = None,
-        tiled: bool = False,
-        inverted: bool = False,
+        tiled: bool = False,  # repeat it without end
+        inverted: bool = False,  # turn high and low
     ) -> None:
         rows, columns = heights.height.shape
         wide_mm, high_mm = columns * heights.mm_per_pixel, rows * heights.mm_per_pixel

@@ -28,13 +28,7 @@ _RISEN = 0.5
 
 
 class ReliefFeeler:
-    """Samples the depth along each electrode's way, and finds its maxima.
-
-    Parameters
-    ----------
-    relief : Relief
-    position_mm : ndarray, (E, 2), mm
-    """
+    """Samples the depth along each electrode's path, from (E, 2) mm, and finds its maxima."""
 
     # Places of the array's middle are complex numbers, x + iy in mm: one number for each
     # electrode is twice as fast as two.

@@ -44,17 +44,8 @@ class Heights(NamedTuple):
 def load_heights(path: Path, dpi: float | None = None, width_mm: float | None = None) -> Heights:
     """Load an image, whose ink is high, or a height map, whose bright parts are high.
 
-    Parameters
-    ----------
-    path : Path
-        An image; one of 16 bits, of floating point, or a .npy file of two axes is a height map.
-    dpi, width_mm : float, optional
-        Its scale, if it does not say.
-
-    Raises
-    ------
-    PageError
-        If it cannot be read, shows nothing, or does not say how large it is.
+    An image of 16 bits or of floating point, or a .npy file of two axes, is a height map. The scale
+    is needed where the file has none.
     """
     check_scale_options(dpi, width_mm, "width_mm")
     if path.suffix.lower() == ".npy":
@@ -79,19 +70,7 @@ def load_heights(path: Path, dpi: float | None = None, width_mm: float | None = 
 
 
 def print_heights(text: str, width_mm: float | None = None) -> Heights:
-    """Print a text in large letters.
-
-    Parameters
-    ----------
-    text : str
-    width_mm : float, optional, mm
-        Of the whole; letters are 12 mm high if not given.
-
-    Raises
-    ------
-    PageError
-        If there is nothing to print, or too much.
-    """
+    """Print a text in large letters, 12 mm high unless the width of the whole is given."""
     check_scale_options(None, width_mm, "width_mm")
     page = print_text(text)
     mm_per_pixel = page.mm_per_pixel * LETTER_MM / _PRINTED_MM

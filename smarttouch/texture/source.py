@@ -34,18 +34,8 @@ _EARLY = 1e-3
 
 
 class PulseLimit:
-    """Limit of each electrode's pulse rate to what a finger can resolve.
-
-    Parameters
-    ----------
-    electrodes : int
-    fastest_hz : float, Hz
-
-    Attributes
-    ----------
-    left_out : int
-        Pulses that came too soon after the one before.
-    """
+    """Limit of each electrode's pulse rate to what a finger can resolve; it counts the pulses left
+    out."""
 
     def __init__(self, electrodes: int, fastest_hz: float) -> None:
         self._shortest_ns = int((1 - _EARLY) * 1e9 / fastest_hz)
@@ -62,51 +52,29 @@ class PulseLimit:
 
 
 class MouseSource(StimulusSource):
-    """Gives a pulse at each electrode under which a ridge of the texture passes.
+    """Source of a pulse at each electrode under which a ridge of the texture passes.
 
-    So each electrode pulses spatial frequency times speed times a second, the
-    pattern stays where it is in the world, and a hand at rest feels nothing
-    (paper, Section IV-C). The pose of a stimulus is the middle of the array on the
-    texture, its image what lies under the array.
-
-    Parameters
-    ----------
-    texture : Texture
-        Texture under the hand.
-    motion : Motion
-        An open one, which is closed with this.
-    profile : Profile
-        As `profile_for_reading` returns it: frames show what lies under the array.
-    mode : Mode
-        Class that pulses: one of RA, SAI and PC.
-    rate_hz : float, Hz
-        Frames a second.
-    fastest_hz : float, Hz, optional
-        Pulses a second of each electrode; as many as a finger can resolve, and at most
-        half the frames, if not given.
-    scale : float
-        Millimeters of the texture for one of the hand.
-    press_n : float, N, optional
-        Force of a virtual finger, where the motion does not report it; boards that a finger may
-        be on need another source.
-
-    Raises
-    ------
-    SourceError
-        If a rate or the scale is impossible, or the mode is not one class.
+    So each electrode pulses spatial frequency times speed times a second, the pattern stays where
+    it is in the world, and a hand at rest feels nothing (paper, Section IV-C). The pose of a
+    stimulus is the middle of the array on the texture, its image what lies under the array.
     """
 
     ended = "the hand has stopped"
 
     def __init__(
         self,
-        texture: Texture,
-        motion: Motion,
+        texture: Texture,  # texture under the hand
+        motion: Motion,  # an open one, which is closed with this
+        # as `profile_for_reading` returns it: frames show what lies under the array
         profile: Profile,
-        mode: Mode = Mode.RA,
-        rate_hz: float = USUAL_RATE_HZ,
+        mode: Mode = Mode.RA,  # class that pulses: one of RA, SAI and PC
+        rate_hz: float = USUAL_RATE_HZ,  # frames a second
+        # pulses a second of each electrode; as many as a finger can resolve, and at most half the
+        # frames, if not given
         fastest_hz: float | None = None,
-        scale: float = 1.0,
+        scale: float = 1.0,  # millimeters of the texture for one of the hand
+        # force of a virtual finger, where the motion does not report it; boards that a finger may
+        # be on need another source
         press_n: float | None = None,
     ) -> None:
         super().__init__(f"{texture.title} under {motion.title}")
@@ -137,7 +105,7 @@ class MouseSource(StimulusSource):
         self._place = (math.nan, math.nan)
         self._image = np.full(self._shape, 255, np.uint8)
         self._said = DeviceWarnings(self.notes)
-        self._told = False
+        self._warned = False
 
     def read(self, time_ns: int) -> Stimulus | None:
         """Return what passes under the array at a time; None at the end of the motion."""
@@ -184,13 +152,13 @@ class MouseSource(StimulusSource):
         passed = self._feeler.move(*place)
         self.merged += passed.merged
         kept = self._limit.keep(passed.height, time_ns)
-        if self._limit.left_out and not self._told:
-            self._told = True
+        if self._limit.left_out and not self._warned:
+            self._warned = True
             self.emit(
                 Note(
                     time_ns,
-                    f"the texture passes faster than {self.fastest_hz:g} pulses a second can "
-                    "tell: some are left out",
+                    f"the texture passes faster than {self.fastest_hz:g} pulses a second "
+                    "can follow: some are left out",
                 )
             )
         return kept
@@ -236,18 +204,7 @@ def _possible_hz(rate_hz: float, fastest_hz: float | None, most_hz: float) -> fl
 
 
 def open_motion_over(texture: Texture, url: str, profile: Profile, **options: Any) -> Motion:
-    """Open a motion by its URL, with what its kind needs to know of the texture or the profile.
-
-    Parameters
-    ----------
-    texture : Texture
-        What lies under the hand.
-    url : str
-    profile : Profile
-        Device and finger.
-    **options
-        See `open_motion`.
-    """
+    """Open a motion by its URL, with what its kind needs to know of the texture or the profile."""
     kind = url.partition(":")[0]
     if kind == "window":
         options["texture"] = texture

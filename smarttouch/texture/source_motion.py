@@ -8,25 +8,19 @@ from smarttouch.sources.frame import Pose
 from smarttouch.sources.source import Source
 from smarttouch.texture.motion import Motion
 
-RESOLUTION_MM = 0.02
+_IMAGE_RESOLUTION_MM = 0.02
 """Jitter at rest of motion found in images; an estimate of ours."""
 
 
-def open_it(url: str, *, profile: Profile | None = None) -> "SourceMotion":
+def open_posed_source(url: str, *, profile: Profile | None = None) -> "SourceMotion":
     """Open any source that knows its pose; its optics are electric-mouse's if none are given."""
     return SourceMotion(open_source(url, profile or load_profile(DEFAULT_PROFILE)))
 
 
 class SourceMotion(Motion):
-    """Motion by a source's pose.
+    """Motion by the pose of a source, which is closed with it."""
 
-    Parameters
-    ----------
-    source : Source
-        An open one, which is closed with this.
-    """
-
-    resolution_mm = RESOLUTION_MM
+    resolution_mm = _IMAGE_RESOLUTION_MM
 
     def __init__(self, source: Source) -> None:
         super().__init__(f"the motion of {source.title}")
@@ -44,7 +38,7 @@ class SourceMotion(Motion):
             return None
         if self._first is None:
             self._first = given.pose
-        # What was seen last may be gone: nobody knows whether the finger is still there.
+        # What was seen last may be gone: whether the finger is still there is unknown.
         self.force_n = math.nan if given.stale else given.force_n
         return given.pose.x_mm - self._first.x_mm, given.pose.y_mm - self._first.y_mm
 

@@ -24,7 +24,7 @@ _TREMOR_MM = 0.05
 """Root mean square along each axis; an estimate of ours for a hand that lies on a mouse."""
 
 
-def open_it(
+def open_sweep(
     rest: str,
     *,
     speed_mm_s: float = USUAL_MM_S,
@@ -33,13 +33,7 @@ def open_it(
     origin_mm: tuple[float, float] | None = None,
     seed: int | None = None,
 ) -> "SweepMotion":
-    """Open ``sweep:`` or ``sweep:ROUNDS``; options are those of `SweepMotion`, and its origin.
-
-    Raises
-    ------
-    SourceError
-        If the rounds are no number.
-    """
+    """Open ``sweep:`` or ``sweep:ROUNDS``; options are those of `SweepMotion`, and its origin."""
     if rest and not (rest.isdecimal() and 0 < int(rest) <= _MOST_ROUNDS):
         raise SourceError(
             f"sweep:{rest} is no number of rounds: give 1 to {_MOST_ROUNDS}, as in sweep:3",
@@ -53,13 +47,8 @@ def open_it(
 
 
 def strokes_over(size_mm: tuple[float, float], array_mm: tuple[float, float]) -> dict[str, Any]:
-    """Return the options of strokes that pass every electrode over all of a texture.
-
-    Parameters
-    ----------
-    size_mm, array_mm : tuple of float, mm
-        Width and height of the texture, and of the array.
-    """
+    """Return the options of strokes that take every electrode over all of a texture; sizes are
+    width and height."""
     (width, height), (across, down) = size_mm, array_mm
     return {
         "span_mm": (width + across, height),
@@ -69,29 +58,15 @@ def strokes_over(size_mm: tuple[float, float], array_mm: tuple[float, float]) ->
 
 
 class SweepMotion(Motion):
-    """Strokes over an area, lane by lane, and back the same way; rests between strokes.
-
-    Parameters
-    ----------
-    speed_mm_s : float, mm/s
-        Of every stroke.
-    span_mm : tuple of float, mm
-        Width and height of the area.
-    lane_mm : float, mm
-        Largest distance of lanes.
-    rounds : int
-        Number of rounds, forth and back.
-    seed : int, optional
-        Of tremor; none if not given.
-    """
+    """Strokes over an area, lane by lane, and back the same way; rests between strokes."""
 
     def __init__(
         self,
-        speed_mm_s: float = USUAL_MM_S,
-        span_mm: tuple[float, float] = (60.0, 0.0),
-        lane_mm: float = 16.0,
-        rounds: int = USUAL_ROUNDS,
-        seed: int | None = None,
+        speed_mm_s: float = USUAL_MM_S,  # of every stroke
+        span_mm: tuple[float, float] = (60.0, 0.0),  # width and height of the area
+        lane_mm: float = 16.0,  # largest distance of lanes
+        rounds: int = USUAL_ROUNDS,  # number of rounds, forth and back
+        seed: int | None = None,  # of tremor; none if not given
     ) -> None:
         require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
         super().__init__(f"a virtual hand at {speed_mm_s:g} mm/s")

@@ -32,15 +32,8 @@ class TextureSampler(Protocol):
 class Texture(ABC):
     """Surface with ridges that stays in place.
 
-    Attributes
-    ----------
-    title : str
-    size_mm : tuple of float, mm, or None
-        Width and height; None where it has no ends.
-    middle_mm : tuple of float, mm
-        Of it, or of a tile of it.
-    notes : list of str
-        Assumptions that were made, a sentence each.
+    `size_mm` is its width and height, None where it has no ends; `middle_mm` the middle of it or of
+    one tile; `notes` are assumptions that were made, a sentence each.
     """
 
     def __init__(
@@ -56,13 +49,7 @@ class Texture(ABC):
 
     @abstractmethod
     def feeler(self, position_mm: NDArray[np.float64]) -> TextureSampler:
-        """Return a sampler of electrodes over it.
-
-        Parameters
-        ----------
-        position_mm : ndarray, (E, 2), mm
-            Of the electrodes, from the middle of the array.
-        """
+        """Return a sampler for electrodes at (E, 2) mm from the middle of the array."""
 
     @abstractmethod
     def draw(

@@ -16,42 +16,28 @@ _NUMBER = r"([0-9]*\.?[0-9]+)"
 def open_texture(
     spec: str,
     *,
+    # dpi, width_mm: scale of a file that does not say; width of a text
     dpi: float | None = None,
     width_mm: float | None = None,
+    # way between two pulses on what is high and wide; measured if not given
     grain_mm: float | None = None,
-    tiled: bool = False,
-    light_on_dark: bool = False,
+    tiled: bool = False,  # repeat it without end
+    light_on_dark: bool = False,  # whether bright parts are high
 ) -> Texture:
-    """Open a texture.
+    """Open a texture: a grating, a text, an image or a height map.
 
-    Parameters
-    ----------
-    spec : str
-        ``grating:4mm``, ``grating:4mm,30deg``, ``text:STRING``, or a file: an image (ink is
-        high), or a height map (16 bits or floating point, or .npy: bright is high). Options
-        may stand behind it, as in ``wood.png?dpi=300&tiled``.
-    dpi, width_mm : float, optional
-        Scale of a file that does not say; width of a text.
-    grain_mm : float, optional, mm
-        Way between two pulses on what is high and wide; measured if not given.
-    tiled : bool
-        Repeat it without end.
-    light_on_dark : bool
-        Whether bright parts are high.
-
-    Raises
-    ------
-    PageError
-        If there is no such texture, or an option is not for it.
+    ``grating:4mm``, ``grating:4mm,30deg``, ``text:STRING``, or a file: an image (ink is high), or a
+    height map (16 bits or floating point, or .npy: bright is high). Options may stand behind it, as
+    in ``wood.png?dpi=300&tiled``.
     """
-    place, told = read_options(open_texture, spec, PageError)
-    if told:
+    place, in_url = read_options(open_texture, spec, PageError)
+    if in_url:
         given = {
             "dpi": dpi, "width_mm": width_mm, "grain_mm": grain_mm, "tiled": tiled or None,
             "light_on_dark": light_on_dark or None,
         }  # fmt: skip
         given = {name: value for name, value in given.items() if value is not None}
-        return open_texture(place, **joined_options(spec, given, told, PageError))
+        return open_texture(place, **joined_options(spec, given, in_url, PageError))
     kind, _, rest = spec.partition(":")
     if kind == "grating" and ":" in spec:
         given = {
@@ -65,7 +51,7 @@ def open_texture(
         return _grating(spec, rest)
     if kind == "text" and ":" in spec:
         if dpi is not None:
-            message = "dpi is for images, and a text is printed anew: give its width"
+            message = "dpi is for images, and a text has no resolution of its own: give its width"
             raise PageError(message, about="dpi", problem="conflict", value=dpi, remedy="width_mm")
         heights = print_heights(rest, width_mm)
     else:

@@ -26,21 +26,8 @@ _POLL_MS = 50
 _START_S = 10.0
 
 
-def open_it(rest: str, *, texture: Texture | None = None) -> "WindowMotion":
-    """Open ``window:``.
-
-    Parameters
-    ----------
-    rest : str
-        Nothing comes after the colon.
-    texture : Texture, optional
-        Texture to show; an empty pad if not given.
-
-    Raises
-    ------
-    SourceError
-        If there is no display, or Python has no Tk.
-    """
+def open_window(rest: str, *, texture: Texture | None = None) -> "WindowMotion":
+    """Open ``window:`` over a texture, or over an empty pad."""
     if rest:
         message = f"window: takes nothing after the colon, not {rest!r}"
         raise SourceError(message, about="motion", problem="malformed", value=f"window:{rest}")
@@ -48,14 +35,8 @@ def open_it(rest: str, *, texture: Texture | None = None) -> "WindowMotion":
 
 
 class Pointer:
-    """Position of the pointer over a picture; set by one thread, read by another.
-
-    Parameters
-    ----------
-    size_px : tuple of int
-        Of the picture, whose middle is where the pointer is taken to be at first.
-    mm_per_px : float, mm
-    """
+    """Position of the pointer over a picture, at first its middle; set by one thread, read by
+    another."""
 
     def __init__(self, size_px: tuple[int, int], mm_per_px: float) -> None:
         self._mm_per_px = mm_per_px
@@ -74,13 +55,7 @@ class Pointer:
 
 
 class WindowMotion(Motion):
-    """Motion of the pointer over a texture, at true size if the screen is large enough.
-
-    Parameters
-    ----------
-    texture : Texture, optional
-        Texture in the window.
-    """
+    """Motion of the pointer over a texture, at true size if the screen is large enough."""
 
     def __init__(self, texture: Texture | None = None) -> None:
         super().__init__("the pointer over a window")

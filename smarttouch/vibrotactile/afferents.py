@@ -36,46 +36,25 @@ PROBE_MM = 1.0
 
 @dataclass(frozen=True, eq=False)
 class SkinSpikes:
-    """Spikes of afferents under a trace.
+    """Spikes of afferents under a trace."""
 
-    Attributes
-    ----------
-    afferent : ndarray, (K,) int
-        Number of the afferent of each spike, as in `Finger.classes`.
-    time_s : ndarray, (K,), s
-    counts : ndarray, (A,)
-        Number of spikes of each afferent.
-    """
-
+    # (K,) int: number of the afferent of each spike, as in `Finger.classes`
     afferent: NDArray[np.intp]
-    time_s: Array
-    counts: NDArray[np.intp]
+    time_s: Array  # (K,), s
+    counts: NDArray[np.intp]  # (A,): number of spikes of each afferent
 
 
 def skin_spikes(
     finger: Finger,
-    trace: Trace,
-    place_mm: tuple[float, float] = (0.0, 0.0),
-    radius_mm: float = PROBE_MM,
-    seed: int = 1,
+    trace: Trace,  # what moves and presses the skin
+    place_mm: tuple[float, float] = (0.0, 0.0),  # middle of what touches it
+    radius_mm: float = PROBE_MM,  # its radius
+    seed: int = 1,  # of thresholds and of the cycles that are left out
+    # sai_full_n, sai_rate_hz: force at which SAI is driven in full, and its rate then
     sai_full_n: float = SAI_FULL_N,
     sai_rate_hz: float = SAI_RATE_HZ,
 ) -> SkinSpikes:
     """Return the spikes that a vibration or press gives the afferents of a finger.
-
-    Parameters
-    ----------
-    finger : Finger
-    trace : Trace
-        What moves and presses the skin.
-    place_mm : tuple of float, mm
-        Middle of what touches it.
-    radius_mm : float, mm
-        Its radius.
-    seed : int
-        Of thresholds and of the cycles that are left out.
-    sai_full_n, sai_rate_hz : float
-        Force at which SAI is driven in full, and its rate then.
 
     Examples
     --------

@@ -17,18 +17,12 @@ from smarttouch.vibrotactile.sites import stimulated
 
 @dataclass(frozen=True, eq=False)
 class PacinianCrosstalk:
-    """Crosstalk of PC pulses into other classes.
+    """Crosstalk of PC pulses into other classes."""
 
-    Attributes
-    ----------
-    times : ndarray, (S,) float64
-        Activating function at the worst node of another class over that at PC's, by electrode.
-    worst : tuple of Afferent, (S,)
-        Class of that node.
-    """
-
+    # (S,) float64: activating function at the worst node of another class over that at PC's, by
+    # electrode
     times: NDArray[np.float64]
-    worst: tuple[Afferent, ...]
+    worst: tuple[Afferent, ...]  # (S,): class of that node
 
     @property
     def mean(self) -> float:

@@ -15,22 +15,11 @@ _SAMPLES_A_CYCLE = 4
 
 
 def read_trace(path: Path, seconds: float, seed: int) -> Trace:
-    """Return the trace in a file.
+    """Return the trace in a CSV file.
 
-    Parameters
-    ----------
-    path : Path
-        With a header: ``time_s`` and ``displacement_um``, ``force_n`` or both; or
-        ``frequency_hz``, ``amplitude_um`` and perhaps ``phase_deg``, a spectrum.
-    seconds : float, s
-        Duration of a spectrum.
-    seed : int
-        Of the phases of a spectrum that has none.
-
-    Raises
-    ------
-    SmartTouchError
-        If it cannot be read; with the number of the line.
+    Its columns are ``time_s`` with ``displacement_um``, ``force_n`` or both; or a spectrum:
+    ``frequency_hz``, ``amplitude_um`` and perhaps ``phase_deg``, drawn by the seed if missing,
+    which lasts as long as asked for.
     """
     table = read_csv(path, SmartTouchError)
     beside = [name for name in (_DISPLACEMENT, _FORCE) if name in table.head]

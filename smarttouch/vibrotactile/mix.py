@@ -26,49 +26,25 @@ from smarttouch.vibrotactile.train import Times, merged, shortest_us, thinned
 
 PC_RATE_HZ = 150.0
 """Most pulses of PC a second, so one for every second cycle at its best frequency. Ours; faster
-ones told the paper's subjects little in PC mode (Section III-C.1, above 100 Hz)."""
+ones were of little use to the paper's subjects in PC mode (Section III-C.1, above 100 Hz)."""
 VIBRATION_US = 20_000
 """Interval of new amplitudes of vibrators. Ours."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """A train of stimuli.
+    """A train of stimuli."""
 
-    Attributes
-    ----------
-    time_us : ndarray, (R,) int64, µs
-        When each is to be made, rising.
-    drive : ndarray, (R, 3) float32, in [0, 1]
-        Of each class then; 0 is no pulse.
-    sites : ndarray, (S,)
-        Electrodes that pulse.
-    electrodes : int
-        E.
-    end_us : int, µs
-        When all is over.
-    least_us : int, µs
-        The shortest sequence that carries pulses of all classes.
-    ideal_us : dict of Afferent to ndarray, (K,) int64, µs
-        When each pulse of a class should be.
-    carried : dict of Afferent to ndarray, (K,)
-        Which stimulus carries it.
-    left_out : tuple of Afferent
-        Classes that answer, but the board cannot drive.
-    vibrated : bool
-        Whether the row of PC is for vibrators, held until the next stimulus.
-    """
-
-    time_us: Times
-    drive: NDArray[np.float32]
-    sites: NDArray[np.intp]
-    electrodes: int
-    end_us: int
-    least_us: int
-    ideal_us: dict[Afferent, Times]
-    carried: dict[Afferent, NDArray[np.intp]]
-    left_out: tuple[Afferent, ...]
-    vibrated: bool
+    time_us: Times  # (R,) int64, µs: when each is to be made, rising
+    drive: NDArray[np.float32]  # (R, 3) float32, in [0, 1]: of each class then; 0 is no pulse
+    sites: NDArray[np.intp]  # (S,): electrodes that pulse
+    electrodes: int  # E
+    end_us: int  # when all is over
+    least_us: int  # the shortest sequence that carries pulses of all classes
+    ideal_us: dict[Afferent, Times]  # (K,) int64, µs: when each pulse of a class should be
+    carried: dict[Afferent, NDArray[np.intp]]  # (K,): which stimulus carries it
+    left_out: tuple[Afferent, ...]  # classes that answer, but the board cannot drive
+    vibrated: bool  # whether the row of PC is for vibrators, held until the next stimulus
 
     @property
     def mode(self) -> Mode:
@@ -103,38 +79,16 @@ class Mixture:
 
 def mix_colors(
     trace: Trace,
+    # its force law sets the pressure at which SAI is driven in full, its limits how fast sequences
+    # may follow one another
     profile: Profile,
-    bank: KernelBank,
-    sites: Collection[int] | None = None,
-    timing: ScanTiming | None = None,
-    vibrated: bool = False,
-    pc_rate_hz: float = PC_RATE_HZ,
+    bank: KernelBank,  # its kernels say which classes the board can drive
+    sites: Collection[int] | None = None,  # electrodes that pulse; those of `disc` if not given
+    timing: ScanTiming | None = None,  # scan timing fixed by the board
+    vibrated: bool = False,  # whether mechanical vibrators do what PC is to feel
+    pc_rate_hz: float = PC_RATE_HZ,  # most pulses of PC a second
 ) -> Mixture:
     """Return the pulses that reproduce a trace.
-
-    Parameters
-    ----------
-    trace : Trace
-        Trace to reproduce.
-    profile : Profile
-        Its force law sets the pressure at which SAI is driven in full, its limits how fast
-        sequences may follow one another.
-    bank : KernelBank
-        Its kernels say which classes the board can drive.
-    sites : collection of int, optional
-        Electrodes that pulse; those of `disc` if not given.
-    timing : ScanTiming, optional
-        Scan timing fixed by the board.
-    vibrated : bool
-        Whether mechanical vibrators do what PC is to feel.
-    pc_rate_hz : float, Hz
-        Most pulses of PC a second.
-
-    Raises
-    ------
-    ScheduleError
-        If the board can drive none of the classes that answer or has one rate for several, or
-        a site cannot pulse.
 
     Examples
     --------

@@ -13,15 +13,9 @@ from smarttouch.stimulation.points import felt_at
 
 
 def disc(profile: Profile, radius_mm: float | None = None) -> NDArray[np.intp]:
-    """Return the electrodes in the middle of the array, (S,), ascending.
+    """Return the driven electrodes in the middle of the array, (S,), ascending.
 
-    Parameters
-    ----------
-    profile : Profile
-        Profile of the array; masked electrodes are left out.
-    radius_mm : float, mm, optional
-        Largest distance from the middle; one pitch if not given. The nearest one
-        is always among them.
+    They lie within a radius, one pitch if not given; the nearest one is always among them.
     """
     electrodes = profile.electrodes
     off_mm = electrodes.position_mm[profile.driven] - electrodes.position_mm.mean(axis=0)
@@ -44,13 +38,7 @@ def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) ->
 
 
 def chosen(profile: Profile, sites: Collection[int]) -> NDArray[np.intp]:
-    """Return the sites that were named, each once, (S,), ascending.
-
-    Raises
-    ------
-    ScheduleError
-        If there are none, or one is not on the array or masked.
-    """
+    """Return the sites that were named, each once, (S,), ascending."""
     if len(sites) == 0:
         message = "no site is to pulse: choose at least one"
         raise ScheduleError(message, about="site", problem="missing")
@@ -72,13 +60,7 @@ def chosen(profile: Profile, sites: Collection[int]) -> NDArray[np.intp]:
 def parse_places(
     profile: Profile, sites: str | None, radius_mm: float | None
 ) -> NDArray[np.intp] | list[int]:
-    """Return the electrodes that a list such as 27,28,35-36 names, or all, or a `disc`.
-
-    Raises
-    ------
-    SmartTouchError
-        If both are given, or either makes no sense. Sites that there are not: see `chosen`.
-    """
+    """Return the electrodes that a list such as 27,28,35-36 names, or all, or a `disc`."""
     if sites is not None and radius_mm is not None:
         message = "sites and a radius both say what pulses: give one of them"
         raise SmartTouchError(

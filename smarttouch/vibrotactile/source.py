@@ -20,20 +20,10 @@ LONGEST_US = 20_000
 
 
 class ColorSource(StimulusSource, Listener):
-    """Gives the pulses of a mixture as time goes.
+    """Source of the pulses of a mixture as time goes.
 
-    If sequences take longer than was foreseen, pulses wait, and those of several
-    stimuli go out together.
-
-    Parameters
-    ----------
-    title : str
-        Title of the mixture.
-    profile : Profile
-        Profile of the finger.
-    mixture : Mixture
-    force_n : float, N
-        Force of a virtual finger; NaN for none.
+    If sequences take longer than was foreseen, pulses wait, and those of several stimuli go out
+    together.
     """
 
     ended = "the end of the trace"

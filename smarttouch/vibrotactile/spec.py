@@ -51,21 +51,10 @@ def is_spec(text: str) -> bool:
 
 
 def open_trace(text: str, seconds: float = 2.0, seed: int = 0) -> Trace:
-    """Return the trace of a line of text or of a file.
+    """Return the trace of a line in this module's syntax, or of a CSV file.
 
-    Parameters
-    ----------
-    text : str
-        A line in this module's syntax, or the name of a CSV file.
-    seconds : float, s
-        Duration of a line or a spectrum; a recorded trace has its own time.
-    seed : int
-        Of noise, and of phases that are not given.
-
-    Raises
-    ------
-    SmartTouchError
-        If it is neither.
+    `seconds` is the duration of a line or a spectrum, a recorded trace has its own; the seed is of
+    noise, and of phases that are not given.
     """
     if not 0 < seconds <= LONGEST_S:
         message = f"{seconds:g} s are not possible: above 0, at most {LONGEST_S:g}"

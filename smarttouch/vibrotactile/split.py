@@ -50,23 +50,13 @@ _GAP_S = 0.05
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Response of one class to a trace.
-
-    Attributes
-    ----------
-    afferent : Afferent
-    drive : ndarray, (N,) float64, in [0, 1]
-        Drive at each sample of the trace: 0 at threshold and below.
-    rate_hz : ndarray, (N,) float64, Hz
-        Firing rate of its afferents.
-    spike_s : ndarray, (K,) float64, s
-        When.
-    """
+    """Response of one class to a trace."""
 
     afferent: Afferent
+    # (N,) float64, in [0, 1]: drive at each sample of the trace: 0 at threshold and below
     drive: Array
-    rate_hz: Array
-    spike_s: Array
+    rate_hz: Array  # (N,) float64, Hz: firing rate of its afferents
+    spike_s: Array  # (K,) float64, s: when
 
     @property
     def mean_drive(self) -> float:
@@ -85,27 +75,11 @@ class Answer:
 
 def split(
     trace: Trace,
-    span_db: float = SPAN_DB,
-    sai_full_n: float = SAI_FULL_N,
-    sai_rate_hz: float = SAI_RATE_HZ,
+    span_db: float = SPAN_DB,  # from the threshold of RA or PC to a drive of 1
+    sai_full_n: float = SAI_FULL_N,  # force at which SAI is driven in full
+    sai_rate_hz: float = SAI_RATE_HZ,  # at which it then fires
 ) -> dict[Afferent, Answer]:
-    """Return the response of each class.
-
-    Parameters
-    ----------
-    trace : Trace
-    span_db : float, dB
-        From the threshold of RA or PC to a drive of 1.
-    sai_full_n : float, N
-        Force at which SAI is driven in full.
-    sai_rate_hz : float, Hz
-        At which it then fires.
-
-    Raises
-    ------
-    ScheduleError
-        If SAI is driven in full before it answers at all.
-    """
+    """Return the response of each class."""
     if not sai_full_n > SAI_FORCE_N:
         raise ScheduleError(
             f"full force at {sai_full_n:g} N is no more than the {SAI_FORCE_N:g} N at which SAI "

@@ -18,21 +18,10 @@ LONGEST_S = 600.0
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """Force and displacement at one place of the skin, evenly sampled from time 0.
+    """Force and displacement at one place of the skin, evenly sampled from time 0."""
 
-    Attributes
-    ----------
-    displacement_um : ndarray, (N,) float64, µm
-        Into the skin, from where it is at rest.
-    force_n : ndarray, (N,) float64, N
-        Static and slowly changing pressure.
-    sample_hz : float, Hz
-    title : str
-        Title of the trace.
-    """
-
-    displacement_um: Array
-    force_n: Array
+    displacement_um: Array  # (N,) float64, µm: into the skin, from where it is at rest
+    force_n: Array  # (N,) float64, N: static and slowly changing pressure
     sample_hz: float = SAMPLE_HZ
     title: str = "a trace"
 
@@ -73,31 +62,15 @@ class Trace:
 
 
 def sampled(
-    time_s: ArrayLike,
-    displacement_um: ArrayLike | None = None,
-    force_n: ArrayLike | None = None,
+    time_s: ArrayLike,  # (N,) s: rising; the first becomes 0
+    displacement_um: ArrayLike | None = None,  # (N,) µm: into the skin; 0 if not given
+    force_n: ArrayLike | None = None,  # (N,) N: 0 if not given
     title: str = "a trace",
 ) -> Trace:
     """Return the trace of unevenly timed samples, resampled evenly.
 
     Between samples it runs straight. The new rate is that of most samples, but
     between `SAMPLE_HZ` and `HIGHEST_SAMPLE_HZ`.
-
-    Parameters
-    ----------
-    time_s : array_like, (N,) s
-        Rising; the first becomes 0.
-    displacement_um : array_like, (N,) µm, optional
-        Into the skin; 0 if not given.
-    force_n : array_like, (N,) N, optional
-        0 if not given.
-    title : str
-        Title of the trace.
-
-    Raises
-    ------
-    SmartTouchError
-        If times do not rise, or samples are too few, too many or not finite.
     """
     time = np.asarray(time_s, np.float64)
     nothing = np.zeros_like(time)

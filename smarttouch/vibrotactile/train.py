@@ -38,16 +38,10 @@ def thinned(time_us: Times, least_us: int) -> Times:
 def merged(trains: list[Times], least_us: int) -> tuple[Times, list[NDArray[np.intp]]]:
     """Return the starts of sequences, and for each train the sequence of each of its pulses.
 
-    A pulse that comes sooner than half of the shortest sequence after a sequence's begin
-    joins it, any other begins a new one: as soon as it is wanted, or as the sequence before
-    is over. So none is moved by more than half of the shortest sequence.
-
-    Parameters
-    ----------
-    trains : list of ndarray, (K,) int64, µs
-        Rising; no two times of one train closer than ``least_us``, less a microsecond.
-    least_us : int, µs
-        The shortest sequence.
+    A pulse that comes sooner than half of the shortest sequence after a sequence's start joins it,
+    any other starts a new one: when it is due, or when the sequence before is over. So none is
+    moved by more than half of the shortest sequence. Trains are (K,) int64, µs, rising; no two
+    times of one train are closer than `least_us`, less a microsecond.
     """
     events = sorted((each, row) for row, train in enumerate(trains) for each in train.tolist())
     begins: list[int] = []

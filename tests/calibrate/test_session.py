@@ -91,7 +91,7 @@ def run(display, profile, felt_by, sites, progress, stop=None, listeners=(), **o
     """Run a session in simulated time; return the electrodes that were shown."""
     shown, measuring = [], display.profile
     session = ThresholdSession(
-        profile, measuring, display.board, sites, progress,
+        profile, display.board, sites, progress,
         show=lambda site, _found: shown.append(site), **options,
     )  # fmt: skip
     timing = TrialTiming(answer_s=None, again=False, patience_s=10.0, most_spoiled=3)

@@ -13,44 +13,24 @@ Array = NDArray[np.float64]
 
 
 class Counts(NamedTuple):
-    """Number of trials and successes at each comparison.
+    """Number of trials and successes at each comparison."""
 
-    Attributes
-    ----------
-    stimulus : ndarray, (K,)
-        Rising.
-    n, k : ndarray, (K,)
-        Answers and successes.
-    """
-
-    stimulus: Array
+    stimulus: Array  # (K,): rising
+    # n, k: (K,), answers and successes
     n: Array
     k: Array
 
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """All trials of one standard, in their order.
+    """All trials of one standard, in their order."""
 
-    Attributes
-    ----------
-    standard : float
-        Standard of the comparison; 0 if there is none.
-    comparison : ndarray, (N,)
-        In the same unit.
-    success : ndarray, (N,)
-        1 judged higher, felt, or right; 0 not; NaN no answer.
-    interval : ndarray, (N,)
-        Of the comparison, 1 or 2; 0 where there are no two intervals.
-    alternatives : int
-        Number of alternatives; 0 if *yes* and *no*, or not known.
-    """
-
-    standard: float
-    comparison: Array
-    success: Array
+    standard: float  # standard of the comparison; 0 if there is none
+    comparison: Array  # (N,): in the same unit
+    success: Array  # (N,): 1 judged higher, felt, or right; 0 not; NaN no answer
+    # (N,): of the comparison, 1 or 2; 0 where there are no two intervals
     interval: NDArray[np.int64]
-    alternatives: int = 0
+    alternatives: int = 0  # number of alternatives; 0 if *yes* and *no*, or not known
 
     @property
     def presented(self) -> int:
@@ -88,27 +68,17 @@ class Answers:
 
 
 def usual_model(
-    all_answers: Sequence[Answers],
+    all_answers: Sequence[Answers],  # to all standards
+    # shape, at, most_lapses: as for `Model`
     shape: Shape = Shape.NORMAL,
+    # if None: with a standard, or comparisons on both sides of 0, *equal*; else one of the
+    # alternatives; else of *felt*, free if some trials showed nothing, and 0 if none did
     guess: Guess | None = None,
-    logarithmic: bool | None = None,
+    logarithmic: bool | None = None,  # if None: unless a comparison is negative
     at: float | None = None,
     most_lapses: float = MOST_LAPSES,
 ) -> Model:
-    """Return the model that belongs to the answers of one experiment.
-
-    Parameters
-    ----------
-    all_answers : sequence of Answers
-        To all standards.
-    shape, at, most_lapses
-        As for `Model`.
-    guess : float, "equal", "free" or None
-        If None: with a standard, or comparisons on both sides of 0, *equal*; else one of the
-        alternatives; else of *felt*, free if some trials showed nothing, and 0 if none did.
-    logarithmic : bool or None
-        If None: unless a comparison is negative.
-    """
+    """Return the model that belongs to the answers of one experiment."""
     stimulus = np.concatenate([each.comparison for each in all_answers])
     signed = bool((stimulus < 0).any())
     if guess is None:

@@ -24,33 +24,20 @@ class Bounded(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Replicas:
-    """Fits of resampled answers.
+    """Fits of resampled answers."""
 
-    Attributes
-    ----------
-    parameters : Parameters, (S,) each
-    deviance : ndarray, (S,)
-    """
-
-    parameters: Parameters
-    deviance: Array
+    parameters: Parameters  # (S,) each
+    deviance: Array  # (S,)
 
 
 def resample(
     model: Model, counts: Counts, best: Maximum, samples: int, seed: int, parametric: bool = True
 ) -> Replicas:
-    """Fit answers resampled at the same comparisons.
+    """Fit answers resampled at the same comparisons, `best` being the fit of the answers
+    themselves.
 
-    Parameters
-    ----------
-    model : Model
-    counts : Counts
-    best : Maximum
-        The fit of the answers themselves.
-    samples, seed : int
-    parametric : bool
-        Whether they are drawn from the fit, or whole trials from the trials (Efron and
-        Tibshirani, *An Introduction to the Bootstrap*, 1993, chapter 6).
+    Parametric answers are drawn from that fit, others are whole trials drawn from the trials (Efron
+    and Tibshirani, *An Introduction to the Bootstrap*, 1993, chapter 6).
     """
     random = np.random.default_rng([seed, samples])
     x = model.axis(counts.stimulus)

@@ -5,18 +5,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Estimate:
-    """Threshold that a procedure estimates from its own answers.
+    """Threshold that a procedure estimates from its own answers."""
 
-    Attributes
-    ----------
-    threshold : float
-        In the unit of the comparison.
-    spread : float
-        Its standard deviation, in the same unit.
-    trials : int
-        Answered ones.
-    """
-
-    threshold: float
-    spread: float
-    trials: int
+    threshold: float  # in the unit of the comparison
+    spread: float  # its standard deviation, in the same unit
+    trials: int  # answered ones

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smarttouch.psychophysics.fitting.answers import Array, Counts
+from smarttouch.psychophysics.fitting.answers import Counts
 from smarttouch.psychophysics.fitting.bootstrap import (
     CONFIDENCE,
     SAMPLES,
@@ -15,7 +15,7 @@ from smarttouch.psychophysics.fitting.bootstrap import (
 )
 from smarttouch.psychophysics.fitting.likelihood import Maximum, maximize, saturated
 from smarttouch.psychophysics.fitting.posterior import credible_interval
-from smarttouch.psychophysics.fitting.psychometric import Model, Parameters
+from smarttouch.psychophysics.fitting.psychometric import Array, Model, Parameters
 
 _STARTS = 20
 _SUDDEN_SHARE = 0.05
@@ -30,39 +30,22 @@ deviance is uninformative (McCullagh and Nelder, *Generalized Linear Models*, 19
 
 @dataclass(frozen=True)
 class BootstrapOptions:
-    """Settings of the confidence intervals.
+    """Settings of the confidence intervals."""
 
-    Attributes
-    ----------
-    samples, seed : int
-        Of the bootstrap.
-    parametric : bool
-        Whether replicas are drawn from the fit, or from the trials.
-    confidence : float
-    """
-
+    # samples, seed: of the bootstrap
     samples: int = SAMPLES
     seed: int = 0
-    parametric: bool = True
+    parametric: bool = True  # whether replicas are drawn from the fit, or from the trials
     confidence: float = CONFIDENCE
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Most likely psychometric function.
-
-    Attributes
-    ----------
-    model : Model
-    counts : Counts
-        Answers it was fitted to.
-    best : Maximum
-        The one function, B = 1.
-    """
+    """Most likely psychometric function."""
 
     model: Model
-    counts: Counts
-    best: Maximum
+    counts: Counts  # answers it was fitted to
+    best: Maximum  # the one function, B = 1
 
     @property
     def threshold(self) -> float:
@@ -111,28 +94,14 @@ class Fit:
 
 
 def fit(counts: Counts, model: Model) -> Fit:
-    """Fit one function by maximum likelihood.
-
-    Parameters
-    ----------
-    counts : Counts
-        Of at least two comparisons.
-    model : Model
-    """
+    """Fit one function by maximum likelihood to answers at two comparisons or more."""
     x = model.axis(counts.stimulus)
     return Fit(model, counts, maximize(model, x, counts.n, counts.k, starts=_STARTS))
 
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """Uncertainty of a fit.
-
-    Attributes
-    ----------
-    fit : Fit
-    how : BootstrapOptions
-    replicas : Replicas
-    """
+    """Uncertainty of a fit."""
 
     fit: Fit
     how: BootstrapOptions

@@ -34,17 +34,10 @@ class Bounds:
 
 @dataclass(frozen=True, eq=False)
 class Maximum:
-    """Maximum of the likelihood.
+    """Maximum of the likelihood."""
 
-    Attributes
-    ----------
-    parameters : Parameters, (B,) each
-    log_likelihood : ndarray, (B,)
-        Without the binomial coefficients.
-    """
-
-    parameters: Parameters
-    log_likelihood: Array
+    parameters: Parameters  # (B,) each
+    log_likelihood: Array  # (B,): without the binomial coefficients
 
 
 def bounds_of(model: Model, x: Array) -> Bounds:
@@ -76,17 +69,10 @@ def saturated(n: Array, k: Array) -> Array:
 
 
 def maximize(model: Model, x: Array, n: Array, k: Array, starts: int = 1) -> Maximum:
-    """Return the most likely function of each data set.
+    """Return the most likely function of each data set: successes k of n trials, (B, K), at places
+    x, (K,), on the model's axis, of which at least one is finite.
 
-    Parameters
-    ----------
-    model : Model
-    x : ndarray, (K,)
-        Places on the model's axis, at least one of them finite.
-    n, k : ndarray, (B, K)
-        Trials and successes.
-    starts : int
-        Number of grid points, the best ones, to climb from.
+    The climb begins at the best points of a grid, as many as `starts`.
     """
     n, k = np.atleast_2d(n).astype(np.float64), np.atleast_2d(k).astype(np.float64)
     within = bounds_of(model, x)

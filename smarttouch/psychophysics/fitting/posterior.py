@@ -24,18 +24,9 @@ def credible_interval(
 ) -> tuple[float, float]:
     """Return the credible interval of the place on the axis at which F reaches a level.
 
-    Beforehand all places up to a span beyond the comparisons, all logarithms of spreads, all
-    lapses and, if they are free, all guesses are equally likely.
-
-    Parameters
-    ----------
-    model : Model
-    counts : Counts
-        Of at least two comparisons.
-    level : float
-        Of F.
-    confidence : float
-        Share of the posterior between the ends; an end beyond the grid is infinite.
+    Beforehand all places up to a span beyond the comparisons (at least two), all logarithms of
+    spreads, all lapses and, if they are free, all guesses are equally likely. An end beyond the
+    grid is infinite.
     """
     x = model.axis(counts.stimulus)
     within = bounds_of(model, x)

@@ -57,56 +57,32 @@ class Shape(StrEnum):
 
 
 class Parameters(NamedTuple):
-    """Parameters, each one number or (B,) of many functions.
+    """Parameters, each one number or (B,) of many functions."""
 
-    Attributes
-    ----------
-    threshold : Array
-        Stimulus at the model's level, on its axis: a logarithm if that is logarithmic.
-    log_spread : Array
-        Logarithm of the spread on that axis, which is the standard deviation of a normal F.
-    lapse, guess : Array
-        Shares.
-    """
-
+    # stimulus at the model's level, on its axis: a logarithm if that is logarithmic
     threshold: Array
+    # logarithm of the spread on that axis, which is the standard deviation of a normal F
     log_spread: Array
+    # lapse, guess: shares
     lapse: Array
     guess: Array
 
 
 @dataclass(frozen=True)
 class Model:
-    """A family of psychometric functions, rising with the stimulus.
+    """A family of psychometric functions, rising with the stimulus."""
 
-    Attributes
-    ----------
-    shape : Shape
-        Weibull's needs a logarithmic axis.
-    logarithmic : bool
-        Whether F is one of the stimulus' logarithm.
-    guess : float, "equal" or "free"
-        Lower asymptote: known (0.5 of two intervals, 1/m of m letters, 0), equal to the lapses
-        (*which was higher*, where the comparison is both lower and higher than the standard), or
-        free up to `MOST_GUESSES` (*felt*, with trials that show nothing).
-    at : float or None
-        Share of answers that defines the threshold, apart from lapses, and from guesses if these
-        are free; None: 0.75 where asymptotes are equal (Section III.C of the paper), else
-        halfway between guess and 1.
-    most_lapses : float
-        Upper bound.
-
-    Raises
-    ------
-    ExperimentError
-        If these contradict each other.
-    """
-
-    shape: Shape = Shape.NORMAL
-    logarithmic: bool = True
+    shape: Shape = Shape.NORMAL  # Weibull's needs a logarithmic axis
+    logarithmic: bool = True  # whether F is one of the stimulus' logarithm
+    # lower asymptote: known (0.5 of two intervals, 1/m of m letters, 0), equal to the lapses
+    # (*which was higher*, where the comparison is both lower and higher than the standard), or free
+    # up to `MOST_GUESSES` (*felt*, with trials that show nothing)
     guess: Guess = "equal"
+    # share of answers that defines the threshold, apart from lapses, and from guesses if these are
+    # free; None: 0.75 where asymptotes are equal (Section III.C of the paper), else halfway between
+    # guess and 1
     at: float | None = None
-    most_lapses: float = MOST_LAPSES
+    most_lapses: float = MOST_LAPSES  # upper bound
 
     def __post_init__(self) -> None:
         if self.shape is Shape.WEIBULL and not self.logarithmic:
@@ -157,13 +133,7 @@ class Model:
         return self.guess + (1 - self.guess) * self.level
 
     def axis(self, stimulus: ArrayLike) -> Array:
-        """Return the place of stimuli on the axis; a stimulus of zero may be at minus infinity.
-
-        Raises
-        ------
-        ExperimentError
-            If one is negative and the axis logarithmic.
-        """
+        """Return the place of stimuli on the axis; a stimulus of zero may be at minus infinity."""
         given = np.asarray(stimulus, np.float64)
         if not self.logarithmic:
             return given
@@ -189,14 +159,7 @@ class Model:
         return np.asarray(parameters.threshold + apart * np.exp(parameters.log_spread))
 
     def probability(self, x: Array, parameters: Parameters) -> Array:
-        """Return the probability of a success at places on the axis, (..., B, K).
-
-        Parameters
-        ----------
-        x : ndarray, (K,)
-            From `axis`.
-        parameters : Parameters, (B,) each
-        """
+        """Return the probability of a success, (..., B, K), at places on the axis, (K,)."""
         return self.slopes(x, parameters)[0]
 
     def slopes(self, x: Array, parameters: Parameters) -> tuple[Array, Array]:

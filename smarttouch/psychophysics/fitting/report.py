@@ -50,14 +50,7 @@ def as_figures(findings: Sequence[Finding]) -> list[dict[str, Any]]:
 
 
 def threshold_rows(findings: Sequence[Finding], compares: bool) -> list[list[str]]:
-    """Return a heading, and a row of words for each finding that is no verdict.
-
-    Parameters
-    ----------
-    findings : sequence of Finding
-    compares : bool
-        Whether anything was compared with a standard.
-    """
+    """Return a heading, and a row of words for each finding that has a threshold."""
     share = findings[0].model.share if findings else 0.0
     heading = ["n", f"{share:.0%} at", "slope", "lapse", "p"]
     if compares:

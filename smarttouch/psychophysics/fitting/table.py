@@ -20,25 +20,18 @@ _Cells = dict[str, str]
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """The answers of one file.
+    """The answers of one file."""
 
-    Attributes
-    ----------
-    name : str
-        Of the file, without its ending.
-    unit : str
-        Of standards and comparisons, if it says so.
-    answers : tuple of Answers
-        To each standard, rising.
-    """
-
-    name: str
-    unit: str
-    answers: tuple[Answers, ...]
+    name: str  # of the file, without its ending
+    unit: str  # of standards and comparisons, if it says so
+    answers: tuple[Answers, ...]  # to each standard, rising
 
 
 def read_table(
     path: Path,
+    # x, y, standard: columns of comparison, success and standard; the last need not be there. The
+    # interval of the comparison (`comparison_interval`) and the words answered (`response`) are
+    # used if there are such columns.
     x: str = "comparison",
     y: str = "success",
     standard: str = "standard",
@@ -49,19 +42,6 @@ def read_table(
     is 1, true, yes, correct or their contraries; an empty cell is none. If the file does not end
     in a line break its last line was cut off where it has fewer cells than the others: it is
     dropped.
-
-    Parameters
-    ----------
-    path : Path
-    x, y, standard : str
-        Columns of comparison, success and standard; the last need not be there. The interval of
-        the comparison (`comparison_interval`) and the words answered (`response`) are used if
-        there are such columns.
-
-    Raises
-    ------
-    ExperimentError
-        If it cannot be read, or has no such columns or values.
     """
     head, lines = _cells(path)
     for parameter, name in (("x", x), ("y", y), ("standard", standard)):
@@ -122,7 +102,7 @@ def _cells(path: Path) -> tuple[tuple[str, ...], list[tuple[int, _Cells]]]:
         if len(row) < len(head):
             raise ExperimentError(
                 f"{path}, line {number}: {len(row)} cells, not {len(head)} as in the first line; "
-                "mend or delete it",
+                "correct or delete it",
                 about="line",
                 problem="too few",
                 value=len(row),
@@ -139,7 +119,7 @@ def _number(text: str, where: str, column: str) -> float:
     number = finite(text)
     if math.isnan(number):
         raise ExperimentError(
-            f"{where}: {column} is {text!r}, not a number; mend or delete it",
+            f"{where}: {column} is {text!r}, not a number; correct or delete it",
             about=column,
             problem="malformed",
             value=text,

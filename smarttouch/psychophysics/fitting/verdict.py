@@ -29,31 +29,17 @@ _SAMPLES = 200
 
 @dataclass(frozen=True, eq=False)
 class Finding:
-    """Result for one standard.
-
-    Attributes
-    ----------
-    answers : Answers
-    model : Model
-    how : BootstrapOptions
-    fit : Fit or None
-        None where there is no function to speak of.
-    verdict : str or None
-        Why no threshold can be reported, in one sentence; None if one can.
-    reason : str
-        The same for programs: "unanswered", "too few", "one interval", "always", "never",
-        "one comparison", "falling", "flat" or "outside"; empty if one can.
-    beyond : int
-        1 or -1 where the threshold lies above or below all comparisons, 0 else.
-    """
+    """Result for one standard."""
 
     answers: Answers
     model: Model
     how: BootstrapOptions
-    fit: Fit | None
-    verdict: str | None = None
+    fit: Fit | None  # none where there is no function to speak of
+    verdict: str | None = None  # why no threshold can be reported, in one sentence; None if one can
+    # the same for programs: "unanswered", "too few", "one interval", "always", "never", "one
+    # comparison", "falling", "flat" or "outside"; empty if one can
     reason: str = ""
-    beyond: int = 0
+    beyond: int = 0  # 1 or -1 where the threshold lies above or below all comparisons, 0 else
 
     @cached_property
     def sureness(self) -> Uncertainty | None:
@@ -104,8 +90,8 @@ class Finding:
         notes = []
         if self.sureness.sudden:
             notes.append(
-                f"answers change too suddenly around {self.fit.at(0.5):.4g} to tell the slope: the "
-                "interval is that of the posterior"
+                f"answers change too suddenly around {self.fit.at(0.5):.4g} to determine the "
+                "slope: the interval is that of the posterior"
             )
         elif self.sureness.sparse:
             notes.append("few answers at some comparisons: the interval is that of the posterior")
@@ -132,15 +118,7 @@ class Finding:
 
 
 def judge(answers: Answers, model: Model, how: BootstrapOptions | None = None) -> Finding:
-    """Fit the answers to one standard, or give the reason why not.
-
-    Parameters
-    ----------
-    answers : Answers
-    model : Model
-    how : BootstrapOptions or None
-        Settings of the intervals; defaults if None.
-    """
+    """Fit the answers to one standard, or give the reason why not."""
     how = how or BootstrapOptions()
 
     def none(reason: str, why: str, beyond: int = 0, found: Fit | None = None) -> Finding:

@@ -15,25 +15,16 @@ from smarttouch.psychophysics.observers.interval import Interval
 
 @dataclass
 class KnownObserver:
-    """Observer that says whether a current is felt, or enough, by given thresholds.
-
-    Attributes
-    ----------
-    profile : Profile
-    threshold_ma, enough_ma : ndarray, (E,) mA
-        Strongest electrode's current that is felt, or enough, in half of the trials.
-    seed : int
-    slope : float
-        Standard deviation of both, in natural logarithms of current.
-    guess, lapse : float
-        Rate of false detections, and rate at which what is felt is not noticed.
-    """
+    """Observer that says whether a current is felt, or enough, by given thresholds."""
 
     profile: Profile
+    # (E,) mA: threshold_ma, enough_ma: strongest electrode's current that is felt, or enough, in
+    # half of the trials
     threshold_ma: NDArray[np.float32]
     enough_ma: NDArray[np.float32]
     seed: int = 0
-    slope: float = 0.1
+    slope: float = 0.1  # standard deviation of both, in natural logarithms of current
+    # guess, lapse: rate of false detections, and rate at which what is felt is not noticed
     guess: float = 0.02
     lapse: float = 0.02
 

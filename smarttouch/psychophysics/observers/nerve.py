@@ -17,25 +17,16 @@ from smarttouch.psychophysics.observers.interval import Interval
 Floats = NDArray[np.float32]
 
 _LONGEST_US = 60_000
-"""Longest pause between pulses that is told from shorter ones: refractory times are shorter."""
+"""Longest pause that counts in full: refractory times are shorter."""
 
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Spikes of an interval.
-
-    Attributes
-    ----------
-    finger : Finger
-    fired : ndarray, (A, N) bool
-        Whether each afferent fired in each slot.
-    time_s : ndarray, (N,), s
-        Of each slot.
-    """
+    """Spikes of an interval."""
 
     finger: Finger
-    fired: NDArray[np.bool_]
-    time_s: NDArray[np.float64]
+    fired: NDArray[np.bool_]  # (A, N) bool: whether each afferent fired in each slot
+    time_s: NDArray[np.float64]  # (N,), s: of each slot
 
     @cached_property
     def counts(self) -> NDArray[np.intp]:
@@ -95,14 +86,8 @@ class Response:
 
 
 class Nerve:
-    """Afferents of one finger that answer the intervals of trials.
-
-    Parameters
-    ----------
-    finger : Finger
-    seed : int
-        Of the noise from pulse to pulse.
-    """
+    """Afferents of one finger that respond to the intervals of trials; the seed is of the noise
+    from pulse to pulse."""
 
     def __init__(self, finger: Finger, seed: int = 0) -> None:
         self.finger, self._model = finger, SpikeModel(finger, seed)

@@ -27,7 +27,7 @@ __all__ = [
 _YES_OR_NO = ("felt", "enough")
 GRATING_LIMIT_MM = 0.94
 """Finest grooves whose direction a fingertip identifies (Van Boven and Johnson, Neurology 44,
-1994). That places are told apart as well as grooves, and in 75 %, is our assumption."""
+1994). Ours: places are discriminated as well as grooves, in 75 % of trials."""
 
 
 class Observer(Protocol):
@@ -38,15 +38,8 @@ class Observer(Protocol):
     ) -> str | None:
         """Return one of the alternatives, or None for no answer.
 
-        Parameters
-        ----------
-        task : str
-            ``faster`` and ``two`` (which interval: 1 or 2), ``felt`` and ``enough`` (y or n),
-            ``side`` (of the second point: l or r), ``which`` (a letter).
-        intervals : sequence of Interval
-            Delivered pulses, in their order.
-        alternatives : sequence of str
-            The answers there are.
+        Tasks are ``faster`` and ``two`` (which interval: 1 or 2), ``felt`` and ``enough`` (y or n),
+        ``side`` (of the second point: l or r), ``which`` (a letter).
         """
         ...
 
@@ -88,47 +81,30 @@ class SilentObserver:
 
 @dataclass
 class SimulatedObserver:
-    """Observer that judges the spikes of one finger, with noise and a criterion.
-
-    Attributes
-    ----------
-    finger : Finger
-    bank : KernelBank
-        Of the finger's profile.
-    seed : int
-    frequency : FrequencySense
-        Model of the perceived frequency of trains.
-    felt_afferents : float
-        Afferents that fire in a slot, on average, where in half of the trials it is felt. Ours:
-        one that answers every second slot (spikes of a single RA afferent can be felt, Vallbo
-        et al. 1984).
-    enough_afferents : float, optional
-        Afferents where it is enough in half of the trials; if not given, as many as RA pulses of
-        the profile's strongest comfortable current fire at three of four sites.
-    slope : float
-        Standard deviation of both, in natural logarithms of afferents.
-    guess, lapse : float
-        Rate of false detections, and rate at which the answer is not
-        what was felt: of two or more alternatives any one.
-    place_mm : float, mm
-        Standard deviation of a felt place, and of a felt distance.
-    letter_noise : float
-        Standard deviation of each site of a remembered pattern, whose strongest is 1.
-    templates : mapping of str to ndarray, (E,) in [0, 1]
-        The patterns it knows, by their names.
-    """
+    """Observer that judges the spikes of one finger, with noise and a criterion."""
 
     finger: Finger
-    bank: KernelBank
+    bank: KernelBank  # of the finger's profile
     seed: int = 0
+    # model of the perceived frequency of trains
     frequency: FrequencySense = field(default_factory=FrequencySense)
+    # afferents that fire in a slot, on average, where in half of the trials it is felt. Ours: one
+    # that answers every second slot (spikes of a single RA afferent can be felt, Vallbo et al.
+    # 1984).
     felt_afferents: float = 0.5
+    # afferents where it is enough in half of the trials; if not given, as many as RA pulses of the
+    # profile's strongest comfortable current fire at three of four sites
     enough_afferents: float | None = None
-    slope: float = 0.1
+    slope: float = 0.1  # standard deviation of both, in natural logarithms of afferents
+    # guess, lapse: rate of false detections, and rate at which the answer is not what was felt: of
+    # two or more alternatives any one
     guess: float = 0.02
     lapse: float = 0.02
+    # standard deviation of a felt place, and of a felt distance
     place_mm: float = GRATING_LIMIT_MM / (math.sqrt(2) * float(ndtri(0.75)))
+    # standard deviation of each site of a remembered pattern, whose strongest is 1
     letter_noise: float = 0.4
+    # (E,) in [0, 1]: the patterns it knows, by their names
     templates: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -143,13 +119,7 @@ class SimulatedObserver:
     def respond(
         self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
     ) -> str | None:
-        """Return the answer to a trial.
-
-        Raises
-        ------
-        ExperimentError
-            If it does not know the task, or not the letters.
-        """
+        """Return the answer to a trial."""
         if task in _YES_OR_NO:
             return "y" if self._random.random() < self._chance_of(task, intervals) else "n"
         judged = (
@@ -164,15 +134,8 @@ class SimulatedObserver:
     # -- the truth ---------------------------------------------------------
 
     def ratio(self, afferent: Afferent, site: int) -> float:
-        """Return the ratio of PC to RA that a mode's pulses fire at a site, see `Response`.
-
-        Parameters
-        ----------
-        afferent : Afferent
-            The mode.
-        site : int
-            The electrode.
-        """
+        """Return the ratio of PC to RA spikes that a mode's pulses evoke at a site, see
+        `Response`."""
         return self._nerve.of(self._train(afferent, [site])).ratio
 
     def chance_higher(self, standard_hz: float, comparison_hz: float, ratio: float = 0.0) -> float:

@@ -1,7 +1,7 @@
 """Model of the perceived frequency of a pulse train.
 
 The paper's own explanation of its thresholds (Section III-C) as a model. Pulses fire RA
-and, if they reach deep enough, PC. RA's pulses tell the frequency; but who has learned
+and, if they reach deep enough, PC. RA's pulses carry the frequency; but a person who has learned
 from mechanical vibration what a frequency feels like expects ever more PC with it. A train
 with too little PC for its frequency is taken for a slower one.
 
@@ -42,16 +42,9 @@ class FrequencySense:
     Perceived is the soft minimum of the pulses' frequency f and of the highest frequency L
     that the activity of PC and RA lets believe: (f^−n + L^−n)^(−1/n), with noise on its
     logarithm.
-
-    Attributes
-    ----------
-    weber : float
-        75 % threshold where L is far away.
-    sharpness : float
-        n.
     """
 
-    weber: float = BASE_WEBER
+    weber: float = BASE_WEBER  # 75 % threshold where L is far away
     sharpness: float = SHARPNESS
 
     def believable_hz(self, ratio: float) -> float:

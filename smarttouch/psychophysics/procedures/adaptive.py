@@ -4,12 +4,11 @@ from collections.abc import Sequence
 
 from smarttouch.errors import ExperimentError
 from smarttouch.psychophysics.fitting.psychometric import Model
+from smarttouch.psychophysics.procedures.constant import WIDEST_RATIO
 from smarttouch.psychophysics.procedures.procedure import Interleaved, Procedure
 from smarttouch.psychophysics.procedures.quest import QuestPlus
 from smarttouch.psychophysics.procedures.staircase import WeightedStaircase
 
-WIDEST_RATIO = 2.0
-"""Comparison over standard, as in the paper's constant stimuli (Section III.C)."""
 NARROWEST_RATIO = 1.01
 _START_RATIO = 1.6
 """First ratio of a staircase: clearly faster (our own choice)."""
@@ -27,11 +26,6 @@ def frequency_procedures(
     """Return a staircase or QUEST+ of each standard, mixed at random.
 
     Comparisons are faster than the standard: the upper threshold is looked for.
-
-    Raises
-    ------
-    ExperimentError
-        If a standard leaves no room below the highest frequency.
     """
     procedures: list[Procedure] = []
     for index, standard in enumerate(standards):

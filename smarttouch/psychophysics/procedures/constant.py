@@ -23,24 +23,12 @@ REPETITIONS = 10
 
 
 def ratio_pairs(
+    # standards, ratios: each standard is paired with its product with each ratio
     standards: Sequence[float] = STANDARDS_HZ,
     ratios: Sequence[float] = RATIOS,
-    highest: float = math.inf,
+    highest: float = math.inf,  # largest comparison, in the unit of the standards
 ) -> list[tuple[float, float]]:
-    """Return standards with their comparisons, to a thousandth; none above `highest`.
-
-    Parameters
-    ----------
-    standards, ratios : sequence of float
-        Each standard is paired with its product with each ratio.
-    highest : float
-        Largest comparison, in the unit of the standards.
-
-    Raises
-    ------
-    ExperimentError
-        If no pair is left.
-    """
+    """Return standards with their comparisons, to a thousandth; none above `highest`."""
     pairs = [
         (float(standard), round(standard * ratio, 3))
         for standard in standards
@@ -64,30 +52,15 @@ class ConstantStimuli:
     In two intervals the comparison comes first in half the trials of each pair, so that who
     always answers *the first* is right half the time. A trial without an answer comes again at the
     end, once.
-
-    Parameters
-    ----------
-    pairs : sequence of (float, float)
-        Standards and comparisons; the standard is 0 where there is none.
-    repetitions : int
-        Of each pair.
-    two_intervals : bool
-        Whether standard and comparison come one after the other.
-    seed : int
-        Of all orders.
-
-    Raises
-    ------
-    ExperimentError
-        If there are no pairs or no repetitions.
     """
 
     def __init__(
         self,
+        # standards and comparisons; the standard is 0 where there is none
         pairs: Sequence[tuple[float, float]],
-        repetitions: int = REPETITIONS,
-        two_intervals: bool = True,
-        seed: int = 0,
+        repetitions: int = REPETITIONS,  # of each pair
+        two_intervals: bool = True,  # whether standard and comparison come one after the other
+        seed: int = 0,  # of all orders
     ) -> None:
         if not pairs or repetitions < 1:
             raise ExperimentError(
@@ -126,13 +99,7 @@ class ConstantStimuli:
         return len(self._answers) == len(self._plan)
 
     def next(self) -> Condition:
-        """Return the next condition.
-
-        Raises
-        ------
-        ExperimentError
-            If all trials are done.
-        """
+        """Return the next condition."""
         if self.done:
             raise ExperimentError(
                 "all trials are done: there is no next one", about="trial", problem="gone"

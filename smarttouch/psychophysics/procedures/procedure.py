@@ -15,24 +15,14 @@ PAIRS_IN_A_BLOCK = 4
 
 @dataclass(frozen=True)
 class Condition:
-    """Stimulus of one trial.
+    """Stimulus of one trial."""
 
-    Attributes
-    ----------
-    standard : float
-        Standard; 0 if there is none.
-    comparison : float
-        Comparison, in the same unit.
-    comparison_interval : int
-        In which interval the comparison comes, 1 or 2; 0 where there are no two intervals.
-    repetition, trial, index : int
-        PsychoPy's thisRepN, thisTrialN and thisIndex: which repetition of all conditions, the
-        how-manieth trial of it, and which of the conditions.
-    """
-
-    standard: float
+    standard: float  # standard; 0 if there is none
     comparison: float
+    # in which interval the comparison comes, 1 or 2; 0 where there are no two intervals
     comparison_interval: int
+    # repetition, trial, index: PsychoPy's thisRepN, thisTrialN and thisIndex: which repetition of
+    # all conditions, which trial of it, and which of the conditions
     repetition: int
     index: int
     trial: int = 0
@@ -42,7 +32,7 @@ class Procedure(Protocol):
     """Procedure: until `done`, show the condition of `next`, then pass its result to `answer`.
 
     The same arguments and answers lead to the same conditions: a session is resumed by
-    answering anew what has been answered before.
+    giving it the same answers again.
     """
 
     @property
@@ -57,22 +47,14 @@ class Procedure(Protocol):
         """Return the condition of the next trial; the same until it is answered."""
 
     def answer(self, success: bool | None) -> None:
-        """Take the result: judged higher, felt, or correct; None if there was no answer."""
+        """Accept the result: judged higher, felt, or correct; None if there was no answer."""
 
     def estimate(self) -> Estimate | None:
         """Return the threshold; None if it is not determined."""
 
 
 class Interleaved:
-    """Several procedures at once, with trials mixed at random.
-
-    Parameters
-    ----------
-    procedures : sequence of Procedure
-        One of each standard, for example.
-    seed : int
-        Of the order.
-    """
+    """Several procedures at once, one of each standard for example, with trials mixed at random."""
 
     def __init__(self, procedures: Sequence[Procedure], seed: int = 0) -> None:
         if not procedures:

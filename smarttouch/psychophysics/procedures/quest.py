@@ -25,39 +25,20 @@ class QuestPlus:
     The expected entropy of the posterior is least where the answer's own entropy exceeds most
     what is expected of it given the parameters: the same stimulus, found without one posterior for
     each.
-
-    Parameters
-    ----------
-    lowest, highest : float
-        Range of stimuli and thresholds.
-    model : Model
-        Model of the threshold.
-    standard : float
-        Standard; 0 if there is none.
-    most_trials, fewest_trials : int
-    enough_spread : float
-        It also ends when the posterior of the threshold is as narrow as this: a part of the
-        threshold, or, on a linear axis, in its unit. 0: never.
-    two_intervals : bool
-        Whether standard and comparison come one after the other.
-    seed : int
-        Of the interval in which the comparison comes.
-
-    Raises
-    ------
-    ExperimentError
-        If the range is empty, or has no logarithm.
     """
 
+    # lowest, highest: range of stimuli and thresholds
     lowest: float
     highest: float
     model: Model = field(default_factory=Model)
-    standard: float = 0.0
+    standard: float = 0.0  # standard; 0 if there is none
     most_trials: int = 60
     fewest_trials: int = 20
+    # it also ends when the posterior of the threshold is as narrow as this: a part of the
+    # threshold, or, on a linear axis, in its unit. 0: never.
     enough_spread: float = 0.0
-    two_intervals: bool = True
-    seed: int = 0
+    two_intervals: bool = True  # whether standard and comparison come one after the other
+    seed: int = 0  # of the interval in which the comparison comes
     trials: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
@@ -105,13 +86,7 @@ class QuestPlus:
         return enough or self.trials >= self.most_trials
 
     def next(self) -> Condition:
-        """Return the next condition.
-
-        Raises
-        ------
-        ExperimentError
-            If it is done.
-        """
+        """Return the next condition."""
         if self.done:
             raise ExperimentError(
                 "all trials are done: there is no next one", about="trial", problem="gone"

@@ -1,8 +1,10 @@
 """Procedure that repeats one trial, for experiments in which the answer is the measurement."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from smarttouch.errors import ExperimentError
 from smarttouch.psychophysics.fitting.estimate import Estimate
@@ -10,18 +12,7 @@ from smarttouch.psychophysics.procedures.procedure import Condition
 
 
 class Repeats:
-    """Repeated trials whose comparison is not a number but the result of the trial.
-
-    Parameters
-    ----------
-    repetitions : int
-        Number of trials.
-
-    Raises
-    ------
-    ExperimentError
-        If there are none.
-    """
+    """Repeated trials whose comparison is not a number but the result of the trial."""
 
     def __init__(self, repetitions: int) -> None:
         if repetitions < 1:
@@ -61,7 +52,7 @@ class Repeats:
         return None
 
 
-def middle_and_spread(values: list[float]) -> tuple[float, float]:
-    """Return the median, and the standard deviation by the median deviation."""
+def middle_and_spread(values: Sequence[float] | NDArray[np.float64]) -> tuple[float, float]:
+    """Return the median, and a robust standard deviation: 1.4826 times the median deviation."""
     middle = float(np.median(values))
-    return middle, 1.4826 * float(np.median(np.abs(np.array(values) - middle)))
+    return middle, 1.4826 * float(np.median(np.abs(np.asarray(values) - middle)))

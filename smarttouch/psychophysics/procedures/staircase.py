@@ -25,43 +25,22 @@ class WeightedStaircase:
     Steps up are target / (1 - target) times as large as steps down, so that it comes to rest
     where the target share of answers are successes (Kaernbach, Perception & Psychophysics 49,
     1991, Eq. 1). A trial without an answer is shown again, and counts as one of the most trials.
-
-    Parameters
-    ----------
-    start, lowest, highest : float
-        Comparison to begin with, and its range.
-    step : float
-        Down, once it is fine: as a part of the comparison, or in its unit if not logarithmic.
-    standard : float
-        Standard; 0 if there is none.
-    target : float
-        Share of successes that is looked for.
-    logarithmic : bool
-        Whether steps are ratios.
-    reversals, most_trials : int
-        Limits, the first of which ends it.
-    two_intervals : bool
-        Whether standard and comparison come one after the other.
-    seed : int
-        Of the interval in which the comparison comes.
-
-    Raises
-    ------
-    ExperimentError
-        If range, step or target make no staircase.
     """
 
+    # start, lowest, highest: comparison to begin with, and its range
     start: float
     lowest: float
     highest: float
+    # down, once it is fine: as a part of the comparison, or in its unit if not logarithmic
     step: float
-    standard: float = 0.0
-    target: float = 0.75
-    logarithmic: bool = True
+    standard: float = 0.0  # standard; 0 if there is none
+    target: float = 0.75  # share of successes that is looked for
+    logarithmic: bool = True  # whether steps are ratios
+    # reversals, most_trials: limits, the first of which ends it
     reversals: int = 14
     most_trials: int = 80
-    two_intervals: bool = True
-    seed: int = 0
+    two_intervals: bool = True  # whether standard and comparison come one after the other
+    seed: int = 0  # of the interval in which the comparison comes
     trials: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
@@ -118,13 +97,7 @@ class WeightedStaircase:
         return [self._from_scale(each) for each in self._turns]
 
     def next(self) -> Condition:
-        """Return the next condition.
-
-        Raises
-        ------
-        ExperimentError
-            If it is done.
-        """
+        """Return the next condition."""
         if self.done:
             raise ExperimentError(
                 "the staircase is done: there is no next trial", about="trial", problem="gone"
