@@ -51,11 +51,6 @@ def bug_report(recording: Path | None = None) -> dict[str, Any]:
 
     What is not in the lists of this module is left out: of a profile all but the device, and of a
     run all names of files, ports and people, all that was typed, and all currents.
-
-    Raises
-    ------
-    RecordingError
-        If there is no such recording.
     """
     report: dict[str, Any] = {
         "smarttouch": __version__,

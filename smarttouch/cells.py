@@ -11,15 +11,7 @@ _MOST = 20_000
 
 
 def cells_svg(rows: NDArray[np.generic], names: tuple[str, ...] = ()) -> str:
-    """Return an array as cells, the darker the larger; a name stands before each row.
-
-    Parameters
-    ----------
-    rows : ndarray, (R, C)
-        Signed values; not a number is nothing.
-    names : tuple of str
-        One for each row, or none.
-    """
+    """Return signed values, (R, C), as cells, the darker the larger; a name stands before each row."""
     values = np.nan_to_num(np.atleast_2d(rows).astype(np.float64))[
         : max(1, _MOST // rows.shape[-1])
     ]

@@ -12,13 +12,7 @@ from smarttouch.afferent import Mode
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened in a run.
-
-    Attributes
-    ----------
-    time_ns : int
-        Since the start of the run.
-    """
+    """Something that happened in a run, ``time_ns`` after its start."""
 
     time_ns: int
     reveals: ClassVar[bool] = False
@@ -30,7 +24,7 @@ class Event:
 
 @dataclass(frozen=True)
 class Note(Event):
-    """A sentence that a user should know of."""
+    """A sentence that a user should know."""
 
     text: str
 

@@ -24,17 +24,7 @@ FORMATS = ".gif, .json, or the name of a folder for PNG files"
 class PatternFile:
     """Activation of each step of a run, kept and written to files.
 
-    Parameters
-    ----------
-    path : Path
-        A file that ends in ``.gif`` or ``.json``, else a folder of PNG files.
-    profile : Profile
-        Profile of the electrodes.
-
-    Raises
-    ------
-    SmartTouchError
-        If it is another kind of file, or there is something in the folder.
+    The path ends in ``.gif`` or ``.json``, else it is an empty or new folder of PNG files.
     """
 
     def __init__(self, path: Path, profile: Profile) -> None:
@@ -69,13 +59,7 @@ class PatternFile:
         self._period_us.append(period_us)
 
     def save(self) -> None:
-        """Write all files.
-
-        Raises
-        ------
-        SmartTouchError
-            If there are none, or they cannot be written.
-        """
+        """Write all files; raises if there are no steps, or they cannot be written."""
         if not self._activation:
             raise SmartTouchError(
                 "nothing was felt: there is nothing to write", about="patterns", problem="empty"

@@ -26,24 +26,12 @@ _ENDS_WITHIN_S = 5.0
 
 
 class LiveFinger(Listener):
-    """Lets a finger feel the newest step of a run whenever it is done with the one before.
+    """Simulates a finger's response to the newest step of a run whenever the one before is done.
 
-    The loop never waits for it: it hands over a step only to an idle process, and goes on. A thread
-    would not do, as it could be held up while it has the interpreter.
-
-    Parameters
-    ----------
-    finger : Finger
-    draw : callable, optional
-        Given each `Feeling` in that process, which must be able to import it.
-
-    Attributes
-    ----------
-    newest : Feeling or None
-    drawn : object
-        What ``draw`` returned of the newest.
-    felt, skipped : int
-        Numbers of steps that were felt, and that came while the finger was at another.
+    The loop never waits: it hands a step only to an idle process. A thread would not do, as it
+    could be held up while it has the interpreter. ``draw`` is called with each `Feeling` in that
+    process, which must be able to import it; its result is ``drawn``. ``felt`` and ``skipped``
+    count steps that were simulated, and that came meanwhile.
     """
 
     def __init__(self, finger: Finger, draw: Callable[[Feeling], Any] | None = None) -> None:
@@ -136,7 +124,7 @@ class LiveFinger(Listener):
 
 
 def serve(number: int) -> None:
-    """Feel what comes by a socket until it is closed."""
+    """Simulate responses to what comes by a socket until it is closed."""
     os.nice(_POLITE)
     with Connection(number) as line:
         finger, draw = line.recv()

@@ -56,12 +56,9 @@ def the_stop() -> StopRequest:
 
 @contextmanager
 def ending_in_order(patience_s: float | None = None) -> Iterator[None]:
-    """Leave it to the block to end when the stop is asked for; else a signal ends it anywhere.
+    """Leave it to the block to end when the stop is requested; else a signal ends it anywhere.
 
-    Parameters
-    ----------
-    patience_s : float, optional
-        How long after a signal its end may take.
+    Its end may take ``patience_s`` after a signal.
     """
     if not _watches:
         yield
@@ -77,16 +74,7 @@ def ending_in_order(patience_s: float | None = None) -> Iterator[None]:
 def opened(board: "Board", stop: StopRequest | None = None) -> Iterator["Board"]:
     """Open a board for a block; a stop puts it at zero at once, also while it is being opened.
 
-    Parameters
-    ----------
-    board : Board
-    stop : StopRequest, optional
-        That of the command if not given.
-
-    Raises
-    ------
-    BoardStoppedError
-        From what is sent after a stop.
+    What is sent after a stop raises BoardStoppedError.
     """
     with ending_in_order(), (stop or the_stop()).telling(board.halt):
         if _watches:

@@ -35,19 +35,8 @@ Rows = tuple[tuple[str, str], ...]
 class Screen(Listener):
     """Shows a run as it goes, from a thread of its own, and sums it up.
 
-    Where nothing can be drawn, it prints a line for each event and for each new title of the
-    source instead; when quiet, nothing.
-
-    Parameters
-    ----------
-    url : str
-        Of the board.
-    quiet : bool
-        Show nothing.
-    keys_help : str
-        Words on keys of the source.
-    plain : bool
-        Draw nothing, on a terminal either.
+    Where nothing can be drawn, or if plain, it prints a line for each event and for each new title
+    of the source instead; when quiet, nothing.
     """
 
     def __init__(self, url: str, quiet: bool, keys_help: str = "", plain: bool = False) -> None:

@@ -47,12 +47,7 @@ def _dots(image: NDArray[np.uint8], columns: int, rows: int) -> Text:
 
 
 class ArrayPicture:
-    """Place of each electrode on a canvas of signs, whatever its array.
-
-    Parameters
-    ----------
-    profile : Profile
-    """
+    """Place of each electrode on a canvas of characters, whatever its array."""
 
     def __init__(self, profile: Profile) -> None:
         position = profile.electrodes.position_mm
@@ -63,17 +58,13 @@ class ArrayPicture:
         self._spread = 3 if step_x >= step_y else 2
 
     def merged(self, columns: int, rows: int) -> int:
-        """Return how many columns and rows of electrodes one sign stands for."""
+        """Return how many columns and rows of electrodes one character stands for."""
         return max(-(-self._columns // columns), -(-self._rows // rows))
 
     def draw(self, parts: NDArray[np.float32], columns: int, rows: int) -> Text:
-        """Draw electrodes within a number of columns and rows.
+        """Draw electrodes, (E,) as parts of the strongest, within a number of columns and rows.
 
-        Parameters
-        ----------
-        parts : ndarray, (E,)
-            Part that each has of the strongest; a sign shows the most of its electrodes.
-        columns, rows : int
+        A character shows the largest of its electrodes.
         """
         merged = self.merged(columns, rows)
         shape = -(-self._rows // merged), -(-self._columns // merged)

@@ -94,19 +94,8 @@ def run_in_terminal(
 ) -> None:
     """Run a source on a display until it ends or a user ends it; print how it went.
 
-    Parameters
-    ----------
-    source, display, config, force, controls
-        See `Runner`.
-    outputs : Outputs
-    screen : type
-        Shows the run.
-    keys : mapping, optional
-        Functions of single keys, beside those of the run.
-    keys_help : str
-        Words on them for the screen.
-    listeners : iterable of Listener
-        Follow the run beside the outputs.
+    Arguments are those of `Runner`; ``keys`` are functions of single keys beside those of the run,
+    ``keys_help`` words on them for the screen.
     """
     stop = the_stop()
     shown = screen(display.url, outputs.quiet, keys_help, outputs.plain)
@@ -173,13 +162,7 @@ def _opened(display: Display, stop: StopRequest) -> AbstractContextManager[Board
 
 
 class _Orderly(Listener):
-    """Leaves it to the run to end when a signal comes, from when a board may be open.
-
-    Parameters
-    ----------
-    patience_s : float
-        Time that its end may take.
-    """
+    """Leaves it to the run to end when a signal comes, from when a board may be open."""
 
     def __init__(self, patience_s: float) -> None:
         super().__init__()
@@ -195,14 +178,7 @@ class _Orderly(Listener):
 
 
 class _Keyboard(Listener):
-    """Lets keys control a run.
-
-    Parameters
-    ----------
-    stop : StopRequest
-    keys : mapping
-        Functions of keys, beside intensity, pause, mode and the end.
-    """
+    """Lets keys control a run."""
 
     def __init__(self, stop: StopRequest, keys: Keys) -> None:
         super().__init__()

@@ -27,14 +27,8 @@ _MOST_POINTS = 20_000
 class ClassRow:
     """Data of one class in the figure.
 
-    Attributes
-    ----------
-    drive : ndarray, (N,), in [0, 1]
-        Response at each time of the trace.
-    pulse_s, pulse_drive : ndarray, (K,)
-        Its pulses: when, and how strong; none if nothing was mixed.
-    vibrated : bool
-        Its pulses are levels, held until the next one.
+    ``drive`` is the response at each time of the trace, (N,) in [0, 1]; its K pulses are at
+    ``pulse_s``, as strong as ``pulse_drive``, and levels held until the next one if ``vibrated``.
     """
 
     drive: Array
@@ -71,17 +65,7 @@ def color_figure(
     rows: Mapping[Afferent, ClassRow],
     title: str,
 ) -> "Figure":
-    """Draw a trace, the response of each class, and the pulses of each.
-
-    Parameters
-    ----------
-    time_s, displacement_um, force_n : ndarray, (N,)
-        The trace.
-    rows : mapping of Afferent to ClassRow
-        One panel each, in this order.
-    title : str
-        Title of the trace.
-    """
+    """Draw a trace, (N,) each, the response of each class, and the pulses of each."""
     figure = new_figure(8.4, 2.0 + 1.15 * len(rows))
     panels = figure.subplots(
         1 + len(rows), 1, sharex=True, squeeze=False, height_ratios=[1.3] + [1] * len(rows)

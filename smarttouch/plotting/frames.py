@@ -56,15 +56,7 @@ _DARK = "#303030"
 
 @dataclass(frozen=True, eq=False)
 class Shared:
-    """Plan of a drawing.
-
-    Attributes
-    ----------
-    judges : tuple of FrameJudge
-        One for each class that is to fire.
-    slots : list of FrameSlot
-        At full intensity; currents positive cathodic.
-    """
+    """Plan of a drawing: a judge for each class that is to fire, and slots at full intensity."""
 
     judges: tuple[FrameJudge, ...]
     slots: list[FrameSlot]
@@ -115,12 +107,7 @@ def share_mixed(profile: Profile, bank: KernelBank) -> Shared:
 def frame_figure(profile: Profile, bank: KernelBank) -> "Figure":
     """Draw a letter in shared slots, and a slot with points of two classes.
 
-    Parameters
-    ----------
-    profile : Profile
-        One that is `drawable`.
-    bank : KernelBank
-        Its kernels: shared slots are to reach what these would.
+    The profile must be `drawable`; shared slots are to reach what the kernels would.
     """
     letter, mixed = share_letter(profile, bank), share_mixed(profile, bank)
     both = max(mixed.slots, key=lambda slot: len(slot.sites))

@@ -20,16 +20,8 @@ _POINTS = 121
 
 
 def kernel_figure(profile: Profile, kernels: Mapping[Afferent, Kernel], site: int) -> "Figure":
-    """Draw kernels of one site and the activation they cause, relative to their target's.
-
-    Parameters
-    ----------
-    profile : Profile
-        Array and skin.
-    kernels : mapping of Afferent to Kernel
-        One row of panels each.
-    site : int
-        Site of the kernels.
+    """Draw kernels of one site, a row each, and the activation they cause, relative to their
+    target's.
     """
     if profile.skin.medium == "plane":
         return _line_figure(profile, kernels)

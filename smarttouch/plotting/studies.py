@@ -27,17 +27,7 @@ class Drawn(Protocol):
 
 
 def study_figure(found: Sequence[Drawn], names: Mapping[str, str], title: str) -> "Figure":
-    """Draw each measure in a panel: a dot for each finger, a line at the median of a choice.
-
-    Parameters
-    ----------
-    found : sequence of Drawn
-        At least one.
-    names : mapping of str to str
-        Titles of the panels by measure.
-    title : str
-        Of the study.
-    """
+    """Draw each measure in a panel: a dot for each finger, a line at the median of a choice."""
     anatomies = list(dict.fromkeys(each.anatomy for each in found))
     labels = list(dict.fromkeys(each.label for each in found))
     rows = len(labels) * len(anatomies)

@@ -13,18 +13,8 @@ from smarttouch.recording.schemas import LAST
 class Account:
     """Summary of a recording.
 
-    Attributes
-    ----------
-    messages, size : Counter of str
-        Of each topic: how many, and their bytes before compression.
-    slots, lost : int
-        Slots of all sequences; sequences that were lost with the board.
-    strongest_ma : float, mA
-        Of all electrodes and slots, magnitude.
-    modes : Counter of str
-        Sequences in each mode.
-    acknowledged, refused : int
-        Sequences of the whole run.
+    By topic: messages and their bytes before compression; sequences in each mode; the strongest
+    current of all electrodes and slots, mA; sequences lost with the board.
     """
 
     messages: Counter[str] = field(default_factory=Counter)

@@ -13,12 +13,7 @@ _RADIUS = 0.45
 
 
 class ArrayImage:
-    """Draws values of the electrodes as discs on white.
-
-    Parameters
-    ----------
-    electrodes : ElectrodeArray
-    """
+    """Draws values of the electrodes as discs on white."""
 
     def __init__(self, electrodes: ElectrodeArray) -> None:
         cell = np.array(electrodes.cell_mm)

@@ -37,16 +37,9 @@ _LONGEST_US = 10_000_000
 
 @dataclass(frozen=True, eq=False)
 class RecordedStep:
-    """One recorded step of a run.
+    """One recorded step of a run, by its number from 0; one missing in a file is not yielded.
 
-    Attributes
-    ----------
-    index : int
-        From 0; one that is missing in a file is missing in what it yields.
-    sent : StepResult
-        Frame or stimulus, tactile image (of frames to four digits), sequence, and how it went out.
-    acknowledged, refused : int
-        Sequences of the run, as far as the board had reported when this one was sent.
+    ``acknowledged`` and ``refused`` are of the whole run, as far as reported when it was sent.
     """
 
     index: int
@@ -63,12 +56,7 @@ class RecordedStep:
 class StepDecoder:
     """Assembles steps from their messages, in the order of the file.
 
-    Attributes
-    ----------
-    electrodes : int
-        Of the device of the run.
-    broken : int
-        Steps that were incomplete or made no sense.
+    ``broken`` counts steps that were incomplete or invalid.
     """
 
     electrodes: int

@@ -33,12 +33,8 @@ Message = dict[str, Any]
 class StepEncoder:
     """Encodes steps as messages, one step after another.
 
-    Parameters
-    ----------
-    started_unix_ns : int
-        When the run began.
-    electrodes : ElectrodeArray, optional
-        Where tactile images are to be drawn, too, for those who look.
+    Times are those of a run that began at ``started_unix_ns``. With electrodes, tactile images are
+    drawn as well.
     """
 
     def __init__(self, started_unix_ns: int, electrodes: ElectrodeArray | None = None) -> None:
@@ -103,7 +99,7 @@ class StepEncoder:
         }
 
     def _is_new(self, image: NDArray[np.uint8], number: int) -> bool:
-        """Tell whether an image was not there before, whatever its source says of it."""
+        """Return whether an image differs from the one before, whatever its source says."""
         before, self._before = self._before, (image, number)
         return (
             before is None

@@ -38,27 +38,11 @@ _Item = StepResult | tuple[int, str]
 
 
 class RecordingWriter:
-    """Writer of steps and events to an MCAP file, on a thread of its own.
+    """Writer of steps and events to a new MCAP file, on a thread of its own.
 
-    A step that was passed is with the system at most `FLUSH_S` and the time to
-    write it later, and is then safe from the end of this program, whatever it is.
-    At most `SYNC_S` and as long as the disk takes later it is safe from a power cut.
-
-    Parameters
-    ----------
-    path : Path
-        The file; an existing one is not overwritten.
-    about : dict of str to str
-        Settings, profile and versions, kept as metadata; see `about_run`.
-    started_unix_ns : int
-        When the run began: times in the file are times of the day.
-    electrodes : ElectrodeArray, optional
-        Where tactile images are to be drawn, too.
-
-    Raises
-    ------
-    RecordingError
-        If the file exists or cannot be written.
+    A step is with the system at most `FLUSH_S` and the time to write it later, and is then safe
+    from any end of this program; at most `SYNC_S` and the disk's own time later it is safe from a
+    power cut. Times in the file are times of day; ``about`` (see `about_run`) is kept as metadata.
     """
 
     def __init__(
@@ -97,13 +81,7 @@ class RecordingWriter:
         sync_folder(self._path.absolute().parent)
 
     def record(self, result: StepResult) -> None:
-        """Queue one step for writing.
-
-        Raises
-        ------
-        RecordingError
-            If the disk is full, broken or too slow; what it took stays.
-        """
+        """Queue one step for writing; RecordingError if the disk is full, broken or too slow."""
         if self._queue.qsize() > MOST_WAITING:
             said = f"{MOST_WAITING} frames wait for the disk, it is too slow"
             self._fail(TimeoutError(0, said))
@@ -118,10 +96,7 @@ class RecordingWriter:
     def close(self) -> None:
         """Write everything queued, and finish the file.
 
-        Raises
-        ------
-        RecordingError
-            If the disk did not take all of it, unless that was reported before.
+        Raises RecordingError if the disk did not take all of it, unless that was reported before.
         """
         if self._closed:
             return

@@ -102,14 +102,7 @@ class RunStatistics:
     _last_felt: int | None = None
 
     def enter(self, result: StepResult, error_us: float | None) -> None:
-        """Enter a step whose sequence was sent.
-
-        Parameters
-        ----------
-        result : StepResult
-        error_us : float, optional
-            Error of the time since the step before; None if that was not sent.
-        """
+        """Enter a step whose sequence was sent."""
         step, sequence = result.step, result.step.sequence
         self.frames += 1
         self.felt += step.input.number != self._last_felt

@@ -19,22 +19,9 @@ Measured = tuple[ScanSequence, NDArray[np.float32]]
 class Step:
     """One input's way to a sequence, and all that it depended on.
 
-    Attributes
-    ----------
-    input : Frame or Stimulus
-        That was read, with the force that counted.
-    tactile : TactileImage
-    sequence : ScanSequence
-        As it is sent.
-    mode : Mode
-    level : float, in [0, 1]
-        What the user asked for.
-    restarted : bool
-        Whether intensity began at zero here.
-    asked_us : int, µs
-        Period that was wanted; longer ones did not fit.
-    observed : tuple of (ScanSequence, ndarray)
-        What the board had measured until then, where sequences depend on it.
+    ``input`` has the force that counted, ``sequence`` is as sent, ``level`` what the user asked
+    for, [0, 1]; ``restarted`` says that intensity began at zero here, ``asked_us`` the period that
+    was wanted, ``observed`` what the board had measured until then.
     """
 
     input: Input

@@ -30,13 +30,7 @@ Current = NDArray[np.int16]
 
 
 def shown_current(picture: dict[str, Any], electrodes: int, slot: int | None) -> Current:
-    """Return the current of each electrode in a slot, or the strongest of all, (E,) µA.
-
-    Raises
-    ------
-    IndexError
-        If there is no such slot.
-    """
+    """Return the current of each electrode in a slot, or the strongest of all, (E,) µA."""
     current = np.frombuffer(base64.b64decode(picture["current_ua"]), "<i2")
     current = current.reshape(-1, electrodes)
     if slot is not None:
@@ -92,22 +86,7 @@ def raster(about: dict[str, Any], current_ua: Current) -> NDArray[np.uint8]:
 
 
 def export_view(tape: Tape, index: int, kind: str, slot: int | None = None) -> bytes:
-    """Return a view of a step as a file.
-
-    Parameters
-    ----------
-    tape : Tape
-    index : int
-        Of the step.
-    kind : {".png", ".svg"}
-    slot : int, optional
-        The strongest of all slots if not given.
-
-    Raises
-    ------
-    IndexError
-        If there is no such step or slot.
-    """
+    """Return a view of a step as a ``.png`` or ``.svg``; of a slot, or the strongest of all slots."""
     about = tape.array
     current = shown_current(json.loads(tape.picture(index)), len(about["place_mm"]), slot)
     if kind == ".svg":
@@ -123,23 +102,9 @@ def export_film(
     last: int | None = None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> None:
-    """Write steps as a film in their own time.
+    """Write steps of an index that has been read as a film (``.mp4``) in their own time.
 
-    Parameters
-    ----------
-    tape : Tape
-        All of it must have been read.
-    path : Path
-        A file that ends in ``.mp4``.
-    first, last : int
-        Steps; to the end if not given.
-    advance : callable
-        Told how many pictures are done, of how many.
-
-    Raises
-    ------
-    RecordingError
-        If the film is too long, or cannot be written.
+    Raises RecordingError if the film is too long, or cannot be written.
     """
     # A copy: the recording may still be being read, and it grows.
     times = np.array(tape.times_s[first : None if last is None else last + 1])

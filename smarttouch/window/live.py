@@ -28,29 +28,12 @@ _SWITCH_S = 0.0005
 
 
 class Window(Listener):
-    """Shows a run in a browser, from a thread of its own, and lets one page steer it.
+    """Shows a run in a browser, from a thread of its own, and lets one page control it.
 
-    The loop's thread only leaves the newest step where pages find it.
-
-    Parameters
-    ----------
-    stop : StopRequest
-    port : int
-        Of 127.0.0.1; 0: one that is free.
-    keys : mapping of str to callable, optional
-        Functions of single keys of the source.
-    keys_help : str
-        Words on them.
-    alone : bool
-        Whether there are no other controls: a run that no page steers any more is then paused.
-    blind : bool
-        Whether whoever looks must not see what is delivered.
-    finger : int, optional
-        Seed of the finger that is simulated; none if None.
-    anatomy : str
-        Of the finger.
-    show : callable, optional
-        Given the address once it is served.
+    The loop's thread only leaves the newest step where pages find it. Port 0 of 127.0.0.1 is a free
+    one. ``alone``: a run that no page controls any more is paused. ``blind``: pages must not show
+    what is delivered. ``finger`` is the seed of a simulated finger, None for none. ``show`` is
+    called with the address once it is served.
     """
 
     def __init__(

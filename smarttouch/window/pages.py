@@ -69,17 +69,7 @@ class Told(Protocol):
 
 
 class Pages:
-    """Connections of all pages of a run.
-
-    Parameters
-    ----------
-    told : Told
-
-    Attributes
-    ----------
-    over : threading.Event
-        Set once the run is over.
-    """
+    """Connections of all pages of a run; ``over`` is set once the run is over."""
 
     def __init__(self, told: Told) -> None:
         import_server()

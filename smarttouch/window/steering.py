@@ -15,17 +15,8 @@ LOST_S = 0.7
 class Steering:
     """Passes what one page asks for to the controls of a run, as keys do.
 
-    A page that asks for something steers if no other does. What nobody steers any more is paused
-    where pages are the only controls.
-
-    Parameters
-    ----------
-    controls : Controls
-    stop : StopRequest
-    keys : mapping of str to callable
-        Functions of single keys of the source.
-    alone : bool
-        Whether there are no other controls than pages.
+    A page that asks for something takes control if no other has it. What no page controls any more
+    is paused where there are no other controls (``alone``).
     """
 
     def __init__(
@@ -85,12 +76,8 @@ class Steering:
             self.leave(page)
 
     def act(self, page: int, what: str) -> bool:
-        """Do what a page asks for; return False if another steers.
-
-        Raises
-        ------
-        ValueError
-            If there is no such thing to do.
+        """Do what a page asks for; return False if another has control, ValueError if it is
+        unknown.
         """
         kind, _, name = what.partition(":")
         if what in self._does:
