@@ -42,7 +42,7 @@ def read_array(file: BinaryIO, size: int) -> NDArray[Any]:
 
 
 def read_arrays(file: BinaryIO) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an ``.npz`` archive, by name; ValueError if it is damaged or too large."""
+    """Return the arrays of an ``.npz`` archive by name; ValueError if damaged or too large."""
     try:
         with zipfile.ZipFile(file) as archive:
             members = archive.infolist()

@@ -98,7 +98,7 @@ class FeltPicture(Listener):
 
 
 class Patterns(Listener):
-    """Writes the activation of each step as a film, as numbers or as pictures; see `PatternFile`."""
+    """Writes the activation of each step as film, numbers or pictures; see `PatternFile`."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()

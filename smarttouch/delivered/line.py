@@ -17,7 +17,7 @@ wide enough to fill what lies between two rows, and no wider. Found on printed l
 
 
 class LinePicture:
-    """Averages the values of electrodes at the places they passed along a line, ``length_mm`` long."""
+    """Averages the values of electrodes at the places they passed along a line."""
 
     def __init__(self, electrodes: ElectrodeArray, length_mm: float) -> None:
         self._pixel_mm = min(electrodes.cell_mm) / PIXELS_PER_PITCH

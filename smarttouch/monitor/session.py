@@ -104,7 +104,7 @@ def run_in_terminal(
     followers = [*([Speech(shown.hides)] if outputs.speak else []), *outputs.listeners()]
     windows: list[Listener] = []
     # What is drawn on a page needs one.
-    port = 0 if outputs.window is None and getattr(source, "on_page", False) else outputs.window
+    port = 0 if outputs.window is None and source.canvas is not None else outputs.window
     if port is not None:
         from smarttouch.window.live import Window
 

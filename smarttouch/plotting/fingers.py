@@ -19,7 +19,7 @@ _QUIET = "#d8d8d8"
 
 
 def letter_figure(finger: Finger, slots: Slots, active: NDArray[np.bool_]) -> "Figure":
-    """Draw a pattern on a finger: delivered, fired, the response, and the afferents from the side."""
+    """Draw a pattern on a finger: delivered, fired, response, and afferents from the side."""
     counts = SpikeModel(finger).fire(slots).counts
     figure = new_figure(10.5, 6.0)
     parts: Any = figure.subfigures(2, 1, height_ratios=(3.6, 2.0))

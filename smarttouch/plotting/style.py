@@ -5,14 +5,15 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from smarttouch import cells
+from smarttouch.cells import hex_color
 from smarttouch.errors import SmartTouchError
 from smarttouch.files import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-CATHODIC, ANODIC = "#b35806", "#542788"
-"""Colors of `SIGNED_MAP`, in which no class of afferents is drawn."""
+CATHODIC, ANODIC = hex_color(cells.CATHODIC), hex_color(cells.ANODIC)
 SIGNED_MAP = "PuOr_r"
 """Color map: orange for cathodic or depolarizing, purple for the other sign."""
 GREY = "#707070"

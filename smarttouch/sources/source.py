@@ -2,13 +2,25 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import ClassVar
+from typing import Any, ClassVar, Protocol
 
 from smarttouch.events import Emit, emit_nowhere
 from smarttouch.profile import Profile
 from smarttouch.sources.device import Device
 from smarttouch.sources.frame import Frame
 from smarttouch.sources.stimulus import Input, Stimulus
+
+
+class Canvas(Protocol):
+    """Part of a source that a page of the window draws on; ``changes`` counts what it shows."""
+
+    changes: int
+
+    def draw(self, words: str) -> None:
+        """Do what a page asks for; ValueError if it cannot be understood."""
+
+    def message(self) -> dict[str, Any]:
+        """Return all that a page shows of it, with ``changes``; for JSON."""
 
 
 class Source(Device, ABC):
@@ -35,6 +47,8 @@ class Source(Device, ABC):
     """Those that came but were never read."""
     keys_help: ClassVar[str] = ""
     """Words on its keys."""
+    canvas: Canvas | None = None
+    """What a page of the window draws on, if anything."""
 
     def narrowed(self, profile: Profile) -> Profile:
         """Return the profile that plans what the source gives to a finger; never a wider one."""

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from smarttouch.delivered.live import LiveFinger
-from smarttouch.drawing.source import DrawSource
 from smarttouch.errors import DesignError, SmartTouchError
 from smarttouch.events import Event, RunEnded, RunFailed
 from smarttouch.physiology.finger import Finger
@@ -95,7 +94,7 @@ class Window(Listener):
         hello: dict[str, Any] = {
             "type": "hello",
             "blind": self._blind,
-            "draws": isinstance(run.source, DrawSource),
+            "draws": run.source.canvas is not None,
             "board": str(run.settings.get("board", "")),
             "modes": [str(each) for each in run.controls.modes],
             "keys": list(self._keys),
@@ -191,8 +190,9 @@ class Window(Listener):
         if self._felt is not page.felt:
             page.felt = self._felt
             parts.append(f'"felt":{self._felt}')
-        if isinstance(self.source, DrawSource) and self.source.changes != page.drawn:
-            drawn = self.source.message()
+        canvas = self.source.canvas
+        if canvas is not None and canvas.changes != page.drawn:
+            drawn = canvas.message()
             page.drawn = drawn["changes"]
             parts.append(f'"drawn":{json.dumps(drawn)}')
         page.shown, page.events = latest, count

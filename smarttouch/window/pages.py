@@ -8,7 +8,6 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from smarttouch.drawing.source import DrawSource
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source import Source
 from smarttouch.window.server import import_server
@@ -165,16 +164,16 @@ class Pages:
         return True
 
     async def _act(self, page: Page, verb: str, rest: str) -> None:
-        source, steering = self._told.source, self._told.steering
+        canvas, steering = self._told.source.canvas, self._told.steering
         if verb == "do" and rest.startswith("key:"):
             # It may wait for the source's line: a stop must not wait for that.
             await asyncio.to_thread(steering.act, page.number, rest)
         elif verb == "do":
             steering.act(page.number, rest)
-        elif not isinstance(source, DrawSource):
+        elif canvas is None:
             raise ValueError(rest)
         elif steering.steer(page.number):
-            await asyncio.to_thread(source.draw, rest)
+            await asyncio.to_thread(canvas.draw, rest)
 
     async def _feed(self, socket: "WebSocket", page: Page) -> None:
         """Send the newest to one page whenever it has drawn what it has."""

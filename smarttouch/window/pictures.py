@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.afferent import CLASS_COLORS, Afferent
+from smarttouch.cells import disc_radius_mm
 from smarttouch.physiology.feeling import Feeling
 from smarttouch.physiology.finger import Finger
 from smarttouch.profile import Profile
@@ -24,12 +25,11 @@ Message = dict[str, Any]
 def array_message(profile: Profile) -> Message:
     """Return the array of a profile, and its limits, as a page needs them to draw."""
     electrodes, limits = profile.electrodes, profile.limits
-    diameter = min(min(electrodes.cell_mm), electrodes.pitch_mm)
     return {
         "profile": profile.title,
         "place_mm": electrodes.position_mm.round(_DIGITS).tolist(),
         "extent_mm": [round(each, _DIGITS) for each in electrodes.extent_mm],
-        "radius_mm": round(0.42 * diameter, _DIGITS),
+        "radius_mm": round(disc_radius_mm(electrodes), _DIGITS),
         "full_ma": float(profile.full_ma.max()),
         "full_n": float(profile.force.full_n),
         "limits": {
