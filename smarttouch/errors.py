@@ -165,7 +165,7 @@ class BoardError(SmartTouchError):
 
 
 class LineLostError(BoardError):
-    """The line to a board broke, or it fell silent; starting anew may help."""
+    """The line to a board broke, or it fell silent; a restart may help."""
 
 
 class OtherDeviceError(BoardError):

@@ -1,4 +1,4 @@
-"""Outputs of a run as listeners: recording, pictures of what was felt, patterns, LSL streams."""
+"""Outputs of a run as listeners: recordings, pictures of what was delivered, streams."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -52,7 +52,7 @@ class FeltPicture(Listener):
             self._pulses = board.take_pulses
         else:
             raise SmartTouchError(
-                "what was felt can be drawn of a board that reports every pulse, and this one "
+                "this picture needs a board that reports every pulse, and this one "
                 "does not: use the board emulator:",
                 about="felt",
                 problem="conflict",

@@ -52,8 +52,8 @@ class PatternFile:
     def watch(self, sent: StepResult) -> None:
         """Keep the activation of a step, zero where there is no current."""
         tactile, sequence = sent.step.tactile, sent.step.sequence
-        felt = tactile.activation.max(axis=0) * (sequence.intensity > 0)
-        self.add(np.rint(255 * felt).astype(np.uint8), sequence.period_us)
+        active = tactile.activation.max(axis=0) * (sequence.intensity > 0)
+        self.add(np.rint(255 * active).astype(np.uint8), sequence.period_us)
 
     def add(self, level: NDArray[np.uint8], period_us: int) -> None:
         """Keep an activation, (E,), 255 the strongest, for a time."""
@@ -64,7 +64,7 @@ class PatternFile:
         """Write all files; raises if there are no steps, or they cannot be written."""
         if not self._activation:
             raise SmartTouchError(
-                "nothing was felt: there is nothing to write", about="patterns", problem="empty"
+                "there were no steps: nothing can be written", about="patterns", problem="empty"
             )
         try:
             {".gif": self._save_film, ".json": self._save_numbers, "": self._save_pictures}[

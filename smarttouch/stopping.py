@@ -55,7 +55,7 @@ class StopRequest:
 
     event: threading.Event = field(default_factory=threading.Event)
     reason: str = ""
-    _told: list[Callable[[], None]] = field(default_factory=list, repr=False)
+    _on_stop: list[Callable[[], None]] = field(default_factory=list, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     def ask(self, reason: str, *, at_once: bool = True) -> None:
@@ -63,17 +63,17 @@ class StopRequest:
         with self._lock:
             # The first reason is the true one: a second Ctrl-C changes nothing.
             self.reason = self.reason or reason
-            told = self._told.copy() if at_once else []
+            calls = self._on_stop.copy() if at_once else []
         self.event.set()
-        for tell in told:
+        for call in calls:
             # A board that cannot be reached is reported by its own thread when it is closed.
             with contextlib.suppress(SmartTouchError):
-                tell()
+                call()
 
     def always_tell(self, tell: Callable[[], None]) -> None:
         """Call a function whenever the end is requested, from now on."""
         with self._lock:
-            self._told.append(tell)
+            self._on_stop.append(tell)
 
     @contextmanager
     def telling(self, tell: Callable[[], None]) -> Iterator[None]:
@@ -85,7 +85,7 @@ class StopRequest:
             yield
         finally:
             with self._lock:
-                self._told.remove(tell)
+                self._on_stop.remove(tell)
 
 
 class SignalWatch:

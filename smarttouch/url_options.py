@@ -51,17 +51,17 @@ def read_options(
 
 
 def joined_options(
-    url: str, given: dict[str, Any], told: dict[str, Any], error: type[SmartTouchError]
+    url: str, given: dict[str, Any], in_url: dict[str, Any], error: type[SmartTouchError]
 ) -> dict[str, Any]:
     """Return the options given beside a URL and those in it; raises if one is in both."""
-    if twice := sorted(given.keys() & told.keys()):
+    if twice := sorted(given.keys() & in_url.keys()):
         raise error(
             f"{twice[0]} is given in {url!r} and beside it: leave one out",
             about=twice[0],
             problem="conflict",
-            value=(told[twice[0]], given[twice[0]]),
+            value=(in_url[twice[0]], given[twice[0]]),
         )
-    return given | told
+    return given | in_url
 
 
 def parse_size(text: str, error: type[SmartTouchError], about: str) -> tuple[int, int]:

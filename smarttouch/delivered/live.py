@@ -30,7 +30,7 @@ class LiveFinger(Listener):
 
     The loop never waits: it hands a step only to an idle process. A thread would not do, as it
     could be held up while it has the interpreter. ``draw`` is called with each `Feeling` in that
-    process, which must be able to import it; its result is ``drawn``. ``felt`` and ``skipped``
+    process, which must be able to import it; its result is ``drawn``. ``simulated`` and ``skipped``
     count steps that were simulated, and that came meanwhile.
     """
 
@@ -38,7 +38,7 @@ class LiveFinger(Listener):
         super().__init__()
         self.newest: Feeling | None = None
         self.drawn: Any = None
-        self.felt = self.skipped = 0
+        self.simulated = self.skipped = 0
         self._finger, self._draw = finger, draw
         self._line: Connection | None = None
         self._process: subprocess.Popen[bytes] | None = None
@@ -60,7 +60,7 @@ class LiveFinger(Listener):
         self._receive()
 
     def step(self, result: StepResult) -> None:
-        """Take what was felt, if it is there, and hand over a step, if nothing is under way."""
+        """Take a finished response, and hand over a step if none is under way."""
         assert self._line is not None
         if self._given is not None and self._line.poll():
             self._take()
@@ -104,7 +104,7 @@ class LiveFinger(Listener):
         spikes, self.drawn = self._receive()
         self.newest = Feeling(self._finger, (spikes,), self._given.active, self._given.wanted)
         self._given = None
-        self.felt += 1
+        self.simulated += 1
 
     def _receive(self) -> Any:
         with self._alive() as line:

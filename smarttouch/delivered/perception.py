@@ -30,7 +30,7 @@ class Perception:
         for afferent in afferents:
             receptor = bank.receptor[afferent]
             full = full_ua * (receptor * bank.kernels(afferent)).sum(axis=1)
-            # Masked sites have no kernel: nothing is felt there.
+            # Masked sites have no kernel: there is no response.
             self._receptors.append((receptor.T, np.where(full > 0, full, np.inf)))
         self._threshold = profile.threshold_ma / profile.full_ma
 

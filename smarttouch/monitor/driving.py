@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 from smarttouch.boards.announced import refuse_if_stopped
 from smarttouch.boards.stoppable import announced
 from smarttouch.errors import BoardError, BoardStoppedError
-from smarttouch.monitor import keyboard
+from smarttouch.monitor.keyboard import restore
 from smarttouch.outlet import never_waiting
 from smarttouch.stopping import RunStopped, SignalWatch, StopRequest
 
@@ -133,7 +133,7 @@ def _told_as_stopped(watch: SignalWatch) -> Iterator[None]:
 
 def _give_up(number: int) -> None:
     """End the process now: every board is at zero, and something keeps the rest waiting."""
-    keyboard.restore()
+    restore()
     with contextlib.suppress(OSError, ValueError):
         for stream in (sys.__stdout__, sys.__stderr__):
             place = -1 if stream is None else stream.fileno()

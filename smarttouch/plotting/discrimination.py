@@ -22,7 +22,7 @@ _MARKERS = ("o", "s", "D", "^", "v", "P")
 _TOP_IN, _BOTTOM_IN = 2.7, 2.9
 _SIDE_IN = 4.6
 _RATIO_TICKS = (0.25, 0.33, 0.5, 0.67, 0.8, 1, 1.25, 1.5, 2, 3, 4)
-_TOLD = 3
+_FEWEST_FOR_INTERVAL = 3
 """Fewest answers at a comparison for which the interval of their share is drawn."""
 
 
@@ -128,11 +128,11 @@ def _draw_points(axes: Any, x: Array, judged: Judged, color: Any, marker: str, l
     low, high = binomial_interval(k, n)
     share = k / n
     # With few answers an interval is not informative, and hides the rest.
-    told = n >= _TOLD
+    enough = n >= _FEWEST_FOR_INTERVAL
     # Drawn as lists: Matplotlib 3.10 takes an array of one number for the number itself.
-    reach = np.maximum([share - low, high - share], 0)[:, told].tolist()
+    reach = np.maximum([share - low, high - share], 0)[:, enough].tolist()
     axes.errorbar(
-        x[told], share[told], yerr=reach, fmt="none", ecolor=color, elinewidth=0.6,
+        x[enough], share[enough], yerr=reach, fmt="none", ecolor=color, elinewidth=0.6,
         alpha=0.4,
     )  # fmt: skip
     size = 8 + 2 * np.minimum(n, 10)

@@ -1,4 +1,4 @@
-"""Figure of a study: what is felt amiss in each choice, finger by finger."""
+"""Figure of a study: errors of each choice, finger by finger."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Protocol

@@ -182,7 +182,7 @@ def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[P
     return pipeline, Regulator(adaptation, ledger, recharge)
 
 
-class _Told:
+class _RecordedBoard:
     """Stand-in for the board, with its recorded measurements."""
 
     def __init__(self, observed: tuple[Measured, ...]) -> None:
@@ -199,8 +199,8 @@ def _again(recorded: RecordedStep, pipeline: Pipeline, regulator: Regulator) -> 
         pipeline.change_mode(step.mode)
     if step.restarted:
         pipeline.restart_softly()
-    told: Any = _Told(step.observed)
-    made = regulator.regulate(pipeline.process(step.input, step.level), told).sequence
+    board: Any = _RecordedBoard(step.observed)
+    made = regulator.regulate(pipeline.process(step.input, step.level), board).sequence
     if recorded.sent.number is None:
         regulator.lost(made)
     return made

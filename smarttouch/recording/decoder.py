@@ -106,15 +106,15 @@ class StepDecoder:
             given = tactile = Stimulus(activation, time_ns, force_n, *asked, image=image, **where)
         else:
             given = Frame(image, time_ns, force_n=force_n, **where)
-        told = parts["/sequence"]
+        row = parts["/sequence"]
         step = Step(
             input=given,
             tactile=tactile,
             sequence=sequence,
-            mode=Mode(told["mode"]),
-            level=float(told["level"]),
-            restarted=bool(told["restarted"]),
-            asked_us=int(told["asked_us"]),
+            mode=Mode(row["mode"]),
+            level=float(row["level"]),
+            restarted=bool(row["restarted"]),
+            asked_us=int(row["asked_us"]),
             observed=tuple(self._measured(each) for each in self._parts.get("/volts", ())),
         )
         number = None if board["sent"] is None else int(board["sent"])

@@ -61,7 +61,7 @@ class RecordingWriter:
         self._path = path
         self._started_unix_ns = started_unix_ns
         self._failure: Exception | None = None
-        self._told = False
+        self._reported = False
         self._closed = False
         self._index = 0
         self._queue: queue.SimpleQueue[_Item | None] = queue.SimpleQueue()
@@ -108,7 +108,7 @@ class RecordingWriter:
         self._guarded(self._to_disk)
         self._guarded(self._require_there)
         self._guarded(self._file.close)
-        if self._failure is not None and not self._told:
+        if self._failure is not None and not self._reported:
             raise self._complaint()
 
     def _register(self, topic: str) -> int:
@@ -117,7 +117,7 @@ class RecordingWriter:
         return int(self._writer.register_channel(topic, "json", schema_id))
 
     def _complaint(self) -> RecordingError:
-        self._told = True
+        self._reported = True
         if isinstance(self._failure, _GoneError):
             return RecordingError(
                 f"{self._path} was removed, moved or replaced while it was written, so it is not "

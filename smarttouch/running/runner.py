@@ -118,7 +118,7 @@ class Runner:
                     self.statistics, self.source, board, report, ended
                 )
                 self.statistics.notes += self._notes()
-                self.display.notes_told = len(board.notes)
+                self.display.notes_reported = len(board.notes)
             for listener in self._listeners:
                 listener.finish(context)
         for listener in self._listeners:
@@ -232,7 +232,7 @@ class Runner:
     def _notes(self) -> list[str]:
         force = self._force
         return [
-            *self.display.board.notes[self.display.notes_told :],
+            *self.display.board.notes[self.display.notes_reported :],
             *self.source.notes,
             *(force.notes if force is not None else ()),
         ]

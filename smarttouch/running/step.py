@@ -108,11 +108,11 @@ class StepResult:
     def felt_ma(self) -> NDArray[np.float32]:
         """Current at each point that is stimulated, (E,) mA; 0 where none is."""
         sequence = self.step.sequence
-        felt = np.zeros(sequence.electrodes, np.float32)
+        delivered_ma = np.zeros(sequence.electrodes, np.float32)
         current_ma = np.abs(sequence.current_ua.astype(np.float32)) / 1000
-        felt[sequence.site] = current_ma.max(axis=1, initial=0)
+        delivered_ma[sequence.site] = current_ma.max(axis=1, initial=0)
         if sequence.points > sequence.slots:
             # Several share a slot.
             points = np.flatnonzero(self.step.tactile.activation.any(axis=0))
-            felt[points] = current_ma.max(axis=0)[points]
-        return felt
+            delivered_ma[points] = current_ma.max(axis=0)[points]
+        return delivered_ma

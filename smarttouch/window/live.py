@@ -119,19 +119,19 @@ class Window(Listener):
         self.steering.look_after()
 
     def event(self, event: Event) -> None:
-        """Keep an event for the pages, unless it would tell an answer."""
+        """Keep an event for the pages, unless it would give an answer away."""
         if isinstance(event, RunEnded | RunFailed):
             failed = isinstance(event, RunFailed)
             self._ended |= {"reason": str(event), "failed": failed}
         if self._blind and event.reveals:
             return
-        told = {"time_s": event.time_ns / 1e9, "text": str(event), "kind": type(event).__name__}
+        entry = {"time_s": event.time_ns / 1e9, "text": str(event), "kind": type(event).__name__}
         with self._event_lock:
             self._event_count += 1
-            self._events.append((self._event_count, told))
+            self._events.append((self._event_count, entry))
 
     def close(self) -> None:
-        """Tell pages that the run is over, and serve no more."""
+        """Send pages the end of the run, and serve no more."""
         if self._pages.over.is_set():
             return
         self._pages.over.set()
@@ -180,7 +180,7 @@ class Window(Listener):
         latest = self._latest
         with self._event_lock:
             count, kept = self._event_count, [*self._events]
-        events = [told for number, told in kept if number > page.events]
+        events = [entry for number, entry in kept if number > page.events]
         state = {**self._state(page, latest), "events": events}
         parts = [f'"type":"update","state":{json.dumps(state)}']
         if latest is not None and latest is not page.shown and not self._blind:

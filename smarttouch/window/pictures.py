@@ -52,15 +52,15 @@ def finger_message(finger: Finger) -> Message:
 
 
 def felt_message(feeling: Feeling) -> Message:
-    """Return the spikes of each afferent, and what was felt of them."""
-    felt = feeling.felt
+    """Return the spikes of each afferent, and the quality of the response."""
+    quality = feeling.felt
     return {
         "counts": _base64(np.minimum(feeling.counts, 255).astype(np.uint8)),
-        "spikes": felt.spikes,
-        "afferents": {each.name: count for each, count in felt.afferents.items()},
-        "silent_points": _number(felt.silent_points),
-        "wrong_class": _number(felt.wrong_class),
-        "misplaced": _number(felt.misplaced),
+        "spikes": quality.spikes,
+        "afferents": {each.name: count for each, count in quality.afferents.items()},
+        "silent_points": _number(quality.silent_points),
+        "wrong_class": _number(quality.wrong_class),
+        "misplaced": _number(quality.misplaced),
     }
 
 

@@ -1,4 +1,4 @@
-"""Steering of a run by pages: several look, one steers, anyone stops."""
+"""Steering of a run by pages: several look, one has control, any can stop it."""
 
 import threading
 import time
@@ -9,7 +9,7 @@ from smarttouch.running.controls import STEP, Controls
 from smarttouch.stopping import StopRequest
 
 LOST_S = 0.7
-"""Silence after which a page no longer steers."""
+"""Silence after which a page loses control."""
 
 
 class Steering:
@@ -29,7 +29,7 @@ class Steering:
     ) -> None:
         self.controls, self._stop, self._keys, self._alone = controls, stop, keys, alone
         self._page: int | None = None
-        self._heard_s = 0.0
+        self._alive_s = 0.0
         self._lock = threading.Lock()
         self._does: dict[str, Callable[[], None]] = {
             "more": lambda: controls.change_level(STEP),
@@ -45,18 +45,18 @@ class Steering:
         return self._page
 
     def stop(self) -> None:
-        """End the run with all electrodes at zero; anyone may."""
+        """End the run with all electrodes at zero; any page may."""
         self._stop.ask("the window")
 
     def steer(self, page: int) -> bool:
-        """Return whether a page steers; it begins to if no other does."""
+        """Return whether a page has control; it takes it if no other has."""
         with self._lock:
             if self._page is None:
-                self._heard_s, self._page = time.monotonic(), page
+                self._alive_s, self._page = time.monotonic(), page
             return self._page == page
 
     def leave(self, page: int) -> None:
-        """Let a page steer no longer, if it did."""
+        """Take control from a page, if it had it."""
         with self._lock:
             if self._page != page:
                 return
@@ -64,15 +64,15 @@ class Steering:
         if self._alone:
             self.controls.pause()
 
-    def hear(self, page: int) -> None:
+    def note_alive(self, page: int) -> None:
         """Note that a page is alive."""
         if self._page == page:
-            self._heard_s = time.monotonic()
+            self._alive_s = time.monotonic()
 
     def look_after(self) -> None:
-        """Let a page that has fallen silent steer no longer; from any thread."""
+        """Take control from a page that has fallen silent; from any thread."""
         page = self._page
-        if page is not None and time.monotonic() - self._heard_s > LOST_S:
+        if page is not None and time.monotonic() - self._alive_s > LOST_S:
             self.leave(page)
 
     def act(self, page: int, what: str) -> bool:

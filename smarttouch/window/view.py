@@ -70,8 +70,8 @@ class RecordingsPage(Closing):
 
         first = request.query_params.get("from", "0")
         start = int(first) if first.isascii() and first.isdecimal() else 0
-        told = [each.message(start) for each in self.tapes]
-        return Response(json.dumps(told), media_type="application/json")
+        messages = [each.message(start) for each in self.tapes]
+        return Response(json.dumps(messages), media_type="application/json")
 
     async def _step(self, request: "Request") -> "Response":
         from starlette.responses import Response
