@@ -55,15 +55,18 @@ class ElectrodePicture:
         x, y = ((np.arange(2 * each) - each + 0.5) / px_per_mm for each in half)
         away, nearest = cKDTree(electrodes.position_mm).query(np.stack(np.meshgrid(x, y), axis=-1))
         self._nearest = np.asarray(nearest)
-        beyond_px = ((away - disc_radius_mm(electrodes)) * px_per_mm).astype(np.float32)[..., None]
-        self._disc = np.float32(beyond_px <= 0) if plain else np.clip(0.5 - beyond_px, 0, 1)
+        beyond_mm = np.asarray(away, np.float32)[..., None] - disc_radius_mm(electrodes)
+        beyond_px = (beyond_mm * px_per_mm).astype(np.float32)
+        self._disc = (
+            (beyond_px <= 0).astype(np.float32) if plain else np.clip(0.5 - beyond_px, 0, 1)
+        )
         self._edge = None if plain else np.clip(1 - np.abs(beyond_px), 0, 1)
 
     def raster(self, colors: Colors) -> NDArray[np.uint8]:
         """Return the picture as pixels, (H, W, 3) in RGB."""
         image = 255 - (255 - colors.astype(np.float32))[self._nearest] * self._disc
         if self._edge is not None:
-            image += (np.float32(EDGE) - image) * self._edge
+            image += (np.array(EDGE, np.float32) - image) * self._edge
         return np.asarray(np.rint(image), np.uint8)
 
 

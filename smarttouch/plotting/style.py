@@ -5,7 +5,8 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from smarttouch import cells
+from smarttouch.cells import ANODIC as _ANODIC_RGB
+from smarttouch.cells import CATHODIC as _CATHODIC_RGB
 from smarttouch.cells import hex_color
 from smarttouch.errors import SmartTouchError
 from smarttouch.files import write_bytes
@@ -13,7 +14,7 @@ from smarttouch.files import write_bytes
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-CATHODIC, ANODIC = hex_color(cells.CATHODIC), hex_color(cells.ANODIC)
+CATHODIC, ANODIC = hex_color(_CATHODIC_RGB), hex_color(_ANODIC_RGB)
 SIGNED_MAP = "PuOr_r"
 """Color map: orange for cathodic or depolarizing, purple for the other sign."""
 GREY = "#707070"
