@@ -15,7 +15,6 @@ EDGE = (139, 152, 164)
 _CELL_PX = 8
 _MOST_CELLS = 20_000
 _RADIUS = 0.42
-"""Of a disc, in cells."""
 
 Colors = NDArray[np.uint8]
 

@@ -17,7 +17,6 @@ COINCIDENT_MM = 1e-3
 """Distance below which two electrodes count as one given twice."""
 
 KAJIMOTO_61_ROWS = (5, 6, 7, 8, 9, 8, 7, 6, 5)
-"""Electrodes per row of the hexagonal 61-electrode board."""
 
 
 @dataclass(frozen=True, eq=False)

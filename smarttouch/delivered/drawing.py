@@ -31,7 +31,6 @@ from smarttouch.running.step import StepResult
 from smarttouch.sources.frame import Pose
 
 FINEST_MM = 0.1
-"""Finest pixel of a picture, on what was touched."""
 _WIDTH = (900, 1400)
 """Pixels that a picture is drawn wide at least, and at most."""
 _MARGIN, _LABEL = 24, 28
@@ -54,9 +53,8 @@ class FeltDrawing(DeliveredAnswers, ABC):
     """
 
     strongest = False
-    """Whether a place shows the strongest answer, and not the mean."""
+    """Whether a place shows the strongest response, not the mean."""
     longest_px = 4000
-    """Pixels of the longer side at most."""
 
     def __init__(
         self,

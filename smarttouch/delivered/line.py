@@ -10,7 +10,6 @@ from smarttouch.delivered.raster import Raster, as_ink
 from smarttouch.electrodes import ElectrodeArray
 
 PIXELS_PER_PITCH = 4
-"""Of the image put together."""
 _BLUR_X, _BLUR_Y = 0.4, 0.55
 """Standard deviations with which values spread between the places where they were taken, in cells:
 wide enough to fill what lies between two rows, and no wider. Found on printed lines."""

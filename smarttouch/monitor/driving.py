@@ -23,7 +23,6 @@ _T = TypeVar("_T")
 _CURSOR_ON = b"\x1b[?25h"
 
 _watches: list[tuple[StopRequest, SignalWatch]] = []
-"""Of the command that runs, if it is one of these."""
 
 
 def drives_a_board(command: Callable[_P, _T]) -> Callable[_P, _T]:

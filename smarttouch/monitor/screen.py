@@ -24,12 +24,10 @@ _KEYS = "+ − intensity    0 none    space pause    m mode    q, Esc end"
 _ROOMY = 20
 """Rows of a terminal from which an event has two of them."""
 _LEAST_PICTURE = 9
-"""Rows of the pictures and their title that numbers leave them."""
+"""Fewest rows of the pictures and their title beside the numbers."""
 _NAME = 9
-"""Width of the names of gauges and numbers."""
 
 Rows = tuple[tuple[str, str], ...]
-"""Names, and what is said of them."""
 
 
 class Screen(Listener):

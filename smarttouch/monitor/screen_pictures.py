@@ -1,4 +1,4 @@
-"""Pictures of signs for a terminal: an image that was read, and the electrodes of an array."""
+"""Pictures of characters for a terminal: an image that was read, and the electrodes of an array."""
 
 import cv2
 import numpy as np
@@ -8,10 +8,9 @@ from rich.text import Text
 from smarttouch.profile import Profile
 
 MOST_ROWS, MOST_COLUMNS = 16, 64
-"""Largest picture of an image, in signs: drawing more takes time from the loop."""
+"""Largest picture of an image, in characters: drawing more takes time from the loop."""
 
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
-"""Bit of each dot in the number of a Braille sign."""
 _DITHER = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) + 0.5) * 16
 """Grey value above which each dot of two signs side by side is bright."""
 

@@ -29,10 +29,9 @@ from smarttouch.sources.source import Source
 from smarttouch.stopping import ENDS_WITHIN_S, StopRequest
 
 DRAWN_WITHIN_S = 30.0
-"""Of the end after a signal, where pictures are drawn: a second signal ends it at once."""
+"""Time for the end after a signal where pictures are drawn; a second signal ends it at once."""
 
 Keys = Mapping[str, Callable[[], None]]
-"""Function of each key; called from any thread."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,7 +20,6 @@ Array = NDArray[np.float64]
 
 _BANDS_HZ = {Afferent.RA: RA_BAND_HZ, Afferent.PC: PC_BAND_HZ}
 _MOST_POINTS = 20_000
-"""Largest number of points of a curve."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,6 @@ SIGNED_MAP = "PuOr_r"
 """Color map: orange for cathodic or depolarizing, purple for the other sign."""
 GREY = "#707070"
 DPI = 200
-"""Resolution of figures in pixels, which their files say."""
 
 FORMATS = ("png", "pdf", "svg")
 

@@ -32,7 +32,7 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 """First bytes of a PNG; width and height follow."""
 MOST_PIXELS = 100_000_000
 _LONGEST_US = 10_000_000
-"""Between two stimuli: the period of the slowest rate."""
+"""Longest time between two stimuli: the period of the slowest rate."""
 
 
 @dataclass(frozen=True, eq=False)

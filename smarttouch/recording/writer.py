@@ -27,7 +27,6 @@ FLUSH_S = 0.04
 SYNC_S = 1.0
 """Longest time before data is on the disk: the loss at a power failure."""
 MOST_WAITING = 1000
-"""Largest number of steps that wait for a slow disk."""
 
 
 class _GoneError(OSError):

@@ -7,7 +7,7 @@ from typing import Any
 from smarttouch.afferent import Mode
 
 STEP = 0.05
-"""Of one press of a key, in parts of the strongest."""
+"""Change of level by one press of a key."""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from smarttouch.sources.source import Source
 from smarttouch.sources.stimulus import Input
 
 LIFT_NS = 300_000_000
-"""After a lifted finger: so long there is no current, then it rises from zero again."""
+"""Time without current after a lifted finger; it then rises from zero again."""
 
 
 @dataclass

@@ -96,7 +96,6 @@ class _Loop:
     regulator: Regulator | None
     stop: StopRequest
     steps: Sequence[Callable[[StepResult], None]]
-    """Methods of listeners that follow each step."""
     clock: Clock
     elapsed_ns: int = 0
     _shift_ns: int = 0

@@ -34,7 +34,6 @@ from smarttouch.stimulation.limits import rms_ma_cm2
 from smarttouch.stopping import StopRequest
 
 MakeControls = Callable[[ControlState, tuple[Mode, ...]], Controls]
-"""Makes controls from a first state and the modes that are offered."""
 
 
 class Runner:

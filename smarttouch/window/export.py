@@ -18,12 +18,11 @@ from smarttouch.window.tape import Tape
 
 KINDS = (".png", ".svg", ".mp4")
 FILM_HZ = 25
-"""Pictures a second of a film."""
 MOST_FILM_S = 600
 _PX_PER_MM = 24
 _MOST_PX = 720
 _CODEC = "vp09"
-"""That browsers play, and that OpenCV brings along."""
+"""Browsers play it, and OpenCV includes it."""
 
 Current = NDArray[np.int16]
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 MOST_PAGES = 16
 MOST_HZ = 60
 MOST_MESSAGES_PER_S = 400
-"""Of one page; one that sends more loses its connection."""
+"""Limit for one page; one that sends more loses its connection."""
 _BEAT_S = 0.2
 """Longest time without a message to a page: its answer says that it is alive."""
 _INFORMED_WITHIN_S = 0.5
