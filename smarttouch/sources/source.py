@@ -30,6 +30,8 @@ class Source(Device, ABC):
     is the number of distinct inputs read plus ``dropped_frames``.
     """
 
+    canvas: Canvas | None = None
+    """What a page of the window draws on, if anything."""
     duration_s: float | None = None
     """Duration; None if it never ends by itself."""
     ended: ClassVar[str] = "the source has ended"
@@ -47,8 +49,6 @@ class Source(Device, ABC):
     """Those that came but were never read."""
     keys_help: ClassVar[str] = ""
     """Words on its keys."""
-    canvas: Canvas | None = None
-    """What a page of the window draws on, if anything."""
 
     def narrowed(self, profile: Profile) -> Profile:
         """Return the profile that plans what the source gives to a finger; never a wider one."""
