@@ -52,7 +52,7 @@ def thresholds_figure() -> "Figure":
     _plain_ticks(axes, (1, 3, 10, 30, 100, 300, 1000))
     axes.set_yticks([0.1, 1, 10, 100, 1000], ["0.1", "1", "10", "100", "1000"])
     axes.legend(frameon=False, fontsize=8)
-    title = "Smallest vibration that each class answers (| the paper's bands)"
+    title = "Detection threshold of each class (| the paper's bands)"
     plain(axes, title, "frequency (Hz)", "amplitude (µm)")
     return figure
 
@@ -93,13 +93,13 @@ def _draw_trace(axes: Any, time_s: Array, moved_um: Array, force_n: Array, title
 def _draw_class(axes: Any, time_s: Array, afferent: Afferent, row: ClassRow) -> None:
     color, part = CLASS_COLORS[afferent], _thinned(time_s)
     axes.fill_between(time_s[part], row.drive[part], color=color, alpha=0.25, lw=0)
-    what = "answers"
+    what = "response"
     if row.vibrated:
         axes.step(row.pulse_s, row.pulse_drive, where="post", color=color, lw=0.9)
-        what = "answers, and shaken by vibrators"
+        what = "response, and vibration"
     elif len(row.pulse_s):
         axes.vlines(row.pulse_s, 0, row.pulse_drive, color=color, lw=0.7)
-        what = f"answers, and {len(row.pulse_s)} pulses"
+        what = f"response, and {len(row.pulse_s)} pulses"
     axes.set_ylim(0, 1.05)
     plain(axes, "", "", "drive")
     box = {"fc": "white", "ec": "none", "alpha": 0.8, "pad": 1.5}
