@@ -15,19 +15,9 @@ _MOST_ARRAYS = 1000
 
 
 def read_array(file: BinaryIO, size: int) -> NDArray[Any]:
-    """Return the array of a ``.npy`` file.
+    """Return the array of a ``.npy`` file of ``size`` bytes, read from its beginning.
 
-    Parameters
-    ----------
-    file : file
-        At its beginning.
-    size : int
-        Number of its bytes.
-
-    Raises
-    ------
-    ValueError
-        If it is no such file, is cut, would have to be unpickled or is too large.
+    Raises ValueError if it is no such file, is cut, would have to be unpickled or is too large.
     """
     try:
         version = np.lib.format.read_magic(file)
@@ -52,13 +42,7 @@ def read_array(file: BinaryIO, size: int) -> NDArray[Any]:
 
 
 def read_arrays(file: BinaryIO) -> dict[str, NDArray[Any]]:
-    """Return the arrays of an ``.npz`` archive, by name.
-
-    Raises
-    ------
-    ValueError
-        If it is no such archive, or any of it is damaged or too large.
-    """
+    """Return the arrays of an ``.npz`` archive by name; ValueError if damaged or too large."""
     try:
         with zipfile.ZipFile(file) as archive:
             members = archive.infolist()

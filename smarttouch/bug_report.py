@@ -33,7 +33,6 @@ _PULSE = ("width_us", "discharge_us", "rate_hz", "carrier", "ra_rate_hz", "sai_r
 _LIMITS = ("total_ma", "pulse_us", "charge_uc", "rate_hz", "duty", "ramp_s", "density_uc_cm2")
 """Limits of a device; those of single electrodes and of the current are of a person, too."""
 _LAST = 50
-"""Most events in a report, from the end."""
 _EVENTS = frozenset(
     str(each)
     for each in (
@@ -51,11 +50,6 @@ def bug_report(recording: Path | None = None) -> dict[str, Any]:
 
     What is not in the lists of this module is left out: of a profile all but the device, and of a
     run all names of files, ports and people, all that was typed, and all currents.
-
-    Raises
-    ------
-    RecordingError
-        If there is no such recording.
     """
     report: dict[str, Any] = {
         "smarttouch": __version__,

@@ -31,14 +31,9 @@ class Clock(Protocol):
 class MonotonicClock:
     """The machine's clock, for threads that sleep to a deadline.
 
-    It never goes back, and runs on while the machine is suspended: what was due before
-    that is late after it.
-
-    Parameters
-    ----------
-    spin_ns : int, optional
-        Spun part of a wait; if not given, `SPIN_NS` in threads of real-time priority and
-        nothing in others, where it gains nothing that repeats.
+    It never goes back, and runs on while the machine is suspended: what was due before that is late
+    after it. The end of a wait is spun: `SPIN_NS` in threads of real-time priority and nothing in
+    others, where it gains nothing that repeats.
     """
 
     def __init__(self, spin_ns: int | None = None) -> None:

@@ -11,17 +11,9 @@ _ANSWERS_WITHIN_S = 10
 
 @contextmanager
 def on_cluster(address: str | None) -> Iterator[None]:
-    """Let what is within run on a Dask cluster; here if there is no address.
+    """Run what is within on the Dask cluster of a scheduler (``tcp://HOST:8786``); here if None.
 
-    Parameters
-    ----------
-    address : str or None
-        Of its scheduler, as ``tcp://HOST:8786``. Its workers need this version of SmartTouch.
-
-    Raises
-    ------
-    SmartTouchError
-        If Dask is not installed, or no scheduler answers there.
+    Its workers need this version of SmartTouch.
     """
     if address is None:
         yield

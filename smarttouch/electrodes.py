@@ -17,7 +17,6 @@ COINCIDENT_MM = 1e-3
 """Distance below which two electrodes count as one given twice."""
 
 KAJIMOTO_61_ROWS = (5, 6, 7, 8, 9, 8, 7, 6, 5)
-"""Electrodes per row of the hexagonal 61-electrode board."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,13 +220,7 @@ def _centered(count: int, pitch: float) -> NDArray[np.float64]:
 def parse_ranges(
     text: str, about: str, error: type[SmartTouchError] = SmartTouchError
 ) -> list[tuple[int, int]]:
-    """Return the first and last electrode of each range in a list such as ``0-7,12``.
-
-    Raises
-    ------
-    SmartTouchError
-        Of the type given, if it is no such list.
-    """
+    """Return the first and last electrode of each range in a list such as ``0-7,12``."""
     found = [
         re.fullmatch("([0-9]{1,6})(?:-([0-9]{1,6}))?", part.strip()) for part in text.split(",")
     ]

@@ -49,14 +49,7 @@ class SmartTouchError(Exception):
 
 
 class Complaint(NamedTuple):
-    """One thing that is wrong in a file.
-
-    Attributes
-    ----------
-    key, problem : str
-    value, allowed : object
-        As ``about``, ``problem``, ``value`` and ``allowed`` of `SmartTouchError`.
-    """
+    """One thing that is wrong in a file, as in `SmartTouchError`."""
 
     key: str
     problem: str
@@ -67,18 +60,8 @@ class Complaint(NamedTuple):
 class TableError(SmartTouchError):
     """A file of keys and values cannot be found, read or believed.
 
-    Its own attributes are those of the first complaint.
-
-    Parameters
-    ----------
-    message : str
-        One sentence, with all that is wrong.
-    complaints : sequence of Complaint
-        All that is wrong; the error itself if not given.
-    sentences : sequence of str
-        The message as a list, one for each complaint; the message itself if not given.
-    **attributes
-        See `SmartTouchError`.
+    Its own attributes are those of the first complaint; ``sentences`` is the message as a list, one
+    for each complaint.
     """
 
     def __init__(
@@ -174,7 +157,7 @@ class BoardError(SmartTouchError):
 
 
 class LineLostError(BoardError):
-    """The line to a board broke, or it fell silent; starting anew may help."""
+    """The line to a board broke, or it fell silent; a restart may help."""
 
 
 class OtherDeviceError(BoardError):
@@ -230,18 +213,8 @@ def require_within(
 ) -> None:
     """Raise an error unless a number is in its range; NaN is in none.
 
-    Parameters
-    ----------
-    error : type of SmartTouchError
-    about : str
-        Name of the number.
-    value, least, most : float
-    words : str
-        The number with its meaning and unit, for the sentence.
-    above : bool
-        Whether it must be above ``least``, not at it.
-    problem : str
-        See `SmartTouchError`.
+    ``words`` is the number with its meaning and unit, for the sentence; ``above`` excludes
+    ``least``.
     """
     if least <= value <= most and not (above and value == least):
         return

@@ -12,25 +12,20 @@ from smarttouch.afferent import Mode
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened in a run.
-
-    Attributes
-    ----------
-    time_ns : int
-        Since the start of the run.
-    """
+    """Something that happened in a run, ``time_ns`` after its start."""
 
     time_ns: int
     reveals: ClassVar[bool] = False
     """Whether it would give the answer of an experiment away to its participant."""
+    words: ClassVar[str] = ""
 
     def __str__(self) -> str:
-        return type(self).__name__
+        return self.words or type(self).__name__
 
 
 @dataclass(frozen=True)
 class Note(Event):
-    """A sentence that a user should know of."""
+    """A sentence that a user should know."""
 
     text: str
 
@@ -57,16 +52,14 @@ class IntensityChanged(Event):
 class Paused(Event):
     """The user paused the run."""
 
-    def __str__(self) -> str:
-        return "paused"
+    words: ClassVar[str] = "paused"
 
 
 @dataclass(frozen=True)
 class Resumed(Event):
     """The user ended a pause."""
 
-    def __str__(self) -> str:
-        return "goes on"
+    words: ClassVar[str] = "goes on"
 
 
 @dataclass(frozen=True)
@@ -95,46 +88,37 @@ class InputLost(Event):
 class InputRestored(Event):
     """Image and force are known again."""
 
-    def __str__(self) -> str:
-        return "image and force are known"
+    words: ClassVar[str] = "image and force are known"
 
 
 @dataclass(frozen=True)
 class FingerLifted(Event):
     """By its voltages, nothing touches the electrodes of the board."""
 
-    def __str__(self) -> str:
-        return "the finger is lifted"
+    words: ClassVar[str] = "the finger is lifted"
 
 
 @dataclass(frozen=True)
-class BoardRestarted(Event):
+class _Reasoned(Event):
+    reason: str
+
+    def __str__(self) -> str:
+        return self.reason
+
+
+@dataclass(frozen=True)
+class BoardRestarted(_Reasoned):
     """The board was lost or a sequence late, and intensity begins at zero."""
 
-    reason: str
-
-    def __str__(self) -> str:
-        return self.reason
-
 
 @dataclass(frozen=True)
-class RunFailed(Event):
+class RunFailed(_Reasoned):
     """An error ends the run."""
 
-    reason: str
-
-    def __str__(self) -> str:
-        return self.reason
-
 
 @dataclass(frozen=True)
-class RunEnded(Event):
+class RunEnded(_Reasoned):
     """The run is over."""
-
-    reason: str
-
-    def __str__(self) -> str:
-        return self.reason
 
 
 @dataclass(frozen=True)

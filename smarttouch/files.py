@@ -37,13 +37,7 @@ _KINDS = (
 
 
 def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> None:
-    """Raise unless a path leads to a regular file of at most so many bytes.
-
-    Raises
-    ------
-    SmartTouchError
-        Of the type given: it is missing, a folder, a pipe, a device, or too large.
-    """
+    """Raise unless a path leads to a regular file of at most so many bytes."""
     try:
         _check(path, path.stat(), error, most_bytes)
     except (FileNotFoundError, NotADirectoryError, ValueError):
@@ -62,19 +56,7 @@ def require_replaceable(path: Path, error: type[SmartTouchError]) -> None:
 def open_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> BinaryIO:
     """Open a regular file for reading; opening never waits for another program.
 
-    Parameters
-    ----------
-    path : Path
-        Any file; symbolic links are followed.
-    error : type of SmartTouchError
-        Class of the error.
-    most_bytes : int
-        Above which it is refused.
-
-    Raises
-    ------
-    SmartTouchError
-        Of the type given: see `require_file`.
+    Symbolic links are followed. See `require_file` for what is refused.
     """
     # Looked at before it is opened, as opening a device may do something to it, and after, as it
     # may have become another.
@@ -112,13 +94,7 @@ def read_text(path: Path, error: type[SmartTouchError], most_bytes: int = MOST_T
 
 
 def decoded(data: bytes, path: Path, error: type[SmartTouchError]) -> str:
-    """Return the text in UTF-8 that a file holds, without its byte-order mark.
-
-    Raises
-    ------
-    SmartTouchError
-        Of the type given, if it is none.
-    """
+    """Return the text in UTF-8 that a file holds, without its byte-order mark."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as failure:
@@ -127,13 +103,7 @@ def decoded(data: bytes, path: Path, error: type[SmartTouchError]) -> str:
 
 
 def read_toml(path: Path, error: type[SmartTouchError]) -> dict[str, Any]:
-    """Return the tables of a TOML file, of which nothing is believed yet.
-
-    Raises
-    ------
-    SmartTouchError
-        Of the type given, if it cannot be read, or is no TOML.
-    """
+    """Return the tables of a TOML file, of which nothing has been checked yet."""
     text = read_text(path, error, MOST_TOML_BYTES)
     try:
         return parse_toml(text)
@@ -143,13 +113,7 @@ def read_toml(path: Path, error: type[SmartTouchError]) -> dict[str, Any]:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Return the tables of a TOML text.
-
-    Raises
-    ------
-    ValueError
-        If it is none, or nested deeper than any table of ours.
-    """
+    """Return the tables of a TOML text; ValueError if it is invalid or nested too deeply."""
     if _DEEP_KEY.search(text):
         raise ValueError("a key has more than 32 parts")
     try:
@@ -170,13 +134,7 @@ def _require_integers(value: object) -> None:
 
 
 def parse_json(text: str | bytes) -> Any:
-    """Return the value of a JSON text.
-
-    Raises
-    ------
-    ValueError
-        If it is none, or nested too deeply.
-    """
+    """Return the value of a JSON text; ValueError if it is invalid or nested too deeply."""
     try:
         return json.loads(text)
     except RecursionError:
@@ -231,13 +189,7 @@ def make_folder(path: Path) -> None:
 
 
 def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTouchError) -> None:
-    """Write a file, or into a device or a pipe with a reader.
-
-    Raises
-    ------
-    SmartTouchError
-        Of the type given, if that cannot be: a full disk, a folder, a pipe without a reader.
-    """
+    """Write a file, or into a device or a pipe with a reader; raises the given type of error."""
     try:
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NONBLOCK
         with os.fdopen(owner_only(os.fspath(path), flags), "wb") as file:
@@ -254,20 +206,8 @@ def open_alone(path: Path, error: type[SmartTouchError], of: Path | None = None)
     """Open a file for reading and writing, created if missing, locked for this program.
 
     Another program that asks for the same is refused until this one closes the file or ends,
-    however it ends. File systems without locks let both in.
-
-    Parameters
-    ----------
-    path : Path
-    error : type of SmartTouchError
-        Class of the error.
-    of : Path, optional
-        The file to name where this one only stands for it.
-
-    Raises
-    ------
-    SmartTouchError
-        Of the type given: another program has it, or it cannot be written.
+    however it ends. File systems without locks let both in. An error names ``of`` where this file
+    only stands for it.
     """
     flags = os.O_RDWR | os.O_CREAT | os.O_NONBLOCK
     while True:

@@ -38,27 +38,12 @@ _MOVED_S = 0.001
 class Markers(Listener):
     """Three outlets: ``smarttouch-pulses``, ``smarttouch-frames`` and ``smarttouch-events``.
 
-    Pulses get a sample for each sequence (the board's number, or -1 where it was lost with
-    the board; slots; the strongest electrode's current; intensity; period), frames one for
-    each frame (number, place on the page, force), events a string for every event of
-    a run: keys, faults, trials, answers. Times are those of the run on LSL's clock: of a
-    sequence or frame, when it was due. Failing later than at the start ends nothing; it is
-    noted.
-
-    Parameters
-    ----------
-    source : str, optional
-        Distinguishes this run from others on the network; host and process if not given.
-
-    Attributes
-    ----------
-    notes : list of str
-        Warnings after the run.
-
-    Raises
-    ------
-    MarkersError
-        If the extra ``lsl`` is missing, or no outlet can be made.
+    Pulses get a sample for each sequence (the board's number, or -1 where it was lost with the
+    board; slots; the strongest electrode's current; intensity; period), frames one for each frame
+    (number, place on the page, force), events a string for every event of a run. Times are those of
+    the run on LSL's clock: of a sequence or frame, when it was due. Failing later than at the start
+    ends nothing; it is noted. ``source`` distinguishes this run on the network; host and process if
+    not given.
     """
 
     def __init__(self, source: str | None = None) -> None:

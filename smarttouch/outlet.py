@@ -111,10 +111,7 @@ class _Stream(io.RawIOBase):
 def never_waiting(stopped: Callable[[], bool]) -> Iterator[None]:
     """Let nobody wait for what is printed in the block; only its end does.
 
-    Parameters
-    ----------
-    stopped : callable
-        Whether someone wants the end: what a terminal does not take soon is then dropped.
+    Once ``stopped`` returns true, what a terminal does not take soon is dropped.
     """
     outlet = Outlet()
     before = sys.stdout, sys.stderr

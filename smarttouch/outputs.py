@@ -1,4 +1,4 @@
-"""Outputs of a run as listeners: recording, pictures of what was felt, patterns, LSL streams."""
+"""Outputs of a run as listeners: recordings, pictures of what was delivered, streams."""
 
 import contextlib
 from collections.abc import Callable, Iterator
@@ -22,19 +22,10 @@ if TYPE_CHECKING:
 
 
 class FeltPicture(Listener):
-    """Draws what was delivered, and what a finger felt of it, below what the finger passed over.
+    """Draws what was delivered, and the response of a finger, below what the finger passed over.
 
-    Needs a board that tells of every pulse: ``emulator:`` or ``simulated:``. Where no finger can
-    be made of a profile, a note says so, and what was delivered is drawn alone.
-
-    Parameters
-    ----------
-    path : Path
-        PNG file.
-    finger : int
-        Seed of the finger.
-    anatomy : str or Path
-        Of the finger: "branched", "paper" or a TOML file.
+    Needs a board that reports every pulse: ``emulator:`` or ``simulated:``. Where no finger can be
+    made of a profile, a note says so, and what was delivered is drawn alone.
     """
 
     def __init__(self, path: Path, finger: int = 1, anatomy: str | Path = "branched") -> None:
@@ -61,7 +52,7 @@ class FeltPicture(Listener):
             self._pulses = board.take_pulses
         else:
             raise SmartTouchError(
-                "what was felt can be drawn of a board that reports every pulse, and this one "
+                "this picture needs a board that reports every pulse, and this one "
                 "does not: use the board emulator:",
                 about="felt",
                 problem="conflict",
@@ -107,13 +98,7 @@ class FeltPicture(Listener):
 
 
 class Patterns(Listener):
-    """Writes the activation of each step as a film, as numbers or as pictures.
-
-    Parameters
-    ----------
-    path : Path
-        See `PatternFile`.
-    """
+    """Writes the activation of each step as film, numbers or pictures; see `PatternFile`."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()

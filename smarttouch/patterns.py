@@ -1,14 +1,16 @@
 """Activation of the electrodes, step by step, as pictures, a film, or numbers."""
 
 import json
+from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw
+from PIL import Image
 
+from smarttouch.cells import NEUTRAL, ElectrodePicture
 from smarttouch.errors import SmartTouchError
 from smarttouch.files import make_folder, write_bytes
 from smarttouch.profile import Profile
@@ -24,17 +26,7 @@ FORMATS = ".gif, .json, or the name of a folder for PNG files"
 class PatternFile:
     """Activation of each step of a run, kept and written to files.
 
-    Parameters
-    ----------
-    path : Path
-        A file that ends in ``.gif`` or ``.json``, else a folder of PNG files.
-    profile : Profile
-        Profile of the electrodes.
-
-    Raises
-    ------
-    SmartTouchError
-        If it is another kind of file, or there is something in the folder.
+    The path ends in ``.gif`` or ``.json``, else it is an empty or new folder of PNG files.
     """
 
     def __init__(self, path: Path, profile: Profile) -> None:
@@ -60,8 +52,8 @@ class PatternFile:
     def watch(self, sent: StepResult) -> None:
         """Keep the activation of a step, zero where there is no current."""
         tactile, sequence = sent.step.tactile, sent.step.sequence
-        felt = tactile.activation.max(axis=0) * (sequence.intensity > 0)
-        self.add(np.rint(255 * felt).astype(np.uint8), sequence.period_us)
+        active = tactile.activation.max(axis=0) * (sequence.intensity > 0)
+        self.add(np.rint(255 * active).astype(np.uint8), sequence.period_us)
 
     def add(self, level: NDArray[np.uint8], period_us: int) -> None:
         """Keep an activation, (E,), 255 the strongest, for a time."""
@@ -69,16 +61,10 @@ class PatternFile:
         self._period_us.append(period_us)
 
     def save(self) -> None:
-        """Write all files.
-
-        Raises
-        ------
-        SmartTouchError
-            If there are none, or they cannot be written.
-        """
+        """Write all files; raises if there are no steps, or they cannot be written."""
         if not self._activation:
             raise SmartTouchError(
-                "nothing was felt: there is nothing to write", about="patterns", problem="empty"
+                "there were no steps: nothing can be written", about="patterns", problem="empty"
             )
         try:
             {".gif": self._save_film, ".json": self._save_numbers, "": self._save_pictures}[
@@ -111,15 +97,15 @@ class PatternFile:
 
     def _save_pictures(self) -> None:
         make_folder(self._path)
-        draw = _Drawing(self._profile)
+        draw = self._painter()
         for number, row in enumerate(self._activation):
             picture = BytesIO()
-            draw.picture(row).save(picture, format="PNG")
+            draw(row).save(picture, format="PNG")
             write_bytes(self._path / f"step-{number:06d}.png", picture.getvalue())
 
     def _save_film(self) -> None:
-        draw = _Drawing(self._profile)
-        first, *others = (draw.picture(row) for row in self._activation)
+        draw = self._painter()
+        first, *others = (draw(row) for row in self._activation)
         # A film's clock counts hundredths of a second.
         ends = np.rint(np.cumsum(self._period_us) / 10_000).astype(int)
         durations = 10 * np.maximum(np.diff(ends, prepend=0), 1)
@@ -134,25 +120,15 @@ class PatternFile:
         )
         write_bytes(self._path, film.getvalue())
 
+    def _painter(self) -> Callable[[NDArray[np.uint8]], Image.Image]:
+        """Return what draws the array with every electrode as dark as it is active."""
+        electrodes = self._profile.electrodes
+        pitch_mm = min(electrodes.cell_mm)
+        scale = min(_PITCH_PIXELS / pitch_mm, _LARGEST_PICTURE / max(electrodes.extent_mm))
+        picture = ElectrodePicture(electrodes, max(scale, _SMALLEST_PIXELS / pitch_mm))
 
-class _Drawing:
-    """Draws an array with every electrode as dark as it is active."""
+        def draw(level: NDArray[np.uint8]) -> Image.Image:
+            colors = np.array(NEUTRAL) * (1 - level[:, None] / 255)
+            return Image.fromarray(picture.raster(colors.astype(np.uint8))).convert("L")
 
-    def __init__(self, profile: Profile) -> None:
-        electrodes = profile.electrodes
-        wide, high = electrodes.extent_mm
-        pitch = min(electrodes.cell_mm)
-        scale = min(_PITCH_PIXELS / pitch, _LARGEST_PICTURE / max(wide, high))
-        scale = max(scale, _SMALLEST_PIXELS / pitch)
-        self._size = (round(wide * scale), round(high * scale))
-        corner = np.array([wide, high]) / 2
-        self._center = (electrodes.position_mm + corner) * scale
-        self._radius = 0.42 * pitch * scale
-
-    def picture(self, activation: NDArray[np.uint8]) -> Image.Image:
-        image = Image.new("L", self._size, 255)
-        draw = ImageDraw.Draw(image)
-        for (x, y), level in zip(self._center.tolist(), activation.tolist(), strict=True):
-            r = self._radius
-            draw.ellipse((x - r, y - r, x + r, y + r), fill=255 - level, outline=200)
-        return image
+        return draw

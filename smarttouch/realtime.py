@@ -26,15 +26,7 @@ _LIMIT: int | None = getattr(resource, "RLIMIT_RTPRIO", None)
 
 @dataclass(frozen=True)
 class Pace:
-    """Real-time resources that the system gave a run.
-
-    Attributes
-    ----------
-    real_time : bool
-        Whether the thread has real-time priority.
-    locked : bool
-        Whether the process's memory stays where it is.
-    """
+    """Real-time resources that the system gave a run: the thread's priority, and locked memory."""
 
     real_time: bool = False
     locked: bool = False
@@ -66,17 +58,8 @@ def paced() -> Iterator[Pace]:
 
 @contextmanager
 def prioritized(level: int = LOOP) -> Iterator[bool]:
-    """Give this thread real-time priority as long as the block runs, if that is allowed.
-
-    Parameters
-    ----------
-    level : int
-        1 to 99; the higher goes first.
-
-    Yields
-    ------
-    bool
-        Whether it has it.
+    """Give this thread real-time priority, 1 to 99, in the block if allowed; yield whether it has
+    it.
     """
     before = _scheduling()
     given = before is not None and _give(level)

@@ -64,22 +64,8 @@ def find_opener(
 ) -> tuple[Callable[..., Any], str]:
     """Return the opener of ``url`` and the part of the URL after the name.
 
-    That of another package is checked: whether it can be called as it will be, and whether
-    its class keeps the contract of ``base``.
-
-    Parameters
-    ----------
-    group : str
-        Entry-point group: ``smarttouch.sources``, ``smarttouch.forces`` or
-        ``smarttouch.boards``.
-    url : str
-        ``name:rest``, for example ``page:letter.png`` or ``link:/dev/ttyACM0``.
-    error : type
-        What to raise if no such name is known, or what has it cannot be used.
-    base : type
-        Class of what it opens.
-    arguments : tuple of str
-        Names of what the opener is given by position.
+    That of another package is checked: whether it can be called with ``arguments`` by position, and
+    whether its class keeps the contract of ``base``.
     """
     name, colon, rest = url.partition(":")
     kind = _kind(group)
@@ -120,13 +106,7 @@ def given_options(
     options: dict[str, Any],
     error: type[SmartTouchError],
 ) -> dict[str, Any]:
-    """Return the options that were given, which those that are None were not.
-
-    Raises
-    ------
-    SmartTouchError
-        Of the type given, if the opener does not take one of them by its name.
-    """
+    """Return the options that are not None; raises if the opener does not take one by its name."""
     given = {name: value for name, value in options.items() if value is not None}
     parameters = inspect.signature(opener).parameters.values()
     taken = tuple(each.name for each in parameters if each.default is not each.empty)

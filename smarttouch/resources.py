@@ -1,15 +1,14 @@
 """Paths of the data that ships with the package."""
 
+from importlib.resources import files
 from pathlib import Path
-
-_PACKAGE = Path(__file__).resolve().parent
 
 
 def data_folder(name: str) -> Path:
     """Return a shipped data folder, ``calibration`` or ``sample_images``.
 
-    A wheel carries the folders inside the package; in a checkout (an editable
-    install) they lie beside it.
+    A wheel has the folders inside the package; in a checkout they lie beside it.
     """
-    inside = _PACKAGE / name
-    return inside if inside.is_dir() else _PACKAGE.parent / name
+    package = Path(str(files("smarttouch"))).resolve()
+    inside = package / name
+    return inside if inside.is_dir() else package.parent / name

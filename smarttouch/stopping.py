@@ -42,13 +42,7 @@ def thread_states() -> Iterator[tuple[int, str]]:
 
 
 class RunStopped(SystemExit):
-    """A signal, or what counts as one, ends the program: with 128 and the signal's number.
-
-    Attributes
-    ----------
-    number : int
-        Of the signal.
-    """
+    """A signal, or what counts as one, ends the program: with 128 and the signal's number."""
 
     def __init__(self, number: int, by: str | None = None) -> None:
         super().__init__(by or SIGNALS[signal.Signals(number)])
@@ -57,44 +51,29 @@ class RunStopped(SystemExit):
 
 @dataclass
 class StopRequest:
-    """Request to end a run, set once from any thread; never from a signal's handler.
-
-    Attributes
-    ----------
-    event : threading.Event
-        Set by the request.
-    reason : str
-        Source of the first request.
-    """
+    """Request to end a run, set once from any thread; never from a signal's handler."""
 
     event: threading.Event = field(default_factory=threading.Event)
     reason: str = ""
-    _told: list[Callable[[], None]] = field(default_factory=list, repr=False)
+    _on_stop: list[Callable[[], None]] = field(default_factory=list, repr=False)
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     def ask(self, reason: str, *, at_once: bool = True) -> None:
-        """Request the end of the run.
-
-        Parameters
-        ----------
-        reason : str
-        at_once : bool
-            Whether boards go to zero before this returns; else what was sent is still felt.
-        """
+        """Request the end of the run; ``at_once``: boards go to zero before this returns."""
         with self._lock:
             # The first reason is the true one: a second Ctrl-C changes nothing.
             self.reason = self.reason or reason
-            told = self._told.copy() if at_once else []
+            calls = self._on_stop.copy() if at_once else []
         self.event.set()
-        for tell in told:
+        for call in calls:
             # A board that cannot be reached is reported by its own thread when it is closed.
             with contextlib.suppress(SmartTouchError):
-                tell()
+                call()
 
     def always_tell(self, tell: Callable[[], None]) -> None:
         """Call a function whenever the end is requested, from now on."""
         with self._lock:
-            self._told.append(tell)
+            self._on_stop.append(tell)
 
     @contextmanager
     def telling(self, tell: Callable[[], None]) -> Iterator[None]:
@@ -106,32 +85,16 @@ class StopRequest:
             yield
         finally:
             with self._lock:
-                self._told.remove(tell)
+                self._on_stop.remove(tell)
 
 
 class SignalWatch:
     """Handler by which SIGINT, SIGTERM and SIGHUP end a run in order, and in time.
 
-    Handlers lock nothing: the system writes a signal's number into a pipe, and a thread
-    that waits for it asks for the stop, whatever the main thread is doing. A process that
-    has not ended soon after is ended by force.
-
-    Parameters
-    ----------
-    stop : StopRequest
-        Request to set.
-    give_up : callable
-        Ends the process by force, given the number of the signal.
-
-    Attributes
-    ----------
-    number : int
-        Of the first signal; 0 if there was none.
-    orderly : bool
-        Whether the main thread ends by itself what it does when asked to stop; else a signal
-        raises `RunStopped` in it.
-    patience_s : float
-        From a signal to the end by force.
+    Handlers lock nothing: the system writes a signal's number into a pipe, and a thread that waits
+    for it asks for the stop, whatever the main thread is doing. A process that has not ended within
+    ``patience_s`` is ended by force, by ``give_up`` with the number of the signal. If ``orderly``,
+    the main thread ends by itself; else a signal raises `RunStopped` in it.
     """
 
     def __init__(self, stop: StopRequest, give_up: Callable[[int], None]) -> None:

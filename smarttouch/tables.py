@@ -16,20 +16,7 @@ from smarttouch.files import read_text
 
 @dataclass(frozen=True, eq=False)
 class CsvTable:
-    """Rows of a CSV file below its heading; blank ones are left out.
-
-    Attributes
-    ----------
-    path : Path
-    error : type of SmartTouchError
-        What is raised where something is wrong.
-    head : tuple of str
-        Names of the columns, without spaces around them.
-    rows : list of list of str
-        Cells of each.
-    lines : list of int
-        Number of each row's line in the file.
-    """
+    """Rows of a CSV file below its heading, with their line numbers; blank ones are left out."""
 
     path: Path
     error: type[SmartTouchError]
@@ -40,20 +27,9 @@ class CsvTable:
     def numbers(
         self, names: Sequence[str], fewest: int = 2, rising: bool = True
     ) -> NDArray[np.float64]:
-        """Return columns of numbers, (N, len(names)); others are not used.
+        """Return the named columns of numbers, (N, len(names)); the first must rise, if ``rising``.
 
-        Parameters
-        ----------
-        names : sequence of str
-        fewest : int
-            Rows that are needed.
-        rising : bool
-            Whether the first column must rise from row to row.
-
-        Raises
-        ------
-        SmartTouchError
-            Of the table's type: about ``columns``, ``rows`` or a ``line``.
+        Raises the error of the table about ``columns``, ``rows`` or a ``line``.
         """
         if not set(names) <= set(self.head):
             message = (
@@ -98,13 +74,7 @@ class CsvTable:
 
 
 def read_csv(path: Path, error: type[SmartTouchError]) -> CsvTable:
-    """Read a table of cells between commas.
-
-    Raises
-    ------
-    SmartTouchError
-        Of the type given: see `read_text`, or it is no such table.
-    """
+    """Read a table of cells between commas; raises the given type of error."""
     return parse_csv(read_text(path, error), path, error)
 
 
@@ -115,13 +85,7 @@ def parse_csv(
     delimiter: str = ",",
     strict: bool = False,
 ) -> CsvTable:
-    """Return the table in a text.
-
-    Raises
-    ------
-    SmartTouchError
-        Of the type given, if it is none; if strict, also where quotes are left open.
-    """
+    """Return the table in a text; if strict, open quotes are an error, too."""
     try:
         reader = csv.reader(io.StringIO(text, newline=""), delimiter=delimiter, strict=strict)
         found = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]

@@ -37,15 +37,7 @@ def _stand_in(found: re.Match[str]) -> str:
 
 
 class Output:
-    """Standard stream whose failures become one sentence.
-
-    Parameters
-    ----------
-    stream : file
-        Stream to write to.
-    name : str
-        Name in that sentence; if empty, what cannot be written is dropped.
-    """
+    """Standard stream whose failures become one sentence; without a name they are dropped."""
 
     def __init__(self, stream: TextIO, name: str) -> None:
         self._stream, self._name = stream, name
@@ -134,21 +126,7 @@ def print_table(
     ruled: bool = False,
     left: int = 1,
 ) -> None:
-    """Print a table.
-
-    Parameters
-    ----------
-    rows : iterable of sequences
-        Of texts.
-    heading : sequence of str
-        Names of the columns; no line of them if there are none.
-    title, note : str, optional
-        Above and below.
-    ruled : bool
-        Draw lines around it.
-    left : int
-        So many columns keep to the left, the others to the right.
-    """
+    """Print a table of texts; its first ``left`` columns are aligned left, the others right."""
     from rich.box import HEAVY_HEAD
     from rich.table import Table
 

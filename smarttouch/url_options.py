@@ -16,19 +16,9 @@ def read_options(
 ) -> tuple[str, dict[str, Any]]:
     """Return what follows the name in a URL without its options, and these in their types.
 
-    A file that exists under the whole name has no options, nor has what looks like none
-    (``text:Is it so?``), nor what belongs to an opener that takes none: that may have its own.
-
-    Parameters
-    ----------
-    opener : callable
-        From `find_opener`; types are those of its annotations.
-    rest : str
-        What stands after the colon.
-    error : type
-        What to raise if there is no such option, or it cannot be read.
-    but : collection of str
-        Options that are not given in a URL.
+    Types are those of the annotations of the opener. A file that exists under the whole name has no
+    options, nor has what looks like none (``text:Is it so?``), nor what belongs to an opener that
+    takes none: that may have its own. Options in ``but`` are not for URLs.
     """
     place, mark, query = rest.rpartition("?")
     known = options_of(opener, but)
@@ -61,23 +51,17 @@ def read_options(
 
 
 def joined_options(
-    url: str, given: dict[str, Any], told: dict[str, Any], error: type[SmartTouchError]
+    url: str, given: dict[str, Any], in_url: dict[str, Any], error: type[SmartTouchError]
 ) -> dict[str, Any]:
-    """Return the options that were given beside a URL and those told in it, together.
-
-    Raises
-    ------
-    SmartTouchError
-        Of the type given, if one is in both.
-    """
-    if twice := sorted(given.keys() & told.keys()):
+    """Return the options given beside a URL and those in it; raises if one is in both."""
+    if twice := sorted(given.keys() & in_url.keys()):
         raise error(
             f"{twice[0]} is given in {url!r} and beside it: leave one out",
             about=twice[0],
             problem="conflict",
-            value=(told[twice[0]], given[twice[0]]),
+            value=(in_url[twice[0]], given[twice[0]]),
         )
-    return given | told
+    return given | in_url
 
 
 def parse_size(text: str, error: type[SmartTouchError], about: str) -> tuple[int, int]:

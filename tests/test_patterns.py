@@ -56,7 +56,7 @@ def test_numbers(keep, profile):
 
 def dark(image):
     grey = np.asarray(image.convert("L"))
-    rows, columns = np.nonzero(grey < 160)
+    rows, columns = np.nonzero(grey < 140)
     return (int(columns.mean() * 8 / grey.shape[1]), int(rows.mean() * 8 / grey.shape[0]))
 
 
@@ -68,7 +68,7 @@ def test_a_film(keep):
             frames.append((film.info["duration"], film.convert("L")))
     assert [duration for duration, _ in frames][:2] == [20, 60]
     assert [dark(frame) for _, frame in frames[:2]] == [(0, 0), (1, 1)]
-    assert np.asarray(frames[2][1]).min() > 160
+    assert np.asarray(frames[2][1]).min() > 140
 
 
 def test_a_folder_of_pictures(keep):

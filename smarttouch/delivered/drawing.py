@@ -31,7 +31,6 @@ from smarttouch.running.step import StepResult
 from smarttouch.sources.frame import Pose
 
 FINEST_MM = 0.1
-"""Finest pixel of a picture, on what was touched."""
 _WIDTH = (900, 1400)
 """Pixels that a picture is drawn wide at least, and at most."""
 _MARGIN, _LABEL = 24, 28
@@ -49,20 +48,13 @@ of so many mm, None where there is nothing to see."""
 class FeltDrawing(DeliveredAnswers, ABC):
     """Delivered pulses where the electrodes were, below what they touched.
 
-    Every place shows the mean answer of the electrodes that passed it, or the strongest.
-
-    Parameters
-    ----------
-    profile, bank, afferents
-        See `Perception`.
-    magnification : float
-        Millimeters of the array for one of what it touches.
+    Every place shows the mean response of the electrodes that passed it, or the strongest;
+    ``magnification`` is mm of the array for one of what it touches. See `Perception`.
     """
 
     strongest = False
-    """Whether a place shows the strongest answer, and not the mean."""
+    """Whether a place shows the strongest response, not the mean."""
     longest_px = 4000
-    """Pixels of the longer side at most."""
 
     def __init__(
         self,
@@ -81,13 +73,7 @@ class FeltDrawing(DeliveredAnswers, ABC):
 
     @abstractmethod
     def under(self) -> Under:
-        """Return what was touched.
-
-        Raises
-        ------
-        SmartTouchError
-            If nothing was.
-        """
+        """Return what was touched; raises if nothing was."""
 
     def deliver(
         self,
@@ -96,7 +82,7 @@ class FeltDrawing(DeliveredAnswers, ABC):
         current_ua: NDArray[np.int16],
         finger: Finger | None = None,
     ) -> None:
-        """Take delivered slots, see `answers`; with a finger what it felt is drawn, too."""
+        """Take delivered slots, see `answers`; with a finger its spikes are drawn, too."""
         super().deliver(numbers, width_us, current_ua)
         self._finger = finger
         if finger is not None:
@@ -144,13 +130,7 @@ class FeltDrawing(DeliveredAnswers, ABC):
         )
 
     def save(self, path: Path) -> None:
-        """Write what was touched with the touch below it as one PNG that says its true size.
-
-        Raises
-        ------
-        SmartTouchError
-            If there is nothing to draw, or the file cannot be written.
-        """
+        """Write what was touched with the touch below it as one PNG that states its true size."""
         title, corner_mm, (width_mm, height_mm), draw_under = self.under()
         pixel_mm = max(FINEST_MM, max(width_mm, height_mm) / self.longest_px)
         height, width = round(height_mm / pixel_mm), round(width_mm / pixel_mm)
@@ -217,14 +197,8 @@ def _draw_classes(
 
 
 class PageDrawing(FeltDrawing):
-    """Shows the mean answer at every place of a page.
-
-    Parameters
-    ----------
-    profile, bank, afferents
-        See `Perception`.
-    page : Page, optional
-        What the finger passed over; put together from the frames if not given.
+    """Shows the mean response at every place of a page, which is put together from the frames if
+    not given.
     """
 
     def __init__(

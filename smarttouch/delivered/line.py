@@ -10,22 +10,13 @@ from smarttouch.delivered.raster import Raster, as_ink
 from smarttouch.electrodes import ElectrodeArray
 
 PIXELS_PER_PITCH = 4
-"""Of the image put together."""
 _BLUR_X, _BLUR_Y = 0.4, 0.55
 """Standard deviations with which values spread between the places where they were taken, in cells:
 wide enough to fill what lies between two rows, and no wider. Found on printed lines."""
 
 
 class LinePicture:
-    """Averages the values of electrodes at the places they passed.
-
-    Parameters
-    ----------
-    electrodes : ElectrodeArray
-        The E electrodes.
-    length_mm : float, mm
-        Of the line.
-    """
+    """Averages the values of electrodes at the places they passed along a line."""
 
     def __init__(self, electrodes: ElectrodeArray, length_mm: float) -> None:
         self._pixel_mm = min(electrodes.cell_mm) / PIXELS_PER_PITCH

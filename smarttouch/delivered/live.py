@@ -26,31 +26,19 @@ _ENDS_WITHIN_S = 5.0
 
 
 class LiveFinger(Listener):
-    """Lets a finger feel the newest step of a run whenever it is done with the one before.
+    """Simulates a finger's response to the newest step of a run whenever the one before is done.
 
-    The loop never waits for it: it hands over a step only to an idle process, and goes on. A thread
-    would not do, as it could be held up while it has the interpreter.
-
-    Parameters
-    ----------
-    finger : Finger
-    draw : callable, optional
-        Given each `Feeling` in that process, which must be able to import it.
-
-    Attributes
-    ----------
-    newest : Feeling or None
-    drawn : object
-        What ``draw`` returned of the newest.
-    felt, skipped : int
-        Numbers of steps that were felt, and that came while the finger was at another.
+    The loop never waits: it hands a step only to an idle process. A thread would not do, as it
+    could be held up while it has the interpreter. ``draw`` is called with each `Feeling` in that
+    process, which must be able to import it; its result is ``drawn``. ``simulated`` and ``skipped``
+    count steps that were simulated, and that came meanwhile.
     """
 
     def __init__(self, finger: Finger, draw: Callable[[Feeling], Any] | None = None) -> None:
         super().__init__()
         self.newest: Feeling | None = None
         self.drawn: Any = None
-        self.felt = self.skipped = 0
+        self.simulated = self.skipped = 0
         self._finger, self._draw = finger, draw
         self._line: Connection | None = None
         self._process: subprocess.Popen[bytes] | None = None
@@ -72,7 +60,7 @@ class LiveFinger(Listener):
         self._receive()
 
     def step(self, result: StepResult) -> None:
-        """Take what was felt, if it is there, and hand over a step, if nothing is under way."""
+        """Take a finished response, and hand over a step if none is under way."""
         assert self._line is not None
         if self._given is not None and self._line.poll():
             self._take()
@@ -116,7 +104,7 @@ class LiveFinger(Listener):
         spikes, self.drawn = self._receive()
         self.newest = Feeling(self._finger, (spikes,), self._given.active, self._given.wanted)
         self._given = None
-        self.felt += 1
+        self.simulated += 1
 
     def _receive(self) -> Any:
         with self._alive() as line:
@@ -136,7 +124,7 @@ class LiveFinger(Listener):
 
 
 def serve(number: int) -> None:
-    """Feel what comes by a socket until it is closed."""
+    """Simulate responses to what comes by a socket until it is closed."""
     os.nice(_POLITE)
     with Connection(number) as line:
         finger, draw = line.recv()

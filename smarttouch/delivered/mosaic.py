@@ -20,13 +20,7 @@ _BLOCK = 256
 
 
 class Mosaic:
-    """Average of frames at their poses; grows as the source moves.
-
-    Parameters
-    ----------
-    optics : Optics
-        Field of view of the frames.
-    """
+    """Average of frames at their poses; grows as the source moves."""
 
     def __init__(self, optics: Optics) -> None:
         self._optics = optics
@@ -90,12 +84,8 @@ class Mosaic:
         return True
 
     def page(self) -> tuple[Page, tuple[float, float]]:
-        """Return the page, and where its top left corner is, (x, y) mm.
-
-        Raises
-        ------
-        SmartTouchError
-            If nothing was seen.
+        """Return the page, and where its top left corner is, (x, y) mm; raises if no frame was
+        seen.
         """
         rows, columns = (np.flatnonzero(self._count.any(axis=axis)) for axis in (1, 0))
         if not len(rows):

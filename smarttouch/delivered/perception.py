@@ -18,18 +18,9 @@ Floats = NDArray[np.float32]
 class Perception:
     """Response of the receptors under the electrodes, by their activating function.
 
-    Each delivered slot activates the receptors under all electrodes; how much
-    is the activating function at their nodes. An answer counts from the
-    detection threshold on, and is 1 at the strongest comfortable pulse.
-
-    Parameters
-    ----------
-    profile : Profile
-        Thresholds and pulse.
-    bank : KernelBank
-        Its kernels, for what a full pulse does, and its receptors.
-    afferents : tuple of Afferent
-        Classes of the response; of several the strongest response counts.
+    Each delivered slot activates the receptors under all electrodes by the activating function at
+    their nodes; a response counts from the detection threshold on, and is 1 at the strongest
+    comfortable pulse. Of several classes the strongest response counts.
     """
 
     def __init__(self, profile: Profile, bank: KernelBank, afferents: tuple[Afferent, ...]) -> None:
@@ -39,28 +30,17 @@ class Perception:
         for afferent in afferents:
             receptor = bank.receptor[afferent]
             full = full_ua * (receptor * bank.kernels(afferent)).sum(axis=1)
-            # Masked sites have no kernel: nothing is felt there.
+            # Masked sites have no kernel: there is no response.
             self._receptors.append((receptor.T, np.where(full > 0, full, np.inf)))
         self._threshold = profile.threshold_ma / profile.full_ma
 
     def answers(
         self, numbers: NDArray[np.uint32], width_us: Floats, current_ua: NDArray[np.int16]
     ) -> dict[int, Floats]:
-        """Return the strongest answer at each site to the slots of each sequence.
+        """Return the strongest response at each site to the slots of each sequence, (E,) in [0, 1].
 
-        Parameters
-        ----------
-        numbers : ndarray, (N,)
-            The sequence each slot belongs to; slots of one follow each other.
-        width_us : ndarray, (N,), µs
-            How long it lasted.
-        current_ua : ndarray, (N, E) int16, µA
-            Delivered current, positive cathodic.
-
-        Returns
-        -------
-        dict
-            By number of the sequence, (E,) in [0, 1]; those without a slot are not in it.
+        Slots of one sequence, by ``numbers`` (N,), follow each other, with their ``width_us`` (N,)
+        and ``current_ua`` (N, E), positive cathodic. Sequences without a slot are left out.
         """
         if not len(numbers):
             return {}
@@ -73,9 +53,9 @@ class Perception:
 
 
 class DeliveredAnswers(Perception):
-    """Poses of the sequences of a run, and after it the answers to them.
+    """Poses of the sequences of a run, and after it the responses to them.
 
-    Iterating yields the pose and the answer, (E,) in [0, 1], of each sequence that the board got
+    Iterating yields the pose and the response, (E,) in [0, 1], of each sequence that the board got
     while the finger touched.
     """
 

@@ -45,17 +45,9 @@ def delivered_spikes(
     period_us: Mapping[int, int],
     most_slots: int | None = None,
 ) -> Counts:
-    """Return what a finger felt of delivered pulses.
+    """Return the spikes of a finger under delivered slots (see `Perception.answers`).
 
-    Parameters
-    ----------
-    finger : Finger
-    numbers, width_us, current_ua
-        Delivered slots, see `Perception.answers`.
-    period_us : mapping of int to int, µs
-        Length of each sequence that counts, by its number.
-    most_slots : int, optional
-        Of more slots sequences are left out evenly.
+    Sequences count that ``period_us`` names; of more than ``most_slots`` they are left out evenly.
     """
     begins = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
     parts = zip(begins, np.append(begins[1:], len(numbers)), strict=False)
@@ -86,20 +78,9 @@ def felt_in_color(
 ) -> NDArray[np.uint8]:
     """Return spikes where the receptors were, in the color of each class, (H, W, 3) on white.
 
-    Parameters
-    ----------
-    finger : Finger
-    felt : iterable of (Pose, ndarray)
-        Spikes of each afferent at poses of the finger.
-    placed : callable
-        Returns where places of the finger are at a pose, (N, 2) mm from the picture's corner.
-    shape : tuple of int
-        Rows and columns.
-    pixel_mm : float
-    field_mm : float
-        Standard deviation of a receptive field, on the picture.
-    mean : bool
-        Whether a place shows its spikes for each pass of the finger, and not all together.
+    ``felt`` yields the spikes of each afferent at poses of the finger; ``placed`` returns where
+    places of the finger are at a pose, (N, 2) mm from the picture's corner; ``field_mm`` is the
+    standard deviation of a receptive field. With ``mean`` a place shows its spikes for each pass.
     """
     spikes, passes = np.zeros((len(Afferent), *shape), np.float32), np.zeros(shape, np.float32)
     sides = [np.arange(-side, side, _SIDE_MM) + _SIDE_MM / 2 for side in finger.reach_mm]

@@ -9,15 +9,7 @@ Floats = NDArray[np.float32]
 
 
 class Raster:
-    """Pixels with the sum of the values that were put there, or the strongest of them.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns; values beyond them are left out.
-    strongest : bool
-        Whether the strongest value counts, and not the sum.
-    """
+    """Pixels with the sum of the values put there, or the strongest; values beyond are left out."""
 
     def __init__(self, shape: tuple[int, int], strongest: bool = False) -> None:
         self.value, self.count = np.zeros(shape, np.float32), np.zeros(shape, np.float32)

@@ -42,12 +42,12 @@ class DrawSource(StimulusSource):
     """Source of the drawing of a page, or of a list of patterns one after another."""
 
     knows_force = True
-    on_page = True
 
     def __init__(self, profile: Profile) -> None:
         super().__init__("drawing")
         self.patterns: list[Pattern] = []
         self.changes = 1
+        self.canvas = self
         self._profile = profile
         self._level = np.zeros(len(profile.electrodes), np.uint8)
         self._press_n, self._library = press_n(profile), library(profile.electrodes)

@@ -8,7 +8,7 @@ from rich.text import Text
 from smarttouch.events import Event
 from smarttouch.monitor.screen import Screen, bar
 
-_KEYS = "+ − amplitude    0 none    space pause    q, Esc end, goes on another time"
+_BLIND_KEYS = "+ − amplitude    0 none    space pause    q, Esc end, goes on another time"
 
 
 class BlindScreen(Screen):
@@ -39,6 +39,6 @@ class BlindScreen(Screen):
             Text(where, style="dim"),
             Panel(Text(now or " ", style="bold", justify="center"), width=72, padding=(1, 2)),
             table,
-            Text(_KEYS, style="dim"),
+            Text(_BLIND_KEYS, style="dim"),
             Text(self._event, style="dim"),
         )

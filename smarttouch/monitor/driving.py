@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 from smarttouch.boards.announced import refuse_if_stopped
 from smarttouch.boards.stoppable import announced
 from smarttouch.errors import BoardError, BoardStoppedError
-from smarttouch.monitor import keyboard
+from smarttouch.monitor.keyboard import restore
 from smarttouch.outlet import never_waiting
 from smarttouch.stopping import RunStopped, SignalWatch, StopRequest
 
@@ -23,7 +23,6 @@ _T = TypeVar("_T")
 _CURSOR_ON = b"\x1b[?25h"
 
 _watches: list[tuple[StopRequest, SignalWatch]] = []
-"""Of the command that runs, if it is one of these."""
 
 
 def drives_a_board(command: Callable[_P, _T]) -> Callable[_P, _T]:
@@ -56,12 +55,9 @@ def the_stop() -> StopRequest:
 
 @contextmanager
 def ending_in_order(patience_s: float | None = None) -> Iterator[None]:
-    """Leave it to the block to end when the stop is asked for; else a signal ends it anywhere.
+    """Leave it to the block to end when the stop is requested; else a signal ends it anywhere.
 
-    Parameters
-    ----------
-    patience_s : float, optional
-        How long after a signal its end may take.
+    Its end may take ``patience_s`` after a signal.
     """
     if not _watches:
         yield
@@ -77,16 +73,7 @@ def ending_in_order(patience_s: float | None = None) -> Iterator[None]:
 def opened(board: "Board", stop: StopRequest | None = None) -> Iterator["Board"]:
     """Open a board for a block; a stop puts it at zero at once, also while it is being opened.
 
-    Parameters
-    ----------
-    board : Board
-    stop : StopRequest, optional
-        That of the command if not given.
-
-    Raises
-    ------
-    BoardStoppedError
-        From what is sent after a stop.
+    What is sent after a stop raises BoardStoppedError.
     """
     with ending_in_order(), (stop or the_stop()).telling(board.halt):
         if _watches:
@@ -145,7 +132,7 @@ def _told_as_stopped(watch: SignalWatch) -> Iterator[None]:
 
 def _give_up(number: int) -> None:
     """End the process now: every board is at zero, and something keeps the rest waiting."""
-    keyboard.restore()
+    restore()
     with contextlib.suppress(OSError, ValueError):
         for stream in (sys.__stdout__, sys.__stderr__):
             place = -1 if stream is None else stream.fileno()

@@ -24,30 +24,17 @@ _KEYS = "+ − intensity    0 none    space pause    m mode    q, Esc end"
 _ROOMY = 20
 """Rows of a terminal from which an event has two of them."""
 _LEAST_PICTURE = 9
-"""Rows of the pictures and their title that numbers leave them."""
+"""Fewest rows of the pictures and their title beside the numbers."""
 _NAME = 9
-"""Width of the names of gauges and numbers."""
 
 Rows = tuple[tuple[str, str], ...]
-"""Names, and what is said of them."""
 
 
 class Screen(Listener):
     """Shows a run as it goes, from a thread of its own, and sums it up.
 
-    Where nothing can be drawn, it prints a line for each event and for each new title of the
-    source instead; when quiet, nothing.
-
-    Parameters
-    ----------
-    url : str
-        Of the board.
-    quiet : bool
-        Show nothing.
-    keys_help : str
-        Words on keys of the source.
-    plain : bool
-        Draw nothing, on a terminal either.
+    Where nothing can be drawn, or if plain, it prints a line for each event and for each new title
+    of the source instead; when quiet, nothing.
     """
 
     def __init__(self, url: str, quiet: bool, keys_help: str = "", plain: bool = False) -> None:
@@ -56,7 +43,7 @@ class Screen(Listener):
         self._console = terminal.console()
         drawn = self._console.is_terminal and not self._console.is_dumb_terminal
         self._plain = not quiet and (plain or not drawn)
-        self._told = ""
+        self._title = ""
         self._early: list[str] | None = []
         """Lines on what happened before the board was open."""
         self._latest: StepResult | None = None
@@ -84,10 +71,10 @@ class Screen(Listener):
         self._live.start()
 
     def start(self, run: RunContext) -> None:
-        """Tell what runs, and by which keys, where nothing is drawn."""
+        """Print what runs, and its keys, where nothing is drawn."""
         if self._plain:
-            self._told = run.source.title
-            self._print(f"{self._told}, {run.profile.title}, {self._url}")
+            self._title = run.source.title
+            self._print(f"{self._title}, {run.profile.title}, {self._url}")
             if sys.stdin.isatty():
                 keys = (" ".join(each.split()) for each in self._keys.split("    "))
                 self._print(f"keys: {', '.join(keys)}")
@@ -99,8 +86,8 @@ class Screen(Listener):
         """Keep the newest; the screen's own thread draws it when it gets to it."""
         self._latest = result
         title = self._source.title
-        if self._plain and title != self._told:
-            self._told = title
+        if self._plain and title != self._title:
+            self._title = title
             self._print(f"{result.step.input.time_ns / 1e9:.1f} s: {title}")
 
     def event(self, event: Event) -> None:
@@ -183,7 +170,7 @@ class Screen(Listener):
         return table
 
     def _gauges(self, sent: StepResult, width: int) -> Rows:
-        """Return what bounds what is felt, each with a bar of what is left of a half's width."""
+        """Return what limits the stimulus, each with a bar of what is left of a half's width."""
         frame, sequence, limits = sent.step.input, sent.step.sequence, self._profile.limits
         peak_ma = float(np.abs(sequence.current_ua.astype(np.int32)).max(initial=0)) / 1000
         charge_uc = peak_ma * float(sequence.width_us.max(initial=0)) / 1000

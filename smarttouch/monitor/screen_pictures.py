@@ -1,4 +1,4 @@
-"""Pictures of signs for a terminal: an image that was read, and the electrodes of an array."""
+"""Pictures of characters for a terminal: an image that was read, and the electrodes of an array."""
 
 import cv2
 import numpy as np
@@ -8,10 +8,9 @@ from rich.text import Text
 from smarttouch.profile import Profile
 
 MOST_ROWS, MOST_COLUMNS = 16, 64
-"""Largest picture of an image, in signs: drawing more takes time from the loop."""
+"""Largest picture of an image, in characters: drawing more takes time from the loop."""
 
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
-"""Bit of each dot in the number of a Braille sign."""
 _DITHER = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) + 0.5) * 16
 """Grey value above which each dot of two signs side by side is bright."""
 
@@ -47,12 +46,7 @@ def _dots(image: NDArray[np.uint8], columns: int, rows: int) -> Text:
 
 
 class ArrayPicture:
-    """Place of each electrode on a canvas of signs, whatever its array.
-
-    Parameters
-    ----------
-    profile : Profile
-    """
+    """Place of each electrode on a canvas of characters, whatever its array."""
 
     def __init__(self, profile: Profile) -> None:
         position = profile.electrodes.position_mm
@@ -63,17 +57,13 @@ class ArrayPicture:
         self._spread = 3 if step_x >= step_y else 2
 
     def merged(self, columns: int, rows: int) -> int:
-        """Return how many columns and rows of electrodes one sign stands for."""
+        """Return how many columns and rows of electrodes one character stands for."""
         return max(-(-self._columns // columns), -(-self._rows // rows))
 
     def draw(self, parts: NDArray[np.float32], columns: int, rows: int) -> Text:
-        """Draw electrodes within a number of columns and rows.
+        """Draw electrodes, (E,) as parts of the strongest, within a number of columns and rows.
 
-        Parameters
-        ----------
-        parts : ndarray, (E,)
-            Part that each has of the strongest; a sign shows the most of its electrodes.
-        columns, rows : int
+        A character shows the largest of its electrodes.
         """
         merged = self.merged(columns, rows)
         shape = -(-self._rows // merged), -(-self._columns // merged)

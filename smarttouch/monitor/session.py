@@ -28,10 +28,9 @@ from smarttouch.sources.source import Source
 from smarttouch.stopping import ENDS_WITHIN_S, StopRequest
 
 DRAWN_WITHIN_S = 30.0
-"""Of the end after a signal, where pictures are drawn: a second signal ends it at once."""
+"""Time for the end after a signal where pictures are drawn; a second signal ends it at once."""
 
 Keys = Mapping[str, Callable[[], None]]
-"""Function of each key; called from any thread."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,19 +91,8 @@ def run_in_terminal(
 ) -> None:
     """Run a source on a display until it ends or a user ends it; print how it went.
 
-    Parameters
-    ----------
-    source, display, config, force, controls
-        See `Runner`.
-    outputs : Outputs
-    screen : type
-        Shows the run.
-    keys : mapping, optional
-        Functions of single keys, beside those of the run.
-    keys_help : str
-        Words on them for the screen.
-    listeners : iterable of Listener
-        Follow the run beside the outputs.
+    Arguments are those of `Runner`; ``keys`` are functions of single keys beside those of the run,
+    ``keys_help`` words on them for the screen.
     """
     stop = the_stop()
     shown = screen(display.url, outputs.quiet, keys_help, outputs.plain)
@@ -113,7 +101,7 @@ def run_in_terminal(
     followers = outputs.listeners()
     windows: list[Listener] = []
     # What is drawn on a page needs one.
-    port = 0 if outputs.window is None and getattr(source, "on_page", False) else outputs.window
+    port = 0 if outputs.window is None and source.canvas is not None else outputs.window
     if port is not None:
         from smarttouch.window.live import Window
 
@@ -171,13 +159,7 @@ def _opened(display: Display, stop: StopRequest) -> AbstractContextManager[Board
 
 
 class _Orderly(Listener):
-    """Leaves it to the run to end when a signal comes, from when a board may be open.
-
-    Parameters
-    ----------
-    patience_s : float
-        Time that its end may take.
-    """
+    """Leaves it to the run to end when a signal comes, from when a board may be open."""
 
     def __init__(self, patience_s: float) -> None:
         super().__init__()
@@ -193,14 +175,7 @@ class _Orderly(Listener):
 
 
 class _Keyboard(Listener):
-    """Lets keys control a run.
-
-    Parameters
-    ----------
-    stop : StopRequest
-    keys : mapping
-        Functions of keys, beside intensity, pause, mode and the end.
-    """
+    """Lets keys control a run."""
 
     def __init__(self, stop: StopRequest, keys: Keys) -> None:
         super().__init__()

@@ -28,13 +28,7 @@ def show_recordings(paths: Sequence[Path], port: int = 0) -> None:
 
 
 def save_view(path: Path, output: Path, step: int = 0, slot: int | None = None) -> None:
-    """Write a step of a recording as a picture, or all from it on as a film.
-
-    Raises
-    ------
-    RecordingError
-        If it is no recording, has no such step or slot, or the file is of another kind.
-    """
+    """Write a step of a recording as a picture, or all from it on as a film."""
     if output.suffix not in KINDS:
         raise RecordingError(
             f"cannot write {output}: give a name that ends in {', '.join(KINDS)}",

@@ -20,21 +20,14 @@ Array = NDArray[np.float64]
 
 _BANDS_HZ = {Afferent.RA: RA_BAND_HZ, Afferent.PC: PC_BAND_HZ}
 _MOST_POINTS = 20_000
-"""Largest number of points of a curve."""
 
 
 @dataclass(frozen=True, eq=False)
 class ClassRow:
     """Data of one class in the figure.
 
-    Attributes
-    ----------
-    drive : ndarray, (N,), in [0, 1]
-        Response at each time of the trace.
-    pulse_s, pulse_drive : ndarray, (K,)
-        Its pulses: when, and how strong; none if nothing was mixed.
-    vibrated : bool
-        Its pulses are levels, held until the next one.
+    ``drive`` is the response at each time of the trace, (N,) in [0, 1]; its K pulses are at
+    ``pulse_s``, as strong as ``pulse_drive``, and levels held until the next one if ``vibrated``.
     """
 
     drive: Array
@@ -59,7 +52,7 @@ def thresholds_figure() -> "Figure":
     _plain_ticks(axes, (1, 3, 10, 30, 100, 300, 1000))
     axes.set_yticks([0.1, 1, 10, 100, 1000], ["0.1", "1", "10", "100", "1000"])
     axes.legend(frameon=False, fontsize=8)
-    title = "Smallest vibration that each class answers (| the paper's bands)"
+    title = "Detection threshold of each class (| the paper's bands)"
     plain(axes, title, "frequency (Hz)", "amplitude (µm)")
     return figure
 
@@ -71,17 +64,7 @@ def color_figure(
     rows: Mapping[Afferent, ClassRow],
     title: str,
 ) -> "Figure":
-    """Draw a trace, the response of each class, and the pulses of each.
-
-    Parameters
-    ----------
-    time_s, displacement_um, force_n : ndarray, (N,)
-        The trace.
-    rows : mapping of Afferent to ClassRow
-        One panel each, in this order.
-    title : str
-        Title of the trace.
-    """
+    """Draw a trace, (N,) each, the response of each class, and the pulses of each."""
     figure = new_figure(8.4, 2.0 + 1.15 * len(rows))
     panels = figure.subplots(
         1 + len(rows), 1, sharex=True, squeeze=False, height_ratios=[1.3] + [1] * len(rows)
@@ -110,13 +93,13 @@ def _draw_trace(axes: Any, time_s: Array, moved_um: Array, force_n: Array, title
 def _draw_class(axes: Any, time_s: Array, afferent: Afferent, row: ClassRow) -> None:
     color, part = CLASS_COLORS[afferent], _thinned(time_s)
     axes.fill_between(time_s[part], row.drive[part], color=color, alpha=0.25, lw=0)
-    what = "answers"
+    what = "response"
     if row.vibrated:
         axes.step(row.pulse_s, row.pulse_drive, where="post", color=color, lw=0.9)
-        what = "answers, and shaken by vibrators"
+        what = "response, and vibration"
     elif len(row.pulse_s):
         axes.vlines(row.pulse_s, 0, row.pulse_drive, color=color, lw=0.7)
-        what = f"answers, and {len(row.pulse_s)} pulses"
+        what = f"response, and {len(row.pulse_s)} pulses"
     axes.set_ylim(0, 1.05)
     plain(axes, "", "", "drive")
     box = {"fc": "white", "ec": "none", "alpha": 0.8, "pad": 1.5}

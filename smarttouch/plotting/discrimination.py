@@ -22,26 +22,17 @@ _MARKERS = ("o", "s", "D", "^", "v", "P")
 _TOP_IN, _BOTTOM_IN = 2.7, 2.9
 _SIDE_IN = 4.6
 _RATIO_TICKS = (0.25, 0.33, 0.5, 0.67, 0.8, 1, 1.25, 1.5, 2, 3, 4)
-_TOLD = 3
+_FEWEST_FOR_INTERVAL = 3
 """Fewest answers at a comparison for which the interval of their share is drawn."""
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """Answers to one standard, and their fit.
+    """Answers to one standard (0 if there is none), and their fit.
 
-    Attributes
-    ----------
-    standard : float
-        0 where there is none.
-    stimulus, n, k : ndarray, (K,)
-        Comparisons, rising; answers and successes.
-    curve : ndarray, (2, L), or None
-        Stimuli and the shares that were fitted there.
-    threshold, lower : tuple of float, or None
-        Value and interval, in the unit of the stimulus; None where there is none.
-    beyond : int
-        Side of the threshold, if it is not measured: 1 above the range, -1 below, 0 not known.
+    Comparisons rise, (K,), with n answers and k successes each; the curve is (2, L), stimuli and
+    fitted shares; thresholds are value and interval. ``beyond``: the threshold lies above (1) or
+    below (-1) the range, 0 is unknown.
     """
 
     standard: float
@@ -56,20 +47,9 @@ class Judged:
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Results of one file.
+    """Results of one file: those of each standard, the share of answers at the threshold.
 
-    Attributes
-    ----------
-    name : str
-        For the legend.
-    unit : str
-        Of stimuli.
-    judged : tuple of Judged
-        One of each standard, at least one.
-    share : float
-        Of answers, at the threshold.
-    said : str
-        Name of a success: *judged higher*, *felt*.
+    ``said`` names a success: *judged higher*, *felt*.
     """
 
     name: str
@@ -84,16 +64,6 @@ def discrimination_figure(series: Sequence[Series]) -> "Figure":
 
     With standards: one panel of each series with a curve of each standard, and one with the
     thresholds of all. Without: one panel with a curve of each series, thresholds on it.
-
-    Parameters
-    ----------
-    series : sequence of Series
-        At least one.
-
-    Raises
-    ------
-    SmartTouchError
-        If matplotlib is not installed.
     """
     if not all(found.standard for each in series for found in each.judged):
         return _without_standards(series)
@@ -158,11 +128,11 @@ def _draw_points(axes: Any, x: Array, judged: Judged, color: Any, marker: str, l
     low, high = binomial_interval(k, n)
     share = k / n
     # With few answers an interval is not informative, and hides the rest.
-    told = n >= _TOLD
+    enough = n >= _FEWEST_FOR_INTERVAL
     # Drawn as lists: Matplotlib 3.10 takes an array of one number for the number itself.
-    reach = np.maximum([share - low, high - share], 0)[:, told].tolist()
+    reach = np.maximum([share - low, high - share], 0)[:, enough].tolist()
     axes.errorbar(
-        x[told], share[told], yerr=reach, fmt="none", ecolor=color, elinewidth=0.6,
+        x[enough], share[enough], yerr=reach, fmt="none", ecolor=color, elinewidth=0.6,
         alpha=0.4,
     )  # fmt: skip
     size = 8 + 2 * np.minimum(n, 10)

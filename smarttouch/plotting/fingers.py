@@ -19,30 +19,21 @@ _QUIET = "#d8d8d8"
 
 
 def letter_figure(finger: Finger, slots: Slots, active: NDArray[np.bool_]) -> "Figure":
-    """Draw a pattern on a finger: delivered, fired, felt, and the afferents from the side.
-
-    Parameters
-    ----------
-    finger : Finger
-    slots : Slots
-        Scan sequence of the pattern.
-    active : ndarray, (E,) bool
-        Electrodes of the pattern.
-    """
+    """Draw a pattern on a finger: delivered, fired, response, and afferents from the side."""
     counts = SpikeModel(finger).fire(slots).counts
     figure = new_figure(10.5, 6.0)
     parts: Any = figure.subfigures(2, 1, height_ratios=(3.6, 2.0))
     above, below = parts
-    delivered, fired, felt = above.subplots(1, 3, sharey=True)
+    delivered, fired, response = above.subplots(1, 3, sharey=True)
     side = below.subplots()
     _draw_array(delivered, finger, active)
     _draw_courses(fired, finger, counts, 1)
     _draw_array(fired, finger, active, outline=True)
-    _draw_felt(felt, finger, counts)
-    _draw_array(felt, finger, active, outline=True)
+    _draw_response(response, finger, counts)
+    _draw_array(response, finger, active, outline=True)
     _draw_courses(side, finger, counts, 2)
     half_x, half_y = finger.reach_mm
-    for axes in (delivered, fired, felt):
+    for axes in (delivered, fired, response):
         axes.set_xlim(-half_x, half_x)
         axes.set_ylim(half_y, -half_y)
         axes.set_aspect("equal")
@@ -51,7 +42,7 @@ def letter_figure(finger: Finger, slots: Slots, active: NDArray[np.bool_]) -> "F
     side.set_ylim(min(deepest, 3.0) + 0.5, 0)
     plain(delivered, "Delivered: active electrodes", "x (mm)", "y (mm), fingertip above")
     plain(fired, "Fired: axons in color, dots are their endings", "x (mm)")
-    plain(felt, "Felt: spikes where the receptors are", "x (mm)")
+    plain(response, "Felt: spikes where the receptors are", "x (mm)")
     plain(
         side, f"The same axons from the side: {finger.anatomy.title}",
         "y (mm), fingertip at the left", "depth (mm)",
@@ -89,7 +80,7 @@ def _draw_courses(axes: Any, finger: Finger, counts: NDArray[np.intp], across: i
             (~fires, _QUIET, 0.2, 1), (fires, CLASS_COLORS[afferent], 0.6, 2 + 1 / (1 + afferent)),
         ):  # fmt: skip
             lines = one.course_mm[which][..., across - 1 : across + 1]
-            # Many that cross are to be told apart.
+            # Many that cross must stay distinguishable.
             alpha = min(1.0, 20 / max(1, len(lines)) ** 0.5)
             axes.add_collection(
                 LineCollection(
@@ -101,7 +92,7 @@ def _draw_courses(axes: Any, finger: Finger, counts: NDArray[np.intp], across: i
             )
 
 
-def _draw_felt(axes: Any, finger: Finger, counts: NDArray[np.intp]) -> None:
+def _draw_response(axes: Any, finger: Finger, counts: NDArray[np.intp]) -> None:
     half_x, half_y = finger.reach_mm
     x, y = np.meshgrid(np.linspace(-half_x, half_x, _PIXELS), np.linspace(-half_y, half_y, _PIXELS))
     spikes = felt_map(finger, counts, np.column_stack([x.ravel(), y.ravel()]), 0.6)

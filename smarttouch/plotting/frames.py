@@ -16,7 +16,8 @@ from smarttouch.kernels.frames.mixed import MixedJudge
 from smarttouch.kernels.frames.operator import FrameOperator
 from smarttouch.kernels.frames.slots import FrameSlot, plan_slots
 from smarttouch.physiology.afferents import depth_mm, everywhere
-from smarttouch.plotting.style import GREY, SIGNED_MAP, new_figure, plain
+from smarttouch.plotting.kernels import draw_electrodes
+from smarttouch.plotting.style import SIGNED_MAP, new_figure, plain
 from smarttouch.profile import Profile
 from smarttouch.stimulation.sharing import unsupported_reason
 
@@ -56,15 +57,7 @@ _DARK = "#303030"
 
 @dataclass(frozen=True, eq=False)
 class Shared:
-    """Plan of a drawing.
-
-    Attributes
-    ----------
-    judges : tuple of FrameJudge
-        One for each class that is to fire.
-    slots : list of FrameSlot
-        At full intensity; currents positive cathodic.
-    """
+    """Plan of a drawing: a judge for each class that is to fire, and slots at full intensity."""
 
     judges: tuple[FrameJudge, ...]
     slots: list[FrameSlot]
@@ -115,12 +108,7 @@ def share_mixed(profile: Profile, bank: KernelBank) -> Shared:
 def frame_figure(profile: Profile, bank: KernelBank) -> "Figure":
     """Draw a letter in shared slots, and a slot with points of two classes.
 
-    Parameters
-    ----------
-    profile : Profile
-        One that is `drawable`.
-    bank : KernelBank
-        Its kernels: shared slots are to reach what these would.
+    The profile must be `drawable`; shared slots are to reach what the kernels would.
     """
     letter, mixed = share_letter(profile, bank), share_mixed(profile, bank)
     both = max(mixed.slots, key=lambda slot: len(slot.sites))
@@ -197,14 +185,15 @@ class _Pen:
 
     def points(self, axes: Any, names: dict[int, str]) -> None:
         """Draw a name at each of some electrodes."""
-        self._discs(axes, facecolor="none")
+        draw_electrodes(axes, self.profile, facecolor="none")
         box = {"boxstyle": "round,pad=0.25", "facecolor": _DARK, "edgecolor": "none"}
         for site, name in names.items():
             place = self.profile.electrodes.position_mm[site]
             axes.text(*place, name, ha="center", va="center", fontsize=7, color="white", bbox=box)
 
     def currents(self, axes: Any, current_ma: Array) -> Any:
-        discs = self._discs(axes, cmap=SIGNED_MAP, clim=(-self.scale_ma, self.scale_ma))
+        scale = (-self.scale_ma, self.scale_ma)
+        discs = draw_electrodes(axes, self.profile, cmap=SIGNED_MAP, clim=scale)
         discs.set_array(current_ma)
         return discs
 
@@ -214,27 +203,12 @@ class _Pen:
         drawn = axes.pcolormesh(
             x_mm, y_mm, af, cmap=SIGNED_MAP, vmin=-1, vmax=1, rasterized=True, shading="gouraud"
         )
-        self._discs(axes, facecolor="none")
+        draw_electrodes(axes, self.profile, facecolor="none")
         axes.plot(*self.profile.electrodes.position_mm[sites].T, "+", color="black", ms=6)
         return drawn
 
     def where(self, afferent: Afferent) -> str:
         return f"at {afferent.name}, {depth_mm(self.profile.skin, afferent):g} mm deep"
-
-    def _discs(self, axes: Any, **style: Any) -> Any:
-        """Draw all electrodes at their true size."""
-        from matplotlib.collections import EllipseCollection
-
-        array = self.profile.electrodes
-        size = np.full(len(array), array.size_mm[0])
-        discs = EllipseCollection(
-            size, size, np.zeros(len(array)), units="xy", edgecolor=GREY, linewidth=0.3,
-            offsets=array.position_mm, offset_transform=axes.transData, **style,
-        )  # fmt: skip
-        axes.add_collection(discs)
-        reach = np.abs(array.position_mm).max(axis=0) + array.pitch_mm
-        axes.set(xlim=(-reach[0], reach[0]), ylim=(reach[1], -reach[1]), aspect="equal")
-        return discs
 
 
 def _draw_letter(panels: Any, pen: _Pen, letter: Shared) -> None:

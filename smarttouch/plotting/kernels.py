@@ -19,16 +19,8 @@ _POINTS = 121
 
 
 def kernel_figure(profile: Profile, kernels: Mapping[Afferent, Kernel], site: int) -> "Figure":
-    """Draw kernels of one site and the activation they cause, relative to their target's.
-
-    Parameters
-    ----------
-    profile : Profile
-        Array and skin.
-    kernels : mapping of Afferent to Kernel
-        One row of panels each.
-    site : int
-        Site of the kernels.
+    """Draw kernels of one site, a row each, and the activation they cause, relative to their
+    target's.
     """
     if profile.skin.medium == "plane":
         return _line_figure(profile, kernels)
@@ -39,13 +31,14 @@ def kernel_figure(profile: Profile, kernels: Mapping[Afferent, Kernel], site: in
     x, y = (np.linspace(-each, each, _POINTS) for each in _reach_mm(profile))
     per_ma = _per_ma(profile, np.stack(np.meshgrid(x, y), axis=-1))
     for row, (afferent, kernel) in zip(panels, kernels.items(), strict=True):
-        weights_drawn = _draw_array(row[0], profile, kernel.peak_normalized)
+        weights_drawn = draw_electrodes(row[0], profile, cmap=SIGNED_MAP, clim=(-1, 1))
+        weights_drawn.set_array(kernel.peak_normalized)
         worst = f"worst other {kernel.off_target:.2g} ({kernel.off_target_class.name})"
         plain(row[0], f"{afferent.name} kernel\n{worst}", "", "y (mm)")
         for axes, shown in zip(row[1:], Afferent, strict=True):
             drawn = draw_field(axes, x, y, _activation(per_ma[shown], kernel))
             plain(axes, f"at {shown.name}, {depth_mm(profile.skin, shown):g} mm deep")
-            _outline(axes, profile)
+            draw_electrodes(axes, profile, facecolor="none")
             axes.plot(*profile.electrodes.position_mm[site], "+", color="black", ms=7)
     for axes in panels[-1]:
         axes.set_xlabel("x (mm)", fontsize=8)
@@ -108,26 +101,15 @@ def _activation(per_ma: Array, kernel: Kernel) -> Array:
     return np.asarray((per_ma @ kernel.weights).max(axis=0))
 
 
-def _draw_array(axes: Any, profile: Profile, weights: Array) -> Any:
+def draw_electrodes(axes: Any, profile: Profile, **style: Any) -> Any:
+    """Draw all electrodes in their own shape and size, and show the array; return the patches."""
     from matplotlib.collections import PatchCollection
 
-    collection = PatchCollection(
-        electrode_patches(profile), cmap=SIGNED_MAP, edgecolor=GREY, linewidth=0.3, clim=(-1, 1)
-    )
-    collection.set_array(weights)
-    axes.add_collection(collection)
+    drawn = PatchCollection(electrode_patches(profile), edgecolor=GREY, linewidth=0.3, **style)
+    axes.add_collection(drawn)
     reach = _reach_mm(profile)
     axes.set(xlim=(-reach[0], reach[0]), ylim=(reach[1], -reach[1]), aspect="equal")
-    return collection
-
-
-def _outline(axes: Any, profile: Profile) -> None:
-    from matplotlib.collections import PatchCollection
-
-    axes.add_collection(
-        PatchCollection(electrode_patches(profile), facecolor="none", edgecolor=GREY, linewidth=0.3)
-    )
-    axes.set_aspect("equal")
+    return drawn
 
 
 def electrode_patches(profile: Profile) -> list[Any]:

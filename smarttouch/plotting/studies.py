@@ -1,4 +1,4 @@
-"""Figure of a study: what is felt amiss in each choice, finger by finger."""
+"""Figure of a study: errors of each choice, finger by finger."""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Protocol
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _ROW_IN = 0.34
-_SIDE_IN = 2.3
+_PANEL_IN = 2.3
 
 
 class Drawn(Protocol):
@@ -27,21 +27,11 @@ class Drawn(Protocol):
 
 
 def study_figure(found: Sequence[Drawn], names: Mapping[str, str], title: str) -> "Figure":
-    """Draw each measure in a panel: a dot for each finger, a line at the median of a choice.
-
-    Parameters
-    ----------
-    found : sequence of Drawn
-        At least one.
-    names : mapping of str to str
-        Titles of the panels by measure.
-    title : str
-        Of the study.
-    """
+    """Draw each measure in a panel: a dot for each finger, a line at the median of a choice."""
     anatomies = list(dict.fromkeys(each.anatomy for each in found))
     labels = list(dict.fromkeys(each.label for each in found))
     rows = len(labels) * len(anatomies)
-    figure = new_figure(2.4 + _SIDE_IN * len(names), 1.5 + _ROW_IN * rows)
+    figure = new_figure(2.4 + _PANEL_IN * len(names), 1.5 + _ROW_IN * rows)
     panels = np.atleast_1d(figure.subplots(1, len(names), sharey=True))
     random = np.random.default_rng(0)
     for axes, (measure, name) in zip(panels, names.items(), strict=True):

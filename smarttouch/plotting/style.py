@@ -5,31 +5,26 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from smarttouch.cells import ANODIC as _ANODIC_RGB
+from smarttouch.cells import CATHODIC as _CATHODIC_RGB
+from smarttouch.cells import hex_color
 from smarttouch.errors import SmartTouchError
 from smarttouch.files import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-CATHODIC, ANODIC = "#b35806", "#542788"
-"""Colors of `SIGNED_MAP`, in which no class of afferents is drawn."""
+CATHODIC, ANODIC = hex_color(_CATHODIC_RGB), hex_color(_ANODIC_RGB)
 SIGNED_MAP = "PuOr_r"
 """Color map: orange for cathodic or depolarizing, purple for the other sign."""
 GREY = "#707070"
 DPI = 200
-"""Resolution of figures in pixels, which their files say."""
 
 FORMATS = ("png", "pdf", "svg")
 
 
 def new_figure(width_in: float, height_in: float) -> "Figure":
-    """Return an empty figure; one of pyplot where a program or notebook has imported that.
-
-    Raises
-    ------
-    SmartTouchError
-        If matplotlib is not installed.
-    """
+    """Return an empty figure; one of pyplot where a program or notebook has imported that."""
     try:
         from matplotlib.figure import Figure
     except ImportError:
@@ -46,13 +41,7 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
 
 
 def require_drawable(path: Path) -> None:
-    """Raise at once if a figure could not be drawn in the end.
-
-    Raises
-    ------
-    SmartTouchError
-        If its name ends in none of `FORMATS`, or matplotlib is not installed.
-    """
+    """Raise at once if a figure could not be drawn in the end: its format, or no matplotlib."""
     if path.suffix.lower().lstrip(".") not in FORMATS:
         raise SmartTouchError(
             f"cannot draw {path}: name it {', '.join('*.' + f for f in FORMATS)}",
@@ -74,13 +63,7 @@ def plain(axes: Any, title: str = "", x: str = "", y: str = "") -> None:
 
 
 def save(figure: "Figure", path: Path) -> None:
-    """Write a figure in the format of its name's ending.
-
-    Raises
-    ------
-    SmartTouchError
-        If that is none of `FORMATS`, or the file cannot be written.
-    """
+    """Write a figure in the format of its name's ending."""
     require_drawable(path)
     from matplotlib import rc_context
 

@@ -13,18 +13,8 @@ from smarttouch.recording.schemas import LAST
 class Account:
     """Summary of a recording.
 
-    Attributes
-    ----------
-    messages, size : Counter of str
-        Of each topic: how many, and their bytes before compression.
-    slots, lost : int
-        Slots of all sequences; sequences that were lost with the board.
-    strongest_ma : float, mA
-        Of all electrodes and slots, magnitude.
-    modes : Counter of str
-        Sequences in each mode.
-    acknowledged, refused : int
-        Sequences of the whole run.
+    By topic: messages and their bytes before compression; sequences in each mode; the strongest
+    current of all electrodes and slots, mA; sequences lost with the board.
     """
 
     messages: Counter[str] = field(default_factory=Counter)
@@ -37,16 +27,16 @@ class Account:
     refused: int = 0
 
     def _sequence(self, data: bytes) -> None:
-        told = parse_message(data)
-        self.slots += _count(told["slots"])
-        self.lost += told["number"] is None
-        self.modes[str(told["mode"])] += 1
-        self.strongest_ma = max(self.strongest_ma, float(told["strongest_ma"]))
+        fields = parse_message(data)
+        self.slots += _count(fields["slots"])
+        self.lost += fields["number"] is None
+        self.modes[str(fields["mode"])] += 1
+        self.strongest_ma = max(self.strongest_ma, float(fields["strongest_ma"]))
 
     def _board(self, data: bytes) -> None:
-        told = parse_message(data)
-        self.acknowledged = _count(told["acknowledged"])
-        self.refused = _count(told["refused"])
+        fields = parse_message(data)
+        self.acknowledged = _count(fields["acknowledged"])
+        self.refused = _count(fields["refused"])
 
     def add(self, topic: str, data: bytes) -> None:
         """Add one message; an invalid one counts only by its size."""
@@ -85,11 +75,11 @@ def describe(path: Path) -> list[tuple[str, str]]:
     state = "whole" if recording.whole else "cut: the program that wrote it did not end in order"
     if recording.damaged_chunks:
         state = f"damaged: {recording.damaged_chunks} pieces do not hold what was written"
-    told = [
+    rows = [
         ("state", state),
         ("began", f"{recording.started:%Y-%m-%d %H:%M:%S} UTC"),
         ("lasted", f"{recording.duration_s:.1f} s"),
-        ("subject", str(settings.get("subject") or "not told")),
+        ("subject", str(settings.get("subject") or "not given")),
         ("note", str(settings.get("note") or "none")),
         ("profile", f"{recording.profile.name}, {recording.profile.title}"),
         ("mode", ", ".join(f"{mode} {n:,}" for mode, n in account.modes.items()) or "none"),
@@ -107,18 +97,18 @@ def describe(path: Path) -> list[tuple[str, str]]:
         ("versions", ", ".join(f"{name} {each}" for name, each in versions.items())),
     ]
     size = path.stat().st_size
-    told.append(("file", f"{_size(size)}{_per_minute(size, minutes)}"))
+    rows.append(("file", f"{_size(size)}{_per_minute(size, minutes)}"))
     for topic in sorted(account.size):
         inside = account.size[topic]
-        told.append(
+        rows.append(
             (
                 topic,
                 f"{account.messages[topic]:,} messages, {_size(inside)}"
                 f"{_per_minute(inside, minutes)} before compression",
             )
         )
-    told += [(f"{at_ns / 1e9:10.3f} s", words) for at_ns, words in recording.events()]
-    return told
+    rows += [(f"{at_ns / 1e9:10.3f} s", words) for at_ns, words in recording.events()]
+    return rows
 
 
 def _size(size: float) -> str:

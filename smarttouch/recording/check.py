@@ -33,21 +33,9 @@ _COLUMNS = (("site", ""), ("width_us", "µs"), ("discharge_us", "µs"))
 
 @dataclass(frozen=True)
 class Difference:
-    """Number of a sequence that differs from the recorded one.
+    """A quantity of a sequence that differs from the recorded one, in which slot and electrode.
 
-    Attributes
-    ----------
-    frame : int
-        Number of the frame or stimulus at its source.
-    step : int
-        Of the recording, from 0.
-    time_ns : int
-        Since the start of the run.
-    what, unit : str
-        Quantity that differs, and its unit.
-    recorded, new : float
-    slot, electrode : int, optional
-        Place of the difference, if it has one.
+    ``frame`` is the number of the input at its source, ``step`` that of the recording, from 0.
     """
 
     frame: int
@@ -71,20 +59,9 @@ class Difference:
 
 @dataclass
 class CheckReport:
-    """Result of a check.
+    """Result of a check: what was compared, the first `KEPT` differences, and the number of all.
 
-    Attributes
-    ----------
-    frames : int
-        Different images.
-    sequences, slots : int
-        That were compared.
-    differences : list of Difference
-        The first `KEPT`.
-    different : int
-        Number of differences.
-    left_out : str
-        Parts of the recording that could not be compared; empty if none.
+    ``left_out`` says which part of the recording could not be compared; empty if none.
     """
 
     frames: int = 0
@@ -115,19 +92,8 @@ def check_recording(
 ) -> CheckReport:
     """Run the recorded frames and stimuli through today's pipeline and compare the sequences.
 
-    Parameters
-    ----------
-    path : Path or str
-        The recording.
-    bank : KernelBank, optional
-        Kernels to compare with; today's of the profile if not given.
-    profile : Profile, optional
-        Another than the recorded one.
-
-    Raises
-    ------
-    RecordingError
-        If it cannot be read, holds no sequence, or does not say how it was made.
+    Kernels and profile are today's and the recorded one if not given. Raises RecordingError if the
+    recording cannot be read, holds no sequence, or does not say how it was made.
     """
     recording = Recording(Path(path))
     profile = recording.profile if profile is None else profile
@@ -168,13 +134,7 @@ def assert_replays(path: Path | str, **same: Any) -> None:
 
 
 def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[Pipeline, Regulator]:
-    """Return a pipeline and a regulator in their state at the start of a recording.
-
-    Raises
-    ------
-    RecordingError
-        If its settings do not say how.
-    """
+    """Return a pipeline and a regulator in their state at the start of a recording."""
     run = recording.run
     pipeline = Pipeline(
         profile,
@@ -222,7 +182,7 @@ def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[P
     return pipeline, Regulator(adaptation, ledger, recharge)
 
 
-class _Told:
+class _RecordedBoard:
     """Stand-in for the board, with its recorded measurements."""
 
     def __init__(self, observed: tuple[Measured, ...]) -> None:
@@ -239,8 +199,8 @@ def _again(recorded: RecordedStep, pipeline: Pipeline, regulator: Regulator) -> 
         pipeline.change_mode(step.mode)
     if step.restarted:
         pipeline.restart_softly()
-    told: Any = _Told(step.observed)
-    made = regulator.regulate(pipeline.process(step.input, step.level), told).sequence
+    board: Any = _RecordedBoard(step.observed)
+    made = regulator.regulate(pipeline.process(step.input, step.level), board).sequence
     if recorded.sent.number is None:
         regulator.lost(made)
     return made

@@ -50,13 +50,7 @@ def records_in(file: BinaryIO, at: int = 0) -> Iterator[tuple[int, int, int]]:
 
 
 def broken_up(data: bytes) -> Iterator[Schema | Channel | Message]:
-    """Yield the records of a chunk.
-
-    Raises
-    ------
-    ValueError
-        If it is damaged, or holds more than it declares.
-    """
+    """Yield the records of a chunk; ValueError if it is damaged, or holds more than it declares."""
     try:
         chunk = Chunk.read(ReadDataStream(BytesIO(data)))
         content = _inflated(chunk)

@@ -13,19 +13,8 @@ from smarttouch.running.controls import Controls, ControlState
 class RecordedControls(Controls):
     """Modes and levels of a recording; the present user can still lower the level and pause.
 
-    Parameters
-    ----------
-    recording : Recording
-        Recording of the modes and levels.
-    state : ControlState
-        Today's user's, to begin with: its level is a part of the recorded one.
-    modes : tuple of Mode
-        Modes of the board.
-
-    Raises
-    ------
-    RecordingError
-        If the board does not offer a mode of the recording.
+    The user's level is a part of the recorded one. Raises RecordingError if the board does not
+    offer a mode of the recording.
     """
 
     def __init__(self, recording: Recording, state: ControlState, modes: tuple[Mode, ...]) -> None:

@@ -32,21 +32,14 @@ _SIGNATURE = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 """First bytes of a PNG; width and height follow."""
 MOST_PIXELS = 100_000_000
 _LONGEST_US = 10_000_000
-"""Between two stimuli: the period of the slowest rate."""
+"""Longest time between two stimuli: the period of the slowest rate."""
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedStep:
-    """One recorded step of a run.
+    """One recorded step of a run, by its number from 0; one missing in a file is not yielded.
 
-    Attributes
-    ----------
-    index : int
-        From 0; one that is missing in a file is missing in what it yields.
-    sent : StepResult
-        Frame or stimulus, tactile image (of frames to four digits), sequence, and how it went out.
-    acknowledged, refused : int
-        Sequences of the run, as far as the board had reported when this one was sent.
+    ``acknowledged`` and ``refused`` are of the whole run, as far as reported when it was sent.
     """
 
     index: int
@@ -63,12 +56,7 @@ class RecordedStep:
 class StepDecoder:
     """Assembles steps from their messages, in the order of the file.
 
-    Attributes
-    ----------
-    electrodes : int
-        Of the device of the run.
-    broken : int
-        Steps that were incomplete or made no sense.
+    ``broken`` counts steps that were incomplete or invalid.
     """
 
     electrodes: int
@@ -118,15 +106,15 @@ class StepDecoder:
             given = tactile = Stimulus(activation, time_ns, force_n, *asked, image=image, **where)
         else:
             given = Frame(image, time_ns, force_n=force_n, **where)
-        told = parts["/sequence"]
+        row = parts["/sequence"]
         step = Step(
             input=given,
             tactile=tactile,
             sequence=sequence,
-            mode=Mode(told["mode"]),
-            level=float(told["level"]),
-            restarted=bool(told["restarted"]),
-            asked_us=int(told["asked_us"]),
+            mode=Mode(row["mode"]),
+            level=float(row["level"]),
+            restarted=bool(row["restarted"]),
+            asked_us=int(row["asked_us"]),
             observed=tuple(self._measured(each) for each in self._parts.get("/volts", ())),
         )
         number = None if board["sent"] is None else int(board["sent"])

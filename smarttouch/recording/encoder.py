@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.afferent import Afferent
+from smarttouch.cells import ElectrodePicture
 from smarttouch.electrodes import ElectrodeArray
-from smarttouch.recording.array_image import ArrayImage
+from smarttouch.physiology.felt import in_color
 from smarttouch.recording.schemas import INFO, LAST
 from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.stimulus import Input, Stimulus
@@ -26,6 +27,7 @@ _PNG = (
     cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,
 )  # fmt: skip
 _DIGITS = 4
+_PX_PER_CELL = 8
 
 Message = dict[str, Any]
 
@@ -33,17 +35,13 @@ Message = dict[str, Any]
 class StepEncoder:
     """Encodes steps as messages, one step after another.
 
-    Parameters
-    ----------
-    started_unix_ns : int
-        When the run began.
-    electrodes : ElectrodeArray, optional
-        Where tactile images are to be drawn, too, for those who look.
+    Times are those of a run that began at ``started_unix_ns``. With electrodes, tactile images are
+    drawn as well.
     """
 
     def __init__(self, started_unix_ns: int, electrodes: ElectrodeArray | None = None) -> None:
         self._started_unix_ns = started_unix_ns
-        self._array = None if electrodes is None else ArrayImage(electrodes)
+        self._array = None if electrodes is None else tactile_picture(electrodes)
         self._drawn: NDArray[np.float32] | None = None
         self._before: tuple[NDArray[np.uint8], int] | None = None
         self._numbers: OrderedDict[int, int | None] = OrderedDict()
@@ -59,7 +57,7 @@ class StepEncoder:
         same = self._drawn is not None and np.array_equal(activation, self._drawn)
         if self._array is not None and not same:
             self._drawn = activation
-            picture = cv2.cvtColor(self._array.tactile(activation), cv2.COLOR_RGB2BGR)
+            picture = cv2.cvtColor(self._array.raster(class_colors(activation)), cv2.COLOR_RGB2BGR)
             yield (
                 "/tactile_image",
                 self._image(np.asarray(picture, np.uint8), given.time_ns, "finger"),
@@ -103,7 +101,7 @@ class StepEncoder:
         }
 
     def _is_new(self, image: NDArray[np.uint8], number: int) -> bool:
-        """Tell whether an image was not there before, whatever its source says of it."""
+        """Return whether an image differs from the one before, whatever its source says."""
         before, self._before = self._before, (image, number)
         return (
             before is None
@@ -123,6 +121,16 @@ class StepEncoder:
     def _timestamp(self, time_ns: int) -> Message:
         seconds, nanoseconds = divmod(self._started_unix_ns + time_ns, 10**9)
         return {"sec": seconds, "nsec": nanoseconds}
+
+
+def tactile_picture(electrodes: ElectrodeArray) -> ElectrodePicture:
+    """Return the picture in which tactile images are drawn: small, and quick to compress."""
+    return ElectrodePicture(electrodes, _PX_PER_CELL / min(electrodes.cell_mm), plain=True)
+
+
+def class_colors(activation: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Return an activation, (3, E), as colors, (E, 3): each class is an ink of its color."""
+    return np.asarray(np.rint(255 * in_color(activation, 1.0)), np.uint8)
 
 
 def remember(kept: OrderedDict[int, Any], key: int, value: Any) -> None:

@@ -26,25 +26,14 @@ TABLES = {
 
 
 def export(path: Path, folder: Path) -> list[Path]:
-    """Write a recording into an empty or new folder.
+    """Write a recording into an empty or new folder; return the files, the folder of images first.
 
-    ``frames/`` gets one PNG for each different image; ``finger.csv`` says at
-    which steps it was there, and nothing where there was none. ``run.npz`` holds
-    ``time_ns`` (N,), ``activation`` (N, 3, E), and of all slots one after another
-    ``current_ua`` (S, E), ``width_us``, ``discharge_us`` and ``site`` (S,); those of step n are
-    ``first_slot[n]`` to ``first_slot[n + 1]``. Recharge phases are ``recharge_us`` (N,) and
-    ``recharge_ua`` (N, E), zero where there is none. Measured voltages are ``volts``,
-    one for each slot of the steps in ``volts_step``.
-
-    Returns
-    -------
-    list of Path
-        Written files: the folder of images first.
-
-    Raises
-    ------
-    RecordingError
-        If the recording cannot be read, or the folder not be written.
+    ``frames/`` gets one PNG for each different image; ``finger.csv`` says at which steps it was
+    there. ``run.npz`` holds ``time_ns`` (N,), ``activation`` (N, 3, E), and of all slots one after
+    another ``current_ua`` (S, E), positive cathodic, ``width_us``, ``discharge_us`` and ``site``
+    (S,); those of step n are ``first_slot[n]`` to ``first_slot[n + 1]``. Recharge phases are
+    ``recharge_us`` (N,) and ``recharge_ua`` (N, E), zero where there is none. Measured voltages are
+    ``volts``, one for each slot of the steps in ``volts_step``.
     """
     recording = Recording(path)
     try:

@@ -20,19 +20,9 @@ _EVENTS = 1000
 
 
 class FoxgloveServer(Listener):
-    """Lets Foxglove see a run; it steers nothing.
+    """Shows a run in Foxglove by a server at 127.0.0.1; port 0 is a free one. It controls nothing.
 
     The loop's thread only leaves the newest step for the server's own.
-
-    Parameters
-    ----------
-    port : int
-        Of 127.0.0.1; 0: one that is free.
-
-    Raises
-    ------
-    SmartTouchError
-        If the extra ``foxglove`` is missing, or the port cannot be had.
     """
 
     def __init__(self, port: int) -> None:

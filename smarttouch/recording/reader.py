@@ -41,30 +41,12 @@ _LONGEST_ABOUT = 4 * 2**20
 
 
 class Recording:
-    """A recording of a run.
+    """A recording of a run, also one that was cut or damaged.
 
-    mcap's own reader wants an index at the end, which a killed program did not
-    write. This one goes record by record, checks each chunk's CRC, and leaves
-    out what does not hold.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-
-    Attributes
-    ----------
-    about : dict of str to str
-        Result of `about_run`.
-    schemas, channels : dict of int to Schema, Channel
-        Schemas and channels read so far.
-    broken_steps : int
-        Steps, of the last time that all were read, that were incomplete.
-
-    Raises
-    ------
-    RecordingError
-        If there is no such file, or it is none of ours.
+    The reader of mcap needs the index at the end, which a killed program did not write. This one
+    goes record by record, checks each chunk's CRC, and leaves out what is damaged. ``about`` is the
+    result of `about_run`; ``broken_steps`` counts incomplete steps of the last reading. Raises
+    RecordingError if there is no such file, or it is not from SmartTouch.
     """
 
     def __init__(self, path: Path) -> None:
@@ -163,12 +145,8 @@ class Recording:
         return self._table("versions")
 
     def steps(self) -> Generator[RecordedStep, None, None]:
-        """Yield all steps that are complete, in order.
-
-        Raises
-        ------
-        RecordingError
-            If a number of one is none that a run can have.
+        """Yield all steps that are complete, in order; RecordingError at a number that no run can
+        have.
         """
         decoder = StepDecoder(len(self.profile.electrodes))
         for topic, message in self.messages():

@@ -67,16 +67,7 @@ class Recorder(Listener):
 def about_run(profile: Profile, settings: dict[str, Any], started_unix_ns: int) -> dict[str, str]:
     """Return the description of a run in its recording, with the software versions.
 
-    Parameters
-    ----------
-    profile : Profile
-        Device and finger.
-    settings : dict
-        Settings as JSON: ``mode``, ``rate_hz``, ``light_on_dark``, ``softness``, ``hold``,
-        ``balance``, ``recharge``, ``timing`` (a `ScanTiming` as a dict) and ``compliance_v``
-        are what sequences depend on; all else is for readers.
-    started_unix_ns : int
-        When the run began.
+    Of the settings, `RunSettings` are what sequences depend on; all else is for readers.
     """
     versions = {
         "smarttouch": __version__,

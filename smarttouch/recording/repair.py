@@ -13,19 +13,7 @@ from smarttouch.version import __version__
 
 @dataclass(frozen=True)
 class Repaired:
-    """Result of a repair.
-
-    Attributes
-    ----------
-    path : Path
-        The new file.
-    messages, steps : int
-        In it.
-    seconds : float, s
-        Of the run that are kept.
-    damaged_chunks : int
-        Left out because they do not hold what was written.
-    """
+    """Result of a repair: what the new file holds; chunks left out because they are damaged."""
 
     path: Path
     messages: int
@@ -46,17 +34,8 @@ def is_sound(path: Path) -> bool:
 def repair(path: Path, output: Path | None = None) -> Repaired:
     """Write the readable part of a recording into a new file; the old one stays as it is.
 
-    Parameters
-    ----------
-    path : Path
-        The recording.
-    output : Path, optional
-        The new file; ``NAME-repaired.mcap`` beside the old one if not given.
-
-    Raises
-    ------
-    RecordingError
-        If the old one is none of ours, the new one exists, or the disk is full.
+    The new file is ``NAME-repaired.mcap`` beside the old one if not given. Raises RecordingError if
+    the old one is not from SmartTouch, the new one exists, or the disk is full.
     """
     recording = Recording(path)
     output = path.with_name(f"{path.stem}-repaired.mcap") if output is None else output

@@ -11,13 +11,11 @@ FORMAT = "1"
 """Version of the format, raised when older readers can no longer read it."""
 
 METADATA = "smarttouch"
-"""Name of the metadata record with settings, profile and versions."""
 
 LAST = "/board"
 """Topic of a step's last message: with it a step is complete."""
 
 INFO = 2
-"""Log level of events, in `foxglove.Log`."""
 
 _NUMBER = {"type": "number"}
 _PERHAPS = {"type": ["number", "null"]}

@@ -45,11 +45,10 @@ class _Sharing(_Part):
 
 
 class RunSettings(BaseModel):
-    """Settings of a run that its sequences depend on.
+    """Settings of a run that its sequences depend on: those of `Pipeline` and `Regulator`.
 
-    Attributes are those of `Pipeline` and `Regulator`; recordings from before
-    there was a choice do not say ``tone``, ``vibrated``, ``sharing`` or ``recharge``.
-    ``carried_pc`` is the net charge of each electrode before a balanced run; empty if none.
+    Older recordings lack ``tone``, ``vibrated``, ``sharing`` or ``recharge``. ``carried_pc`` is the
+    net charge of each electrode before a balanced run; empty if none.
     """
 
     model_config = ConfigDict(extra="ignore", frozen=True)
@@ -88,13 +87,7 @@ class RunSettings(BaseModel):
 
 
 def read_settings(table: dict[str, Any]) -> RunSettings:
-    """Return the settings in a recording.
-
-    Raises
-    ------
-    RecordingError
-        If one is missing or impossible.
-    """
+    """Return the settings in a recording; RecordingError if one is missing or impossible."""
     try:
         return RunSettings.model_validate(table)
     except ValidationError as error:

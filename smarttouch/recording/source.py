@@ -14,15 +14,7 @@ from smarttouch.sources.stimulus import Input, Stimulus
 
 
 def open_recording(rest: str, profile: Profile, *, unpaced: bool = False) -> "RecordingSource":
-    """Open ``recording:FILE``; options are those of `RecordingSource`.
-
-    Raises
-    ------
-    SourceError
-        If no file is named.
-    RecordingError
-        If there is no such recording.
-    """
+    """Open ``recording:FILE``; options are those of `RecordingSource`."""
     if not rest:
         raise SourceError(
             "recording: needs a file: give recording:FILE.mcap",
@@ -34,16 +26,10 @@ def open_recording(rest: str, profile: Profile, *, unpaced: bool = False) -> "Re
 
 
 class RecordingSource(Source):
-    """Frames or stimuli of a recording with pose and force, at the times at which they were felt.
+    """Frames or stimuli of a recording with pose and force, at the times at which they were sent.
 
-    One that was felt for several sequences counts once. One that was stale stays so.
-
-    Parameters
-    ----------
-    recording : Recording
-        Of frames or stimuli.
-    unpaced : bool
-        Give the next step at each look, however long that takes.
+    One that was sent as several sequences counts once; one that was stale stays so. Unpaced, each
+    read returns the next step, whatever time it is.
     """
 
     knows_force = True
@@ -91,10 +77,7 @@ class RecordingSource(Source):
     def narrowed(self, profile: Profile) -> Profile:
         """Return a profile whose limits are within those of the recorded one, too.
 
-        Raises
-        ------
-        RecordingError
-            If it holds stimuli for another number of electrodes.
+        Raises RecordingError if it holds stimuli for another number of electrodes.
         """
         was = self._recording.profile
         count, recorded = len(profile.electrodes), len(was.electrodes)
@@ -132,7 +115,7 @@ class RecordingSource(Source):
 
 
 def _is_other(given: Input, before: Input) -> bool:
-    """Tell whether an input is not that of the step before, by its number or image."""
+    """Return whether an input is not that of the step before, by its number or image."""
     return given.number != before.number or given.image is not before.image
 
 

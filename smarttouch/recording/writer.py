@@ -27,7 +27,6 @@ FLUSH_S = 0.04
 SYNC_S = 1.0
 """Longest time before data is on the disk: the loss at a power failure."""
 MOST_WAITING = 1000
-"""Largest number of steps that wait for a slow disk."""
 
 
 class _GoneError(OSError):
@@ -38,27 +37,11 @@ _Item = StepResult | tuple[int, str]
 
 
 class RecordingWriter:
-    """Writer of steps and events to an MCAP file, on a thread of its own.
+    """Writer of steps and events to a new MCAP file, on a thread of its own.
 
-    A step that was passed is with the system at most `FLUSH_S` and the time to
-    write it later, and is then safe from the end of this program, whatever it is.
-    At most `SYNC_S` and as long as the disk takes later it is safe from a power cut.
-
-    Parameters
-    ----------
-    path : Path
-        The file; an existing one is not overwritten.
-    about : dict of str to str
-        Settings, profile and versions, kept as metadata; see `about_run`.
-    started_unix_ns : int
-        When the run began: times in the file are times of the day.
-    electrodes : ElectrodeArray, optional
-        Where tactile images are to be drawn, too.
-
-    Raises
-    ------
-    RecordingError
-        If the file exists or cannot be written.
+    A step is with the system at most `FLUSH_S` and the time to write it later, and is then safe
+    from any end of this program; at most `SYNC_S` and the disk's own time later it is safe from a
+    power cut. Times in the file are times of day; ``about`` (see `about_run`) is kept as metadata.
     """
 
     def __init__(
@@ -77,7 +60,7 @@ class RecordingWriter:
         self._path = path
         self._started_unix_ns = started_unix_ns
         self._failure: Exception | None = None
-        self._told = False
+        self._reported = False
         self._closed = False
         self._index = 0
         self._queue: queue.SimpleQueue[_Item | None] = queue.SimpleQueue()
@@ -97,13 +80,7 @@ class RecordingWriter:
         sync_folder(self._path.absolute().parent)
 
     def record(self, result: StepResult) -> None:
-        """Queue one step for writing.
-
-        Raises
-        ------
-        RecordingError
-            If the disk is full, broken or too slow; what it took stays.
-        """
+        """Queue one step for writing; RecordingError if the disk is full, broken or too slow."""
         if self._queue.qsize() > MOST_WAITING:
             said = f"{MOST_WAITING} frames wait for the disk, it is too slow"
             self._fail(TimeoutError(0, said))
@@ -118,10 +95,7 @@ class RecordingWriter:
     def close(self) -> None:
         """Write everything queued, and finish the file.
 
-        Raises
-        ------
-        RecordingError
-            If the disk did not take all of it, unless that was reported before.
+        Raises RecordingError if the disk did not take all of it, unless that was reported before.
         """
         if self._closed:
             return
@@ -133,7 +107,7 @@ class RecordingWriter:
         self._guarded(self._to_disk)
         self._guarded(self._require_there)
         self._guarded(self._file.close)
-        if self._failure is not None and not self._told:
+        if self._failure is not None and not self._reported:
             raise self._complaint()
 
     def _register(self, topic: str) -> int:
@@ -142,7 +116,7 @@ class RecordingWriter:
         return int(self._writer.register_channel(topic, "json", schema_id))
 
     def _complaint(self) -> RecordingError:
-        self._told = True
+        self._reported = True
         if isinstance(self._failure, _GoneError):
             return RecordingError(
                 f"{self._path} was removed, moved or replaced while it was written, so it is not "

@@ -102,10 +102,9 @@ class RunConfig:
     def sharing(self, profile: Profile) -> SlotPolicy:
         """Return the classes whose points share slots, and how.
 
-        By itself RA, by kernels that are proved for all frames and only added up: those
-        of SAI would have to be found anew for each frame, which takes longer than
-        there is between two pulses. None where voltage is held, point by point, or the board
-        cannot.
+        With scan auto RA alone, by kernels that are proved for all frames and only added up; SAI
+        would need a new search for each frame, which takes longer than there is between two pulses.
+        None where voltage is held point by point, or the board cannot.
         """
         if isinstance(self.scan, SlotPolicy):
             sharing = NO_SHARING if unsupported_reason(profile) else self.scan

@@ -7,19 +7,13 @@ from typing import Any
 from smarttouch.afferent import Mode
 
 STEP = 0.05
-"""Of one press of a key, in parts of the strongest."""
+"""Change of level by one press of a key."""
 
 
 @dataclass(frozen=True)
 class ControlState:
-    """State of the user's controls.
-
-    Attributes
-    ----------
-    mode : Mode
-    level : float, in [0, 1]
-        Of the strongest comfortable current: the subject's own control.
-    paused : bool
+    """State of the user's controls; ``level`` is a part of the strongest comfortable current, [0,
+    1].
     """
 
     mode: Mode
@@ -39,19 +33,7 @@ class ControlState:
 class Controls:
     """Intensity, mode and pause as the user sets them; changed from any thread, read by the loop.
 
-    Parameters
-    ----------
-    state : ControlState
-        To begin with.
-    modes : tuple of Mode
-        What `next_mode` goes through.
-
-    Attributes
-    ----------
-    modes : tuple of Mode
-        That are offered.
-    most : float, in [0, 1]
-        No level is raised above it.
+    No level is raised above ``most``; `next_mode` goes through ``modes``.
     """
 
     most = 1.0
@@ -72,11 +54,11 @@ class Controls:
             self._change(level=level)
 
     def silence(self) -> None:
-        """Level 0 at once."""
+        """Set the level to 0 at once."""
         self._change(level=0.0)
 
     def pause(self) -> None:
-        """Level that flows is 0 at once, until somebody goes on."""
+        """Set the level that flows to 0 at once, until `resume`."""
         self._change(paused=True)
 
     def resume(self) -> None:

@@ -79,7 +79,7 @@ class Display(Closing):
         self.board: Board = board
         # With no run, too: a program may drive the board itself.
         self._stop.always_tell(board.halt)
-        self.notes_told = 0
+        self.notes_reported = 0
         """Number of the board's notes that earlier runs have reported."""
 
     @property

@@ -11,10 +11,10 @@ from smarttouch.running.pipeline import Pipeline
 
 @contextmanager
 def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iterator[None]:
-    """Warm a pipeline up, collect no old garbage and keep images to one thread in the block.
+    """Warm a pipeline up, freeze garbage collection and keep OpenCV to one thread in the block.
 
-    Before a board is open: it would take the delay for a lost host. In simulated time nothing is
-    late: images are kept to one thread, and the rest is saved.
+    Before a board is open: it would take the delay for a lost host. In simulated time, where
+    nothing is late, OpenCV alone is kept to one thread.
     """
     threads = cv2.getNumThreads()
     # Images are small: a second thread costs more than it saves, and takes the other core.

@@ -22,25 +22,15 @@ from smarttouch.sources.source import Source
 from smarttouch.sources.stimulus import Input
 
 LIFT_NS = 300_000_000
-"""After a lifted finger: so long there is no current, then it rises from zero again."""
+"""Time without current after a lifted finger; it then rises from zero again."""
 
 
 @dataclass
 class Inputs:
-    """Reads source, force and controls for each step; unknown force is no force.
+    """Reads source, force and controls for each step; unknown force counts as no force.
 
-    Parameters
-    ----------
-    source : Source
-    force : ForceSource or None
-        Asked in place of the source.
-    board : Board
-        May know the force, and that the finger is lifted.
-    pipeline : Pipeline
-    controls : Controls
-    statistics : RunStatistics
-    emit : callable
-        Given each event.
+    A given ``force`` is read in place of the source's; the board may measure force, too, and report
+    a lifted finger.
     """
 
     source: Source
@@ -56,16 +46,9 @@ class Inputs:
     _lifted_until_ns: int = 0
 
     def read(self, time_ns: int, now_ns: int) -> tuple[Input, float] | None:
-        """Return what the source gives, with the force that counts, and the level that flows.
+        """Return the input with the force that counts (zero if unknown), and the level that flows.
 
-        The force is zero where nothing is known. None at the end of the source.
-
-        Parameters
-        ----------
-        time_ns : int
-            Time of the run.
-        now_ns : int
-            By the loop's clock.
+        ``time_ns`` is of the run, ``now_ns`` of the loop's clock. None at the end of the source.
         """
         given = self.source.read(time_ns)
         if given is None:

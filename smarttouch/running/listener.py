@@ -21,18 +21,8 @@ if TYPE_CHECKING:
 class RunContext:
     """Parts of a run that its listeners may look at, and must not change.
 
-    Attributes
-    ----------
-    source : Source
-    board : Board
-    profile : Profile
-        Of the finger, without the electrodes that were found broken.
-    bank : KernelBank
-    config : RunConfig
-    controls : Controls
-    statistics : RunStatistics
-    settings : dict
-        All that sequences depend on, and where they came from; for JSON.
+    ``profile`` is without the electrodes that were found broken; ``settings`` is all that sequences
+    depend on and where it came from, ready for JSON.
     """
 
     source: "Source"
@@ -94,13 +84,7 @@ class Listener:
 
 
 class OnStep(Listener):
-    """Calls a function with each step.
-
-    Parameters
-    ----------
-    function : callable
-        Given a `StepResult`.
-    """
+    """Calls a function with each `StepResult`."""
 
     def __init__(self, function: Callable[[StepResult], object]) -> None:
         super().__init__()
@@ -111,13 +95,7 @@ class OnStep(Listener):
 
 
 class OnEvent(Listener):
-    """Calls a function with each event.
-
-    Parameters
-    ----------
-    function : callable
-        Given an `Event`.
-    """
+    """Calls a function with each `Event`."""
 
     def __init__(self, function: Callable[[Event], object]) -> None:
         super().__init__()

@@ -56,37 +56,11 @@ def run_loop(
 ) -> None:
     """Deliver what a source gives to an open board until it ends.
 
-    The source is read at each deadline; the next deadline is one
-    sequence later, so an input that needs longer to scan lowers the rate and
-    nothing queues. A late loop moves its schedule and never hurries.
-
-    Parameters
-    ----------
-    source, pipeline, board
-        An open source, a fresh pipeline, an open board. The caller closes them.
-    stop : StopRequest
-        Ends the run early, and says why.
-    statistics : RunStatistics
-        Filled as the run goes, so that it is there after a fault.
-    seconds : float, optional
-        Longest run by the clock.
-    listeners : sequence of Listener
-        Given every step, also one that was lost with the board, and every event.
-    controls : Controls, optional
-        What the user asks for; full intensity in the pipeline's mode if not given, which is for
-        boards that no finger is on.
-    force : ForceSource, optional
-        Finger force; that of the source if not given.
-    regulator : Regulator, optional
-        What the board's own measurements do to the sequences.
-    clock : Clock, optional
-        The board's if not given.
-
-    Raises
-    ------
-    BoardError
-        If nobody says how strong it may be on a board that may have a finger on it, and
-        whatever the board raises.
+    The source is read at each deadline; the next deadline is one sequence later, so an input that
+    needs longer to scan lowers the rate and nothing queues. A late loop moves its schedule and
+    never hurries. Statistics are filled as the run goes, so that they are there after a fault;
+    listeners also get a step that was lost with the board. Without controls the level is 1, which
+    only boards accept that no finger can be on.
     """
     if controls is None and board.on_a_finger:
         raise BoardError(
@@ -122,7 +96,6 @@ class _Loop:
     regulator: Regulator | None
     stop: StopRequest
     steps: Sequence[Callable[[StepResult], None]]
-    """Methods of listeners that follow each step."""
     clock: Clock
     elapsed_ns: int = 0
     _shift_ns: int = 0

@@ -24,27 +24,11 @@ from smarttouch.stimulation.timing import ScanTiming
 
 
 class Pipeline:
-    """Turns frames and stimuli into scan sequences. Time comes in with each.
+    """Turns frames and stimuli into scan sequences; time comes in with each.
 
-    Parameters
-    ----------
-    profile : Profile
-        Device and finger.
-    bank : KernelBank
-        Kernels of the profile's array.
-    config : RunConfig, optional
-        Mode, rate, scan and tone; in natural mode the rate is the profile's.
-    timing : ScanTiming, optional
-        What the board fixes about the time of a scan.
-    vibrated : bool
-        Whether mechanical vibrators do what PC is to feel, and no current (paper, Section V).
-    in_sums : bool
-        Whether slots are to be sums of kernels in whole numbers, for boards that keep these.
-
-    Attributes
-    ----------
-    table : KernelTable or None
-        Those kernels.
+    With ``vibrated`` mechanical vibrators drive PC, and no current does (paper, Section V). With
+    ``in_sums`` slots are sums of kernels in whole numbers, kept in ``table``, for boards that store
+    kernels.
     """
 
     def __init__(
@@ -88,11 +72,7 @@ class Pipeline:
     def change_mode(self, mode: Mode) -> None:
         """Drive other afferents from the next input on; intensity begins at zero.
 
-        Raises
-        ------
-        SmartTouchError
-            If the board, the profile or its kernels do not offer the mode; then the mode
-            stays as it was.
+        Raises and keeps the mode if board, profile or kernels do not offer the new one.
         """
         self._scan(mode)
         self.mode = mode
@@ -142,18 +122,8 @@ class Pipeline:
     def process(self, given: Input, level: float = 1.0) -> Step:
         """Return the tactile image and the scan sequence of a frame or stimulus.
 
-        Parameters
-        ----------
-        given : Frame or Stimulus
-            A frame is imaged, a stimulus is a tactile image. Its force gates intensity; one that
-            is not a number is no contact.
-        level : float, in [0, 1]
-            What the user asked for, of the strongest.
-
-        Raises
-        ------
-        ScheduleError
-            If the mode is not for frames, or the tactile image cannot be scheduled.
+        Its force gates intensity, and NaN is no contact; ``level`` is what the user asked for, a
+        part of the strongest current in [0, 1].
         """
         tactile = given if isinstance(given, Stimulus) else self._mapper.map(given, self.mode)
         pressure = force_gate(given.force_n, self._profile.force)
@@ -168,7 +138,7 @@ class Pipeline:
         return Step(given, tactile, sequence, self.mode, level, restarted, scan.asked_us)
 
     def restart_softly(self) -> None:
-        """Let intensity rise from zero again, after the skin has felt nothing for a while."""
+        """Let intensity rise from zero again, after a time without current."""
         self._soft_start.restart()
         for scan in self._scans.values():
             scan.restart()

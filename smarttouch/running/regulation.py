@@ -15,10 +15,7 @@ from smarttouch.stimulation.recharge import RechargeRules
 def masked_where_broken(board: Board, profile: Profile, note: Callable[[str], None]) -> Profile:
     """Measure an open board; return the profile without its open and shorted electrodes.
 
-    Raises
-    ------
-    BoardError
-        If nothing touches the electrodes.
+    Raises BoardError if nothing touches the electrodes.
     """
     found = board.measure()
     if found.lifted:
@@ -41,18 +38,10 @@ def masked_where_broken(board: Board, profile: Profile, note: Callable[[str], No
 def make_regulator(
     board: Board, profile: Profile, config: RunConfig, note: Callable[[str], None]
 ) -> Regulator:
-    """Return what ``hold`` and ``balance`` ask for on an open board.
+    """Return the regulator that ``hold`` and ``balance`` ask for on an open board.
 
-    Parameters
-    ----------
-    board, profile, config
-    note : callable
-        Given a sentence that the user should know before the run.
-
-    Raises
-    ------
-    BoardError
-        If the board cannot do it.
+    Each sentence that the user should know before the run goes to ``note``. Raises BoardError if
+    the board cannot do it.
     """
     can = board.capabilities
     if can.time_to_zero_ms is None:

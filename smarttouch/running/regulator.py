@@ -17,14 +17,9 @@ _WAITING_UC = 0.02
 class Regulator:
     """Closes the loop from what the board measured to what it is sent next.
 
-    Parameters
-    ----------
-    adaptation : Adaptation, optional
-        Holds charge or energy against drifting impedance.
-    ledger : ChargeBalance, optional
-        Net charge of every electrode, which sequences bring to zero.
-    recharge : RechargeRules, optional
-        By a recharge phase within these; by the polarity of whole scans if not given.
+    The adaptation holds charge or energy against drifting impedance; the ledger has the net charge
+    of every electrode, which a recharge phase within its rules, or else the polarity of whole
+    scans, brings to zero.
     """
 
     adaptation: Adaptation | None = None

@@ -63,15 +63,7 @@ def figures_of(
 
 
 def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
-    """Return how a run went, in lines for people.
-
-    Parameters
-    ----------
-    figures : dict
-        From `figures_of`.
-    acknowledges : bool
-        Whether the board acknowledges sequences.
-    """
+    """Return how a run went in lines of text, from the figures of `figures_of`."""
     latency = figures["motion_to_bytes_us"]
     net_uc = figures["max_net_charge_uc"] or 0
     net = (

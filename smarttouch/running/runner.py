@@ -34,42 +34,17 @@ from smarttouch.stimulation.limits import rms_ma_cm2
 from smarttouch.stopping import StopRequest
 
 MakeControls = Callable[[ControlState, tuple[Mode, ...]], Controls]
-"""Makes controls from a first state and the modes that are offered."""
 
 
 class Runner:
-    """One run of a source on a display.
+    """One run of a source on a display; the source is closed at its end.
 
-    Parameters
-    ----------
-    source : Source
-        Closed at the end.
-    display : Display
-    config : RunConfig
-    force : ForceSource or str, optional
-        Finger force, or its URL. If not given: where a finger may be on the board, that of the
-        profile's ``force.source``, else what source or board measure; elsewhere that of the source
-        or board.
-    listeners : iterable of Listener or callable
-        Follow the run; a plain function is given each `StepResult`.
-    controls : callable, optional
-        Makes the user's controls from their first state and the modes that are offered.
-    first_level, most : float, in [0, 1], optional
-        Level at the start, and that which controls do not raise it above; those of the
-        configuration if not given.
-    stop : StopRequest, optional
-        One of its own if not given; `Display.stop` ends the run too.
-    load_kernels : callable
-        Returns the kernels of a profile.
-    opened : callable, optional
-        Opens the display's board for a block, given a stop request; `Display.opened` if not
-        given.
-    clock : Clock, optional
-        The board's if not given; simulated for boards whose time is.
-
-    Attributes
-    ----------
-    statistics : RunStatistics
+    ``force`` is a source of finger force or its URL: if not given, where a finger may be on the
+    board that of the profile's ``force.source``, else what source or board measure. ``controls``
+    makes the user's controls from their first state and the modes offered; ``first_level`` and
+    ``most`` are the level at the start and the highest, in [0, 1], by the configuration if not
+    given. ``load_kernels`` returns the kernels of a profile, ``opened`` opens the board for a
+    block; the clock is the board's, or simulated for boards whose time is.
     """
 
     def __init__(
@@ -106,12 +81,9 @@ class Runner:
         self._emit = emit_to(self._listeners)
 
     def run(self) -> RunStatistics:
-        """Run until the source ends or somebody ends it; return the statistics.
+        """Run until the source ends or a stop is requested; return the statistics.
 
-        Raises
-        ------
-        SmartTouchError
-            Whatever keeps the run from beginning or going on; the display is at zero.
+        Raises whatever keeps the run from beginning or going on; the display is at zero.
         """
         with contextlib.ExitStack() as stack:
             ending = self.display.stopping
@@ -145,7 +117,7 @@ class Runner:
                     self.statistics, self.source, board, report, ended
                 )
                 self.statistics.notes += self._notes()
-                self.display.notes_told = len(board.notes)
+                self.display.notes_reported = len(board.notes)
             for listener in self._listeners:
                 listener.finish(context)
         for listener in self._listeners:
@@ -259,7 +231,7 @@ class Runner:
     def _notes(self) -> list[str]:
         force = self._force
         return [
-            *self.display.board.notes[self.display.notes_told :],
+            *self.display.board.notes[self.display.notes_reported :],
             *self.source.notes,
             *(force.notes if force is not None else ()),
         ]

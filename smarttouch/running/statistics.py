@@ -70,7 +70,7 @@ class RunStatistics:
     late: int = 0
     """Frames that came more than a period after their time."""
     restarts: int = 0
-    """Number of times that the board was lost and started anew."""
+    """Number of times that the board was lost and restarted."""
     lifts: int = 0
     """Number of times that the board found the finger lifted."""
     blind: int = 0
@@ -99,21 +99,14 @@ class RunStatistics:
     """Sentences that a user should know after the run."""
     figures: dict[str, Any] = field(default_factory=dict)
     """All figures of the run by name, complete after its end; for JSON."""
-    _last_felt: int | None = None
+    _last_sent: int | None = None
 
     def enter(self, result: StepResult, error_us: float | None) -> None:
-        """Enter a step whose sequence was sent.
-
-        Parameters
-        ----------
-        result : StepResult
-        error_us : float, optional
-            Error of the time since the step before; None if that was not sent.
-        """
+        """Enter a step whose sequence was sent."""
         step, sequence = result.step, result.step.sequence
         self.frames += 1
-        self.felt += step.input.number != self._last_felt
-        self._last_felt = step.input.number
+        self.felt += step.input.number != self._last_sent
+        self._last_sent = step.input.number
         self.slots += len(sequence.width_us)
         if sequence.proof is not None and (shared := sequence.proof.shared) is not None:
             self.off_target = max(self.off_target, shared[0])

@@ -19,22 +19,9 @@ Measured = tuple[ScanSequence, NDArray[np.float32]]
 class Step:
     """One input's way to a sequence, and all that it depended on.
 
-    Attributes
-    ----------
-    input : Frame or Stimulus
-        That was read, with the force that counted.
-    tactile : TactileImage
-    sequence : ScanSequence
-        As it is sent.
-    mode : Mode
-    level : float, in [0, 1]
-        What the user asked for.
-    restarted : bool
-        Whether intensity began at zero here.
-    asked_us : int, µs
-        Period that was wanted; longer ones did not fit.
-    observed : tuple of (ScanSequence, ndarray)
-        What the board had measured until then, where sequences depend on it.
+    ``input`` has the force that counted, ``sequence`` is as sent, ``level`` what the user asked
+    for, [0, 1]; ``restarted`` says that intensity began at zero here, ``asked_us`` the period that
+    was wanted, ``observed`` what the board had measured until then.
     """
 
     input: Input
@@ -121,11 +108,11 @@ class StepResult:
     def felt_ma(self) -> NDArray[np.float32]:
         """Current at each point that is stimulated, (E,) mA; 0 where none is."""
         sequence = self.step.sequence
-        felt = np.zeros(sequence.electrodes, np.float32)
+        delivered_ma = np.zeros(sequence.electrodes, np.float32)
         current_ma = np.abs(sequence.current_ua.astype(np.float32)) / 1000
-        felt[sequence.site] = current_ma.max(axis=1, initial=0)
+        delivered_ma[sequence.site] = current_ma.max(axis=1, initial=0)
         if sequence.points > sequence.slots:
             # Several share a slot.
             points = np.flatnonzero(self.step.tactile.activation.any(axis=0))
-            felt[points] = current_ma.max(axis=0)[points]
-        return felt
+            delivered_ma[points] = current_ma.max(axis=0)[points]
+        return delivered_ma

@@ -23,31 +23,14 @@ from smarttouch.stopping import StopRequest
 
 
 class ElectrodeReached(Note):
-    """The walk came to an electrode."""
+    """The walk reached an electrode."""
 
 
 class Walk(StimulusSource):
     """Pulses on one electrode after another; on each, current rises from zero.
 
-    Parameters
-    ----------
-    profile : Profile
-    current_ma : float, mA
-        Through each electrode, against all others.
-    seconds : float, s, optional
-        On each electrode; until `go_on` if not given.
-    sites : sequence of int, optional
-        Electrodes in their order; all if not given. Masked ones are left out.
-
-    Attributes
-    ----------
-    tried : int
-        Electrodes until now.
-
-    Raises
-    ------
-    SmartTouchError
-        If the current is out of reach, or the time is none.
+    Each electrode gets ``current_ma`` against all others, for ``seconds`` or until `go_on`; masked
+    ones are left out, ``tried`` counts.
     """
 
     ended: ClassVar[str] = "all electrodes are tried"

@@ -2,13 +2,25 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import ClassVar
+from typing import Any, ClassVar, Protocol
 
 from smarttouch.events import Emit, emit_nowhere
 from smarttouch.profile import Profile
 from smarttouch.sources.device import Device
 from smarttouch.sources.frame import Frame
 from smarttouch.sources.stimulus import Input, Stimulus
+
+
+class Canvas(Protocol):
+    """Part of a source that a page of the window draws on; ``changes`` counts what it shows."""
+
+    changes: int
+
+    def draw(self, words: str) -> None:
+        """Do what a page asks for; ValueError if it cannot be understood."""
+
+    def message(self) -> dict[str, Any]:
+        """Return all that a page shows of it, with ``changes``; for JSON."""
 
 
 class Source(Device, ABC):
@@ -18,6 +30,8 @@ class Source(Device, ABC):
     is the number of distinct inputs read plus ``dropped_frames``.
     """
 
+    canvas: Canvas | None = None
+    """What a page of the window draws on, if anything."""
     duration_s: float | None = None
     """Duration; None if it never ends by itself."""
     ended: ClassVar[str] = "the source has ended"

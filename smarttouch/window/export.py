@@ -10,33 +10,25 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.cells import Colors, ElectrodePicture, current_colors, electrodes_svg
+from smarttouch.electrodes import ElectrodeArray
 from smarttouch.errors import RecordingError
 from smarttouch.files import owner_only, unwritable
 from smarttouch.window.tape import Tape
 
-CATHODIC, ANODIC, BASE = (179, 88, 6), (84, 39, 136), (236, 238, 241)
 KINDS = (".png", ".svg", ".mp4")
 FILM_HZ = 25
-"""Pictures a second of a film."""
 MOST_FILM_S = 600
 _PX_PER_MM = 24
 _MOST_PX = 720
-_FINER = 4
-_EDGE = (139, 152, 164)
 _CODEC = "vp09"
-"""That browsers play, and that OpenCV brings along."""
+"""Browsers play it, and OpenCV includes it."""
 
 Current = NDArray[np.int16]
 
 
 def shown_current(picture: dict[str, Any], electrodes: int, slot: int | None) -> Current:
-    """Return the current of each electrode in a slot, or the strongest of all, (E,) µA.
-
-    Raises
-    ------
-    IndexError
-        If there is no such slot.
-    """
+    """Return the current of each electrode in a slot, or the strongest of all, (E,) µA."""
     current = np.frombuffer(base64.b64decode(picture["current_ua"]), "<i2")
     current = current.reshape(-1, electrodes)
     if slot is not None:
@@ -47,73 +39,21 @@ def shown_current(picture: dict[str, Any], electrodes: int, slot: int | None) ->
     return np.asarray(np.take_along_axis(current, strongest[None], axis=0)[0])
 
 
-def current_colors(current_ua: Current, full_ma: float) -> NDArray[np.uint8]:
-    """Return the color of each electrode, (E, 3): orange is cathodic, purple anodic."""
-    part = np.clip(current_ua / (1000 * full_ma), -1, 1)[:, None]
-    target = np.where(part < 0, ANODIC, CATHODIC)
-    mixed = np.array(BASE) + (target - np.array(BASE)) * np.abs(part)
-    return np.asarray(np.floor(mixed + 0.5), np.uint8)
-
-
-def svg(about: dict[str, Any], current_ua: Current) -> str:
-    """Return a view of the electrodes, in mm."""
-    wide, high = about["extent_mm"]
-    colors = current_colors(current_ua, about["full_ma"])
-    discs = "".join(
-        f'<circle cx="{x:g}" cy="{y:g}" r="{about["radius_mm"]:g}" '
-        f'fill="rgb({red},{green},{blue})"><title>electrode {number}: {ua / 1000:g} mA</title>'
-        "</circle>"
-        for number, ((x, y), (red, green, blue), ua) in enumerate(
-            zip(about["place_mm"], colors.tolist(), current_ua.tolist(), strict=True)
-        )
-    )
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide * 10:g}" height="{high * 10:g}" '
-        f'viewBox="{-wide / 2:g} {-high / 2:g} {wide:g} {high:g}">'
-        f'<g stroke="rgb{_EDGE}" stroke-width="0.04">{discs}</g></svg>\n'
-    )
-
-
-def raster(about: dict[str, Any], current_ua: Current) -> NDArray[np.uint8]:
-    """Return a view of the electrodes as pixels, (H, W, 3) in RGB."""
-    wide, high = about["extent_mm"]
-    scale = min(_PX_PER_MM, _MOST_PX / max(wide, high))
-    # Even sides, as films have.
-    size = [2 * max(1, round(each * scale / 2)) for each in (wide, high)]
-    fine = scale * _FINER
-    image = np.full((size[1] * _FINER, size[0] * _FINER, 3), 255, np.uint8)
-    radius = round(about["radius_mm"] * fine)
-    colors = current_colors(current_ua, about["full_ma"]).tolist()
-    for (x, y), color in zip(about["place_mm"], colors, strict=True):
-        center = (round((x + wide / 2) * fine), round((y + high / 2) * fine))
-        cv2.circle(image, center, radius, color, -1, cv2.LINE_AA)
-        cv2.circle(image, center, radius, _EDGE, _FINER, cv2.LINE_AA)
-    return np.asarray(cv2.resize(image, (size[0], size[1]), interpolation=cv2.INTER_AREA), np.uint8)
-
-
 def export_view(tape: Tape, index: int, kind: str, slot: int | None = None) -> bytes:
-    """Return a view of a step as a file.
-
-    Parameters
-    ----------
-    tape : Tape
-    index : int
-        Of the step.
-    kind : {".png", ".svg"}
-    slot : int, optional
-        The strongest of all slots if not given.
-
-    Raises
-    ------
-    IndexError
-        If there is no such step or slot.
-    """
-    about = tape.array
-    current = shown_current(json.loads(tape.picture(index)), len(about["place_mm"]), slot)
+    """Return a view of a step, a slot of it or the strongest of all, as ``.png`` or ``.svg``."""
+    electrodes = tape.recording.profile.electrodes
+    current = shown_current(json.loads(tape.picture(index)), len(electrodes), slot)
+    colors = current_colors(current, tape.array["full_ma"])
     if kind == ".svg":
-        return svg(about, current).encode()
-    _, png = cv2.imencode(".png", cv2.cvtColor(raster(about, current), cv2.COLOR_RGB2BGR))
+        titles = (f"electrode {number}: {ua / 1000:g} mA" for number, ua in enumerate(current))
+        return electrodes_svg(electrodes, colors, titles).encode()
+    image = _picture(electrodes).raster(colors)
+    _, png = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
     return png.tobytes()
+
+
+def _picture(electrodes: ElectrodeArray) -> ElectrodePicture:
+    return ElectrodePicture(electrodes, min(_PX_PER_MM, _MOST_PX / max(electrodes.extent_mm)))
 
 
 def export_film(
@@ -123,23 +63,9 @@ def export_film(
     last: int | None = None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> None:
-    """Write steps as a film in their own time.
+    """Write steps of an index that has been read as a film (``.mp4``) in their own time.
 
-    Parameters
-    ----------
-    tape : Tape
-        All of it must have been read.
-    path : Path
-        A file that ends in ``.mp4``.
-    first, last : int
-        Steps; to the end if not given.
-    advance : callable
-        Told how many pictures are done, of how many.
-
-    Raises
-    ------
-    RecordingError
-        If the film is too long, or cannot be written.
+    Raises RecordingError if the film is too long, or cannot be written.
     """
     # A copy: the recording may still be being read, and it grows.
     times = np.array(tape.times_s[first : None if last is None else last + 1])
@@ -160,11 +86,12 @@ def export_film(
     _write_film(path, _pictures(tape, indices.tolist()), advance, count)
 
 
-def _pictures(tape: Tape, indices: Iterable[int]) -> Iterable[NDArray[np.uint8]]:
-    about = tape.array
+def _pictures(tape: Tape, indices: Iterable[int]) -> Iterable[Colors]:
+    electrodes = tape.recording.profile.electrodes
+    picture = _picture(electrodes)
     for index in indices:
-        picture = json.loads(tape.picture(index))
-        yield raster(about, shown_current(picture, len(about["place_mm"]), None))
+        current = shown_current(json.loads(tape.picture(index)), len(electrodes), None)
+        yield picture.raster(current_colors(current, tape.array["full_ma"]))
 
 
 def _write_film(

@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from smarttouch.delivered.live import LiveFinger
-from smarttouch.drawing.source import DrawSource
 from smarttouch.errors import DesignError, SmartTouchError
 from smarttouch.events import Event, RunEnded, RunFailed
 from smarttouch.physiology.finger import Finger
@@ -28,29 +27,12 @@ _SWITCH_S = 0.0005
 
 
 class Window(Listener):
-    """Shows a run in a browser, from a thread of its own, and lets one page steer it.
+    """Shows a run in a browser, from a thread of its own, and lets one page control it.
 
-    The loop's thread only leaves the newest step where pages find it.
-
-    Parameters
-    ----------
-    stop : StopRequest
-    port : int
-        Of 127.0.0.1; 0: one that is free.
-    keys : mapping of str to callable, optional
-        Functions of single keys of the source.
-    keys_help : str
-        Words on them.
-    alone : bool
-        Whether there are no other controls: a run that no page steers any more is then paused.
-    blind : bool
-        Whether whoever looks must not see what is delivered.
-    finger : int, optional
-        Seed of the finger that is simulated; none if None.
-    anatomy : str
-        Of the finger.
-    show : callable, optional
-        Given the address once it is served.
+    The loop's thread only leaves the newest step where pages find it. Port 0 of 127.0.0.1 is a free
+    one. ``alone``: a run that no page controls any more is paused. ``blind``: pages must not show
+    what is delivered. ``finger`` is the seed of a simulated finger, None for none. ``show`` is
+    called with the address once it is served.
     """
 
     def __init__(
@@ -112,7 +94,7 @@ class Window(Listener):
         hello: dict[str, Any] = {
             "type": "hello",
             "blind": self._blind,
-            "draws": isinstance(run.source, DrawSource),
+            "draws": run.source.canvas is not None,
             "board": str(run.settings.get("board", "")),
             "modes": [str(each) for each in run.controls.modes],
             "keys": list(self._keys),
@@ -137,19 +119,19 @@ class Window(Listener):
         self.steering.look_after()
 
     def event(self, event: Event) -> None:
-        """Keep an event for the pages, unless it would tell an answer."""
+        """Keep an event for the pages, unless it would give an answer away."""
         if isinstance(event, RunEnded | RunFailed):
             failed = isinstance(event, RunFailed)
             self._ended |= {"reason": str(event), "failed": failed}
         if self._blind and event.reveals:
             return
-        told = {"time_s": event.time_ns / 1e9, "text": str(event), "kind": type(event).__name__}
+        entry = {"time_s": event.time_ns / 1e9, "text": str(event), "kind": type(event).__name__}
         with self._event_lock:
             self._event_count += 1
-            self._events.append((self._event_count, told))
+            self._events.append((self._event_count, entry))
 
     def close(self) -> None:
-        """Tell pages that the run is over, and serve no more."""
+        """Send pages the end of the run, and serve no more."""
         if self._pages.over.is_set():
             return
         self._pages.over.set()
@@ -198,7 +180,7 @@ class Window(Listener):
         latest = self._latest
         with self._event_lock:
             count, kept = self._event_count, [*self._events]
-        events = [told for number, told in kept if number > page.events]
+        events = [entry for number, entry in kept if number > page.events]
         state = {**self._state(page, latest), "events": events}
         parts = [f'"type":"update","state":{json.dumps(state)}']
         if latest is not None and latest is not page.shown and not self._blind:
@@ -208,8 +190,9 @@ class Window(Listener):
         if self._felt is not page.felt:
             page.felt = self._felt
             parts.append(f'"felt":{self._felt}')
-        if isinstance(self.source, DrawSource) and self.source.changes != page.drawn:
-            drawn = self.source.message()
+        canvas = self.source.canvas
+        if canvas is not None and canvas.changes != page.drawn:
+            drawn = canvas.message()
             page.drawn = drawn["changes"]
             parts.append(f'"drawn":{json.dumps(drawn)}')
         page.shown, page.events = latest, count

@@ -1,4 +1,4 @@
-"""Pages that are connected to a run: each is told the newest, and one of them steers."""
+"""Pages that are connected to a run: each is sent the newest state, and one has control."""
 
 import asyncio
 import contextlib
@@ -8,7 +8,6 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from smarttouch.drawing.source import DrawSource
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source import Source
 from smarttouch.window.server import import_server
@@ -23,10 +22,10 @@ if TYPE_CHECKING:
 MOST_PAGES = 16
 MOST_HZ = 60
 MOST_MESSAGES_PER_S = 400
-"""Of one page; one that sends more loses its connection."""
+"""Limit for one page; one that sends more loses its connection."""
 _BEAT_S = 0.2
 """Longest time without a message to a page: its answer says that it is alive."""
-_TOLD_WITHIN_S = 0.5
+_INFORMED_WITHIN_S = 0.5
 
 
 @dataclass
@@ -41,13 +40,13 @@ class Page:
     felt: str = ""
     drawn: int = 0
     """Changes of the drawing that it has seen."""
-    heard: int = 0
+    received: int = 0
     """Messages of this second."""
     second: int = 0
 
 
-class Told(Protocol):
-    """What pages are told: of a run, in JSON."""
+class PageState(Protocol):
+    """State of a run as pages are sent it, in JSON."""
 
     @property
     def steering(self) -> Steering: ...
@@ -69,24 +68,14 @@ class Told(Protocol):
 
 
 class Pages:
-    """Connections of all pages of a run.
+    """Connections of all pages of a run; ``over`` is set once the run is over."""
 
-    Parameters
-    ----------
-    told : Told
-
-    Attributes
-    ----------
-    over : threading.Event
-        Set once the run is over.
-    """
-
-    def __init__(self, told: Told) -> None:
+    def __init__(self, state: PageState) -> None:
         import_server()
-        self._told = told
+        self._state = state
         self._pages: dict[int, Page] = {}
         self._numbers = itertools.count(1)
-        self.over, self._all_told = threading.Event(), threading.Event()
+        self.over, self._all_informed = threading.Event(), threading.Event()
 
     def __len__(self) -> int:
         return len(self._pages)
@@ -101,9 +90,9 @@ class Pages:
         ]
 
     def wait(self) -> None:
-        """Wait a little until all pages have heard that the run is over."""
+        """Wait a little until all pages know that the run is over."""
         if self._pages:
-            self._all_told.wait(_TOLD_WITHIN_S)
+            self._all_informed.wait(_INFORMED_WITHIN_S)
 
     async def _stopped(self, request: "Request") -> "Response":
         """Stop where a page has lost its connection."""
@@ -116,7 +105,7 @@ class Pages:
 
     async def _stop(self) -> None:
         # A board may wait for its line: nobody else is to wait for that.
-        await asyncio.to_thread(self._told.steering.stop)
+        await asyncio.to_thread(self._state.steering.stop)
 
     async def _connected(self, socket: "WebSocket") -> None:
         from starlette.websockets import WebSocketDisconnect
@@ -142,20 +131,20 @@ class Pages:
         finally:
             feeding.cancel()
             del self._pages[page.number]
-            self._told.steering.leave(page.number)
+            self._state.steering.leave(page.number)
             if not self._pages and self.over.is_set():
-                self._all_told.set()
+                self._all_informed.set()
             # It may have failed on the lost connection.
             await asyncio.gather(feeding, return_exceptions=True)
 
     async def _take(self, page: Page, text: str) -> bool:
         """Do what a page says; return False if that is no message."""
-        steering, second = self._told.steering, int(time.monotonic())
-        page.heard = page.heard + 1 if second == page.second else 1
+        steering, second = self._state.steering, int(time.monotonic())
+        page.received = page.received + 1 if second == page.second else 1
         page.second = second
-        if page.heard > MOST_MESSAGES_PER_S:
+        if page.received > MOST_MESSAGES_PER_S:
             return False
-        steering.hear(page.number)
+        steering.note_alive(page.number)
         verb, _, rest = text.partition(" ")
         if text == "seen":
             page.waits = True
@@ -175,28 +164,28 @@ class Pages:
         return True
 
     async def _act(self, page: Page, verb: str, rest: str) -> None:
-        source, steering = self._told.source, self._told.steering
+        canvas, steering = self._state.source.canvas, self._state.steering
         if verb == "do" and rest.startswith("key:"):
             # It may wait for the source's line: a stop must not wait for that.
             await asyncio.to_thread(steering.act, page.number, rest)
         elif verb == "do":
             steering.act(page.number, rest)
-        elif not isinstance(source, DrawSource):
+        elif canvas is None:
             raise ValueError(rest)
         elif steering.steer(page.number):
-            await asyncio.to_thread(source.draw, rest)
+            await asyncio.to_thread(canvas.draw, rest)
 
     async def _feed(self, socket: "WebSocket", page: Page) -> None:
         """Send the newest to one page whenever it has drawn what it has."""
-        await socket.send_text(self._told.hello)
+        await socket.send_text(self._state.hello)
         sent_s = 0.0
         while True:
             await asyncio.sleep(1 / MOST_HZ)
-            over, idle = self.over.is_set(), self._told.has_seen(page)
+            over, idle = self.over.is_set(), self._state.has_seen(page)
             if over or (page.waits and not (idle and time.monotonic() - sent_s < _BEAT_S)):
                 sent_s, page.waits = time.monotonic(), False
-                await socket.send_text(self._told.update(page))
+                await socket.send_text(self._state.update(page))
             if over:
-                await socket.send_text(self._told.ended)
+                await socket.send_text(self._state.ended)
                 await socket.close(1000)
                 return

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.afferent import CLASS_COLORS, Afferent
+from smarttouch.cells import disc_radius_mm
 from smarttouch.physiology.feeling import Feeling
 from smarttouch.physiology.finger import Finger
 from smarttouch.profile import Profile
@@ -24,12 +25,11 @@ Message = dict[str, Any]
 def array_message(profile: Profile) -> Message:
     """Return the array of a profile, and its limits, as a page needs them to draw."""
     electrodes, limits = profile.electrodes, profile.limits
-    diameter = min(min(electrodes.cell_mm), electrodes.pitch_mm)
     return {
         "profile": profile.title,
         "place_mm": electrodes.position_mm.round(_DIGITS).tolist(),
         "extent_mm": [round(each, _DIGITS) for each in electrodes.extent_mm],
-        "radius_mm": round(0.42 * diameter, _DIGITS),
+        "radius_mm": round(disc_radius_mm(electrodes), _DIGITS),
         "full_ma": float(profile.full_ma.max()),
         "full_n": float(profile.force.full_n),
         "limits": {
@@ -52,15 +52,15 @@ def finger_message(finger: Finger) -> Message:
 
 
 def felt_message(feeling: Feeling) -> Message:
-    """Return the spikes of each afferent, and what was felt of them."""
-    felt = feeling.felt
+    """Return the spikes of each afferent, and the quality of the response."""
+    quality = feeling.felt
     return {
         "counts": _base64(np.minimum(feeling.counts, 255).astype(np.uint8)),
-        "spikes": felt.spikes,
-        "afferents": {each.name: count for each, count in felt.afferents.items()},
-        "silent_points": _number(felt.silent_points),
-        "wrong_class": _number(felt.wrong_class),
-        "misplaced": _number(felt.misplaced),
+        "spikes": quality.spikes,
+        "afferents": {each.name: count for each, count in quality.afferents.items()},
+        "silent_points": _number(quality.silent_points),
+        "wrong_class": _number(quality.wrong_class),
+        "misplaced": _number(quality.misplaced),
     }
 
 

@@ -51,27 +51,10 @@ _HEADERS = {
 
 
 class PageServer:
-    """Serves the files of the page and some routes until it is closed.
+    """Serves the files of a page and some routes until it is closed.
 
-    Requests for another host, from another origin or without the secret are refused.
-
-    Parameters
-    ----------
-    port : int
-        Of 127.0.0.1; 0: one that is free.
-    routes : sequence of starlette.routing.BaseRoute
-        Beside the files, relative to the secret.
-    name : str
-        File of the page.
-
-    Attributes
-    ----------
-    address : str
-
-    Raises
-    ------
-    SmartTouchError
-        If the extra ``window`` is missing, or the port cannot be had.
+    Requests for another host, from another origin or without the secret are refused. Routes are
+    relative to the secret; port 0 of 127.0.0.1 is a free one.
     """
 
     def __init__(self, port: int, routes: "Sequence[BaseRoute]", name: str = "live.html") -> None:
@@ -163,13 +146,7 @@ async def _refuse(scope: Any, send: Any) -> None:
 
 
 def import_server() -> Any:
-    """Return uvicorn.
-
-    Raises
-    ------
-    SmartTouchError
-        If the extra is missing.
-    """
+    """Return uvicorn; raises if the extra is missing."""
     try:
         # Two of them are only looked for: each is part of the extra.
         import starlette  # noqa: F401

@@ -1,4 +1,4 @@
-"""Steering of a run by pages: several look, one steers, anyone stops."""
+"""Steering of a run by pages: several look, one has control, any can stop it."""
 
 import threading
 import time
@@ -9,23 +9,14 @@ from smarttouch.running.controls import STEP, Controls
 from smarttouch.stopping import StopRequest
 
 LOST_S = 0.7
-"""Silence after which a page no longer steers."""
+"""Silence after which a page loses control."""
 
 
 class Steering:
     """Passes what one page asks for to the controls of a run, as keys do.
 
-    A page that asks for something steers if no other does. What nobody steers any more is paused
-    where pages are the only controls.
-
-    Parameters
-    ----------
-    controls : Controls
-    stop : StopRequest
-    keys : mapping of str to callable
-        Functions of single keys of the source.
-    alone : bool
-        Whether there are no other controls than pages.
+    A page that asks for something takes control if no other has it. What no page controls any more
+    is paused where there are no other controls (``alone``).
     """
 
     def __init__(
@@ -38,7 +29,7 @@ class Steering:
     ) -> None:
         self.controls, self._stop, self._keys, self._alone = controls, stop, keys, alone
         self._page: int | None = None
-        self._heard_s = 0.0
+        self._alive_s = 0.0
         self._lock = threading.Lock()
         self._does: dict[str, Callable[[], None]] = {
             "more": lambda: controls.change_level(STEP),
@@ -54,18 +45,18 @@ class Steering:
         return self._page
 
     def stop(self) -> None:
-        """End the run with all electrodes at zero; anyone may."""
+        """End the run with all electrodes at zero; any page may."""
         self._stop.ask("the window")
 
     def steer(self, page: int) -> bool:
-        """Return whether a page steers; it begins to if no other does."""
+        """Return whether a page has control; it takes it if no other has."""
         with self._lock:
             if self._page is None:
-                self._heard_s, self._page = time.monotonic(), page
+                self._alive_s, self._page = time.monotonic(), page
             return self._page == page
 
     def leave(self, page: int) -> None:
-        """Let a page steer no longer, if it did."""
+        """Take control from a page, if it had it."""
         with self._lock:
             if self._page != page:
                 return
@@ -73,24 +64,20 @@ class Steering:
         if self._alone:
             self.controls.pause()
 
-    def hear(self, page: int) -> None:
+    def note_alive(self, page: int) -> None:
         """Note that a page is alive."""
         if self._page == page:
-            self._heard_s = time.monotonic()
+            self._alive_s = time.monotonic()
 
     def look_after(self) -> None:
-        """Let a page that has fallen silent steer no longer; from any thread."""
+        """Take control from a page that has fallen silent; from any thread."""
         page = self._page
-        if page is not None and time.monotonic() - self._heard_s > LOST_S:
+        if page is not None and time.monotonic() - self._alive_s > LOST_S:
             self.leave(page)
 
     def act(self, page: int, what: str) -> bool:
-        """Do what a page asks for; return False if another steers.
-
-        Raises
-        ------
-        ValueError
-            If there is no such thing to do.
+        """Do what a page asks for; return False if another has control, ValueError if it is
+        unknown.
         """
         kind, _, name = what.partition(":")
         if what in self._does:

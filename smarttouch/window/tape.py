@@ -20,24 +20,7 @@ _STANDS_FOR = ("mode", "board", "sensor", "subject", "note")
 class Tape(Closing):
     """Pictures of all steps of a recording, in a file of their own until this is closed.
 
-    Parameters
-    ----------
-    path : Path
-
-    Attributes
-    ----------
-    recording : Recording
-    array : dict
-        Its electrodes and limits; see `array_message`.
-    times_s : array of float
-        Time of each step that has been read.
-    wrong : str
-        Words on what could not be read; empty if nothing.
-
-    Raises
-    ------
-    RecordingError
-        If it is no recording.
+    ``times_s`` has the time of each step that has been read, ``wrong`` what could not be read.
     """
 
     def __init__(self, path: Path) -> None:
@@ -61,12 +44,8 @@ class Tape(Closing):
         self._thread.join()
 
     def picture(self, index: int) -> bytes:
-        """Return the picture of a step, JSON.
-
-        Raises
-        ------
-        IndexError
-            If there is none, or it has not been read yet.
+        """Return the picture of a step, JSON; IndexError if there is none, or it has not been read
+        yet.
         """
         if not 0 <= index < len(self.times_s):
             raise IndexError(index)

@@ -23,27 +23,7 @@ _TYPES = {".png": "image/png", ".svg": "image/svg+xml", ".mp4": "video/mp4"}
 
 
 class RecordingsPage(Closing):
-    """Serves a page that shows recordings, until it is closed.
-
-    Parameters
-    ----------
-    paths : sequence of Path
-        One, or two that are shown side by side.
-    port : int
-        Of 127.0.0.1; 0: one that is free.
-
-    Attributes
-    ----------
-    address : str
-    tapes : list of Tape
-
-    Raises
-    ------
-    RecordingError
-        If there are more, or one is no recording.
-    SmartTouchError
-        If the extra ``window`` is missing, or the port cannot be had.
-    """
+    """Serves a page that shows one recording, or two side by side, until it is closed."""
 
     def __init__(self, paths: Sequence[Path], port: int = 0) -> None:
         if not 0 < len(paths) <= MOST_RECORDINGS:
@@ -90,8 +70,8 @@ class RecordingsPage(Closing):
 
         first = request.query_params.get("from", "0")
         start = int(first) if first.isascii() and first.isdecimal() else 0
-        told = [each.message(start) for each in self.tapes]
-        return Response(json.dumps(told), media_type="application/json")
+        messages = [each.message(start) for each in self.tapes]
+        return Response(json.dumps(messages), media_type="application/json")
 
     async def _step(self, request: "Request") -> "Response":
         from starlette.responses import Response

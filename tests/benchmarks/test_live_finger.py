@@ -34,7 +34,7 @@ def test_period_error_with_a_finger(row, quick, anatomy):
         {
             "finger": anatomy or "none",
             "sequences": figures["sequences"],
-            "felt": "" if live is None else live.felt,
+            "felt": "" if live is None else live.simulated,
             "period off by, µs, p50 / p99 / max": " / ".join(
                 f"{error[each]:.0f}" for each in ("p50", "p99", "max")
             ),
@@ -44,7 +44,7 @@ def test_period_error_with_a_finger(row, quick, anatomy):
     )
     assert figures["emulator_violations"] == 0
     if live is not None:
-        assert live.felt > 0
+        assert live.simulated > 0
         assert live.drawn == live.newest._repr_html_()
         # A step that the board lost is felt, and is no sequence.
-        assert live.felt + live.skipped >= figures["sequences"]
+        assert live.simulated + live.skipped >= figures["sequences"]

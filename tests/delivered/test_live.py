@@ -39,7 +39,7 @@ class Stopped(st.Listener):
 
     def finish(self, run):
         # All steps are over, and the finger is still at the first.
-        assert self.live.felt == 0
+        assert self.live.simulated == 0
         os.kill(self.live._process.pid, signal.SIGCONT)
 
 
@@ -49,7 +49,7 @@ def test_the_loop_never_waits_for_a_finger_that_stands_still(finger):
     statistics = run(finger.profile, stopped, live)
     assert statistics.frames == len(stopped.steps) > 20
     assert statistics.figures["period_error_us"]["max"] == 0
-    assert (live.felt, live.skipped) == (1, len(stopped.steps) - 1)
+    assert (live.simulated, live.skipped) == (1, len(stopped.steps) - 1)
     np.testing.assert_array_equal(live.newest.counts, finger.feel(stopped.steps[0]).counts)
 
 
@@ -64,13 +64,13 @@ def test_the_newest_is_felt_next(finger):
         def step(self, result):
             if len(self.taken) % 3 == 0:
                 assert live._line.poll(60)
-            self.taken.append((live.felt, result))
+            self.taken.append((live.simulated, result))
 
     live = LiveFinger(finger, Feeling._repr_html_)
     # In this order: the finger has the step before.
     run(finger.profile, live, Waits())
-    assert live.felt + live.skipped == len(Waits.taken)
-    assert live.felt >= len(Waits.taken) // 3
+    assert live.simulated + live.skipped == len(Waits.taken)
+    assert live.simulated >= len(Waits.taken) // 3
     assert live.drawn == live.newest._repr_html_()
     last = max(number for number, _ in Waits.taken)
     given = next(result for number, result in Waits.taken if number == last)

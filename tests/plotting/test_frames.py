@@ -57,7 +57,9 @@ def rows(profile):
 def current_drawn(axes):
     """Return currents at the electrodes' places as drawn, (E,) mA, and the places."""
     (discs,) = axes.collections
-    return np.asarray(discs.get_array()), np.asarray(discs.get_offsets())
+    extents = [each.get_extents() for each in discs.get_paths()]
+    place = np.array([(each.min + each.max) / 2 for each in extents])
+    return np.asarray(discs.get_array()), place.round(9)
 
 
 def field_drawn(axes, where_mm):

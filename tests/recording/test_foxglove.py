@@ -13,7 +13,7 @@ import smarttouch as st
 from smarttouch.afferent import CLASS_COLORS
 from smarttouch.errors import SmartTouchError
 from smarttouch.outputs import output_listeners
-from smarttouch.recording.array_image import ArrayImage
+from smarttouch.recording.encoder import class_colors, tactile_picture
 from smarttouch.recording.reader import Recording
 from smarttouch.recording.schemas import SCHEMAS
 
@@ -32,11 +32,11 @@ def decoded(message):
 @pytest.mark.parametrize("name", ["electric-mouse", "kajimoto-61", "line-8"])
 def test_each_electrode_has_the_color_of_its_class(name):
     electrodes = st.load_profile(name).electrodes
-    image = ArrayImage(electrodes)
+    image = tactile_picture(electrodes)
     for afferent, color in CLASS_COLORS.items():
         activation = np.zeros((3, len(electrodes)), np.float32)
         activation[afferent, 5] = 1
-        drawn = image.tactile(activation)
+        drawn = image.raster(class_colors(activation))
         inked = (drawn != 255).any(axis=2)
         rows, columns = np.nonzero(inked)
         assert len(rows) > 10
@@ -65,7 +65,7 @@ def test_a_recording_shows_its_tactile_images(tmp_path, profile):
         if before is None or (before.tactile.activation != result.tactile.activation).any()
     ]
     assert len(images) == len(changes) > 5
-    expected = ArrayImage(profile.electrodes).tactile(changes[-1])
+    expected = tactile_picture(profile.electrodes).raster(class_colors(changes[-1]))
     np.testing.assert_array_equal(decoded(images[-1]), expected)
     assert len([*recording.steps()]) == len(results)
 

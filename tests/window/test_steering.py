@@ -80,9 +80,9 @@ def test_a_page_that_falls_silent_steers_no_longer(now_s, alone):
     steer.steer(1)
     now_s[0] += 0.9 * steering.LOST_S
     steer.look_after()
-    steer.hear(1)
+    steer.note_alive(1)
     now_s[0] += 0.9 * steering.LOST_S
-    steer.hear(2)
+    steer.note_alive(2)
     steer.look_after()
     assert steer.page == 1
     now_s[0] += 0.2 * steering.LOST_S

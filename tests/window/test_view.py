@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import smarttouch as st
+from smarttouch.cells import current_colors
 from smarttouch.errors import RecordingError
 from smarttouch.monitor.view import save_view
 from smarttouch.recording.reader import Recording
-from smarttouch.window.export import current_colors
 from smarttouch.window.tape import Tape
 from smarttouch.window.view import RecordingsPage
 
