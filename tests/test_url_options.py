@@ -150,13 +150,15 @@ def test_a_texture_with_its_options(tmp_path):
 def test_a_document_with_its_options(tmp_path):
     path = tmp_path / "page.png"
     path.write_bytes(b"")
-    place, how = DocumentOptions(pages="2").look(f"{path}?dpi=300&languages=deu&light_on_dark=0")
+    place, how = DocumentOptions(pages="2").recognition(
+        f"{path}?dpi=300&languages=deu&light_on_dark=0"
+    )
     assert place == str(path)
     assert (how.dpi, how.languages, how.light_on_dark, how.pages) == (300, "deu", False, "2")
-    with raises(PageError, about="dpi", problem="conflict", value=(300.0, 200.0)):
-        DocumentOptions(dpi=200.0).look(f"{path}?dpi=300")
+    with raises(PageError, about="pages", problem="conflict"):
+        DocumentOptions(pages="2").recognition(f"{path}?pages=3")
     # A password is kept with no settings and told by no recording, as names are.
     with raises(PageError, about="?password", problem="unknown"):
-        DocumentOptions().look(f"{path}?password=secret")
-    assert DocumentOptions().look("text:what?dpi=3")[0] == "text:what?dpi=3"
-    assert DocumentOptions().look("text:a")[1].languages == "eng"
+        DocumentOptions().recognition(f"{path}?password=secret")
+    assert DocumentOptions().recognition("text:what?dpi=3")[0] == "text:what?dpi=3"
+    assert DocumentOptions().recognition("text:a")[1].languages == "eng"

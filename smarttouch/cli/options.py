@@ -11,9 +11,7 @@ KEPT = "What is kept"
 
 ProfileOption = Annotated[
     str | None,
-    typer.Option(
-        "--profile", metavar="NAME|FILE", help="Device and finger; the board's usual one if none."
-    ),
+    typer.Option("--profile", metavar="NAME|FILE", help="Device and finger; else the board's."),
 ]
 ArrayOption = Annotated[
     str,
@@ -52,7 +50,7 @@ ForceOption = Annotated[
         "--force",
         metavar="URL",
         rich_help_panel=FINGER,
-        help="hx711:PORT, loadcell:PORT, or fixed:N if not measured.",
+        help="hx711:PORT, loadcell:PORT, or stated: fixed:N.",
     ),
 ]
 AnatomyOption = Annotated[

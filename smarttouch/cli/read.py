@@ -29,19 +29,14 @@ def read(
     ],
     lines: Annotated[int, typer.Option(help="Lines of Braille at once.")] = 1,
     pause_s: Annotated[float, typer.Option("--pause", metavar="S", help="After each line.")] = 1.0,
-    wait: Annotated[
-        bool, typer.Option("--wait", help="After each line, until the right arrow.")
-    ] = False,
+    wait: Annotated[bool, typer.Option("--wait", help="Go on at the right arrow only.")] = False,
     follow: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="A source that tells where the finger is."),
+        typer.Option(metavar="URL", help="Source of finger positions."),
     ] = None,
     board: Annotated[
         str | None,
-        typer.Option(
-            metavar="URL",
-            help="As for live; with --frames simulated:",
-        ),
+        typer.Option(metavar="URL", help="As for live."),
     ] = None,
     mode: ModeOption = "RA",
     rate_hz: RateOption = None,
@@ -74,7 +69,7 @@ def read(
         feed = LineFeed(presentation.lines(text, chosen))
         stack.callback(feed.close)
         feed.start()
-        first_line_awaited(partial(feed.wait_for, 0), run.quiet)
+        first_line_awaited(lambda: feed.wait_for(0), run.quiet)
         cursor: Cursor
         if follow is None:
             cursor = SweepingCursor(feed, motion, press_n(chosen), pause_s, wait)

@@ -133,7 +133,8 @@ class RunOptions(OptionGroup):
     ] = None
     quiet: QuietOption = False
     plain: Annotated[
-        bool | None, typer.Option(help="Print a line for each event; draw nothing.")
+        bool | None,
+        typer.Option("--plain", help="Print a line per event; draw nothing."),
     ] = None
 
     def __post_init__(self) -> None:

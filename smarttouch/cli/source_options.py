@@ -93,16 +93,14 @@ class FormOptions(OptionGroup):
     table: TableOption = None
     cells: Annotated[
         str,
-        typer.Option(
-            metavar="HOW", rich_help_panel=_FORM, help="Braille: move a line, or show each cell."
-        ),
+        typer.Option(metavar="HOW", rich_help_panel=_FORM, help="Braille: a line or each cell."),
     ] = "line"
     embossed: Annotated[
         bool | None,
         typer.Option(
             "--embossed/--printed",
             rich_help_panel=_FORM,
-            help="Photo of Braille: raised dots or printed ones; detected if none.",
+            help="Photo of Braille: raised or printed.",
         ),
     ] = None
     light_from: Annotated[

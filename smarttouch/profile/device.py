@@ -216,11 +216,11 @@ class CommandDefaults(Table):
     """
 
     board: str | None = Field(default=None, pattern=r"^[a-z0-9_]+:")
-    """URL of the board, as for ``--board``, for example ``kajimoto61:/dev/ttyUSB0``."""
+    """URL of the board, for example ``kajimoto61:/dev/ttyUSB0``."""
     plain: bool = False
-    """Whether runs print a line for each event and draw nothing, as with ``--plain``."""
+    """Whether runs print a line for each event and draw nothing."""
     read_as: Literal["shapes", "braille"] = "shapes"
-    """Form of what is read, as for ``--as``."""
+    """Form of what is read: shapes or Braille."""
 
 
 class Calibrated(Table):

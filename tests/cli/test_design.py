@@ -1,6 +1,5 @@
-"""``design`` and ``figures`` show what is shipped, and what a user describes."""
+"""``design`` shows what is shipped, and what a user describes."""
 
-import csv
 import json
 import sys
 from pathlib import Path
@@ -10,8 +9,7 @@ import pytest
 from PIL import Image
 
 from smarttouch.afferent import Afferent
-from smarttouch.errors import DesignError, ProfileError, SmartTouchError
-from smarttouch.physiology.membrane import threshold_ma
+from smarttouch.errors import DesignError, SmartTouchError
 
 from .conftest import refused, says
 
@@ -191,31 +189,6 @@ def test_nonsense_is_one_sentence(program_here, arguments, wrong):
     wrong(refused(program_here("design", *arguments)))
 
 
-def test_figures(program_here, monkeypatch, tmp_path):
-    # Thresholds to a quarter, in long steps: their digits are proved beside the fiber model.
-    monkeypatch.setitem(threshold_ma.__kwdefaults__, "step_us", 10.0)
-    monkeypatch.setattr("smarttouch.physiology.membrane._ROUNDS", (71,))
-    done = program_here("figures", "drawn", "--profile=line-8", "--format=svg")
-    assert done.returncode == 0, done.stderr
-    names = {path.name for path in (tmp_path / "drawn").iterdir()}
-    expected = {f"fig-{number}.svg" for number in (2, 5, 8, 9, 10)} | {
-        "kernels-line-8.svg",
-        "strength-duration-line-8.svg",
-        "af-against-cable-line-8.svg",
-        "af-against-cable-line-8.csv",
-    }
-    assert names == expected
-    with (tmp_path / "drawn" / "af-against-cable-line-8.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    reference = [
-        row
-        for row in rows
-        if (row["fiber"], row["polarity"], row["depth_mm"]) == ("flat fiber", "cathodic", "0.9")
-    ]
-    assert float(reference[0]["af_over_cable"]) == 1
-    assert len(rows) == 30
-
-
 def test_figures_without_matplotlib(monkeypatch):
     from smarttouch.plotting.style import new_figure
 
@@ -223,22 +196,6 @@ def test_figures_without_matplotlib(monkeypatch):
     with pytest.raises(SmartTouchError) as caught:
         new_figure(1, 1)
     says(SmartTouchError, "smarttouch[plot]")(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "wrong"),
-    [
-        (
-            ["drawn", "--format=jpg"],
-            says(about="kind", problem="unknown", value="jpg", allowed=("png", "pdf", "svg")),
-        ),
-        (["drawn", "--site=64"], says(about="site", value=64, allowed=(0, 63))),
-        (["drawn", "--profile=nothing"], says(ProfileError, "'nothing'", "electric-mouse")),
-    ],
-)
-def test_figures_of_nonsense(program_here, tmp_path, arguments, wrong):
-    wrong(refused(program_here("figures", *arguments)))
-    assert not (tmp_path / "drawn").exists()
 
 
 def test_one_site_by_driving_functions(designed):

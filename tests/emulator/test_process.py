@@ -235,7 +235,7 @@ def test_a_cell_with_all_faults_and_orders(start, profile, changed):
         readings, watch = force._cell._readings, force._cell._watch
         for fault, seen in (
             ("garbage 0.6", lambda: readings.garbled > 0),
-            ("nan 0.3", lambda: watch._none > 0),
+            ("nan 0.3", lambda: watch._empty > 0),
             ("unplug 0.4", lambda: watch._absence.times > 0),
         ):
             # One reading: the next may have come late, and be none.
