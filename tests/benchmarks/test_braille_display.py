@@ -10,7 +10,7 @@ import smarttouch as st
 from smarttouch.braille_display.connection import Address, BrlttyConnection
 from smarttouch.braille_display.source import BrailleDisplaySource
 from smarttouch.reading.window import profile_for_reading
-from tests.braille_display.real import Brltty, free_port, require_brltty
+from tests.braille_display.real import Brltty, free_port, require_brltty, wait_until
 
 HANGS_S = 120
 SHOWN_S = 0.2
@@ -29,6 +29,11 @@ class Pulses(st.Listener):
         if result.sequence.slots:
             self.sent_ns.setdefault(self._source.update, time.perf_counter_ns())
             self.first.set()
+
+
+def _shown(connection):
+    """Return the number of what is shown; 0 before the first."""
+    return connection.shown.number if connection.shown else 0
 
 
 @pytest.mark.parametrize("board", ["emulator:"])
@@ -50,10 +55,10 @@ def test_a_write_is_felt(row, quick, tmp_path, board):
         writer.write("rising")
         assert pulses.first.wait(HANGS_S)
         for count in range(5 if quick else 200):
-            number = connection.shown.number if connection.shown else 0
+            number = _shown(connection)
             begun_ns = time.perf_counter_ns()
             writer.write("abcdef"[count % 5 :])
-            assert connection.wait_for(number + 1, HANGS_S)
+            assert wait_until(lambda number=number: _shown(connection) > number, HANGS_S)
             time.sleep(SHOWN_S)
             sent_ns = pulses.sent_ns.get(number + 1)
             if sent_ns is not None:
