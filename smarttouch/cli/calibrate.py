@@ -22,7 +22,7 @@ _Frames = Annotated[
 ]
 _SourceUrl = Annotated[
     str | None,
-    typer.Option("--source", "--sensor", metavar="URL", help="camera:0, serial-array:PORT, ..."),
+    typer.Option("--source", metavar="URL", help="camera:0, serial-array:PORT, ..."),
 ]
 _BoardUrl = Annotated[
     str,
