@@ -18,13 +18,25 @@ import pytest
 from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
+from smarttouch.boards import keeper
 from smarttouch.profile import DEFAULT_PROFILE, load_profile
 from smarttouch.realtime import prioritized
 from smarttouch.sources.frame import Frame, Pose
 
 from . import forks
+from .firmware import build
 from .safety.watch import Watch
 from .whole import WHOLE
+
+PATIENCE_S = 5
+"""How long boards and keepers bear a host's silence, where it is not what is tested."""
+NEVER_LATE_NS = 60_000_000_000
+"""How late a sequence may be, and still be sent, where that is not what is tested."""
+LATENESS = [
+    f"smarttouch.{module}.LATE_NS"
+    for module in ("running.loop", "boards.link", "boards.streamed", "boards.timely")
+]
+"""Bounds of what boards and the loop call late."""
 
 _STATES = itertools.count()
 
@@ -83,6 +95,36 @@ def own_state(tmp_path_factory, monkeypatch):
     """Let no board of one test count, or be stopped, in another; it is made when it is needed."""
     folder = tmp_path_factory.getbasetemp() / f"state{next(_STATES)}"
     monkeypatch.setenv("XDG_STATE_HOME", str(folder))
+
+
+@pytest.fixture(scope="session")
+def patient_keeper(tmp_path_factory):
+    """Return a keeper's program that bears a host's silence for long."""
+    path = tmp_path_factory.mktemp("keeper") / "keeper.py"
+    source = Path(keeper.__file__).read_text("utf-8")
+    usual = f"SILENCE_S = {keeper.SILENCE_S:g}"
+    assert source.count(usual) == 1
+    path.write_text(source.replace(usual, f"SILENCE_S = {PATIENCE_S}"), "utf-8")
+    return path
+
+
+@pytest.fixture(autouse=True)
+def patient_lines(request, monkeypatch):
+    """Who waits for a processor is neither silent nor late yet.
+
+    Tests of silence are marked as such, and those of lateness.
+    """
+    monkeypatch.setattr("smarttouch.boards.link_line.SILENCE_S", PATIENCE_S)
+    if "silence" not in request.keywords:
+        changes = {
+            "smarttouch.boards.emulator.link.SILENCE_MS": 1000 * PATIENCE_S,
+            "smarttouch.boards.keeper.__file__": str(request.getfixturevalue("patient_keeper")),
+        } | dict.fromkeys(LATENESS, NEVER_LATE_NS)
+        monkeypatch.setattr(forks.Forked, "changes", changes)
+        monkeypatch.setattr(keeper, "__file__", changes["smarttouch.boards.keeper.__file__"])
+        monkeypatch.setattr(build, "silence_ms", 1000 * PATIENCE_S)
+        for name in () if "lateness" in request.keywords else LATENESS:
+            monkeypatch.setattr(name, NEVER_LATE_NS)
 
 
 @pytest.fixture(scope="session")

@@ -20,6 +20,7 @@ import threading
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
+from typing import ClassVar
 
 PROGRAM = Path(sys.executable).with_name("smarttouch")
 EMULATOR = [sys.executable, "-m", "smarttouch.emulator"]
@@ -105,6 +106,8 @@ class Forked(subprocess.Popen):
     Other commands are started as ever.
     """
 
+    changes: ClassVar = {}
+    """What each fork has changed, by name, as ``smarttouch.boards.keeper.__file__``."""
     _server = None
 
     def _execute_child(self, *given):
@@ -125,6 +128,7 @@ class Forked(subprocess.Popen):
             "environment": dict(os.environ if asked["env"] is None else asked["env"]),
             "folder": os.fspath(asked["cwd"] or Path.cwd()),
             "session": asked["start_new_session"],
+            "changes": Forked.changes,
         }
         ends = (asked["p2cread"], asked["c2pwrite"], asked["errwrite"])
         streams = [own if end == -1 else end for own, end in enumerate(ends)]
@@ -185,6 +189,10 @@ def _become(request, streams):
     """Let this process be as if it had just been started."""
     if request["session"]:
         os.setsid()
+    Forked.changes = request["changes"]
+    for name, value in Forked.changes.items():
+        module, _, attribute = name.rpartition(".")
+        setattr(import_module(module), attribute, value)
     os.chdir(request["folder"])
     os.environ.clear()
     os.environ.update(request["environment"])

@@ -22,7 +22,7 @@ from tests.boards.fresh import until
 
 from ..raising import assert_says, raises
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.silence]
 
 HOST = """
 import sys, time

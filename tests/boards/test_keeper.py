@@ -25,7 +25,7 @@ from smarttouch.wire.port import open_port
 
 from ..raising import raises
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.silence]
 
 ZERO = b"these bytes mean zero"
 TWICE = ZERO + ZERO

@@ -15,6 +15,8 @@ from smarttouch.stimulation.safety import Rise, SafetyLimits
 
 from .told import ToldKit
 
+pytestmark = pytest.mark.lateness
+
 HOUR_NS = 3600 * 10**9
 
 

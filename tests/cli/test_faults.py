@@ -61,6 +61,7 @@ def test_signals_end_in_order(running, number, name):
     assert (state["state"], state["reason"]) == ("shorted", "stop")
 
 
+@pytest.mark.silence
 def test_the_host_is_killed(running):
     host, emulator, books = running
     host.kill()
@@ -72,6 +73,7 @@ def test_the_host_is_killed(running):
     assert state["zero_after_ms"] <= 1000
 
 
+@pytest.mark.silence
 def test_the_host_hangs(running):
     """Stopped in its tracks, with the port still open: the board's watchdog ends it."""
     host, _, books = running

@@ -14,8 +14,12 @@ import pytest
 SOURCES = Path(__file__).parents[2] / "firmware"
 
 
+silence_ms = 100
+"""Longest silence of a host to what `host` and `cortex_m3` build."""
+
+
 @cache
-def built(target, name, *programs):
+def built(target, name, *programs, more=""):
     """Return a file that ``make`` builds; skip where there is none of its programs."""
     for program in ("make", *programs):
         if shutil.which(program) is None:
@@ -23,12 +27,13 @@ def built(target, name, *programs):
     if not SOURCES.is_dir():
         pytest.skip("needs the folder firmware")
     # Of these very sources: another's build may lie beside it.
-    number = hash_of_sources()
+    number = zlib.crc32(more.encode(), hash_of_sources())
     folder = Path(tempfile.gettempdir()) / f"smarttouch-firmware-{number:x}"
     folder.mkdir(exist_ok=True)
     with (folder / "lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         command = ["make", "--silent", "-C", str(SOURCES), f"BUILD={folder}", target]
+        command += [f"MORE={more}"] * bool(more)
         done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return folder / name
@@ -55,9 +60,9 @@ def library():
 
 
 def host():
-    return built("host", "st_host", "cc")
+    return built("host", "st_host", "cc", more=f"-DST_SILENCE_US={silence_ms}000u")
 
 
 def cortex_m3():
     programs = ("arm-none-eabi-gcc", "qemu-system-arm")
-    return built("qemu", "st_m3.elf", *programs)
+    return built("qemu", "st_m3.elf", *programs, more=f"-DST_SILENCE_US={silence_ms}000u")

@@ -17,7 +17,6 @@ from smarttouch.errors import (
 from smarttouch.events import Advice, IntensityChanged, ModeChanged, RunEnded
 from smarttouch.kernels.bank import load_bank
 from smarttouch.outputs import FeltPicture, Patterns
-from smarttouch.profile import load_profile
 from smarttouch.recording.recorder import Recorder
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import open_display
@@ -206,21 +205,17 @@ def test_each_run_on_a_display_tells_its_own_notes(profile, bank, display):
     assert [told[1].count("first"), told[1].count("second")] == [0, 1]
 
 
-def test_broken_electrodes_are_planned_around(monkeypatch):
+def test_broken_electrodes_are_planned_around(profile, source, display, monkeypatch):
     from smarttouch.boards.impedance import judge
 
-    # Of few electrodes: kernels around the broken one are designed here.
-    profile = load_profile("smarttouch-4x4")
-    ohms = np.where(np.arange(16) == 5, 0, np.full(16, 0.2))
+    kohm = np.full(64, 0.2)
+    monkeypatch.setattr(
+        display.board, "_measure", lambda: judge(np.where(np.arange(64) == 27, 0, kohm), 1.0, 9.0)
+    )
     noting = Noting()
-    with open_display("simulated:", profile) as display:
-        monkeypatch.setattr(display.board, "_measure", lambda: judge(ohms, 1.0, 9.0))
-        source = open_source("text:on", profile, speed_mm_s=400)
-        Runner(source, display, RunConfig(mode=Mode.RA, measure=True), listeners=[noting]).run()
-    assert noting.context.profile.output.masked == (5,)
-    currents = [each.sequence.current_ua for each in noting.results]
-    assert any(each.any() for each in currents)
-    assert not any(each[:, 5].any() for each in currents)
+    Runner(source, display, RunConfig(measure=True), listeners=[noting]).run()
+    assert noting.context.profile.output.masked == (27,)
+    assert not any(each.sequence.current_ua[:, 27].any() for each in noting.results)
 
 
 def test_outputs_are_listeners(profile, source, display, tmp_path):
