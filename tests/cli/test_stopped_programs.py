@@ -141,9 +141,6 @@ def test_a_stop_at_any_instant_reaches_every_program(start, start_program):
         slots = [read_state(books)["slots"] for _, books in programs]
         for process, _ in programs:
             attempts, _ = told(process)
-            # On a busy machine what drives may have been too late before it was stopped.
-            late = {("drive", "SequenceLateError"), ("send", "SequenceLateError")}
-            ended = {value for _, value in attempts.items() - late}
-            assert ended <= {"done", "BoardStoppedError", "BoardError"}
+            assert set(attempts.values()) <= {"done", "BoardStoppedError", "BoardError"}
             assert attempts["another"] == attempts["another run"] == "BoardStoppedError"
         assert [read_state(books)["slots"] for _, books in programs] == slots
