@@ -70,7 +70,7 @@ class WavShaking(Shaking):
 
     def open(self, waveform: Waveform, rate_hz: int) -> None:
         try:
-            self._stream = open(self._path, "wb", opener=owner_only)  # noqa: SIM115
+            self._stream = open(self._path, "wb", opener=owner_only)  # noqa: SIM115, until closing
         except OSError as error:
             raise self._unwritable(error) from None
         self._waveform, self._rate_hz = waveform, rate_hz

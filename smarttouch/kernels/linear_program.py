@@ -48,8 +48,7 @@ class _SilentHighs(highspy.Highs):
         # With types, which the library's own methods have not.
         highspy.Highs.__init__(self)
 
-    # The library calls it by this name.
-    def enableCallbacks(self) -> None:  # noqa: N802
+    def enableCallbacks(self) -> None:  # noqa: N802, the name that the library calls
         self.setOptionValue("output_flag", False)
         highspy.Highs.enableCallbacks(self)
 

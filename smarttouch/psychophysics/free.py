@@ -74,7 +74,7 @@ class FreeLog(Closing):
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._file = open(  # noqa: SIM115
+            self._file = open(  # noqa: SIM115, until closing
                 path, "x", newline="", encoding="utf-8-sig", opener=owner_only
             )
         except FileExistsError:

@@ -52,7 +52,7 @@ class RecordingWriter:
         electrodes: ElectrodeArray | None = None,
     ) -> None:
         try:
-            self._file: BinaryIO = open(path, "xb", opener=owner_only)  # noqa: SIM115
+            self._file: BinaryIO = open(path, "xb", opener=owner_only)  # noqa: SIM115, until closing
         except FileExistsError:
             raise name_taken(path) from None
         except OSError as error:

@@ -58,7 +58,7 @@ class Firmware(ABC):
         self.idle(now_ns)
 
     # Not abstract: sensors carry no current and leave it out.
-    def zero(self, reason: str, now_ns: int) -> None:  # noqa: B027
+    def zero(self, reason: str, now_ns: int) -> None:  # noqa: B027, may be left out
         """Lose power; does nothing unless it is overridden."""
 
     def take_order(self, words: list[str]) -> bool:
