@@ -271,6 +271,24 @@ class ETactileKitBoard(SteppedKit):
             period_us=100_000,
         )  # fmt: skip
         self.drain()
+        for _ in range(2):  # a busy board may not have scanned all electrodes in the first
+            readings = self._sense(scan)
+            if readings is not None:
+                break
+        else:
+            raise LineLostError(
+                f"the board at {self._port_name} did not tell all of its {self._outputs} readings: "
+                "measure again",
+                about="measure",
+                problem="mute",
+                value=self._port_name,
+            )
+        volts = readings[self._wiring].astype(np.float64) * VOLTS_PER_COUNT
+        through_skin = np.maximum(level_ua / 1000 - volts / DUMMY_KOHM, 1e-6)
+        return judge(volts, through_skin, COMPLIANCE_V)
+
+    def _sense(self, scan: ScanSequence) -> NDArray[np.uint16] | None:
+        """Sense for `SENSE_S`; return the reading of each output, counts, if all were told."""
         codec = self._codec
         with self._line:
             self._zero()
@@ -287,14 +305,4 @@ class ETactileKitBoard(SteppedKit):
             finally:
                 self._settings = self._before = None
                 self._zero()
-        if found is None or found[1] is None:
-            raise LineLostError(
-                f"the board at {self._port_name} did not tell all of its {self._outputs} readings: "
-                "measure again",
-                about="measure",
-                problem="mute",
-                value=self._port_name,
-            )
-        volts = found[1][self._wiring].astype(np.float64) * VOLTS_PER_COUNT
-        through_skin = np.maximum(level_ua / 1000 - volts / DUMMY_KOHM, 1e-6)
-        return judge(volts, through_skin, COMPLIANCE_V)
+        return None if found is None else found[1]

@@ -91,6 +91,7 @@ def test_it_is_served_live(profile):
                     found[each["id"]] = (each["topic"], each["schemaName"])
             wanted = [{"id": each, "channelId": each} for each in found]
             socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+            assert socket.ping().wait(20)  # answered after what came before it
             self.socket, self.got = socket, {}
 
         def step(self, result):
