@@ -1,12 +1,16 @@
-"""Opening of a level by the least current, for tests that begin at full intensity."""
+"""Opening of a level by weak current, for tests that begin at full intensity."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
+from smarttouch.clock import LATE_NS
+from smarttouch.stimulation.limits import STRENGTH
 
-def open_level(send, like, time_ns=0, clock=None, electrodes=(0, 1)):
-    """Send a silent sequence and a weak one that lasts a second; then any intensity is open.
+
+def open_level(send, like, limits, time_ns=0, clock=None, electrodes=(0, 1)):
+    """Send a silent sequence and weak ones for less than a second; then any intensity is open.
 
     Parameters
     ----------
@@ -14,25 +18,26 @@ def open_level(send, like, time_ns=0, clock=None, electrodes=(0, 1)):
         Of a gate or a board.
     like : ScanSequence
         Of the array.
+    limits : SafetyLimits
+        Its ramp takes half a second at most.
     time_ns : int
         That the silent one claims; what follows may claim a second more.
     clock : optional
         Of the gate, moved on by a second.
     electrodes : tuple of int
-        That carry a microampere.
+        That carry the current.
     """
-    first = np.zeros(1, np.uint16)
-    weak = np.zeros((1, like.current_ua.shape[1]), np.int16)
-    weak[0, list(electrodes)] = 1, -1
-    quiet = replace(
-        like, current_ua=weak, width_us=first + 1, discharge_us=first + 50, site=first,
-        period_us=999_999, intensity=0.1, time_ns=time_ns + 1, proof=None, sums=None,
-        vibration=None, recharge_ua=None, recharge_us=0,
+    first = np.zeros(2, np.uint16)
+    weak = np.zeros((2, like.current_ua.shape[1]), np.int16)
+    one = replace(
+        like, current_ua=weak, width_us=first + limits.pulse_whole_us, discharge_us=first + 50,
+        site=first, period_us=LATE_NS // 1000, proof=None, sums=None, vibration=None,
+        recharge_ua=None, recharge_us=0,
     )  # fmt: skip
     none = slice(0, 0)
     send(
         replace(
-            quiet,
+            one,
             current_ua=weak[none],
             width_us=first[none],
             discharge_us=first[none],
@@ -42,8 +47,19 @@ def open_level(send, like, time_ns=0, clock=None, electrodes=(0, 1)):
             period_us=20_000,
         )
     )
-    if clock is not None:
-        clock.time_ns += 20_000_000
-    send(quiet)
-    if clock is not None:
-        clock.time_ns += 980_000_000
+    steps = math.ceil(limits.ramp_ns / LATE_NS)
+    waits_ns = [20_000_000, *[LATE_NS] * steps, 980_000_000 - steps * LATE_NS]
+    for step, wait_ns in enumerate(waits_ns):
+        if clock is not None:
+            clock.time_ns += wait_ns
+        if step < steps:
+            share = (step + 1) / steps
+            current = np.zeros_like(weak)
+            # The least that counts for as much as it claims, and leaves no charge.
+            least_ua = math.ceil(share * limits.full_ua / STRENGTH)
+            current[:, list(electrodes)] = [[least_ua, -least_ua], [-least_ua, least_ua]]
+            send(
+                replace(
+                    one, current_ua=current, intensity=share, time_ns=time_ns + 1 + step * LATE_NS
+                )
+            )

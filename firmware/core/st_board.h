@@ -113,14 +113,14 @@ typedef struct {
 typedef struct {
     uint32_t period_us, total_ua, width_us, full_ua, rounding_ua, full_us;
     uint32_t ramp_us; /* 0 only in tests */
-    uint32_t session_s, session_uc, duty_percent;
+    uint32_t session_s, session_uc, duty_percent, usual_us;
     bool given;
 } st_limits;
 
 /* Rise of intensity: while passes with current are scheduled, from a time on. */
 typedef struct {
     uint64_t since_us, span_us;
-    uint32_t level;
+    uint32_t level, strength; /* strength: of the last sequence with current */
 } st_ramp;
 
 /* Passes of a sequence that begin within one bucket of time. */
@@ -152,11 +152,12 @@ typedef struct {
     uint32_t size, number, period_us, body_at, slots;
     uint32_t left;       /* scans, with the one at hand */
     uint16_t times, intensity, recharge_us;
+    uint16_t strength;   /* what its intensity amounts to; 0 without current */
     uint8_t shapes, flags, buffer;
     uint32_t measured;   /* slots of the scan whose voltage is known */
     uint64_t start_us, next_us, end_us;
     st_place place;
-    bool recharged, flows; /* flows: a slot has current */
+    bool recharged;
 } st_sequence;
 
 typedef struct {

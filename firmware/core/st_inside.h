@@ -61,6 +61,7 @@ enum { ST_POINTS = 0, ST_SUM = 1, ST_CURRENTS = 2, ST_STATES = 3 };
 #define ST_LOST_PC 2000000u /* what a recharge may leave, as sequences may be lost on the way */
 #define ST_CATCH_UP_US 150000u
 #define ST_RISE_LEEWAY 2u
+#define ST_STRENGTH 4u /* multiple of a pulse's share of a full one that its strength is at most */
 
 static inline uint16_t st_u16(const uint8_t *at)
 {
@@ -155,8 +156,10 @@ uint16_t st_slot_currents(st_board *board, const st_sequence *sequence, const st
 
 /* st_limits.c */
 bool st_limits_take(st_board *board, const uint8_t *payload, uint32_t size);
-/* Return the strongest intensity of a sequence that starts then. */
+/* Return the largest strength of a sequence that starts then. */
 uint32_t st_rise_allowed(const st_board *board, uint64_t start_us);
+/* Return what a sequence's intensity amounts to, by the charge of its strongest pulse. */
+uint16_t st_strength(const st_limits *limits, uint32_t intensity, uint32_t peak_pc);
 void st_rise_note(st_board *board, const st_sequence *sequence, uint64_t start_us);
 
 /* st_rules.c */

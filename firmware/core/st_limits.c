@@ -28,6 +28,7 @@ bool st_limits_take(st_board *board, const uint8_t *payload, uint32_t size)
     limits->session_s = st_least(st_u16(payload + 18), ST_MAX_SESSION_S);
     limits->session_uc = st_least(st_u32(payload + 20), ST_MAX_SESSION_UC);
     limits->duty_percent = st_least(payload[24], ST_MAX_DUTY_PERCENT);
+    limits->usual_us = st_least(st_u16(payload + 26), ST_MAX_WIDTH_US);
     const uint8_t *current = payload + 28;
     const uint8_t *felt = current + 2u * electrodes;
     const uint8_t *charge = felt + 2u * electrodes;
@@ -51,10 +52,25 @@ static uint32_t risen(const st_board *board, uint64_t start_us, uint64_t *flowin
     if (passed_us - *flowing_us > ST_LEVEL_KEPT_US) {
         return 0;
     }
-    if (*flowing_us >= ramp_us) {
+    const uint32_t rises =
+        *flowing_us >= ramp_us ? ST_FULL : (uint32_t)(*flowing_us * ST_FULL / ramp_us);
+    const uint32_t level = st_least(ramp->strength, ramp->level + rises);
+    /* Weak current lowers nothing. */
+    return level > ramp->level ? level : ramp->level;
+}
+
+uint16_t st_strength(const st_limits *limits, uint32_t intensity, uint32_t peak_pc)
+{
+    const uint32_t full_pc = limits->full_ua * limits->usual_us;
+    if (peak_pc == 0u) {
+        return 0u;
+    }
+    if (peak_pc >= full_pc) {
         return ST_FULL;
     }
-    return st_least(ST_FULL, ramp->level + (uint32_t)(*flowing_us * ST_FULL / ramp_us));
+    const uint32_t share = (uint32_t)st_upward((uint64_t)peak_pc * ST_FULL, full_pc);
+    const uint32_t most = st_least(intensity, ST_STRENGTH * share);
+    return (uint16_t)(most > share ? most : share);
 }
 
 uint32_t st_rise_allowed(const st_board *board, uint64_t start_us)
@@ -73,7 +89,8 @@ void st_rise_note(st_board *board, const st_sequence *sequence, uint64_t start_u
     st_ramp *ramp = &board->ramp;
     uint64_t flowing_us;
     const uint32_t level = risen(board, start_us, &flowing_us);
-    if (sequence->flows) {
+    if (sequence->strength > 0u) {
+        ramp->strength = sequence->strength;
         ramp->level = st_least(sequence->intensity, level);
         ramp->since_us = start_us;
         ramp->span_us = (uint64_t)sequence->times * sequence->period_us;

@@ -109,7 +109,6 @@ static bool each_obeys(st_board *board, st_sequence *sequence, uint32_t slot, ui
                              board->config.each[index].limit_pc);
         }
     }
-    sequence->flows = sequence->flows || strongest_ua > 0u;
     most->peak_ua = strongest_ua > most->peak_ua ? strongest_ua : most->peak_ua;
     most->peak_pc =
         strongest_ua * width_us > most->peak_pc ? strongest_ua * width_us : most->peak_pc;
@@ -324,8 +323,9 @@ bool st_obeys(st_board *board, st_sequence *sequence, uint64_t start_us, st_refu
         return false;
     }
     const uint32_t allowed = st_rise_allowed(board, start_us);
-    if (sequence->intensity > allowed) {
-        return st_refuse(refusal, ST_RULE_RISE, ST_NOTHING, ST_NOTHING, sequence->intensity,
+    sequence->strength = st_strength(&board->limits, sequence->intensity, most.peak_pc);
+    if (sequence->strength > allowed) {
+        return st_refuse(refusal, ST_RULE_RISE, ST_NOTHING, ST_NOTHING, sequence->strength,
                          allowed);
     }
     return st_exposure_obeys(board, sequence, start_us, refusal);

@@ -101,7 +101,7 @@ class LinkBoard(Board):
         """Fault found by the thread that reads, until the board is latched."""
         self._identity: UsbIdentity | None = None
         self._in_flight_due_ns = 0
-        self._in_flight_ppb = self._in_flight_ns = 0
+        self._in_flight_ppb, self._in_flight_ns = (0, 0), 0
         # The line may be slower than the gate: the rise that the skin gets is the line's.
         self._rise = Rise(limits.ramp_ns)
         self._again_s = 0.0
@@ -158,13 +158,14 @@ class LinkBoard(Board):
         payload = self._encoded(sequence, times)
         self._wait_for_room()
         ppb = parts_per_billion(sequence.intensity)
+        strength_ppb = self._gate.limits.strength_of(sequence)
         if self._is_late(self._due_ns) or not (
-            not sequence.drives or self._rise.permits(ppb, self._clock.now_ns())
+            not sequence.drives or self._rise.permits(strength_ppb, self._clock.now_ns())
         ):
             self._drop_late()
         with self._line.news:
             self._in_flight[self._number] = payload
-            self._in_flight_due_ns, self._in_flight_ppb = self._due_ns, ppb
+            self._in_flight_due_ns, self._in_flight_ppb = self._due_ns, (ppb, strength_ppb)
             self._in_flight_ns = 1000 * sequence.period_us * times * sequence.drives
             self._again_s = self._line.now_s() + AGAIN_S
             self._sent.append((self._number, sequence))
@@ -212,7 +213,7 @@ class LinkBoard(Board):
                 Kind.SEQUENCE, number, payload, latest_ns=latest_ns, now_ns=self._clock.now_ns
             )
         if went:
-            self._rise.note(self._in_flight_ppb, self._clock.now_ns(), self._in_flight_ns)
+            self._rise.note(*self._in_flight_ppb, self._clock.now_ns(), self._in_flight_ns)
         return went
 
     def _wait_for_room(self) -> None:

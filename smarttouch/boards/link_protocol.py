@@ -40,7 +40,7 @@ KEEPING = struct.Struct("<IIH")
 """Room for kernels and for a packet, in bytes, and most kernels; after CAPABILITIES."""
 LIMITS = struct.Struct("<IIHHHHHHIBBH")
 """Least period µs, total µA, width µs, full µA, rounding µA, full µs, ramp ms, session s, session
-µC, duty %, 0, 0; then of each electrode u16 µA, u16 felt µA, u32 pC."""
+µC, duty %, 0, width of a full pulse µs; then of each electrode u16 µA, u16 felt µA, u32 pC."""
 KERNELS = struct.Struct("<16sII")
 """Identity, size and offset."""
 KEPT = struct.Struct("<16sIB16s")

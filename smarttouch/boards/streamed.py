@@ -285,16 +285,18 @@ class StreamedBoard(Board):
 
     def _is_in_time(self, job: Job, due_ns: int) -> bool:
         """Whether a sequence may begin now: it is not late, and does not rise too fast for it."""
-        ppb = parts_per_billion(job.sequence.intensity)
+        strength_ppb = self._gate.limits.strength_of(job.sequence)
         return not self._is_late(due_ns) and (
-            not job.sequence.drives or self._rise.permits(ppb, self._clock.now_ns())
+            not job.sequence.drives or self._rise.permits(strength_ppb, self._clock.now_ns())
         )
 
     def _note_rise(self, job: Job) -> None:
         """Enter the intensity of a sequence whose bytes have just been written."""
         sequence = job.sequence
         lasting_ns = 1000 * sequence.period_us * job.times * sequence.drives
-        self._rise.note(parts_per_billion(sequence.intensity), self._clock.now_ns(), lasting_ns)
+        ppb = parts_per_billion(sequence.intensity)
+        strength_ppb = self._gate.limits.strength_of(sequence)
+        self._rise.note(ppb, strength_ppb, self._clock.now_ns(), lasting_ns)
 
     def _drop_late(self, job: Job) -> None:
         """Count a sequence that is not sent; the next one must begin at zero."""

@@ -25,13 +25,15 @@ from smarttouch.psychophysics.letters import ALPHABET, draw_letter
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.stimulus import Stimulus
+from smarttouch.stimulation.intensity import MOST_STEP_NS
 from smarttouch.stimulation.sequence import ScanSequence
 
 Floats = NDArray[np.float32]
 
 _PERIODS = 10
 """Periods of a letter that a finger feels: noise and refractoriness differ between them."""
-_OPENING_US = 500_000
+_OPENING_US = MOST_STEP_NS // 1000
+"""Of the pulses that open the intensity: longer ones would open no more of it."""
 
 
 @dataclass(frozen=True)

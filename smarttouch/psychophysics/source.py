@@ -19,7 +19,8 @@ from smarttouch.running.listener import Listener
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source import StimulusSource
 from smarttouch.sources.stimulus import Stimulus
-from smarttouch.stimulation.intensity import FIRST_NS, force_gate
+from smarttouch.stimulation.intensity import FIRST_NS, MOST_STEP_NS, force_gate
+from smarttouch.stimulation.limits import SafetyLimits, parts_per_billion
 
 SILENT_US = 20_000
 """Interval between two checks for a key while there is no current."""
@@ -33,7 +34,7 @@ _SPOILED = 0.5
 """Part of it below which current was lost within an interval. A key moves it by less; where
 milliamperes count, nothing may."""
 _FAINT = 0.01
-"""Activation of pulses that open the intensity: those of threshold."""
+"""Activation of pulses that open the intensity: those of threshold, if strong enough."""
 AGAIN = "r"
 """Key that repeats a trial."""
 _NUMBERS = ("first", "second")
@@ -74,6 +75,8 @@ class ExperimentSource(StimulusSource, Listener):
         self._presentation = 0
         self._trial: Trial | None = None
         self._finger = ""
+        self._limits = SafetyLimits.of(profile)
+        self._faint = _FAINT
         self._steady = self._lost = False
         self._level, self._current_ma = 0.0, 0.0
         self._silence = np.zeros((len(Afferent), len(profile.electrodes)), np.float32)
@@ -111,6 +114,11 @@ class ExperimentSource(StimulusSource, Listener):
         asked = given.level if exact else given.level * gate * step.level
         self._level = step.level
         self._steady = 0 < _STEADY * asked <= sequence.intensity and result.number is not None
+        if self.playing is None and self._steady and sequence.slots and self._faint < 1:
+            ppb = parts_per_billion(sequence.intensity)
+            if self._limits.strength_of(sequence) < _STEADY * ppb:
+                # Pulses this weak do not open that much.
+                self._steady, self._faint = False, min(1.0, 2 * self._faint)
         if gate == 0:
             self._finger = "press the finger on the electrodes"
         elif step.level == 0:
@@ -152,7 +160,6 @@ class ExperimentSource(StimulusSource, Listener):
         train = trial.intervals[0]
         # A blank begins as the train that it stands for, so that nothing distinguishes the two.
         activation = train.activation if train.blanked is None else train.blanked
-        faint = np.float32(_FAINT) * (activation > 0)
         # What rises within the trial begins low, and needs no more than that.
         level = train.level_at(0) if trial.course is None else _FAINT
         self._say("")
@@ -169,6 +176,7 @@ class ExperimentSource(StimulusSource, Listener):
                     value=patience_s,
                     remedy="intensity or force",
                 )
+            faint = np.float32(self._faint) * (activation > 0)
             yield self._stimulus(faint, self._silent_us, level)
             if self._steady:
                 self._say("")
@@ -230,13 +238,13 @@ class ExperimentSource(StimulusSource, Listener):
         full_ma = float(profile.full_ma[train.activation.any(axis=0)].min())
         self.rising = trial
         self._pressed.clear()
-        level, risen_ns, due_ns = 0.0, self._now_ns, self._now_ns + step_ns
+        level, since_ns, due_ns = 0.0, self._now_ns, self._now_ns + step_ns
         current_ma = course.next()
         while not course.done:
             # From zero by the first step that currents take.
-            risen_s = (self._now_ns - risen_ns if level else FIRST_NS) / 1e9
-            level = min(1.0, current_ma / full_ma, level + risen_s / profile.limits.ramp_s)
-            risen_ns = self._now_ns
+            risen_ns = min(self._now_ns - since_ns, MOST_STEP_NS) if level else FIRST_NS
+            level = min(1.0, current_ma / full_ma, level + risen_ns / 1e9 / profile.limits.ramp_s)
+            since_ns = self._now_ns
             self.playing = (self._presentation, 0)
             yield self._stimulus(train.activation, train.period_us, level)
             if self._lost:

@@ -18,6 +18,7 @@ from smarttouch.sources.stimulus import Input, Stimulus
 from smarttouch.stimulation.frames import FrameSlots
 from smarttouch.stimulation.intensity import SoftStart, force_gate
 from smarttouch.stimulation.kernel_table import KernelTable
+from smarttouch.stimulation.limits import SafetyLimits, parts_per_billion
 from smarttouch.stimulation.net import NetPlan
 from smarttouch.stimulation.schedule import ScanScheduler
 from smarttouch.stimulation.timing import ScanTiming
@@ -46,6 +47,7 @@ class Pipeline:
         self._timing, self._vibrated = timing, vibrated
         self._sharing = config.sharing(profile)
         self._mapper = TactileMapper(profile, config.light_on_dark, config.tone)
+        self._limits = SafetyLimits.of(profile)
         self._soft_start = SoftStart(profile.limits.ramp_s)
         self._restarted = True
         self._net = None if config.balance else NetPlan(len(profile.electrodes))
@@ -131,9 +133,12 @@ class Pipeline:
         current = not self._vibrated or bool(np.delete(activation, Afferent.PC, axis=0).any())
         intensity = self._soft_start.follow(wanted, given.time_ns, current)
         scan = self._scans[self.mode]
-        sequence = scan.schedule(tactile, intensity, pressure)
+        most_ppb = self._soft_start.most_ppb if current else None
+        sequence = scan.schedule(tactile, intensity, pressure, most_ppb)
         if current and intensity and ((drives := sequence.drives) or activation.any()):
-            self._soft_start.note(sequence.period_us, drives)
+            ppb = parts_per_billion(sequence.intensity)
+            strength_ppb = ppb if most_ppb is None else self._limits.strength_of(sequence)
+            self._soft_start.note(sequence.period_us, sequence.intensity, drives * strength_ppb)
         restarted, self._restarted = self._restarted, False
         return Step(given, tactile, sequence, self.mode, level, restarted, scan.asked_us)
 

@@ -54,14 +54,14 @@ class PassLoad(NamedTuple):
         Charge of its recharge phase if it has one, positive cathodic.
     busy_us : int, µs
         Time of its slots and its recharge phase.
-    drives : bool
-        Whether any of its slots has current.
+    peak_pc : int, pC
+        Largest charge of one pulse of its slots; 0 if none has current.
     """
 
     sums: Sums
     recharge_pc: Charge | None
     busy_us: int
-    drives: bool
+    peak_pc: int
 
 
 def shortest_period_us(load: Load) -> int:

@@ -3,13 +3,18 @@
 import math
 
 from smarttouch.profile import ForceLaw
+from smarttouch.stimulation.limits import PPB, parts_per_billion
+from smarttouch.stimulation.safety import Rise
 
 KEPT_NS = 14_000_000_000
 """Time without pulses for which an intensity is kept; the safety gate keeps it a second longer."""
 FIRST_NS = 20_000_000
-MOST_FIRST_NS = 80_000_000
+MOST_STEP_NS = 80_000_000
 """Part of the ramp at which the first pulses begin: one step, and more only where that is too weak
-for any pulse. The gate lets 100 ms of the ramp be caught up."""
+for any pulse; and the largest step from one sequence to the next."""
+MOST_AHEAD_NS = 85_000_000
+"""Part of the ramp by which pulses may be stronger than what has flowed. The gate lets 100 ms of it
+be caught up."""
 
 
 def force_gate(force_n: float, law: ForceLaw) -> float:
@@ -31,8 +36,9 @@ def force_gate(force_n: float, law: ForceLaw) -> float:
 class SoftStart:
     """Rate limiter by which intensity rises no faster than the ramp, and falls at once.
 
-    It goes by what is delivered: time counts only while pulses flow, as in the safety gate
-    (`Rise`), and what was reached stays for `KEPT_NS` without pulses.
+    It goes by what is delivered: time counts only while pulses flow, and what was reached stays for
+    `KEPT_NS` without pulses. Strong pulses after weak ones rise from those, as in the safety gate
+    (`Rise`).
 
     Parameters
     ----------
@@ -50,6 +56,8 @@ class SoftStart:
 
     def __init__(self, ramp_s: float) -> None:
         self._ramp_s = ramp_s
+        self._rise = Rise(round(1e9 * ramp_s))
+        self._ahead_ppb = MOST_AHEAD_NS * PPB // round(1e9 * ramp_s)
         self.restart()
 
     def follow(self, wanted: float, time_ns: int, current: bool = True) -> float:
@@ -80,25 +88,39 @@ class SoftStart:
             self._reached = self._asked = wanted
             return wanted
         # What was reached without pulses is lost, all but the first step.
-        step = max(min(gone_ns, self._left_ns), 0 if self._reached else self._first_ns)
+        step = min(gone_ns, self._left_ns, MOST_STEP_NS)
+        step = max(step, 0 if self._reached else self._first_ns)
         self._asked = min(wanted, self._reached + step / 1e9 / self._ramp_s)
         return self._asked
 
-    def note(self, period_us: int, drives: bool) -> None:
-        """Enter what the last intensity is used for.
+    @property
+    def most_ppb(self) -> int | None:
+        """Greatest strength (`SafetyLimits.strength_ppb`) with which pulses may begin now; None
+        where no less has flowed than was last returned.
+        """
+        risen_ppb = 0 if self._time_ns is None else self._rise.risen_ppb(self._time_ns)
+        if parts_per_billion(self._asked) <= risen_ppb:
+            return None
+        return risen_ppb + self._ahead_ppb
+
+    def note(self, period_us: int, intensity: float, strength_ppb: int) -> None:
+        """Enter the sequence that the last intensity is used for.
 
         Parameters
         ----------
         period_us : int
-            Of the sequence.
-        drives : bool
-            Whether it has current; if not, although points are active, they were too weak.
+        intensity : float
+            What it claims: what was returned, or less where that was too strong.
+        strength_ppb : int
+            Its `SafetyLimits.strength_ppb`; 0 if it has no current, although points are active.
         """
-        if drives and self._time_ns is not None:
-            self._reached, self._since_ns = self._asked, self._time_ns
+        if strength_ppb and self._time_ns is not None:
+            self._reached, self._since_ns = intensity, self._time_ns
             self._left_ns, self._first_ns = 1000 * period_us, FIRST_NS
+            ppb = parts_per_billion(intensity)
+            self._rise.note(ppb, strength_ppb, self._time_ns, 1000 * period_us)
         else:
-            self._first_ns = min(2 * self._first_ns, MOST_FIRST_NS)
+            self._first_ns = min(2 * self._first_ns, MOST_STEP_NS)
 
     def restart(self) -> None:
         """Restart: the next intensity is zero."""
@@ -106,3 +128,4 @@ class SoftStart:
         self._since_ns = self._left_ns = 0
         self._first_ns = FIRST_NS
         self._time_ns = None
+        self._rise.restart()

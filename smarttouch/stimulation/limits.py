@@ -27,9 +27,14 @@ from smarttouch.profile.ceilings import (
     SHORTEST_RAMP_S,
 )
 from smarttouch.profile.device import Output
+from smarttouch.stimulation.sequence import ScanSequence
 
 PPB = 1_000_000_000
 """Parts per billion in 1, the unit in which intensity is compared."""
+STRENGTH = 4
+"""Intensity that a pulse counts for at most, in multiples of its share of a full pulse's charge.
+The faintest gray of the shipped kernels carries 0.39 of a full pulse: 3 would do for these, and 4
+leaves room for sites that are more sensitive than others."""
 LONGEST_RAMP_S = 10.0
 RECHARGE_UA = 500
 """Largest current of a recharge phase, whatever the threshold: a tenth of the 5 mA ceiling."""
@@ -74,6 +79,8 @@ class SafetyLimits:
         through one of them, since the others may have come off the skin.
     masked : tuple of int
         Electrodes that carry no current at all.
+    width_us : float, optional
+        Of a full pulse, whose charge strength is a share of; ``pulse_us`` if not given.
 
     Raises
     ------
@@ -99,6 +106,7 @@ class SafetyLimits:
     session_mc: float = CEILING_SESSION_MC
     one_source: bool = False
     masked: tuple[int, ...] = ()
+    width_us: float | None = None
 
     def __post_init__(self) -> None:
         self._check_electrodes()
@@ -111,6 +119,7 @@ class SafetyLimits:
             ("full_ma", self.current_ma),
             ("total_ma", CEILING_TOTAL_MA),
             ("full_us", CEILING_PULSE_US),
+            ("width_us", CEILING_PULSE_US),
             ("density_uc_cm2", CEILING_DENSITY_UC_CM2),
             ("session_s", CEILING_SESSION_S),
             ("session_mc", CEILING_SESSION_MC),
@@ -176,6 +185,7 @@ class SafetyLimits:
             electrodes=len(profile.electrodes),
             current_ma=limits.current_ma,
             pulse_us=limits.pulse_us,
+            width_us=profile.pulse.width_us,
             charge_uc=limits.charge_uc,
             rate_hz=limits.rate_hz,
             duty=limits.duty,
@@ -279,6 +289,38 @@ class SafetyLimits:
             rounding.numerator * full.denominator,
             below,
         )
+
+    @cached_property
+    def width_whole_us(self) -> int:
+        """Width of a full pulse."""
+        width_us = self.pulse_us if self.width_us is None else self.width_us
+        return max(1, math.floor(decimal(min(width_us, self.pulse_us))))
+
+    @cached_property
+    def full_pc(self) -> Fraction:
+        """Charge of a full pulse."""
+        return self.full_ua * self.width_whole_us
+
+    def strength_ppb(self, ppb: int, peak_pc: int) -> int:
+        """Return the intensity that a sequence counts for by its strongest pulse.
+
+        What it claims, up to `STRENGTH` times the pulse's share of a full one, and never less than
+        that share.
+
+        Parameters
+        ----------
+        ppb : int
+            Intensity that it claims, parts per billion.
+        peak_pc : int, pC
+            Largest charge of a pulse of one electrode.
+        """
+        full = self.full_pc
+        share = -(-peak_pc * PPB * full.denominator // full.numerator)
+        return min(PPB, max(share, min(ppb, STRENGTH * share)))
+
+    def strength_of(self, sequence: ScanSequence) -> int:
+        """Return `strength_ppb` of a whole sequence."""
+        return self.strength_ppb(parts_per_billion(sequence.intensity), sequence.peak_pc)
 
     @cached_property
     def felt_ua(self) -> NDArray[np.float32]:

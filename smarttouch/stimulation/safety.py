@@ -48,8 +48,9 @@ class Now(Protocol):
 class Rise:
     """Level opened by current that has flowed since it was zero, in whole parts per billion.
 
-    Only the time of passes with current counts, and no more of it than has gone by. A level stays
-    open for `LEVEL_KEPT_NS` after the last of it. One late step may be caught up.
+    Only the time of passes with current counts, no more of it than has gone by, and up to their
+    strength (`SafetyLimits.strength_ppb`). A level stays open for `LEVEL_KEPT_NS` after the last
+    of it, and weak current does not lower it. One late step may be caught up.
 
     Parameters
     ----------
@@ -64,27 +65,32 @@ class Rise:
 
     def restart(self) -> None:
         """Restart at zero."""
-        self._ppb = self._since_ns = self._left_ns = 0
+        self._ppb = self._strength_ppb = self._since_ns = self._left_ns = 0
 
     def risen_ppb(self, now_ns: int) -> int:
         """Return the level that is open now, without what may be caught up."""
         since_ns = now_ns - self._since_ns
         if since_ns > self._left_ns + LEVEL_KEPT_NS:
             return 0
-        return min(PPB, self._ppb + max(0, min(since_ns, self._left_ns)) * PPB // self._ramp_ns)
+        flowed_ns = max(0, min(since_ns, self._left_ns))
+        risen_ppb = self._ppb + flowed_ns * PPB // self._ramp_ns
+        return max(self._ppb, min(self._strength_ppb, risen_ppb))
 
     def permits(self, ppb: int, now_ns: int) -> bool:
-        """Whether current of an intensity may begin now: `LATE_NS` of the ramp are caught up."""
+        """Whether current of a strength may begin now: `LATE_NS` of the ramp are caught up."""
         if ppb <= self._ppb and now_ns - self._since_ns <= self._left_ns + LEVEL_KEPT_NS:
             return True
         return ppb - LEEWAY_PPB <= self.risen_ppb(now_ns) + self._hurried_ppb
 
-    def note(self, ppb: int, now_ns: int, lasting_ns: int) -> None:
-        """Enter an intensity that begins now; what it fell short of or hurried is kept.
+    def note(self, ppb: int, strength_ppb: int, now_ns: int, lasting_ns: int) -> None:
+        """Enter a sequence that begins now; what it fell short of or hurried is kept.
 
         Parameters
         ----------
-        ppb, now_ns : int
+        ppb, strength_ppb : int
+            Intensity that it claims, which lowers the level, and its strength, above which it
+            raises none.
+        now_ns : int
         lasting_ns : int
             Time of its passes with current, all repetitions included; 0 if they have none.
         """
@@ -95,7 +101,7 @@ class Rise:
         if lasting_ns:
             if ppb > self._ppb or -left_ns > LEVEL_KEPT_NS:
                 ppb = min(ppb, self.risen_ppb(now_ns))
-            self._ppb = ppb
+            self._ppb, self._strength_ppb = ppb, strength_ppb
             self._since_ns, self._left_ns = now_ns, to_come_ns + lasting_ns
         else:
             self._left_ns = min(self._left_ns, gone_ns + to_come_ns)
@@ -185,21 +191,24 @@ class SafetyGate:
             now_ns = sequence.time_ns if self._clock is None else self._clock.now_ns()
             # A clock that falls counts as standing still.
             now_ns = now_ns if self._now_ns is None else max(now_ns, self._now_ns)
+            strength_ppb = limits.strength_ppb(ppb, made.peak_pc)
             if ramped:
-                self._prove_rise(sequence, ppb, now_ns, made.drives)
+                self._prove_rise(sequence, strength_ppb, now_ns)
             flows = len(sequence.width_us) > 0
             self._exposure.enter(now_ns, sequence.period_us, times, made, flows)
             self._now_ns = now_ns
             if ramped:
                 self._time_ns = sequence.time_ns
-                lasting_ns = 1000 * sequence.period_us * times * made.drives
+                lasting_ns = 1000 * sequence.period_us * times * (made.peak_pc > 0)
                 by_clock, claimed = self._rises
-                by_clock.note(ppb, now_ns, lasting_ns)
-                claimed.note(ppb, sequence.time_ns, lasting_ns)
+                by_clock.note(ppb, strength_ppb, now_ns, lasting_ns)
+                claimed.note(ppb, strength_ppb, sequence.time_ns, lasting_ns)
             return sequence
 
-    def _prove_rise(self, sequence: ScanSequence, ppb: int, now_ns: int, drives: bool) -> None:
-        """Raise if current rises too fast, by the time sequences claim or the display's."""
+    def _prove_rise(self, sequence: ScanSequence, ppb: int, now_ns: int) -> None:
+        """Raise if current of a strength, 0 if there is none, rises too fast: by the time that
+        sequences claim, or the display's.
+        """
         before_ns, time_ns = self._time_ns, sequence.time_ns
         if before_ns is not None and time_ns <= before_ns:
             raise SafetyError(
@@ -210,14 +219,14 @@ class SafetyGate:
             )
         by_clock, claimed = self._rises
         # The first is without current.
-        if drives and (
+        if ppb and (
             (before_ns is None and ppb > LEEWAY_PPB)
             or not by_clock.permits(ppb, now_ns)
             or not claimed.permits(ppb, time_ns)
         ):
             level = min(by_clock.risen_ppb(now_ns), claimed.risen_ppb(time_ns)) / PPB
             raise SafetyError(
-                f"current of intensity {ppb / PPB:.3f} where {level:.3f} is open: zero to full "
+                f"current of strength {ppb / PPB:.3f} where {level:.3f} is open: zero to full "
                 f"must take {self.limits.ramp_s:g} s or more of pulses",
                 limit="ramp_s",
                 value=ppb / PPB,

@@ -20,11 +20,11 @@ from smarttouch.stimulation.exposure import (
 )
 from smarttouch.stimulation.frames import FrameSlots
 from smarttouch.stimulation.kernel_table import KernelTable
-from smarttouch.stimulation.limits import SafetyLimits
+from smarttouch.stimulation.limits import SafetyLimits, parts_per_billion
 from smarttouch.stimulation.net import NetPlan
-from smarttouch.stimulation.points import PointSlots, constant_us, joined
+from smarttouch.stimulation.points import PointSlots, Slots, constant_us, joined
 from smarttouch.stimulation.rates import PulseRates, rate_share, rates_of
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.sequence import ScanSequence, peak_pc
 from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
 from smarttouch.stimulation.sums import SlotAdder, extent_us
 from smarttouch.stimulation.timing import ScanTiming
@@ -137,7 +137,8 @@ class ScanScheduler:
         self._duty = limits.duty
         self._timing = timing
         self._electrodes = len(profile.electrodes)
-        self._adder = SlotAdder(SafetyLimits.of(profile).felt_ua)
+        self._limits = SafetyLimits.of(profile)
+        self._adder = SlotAdder(self._limits.felt_ua)
         # Before anything is sent: the longest scan must be possible too.
         self._shortest_us(self._electrodes, self._electrodes * pulse.width_us)
         self._shortest: list[int] = []
@@ -162,6 +163,7 @@ class ScanScheduler:
         image: TactileImage,
         intensity: float,
         pressure: float = 1.0,
+        most_ppb: int | None = None,
     ) -> ScanSequence:
         """Return the sequence for one tactile image.
 
@@ -177,6 +179,9 @@ class ScanScheduler:
             Scale of all currents.
         pressure : float, in [0, 1]
             What the finger's force asks for: the rate of SAI pulses follows it.
+        most_ppb : int, optional
+            Greatest strength (`SafetyLimits.strength_ppb`) of its pulses; the intensity is lowered
+            to it.
 
         Raises
         ------
@@ -191,10 +196,14 @@ class ScanScheduler:
         self.asked_us = asked_us
         # None is due where the rate has fallen since this time was set.
         classes, scale = (due, intensity) if due else ((self._first,), 0.0)
-        (maker, rows), *others = self._makers.get(classes) or self._makers_of(classes)
-        made = maker.slots(image.activation[rows], scale)
-        if others:
-            made = joined([made, *(one.slots(image.activation[of], scale) for one, of in others)])
+        makers = self._makers.get(classes) or self._makers_of(classes)
+        made = _slots_of(makers, image.activation, scale)
+        if most_ppb is not None:
+            charge_pc = peak_pc(made.current_ua, made.width_us)
+            strength_ppb = self._limits.strength_ppb(parts_per_billion(intensity), charge_pc)
+            if strength_ppb > most_ppb:
+                intensity *= most_ppb / strength_ppb
+                made = _slots_of(makers, image.activation, intensity)
         site, current_ua, width_us, proof, sums = made
         slots = len(site)
         if slots < len(self._shortest):
@@ -354,3 +363,12 @@ class ScanScheduler:
         mean_us = pulses_us / slots if slots else 0.0
         shortest = timing.shortest_period_us(slots, self._electrodes, mean_us, self._discharge_us)
         return max(shortest, timing.possible_period_us(pulses_us / self._duty))
+
+
+def _slots_of(makers: list[_Maker], activation: NDArray[np.float32], intensity: float) -> Slots:
+    """Return the slots of all classes that are due."""
+    (maker, rows), *others = makers
+    made = maker.slots(activation[rows], intensity)
+    if others:
+        made = joined([made, *(one.slots(activation[of], intensity) for one, of in others)])
+    return made

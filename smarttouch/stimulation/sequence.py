@@ -114,6 +114,11 @@ class ScanSequence:
         return bool(current_ua[0, self.site[0] % self.electrodes] or current_ua.any())
 
     @property
+    def peak_pc(self) -> int:
+        """Largest charge of one pulse of one electrode, pC."""
+        return peak_pc(self.current_ua, self.width_us)
+
+    @property
     def points(self) -> int:
         """Number of points that its slots stimulate."""
         if self.proof is None:
@@ -137,3 +142,14 @@ class ScanSequence:
     def source_ua(self) -> NDArray[np.int32]:
         """Total current of all cathodes in each slot, (S,) µA: one source's current."""
         return np.asarray(np.abs(self.current_ua.astype(np.int32)).sum(axis=1) // 2)
+
+
+def peak_pc(current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> int:
+    """Return the largest charge of one electrode in slots of (S, E) µA and (S,) µs, pC."""
+    if not current_ua.size:
+        return 0
+    longest_us = int(width_us.max())
+    if longest_us == width_us.min():
+        return max(int(current_ua.max()), -int(current_ua.min())) * longest_us
+    high_ua, low_ua = current_ua.max(axis=1), current_ua.min(axis=1).astype(np.int64)
+    return int((np.maximum(high_ua, -low_ua) * width_us).max())

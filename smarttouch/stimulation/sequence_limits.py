@@ -90,7 +90,7 @@ def prove_slots(
         prove_recharge(sequence, limits.faint_ua, limits.total_ua)
     longest_us, pulses_us, busy_us = _prove_times(sequence, limits)
     if not slots:
-        return PassLoad(np.zeros((3, limits.electrodes)), None, 0, drives=False)
+        return PassLoad(np.zeros((3, limits.electrodes)), None, 0, peak_pc=0)
     net_ua, total_ua, highest_ua, sums = adder.add_up(sequence.current_ua, sequence.width_us)
     # Whole numbers: their squares add up to zero only where all of them are.
     if net_ua.dot(net_ua):
@@ -133,7 +133,7 @@ def prove_slots(
         recharge_pc = sequence.recharge_ua.astype(np.float64) * sequence.recharge_us
         sums[1] += PER_PC * np.abs(recharge_pc)
         sums[2] += recharge_pc
-    return PassLoad(sums, recharge_pc, busy_us, drives=highest_ua > 0)
+    return PassLoad(sums, recharge_pc, busy_us, highest_pc)
 
 
 def _prove_one_source(

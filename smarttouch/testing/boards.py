@@ -184,6 +184,15 @@ class BoardContract:
             return replace(sequence, period_us=round(1e6 / limits.rate_hz) - 1)
         if how == "earlier":
             return replace(sequence, time_ns=0)
+        if how == "sudden":
+            # As strong as it may be: weak pulses may begin at once.
+            peak_ua = int(np.abs(sequence.current_ua).max())
+            total_ua = int(sequence.current_ua.clip(0).sum(axis=1).max())
+            times = min(limits.full_ua // peak_ua, limits.total_ua // total_ua)
+            longest_us = np.full_like(sequence.width_us, limits.width_whole_us)
+            sequence = replace(
+                sequence, current_ua=max(1, int(times)) * sequence.current_ua, width_us=longest_us
+            )
         return replace(sequence, intensity={"intense": 1.1, "sudden": 1.0}[how], time_ns=1)
 
     def _start(self, board: Board) -> None:

@@ -64,7 +64,7 @@ def make(electrodes, step, slots, period_us, intensity=1.0):
 
 def raised(board, electrodes):
     """Open any intensity by the least current; return the next step."""
-    open_level(board.send, make(electrodes, 0, 1, 20_000))
+    open_level(board.send, make(electrodes, 0, 1, 20_000), limits_of(electrodes))
     board.drain(5.0)
     return 2
 

@@ -70,7 +70,8 @@ def delivered(profile, bank, afferent, frames, activations):
             # Seconds between them: the soft start is over before the first counts.
             image = TactileImage(rows, (index + 1) * 10**9, 1.0)
             if not index:
-                open_level(board.send, scan.schedule(TactileImage(0 * rows, 0, 1.0), 0.0))
+                silent = scan.schedule(TactileImage(0 * rows, 0, 1.0), 0.0)
+                open_level(board.send, silent, SafetyLimits.of(profile))
             start = time.perf_counter()
             sequence = scan.schedule(image, 1.0)
             spent += time.perf_counter() - start

@@ -158,7 +158,7 @@ LATE_RISE = [(20, True), (60, True), (100, True), (180, False)]
 def rising(electrodes, part, step):
     """One anodic slot at a part of full intensity, after the silent first."""
     return one_each(
-        limits(electrodes), round(1000 * part), 50, part, step * 10**9,
+        limits(electrodes), round(4000 * part), 50, part, step * 10**9,
         cathodic=False, sites=[1], discharge_us=150, period_us=20_000,
     )  # fmt: skip
 

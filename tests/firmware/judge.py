@@ -42,6 +42,7 @@ class Limits:
     session_s: int = 3600
     session_uc: int = 1_800_000
     duty: int = 80
+    usual_us: int = 200
     current_ua: tuple = (5000,) * 4
     felt_ua: tuple = (1200,) * 4
     charge_pc: tuple = (500_000,) * 4
@@ -50,7 +51,7 @@ class Limits:
         head = struct.pack(
             "<IIHHHHHHIBBH", self.period_us, self.total_ua, self.width_us, self.full_ua,
             self.rounding_ua, self.full_us, self.ramp_ms, self.session_s, self.session_uc,
-            self.duty, 0, 0,
+            self.duty, 0, self.usual_us,
         )  # fmt: skip
         each = zip("HHI", (self.current_ua, self.felt_ua, self.charge_pc), strict=True)
         return head + b"".join(struct.pack(f"<{len(of)}{kind}", *of) for kind, of in each)
@@ -62,7 +63,7 @@ class Limits:
             min(200, self.width_us), min(5000, self.full_ua),
             min((len(self.current_ua) + 1) // 2 + 1, self.rounding_ua), min(200, self.full_us),
             max(500, self.ramp_ms or 10_000), min(3600, self.session_s),
-            min(1_800_000, self.session_uc), min(80, self.duty),
+            min(1_800_000, self.session_uc), min(80, self.duty), min(200, self.usual_us),
             np.minimum(5000, self.current_ua), np.minimum(2500, self.felt_ua),
             np.minimum(500_000, self.charge_pc),
         )  # fmt: skip
@@ -143,7 +144,7 @@ class Judge:
         self.limits, self.switched = limits.capped(switched), switched
         self.session_pc = np.zeros(self.electrodes, np.int64)
         self.net_pc, self.flowing_us = self.session_pc.copy(), 0
-        self.level = self.since_us = self.span_us = 0
+        self.level = self.strength = self.since_us = self.span_us = 0
 
     def stop(self, now_us):
         """Cut off what executes."""
@@ -179,7 +180,8 @@ class Judge:
         """Begin a scan that has been found right, now or when the one at hand is over."""
         start_us = self.start_us(now_us)
         level, on_us = self._risen(start_us)
-        if (scan.nominal() != 0).any():
+        if strength := self._strength(scan):
+            self.strength = strength
             self.level, self.since_us = min(scan.intensity, level), start_us
             self.span_us = scan.times * scan.period_us
         else:
@@ -277,8 +279,8 @@ class Judge:
                 return Rule.INTENSITY, NOTHING, NOTHING, peak_pc, most_pc
         if peak_ua > most_ua:
             return Rule.INTENSITY, NOTHING, NOTHING, peak_ua, most_ua
-        if scan.intensity > risen:
-            return Rule.RISE, NOTHING, NOTHING, scan.intensity, risen
+        if (strength := self._strength(scan)) > risen:
+            return Rule.RISE, NOTHING, NOTHING, strength, risen
         return None
 
     def _over_time(self, scan, one, start_us, now_us):
@@ -342,4 +344,19 @@ class Judge:
         on_us = min(max(0, start_us - self.since_us), self.span_us)
         if start_us - self.since_us - on_us > 15_000_000:
             return 0, on_us
-        return min(FULL, self.level + on_us * FULL // (1000 * self.limits.ramp_ms)), on_us
+        risen = self.level + on_us * FULL // (1000 * self.limits.ramp_ms)
+        return max(self.level, min(self.strength, risen)), on_us
+
+    def _strength(self, scan):
+        """Return what a scan's intensity amounts to, by its strongest pulse."""
+        widths = [width for width, _, _ in scan.slots]
+        peak_pc = max(
+            (int(np.abs(row).max()) * width
+             for row, width in zip(scan.nominal(), widths, strict=True)),
+            default=0,
+        )  # fmt: skip
+        whole_pc = self.limits.full_ua * self.limits.usual_us
+        if peak_pc >= whole_pc:
+            return FULL if peak_pc else 0
+        part = -(-FULL * peak_pc // whole_pc)
+        return max(part, min(scan.intensity, 4 * part))

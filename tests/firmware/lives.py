@@ -251,21 +251,41 @@ def session(life):
 
 
 def rise(life):
-    """Claims without current, silence, and current: what opens a level and what keeps it."""
+    """Claims without current, silence, weak current, and enough of it: what opens a level."""
     life.begin(Limits())
-    flowing = [(100, 40, (100, -100, 0, 0))]
-    for slots, times, wait_us, claims in (
-        ([], 1, 20_000, 40), ([(100, 40, (0, 0, 0, 0))], 1, 20_000, 20), (flowing, 1, 20_000, 40),
-        ([], 1, 14_990_000, 1), (flowing, 1, 14_990_000, 2), (flowing, 1, 15_040_001, 2),
-        (flowing, 3, 20_000, 12),
+    silent, weak, enough = ({"of": part} for part in (None, 0.01, 1))
+    for current, times, wait_us, claims in (
+        (silent, 1, 20_000, 40), ({"of": 0}, 1, 20_000, 20), (weak, 1, 20_000, 20),
+        (enough, 1, 20_000, 40), (weak, 1, 20_000, 20), (enough, 1, 20_000, 2),
+        (silent, 1, 14_990_000, 1), (enough, 1, 14_990_000, 2), (enough, 1, 15_040_001, 2),
+        (enough, 3, 20_000, 12),
     ):  # fmt: skip
         for _ in range(claims):
             top = life.judge.allowed(life.judge.start_us(life.talk.now_us))
             for intensity in (min(FULL, top + 1), top):
-                life.send(Scan(20_000, slots, times, intensity))
+                life.send(Scan(20_000, _counting(intensity, **current), times, intensity))
             life.wait(wait_us)
+        # Silence that claims nothing lowers nothing.
+        life.send(Scan(20_000, [], 1, 0))
+        life.wait(20_000)
+    # Strong ones after weak ones that claimed as much.
+    for intensity in (1000, FULL // 2, FULL):
+        life.begin(Limits())
+        life.send(Scan(500_000, _counting(FULL, 0.05), 1, intensity))
+        life.wait(500_000)
+        top = life.judge.allowed(life.judge.start_us(life.talk.now_us))
+        for claimed in (FULL, top + 1, top):
+            life.send(Scan(20_000, _counting(claimed, 1), 1, claimed))
     assert life.decided[Rule.RISE] > 30
     return life
+
+
+def _counting(intensity, of):
+    """Return the weakest pulse that counts for an intensity, times a part; none if that is None."""
+    if of is None:
+        return []
+    level = min(1250, int(of * -(-1250 * intensity // FULL)))
+    return [(200, 40, (level, -level, 0, 0))]
 
 
 def recharge(life):

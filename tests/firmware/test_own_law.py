@@ -97,7 +97,13 @@ MUTANTS = {
     "charge of the session": (
         session, LAST, "session_pc += load->charge_pc", "session_pc += 0u"
     ),
-    "a level by current alone": (rise, LEVEL, "if (sequence->flows)", "if (true)"),
+    "a level by current alone": (rise, LEVEL, "if (sequence->strength > 0u)", "if (true)"),
+    "the strength of a level": (
+        rise, LEVEL, "st_least(ramp->strength, ramp->level + rises)", "ramp->level + rises"
+    ),
+    "the strength of a pulse": (
+        rise, LEVEL, "st_least(intensity, ST_STRENGTH * share)", "intensity"
+    ),
     "the end of a level": (
         rise, LEVEL, "passed_us - *flowing_us > ST_LEVEL_KEPT_US", "false"
     ),
@@ -114,7 +120,7 @@ MUTANTS = {
         one_source, RULES, "? total_ua : st_magnitude(", "? share[0] : st_magnitude("
     ),
 }  # fmt: skip
-USUAL = ("the sign of a recharge", "net charge of the last passes", "a level by current alone")
+USUAL = ("the sign of a recharge", "net charge of the last passes", "the strength of a pulse")
 
 
 @pytest.mark.parametrize(

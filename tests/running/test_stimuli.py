@@ -9,12 +9,16 @@ from hypothesis import strategies as st
 
 from smarttouch.afferent import Afferent, Mode
 from smarttouch.boards.open import make_board
+from smarttouch.clock import SimulatedClock
 from smarttouch.errors import BoardError, SafetyError, ScheduleError
+from smarttouch.front import run
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
+from smarttouch.running.display import open_display
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.frame import Frame, Pose
+from smarttouch.sources.source import StimulusSource
 from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stimulation.points import felt_at
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
@@ -172,3 +176,48 @@ def test_boards_without_vibrators_refuse_vibration(profile, bank):
         raises(BoardError, about="vibration", remedy="vibrators"),
     ):
         board.send(pipeline.process(asking({})).sequence)
+
+
+BRIGHTER_NS = 1_200_000_000
+
+
+class Brighter(StimulusSource):
+    """One electrode: weak pulses, and then the strongest."""
+
+    knows_force = True
+
+    def __init__(self, profile, period_us=20_000):
+        super().__init__("weak, then strong")
+        self._press_n, self._period_us = profile.force.full_n, period_us
+
+    def read(self, time_ns):
+        if time_ns > 2 * BRIGHTER_NS:
+            return None
+        activation = np.zeros((len(Afferent), 64), np.float32)
+        activation[Afferent.RA, 27] = 0.05 if time_ns < BRIGHTER_NS else 1
+        return Stimulus(activation, time_ns, self._press_n, self._period_us)
+
+
+@pytest.mark.parametrize("url", ["memory:", "emulator:"])
+@pytest.mark.parametrize("period_us", [20_000, 120_000])
+def test_strong_pulses_after_weak_ones_rise_by_the_ramp(url, period_us, profile, changed):
+    """Thresholds of an eighth: pulses of .17 of a full one open .68, and nothing is refused."""
+    sensitive = changed(profile, {"perception.threshold_ma": 0.3, "perception.comfort_ratio": 8.0})
+    display = open_display(url, sensitive)
+    clock = SimulatedClock() if url == "memory:" else None
+    if clock is not None:
+        display.board._clock = clock
+    results = []
+    run(Brighter(sensitive, period_us), display, listeners=[results.append])
+    assert all(each.number is not None for each in results)
+    weak, strong = ([each for each in results if (each.step.input.time_ns < BRIGHTER_NS) is early]
+                    for early in (True, False))  # fmt: skip
+    assert weak[-1].step.sequence.intensity == 1
+    rising = [each.step.sequence.intensity for each in strong]
+    # What rounding leaves over, up to 32 µA, goes to the strongest electrode.
+    weak = 4 * (0.125 + 0.05 * 0.875)
+    assert weak + 85 / 500 - 0.001 < rising[0] < weak + 85 / 500 + 4 * 32 / 2400
+    steps = rising[: rising.index(1) + 1]
+    assert set(rising[len(steps) :]) <= {1}
+    # By no more than a step of the ramp each.
+    assert 0 < min(np.diff(steps)) <= max(np.diff(steps)) <= min(period_us / 1000, 80) / 500 + 0.01

@@ -13,6 +13,7 @@ from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 
+from .bounds import LATE_NS
 from .displays import display, display_names
 from .drafts import RECHARGES, later, opening, ordinary
 from .edges import EDGES, attacks
@@ -148,12 +149,14 @@ def stream(name, seed, tally, make_gate=GateUnderTest, count=STREAM):
     if hurry == "sequences in a second":
         count += oracle.bounds.most_passes
     for index in range(count):
-        if index == 1 and opens:
+        # Bounded: an opening that some other limit forbids opens nothing, however often.
+        for _ in range(2 + oracle.bounds.ramp_ns // LATE_NS if index == 1 and opens else 0):
             draft = opening(oracle, clock_ns + 1, time_ns + 1)
             if not question(gate, oracle, draft, draft.made(), tally, (name, seed, 1, "opening")):
                 return
+            clock_ns, time_ns = clock_ns + LATE_NS, time_ns + LATE_NS
         if index == 1:
-            clock_ns, time_ns = clock_ns + oracle.bounds.ramp_ns, time_ns + oracle.bounds.ramp_ns
+            clock_ns, time_ns = clock_ns + LATE_NS, time_ns + LATE_NS
         elif hurry and index > 1:
             step_ns = rng.choice((10**5, 10**6, 2 * 10**6, 10**7))
             clock_ns, time_ns = clock_ns + step_ns, time_ns + step_ns

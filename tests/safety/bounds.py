@@ -15,6 +15,8 @@ WHOLE = 10**9
 """Intensity counts in parts per billion: this much is full."""
 FREE_RISE = 1_000
 """Parts per billion by which intensity may always rise."""
+TIMES_ITS_SHARE = 4
+"""A pulse counts for so many times its share of a full one's charge, and for no more intensity."""
 LATE_NS = 100_000_000
 """What is later than this is dropped, so that a sequence may claim so much more of the ramp."""
 LONGEST_PERIOD_US = 60_000_000
@@ -84,6 +86,8 @@ class Bounds:
         current of a recharge phase. The latter two are None where no threshold is known.
     full_ua : Fraction
         The strongest current at full intensity.
+    usual_us : int
+        Width of a full pulse, of whose charge others are a share.
     full_us : int or None
         The longest pulse at full intensity where width carries it.
     source_pc : int or None
@@ -96,6 +100,7 @@ class Bounds:
     rate_hz: Fraction
     duty: Fraction
     pulse_us: int
+    usual_us: int
     electrode_ua: tuple
     total_ua: int
     charge_pc: int
@@ -119,6 +124,16 @@ class Bounds:
         return LATE_NS * WHOLE // self.ramp_ns
 
     @property
+    def full_pc(self):
+        """Charge of a full pulse."""
+        return self.full_ua * self.usual_us
+
+    def strength_ppb(self, ppb, peak_pc):
+        """Return what a claimed intensity amounts to with pulses of so much charge at most."""
+        share = math.ceil(WHOLE * Fraction(peak_pc) / self.full_pc)
+        return min(WHOLE, max(share, min(ppb, TIMES_ITS_SHARE * share)))
+
+    @property
     def most_passes(self):
         """Passes that may begin from a second ago to as late as a sequence may be."""
         return math.ceil(self.rate_hz * (NS + LATE_NS) / NS) + 1
@@ -135,6 +150,7 @@ class Bounds:
             area_mm2(profile.electrodes),
             profile.output.kind != "weighted",
             profile.output.masked,
+            profile.pulse.width_us,
         )
 
     @classmethod
@@ -155,10 +171,13 @@ class Bounds:
             area,
             getattr(limits, "one_source", False),
             getattr(limits, "masked", ()),
+            getattr(limits, "width_us", None),
         )
 
     @classmethod
-    def _made(cls, limits, electrodes, full_ma, full_us, thresholds, area, one_source, masked):
+    def _made(
+        cls, limits, electrodes, full_ma, full_us, thresholds, area, one_source, masked, usual_us
+    ):
         own = limits.electrode_ma or [limits.current_ma] * electrodes
         total = TOTAL_MA if limits.total_ma is None else min(dec(limits.total_ma), TOTAL_MA)
         total = min(total, dec(limits.current_ma)) if one_source else total
@@ -168,6 +187,9 @@ class Bounds:
             rate_hz=dec(limits.rate_hz),
             duty=dec(limits.duty),
             pulse_us=math.floor(dec(limits.pulse_us)),
+            usual_us=max(
+                1, math.floor(min(dec(limits.pulse_us), dec(usual_us or limits.pulse_us)))
+            ),
             electrode_ua=tuple(
                 0 if index in masked else math.floor(1000 * min(dec(limits.current_ma), dec(each)))
                 for index, each in enumerate(own)

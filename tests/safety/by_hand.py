@@ -13,6 +13,7 @@ FULL = Bounds(
     rate_hz=Fraction(100),
     duty=Fraction(1, 2),
     pulse_us=200,
+    usual_us=200,
     electrode_ua=(3000, 3000, 3000, 700),
     total_ua=3500,
     charge_pc=400_000,

@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import dataclass, fields
+from fractions import Fraction
 
 import numpy as np
 
 from smarttouch.stimulation.sequence import ScanSequence
 
-from .bounds import NS, WHOLE, exact
+from .bounds import LATE_NS, NS, TIMES_ITS_SHARE, WHOLE, exact
 
 RECHARGES = "recharge_ua" in {each.name for each in fields(ScanSequence)}
 """Whether sequences have a recharge phase."""
@@ -134,16 +135,18 @@ def ordinary(oracle, rng, clock_ns, time_ns, full=False):
 
 
 def opening(oracle, clock_ns, time_ns):
-    """Return the weakest pulse, whose pass lasts long enough to open every level."""
+    """Return the weakest pulse that opens as much as may be opened at once, in `LATE_NS`."""
     bounds = oracle.bounds
     row = np.zeros((1, bounds.electrodes), np.int64)
     able = [site for site, most in enumerate(bounds.electrode_ua) if most]
-    row[0, able[0]], row[0, able[-1]] = 1, -1
+    most = min(oracle.most_by_clock(clock_ns), oracle.most_as_claimed(time_ns), WHOLE)
+    weak_ua = math.ceil(Fraction(most, WHOLE) * bounds.full_ua / TIMES_ITS_SHARE)
+    row[0, able[0]], row[0, able[-1]] = weak_ua, -weak_ua
     one = np.ones(1, np.int64)
-    intensity = intensity_of(min(oracle.most_by_clock(clock_ns), WHOLE // 20))
-    width_us = 1 if bounds.full_us is None else 10
+    width_us = bounds.usual_us
+    period_us = max(LATE_NS // 1000, math.ceil(10**6 / bounds.rate_hz))
     return Draft(
-        row, one * width_us, one * 50, one * 0, bounds.ramp_ns // 1000, intensity, time_ns, clock_ns
+        row, one * width_us, one * 50, one * 0, period_us, intensity_of(most), time_ns, clock_ns
     )
 
 

@@ -13,6 +13,7 @@ from .bounds import (
     RECHARGE_PC,
     RECHARGE_US,
     STRONG_A_SECOND,
+    TIMES_ITS_SHARE,
     WHOLE,
 )
 from .drafts import RECHARGES, intensity_of, level_at
@@ -249,14 +250,39 @@ def _weak(draft, oracle, rng):
     draft.fit(oracle.bounds, rng.choice((0, 20_000, 200_000)))
 
 
-def claimed_rise(draft, oracle, rng, beyond):
+def _amounting(draft, oracle, rng, most, beyond):
+    """Make it one slot that is as strong as may be: by what it claims, or by its charge."""
+    bounds = oracle.bounds
     _weak(draft, oracle, rng)
-    draft.intensity = intensity_of(oracle.most_as_claimed(draft.time_ns) + beyond)
+    whole_pc = bounds.full_pc * most / (TIMES_ITS_SHARE * WHOLE)
+    peak_pc = math.ceil(whole_pc) if rng.random() < 0.5 else math.floor(whole_pc) + beyond
+    if peak_pc == math.ceil(whole_pc):
+        draft.intensity = intensity_of(most + beyond)
+    else:
+        draft.intensity = intensity_of(rng.randint(min(most, WHOLE), WHOLE))
+    usual_us = bounds.usual_us if rng.random() < 0.8 else rng.randint(1, bounds.pulse_us)
+    draft.width_us[0] = usual_us
+    draft.current_ua[0] *= max(1, -(-peak_pc // usual_us))
+    draft.fit(bounds, rng.choice((0, 20_000, 200_000)))
+
+
+def claimed_rise(draft, oracle, rng, beyond):
+    _amounting(draft, oracle, rng, oracle.most_as_claimed(draft.time_ns), beyond)
 
 
 def rise(draft, oracle, rng, beyond):
-    _weak(draft, oracle, rng)
-    draft.intensity = intensity_of(oracle.most_by_clock(draft.clock_ns) + beyond)
+    _amounting(draft, oracle, rng, oracle.most_by_clock(draft.clock_ns), beyond)
+
+
+def strength(draft, oracle, rng, beyond):
+    """What weak current claims to have opened, and a microampere that claims to open all."""
+    most = min(oracle.most_as_claimed(draft.time_ns), oracle.most_by_clock(draft.clock_ns))
+    if most < WHOLE and rng.random() < 0.5:
+        _weak(draft, oracle, rng)
+        draft.intensity = 1.0
+        draft.period_us = max(draft.period_us, rng.choice((0, oracle.bounds.ramp_ns // 1000)))
+    else:
+        _amounting(draft, oracle, rng, most + rng.choice((0, 0, WHOLE // 10)), beyond)
 
 
 def strong_in_a_second(draft, oracle, rng, beyond):
@@ -299,6 +325,11 @@ def session_time(draft, oracle, rng, beyond):
 
 
 def session_charge(draft, oracle, rng, beyond):
+    bounds = oracle.bounds
+    if rng.random() < 0.7:
+        # Of both signs, and slowly enough that no other limit ends it.
+        _charged(draft, oracle, rng.randrange(bounds.electrodes), 2 * bounds.charge_pc, rng)
+        draft.period_us = max(20_000, draft.period_us)
     if not draft.slots:
         return
     _, left_pc = oracle.session_left(draft.clock_ns)
@@ -326,6 +357,7 @@ EDGES = {
     "time": time,
     "claimed rise": claimed_rise,
     "rise": rise,
+    "strength": strength,
     "strong in a second": strong_in_a_second,
     "mean in a second": mean_in_a_second,
     "net in a second": net_in_a_second,
@@ -343,4 +375,5 @@ def attacks(bounds):
     full_ua = bounds.full_ua + bounds.rounding_ua
     often = ["current"] * (min(bounds.electrode_ua) < full_ua)
     often += ["charge"] * (full_ua * bounds.pulse_us > bounds.charge_pc)
-    return (*EDGES, "rise", "claimed rise", *("mean current", "total") * 2, *often * 4)
+    rises = ("rise", "claimed rise", *("strength",) * 3)
+    return (*EDGES, *rises, *("mean current", "total") * 2, *often * 4)

@@ -24,6 +24,7 @@ AMONG = (
     "time",
     "claimed rise",
     "rise",
+    "strength",
     "takes back",
     "sequences in a second",
     "strong in a second",
@@ -34,7 +35,7 @@ AMONG = (
 )
 """The limits from one sequence to the next, by name."""
 NAMES = ("types", "range", *RULES, *AMONG)
-RAMPED = ("time", "claimed rise", "rise")
+RAMPED = ("time", "claimed rise", "rise", "strength")
 """What a measuring scan that a firmware fixes need not keep."""
 
 
@@ -75,7 +76,10 @@ class Sent:
 
 
 class Level:
-    """How far a rise has been opened by current, on one clock, in parts per billion."""
+    """How far a rise has been opened by current, on one clock, in parts per billion.
+
+    Not by its time alone: no further than what flowed was strong.
+    """
 
     def __init__(self, bounds):
         self._bounds = bounds
@@ -83,20 +87,21 @@ class Level:
 
     def close(self):
         """Back to zero, as nothing had ever flowed."""
-        self._ppb, self._from_ns, self._current_ns = 0, None, 0
+        self._ppb, self._strong_ppb, self._from_ns, self._current_ns = 0, 0, None, 0
 
     def at(self, time_ns):
         """Return what is open at a time."""
         if self._from_ns is None or time_ns - self._from_ns > self._current_ns + LEVEL_KEPT_NS:
             return 0
         counted_ns = min(max(time_ns - self._from_ns, 0), self._current_ns)
-        return min(WHOLE, self._ppb + counted_ns * WHOLE // self._bounds.ramp_ns)
+        by_time = self._ppb + counted_ns * WHOLE // self._bounds.ramp_ns
+        return by_time if by_time < self._strong_ppb else max(self._ppb, self._strong_ppb)
 
     def most(self, time_ns):
-        """Return the highest intensity with which current may begin at a time."""
+        """Return the greatest strength with which current may begin at a time."""
         return self.at(time_ns) + FREE_RISE + self._bounds.late_rise
 
-    def sent(self, ppb, time_ns, current_ns):
+    def sent(self, ppb, strong_ppb, time_ns, current_ns):
         """Enter passes with so much time of current, or none, that begin at a time."""
         if self._from_ns is None and not current_ns:
             return
@@ -106,7 +111,7 @@ class Level:
             # What it goes on for: it is cut short, but for what may wait its turn.
             ahead_ns = min(max(self._current_ns - passed_ns, 0), LATE_NS)
         if current_ns:
-            self._ppb = min(ppb, self.at(time_ns))
+            self._ppb, self._strong_ppb = min(ppb, self.at(time_ns)), strong_ppb
             self._from_ns, self._current_ns = time_ns, ahead_ns + current_ns
         else:
             self._current_ns = min(self._current_ns, passed_ns + ahead_ns)
@@ -134,6 +139,8 @@ class Oracle:
         nothing = np.zeros(self.bounds.electrodes, np.int64)
         self._spent = 0, nothing, nothing
         self._by_clock, self._claimed = Level(self.bounds), Level(self.bounds)
+        # What would be open if all current were strong.
+        self._if_strong = Level(self.bounds), Level(self.bounds)
         self.restart()
 
     def restart(self, clock_ns=0):
@@ -143,8 +150,8 @@ class Oracle:
             self._last = None
         self._passes = []
         self.time_ns = self.clock_ns = None
-        self._by_clock.close()
-        self._claimed.close()
+        for level in (self._by_clock, self._claimed, *self._if_strong):
+            level.close()
 
     def judge(self, sequence, clock_ns, times=1, measuring=False):
         """Judge a sequence that is about to be sent; one that breaks nothing counts as sent.
@@ -175,12 +182,10 @@ class Oracle:
         known = self.passes_by(clock_ns)
         new = Sent(self._free_from(clock_ns), alone.period_us, times, alone)
         spent_us, spent_pc, carried_pc = self._spent_by(clock_ns)
-        first = self.time_ns is None
+        strong_ppb = self.bounds.strength_ppb(alone.intensity_ppb, alone.peak_pc)
         kept = {
-            "time": first or alone.time_ns > self.time_ns,
-            "claimed rise": not alone.drives
-            or alone.intensity_ppb <= (FREE_RISE if first else self._claimed.most(alone.time_ns)),
-            "rise": not alone.drives or alone.intensity_ppb <= self._by_clock.most(clock_ns),
+            "time": self.time_ns is None or alone.time_ns > self.time_ns,
+            **self._rises(strong_ppb, alone.time_ns, clock_ns, alone.peak_pc == 0),
             "takes back": self._takes_back(alone, carried_pc, times),
             "sequences in a second": 1 + sum(each.start_ns > clock_ns - NS for each in known)
             <= self.bounds.most_passes,
@@ -198,17 +203,37 @@ class Oracle:
             self.clock_ns = clock_ns
             if not measuring:
                 self.time_ns = alone.time_ns
-                current_ns = 1000 * times * alone.period_us * alone.drives
-                self._by_clock.sent(alone.intensity_ppb, clock_ns, current_ns)
-                self._claimed.sent(alone.intensity_ppb, alone.time_ns, current_ns)
+                current_ns = 1000 * times * alone.period_us * (alone.peak_pc > 0)
+                amounts = alone.intensity_ppb, strong_ppb
+                self._by_clock.sent(*amounts, clock_ns, current_ns)
+                self._claimed.sent(*amounts, alone.time_ns, current_ns)
+                amounts = alone.intensity_ppb, WHOLE
+                self._if_strong[0].sent(*amounts, clock_ns, current_ns)
+                self._if_strong[1].sent(*amounts, alone.time_ns, current_ns)
         return broken
 
+    def _rises(self, strong_ppb, time_ns, clock_ns, silent):
+        """Return whether the rise is kept by the time that current flowed, and by its strength.
+
+        The latter counts where the former is kept.
+        """
+        by_clock, claimed = self._if_strong
+        first = self.time_ns is None
+        most = FREE_RISE if first else claimed.most(time_ns)
+        by_time = {
+            "claimed rise": silent or strong_ppb <= most,
+            "rise": silent or strong_ppb <= by_clock.most(clock_ns),
+        }
+        most = min(self.most_as_claimed(time_ns), self.most_by_clock(clock_ns))
+        strongly = silent or not all(by_time.values()) or strong_ppb <= most
+        return by_time | {"strength": strongly}
+
     def most_as_claimed(self, time_ns):
-        """Return the highest intensity by the claimed times, in parts per billion."""
+        """Return the greatest strength by the claimed times, in parts per billion."""
         return FREE_RISE if self.time_ns is None else self._claimed.most(time_ns)
 
     def most_by_clock(self, clock_ns):
-        """Return the highest intensity by the display's clock, in parts per billion."""
+        """Return the greatest strength by the display's clock, in parts per billion."""
         return self._by_clock.most(clock_ns)
 
     def passes_by(self, clock_ns):

@@ -92,7 +92,7 @@ def judge_alone_quickly(sequence, bounds):
         (signed * width[:, None]).sum(axis=0),
         recharge_pc,
         spent_us,
-        peak_ua > 0,
+        peak_pc,
     )
 
 

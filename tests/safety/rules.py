@@ -258,7 +258,7 @@ class Judged:
     slots_pc: object = None
     recharge_pc: object = None
     busy_us: int = 0
-    drives: bool = False
+    peak_pc: int = 0
 
 
 def judge_alone(sequence, bounds):
@@ -283,7 +283,14 @@ def judge_alone(sequence, bounds):
         slots_through_pc(scan, bounds),
         [each * scan.recharge_us for each in scan.recharge_ua or [0] * bounds.electrodes],
         sum(scan.width_us) + sum(scan.discharge_us) + scan.recharge_us,
-        any(current for row in scan.current_ua for current in row),
+        max(
+            (
+                abs(current) * width
+                for row, width in zip(scan.current_ua, scan.width_us, strict=True)
+                for current in row
+            ),
+            default=0,
+        ),
     )
 
 

@@ -48,7 +48,7 @@ class Crashing(Careless):
 @pytest.fixture(scope="module")
 def tally():
     """Of so many that most limits are reached; all are by the more that the gate is asked of."""
-    return attack(0, 2500, Careless)
+    return attack(0, 3500, Careless)
 
 
 def test_it_reaches_limits_and_agrees_with_a_gate_that_overlooks_none(tally):

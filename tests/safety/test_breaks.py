@@ -74,7 +74,7 @@ def test_an_infinite_scale_is_no_profile():
 def test_changed_after_the_proof(limits):
     board = make_board("memory:", limits)
     with board:
-        open_level(board.send, pulses(0))
+        open_level(board.send, pulses(0), limits)
         given = pulses(2)
         board.send(given)
         given.current_ua[:] = 5000
@@ -122,8 +122,8 @@ def test_density_is_bounded_by_the_electrodes_area(limits):
 
 
 def test_a_session_ends(limits):
-    gate = SafetyGate(dataclasses.replace(limits, session_s=1.05))
-    open_level(gate.prove, pulses(0))
+    gate = SafetyGate(dataclasses.replace(limits, session_s=0.55))
+    open_level(gate.prove, pulses(0), limits)
     gate.prove(pulses(1))
     gate.prove(pulses(1, time_ns=2 * SECOND))
     assert refused(gate, pulses(1, time_ns=3 * SECOND)) == "session_s"

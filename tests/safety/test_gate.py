@@ -10,7 +10,7 @@ import pytest
 
 from .agreement import attack
 
-SEQUENCES = int(os.environ.get("SMARTTOUCH_SAFETY_SEQUENCES", "4500"))
+SEQUENCES = int(os.environ.get("SMARTTOUCH_SAFETY_SEQUENCES", "8000"))
 
 
 @pytest.mark.timeout(60 + SEQUENCES / 100)

@@ -8,6 +8,7 @@ import pytest
 
 from smarttouch.stimulation.sequence import ScanSequence
 
+from .bounds import LATE_NS
 from .displays import display
 from .drafts import opening
 from .gates import GateUnderTest, faults_of_copy
@@ -37,9 +38,10 @@ def asked(made):
     gate, oracle = GateUnderTest(PROFILE), Oracle(PROFILE)
     assert gate.ask(silent(), 0).accepted
     assert oracle.judge(silent(), 0) == []
-    draft = opening(oracle, 1, 1)
-    assert gate.ask(draft.made(), 1).accepted
-    assert oracle.judge(draft.made(), 1) == []
+    for time_ns in range(1, oracle.bounds.ramp_ns + LATE_NS, LATE_NS):
+        draft = opening(oracle, time_ns, time_ns)
+        assert gate.ask(draft.made(), time_ns).accepted
+        assert oracle.judge(draft.made(), time_ns) == []
     answer = gate.ask(made, NS)
     if answer.accepted:
         # Whatever was asked about: what is sent is this copy.

@@ -263,7 +263,7 @@ def test_whatever_is_measured_the_result_is_safe(profile, hold, seed, density):
     bank = SAFE_BANKS[profile.name]
     scan = ScanScheduler(profile, bank, (Afferent.RA,), profile.pulse.rate_hz)
     nothing = TactileImage(np.zeros((3, count), np.float32), 0, 1.0)
-    open_level(gate.prove, scan.schedule(nothing, 0.0))
+    open_level(gate.prove, scan.schedule(nothing, 0.0), gate.limits)
     # Falling, since no jump up passes.
     for step, intensity in enumerate(sorted([*rng.random(5), 0.0], reverse=True), 1):
         rows = np.zeros((3, count), np.float32)

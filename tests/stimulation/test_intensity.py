@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from smarttouch.clock import LATE_NS
 from smarttouch.profile import ForceLaw
-from smarttouch.stimulation.intensity import MOST_FIRST_NS, SoftStart, force_gate
+from smarttouch.stimulation.intensity import MOST_STEP_NS, SoftStart, force_gate
 from smarttouch.stimulation.limits import parts_per_billion
 from smarttouch.stimulation.safety import Rise
 
@@ -57,14 +57,17 @@ def test_rise_is_bounded_by_what_flows_and_fall_is_immediate(asked):
         now = soft.follow(wanted, time_ns)
         assert now <= wanted
         flowed_s = min((time_ns - since_ns) / 1e9, period_us / 1e6) if drives else 0.0
-        assert now <= before + flowed_s / 0.5 + MOST_FIRST_NS / 1e9 / 0.5 + 1e-9
+        # The first step, and as much more as has flowed, up to one.
+        most_s = MOST_STEP_NS / 1e9
+        assert now <= before + (min(flowed_s, most_s) + most_s) / 0.5 + 1e-9
         ppb = parts_per_billion(now)
         # The gate permits all of it, with time to spare for lateness.
-        assert rise.permits(ppb, time_ns - LATE_NS + MOST_FIRST_NS) or not driving
-        if driving and now:
-            rise.note(ppb, time_ns, 1000 * next_us)
-        soft.note(next_us, driving and now > 0)
-        if driving and now:
+        assert rise.permits(ppb, time_ns - LATE_NS + MOST_STEP_NS) or not driving
+        strength_ppb = ppb * driving
+        if strength_ppb:
+            rise.note(ppb, strength_ppb, time_ns, 1000 * next_us)
+        soft.note(next_us, now, strength_ppb)
+        if strength_ppb:
             before, since_ns, period_us, drives = now, time_ns, next_us, True
 
 
@@ -75,7 +78,7 @@ def test_it_rises_while_pulses_flow_and_stays_while_none_do():
     found = []
     for step in range(3):
         found.append(soft.follow(1.0, 10**9 + step * 20_000_000))
-        soft.note(20_000, True)
+        soft.note(20_000, found[-1], parts_per_billion(found[-1]))
     assert found == pytest.approx([0.04, 0.08, 0.12])
     assert soft.follow(1.0, 14 * 10**9) == pytest.approx(0.16)
     assert soft.follow(1.0, 16 * 10**9) == pytest.approx(0.04)
@@ -86,7 +89,7 @@ def test_a_first_step_too_weak_for_any_pulse_grows():
     soft.follow(1.0, 0)
     for step in range(1, 6):
         found.append(soft.follow(1.0, step * 20_000_000))
-        soft.note(20_000, False)
+        soft.note(20_000, found[-1], 0)
     assert found == pytest.approx([0.04, 0.08, 0.16, 0.16, 0.16])
 
 
@@ -101,8 +104,9 @@ def test_time_that_goes_back_lets_nothing_rise_or_turn_over():
     start = SoftStart(0.5)
     start.follow(1.0, 0)
     start.follow(1.0, 1)
-    start.note(500_000, True)
-    assert start.follow(1.0, 250_000_001) == pytest.approx(0.54)
-    start.note(500_000, True)
-    assert start.follow(1.0, -(2**62)) == pytest.approx(0.54)
-    assert start.follow(0.2, -(2**63)) == 0.2
+    start.note(500_000, 0.04, 40_000_000)
+    # A sequence of half a second opens no more than one of 80 ms.
+    assert start.follow(1.0, 250_000_001) == pytest.approx(0.2)
+    start.note(500_000, 0.2, 200_000_000)
+    assert start.follow(1.0, -(2**62)) == pytest.approx(0.2)
+    assert start.follow(0.1, -(2**63)) == 0.1

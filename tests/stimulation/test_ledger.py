@@ -89,7 +89,7 @@ def test_the_reversed_twin_passes_the_same_gate(one):
     assert twin.current_ua.dtype == np.int16
     for each in (one, twin):
         gate = SafetyGate(limits)
-        open_level(gate.prove, each)
+        open_level(gate.prove, each, limits)
         gate.prove(each)
 
 

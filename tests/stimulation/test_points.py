@@ -72,7 +72,7 @@ def test_every_sequence_is_safe_with_either_carrier(
     for each in (profile, by_width):
         scan = ScanScheduler(each, bank, mode.afferents, softness=softness)
         gate = SafetyGate(SafetyLimits.of(each))
-        open_level(gate.prove, scan.schedule(image(activation, 0), 0.0))
+        open_level(gate.prove, scan.schedule(image(activation, 0), 0.0), gate.limits)
         gate.prove(scan.schedule(image(activation), intensity, pressure))
 
 

@@ -262,7 +262,7 @@ LATER = {"time_ns": 10**9}
 
 def gate_for(limits=LIMITS):
     gate = SafetyGate(limits)
-    open_level(gate.prove, sequence(ONE))
+    open_level(gate.prove, sequence(ONE), limits)
     return gate
 
 

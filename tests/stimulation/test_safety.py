@@ -1,14 +1,17 @@
 """Every limit raises, and nothing that keeps them is refused."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from smarttouch.clock import LATE_NS
 from smarttouch.errors import SafetyError
 from smarttouch.profile.device import Output
+from smarttouch.stimulation.limits import STRENGTH
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
@@ -46,7 +49,7 @@ def sequence(currents, *, width=200, discharge=100, period=20_000, intensity=1.0
 def warmed():
     """A gate in which a second of the least current has opened full intensity."""
     gate = SafetyGate(LIMITS)
-    open_level(gate.prove, sequence(GOOD))
+    open_level(gate.prove, sequence(GOOD), gate.limits)
     return gate
 
 
@@ -65,7 +68,7 @@ def test_one_source_drives_no_more_than_one_electrode_may_carry():
         of_one = SafetyGate(limits.on(Output(kind="three-state")))
         of_many = SafetyGate(limits.on(Output(kind="weighted")))
         for gate in (of_one, of_many):
-            open_level(gate.prove, sequence(GOOD))
+            open_level(gate.prove, sequence(GOOD), gate.limits)
         of_many.prove(sequence(current, width=width))
         with pytest.raises(SafetyError) as error:
             of_one.prove(sequence(current, width=width))
@@ -110,7 +113,6 @@ def test_a_good_sequence_passes():
         (sequence(GOOD, time_ns=float("nan")), "time_ns", None, None),
         (sequence(GOOD, time_ns=-1), "time_ns", None, None),
         (sequence(GOOD, time_ns=0), "time_ns", None, None),
-        (sequence(GOOD, time_ns=SECOND // 10), "ramp_s", None, None),
         (sequence([[-700, 700, 0, 0]] * 31, width=50), "pulses_hz", None, 0),
         (sequence(GOOD * 25), "mean_ma", None, 0),
         (changed(site=np.full(1, 4, np.uint16)), "site", None, None),
@@ -163,24 +165,27 @@ def on_a_clock(limits=LIMITS):
     """A gate on a told clock, at full intensity a second after its start."""
     clock = ToldClock()
     gate = SafetyGate(limits, clock)
-    open_level(gate.prove, sequence(GOOD), clock=clock)
+    open_level(gate.prove, sequence(GOOD), gate.limits, clock=clock)
     return gate, clock
 
 
-WEAK = [[-30, 30, 0, 0]]
+def of(intensity, **other):
+    """The weakest sequence that counts for as much as it claims."""
+    weak_ua = math.ceil(2400 * intensity / STRENGTH)
+    return sequence([[-weak_ua, weak_ua, 0, 0]], intensity=intensity, **other)
 
 
 def test_rise_is_bounded_by_the_displays_clock_whatever_time_is_claimed():
     clock = ToldClock()
     gate = SafetyGate(LIMITS, clock)
     gate.prove(sequence([], intensity=0.0, time_ns=0))
-    gate.prove(sequence(WEAK, intensity=0.02, time_ns=1, period=500_000))
-    clock.time_ns = SECOND // 100
-    with pytest.raises(SafetyError) as error:
-        gate.prove(sequence(GOOD))
-    assert error.value.limit == "ramp_s"
-    clock.time_ns = SECOND // 2
-    gate.prove(sequence(GOOD))
+    gate.prove(of(0.2, time_ns=1, period=500_000))
+    for clock_ns, time_ns in ((SECOND // 100, SECOND), (SECOND, SECOND // 100)):
+        clock.time_ns = clock_ns
+        with pytest.raises(SafetyError) as error:
+            gate.prove(of(0.3, time_ns=time_ns))
+        assert error.value.limit == "ramp_s"
+    gate.prove(of(0.3))
 
 
 def test_late_steps_hurry_the_rise_by_no_more_than_they_may_be_late():
@@ -193,11 +198,40 @@ def test_late_steps_hurry_the_rise_by_no_more_than_they_may_be_late():
         clock.time_ns = step * 1_000_000
         intensity = min(1.0, step * 0.04)
         try:
-            gate.prove(sequence(WEAK, intensity=intensity, time_ns=step * 20_000_000))
+            gate.prove(of(intensity, time_ns=step * 20_000_000))
         except SafetyError:
             break
         reached.append(intensity)
     assert reached[-1] == pytest.approx(0.2, abs=0.04)
+
+
+weak_or_strong = st.lists(
+    st.tuples(
+        st.integers(0, 2400), st.integers(1, 200), st.floats(0, 1), st.integers(5_000, 10**6)
+    ),
+    max_size=20,
+)
+
+
+@given(weak_or_strong)
+def test_whatever_weak_current_claims_it_opens_a_multiple_of_itself(asked):
+    """And one step of what may be late: a fifth of a full pulse, or a fifth for its fourfold."""
+    gate, flowed_pc, time_ns = SafetyGate(LIMITS), 0, 0
+    gate.prove(sequence([], intensity=0.0, time_ns=0))
+    for current_ua, width_us, intensity, period_us in asked:
+        time_ns += 10**9
+        made = sequence(
+            [[-current_ua, current_ua, 0, 0]] if current_ua else [],
+            width=width_us, intensity=intensity, period=period_us, time_ns=time_ns,
+        )  # fmt: skip
+        try:
+            gate.prove(made)
+        except SafetyError:
+            continue
+        full_pc, peak_pc = LIMITS.full_pc, current_ua * width_us
+        step_pc = full_pc * LATE_NS / LIMITS.ramp_ns
+        assert peak_pc <= STRENGTH * flowed_pc + step_pc + full_pc / 10**6
+        flowed_pc = max(flowed_pc, peak_pc)
 
 
 def test_what_is_proved_cannot_be_changed():
@@ -264,10 +298,10 @@ def test_repetitions_count_as_they_begin():
     assert charge_mc == pytest.approx(50 * 10 * 2.4e-3 * 0.2)
 
 
-@pytest.mark.parametrize("change", [{"session_s": 1.1}, {"session_mc": 0.00481}])
+@pytest.mark.parametrize("change", [{"session_s": 0.61}, {"session_mc": 0.00553}])
 def test_a_session_ends_with_its_dose(change):
     gate = SafetyGate(dataclasses.replace(LIMITS, **change))
-    open_level(gate.prove, sequence(GOOD))
+    open_level(gate.prove, sequence(GOOD), gate.limits)
     for step in range(5):
         gate.prove(sequence(GOOD * 2, time_ns=SECOND * (step + 1)))
     with pytest.raises(SafetyError) as error:

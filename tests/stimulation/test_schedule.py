@@ -42,7 +42,7 @@ def started(profile, bank):
     scan = ScanScheduler(profile, bank, (Afferent.RA,), 20.0)
     driven = profile.driven.tolist()
     silent = scan.schedule(tactile(np.zeros(len(profile.electrodes)), 0), 0.0)
-    open_level(gate.prove, silent, electrodes=(driven[0], driven[-1]))
+    open_level(gate.prove, silent, gate.limits, electrodes=(driven[0], driven[-1]))
     return gate
 
 

@@ -28,6 +28,8 @@ MAX_RECHARGE_UA = 500
 MAX_RECHARGE_US = 20_000
 MAX_RECHARGE_PC = 2_000_000
 FULL = 0xFFFF
+STRENGTH = 4
+"""Multiple of a pulse's share of a full one that its strength is at most."""
 
 
 class Complaint(NamedTuple):
@@ -54,6 +56,7 @@ class SessionLimits:
     session_us: int
     session_pc: int
     duty_percent: int
+    full_pc: int
     current_ua: NDArray[np.int64]
     felt_ua: NDArray[np.int64]
     charge_pc: NDArray[np.int64]
@@ -64,7 +67,8 @@ class SessionLimits:
         if len(payload) != LIMITS.size + 8 * electrodes:
             return None
         (
-            period, total, width, full, rounding, full_us, ramp, session_s, session_uc, duty, _, _,
+            period, total, width, full, rounding, full_us, ramp, session_s, session_uc, duty,
+            _, usual,
         ) = LIMITS.unpack_from(payload)  # fmt: skip
         at = LIMITS.size
         current = np.frombuffer(payload, "<u2", electrodes, at).astype(np.int64)
@@ -76,9 +80,15 @@ class SessionLimits:
             min(full, MAX_CURRENT_UA), min(rounding, -(-electrodes // 2) + 1),
             min(full_us, MAX_WIDTH_US), max(ramp or MAX_RAMP_MS, MIN_RAMP_MS),
             10**6 * min(session_s, MAX_SESSION_S), 10**6 * min(session_uc, MAX_SESSION_UC),
-            min(duty, MAX_DUTY_PERCENT), np.minimum(current, MAX_CURRENT_UA),
+            min(duty, MAX_DUTY_PERCENT), min(full, MAX_CURRENT_UA) * min(usual, MAX_WIDTH_US),
+            np.minimum(current, MAX_CURRENT_UA),
             np.minimum(felt, MAX_FELT_UA), np.minimum(charge, MAX_CHARGE_PC),
         )  # fmt: skip
+
+    def strength(self, intensity: int, peak_pc: int) -> int:
+        """Return what an intensity amounts to with pulses of such a charge, of `FULL`."""
+        share = -(-peak_pc * FULL // self.full_pc) if self.full_pc else FULL * (peak_pc > 0)
+        return min(FULL, max(share, min(intensity, STRENGTH * share)))
 
 
 @dataclass(eq=False)
@@ -91,14 +101,14 @@ class Load:
         Pulses that count as felt.
     charge_pc, net_pc : ndarray, pC
         Of either sign, and signed, positive cathodic; the recharge phase included.
-    flows : bool
-        Whether any current flows.
+    peak_pc : int, pC
+        Largest charge of one pulse; 0 if no current flows.
     """
 
     felt: NDArray[np.int64]
     charge_pc: NDArray[np.int64]
     net_pc: NDArray[np.int64]
-    flows: bool = False
+    peak_pc: int = 0
 
     @classmethod
     def none(cls, electrodes: int) -> "Load":
@@ -112,7 +122,6 @@ class Load:
         self.felt += ((each >= felt_ua) & (each > 0)).sum(axis=0)
         self.charge_pc += width_us @ each
         self.net_pc += width_us @ signed_ua
-        self.flows |= bool(each.any())
 
 
 def complaint(
@@ -136,6 +145,7 @@ def complaint(
         found, peaks = _slot_by_slot(lists, limits, keep, output, width, load)
         if found:
             return found, load
+    load.peak_pc = peaks[1]
     return _whole(lists, limits, load, peaks, carried_pc), load
 
 

@@ -412,8 +412,9 @@ class LinkFirmware(Firmware):
                 lists, self._limits, self._keep, self._output, self._second.net_pc
             )
             allowed = self._ramp.allowed(rise_us)
-            if found is None and lists.intensity > allowed:
-                found = Complaint(Rule.RISE, value=lists.intensity, allowed=allowed)
+            strength = self._limits.strength(lists.intensity, load.peak_pc)
+            if found is None and strength > allowed:
+                found = Complaint(Rule.RISE, value=strength, allowed=allowed)
             found = found or self._second.complaint(
                 start_ns // 1000, sequence.period_us, sequence.times,
                 load if lists.slots else None, self._limits,
@@ -422,8 +423,8 @@ class LinkFirmware(Firmware):
             self._say(Kind.NAK, number, protocol.NAK.pack(Refusal.UNSAFE, *found))
             return None
         assert load is not None
-        span_us = sequence.times * sequence.period_us if load.flows else 0
-        self._ramp.note(lists.intensity, rise_us, span_us)
+        span_us = sequence.times * sequence.period_us if load.peak_pc else 0
+        self._ramp.note(lists.intensity, strength, rise_us, span_us)
         return _Table(number, sequence, load if lists.slots else None, sequence.times)
 
     def _turn_away(self, reason: Refusal) -> None:

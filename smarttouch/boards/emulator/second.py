@@ -157,7 +157,7 @@ def _largest_net(before: NDArray[np.int64], load: Load, own: int) -> NDArray[np.
 
 
 class Ramp:
-    """Rise of intensity by delivered current.
+    """Rise of intensity by delivered current, and no higher than its strength.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ class Ramp:
     def restart(self, ramp_ms: int) -> None:
         """Begin at zero, with at least so long a ramp."""
         self._ramp_us = 1000 * max(self._own_ms, ramp_ms) if self._own_ms else 0
-        self._level = self._since_us = self._span_us = 0
+        self._level = self._strength = self._since_us = self._span_us = 0
 
     def _on_us(self, now_us: int) -> int:
         """Return for how long current has flowed since the last sequence."""
@@ -182,22 +182,23 @@ class Ramp:
         on_us = self._on_us(now_us)
         if now_us - self._since_us - on_us > KEPT_US:
             return 0
-        return min(FULL, self._level + on_us * FULL // self._ramp_us)
+        return max(self._level, min(self._strength, self._level + on_us * FULL // self._ramp_us))
 
     def allowed(self, now_us: int) -> int:
-        """Return the largest intensity that may begin at a time."""
+        """Return the largest strength that may begin at a time."""
         if not self._ramp_us:
             return FULL
         ahead = CATCH_UP_US * FULL // self._ramp_us
         return min(FULL, self._risen(now_us) + ahead + _LEEWAY)
 
-    def note(self, intensity: int, now_us: int, span_us: int) -> None:
+    def note(self, intensity: int, strength: int, now_us: int, span_us: int) -> None:
         """Take down a sequence that begins at a time, and for how long its current flows."""
         if not self._ramp_us:
             return
         risen, on_us = self._risen(now_us), self._on_us(now_us)
         if span_us:
             self._level, self._since_us = min(intensity, risen), now_us
+            self._strength = strength
         else:
             self._level, self._since_us = risen, self._since_us + on_us
         self._span_us = span_us

@@ -1,6 +1,7 @@
 """The emulated link board on a clock of the test's own: kernels, limits, rules."""
 
 import hashlib
+import math
 import zlib
 from dataclasses import replace
 from types import SimpleNamespace
@@ -289,20 +290,42 @@ def test_without_limits_and_without_kernels_nothing_flows():
 WEAK = [2, -2, 0, 0, 0, 0]
 
 
+def of(intensity):
+    """The weakest sequence that counts for as much as it claims."""
+    level_ua = math.ceil(2400 * intensity / 2)
+    return plain([[level_ua, -level_ua, 0, 0, 0, 0]], intensity=intensity)
+
+
 def test_a_rise_is_the_boards_to_allow():
     rig = Rig()
-    assert rig.send(plain([WEAK], intensity=1.0))[:2] == (Refusal.UNSAFE, Rule.RISE)
-    assert rig.send(plain([WEAK], intensity=0.0)) is None
-    assert rig.send(plain([WEAK], intensity=0.29), 11, number=2) is None
-    assert rig.send(plain([WEAK], intensity=0.9), 30, number=3)[1] == Rule.RISE
+    assert rig.send(of(1.0))[:2] == (Refusal.UNSAFE, Rule.RISE)
+    assert rig.send(of(0.0)) is None
+    assert rig.send(of(0.29), 11, number=2) is None
+    assert rig.send(of(0.9), 30, number=3)[1] == Rule.RISE
     for step in range(1, 51):
         now_ms = 30 + 10 * step
         rig.say(now_ms, Kind.HEARTBEAT)
-        found = rig.send(plain([WEAK], intensity=min(1.0, 0.02 * step)), now_ms, number=3 + step)
+        found = rig.send(of(min(1.0, 0.02 * step)), now_ms, number=3 + step)
         assert found is None, step
     # It may fall at once, and comes back as slowly as it rose.
-    assert rig.send(plain([WEAK], intensity=0.1), 540, number=60) is None
-    assert rig.send(plain([WEAK], intensity=1.0), 551, number=61)[1] == Rule.RISE
+    assert rig.send(of(0.1), 540, number=60) is None
+    assert rig.send(of(1.0), 551, number=61)[1] == Rule.RISE
+
+
+def test_weak_current_opens_a_multiple_of_itself():
+    """Whatever it claims, for a whole ramp; and what is open stays so while it flows."""
+    rig = Rig()
+    one = plain([[30, -30, 0, 0, 0, 0]])
+    for number in range(60):
+        assert rig.send(one, 10 * number, number=number) is None
+    found = rig.send(of(0.5), 600, number=100)
+    # 4 x ceil(1/160 of 65,535), 150 ms of a ramp of 500 and 2.
+    assert (found[1], found[4:]) == (Rule.RISE, (32_768, 4 * 410 + 19_660 + 2))
+    for step in range(1, 60):
+        assert rig.send(of(min(1.0, 0.02 * step)), 600 + 10 * step, number=100 + step) is None
+    for step in range(60, 100):
+        assert rig.send(one, 600 + 10 * step, number=100 + step) is None
+    assert rig.send(of(1.0), 1600, number=300) is None
 
 
 def quiet(rig, start_ms, end_ms, number):
@@ -317,12 +340,11 @@ def quiet(rig, start_ms, end_ms, number):
 def test_a_level_is_opened_by_current_and_closed_by_a_long_silence(silent_ms, kept):
     rig = Rig()
     number = quiet(rig, 0, 2000, 1)
-    assert rig.send(plain([WEAK], intensity=0.4), 2000, number=number)[1] == Rule.RISE
+    assert rig.send(of(0.4), 2000, number=number)[1] == Rule.RISE
     for step in range(50):
-        sequence = plain([WEAK], intensity=min(1.0, 0.02 * step))
-        assert rig.send(sequence, 2000 + 10 * step, number=100 + step) is None
+        assert rig.send(of(min(1.0, 0.02 * step)), 2000 + 10 * step, number=100 + step) is None
     number = quiet(rig, 2500, 2500 + silent_ms, 200)
-    found = rig.send(plain([WEAK], intensity=1.0), 2500 + silent_ms, number=number)
+    found = rig.send(of(1.0), 2500 + silent_ms, number=number)
     assert (found is None) == kept
 
 
@@ -390,14 +412,14 @@ def test_a_session_ends():
 
 def test_what_limits_ask_for_is_capped_and_what_is_left_out_is_safe():
     full = plain([[2600, -2600, 0, 0, 0, 0]], width_us=np.array([20], np.uint16), intensity=0.1)
-    for name, value in (("full", 65_535), ("rounding", 5000), ("ramp", 0)):
-        rig = Rig(limits=None, ramp_ms=500 if name == "ramp" else 0)
+    for name, value in (("full", 65_535), ("rounding", 5000), ("ramp", 0), ("usual", 0)):
+        rig = Rig(limits=None, ramp_ms=500 if value == 0 else 0)
         fields = dict(zip(NAMES, protocol.LIMITS.unpack_from(encode_limits(LIMITS)), strict=True))
         head = protocol.LIMITS.pack(*(fields | {name: value}).values())
         rig.say(0, Kind.LIMITS, payload=head + encode_limits(LIMITS)[protocol.LIMITS.size :])
-        if name == "ramp":
-            # A ramp that is left out is the longest.
-            assert rig.send(plain([WEAK], intensity=0.1))[1] == Rule.RISE
+        if value == 0:
+            # A ramp that is left out is the longest; and any pulse is more than one of no width.
+            assert rig.send(of(0.1))[1] == Rule.RISE
         else:
             assert rig.send(full)[1] == Rule.INTENSITY, name
     for name in ("total", "width", "full", "session_s", "session_uc", "duty"):
@@ -409,7 +431,7 @@ def test_what_limits_ask_for_is_capped_and_what_is_left_out_is_safe():
 
 
 NAMES = ("period", "total", "width", "full", "rounding", "full_us", "ramp", "session_s",
-         "session_uc", "duty", "none", "nothing")  # fmt: skip
+         "session_uc", "duty", "nothing", "usual")  # fmt: skip
 
 
 def test_one_source_counts_as_one_electrode():
