@@ -19,8 +19,7 @@ from smarttouch.errors import SmartTouchError
 from smarttouch.posix import fcntl
 from smarttouch.stopping import RunStopped
 
-ENDED_WITHIN_S = 3.0
-"""Of being asked by `stop_all`."""
+ENDED_WITHIN_S = 3.0  # of being asked by `stop_all`
 _STOP, _WAKE = b"\0", b"\1"
 """Written to the pipe of a process: by who asks it to stop, and by itself."""
 _TOTAL_BYTES = 12
@@ -28,24 +27,16 @@ _MARK = "stopped"
 _MARK_BYTES = 200
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _OWN_STAT = Path("/proc/self/stat")
-_STARTED = 19
-"""Place of the process's start, after the name of its program."""
+_STARTED = 19  # place of the process's start, after the name of its program
 _IMPORTED_NS = now_ns()
 
 
 class Announcement:
-    """File that tells other processes of this one, and the pipe on which they ask it to stop.
+    """File that announces this process to others, and the pipe on which they ask it to stop.
 
-    Parameters
-    ----------
-    on_request : callable, optional
-        Called in a thread of its own when `stop_all` asks, with a named pipe for it; a process
-        without it is asked by a signal.
-
-    Raises
-    ------
-    SmartTouchError
-        If there is no place for it: what could not be stopped from elsewhere does not begin.
+    ``on_request`` is called in a thread of its own when `stop_all` asks; without it there is no
+    pipe, and a signal asks. Without a place for the file it raises: what could not be stopped from
+    elsewhere does not begin.
     """
 
     def __init__(self, on_request: Callable[[], None] | None = None) -> None:
@@ -120,10 +111,8 @@ class Announcement:
 
 
 def running() -> list[int]:
-    """Return the process numbers of all runs; files of runs that were killed are removed.
-
-    Whatever else lies in their folder is passed over.
-    """
+    """Return the process numbers of all runs; files of runs that were killed are removed. Whatever
+    else lies in their folder is passed over."""
     return list(_held())
 
 
@@ -151,15 +140,8 @@ def _held() -> dict[int, int]:
 
 
 def stop_all() -> int:
-    """End every run of this user with all electrodes at zero; return how many there were.
-
-    What was started before and has not begun yet does not begin.
-
-    Raises
-    ------
-    SmartTouchError
-        If some have not ended in time, or those that are just starting could not be kept from it.
-    """
+    """End every run of this user with all electrodes at zero; return how many there were. Runs that
+    have been started but have not begun do not begin."""
     # First the mark: who is not listed yet will find it before it begins.
     no_mark: SmartTouchError | None = None
     try:
@@ -209,13 +191,7 @@ def _ask_to_stop(process: int) -> None:
 
 
 def leave_mark() -> int:
-    """Let no process that has been started until now begin current; return the time, ns.
-
-    Raises
-    ------
-    SmartTouchError
-        If there is no place for the mark.
-    """
+    """Let no process that has been started until now begin current; return the time, ns."""
     time_ns = now_ns()
     try:
         mark = _folder() / _MARK
@@ -240,13 +216,7 @@ def leave_mark() -> int:
 
 
 def refuse_if_stopped() -> None:
-    """Raise if ``smarttouch stop`` came after this process was started.
-
-    Raises
-    ------
-    RunStopped
-        As if it had been in time to be asked by a signal: no current is to begin.
-    """
+    """Raise RunStopped if ``smarttouch stop`` came after this process was started."""
     if stopped_since_start():
         raise RunStopped(signal.SIGTERM, "smarttouch stop")
 

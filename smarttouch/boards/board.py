@@ -40,8 +40,7 @@ __all__ = [
 ]
 
 
-FARTHEST_NS = 10_000_000_000
-"""Planned starts farther ahead than this are of another clock."""
+FARTHEST_NS = 10_000_000_000  # planned starts farther ahead than this are of another clock
 
 
 class Board(Timely, ABC):
@@ -144,7 +143,7 @@ class Board(Timely, ABC):
 
     @final
     def _open_announced(self) -> None:
-        # A new run starts from zero intensity, and its time may start anew.
+        # A new run starts from zero intensity, and its time may start again.
         self._gate.begin_session()
         self._begin_unless_halted()
         if self._stopped.wait(self._gate.net_rest_ns() / 1e9):
@@ -219,13 +218,13 @@ class Board(Timely, ABC):
                 if type(self).report is Board.report:
                     self._host_statistics.add(proved, times)
         except SequenceLateError:
-            # The skin has felt nothing for a while: what comes next begins at zero.
+            # Nothing was delivered for a while: what comes next begins at zero.
             self._gate.restart()
             raise
         except LineLostError as lost:
             self._go_on_unless_stopped()
             self._recover(lost)
-            # The skin has felt nothing for a while: what comes next begins at zero.
+            # Nothing was delivered for a while: what comes next begins at zero.
             self._gate.restart()
             self.notes.append(f"{lost}: started anew")
             raise BoardRestartedError(
@@ -331,7 +330,7 @@ class Board(Timely, ABC):
                 self._go_on_unless_stopped()
             raise
         finally:
-            # What comes next begins at zero, and its time may start anew.
+            # What comes next begins at zero, and its time may start again.
             self._gate.restart()
         self._go_on_unless_stopped()
         return found
@@ -482,10 +481,8 @@ class Board(Timely, ABC):
 
 
 def _require_same_clock(due_ns: int, now_ns: int) -> None:
-    """Raise if a planned start is too far ahead for a time of the board's clock.
-
-    One that is long past is late.
-    """
+    """Raise if a planned start is too far ahead for a time of the board's clock. One that is long
+    past is late."""
     away_ns = due_ns - now_ns
     if away_ns > FARTHEST_NS:
         raise BoardError(

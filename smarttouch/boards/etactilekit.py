@@ -36,12 +36,10 @@ from smarttouch.stimulation.timing import ScanTiming
 
 NEWEST_ZERO_MS = 520.0
 """Time to zero of the newest firmware, which ends its scan 500 ms after the host's last byte."""
-IDLE_S = 0.1
-"""Time without a sequence after which the pattern on the board becomes zeros."""
+IDLE_S = 0.1  # time without a sequence after which the pattern on the board becomes zeros
 SENSE_S, SENSE_SCANS = 0.25, 5
 """Duration of sense scans, ten a second, and their largest number until the end is confirmed."""
-ATTEMPTS = 4
-"""Attempts at a pattern that gave no reading, though weaker ones did."""
+ATTEMPTS = 4  # attempts at a pattern that gave no reading, though weaker ones did
 OPEN_SHARE = 0.95
 """Part of the voltage without a finger: if every slot reaches it, the finger is lifted."""
 
@@ -49,10 +47,10 @@ OPEN_SHARE = 0.95
 class ETactileKitBoard(SteppedKit):
     """The eTactileKit: ``etactilekit:PORT`` or ``etactilekit:tcp://HOST:8080``.
 
-    After the port, ``?slow`` writes 8 bytes every 3 ms from the start, for USB of
-    older firmware (the driver goes over to it by itself when frames get lost), and
-    ``?firmware=936c6c0``, ``71adee2`` or ``newest`` selects the firmware if a query
-    cannot. Both: ``?slow&firmware=936c6c0``.
+    After the port, ``?slow`` writes 8 bytes every 3 ms from the start, for USB of older firmware
+    (the driver goes over to it by itself when frames get lost), and ``?firmware=936c6c0``,
+    ``71adee2`` or ``newest`` selects the firmware if a query cannot. Both:
+    ``?slow&firmware=936c6c0``.
     """
 
     default_profile: ClassVar[str] = "etactilekit-32"
@@ -203,12 +201,12 @@ class ETactileKitBoard(SteppedKit):
             return False
         self._wait(self._free_of_scans(self._clock.now_ns()))
         go = self._codec.go(job.data)
-        if self._closing.is_set() or (told := self._ask(go, drives=True)) is None:
+        if self._closing.is_set() or (span := self._ask(go, drives=True)) is None:
             self._on_board = b""
             return False
         self._note_rise(job)
         assert self._before is not None
-        self._shown = Shown(job, told, self._before[1])
+        self._shown = Shown(job, span, self._before[1])
         return True
 
     def _set(self, settings: Settings) -> bool:
@@ -288,7 +286,7 @@ class ETactileKitBoard(SteppedKit):
         return judge(volts, through_skin, COMPLIANCE_V)
 
     def _sense(self, scan: ScanSequence) -> NDArray[np.uint16] | None:
-        """Sense for `SENSE_S`; return the reading of each output, counts, if all were told."""
+        """Sense for `SENSE_S`; return the reading of each output, counts, if the board sent all."""
         codec = self._codec
         with self._line:
             self._zero()

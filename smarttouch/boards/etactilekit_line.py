@@ -29,14 +29,11 @@ from smarttouch.wire.port import open_port
 FIRMWARES = ("936c6c0", "71adee2", "newest")
 """Known firmwares, by the first commit of the public repository that has each."""
 ECHO_S = 0.1
-CHIPS_S = 0.5
-"""Longest time to an answer."""
-FORGETS_S = 2.15
-"""Silence after which a partial command is dropped, except by 936c6c0."""
+CHIPS_S = 0.5  # longest time to an answer
+FORGETS_S = 2.15  # silence after which a partial command is dropped, except by 936c6c0
 LOSSES_UNTIL_SLOW = 2
 TRIES = 3
-LOOKS = 5
-"""Answers in a row without an echo after which the firmware has none."""
+LOOKS = 5  # answers in a row without an echo after which the firmware has none
 AWAY_S, AWAY_MOST_S = 0.6, 1.8
 """Time of a closed port that the newest firmware takes for a lost host; half a command that waited
 longer may have been dropped by any."""
@@ -66,16 +63,13 @@ class ETactileKitLine(KeptBoard):
                 allowed=252,
             )
         self._lost_frames = 0
-        self._senses = False
-        """Whether it may be making sense pulses."""
+        self._senses = False  # whether it may be making sense pulses
 
     # -- which it is ---------------------------------------------------------
 
     def _find_out(self) -> tuple[str, int]:
-        """Put any firmware at zero; return its name and its number of outputs.
-
-        The codec is chosen by it, and the board's number of electrodes is set.
-        """
+        """Put any firmware at zero; return its name and its number of outputs. The codec is chosen
+        by it, and the board's number of electrodes is set."""
         for _ in range(TRIES - 1):
             # Bytes may be lost here too.
             with contextlib.suppress(LineLostError):
@@ -174,7 +168,7 @@ class ETactileKitLine(KeptBoard):
                 value="v1.0",
                 allowed=FIRMWARES,
             )
-        what = f"told {len(answer)} bytes of readings, not {codec.answer_bytes}"
+        what = f"sent {len(answer)} bytes of readings, not {codec.answer_bytes}"
         raise self._lost(what, "malformed")
 
     def _forgets_hosts(self) -> bool:
@@ -206,22 +200,9 @@ class ETactileKitLine(KeptBoard):
     def _exchange(
         self, body: bytes, *, ask: bool = False, drives: bool = False
     ) -> tuple[Span, NDArray[np.uint16] | None] | None:
-        """Send commands and wait until they are executed.
-
-        Parameters
-        ----------
-        ask : bool
-            Also for the readings, as they are before the commands are obeyed.
-        drives : bool
-            Whether the commands make current.
-
-        Returns
-        -------
-        span : Span, ns
-            Within which the commands were obeyed, by the clock.
-        readings : ndarray, (N,), or None
-            In the board's own order.
-        """
+        """Send commands and wait until they are executed; return within which times by the clock,
+        and the readings (N,) from before them in the board's own order, if they were asked for;
+        None if the answer is wrong. ``drives`` commands make current."""
         codec = self._codec
         data = codec.lead + READINGS * ask + body + codec.question
         expected = codec.readings_bytes * ask + codec.answer_bytes
@@ -238,13 +219,7 @@ class ETactileKitLine(KeptBoard):
         return span, readings
 
     def _resync(self) -> None:
-        """Resynchronize the board's parser to the start of a command; nothing flows meanwhile.
-
-        Raises
-        ------
-        LineLostError
-            If it does not answer any more.
-        """
+        """Resynchronize the board's parser to the start of a command; nothing flows meanwhile."""
         self._note_loss()
         codec = self._codec
         # Zeros complete any half pattern, and are no commands; if not, silence does.

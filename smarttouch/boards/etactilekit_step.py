@@ -1,10 +1,10 @@
 """Synchronization with the scans of an eTactileKit, which runs on its own clock.
 
-What a scan does is settled when it starts, so a pattern is felt only if it is there at
+What a scan does is settled when it starts, so a pattern is scanned only if it is there at
 that moment. Pulses are let come, one scan or as many as are wanted start, and pulses are
 stopped again: in between the next pattern is put on the board. The board does not say
 when it scans; but its readings change with each scan, so two questions bracket one, and
-from then on all others are known (`ScanLock`). As long as they are not (nothing is felt
+from then on all others are known (`ScanLock`). As long as they are not (nothing is pulsed
 or measured yet, or the line is too slow), a pattern stays for longer than a whole
 period: then it is scanned at least once, perhaps twice, and the report has that range.
 """
@@ -27,14 +27,12 @@ from smarttouch.stimulation.sequence import ScanSequence
 LOW, HIGH = 4, 12
 """Readings below the first had no pulse, those from the second on had one: .3 and 1 V."""
 POLL_NS, MARGIN_NS = 1_000_000, 100_000
-LATE_SCANS = 3
-"""Additional scans to wait for if no time is certainly between two scans."""
+LATE_SCANS = 3  # additional scans to wait for if no time is certainly between two scans
 WIDE_NS = 1_000_000
 """Uncertainty of a scan's start above which a query is sent in the middle of the scan."""
 LISTEN_NS = 1_000_000_000
 """Interval in which at most one scan is left empty to find when scans start."""
-KEEP_NS = 100_000_000
-"""Longest silence to the newest firmware."""
+KEEP_NS = 100_000_000  # longest silence to the newest firmware
 
 
 @dataclass
@@ -43,14 +41,11 @@ class Shown:
 
     job: Job
     since: Span
-    before: NDArray[np.uint16]
-    """Readings of the previous scan."""
-    unseen_ns: int = 0
-    """Time of the last readings that showed none of its pulses."""
-    risen: bool = False
-    """Whether readings have shown some of its pulses."""
+    before: NDArray[np.uint16]  # readings of the previous scan
+    unseen_ns: int = 0  # time of the last readings that showed none of its pulses
+    risen: bool = False  # whether readings have shown some of its pulses
 
-    def felt(self, readings: NDArray[np.uint16]) -> NDArray[np.bool_]:
+    def pulsed(self, readings: NDArray[np.uint16]) -> NDArray[np.bool_]:
         """Return which outputs it has certainly pulsed, by the present readings."""
         return (self.before < LOW) & (readings >= HIGH)
 
@@ -158,13 +153,13 @@ class SteppedKit(ETactileKitLine):
                 with self._line:
                     if shown is self._shown and not self._closing.is_set():
                         asked_ns = self._clock.now_ns()
-                        told = self._ask(b"") and self._before
-                        if told:
-                            self._look(shown, asked_ns, told[1])
+                        answer = self._ask(b"") and self._before
+                        if answer:
+                            self._look(shown, asked_ns, answer[1])
 
     def _look(self, shown: Shown, asked_ns: int, readings: NDArray[np.uint16]) -> None:
         """Keep the readings of the first scan of the shown pattern."""
-        if not shown.felt(readings).any():
+        if not shown.pulsed(readings).any():
             shown.unseen_ns = asked_ns
             return
         scan = self._lock.last
@@ -219,25 +214,25 @@ class SteppedKit(ETactileKitLine):
     def _stop_pulses(self) -> bool:
         """Stop all pulses, and record the scans; return False if there seem to be none."""
         shown, self._shown = self._shown, None
-        begun_ns, told = self._clock.now_ns(), None
+        begun_ns, stopped = self._clock.now_ns(), None
         try:
-            told = self._ask(self._codec.quiet)
+            stopped = self._ask(self._codec.quiet)
         finally:
             self._stopped_ns = self._clock.now_ns()
-            felt = self._account(shown, told, begun_ns) if shown is not None else True
-        return felt
+            seen = self._account(shown, stopped, begun_ns) if shown is not None else True
+        return seen
 
-    def _account(self, shown: Shown, told: Span | None, begun_ns: int) -> bool:
+    def _account(self, shown: Shown, stopped: Span | None, begun_ns: int) -> bool:
         """Record the scans of the shown pattern; return False if there seem to be none."""
-        sequence, since, felt = shown.job.sequence, shown.since, True
-        readings = None if told is None or self._before is None else self._before[1]
-        certain = False if readings is None else shown.felt(readings)
+        sequence, since, seen = shown.job.sequence, shown.since, True
+        readings = None if stopped is None or self._before is None else self._before[1]
+        certain = False if readings is None else shown.pulsed(readings)
         if np.any(certain) and not shown.risen and self._settings is not None:
             # Nor had it any scan whose slot would have passed when it was last unseen.
             slots = int(np.argmax(certain))
             unseen_ns = shown.unseen_ns - 1000 * slots * self._settings.scan_us(1, 25)
             since = Span(max(since.early, unseen_ns), max(since.late, unseen_ns))
-        least, most = self._lock.starts(since, told or Span(begun_ns, self._clock.now_ns()))
+        least, most = self._lock.starts(since, stopped or Span(begun_ns, self._clock.now_ns()))
         foreign = certain & self._unused(sequence)
         if readings is not None:
             electrode, current_ua = one_against_all(sequence)
@@ -247,7 +242,7 @@ class SteppedKit(ETactileKitLine):
             elif level_ua >= self._seen_ua and (readings < LOW).all():
                 # Less has been measured before: the board has not kept its time.
                 self._lock.forget()
-                least, felt = 0, False
+                least, seen = 0, False
             if least and self._lock.locked:
                 self._note_volts(shown.job, current_ua, readings)
         with self._news:
@@ -256,7 +251,7 @@ class SteppedKit(ETactileKitLine):
             raise self._latch(
                 f"output {foreign.argmax()} pulsed, and its pattern has no pulse there"
             )
-        return felt
+        return seen
 
     def _unused(self, sequence: ScanSequence) -> NDArray[np.bool_]:
         """Return which outputs a sequence does not pulse."""

@@ -36,17 +36,13 @@ from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
 VOLTS_PER_COUNT = 0.0893
-DUMMY_KOHM = 66.0
-"""Load fitted in parallel with the skin; it takes V / 66 kΩ of the current."""
-COMPLIANCE_V = 300.0
-"""Limit of its switches (HV513), the largest voltage of a reading."""
+DUMMY_KOHM = 66.0  # load fitted in parallel with the skin; it takes V / 66 kΩ of the current
+COMPLIANCE_V = 300.0  # limit of its switches (HV513), the largest voltage of a reading
 SENSE_COUNTS, SENSE_US = 100, 50
-ZEROS = bytes(2 * 255 + 4)
-"""Padding longer than the rest of any command."""
+ZEROS = bytes(2 * 255 + 4)  # padding longer than the rest of any command
 PING, CHIPS, READINGS = b"\xf4", b"\xf5", b"\xff"
 NO_SENSE = b"\xf9\0\0\xf8\0\0"
-_END = bytes(3)
-"""End of any command that has lost a byte."""
+_END = bytes(3)  # end of any command that has lost a byte
 AT_REST = (
     b"\xfc\0" + _END, NO_SENSE, b"\xfb\0\0" + _END, b"\xfa\x01\0" + _END,
     b"\xf7\0" + _END, b"\xf6\x0a\0" + _END,
@@ -57,28 +53,16 @@ or a pattern for, any other board that we know."""
 
 
 class Codec(ABC):
-    """Wire format of one generation.
+    """Wire format of one generation, for a number N of outputs."""
 
-    Attributes
-    ----------
-    outputs : int
-        Number N of electrodes that was set.
-    nothing : bytes
-        Payload of a pattern without any pulse.
-    """
-
-    lead: ClassVar[bytes] = b""
-    """Bytes before all others, which end a command whose end was lost."""
+    lead: ClassVar[bytes] = b""  # bytes before all others, which end a command whose end was lost
     slot_extra_us: ClassVar[int]
-    forgets: ClassVar[bool]
-    """Whether silence ends a partial command."""
-    even: ClassVar[bool]
-    """Whether a slot takes as long without a pulse as with one."""
-    quiet: ClassVar[bytes]
-    """Command that stops all pulses from the next scan on."""
+    forgets: ClassVar[bool]  # whether silence ends a partial command
+    even: ClassVar[bool]  # whether a slot takes as long without a pulse as with one
+    quiet: ClassVar[bytes]  # command that stops all pulses from the next scan on
     sense: ClassVar[bytes]
     """Command for ten anodic sense scans a second, of `SENSE_COUNTS` and `SENSE_US`."""
-    nothing: bytes
+    nothing: bytes  # payload of a pattern without any pulse
 
     def __init__(self, outputs: int) -> None:
         self.outputs = outputs
@@ -124,23 +108,18 @@ class Codec(ABC):
     @property
     @abstractmethod
     def zero_anywhere(self) -> bytes:
-        """Return the bytes that put the board at zero in any state of its parser.
-
-        Zeros first: they end any half command as a smaller one, and no pulse flows while a
-        pattern is half written. A byte that is lost eats a spare one after it, never the
-        next command.
-        """
+        """Return the bytes that put the board at zero in any state of its parser. Zeros first: they
+        end any half command as a smaller one, and no pulse flows while a pattern is half written. A
+        byte that is lost eats a spare one after it, never the next command."""
 
     @property
     def readings_bytes(self) -> int:
         return 2 * self.outputs
 
     def settings(self, settings: Settings, between_hz: int) -> bytes:
-        """Return the commands of the settings, twice, each followed by zeros that end it.
-
-        Were the first byte of a word lost, the zeros would make it zero, not a longer pulse.
-        ``between_hz`` is a rate at which scans of the old and of the new pulses fit.
-        """
+        """Return the commands of the settings, twice, each followed by zeros that end it. Were the
+        first byte of a word lost, the zeros would make it zero, not a longer pulse. ``between_hz``
+        is a rate at which scans of the old and of the new pulses fit."""
         once = (
             self.quiet + _END + b"\xf9\0" + _END + b"\xf8\0" + _END
             + b"\xf6" + between_hz.to_bytes(2, "little") + _END
@@ -186,10 +165,8 @@ class ModeCodec(Codec):
 
 
 class HeightCodec(Codec):
-    """Wire format of commit 936c6c0: one height for all, and no echo but its readings.
-
-    A sequence of several heights is as many patterns, one scan each.
-    """
+    """Wire format of commit 936c6c0: one height for all, and no echo but its readings. A sequence
+    of several heights is as many patterns, one scan each."""
 
     lead = _END
     slot_extra_us = 17

@@ -31,23 +31,9 @@ def _vibrating() -> Any:
 
 
 class HybridBoard(Board):
-    """Board that passes each sequence to two boards at once.
-
-    Queries are answered by the electrode board; a fault of either puts
-    both at zero.
-
-    Parameters
-    ----------
-    electric : Board
-        Gets the slots.
-    shaking : VibratorBoard
-        Gets the vibration.
-
-    Attributes
-    ----------
-    electric, shaking
-        The same.
-    """
+    """Board that passes each sequence to two boards at once: slots to the electrodes, vibration
+    to the vibrators. Queries are answered by the electrode board; a fault of either puts both at
+    zero."""
 
     acknowledged: int = _electric("acknowledged")
     refused: int = _electric("refused")

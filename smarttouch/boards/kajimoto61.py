@@ -45,15 +45,12 @@ LARGEST = 200
 COUNTS_PER_BYTE = 16
 MEASURE_MA, MEASURE_US = 2.5, 25
 """Pulse of a MEASURE through every electrode, fixed by the firmware (over 20 µs)."""
-ANSWER_READS, READ_S = 25, 0.02
-"""Its answer comes within 2.1 ms; it is given half a second."""
+ANSWER_READS, READ_S = 25, 0.02  # its answer comes within 2.1 ms; it is given half a second
 READING_V = 4 * 0.0893
 """Volts per unit of a reading, assuming the divider of its relative, the eTactileKit."""
 WRAP = 256
-COMPLIANCE_V = 300.0
-"""Limit of its switches (HV507)."""
-HURRY = 20
-"""Divisor of a period: no two packets are closer than it by more than a twentieth."""
+COMPLIANCE_V = 300.0  # limit of its switches (HV507)
+HURRY = 20  # divisor of a period: no two packets are closer than it by more than a twentieth
 LEAD_S = 0.003
 """Time from the first sequence of a run to its packet: the margin for later, delayed ones."""
 
@@ -107,9 +104,9 @@ class Kajimoto61Board(StreamedBoard):
         self._flush()
         self._zero()
         # This board sends nothing unrequested; an eTactileKit takes FF for a query and answers.
-        if said := self._read(64, 0.05):
+        if answer := self._read(64, 0.05):
             raise BoardError(
-                f"the board at {self._port_name} answers {len(said)} bytes to a packet that a "
+                f"the board at {self._port_name} answers {len(answer)} bytes to a packet that a "
                 "kajimoto61 board answers with none: it is another one, perhaps etactilekit:",
                 about="board",
                 problem="another",
@@ -176,15 +173,8 @@ class Kajimoto61Board(StreamedBoard):
             self._rest()
 
     def _scan(self, job: Job, deadline_ns: int) -> tuple[Job | None, int]:
-        """Send one sequence as often as requested.
-
-        Returns
-        -------
-        job : Job or None
-            The last one sent; None if it had become too late.
-        deadline_ns : int
-            When the next one may go.
-        """
+        """Send one sequence as often as requested; return the last one sent, None if it had become
+        too late, and when the next one may go."""
         left = job.times
         while left:
             self._clock.wait_until(deadline_ns, self._closing)

@@ -28,8 +28,7 @@ import signal
 import sys
 import time
 
-SILENCE_S = 0.09
-"""Longest silence of the host: with the time to wake up and write, .1 s to zero."""
+SILENCE_S = 0.09  # longest silence of the host: with the time to wake up and write, .1 s to zero
 PRIORITY = 2
 """Real-time priority, where allowed: above the host's, 1, so that a hung host does not block it."""
 STUCK_S = 0.4
@@ -45,18 +44,13 @@ _MOST_READS = 100
 
 
 class Keeper:
-    """Relay of bytes between a host and a port until one of them is gone.
-
-    Parameters
-    ----------
-    port, data, control : int
-        File descriptors.
-    """
+    """Relay of bytes between a host and a port, by their file descriptors, until one of them is
+    gone."""
 
     def __init__(self, port: int, data: int, control: int) -> None:
         self._port, self._data, self._control = port, data, control
         self._zero, self._slow = b"", False
-        self._told = b""
+        self._unread = b""
         self._to_port = self._to_host = b""
         self._ended = False
         for each in (port, data, control):
@@ -67,10 +61,8 @@ class Keeper:
         self._ended = True
 
     def run(self) -> int:
-        """Relay until host, port or process end; return the exit code.
-
-        The board is at zero then, unless its line is lost or takes no bytes.
-        """
+        """Relay until host, port or process end; return the exit code. The board is at zero then,
+        unless its line is lost or takes no bytes."""
         code = LINE_LOST
         try:
             code = self._pass_bytes()
@@ -83,7 +75,7 @@ class Keeper:
         return code
 
     def _pass_bytes(self) -> int:
-        heard, slept = time.monotonic(), _slept_s()
+        active_s, slept = time.monotonic(), _slept_s()
         while not self._ended:
             # Of a direction that is full nothing more is read; control is read always.
             reading = [self._control]
@@ -91,17 +83,17 @@ class Keeper:
             reading += [] if self._to_host else [self._port]
             writing = [self._port] if self._to_port else []
             writing += [self._data] if self._to_host else []
-            left = heard + SILENCE_S - time.monotonic()
+            left = active_s + SILENCE_S - time.monotonic()
             ready, room, _ = select.select(reading, writing, [], max(0.0, left))
             if self._zero and _slept_s() > slept + SILENCE_S:
                 return SILENT
             if self._control in ready or self._data in ready:
-                heard = time.monotonic()
+                active_s = time.monotonic()
             elif self._zero and (left <= 0 or not (ready or room)):
                 # Asked after the wait: a keeper that was kept waiting itself has found nothing.
                 return SILENT
             elif not ready and not room:
-                heard = time.monotonic()
+                active_s = time.monotonic()
             if self._control in ready and not self._listen():
                 return GONE
             if self._data in ready:
@@ -111,7 +103,7 @@ class Keeper:
             if self._to_port:
                 self._to_port = _write(self._port, self._to_port)
             if self._port in ready and not self._to_host:
-                self._to_host = self._hear()
+                self._to_host = self._read_port()
             if self._to_host:
                 try:
                     self._to_host = _write(self._data, self._to_host)
@@ -122,22 +114,25 @@ class Keeper:
     def _listen(self) -> bool:
         """Handle the host's messages; return whether it is still there."""
         message = _read(self._control)
-        self._told += message
-        while self._told:
-            kind = self._told[:1]
+        self._unread += message
+        while self._unread:
+            kind = self._unread[:1]
             if kind == ZERO:
-                length = ZERO_HEAD + int.from_bytes(self._told[2:4], "little")
-                if len(self._told) < max(length, ZERO_HEAD):
+                length = ZERO_HEAD + int.from_bytes(self._unread[2:4], "little")
+                if len(self._unread) < max(length, ZERO_HEAD):
                     break
-                self._slow = bool(self._told[1])
-                self._zero, self._told = self._told[ZERO_HEAD:length], self._told[length:]
+                self._slow = bool(self._unread[1])
+                self._zero, self._unread = (
+                    self._unread[ZERO_HEAD:length],
+                    self._unread[length:],
+                )
                 continue
-            self._told = self._told[1:]
+            self._unread = self._unread[1:]
             if kind == FLUSH:
                 self._to_host = b""
                 # A device that never ends is not waited for.
                 for _ in range(_MOST_READS):
-                    if not self._hear():
+                    if not self._read_port():
                         break
                 try:
                     os.write(self._control, FLUSH)
@@ -145,21 +140,19 @@ class Keeper:
                     return False
         return bool(message)
 
-    def _hear(self) -> bytes:
+    def _read_port(self) -> bytes:
         """Return the board's bytes; raise OSError if the line is lost."""
         # A flush may have taken what was there to read.
         if not select.select([self._port], [], [], 0)[0]:
             return b""
-        said = os.read(self._port, _MOST)
-        if not said:
+        data = os.read(self._port, _MOST)
+        if not data:
             raise OSError("the line is closed")
-        return said
+        return data
 
     def _write_zero(self) -> bool:
-        """Write the zero command twice; return whether the line accepted it.
-
-        The second time in small pieces: older firmware loses bytes that come fast.
-        """
+        """Write the zero command twice; return whether the line accepted it. The second time in
+        small pieces: older firmware loses bytes that come fast."""
         for slow in (self._slow, True):
             step = PIECE if slow else _MOST
             for start in range(0, len(self._zero), step):

@@ -17,8 +17,7 @@ from smarttouch.realtime import prioritized
 from smarttouch.wire.port import LINE_ERRORS, Port, reason
 
 BEAT_S = 0.02
-ANSWER_S = 2.0
-"""Longest time of the keeper's start or answer."""
+ANSWER_S = 2.0  # longest time of the keeper's start or answer
 ENDS_WITHIN_S = 1.5
 """Longest time of the keeper's end; zero for 253 outputs takes .4 s in small pieces."""
 WRITE_S = 0.5
@@ -34,21 +33,11 @@ _AT_ZERO = (keeper.GONE, keeper.SILENT, keeper.ENDED)
 
 
 class KeptLine:
-    """Port behind a `keeper`: the interface of a serial port, and `promise_zero`.
+    """Serial port or TCP connection behind a `keeper`: the interface of a port, and `promise_zero`.
 
-    The port is opened here, with all that may be said about that, and handed on. This program
-    keeps its own end of it, unused: were the keeper killed, zero is written from here. POSIX
-    only, as descriptors are handed on (tried on Linux).
-
-    Parameters
-    ----------
-    port : Port
-        An open serial port or TCP connection.
-
-    Raises
-    ------
-    BoardError
-        If the line is of a kind that cannot be handed to another process, or no process starts.
+    The port is opened here, with all that may be said about that, and handed on. This program keeps
+    its own end of it, unused: were the keeper killed, zero is written from here. POSIX only, as
+    descriptors are handed on (tried on Linux).
     """
 
     def __init__(self, port: Port) -> None:
@@ -108,15 +97,8 @@ class KeptLine:
         return self._process.poll() in _AT_ZERO
 
     def promise_zero(self, zero: bytes, slow: bool = False) -> None:
-        """Set the keeper's zero command for this board, and start its silence timer.
-
-        Parameters
-        ----------
-        zero : bytes
-            Valid at any point of the byte stream, half commands included.
-        slow : bool
-            Whether the board loses bytes that are written fast.
-        """
+        """Set the keeper's zero command, valid at any point of the byte stream, and start its
+        silence timer; ``slow`` if the board loses bytes that are written fast."""
         self._zero = zero
         head = keeper.ZERO + bytes([slow]) + len(zero).to_bytes(2, "little")
         try:

@@ -12,43 +12,23 @@ from smarttouch.realtime import prioritized
 from smarttouch.wire.framing import Deframer
 from smarttouch.wire.port import LINE_ERRORS, Port, read_some, reason, write_before
 
-HEARTBEAT_S = 0.03
-"""Longest silence of the host: the board gives up after 0.1 s."""
+HEARTBEAT_S = 0.03  # longest silence of the host: the board gives up after 0.1 s
 SILENCE_S = 0.5
 """Silence of the board, which sends every 20 ms in a session, after which it counts as gone."""
 LISTENED_S = 0.1
 """Largest silence counted for one read: a read ends sooner, the rest is our own pause."""
 ANSWER_S = 1.0
-AGAIN_S = 0.25
-"""Time after which a query is sent again."""
-PIECE = 4096
-"""Bytes written at once: a stop waits for one piece, not for a whole packet."""
+AGAIN_S = 0.25  # time after which a query is sent again
+PIECE = 4096  # bytes written at once: a stop waits for one piece, not for a whole packet
 
 
 class LinkLine:
-    """Packets to and from one board. A fault is raised at the next call.
+    """Packets to and from one board, at the port that messages call ``name``.
 
-    Parameters
-    ----------
-    name : str
-        Of the port, for messages.
-    hear : callable
-        Takes every packet that answers no question, with `news` held.
-    aftermath : callable
-        Returns what to say after a fault.
-    tend : callable
-        Called every few milliseconds, to send again what has got lost.
-    draw : callable
-        Returns the host's half of a session, each time another.
-
-    Attributes
-    ----------
-    session : HostSession
-        Session of all packets; each opening of the line has its own.
-    answer_s : float
-        Longest wait for an answer.
-    silence_s : float
-        Longest silence of the board in a session.
+    A fault is raised at the next call. ``hear`` gets every packet that answers no query, with
+    `news` held; ``aftermath`` returns what a message says after a fault; ``tend`` is called every
+    few milliseconds, to send lost packets again; ``draw`` returns the host's half of a session,
+    each time another.
     """
 
     def __init__(
@@ -60,7 +40,8 @@ class LinkLine:
         draw: Callable[[], int] = draw_half,
     ) -> None:
         self.name = name
-        self.session = HostSession(draw)
+        self.session = HostSession(draw)  # of all packets; each opening has its own
+        # Longest wait for an answer, and longest silence of the board in a session.
         self.answer_s, self.silence_s = ANSWER_S, SILENCE_S
         self._draw = draw
         self.news = threading.Condition()
@@ -126,23 +107,8 @@ class LinkLine:
     def begin(
         self, accept: Callable[[Message], None], stopped: threading.Event | None = None
     ) -> None:
-        """Begin a session with a board that is accepted.
-
-        Parameters
-        ----------
-        accept : callable
-            Given the board's CAPABILITIES, which may be of another version; raises if it is
-            not to be spoken to.
-        stopped : threading.Event, optional
-            Ends the waiting; see `overtake`.
-
-        Raises
-        ------
-        BoardStoppedError
-            If the board was stopped.
-        BoardError
-            If nothing comes, or the line has failed.
-        """
+        """Begin a session with a board whose CAPABILITIES, possibly of another version, ``accept``
+        does not refuse by raising; ``stopped`` ends the wait (see `overtake`)."""
         deadline = self.now_s() + self.answer_s
         offer = None
         while self.now_s() < deadline:
@@ -161,13 +127,7 @@ class LinkLine:
             self.news.notify_all()
 
     def ask(self, question: Kind, payload: bytes = b"") -> Message:
-        """Send a query until it is answered.
-
-        Raises
-        ------
-        BoardError
-            If nothing comes, or the line has failed.
-        """
+        """Send a query until it is answered."""
         first = self.session.sent + 1
         deadline = self.now_s() + self.answer_s
         while self.now_s() < deadline:
@@ -225,21 +185,9 @@ class LinkLine:
         latest_ns: int = 0,
         now_ns: Callable[[], int] = lambda: 0,
     ) -> bool:
-        """Write the next packet of the session, unless it is too late; return whether it went.
-
-        A stop may come between its pieces.
-
-        Parameters
-        ----------
-        kind, about, payload
-            Of the packet.
-        start : bytes
-            Goes before it.
-        latest_ns : int
-            When its first byte may go at the latest, by the clock.
-        now_ns : callable
-            The clock; without one it is never too late.
-        """
+        """Write the next packet of the session behind ``start``; return whether it went. It does
+        not go if the clock is past ``latest_ns`` before its first byte; without a clock it is never
+        too late. A stop may come between its pieces."""
         if not self.writing.acquire(timeout=ANSWER_S):
             raise BoardError(
                 f"the line to {self.name} is blocked: check the cable",

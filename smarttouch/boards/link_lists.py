@@ -21,10 +21,8 @@ _HEAD = struct.Struct("<IHHBB")
 _SHAPE = struct.Struct("<HH")
 _GROUP = struct.Struct("<BBH")
 _I16 = np.dtype("<i2")
-POINTS, SUM, CURRENTS, STATES = range(4)
-"""Kinds of groups of slots."""
-FULL = 0xFFFF
-"""Intensity 1."""
+POINTS, SUM, CURRENTS, STATES = range(4)  # kinds of groups of slots
+FULL = 0xFFFF  # intensity 1
 MEASURE, RECHARGE = 1, 2
 _MOST_SHAPES = 0xFF
 _U16_MAX = 0xFFFF
@@ -51,30 +49,11 @@ def encode_lists(
     image: KernelImage | None,
     most_bytes: int,
 ) -> bytes:
-    """Return the payload of a SEQUENCE.
+    """Return the payload of a SEQUENCE, which was proved, of at most ``most_bytes``.
 
-    Slots whose currents are just what the board makes of kernels that it keeps go as lists of
-    these, the others as currents or states.
-
-    Parameters
-    ----------
-    sequence : ScanSequence
-        Proved.
-    times : int
-    measure : bool
-        Whether voltages are wanted.
-    switched : bool
-        Whether the board has one source.
-    image : KernelImage, optional
-        What the board keeps.
-    most_bytes : int
-        Largest payload that it takes.
-
-    Raises
-    ------
-    BoardError
-        If it is too large for a packet, or asks a switched board for a recharge phase or for a
-        stronger source than the wire can say.
+    Slots whose currents are just what the board makes of kernels that it keeps (``image``) go as
+    lists of these, the others as currents, or as states where the board has one source
+    (``switched``). ``measure`` asks for voltages.
     """
     shapes, table, shape = _shapes(sequence)
     if shapes > _MOST_SHAPES:

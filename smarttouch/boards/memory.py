@@ -11,13 +11,8 @@ from smarttouch.stimulation.sequence import ScanSequence
 
 
 class MemoryBoard(Board):
-    """Board without process, line or current: ``memory:``.
-
-    Attributes
-    ----------
-    sequences : list of ScanSequence
-        All sequences since it was opened.
-    """
+    """Board without process, line or current, which keeps all ``sequences`` since it was opened:
+    ``memory:``."""
 
     on_a_finger = False
 

@@ -17,18 +17,9 @@ _STEPS = 20
 
 
 def probe_sequences(limits: SafetyLimits, output: Output | None) -> Iterator[ScanSequence]:
-    """Yield scans of one electrode against all others that rise from zero to `PROBE_MA`.
-
-    Masked electrodes are left out.
-
-    The last one is the measurement; those before it keep the rise within the
-    ramp, in the time that their own stamps say.
-
-    Raises
-    ------
-    BoardError
-        If the limits leave no room for the least informative current.
-    """
+    """Yield scans of one electrode against all others that rise from zero to `PROBE_MA`; masked
+    electrodes are left out. The last one is the measurement; those before it keep the rise within
+    the ramp, in the time that their own stamps say."""
     peak_ma = min(PROBE_MA, 0.9 * limits.current_ma, 0.9 * limits.full_ma)
     if limits.electrode_ma is not None:
         peak_ma = min(peak_ma, 0.9 * min(limits.electrode_ma))
@@ -70,17 +61,9 @@ def one_each(
     discharge_us: int = 100,
     period_us: int = 0,
 ) -> ScanSequence:
-    """Return a scan with one slot for each electrode against all others.
-
-    Parameters
-    ----------
-    level_ua : int, µA
-        Through the one; the others share it equally. No slots if 0.
-    sites : list of int, optional
-        Electrodes to probe; all if not given.
-    masked : tuple of int
-        Electrodes that take no share: an open one would need all the voltage there is.
-    """
+    """Return a scan with one slot for each of the sites, all if not given, against all others,
+    which share ``level_ua`` equally; no slots if that is 0. Masked ones take no share: an open one
+    would need all the voltage there is."""
     count = limits.electrodes
     chosen = range(count) if sites is None else sites
     currents = np.zeros((len(chosen) if level_ua else 0, count), np.int16)
@@ -105,14 +88,8 @@ def one_pair_each(
     intensity: float,
     time_ns: int,
 ) -> ScanSequence:
-    """Return a scan with one slot for each pair of electrodes: into the first, out of the second.
-
-    Parameters
-    ----------
-    level_ua : int, µA
-        Of the first of each pair, cathodic.
-    pairs : list of (int, int)
-    """
+    """Return a scan with one slot for each pair of electrodes: ``level_ua``, cathodic, through the
+    first, back through the second."""
     currents = np.zeros((len(pairs), limits.electrodes), np.int16)
     for current, (first, second) in zip(currents, pairs, strict=True):
         current[first], current[second] = level_ua, -level_ua

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from smarttouch.errors import BoardError
 from smarttouch.stimulation.safety import SafetyLimits
 
-BAND = 0.3
-"""Accepted deviation from the nominal scale, up and down."""
+BAND = 0.3  # accepted deviation from the nominal scale, up and down
 NOMINAL_UA = {"kajimoto61": 10_000 / 4096, "etactilekit": 9.99}
 """Current per count of each board's converter; the kajimoto61's 4096 are 10 mA."""
 
@@ -38,19 +37,8 @@ class Scale:
     def most_counts(
         self, limits: SafetyLimits, width_us: float, counts_each: int = 1
     ) -> NDArray[np.int64]:
-        """Return the steps that keep current and charge below the limits by either scale.
-
-        Parameters
-        ----------
-        width_us : float
-            Of the longest pulse.
-        counts_each : int
-            Counts in a step.
-
-        Returns
-        -------
-        ndarray, (E,)
-        """
+        """Return the largest steps of ``counts_each`` counts, (E,) int64, that keep current and
+        charge of pulses up to ``width_us`` within the limits by either scale."""
         most_ua = np.minimum(limits.current_ua, limits.charge_pc / max(float(width_us), 1.0))
         # A limit of just so many steps is kept, whatever division makes of it.
         steps = np.floor(most_ua / (counts_each * self.largest_ua) + 1e-9)
@@ -58,13 +46,8 @@ class Scale:
 
 
 def scale_of(kind: str, measured_ua: float | None) -> Scale:
-    """Return the scale of a kind of board in a profile.
-
-    Raises
-    ------
-    BoardError
-        If what was measured is too far from the nominal one, with the likely mistake.
-    """
+    """Return the scale of a kind of board; raise, with the likely mistake, if a measured one is out
+    of band."""
     nominal_ua = NOMINAL_UA[kind]
     if measured_ua is None:
         return Scale(nominal_ua, nominal_ua)
@@ -101,13 +84,8 @@ def _likely(kind: str, measured_ua: float) -> tuple[str, str]:
 
 
 def check_reading(volts: float, ohm: float, current_ma: float) -> float:
-    """Return the ratio to the nominal current, from the voltage across a resistor.
-
-    Raises
-    ------
-    BoardError
-        If the reading is impossible, or too far off, with the likely mistake.
-    """
+    """Return the ratio of measured to nominal current, from the voltage across a resistor; raise,
+    with the likely mistake, if it is out of band."""
     for what, value in (("ohm", ohm), ("current_ma", current_ma)):
         if not 0 < value < math.inf:
             raise BoardError(
@@ -148,22 +126,8 @@ def check_reading(volts: float, ohm: float, current_ma: float) -> float:
 
 
 def measured_scale(kind: str, before_ua: float | None, ratio: float) -> float | None:
-    """Return a board's scale by what was measured, µA a count; None if it has none.
-
-    Parameters
-    ----------
-    kind : str
-        Of the board.
-    before_ua : float or None, µA
-        Its scale so far.
-    ratio : float
-        From `check_reading`.
-
-    Raises
-    ------
-    BoardError
-        If that is no scale of such a board.
-    """
+    """Return a board's measured scale, µA per count, from its scale so far and the ratio of
+    `check_reading`; None if it has none."""
     if before_ua is None:
         return None
     scale_ua = before_ua * ratio

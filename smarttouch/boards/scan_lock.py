@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 TOLERANCE = 200e-6
 """Uncertainty of the ratio of two free-running clocks, each within 100 parts per million."""
-WIDEST = 0.25
-"""Part of a period: a scan's start with a larger uncertainty counts as unknown."""
+WIDEST = 0.25  # part of a period: a scan's start with a larger uncertainty counts as unknown
 
 
 @dataclass(frozen=True)
@@ -20,17 +19,10 @@ class Span:
 class ScanLock:
     """Bounds of the start of each scan of a board.
 
-    All it learns from are brackets: a scan has started after one moment and before another.
-    Both ends of every bracket are certain, however late the host was woken; so are those of
-    all scans before and after, since the board's period is known up to the tolerance of the
-    two clocks. Every further bracket narrows both.
-
-    Attributes
-    ----------
-    period_ns : tuple of (float, float)
-        The shortest and the longest that the board's period can be by the host's clock.
-    last : Span or None
-        The scan that was learned of last.
+    All it learns from are brackets: a scan has started after one moment and before another. Both
+    ends of every bracket are certain, however late the host was woken; so are those of all scans
+    before and after, since the board's period is known up to the tolerance of the two clocks. Every
+    further bracket narrows both.
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -44,8 +36,9 @@ class ScanLock:
     def forget(self) -> None:
         """Reset to the nominal period."""
         nominal_ns = self.nominal_ns
+        # Shortest and longest by the host's clock.
         self.period_ns = (nominal_ns * (1 - TOLERANCE), nominal_ns * (1 + TOLERANCE))
-        # Scan 0, and the one that the last bracket was of.
+        # Scan 0, and the one of the last bracket.
         self._first: Span | None = None
         self.last: Span | None = None
         self._number = 0

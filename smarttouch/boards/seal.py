@@ -84,8 +84,7 @@ class _Seal(NamedTuple):
     gate: SafetyGate
     gate_size: int
     limits: SafetyLimits
-    values: tuple[Any, ...]
-    """Of the limits, as given and in whole numbers."""
+    values: tuple[Any, ...]  # of the limits, as given and in whole numbers
     clock: Now | None
     on_a_finger: bool
     foreign: bool
@@ -118,10 +117,8 @@ def make_gate(board: Any, limits: SafetyLimits, clock: Now | None) -> SafetyGate
 
 
 def seal_fault(board: Any) -> BoardError | None:
-    """Return the error of a board that has another gate, limits or clock than it was made with.
-
-    It is asked before every sequence: what is slow comes only where something has changed.
-    """
+    """Return the error of a board that has another gate, limits or clock than it was made with. It
+    is asked before every sequence: what is slow comes only where something has changed."""
     seal, own = _seals.get(id(board)), vars(board)
     about = remedy = ""
     if (

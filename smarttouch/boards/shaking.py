@@ -18,10 +18,8 @@ from smarttouch.errors import BoardError, SmartTouchError
 from smarttouch.files import owner_only, unwritable
 
 FULL_SCALE = 32_767
-_PIECE = 1 << 14
-"""Samples written at once, so that a long pause does not fill the memory."""
-_LARGEST_BYTES = 0xFFFF_0000
-"""Largest WAV file."""
+_PIECE = 1 << 14  # samples written at once, so that a long pause does not fill the memory
+_LARGEST_BYTES = 0xFFFF_0000  # largest WAV file
 GRACE_NS = 50_000_000
 """Largest delay of the next sequence without a gap; a period, if that is shorter."""
 
@@ -30,8 +28,7 @@ class Shaking(ABC):
     """Interface of waveform outputs, driven by amplitudes and times."""
 
     time_to_zero_ms: float = 0.0
-    notes: list[str]
-    """List of warnings for the user."""
+    notes: list[str]  # list of warnings for the user
 
     @abstractmethod
     def open(self, waveform: Waveform, rate_hz: int) -> None:
@@ -57,10 +54,8 @@ class Shaking(ABC):
 
 
 class WavShaking(Shaking):
-    """WAV file on the time of the sequences; silent between them.
-
-    What is in the file can be read at any time, also if the program is killed.
-    """
+    """WAV file on the time of the sequences, silent between them; it can be read at any time, also
+    if the program is killed."""
 
     def __init__(self, path: str) -> None:
         self._path = Path(path)
@@ -161,13 +156,8 @@ def _wav_header(channels: int, rate_hz: int, samples: int) -> bytes:
 
 
 class AudioShaking(Shaking):
-    """Output to a sound device; silent as soon as no sequence is left.
-
-    Parameters
-    ----------
-    device : str
-        Its number or a part of its name; the usual one if empty.
-    """
+    """Output to a sound device, by its number or a part of its name, the usual one if empty; silent
+    as soon as no sequence is left."""
 
     time_to_zero_ms = 2 * GRACE_NS / 1e6
 

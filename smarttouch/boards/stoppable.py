@@ -196,17 +196,13 @@ class _Program:
 
 
 class _Signals:
-    """Handler of SIGTERM and SIGHUP where the program has none.
-
-    It takes no lock: a thread reads the signals' numbers from a pipe and ends the program's
-    boards and runs, whatever the main thread is doing, which then ends by `RunStopped`.
-    """
+    """Handler of SIGTERM and SIGHUP where the program has none. It takes no lock: a thread reads
+    the signals' numbers from a pipe and ends the program's boards and runs, whatever the main
+    thread is doing, which then ends by `RunStopped`."""
 
     def __init__(self) -> None:
-        self.number = 0
-        """Of the signal that ends the process once the main thread's run has ended."""
-        self.orderly = False
-        """Whether the main thread is in a run, which ends by itself."""
+        self.number = 0  # of the signal that ends the process once the main thread's run has ended
+        self.orderly = False  # whether the main thread is in a run, which ends by itself
         self._count = 0
         self._pipe: tuple[int, int] | None = None
 
@@ -295,17 +291,7 @@ if hasattr(os, "register_at_fork"):  # not on Windows
 
 
 def enter(board: _Stoppable) -> None:
-    """Announce a board that is about to be opened, if a stop must reach it.
-
-    Raises
-    ------
-    BoardStoppedError
-        If this program was stopped.
-    BoardError
-        If all displays of this user could drive too much current together.
-    SmartTouchError
-        If it cannot be announced.
-    """
+    """Announce a board that is about to be opened, if a stop must reach it."""
     if board.announced:
         _program.enter_board(board)
 
@@ -317,13 +303,7 @@ def leave(board: _Stoppable) -> None:
 
 @contextmanager
 def announced() -> Iterator[None]:
-    """Announce a command, which signals end in order, for a block.
-
-    Raises
-    ------
-    SmartTouchError
-        If it cannot be announced.
-    """
+    """Announce a command, which signals end in order, for a block."""
     _program.enter_command()
     try:
         yield
@@ -333,15 +313,8 @@ def announced() -> Iterator[None]:
 
 @contextmanager
 def stoppable_run(stop: StopRequest, board: _Stoppable) -> Iterator[Callable[[], None]]:
-    """Announce a run for a block; what it yields leaves the end after a signal to the block.
-
-    Raises
-    ------
-    RunStopped
-        At the end of a run in the main thread that a signal has ended.
-    BoardStoppedError
-        If this program was stopped.
-    """
+    """Announce a run for a block; what it yields leaves the end after a signal to the block. In the
+    main thread it ends by RunStopped after a signal."""
     if not board.announced:
         yield lambda: None
         return

@@ -10,8 +10,7 @@ from smarttouch.boards.seal import Sealed
 from smarttouch.clock import LATE_NS, Clock, MonotonicClock
 from smarttouch.errors import BoardFaultError, BoardStoppedError, SequenceLateError
 
-WRITE_S = 0.6
-"""Longest time that a stop waits for one write: ports give up after .5 s."""
+WRITE_S = 0.6  # longest time that a stop waits for one write: ports give up after .5 s
 
 
 class Timely(Sealed):

@@ -19,12 +19,9 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
-WAV_HZ, AUDIO_HZ = 8000, 48_000
-"""Default sample rates."""
-FEWEST_SAMPLES = 4
-"""Fewest samples in a cycle of the carrier."""
-CARRIERS_HZ = (60.0, 800.0)
-"""Range of carriers that PC responds to (paper, Section III-C)."""
+WAV_HZ, AUDIO_HZ = 8000, 48_000  # default sample rates
+FEWEST_SAMPLES = 4  # fewest samples in a cycle of the carrier
+CARRIERS_HZ = (60.0, 800.0)  # range of carriers that PC responds to (paper, Section III-C)
 MOST_VIBRATORS = 64
 _EXAMPLE = "as in vibrators:out.wav?grid=2x2&hz=250&rate=8000"
 
@@ -32,28 +29,11 @@ _EXAMPLE = "as in vibrators:out.wav?grid=2x2&hz=250&rate=8000"
 class VibratorBoard(Board):
     """Board of vibrators, driven by the activations in sequences, without current.
 
-    ``vibrators:FILE.wav`` writes what the vibrators are driven with, ``vibrators:audio``
-    and ``vibrators:audio:DEVICE`` play it. Options come after a question mark:
-    ``grid=ROWSxCOLUMNS`` of the vibrators under the array (2x2), ``hz`` of the carrier
-    (250), ``rate`` of the samples (8000, on a sound device 48000). A vibrator shakes as
-    strongly as the strongest of the sites that are nearest to it. Amplitude 1 is full
-    scale.
-
-    Parameters
-    ----------
-    rest : str
-        Part of the URL after the colon.
-    limits : SafetyLimits
-        Of the finger's profile.
-    output : Output, optional
-        Of the profile: of no interest here.
-    electrodes : ElectrodeArray, optional
-        Places of the sites; without them all vibrators move alike.
-
-    Raises
-    ------
-    BoardError
-        If an option is wrong, or the extra ``audio`` is missing.
+    ``vibrators:FILE.wav`` writes what the vibrators are driven with, ``vibrators:audio`` and
+    ``vibrators:audio:DEVICE`` play it. Options come after a question mark: ``grid=ROWSxCOLUMNS`` of
+    the vibrators under the array (2x2), ``hz`` of the carrier (250), ``rate`` of the samples (8000,
+    on a sound device 48000). A vibrator shakes as strongly as the strongest of the sites that are
+    nearest to it; without ``electrodes`` all vibrators move alike. Amplitude 1 is full scale.
     """
 
     shares_budget = False
@@ -154,13 +134,7 @@ class VibratorBoard(Board):
 
 
 def make_vibrators(url: str, limits: SafetyLimits, electrodes: ElectrodeArray) -> VibratorBoard:
-    """Return the vibrators of a URL, with or without ``vibrators:`` before it.
-
-    Raises
-    ------
-    BoardError
-        As `VibratorBoard`.
-    """
+    """Return the vibrators of a URL, with or without ``vibrators:`` before it."""
     return VibratorBoard(url.removeprefix("vibrators:"), limits, electrodes=electrodes)
 
 

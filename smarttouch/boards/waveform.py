@@ -5,26 +5,16 @@ from numpy.typing import NDArray
 
 from smarttouch.electrodes import ElectrodeArray
 
-PC_HZ = 250.0
-"""Most sensitive frequency of the Pacinian corpuscle (paper, Section I and V)."""
+PC_HZ = 250.0  # most sensitive frequency of the Pacinian corpuscle (paper, Section I and V)
 GLIDE_S = 0.004
 """Time from one amplitude to the next, however different: one cycle at 250 Hz.
 An estimate of ours: short against what a finger resolves in time, long enough to make no click."""
 
 
 class Waveform:
-    """Sinusoids of one frequency and phase, each with its own amplitude.
-
-    Samples come piece by piece; the phase runs on from one to the next, and so
-    does the amplitude: to a new one it glides in `GLIDE_S`.
-
-    Parameters
-    ----------
-    channels : int
-    carrier_hz : float, Hz
-    rate_hz : int, Hz
-        Samples in a second.
-    """
+    """Sinusoids of one frequency and phase, each with its own amplitude, sampled piece by piece.
+    The phase runs on from one piece to the next, and so does the amplitude: to a new one it glides
+    in `GLIDE_S`."""
 
     def __init__(self, channels: int, carrier_hz: float, rate_hz: int) -> None:
         self._step = carrier_hz / rate_hz
@@ -69,9 +59,9 @@ class Waveform:
 def vibrator_of(electrodes: ElectrodeArray, rows: int, columns: int) -> NDArray[np.intp]:
     """Return the vibrator of each site, (E,): the nearest of a sparse grid under the array.
 
-    The array's area is divided into ``rows`` by ``columns`` equal parts, with a vibrator
-    in the middle of each, counted row by row from the top left. PC are few and answer
-    far around them, so a sparse matrix is enough (paper, Section V).
+    The array's area is divided into ``rows`` by ``columns`` equal parts, with a vibrator in the
+    middle of each, counted row by row from the top left. PC are few and answer far around them, so
+    a sparse matrix is enough (paper, Section V).
     """
     width_mm, height_mm = electrodes.extent_mm
     x_mm = ((np.arange(columns) + 0.5) / columns - 0.5) * width_mm

@@ -15,29 +15,16 @@ from smarttouch.profile.device import Output
 from smarttouch.registry import refuse_rest
 from smarttouch.stimulation.safety import SafetyLimits
 
-_STARTS_WITHIN_S = 30.0
-"""Time limit of the start, long enough for a busy computer."""
+_STARTS_WITHIN_S = 30.0  # time limit of the start, long enough for a busy computer
 _ENDS_WITHIN_S = 3.0
 _SPEAKS_WITHIN_S = 5.0
-"""Longest silence: what waits for a processor is not gone, and an end is told by its port."""
+"""Longest silence: what waits for a processor is not gone, and its end shows at the port."""
 
 
 class EmulatorBoard(LinkBoard):
-    """Board emulated by a process of its own, which runs as long as it is open.
-
-    Parameters
-    ----------
-    rest : str
-        Nothing: ``emulator:`` starts its own.
-    limits : SafetyLimits
-        Of the finger's profile.
-    output : Output, optional
-        Output of the emulated board; weighted if not given.
-    books : Path, optional
-        Existing folder in which it keeps its books.
-    events : sequence of str
-        Events of the finger, as ``smarttouch board emulate`` takes them.
-    """
+    """Board emulated by a process of its own, which runs as long as it is open: ``emulator:``.
+    ``books`` is an existing folder for its delivery log, and ``events`` of the finger are as
+    ``smarttouch board emulate`` takes them."""
 
     on_a_finger = False
     device = None
@@ -92,9 +79,9 @@ class EmulatorBoard(LinkBoard):
     def _port_of_process(self) -> str:
         """Return the name of the process's port, as soon as it is printed."""
         assert self._process.stdout is not None
-        deadline, said = time.monotonic() + _STARTS_WITHIN_S, b""
+        deadline, received = time.monotonic() + _STARTS_WITHIN_S, b""
         with self._process.stdout as output:
-            while not said.endswith(b"\n"):
+            while not received.endswith(b"\n"):
                 if time.monotonic() > deadline:
                     raise BoardError(
                         f"the emulator has not started within {_STARTS_WITHIN_S:g} s: this "
@@ -110,8 +97,8 @@ class EmulatorBoard(LinkBoard):
                     message = f"the emulator did not start (exit {self._process.wait()})"
                     code = self._process.returncode
                     raise BoardError(message, about="emulator", problem="gone", value=code)
-                said += piece
-        return said.decode().strip()
+                received += piece
+        return received.decode().strip()
 
     def _close(self) -> None:
         super()._close()

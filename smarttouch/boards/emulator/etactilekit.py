@@ -30,46 +30,26 @@ from smarttouch.boards.emulator.skin import COMPLIANCE_V
 UA_PER_COUNT = 9.99
 SWITCHING_NS = 10_000
 FORGETS_NS = 2_000_000_000
-DUMMY_OHM = 66e3
-"""Load fitted in parallel with the skin."""
+DUMMY_OHM = 66e3  # load fitted in parallel with the skin
 RATE_HZ = 100
 _MOST = 255
 
 
 @dataclass
 class _Scan:
-    """Settings of a scan, fixed at its start.
+    """Settings of a scan, fixed at its start."""
 
-    Attributes
-    ----------
-    pulses : list of Pulse
-        Of each electrode.
-    starts_ns : list of int
-        When each slot begins; the last is the end.
-    """
-
-    pulses: list[op.Pulse]
-    starts_ns: list[int]
+    pulses: list[op.Pulse]  # of each electrode
+    starts_ns: list[int]  # of each slot; the last is the end
     discharge_us: int
     done: int = 0
     pulsed: bool = False
 
 
 class ETactileKitFirmware(Firmware):
-    """The kit between its line and its electrodes.
-
-    Parameters
-    ----------
-    books : DeliveryLog
-        Its electrodes are all the outputs that there are.
-    finger : Finger, optional
-        Events of the skin while it runs.
-    compliance_v : float, V
-    firmware : str
-        Key of `GENERATIONS`.
-    dummy_ohm : float
-        Load beside the skin; infinite for none.
-    """
+    """The kit between its line and its electrodes, which are all the outputs of its log;
+    ``firmware`` is a key of `GENERATIONS`, and an infinite ``dummy_ohm`` is no load beside the
+    skin."""
 
     longest_step_ns = 400_000_000
     """Its scans go on by its own clock, whatever keeps its process waiting."""
@@ -189,8 +169,8 @@ class ETactileKitFirmware(Firmware):
         elif code == op.READINGS:
             size = self._is.reading_bytes
             # In one byte, the upper bits of the twelve.
-            told = (each >> (4 if size == 1 else 0) for each in self._readings[:count])
-            return b"".join(each.to_bytes(size, "little") for each in told)
+            values = (each >> (4 if size == 1 else 0) for each in self._readings[:count])
+            return b"".join(each.to_bytes(size, "little") for each in values)
         elif code in (op.CHIPS, op.ECHO):
             return bytes([self._chips if code == op.CHIPS else count])
         elif code == op.RATE:

@@ -13,24 +13,12 @@ class Clock(Protocol):
 
 
 class Firmware(ABC):
-    """A device between its line and what it touches; it has no clock of its own.
-
-    Attributes
-    ----------
-    books : DeliveryLog or None
-        Account of what flowed.
-    longest_step_ns : int
-        How long its process may have been kept waiting before its time stands still.
-    backlog : int
-        As soon as so many bytes wait for the host, further messages are dropped.
-    wrong : frozenset of str
-        Faults at this time, of those that are not of the line.
-    """
+    """A device between its line and what it touches; it has no clock of its own."""
 
     books: DeliveryLog | None = None
-    longest_step_ns = 10_000_000
-    backlog = 65536
-    wrong: frozenset[str] = frozenset()
+    longest_step_ns = 10_000_000  # a process kept waiting for longer stops the device's time
+    backlog = 65536  # as soon as so many bytes wait for the host, messages are dropped
+    wrong: frozenset[str] = frozenset()  # faults at this time, other than those of the line
 
     @property
     def busy(self) -> bool:

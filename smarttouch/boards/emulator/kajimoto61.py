@@ -55,16 +55,7 @@ class _Scan:
 
 
 class Kajimoto61Firmware(Firmware):
-    """The kit between its serial line and its electrodes.
-
-    Parameters
-    ----------
-    books : DeliveryLog
-        Of 61 electrodes.
-    finger : Finger, optional
-        Events of the skin while it runs.
-    compliance_v : float, V
-    """
+    """The kit between its serial line and its electrodes."""
 
     books: DeliveryLog
 

@@ -17,35 +17,19 @@ from smarttouch.boards.link_protocol import (
 )
 from smarttouch.boards.link_session import Message, decode_head, draw_half, encode
 
-MOST_HOSTS = 8
-"""Number of hosts with separate HELLO records."""
+MOST_HOSTS = 8  # number of hosts with separate HELLO records
 _MS = 1_000_000
 
 
 class BoardSession:
-    """The session begun last, and the challenge for the next.
-
-    Parameters
-    ----------
-    draw : callable
-        Returns 32 random bits that are not all 0, each time others.
-
-    Attributes
-    ----------
-    number : int
-        Of the session; 0 before the first.
-    live : bool
-        Whether its host is there; what ends it sets this to False.
-    old, foreign : int
-        Packets refused, as old and as of another session.
-    state : int
-        Of the board, in each of its packets.
-    """
+    """The session begun last, and the challenge for the next; ``draw`` returns 32 random bits that
+    are not all 0, each time others."""
 
     def __init__(self, draw: Callable[[], int] = draw_half) -> None:
-        self.state = 0
+        self.state = 0  # of the board, in each of its packets
+        # Of the session, 0 before the first; packets refused as old and as of another session.
         self.number = self.old = self.foreign = 0
-        self.live = False
+        self.live = False  # whether its host is there; what ends it sets this to False
         self._draw = draw
         self._challenge = draw()
         self._taken = self._said = 0
@@ -111,14 +95,8 @@ class BoardSession:
         self._hellos.clear()
 
     def take(self, message: Message, began_ns: int) -> Refusal | None:
-        """Take a packet of the session, or return the reason why it is refused.
-
-        Parameters
-        ----------
-        message : Message
-        began_ns : int
-            When its first byte came, on the board's clock.
-        """
+        """Take a packet of the session, whose first byte came at a time of the board's clock, or
+        return the reason why it is refused."""
         refusal = self._judge(message, began_ns)
         if refusal is Refusal.OLD:
             self.old += 1

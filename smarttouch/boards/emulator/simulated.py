@@ -22,8 +22,7 @@ from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.framing import LARGEST_PACKET, Deframer
 
-_BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2
-"""Longest time that the host says nothing."""
+_BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest time that the host says nothing
 
 Pulses = tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]
 """Sequence of each slot (N,), its width (N,) µs, and its delivered current (N, E) µA, positive
@@ -53,18 +52,9 @@ class _KeptBooks(DeliveryLog):
 class SimulatedBoard(Board):
     """Emulated ``link`` firmware in the same thread, driven by its wire format: ``simulated:``.
 
-    The bytes on the wire, the checks of the firmware and the results of the skin model
-    are those of ``emulator:``. Only time is not: a sequence is over as
-    soon as it has been computed, so long texts need not be waited for.
-
-    Parameters
-    ----------
-    rest : str
-        Nothing comes after the colon.
-    limits : SafetyLimits
-        Of the finger's profile.
-    output : Output, optional
-        Output of the emulated board; weighted if not given.
+    The bytes on the wire, the checks of the firmware and the results of the skin model are those of
+    ``emulator:``. Only time is not: a sequence is over as soon as it has been computed, so long
+    texts need not be waited for.
     """
 
     simulated_time = True
@@ -106,7 +96,7 @@ class SimulatedBoard(Board):
         self._deframer = Deframer()
         self._session = HostSession()
         self._now_ns = self._number = 0
-        self._unheard = b""
+        self._unread = b""
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         self._number += 1
@@ -119,13 +109,13 @@ class SimulatedBoard(Board):
             self._now_ns += _BEAT_NS
             self._exchange(self._session.encode(Kind.HEARTBEAT))
         self._now_ns = end_ns
-        self._unheard = self._firmware.advance(end_ns)
+        self._unread = self._firmware.advance(end_ns)
         return self._number
 
     def _exchange(self, packet: bytes) -> None:
-        """Give the firmware a packet, and take its answers with what it has said since the last."""
-        answers = self._unheard + self._firmware.feed(packet, self._now_ns)
-        self._unheard = b""
+        """Give the firmware a packet, and take its answers with what it has sent since the last."""
+        answers = self._unread + self._firmware.feed(packet, self._now_ns)
+        self._unread = b""
         for answer in self._deframer.feed(answers):
             message = self._session.take(answer)
             if message is None:
