@@ -31,11 +31,9 @@ from smarttouch.running.step import StepResult
 from smarttouch.sources.frame import Pose
 
 FINEST_MM = 0.1
-_WIDTH = (900, 1400)
-"""Pixels that a picture is drawn wide at least, and at most."""
+_WIDTH = (900, 1400)  # pixels that a picture is drawn wide at least, and at most
 _MARGIN, _LABEL = 24, 28
-_SCALE_PART = 0.2
-"""Largest part of a picture's width that its scale bar takes."""
+_SCALE_PART = 0.2  # largest part of a picture's width that its scale bar takes
 _SCALES_MM = (100, 50, 20, 10, 5, 2, 1, 0.5)
 Grey = NDArray[np.uint8]
 Place = tuple[float, float]
@@ -46,14 +44,11 @@ of so many mm, None where there is nothing to see."""
 
 
 class FeltDrawing(DeliveredAnswers, ABC):
-    """Delivered pulses where the electrodes were, below what they touched.
+    """Delivered pulses where the electrodes were, below what they touched. Every place shows the
+    mean response of the electrodes that passed it, or the strongest; ``magnification`` is mm of the
+    array for one of what it touches. See `Perception`."""
 
-    Every place shows the mean response of the electrodes that passed it, or the strongest;
-    ``magnification`` is mm of the array for one of what it touches. See `Perception`.
-    """
-
-    strongest = False
-    """Whether a place shows the strongest response, not the mean."""
+    strongest = False  # whether a place shows the strongest response, not the mean
     longest_px = 4000
 
     def __init__(
@@ -198,8 +193,7 @@ def _draw_classes(
 
 class PageDrawing(FeltDrawing):
     """Shows the mean response at every place of a page, which is put together from the frames if
-    not given.
-    """
+    not given."""
 
     def __init__(
         self, profile: Profile, bank: KernelBank, afferents: tuple[Afferent, ...], page: Page | None

@@ -20,8 +20,7 @@ from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
 
 _SERVE = "import sys; from smarttouch.delivered.live import serve; serve(int(sys.argv[1]))"
-_POLITE = 5
-"""Niceness of the process: the sending of packets goes first."""
+_POLITE = 5  # niceness of the process: the sending of packets goes first
 _ENDS_WITHIN_S = 5.0
 
 
@@ -42,8 +41,7 @@ class LiveFinger(Listener):
         self._finger, self._draw = finger, draw
         self._line: Connection | None = None
         self._process: subprocess.Popen[bytes] | None = None
-        self._given: Feeling | None = None
-        """What the process is at, without its spikes."""
+        self._given: Feeling | None = None  # what the process is at, without its spikes
 
     def prepare(self, run: RunContext) -> None:
         """Start the process; it is ready when it knows what drives its afferents."""

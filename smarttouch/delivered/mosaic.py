@@ -13,10 +13,8 @@ from smarttouch.profile import Optics
 from smarttouch.sources.stimulus import Input
 
 PIXEL_MM = 0.1
-LARGEST_PIXELS = 40_000_000
-"""Largest page; frames farther away are left out."""
-_BLOCK = 256
-"""Least growth of the canvas, in pixels."""
+LARGEST_PIXELS = 40_000_000  # largest page; frames farther away are left out
+_BLOCK = 256  # least growth of the canvas, in pixels
 
 
 class Mosaic:
@@ -85,8 +83,7 @@ class Mosaic:
 
     def page(self) -> tuple[Page, tuple[float, float]]:
         """Return the page, and where its top left corner is, (x, y) mm; raises if no frame was
-        seen.
-        """
+        seen."""
         rows, columns = (np.flatnonzero(self._count.any(axis=axis)) for axis in (1, 0))
         if not len(rows):
             raise SmartTouchError(

@@ -23,8 +23,7 @@ from smarttouch.reading.window import press_n
 from smarttouch.sources.source import StimulusSource
 from smarttouch.sources.stimulus import Stimulus
 
-SILENT_S = 0.5
-"""Silence after which nothing is felt."""
+SILENT_S = 0.5  # silence after which nothing is felt
 MOST_PIXELS = 1_000_000
 _SIGNED = "/smarttouch/signed"
 _LOOK_S = 0.1
@@ -74,7 +73,7 @@ class OscSource(StimulusSource):
         self._electrodes = profile.electrodes
         self._press_n = press_n(profile)
         self._level = np.zeros(len(profile.electrodes), np.float32)
-        self._heard_s = -math.inf
+        self._received_s = -math.inf
         self._given = 0
         self._read: int | None = None
         self._line = _bound(host, port, alone=key is None)
@@ -85,7 +84,7 @@ class OscSource(StimulusSource):
     def read(self, time_ns: int) -> Stimulus:
         """Return what came last; stale after a silence."""
         level, given = self._level, self._given
-        since_s = time.monotonic() - self._heard_s
+        since_s = time.monotonic() - self._received_s
         if given != self._read:
             self.frames += 1
             self.dropped_frames += max(0, given - (self._read or 0) - 1)
@@ -162,7 +161,7 @@ class OscSource(StimulusSource):
         except Exception:  # whatever the parser makes of what a program may send
             self.wrong += 1
             return
-        self._level, self._heard_s = level, time.monotonic()
+        self._level, self._received_s = level, time.monotonic()
         self._given += 1
 
     def _changed(

@@ -39,8 +39,7 @@ class Verdict(Enum):
     OURS = auto()
     NEW = auto()
     """Of a socket of ours that may have been opened after the packet was sent by another."""
-    FOREIGN = auto()
-    """Of another user, or of a socket that is closed again."""
+    FOREIGN = auto()  # of another user, or of a socket that is closed again
 
 
 class Packet(NamedTuple):

@@ -54,7 +54,7 @@ class DrawSource(StimulusSource):
         self._playing, self._loops, self._begun_ns = False, False, -1
         self._at = 0
         self._shown: Levels | None = None
-        self._said = ""
+        self._notice = ""
         # Letters and files take long: the loop waits only for the lock of what is shown.
         self._turn, self._lock = threading.Lock(), threading.Lock()
 
@@ -96,7 +96,7 @@ class DrawSource(StimulusSource):
                 ],
                 "playing": self._at if self._playing else None,
                 "loops": self._loops,
-                "said": self._said,
+                "said": self._notice,
                 "library": list(self._library),
             }
 
@@ -107,11 +107,11 @@ class DrawSource(StimulusSource):
         if does is None:
             raise ValueError(words)
         with self._turn:
-            self._said = ""
+            self._notice = ""
             try:
                 does(rest)
             except SmartTouchError as error:
-                self._said = str(error)
+                self._notice = str(error)
             with self._lock:
                 self.changes += 1
 
@@ -173,11 +173,11 @@ class DrawSource(StimulusSource):
         for each in self.patterns or [Pattern(self._level)]:
             file.add(each.level, 1000 * each.duration_ms)
         file.save()
-        self._said = f"saved as {path}"
+        self._notice = f"saved as {path}"
 
     def _add(self, *patterns: Pattern) -> None:
         if len(self.patterns) + len(patterns) > MOST_PATTERNS:
-            self._said = f"the list is full: it has {MOST_PATTERNS} patterns"
+            self._notice = f"the list is full: it has {MOST_PATTERNS} patterns"
             return
         with self._lock:
             self._halt()
@@ -204,10 +204,8 @@ class DrawSource(StimulusSource):
 
 
 def read_patterns(path: Path, profile: Profile) -> list[Pattern]:
-    """Return the patterns of a file as `PatternFile` writes it.
-
-    The last lasts as long as the one before it.
-    """
+    """Return the patterns of a file as `PatternFile` writes it. The last lasts as long as the one
+    before it."""
     try:
         with open_file(path, SourceError, _MOST_BYTES) as file:
             document = json.loads(file.read())

@@ -30,11 +30,9 @@ from smarttouch.wire.pty_line import PtyLine
 from smarttouch.wire.tcp_line import TcpLine
 
 FAULTS = dict.fromkeys(("garbage", "nan", "freeze", "silent", "unplug"), "[SECONDS]")
-FIRST_HOST_S = 8.0
-"""Time beyond its lingering that it waits for the first host."""
+FIRST_HOST_S = 8.0  # time beyond its lingering that it waits for the first host
 _WRITE_EVERY_NS = 50_000_000
-_FULL_WAIT_S = 0.0005
-"""Time after which the rest of a message is tried again."""
+_FULL_WAIT_S = 0.0005  # time after which the rest of a message is tried again
 
 
 @dataclass
@@ -42,8 +40,7 @@ class LineStatistics:
     """Messages that were sent, counted when the last byte had been taken."""
 
     sent: int = 0
-    dropped: int = 0
-    """Due, but not sent: the line was still full."""
+    dropped: int = 0  # due, but not sent: the line was still full
     garbage: int = 0
 
 
@@ -79,20 +76,8 @@ class Orders:
 
 
 class Server:
-    """Serves one host after another.
-
-    Parameters
-    ----------
-    firmware : Firmware
-        Of the device.
-    line : PtyLine or TcpLine
-    faults : iterable of Event
-        What goes wrong.
-    count : int, optional
-        Nothing passes any more after so many messages were sent.
-    orders : Orders, optional
-        What the device is to do, or an event without its time, such as ``garbage 0.5``.
-    """
+    """Serves one host after another. Nothing passes any more after ``count`` messages were sent;
+    ``orders`` are for the device, or events without their time, such as ``garbage 0.5``."""
 
     def __init__(
         self,
@@ -118,11 +103,8 @@ class Server:
         parent: int | None = None,
         describe: Callable[[str], str] = str,
     ) -> None:
-        """Print the port's name and run until SIGTERM, or so long without a host.
-
-        With the process id of its ``parent`` it ends too when that has, even where it was killed.
-
-        With ``describe`` it prints what that makes of the name.
+        """Print the port's name, as ``describe`` words it, and run until SIGTERM, so long without a
+        host, or the end of the process ``parent``.
 
         While there is a host, Ctrl-C is the host's, which ends with a stop and a closed port; it
         ends the device then only if that would go on for ever by itself.
@@ -231,16 +213,9 @@ class Server:
 
 
 class DeviceClock:
-    """The device's time, from 0 on, which stands still while the machine runs other processes.
-
-    Hardware is never kept waiting; what plays it is, and must not take its own
-    absence for the host's silence, nor for pulses delivered.
-
-    Parameters
-    ----------
-    longest_step_ns : int
-        How long it may have been away without standing still.
-    """
+    """The device's time, from 0 on, which stands still while the machine runs other processes for
+    longer than a longest step. Hardware is never kept waiting; what emulates it is, and must not
+    take its own absence for the host's silence, nor for pulses delivered."""
 
     def __init__(self, longest_step_ns: int = Firmware.longest_step_ns) -> None:
         self._longest_step_ns = longest_step_ns

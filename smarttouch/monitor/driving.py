@@ -55,10 +55,8 @@ def the_stop() -> StopRequest:
 
 @contextmanager
 def ending_in_order(patience_s: float | None = None) -> Iterator[None]:
-    """Leave it to the block to end when the stop is requested; else a signal ends it anywhere.
-
-    Its end may take ``patience_s`` after a signal.
-    """
+    """Leave it to the block to end when the stop is requested; else a signal ends it anywhere. Its
+    end may take ``patience_s`` after a signal."""
     if not _watches:
         yield
         return
@@ -71,10 +69,8 @@ def ending_in_order(patience_s: float | None = None) -> Iterator[None]:
 
 @contextmanager
 def opened(board: "Board", stop: StopRequest | None = None) -> Iterator["Board"]:
-    """Open a board for a block; a stop puts it at zero at once, also while it is being opened.
-
-    What is sent after a stop raises BoardStoppedError.
-    """
+    """Open a board for a block; a stop puts it at zero at once, also while it is being opened. What
+    is sent after a stop raises BoardStoppedError."""
     with ending_in_order(), (stop or the_stop()).telling(board.halt):
         if _watches:
             refuse_if_stopped()
@@ -105,7 +101,7 @@ def _stoppable() -> Iterator[None]:
     with watch, never_waiting(stop.event.is_set):
         _watches.append((stop, watch))
         try:
-            with _told_as_stopped(watch):
+            with _raising_as_stopped(watch):
                 yield
         except RunStopped as stopped:
             # Here, where a terminal that has stopped reading keeps nobody waiting.
@@ -119,7 +115,7 @@ def _stoppable() -> Iterator[None]:
 
 
 @contextmanager
-def _told_as_stopped(watch: SignalWatch) -> Iterator[None]:
+def _raising_as_stopped(watch: SignalWatch) -> Iterator[None]:
     try:
         yield
     except BoardStoppedError:

@@ -10,14 +10,11 @@ from typing import Any
 
 from smarttouch.posix import termios, tty
 
-LOST = ""
-"""Key that stands for a terminal that is gone."""
-JOIN_S = 0.3
-"""Longest time that the end waits for a key that is being handled."""
+LOST = ""  # key that stands for a terminal that is gone
+JOIN_S = 0.3  # longest time that the end waits for a key that is being handled
 
 
-_before: list[list[Any]] = []
-"""The terminal's own settings, while they are changed."""
+_before: list[list[Any]] = []  # the terminal's own settings, while they are changed
 
 
 @contextmanager
@@ -44,10 +41,8 @@ def restore() -> None:
 
 @contextmanager
 def keyboard_listener(on_key: Callable[[str], None]) -> Iterator[None]:
-    """Hand every key to a function, from a thread, until the block ends.
-
-    Arrow keys come as ``up``, ``down``, ``left`` and ``right``, a terminal that is gone as `LOST`.
-    """
+    """Hand every key to a function, from a thread, until the block ends. Arrow keys come as ``up``,
+    ``down``, ``left`` and ``right``, a terminal that is gone as `LOST`."""
     if not sys.stdin.isatty():
         yield
         return

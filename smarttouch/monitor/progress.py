@@ -7,8 +7,7 @@ from rich.progress import Progress
 
 from smarttouch import terminal
 
-Advance = Callable[[int, int], None]
-"""Told how many are done, of how many."""
+Advance = Callable[[int, int], None]  # function called with how many are done, of how many
 
 
 def bank_progress(quiet: bool) -> AbstractContextManager[Advance | None]:
@@ -44,13 +43,7 @@ def _bar(title: str, quiet: bool) -> Iterator[Advance | None]:
 
 
 def first_line_awaited(wait: Callable[[], object], quiet: bool) -> None:
-    """Show that a text is being prepared until its first line is ready.
-
-    Raises
-    ------
-    SmartTouchError
-        Whatever keeps it from being.
-    """
+    """Show that a text is being prepared until its first line is ready."""
     if quiet:
         wait()
         return

@@ -21,21 +21,17 @@ from smarttouch.running.step import StepResult
 
 _REFRESH_PER_S = 10
 _KEYS = "+ − intensity    0 none    space pause    m mode    q, Esc end"
-_ROOMY = 20
-"""Rows of a terminal from which an event has two of them."""
-_LEAST_PICTURE = 9
-"""Fewest rows of the pictures and their title beside the numbers."""
+_ROOMY = 20  # rows of a terminal from which an event has two of them
+_LEAST_PICTURE = 9  # fewest rows of the pictures and their title beside the numbers
 _NAME = 9
 
 Rows = tuple[tuple[str, str], ...]
 
 
 class Screen(Listener):
-    """Shows a run as it goes, from a thread of its own, and sums it up.
-
-    Where nothing can be drawn, or if plain, it prints a line for each event and for each new title
-    of the source instead; when quiet, nothing.
-    """
+    """Shows a run as it goes, from a thread of its own, and sums it up. Where nothing can be drawn,
+    or if plain, it prints a line for each event and for each new title of the source instead; when
+    quiet, nothing."""
 
     def __init__(self, url: str, quiet: bool, keys_help: str = "", plain: bool = False) -> None:
         super().__init__()
@@ -44,8 +40,7 @@ class Screen(Listener):
         drawn = self._console.is_terminal and not self._console.is_dumb_terminal
         self._plain = not quiet and (plain or not drawn)
         self._title = ""
-        self._early: list[str] | None = []
-        """Lines on what happened before the board was open."""
+        self._early: list[str] | None = []  # lines on what happened before the board was open
         self._latest: StepResult | None = None
         self._event = ""
         self._keys = keys_help + _KEYS
@@ -126,9 +121,9 @@ class Screen(Listener):
         if sent is None:
             return Text("waiting for the first frame")
         width, height = self._console.size
-        said = 2 if height >= _ROOMY else 1
-        event = textwrap.wrap(self._event, width, max_lines=said, placeholder=" …")
-        texts = (*self._keys_lines(width), *event, *[""] * (said - len(event)))
+        event_rows = 2 if height >= _ROOMY else 1
+        event = textwrap.wrap(self._event, width, max_lines=event_rows, placeholder=" …")
+        texts = (*self._keys_lines(width), *event, *[""] * (event_rows - len(event)))
         # The last row stays free: a terminal would scroll when something is printed.
         left = height - 4 - len(texts)
         numbers = self._numbers(sent)

@@ -16,10 +16,8 @@ _DITHER = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5
 
 
 def image_text(image: NDArray[np.uint8], columns: int, rows: int, *, color: bool) -> Text:
-    """Draw a grey image within a number of columns and rows.
-
-    In color it is half blocks, two pixels to a sign; without, dots of Braille signs, eight to one.
-    """
+    """Draw a grey image within a number of columns and rows. In color it is half blocks, two pixels
+    to a sign; without, dots of Braille signs, eight to one."""
     height, width = image.shape
     rows, columns = min(rows, MOST_ROWS), min(columns, MOST_COLUMNS)
     wide = max(2, round(2 * rows * width / height))
@@ -61,10 +59,8 @@ class ArrayPicture:
         return max(-(-self._columns // columns), -(-self._rows // rows))
 
     def draw(self, parts: NDArray[np.float32], columns: int, rows: int) -> Text:
-        """Draw electrodes, (E,) as parts of the strongest, within a number of columns and rows.
-
-        A character shows the largest of its electrodes.
-        """
+        """Draw electrodes, (E,) as parts of the strongest, within a number of columns and rows. A
+        character shows the largest of its electrodes."""
         merged = self.merged(columns, rows)
         shape = -(-self._rows // merged), -(-self._columns // merged)
         most = np.full(shape, -1.0)

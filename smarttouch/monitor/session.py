@@ -89,43 +89,27 @@ def run_in_terminal(
     controls: MakeControls = Controls,
     listeners: Iterable[Listener] = (),
 ) -> None:
-    """Run a source on a display until it ends or a user ends it; print how it went.
-
-    Arguments are those of `Runner`; ``keys`` are functions of single keys beside those of the run,
-    ``keys_help`` words on them for the screen.
-    """
+    """Run a source on a display until it ends or a user ends it; print how it went. Arguments are
+    those of `Runner`; ``keys`` are functions of single keys beside those of the run, ``keys_help``
+    words on them for the screen."""
     stop = the_stop()
     shown = screen(display.url, outputs.quiet, keys_help, outputs.plain)
     typed = sys.stdin.isatty()
     # Before the window, which takes a port: an output may be impossible.
     followers = outputs.listeners()
-    windows: list[Listener] = []
     # What is drawn on a page needs one.
     port = 0 if outputs.window is None and source.canvas is not None else outputs.window
+    windows: list[Listener] = []
     if port is not None:
-        from smarttouch.window.live import Window
-
-        # Before the screen: it says its address.
         blind = issubclass(screen, BlindScreen)
-        windows.append(
-            Window(
-                stop,
-                port,
-                keys=keys,
-                keys_help=keys_help,
-                alone=not typed,
-                blind=blind,
-                finger=outputs.finger,
-                anatomy=outputs.anatomy,
-            )
-        )
+        windows.append(_window(port, stop, outputs, keys, keys_help, alone=not typed, blind=blind))
     runner = Runner(
         source,
         display,
         config,
         force=force,
         listeners=[
-            *windows,
+            *windows,  # before the screen: they say their address
             shown,
             _Keyboard(stop, keys or {}),
             *followers,
@@ -147,6 +131,30 @@ def run_in_terminal(
             write_json(outputs.json_file, runner.statistics.figures)
     if not outputs.quiet:
         shown.summarize(runner.statistics.figures, runner.statistics.notes, outputs.files)
+
+
+def _window(
+    port: int,
+    stop: StopRequest,
+    outputs: Outputs,
+    keys: Keys | None,
+    keys_help: str,
+    *,
+    alone: bool,
+    blind: bool,
+) -> Listener:
+    from smarttouch.window.live import Window
+
+    return Window(
+        stop,
+        port,
+        keys=keys,
+        keys_help=keys_help,
+        alone=alone,
+        blind=blind,
+        finger=outputs.finger,
+        anatomy=outputs.anatomy,
+    )
 
 
 def _load_kernels(profile: Profile, quiet: bool) -> KernelBank:

@@ -41,13 +41,7 @@ Found = tuple[str, dict[str, Any]]
 
 
 def load_model(path: Path, kind: type[_Table], **more: object) -> _Table:
-    """Load a TOML file as a model, with further values of ours.
-
-    Raises
-    ------
-    ProfileError
-        If there is none, or it has unknown keys or impossible values: all that is wrong.
-    """
+    """Load a TOML file as a model, with further values of ours."""
     table = read_toml(path, ProfileError)
     try:
         return kind.model_validate(table | more)
@@ -59,15 +53,15 @@ def table_error(kind: type[_Error], name: object, error: ValidationError) -> _Er
     """Return the error that lists all that is wrong in a file, by its name."""
     found = [*_complaints(error)]
     sentences = [f"{name}: {words}" for words, _ in found]
-    told = [words for words, _ in found[:_MOST_IN_A_SENTENCE]]
-    if len(found) > len(told):
-        told.append(f"and {len(found) - len(told)} more")
+    shown = [words for words, _ in found[:_MOST_IN_A_SENTENCE]]
+    if len(found) > len(shown):
+        shown.append(f"and {len(found) - len(shown)} more")
     complaints = [
         Complaint(each["about"], each["problem"], each["value"], each["allowed"])
         for _, each in found
     ]
     return kind(
-        f"{name}: {'; '.join(told)}", complaints=complaints, sentences=sentences, **found[0][1]
+        f"{name}: {'; '.join(shown)}", complaints=complaints, sentences=sentences, **found[0][1]
     )
 
 

@@ -21,10 +21,8 @@ if TYPE_CHECKING:
 
 MOST_PAGES = 16
 MOST_HZ = 60
-MOST_MESSAGES_PER_S = 400
-"""Limit for one page; one that sends more loses its connection."""
-_BEAT_S = 0.2
-"""Longest time without a message to a page: its answer says that it is alive."""
+MOST_MESSAGES_PER_S = 400  # limit for one page; one that sends more loses its connection
+_BEAT_S = 0.2  # longest time without a message to a page: its answer says that it is alive
 _INFORMED_WITHIN_S = 0.5
 
 
@@ -33,15 +31,12 @@ class Page:
     """One page that is connected, and what it has seen."""
 
     number: int
-    waits: bool = True
-    """Whether it has drawn what it was sent last."""
+    waits: bool = True  # whether it has drawn what it was sent last
     shown: StepResult | None = None
     events: int = 0
     felt: str = ""
-    drawn: int = 0
-    """Changes of the drawing that it has seen."""
-    received: int = 0
-    """Messages of this second."""
+    drawn: int = 0  # changes of the drawing that it has seen
+    received: int = 0  # messages of this second
     second: int = 0
 
 

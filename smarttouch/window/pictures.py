@@ -16,8 +16,7 @@ from smarttouch.profile import Profile
 from smarttouch.running.step import StepResult
 from smarttouch.stimulation.sequence import ScanSequence
 
-MOST_PIXELS = 160
-"""Longer side of an image of what a sensor sees; larger ones are made smaller."""
+MOST_PIXELS = 160  # longer side of an image of what a sensor sees; larger ones are made smaller
 _DIGITS = 4
 Message = dict[str, Any]
 

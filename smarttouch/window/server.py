@@ -25,12 +25,10 @@ if TYPE_CHECKING:
     from starlette.routing import BaseRoute
 
 HOST = "127.0.0.1"
-MOST_MESSAGE_BYTES = 65_536
-"""Longest message that a page may send; longer ones end its connection."""
+MOST_MESSAGE_BYTES = 65_536  # longest message that a page may send; longer ones end its connection
 PAGE_FOLDER = Path(__file__).parent / "page"
 _JOIN_S = 1.0
-_FILE_KEPT_S = 60.0
-"""How long a browser may take to start and read the file that it is given."""
+_FILE_KEPT_S = 60.0  # how long a browser may take to start and read the file that it is given
 _LEADS_TO = (
     '<!doctype html><meta charset="utf-8"><meta name="referrer" content="no-referrer">'
     '<meta http-equiv="refresh" content="0;url={0}"><title>SmartTouch</title>'
@@ -51,11 +49,9 @@ _HEADERS = {
 
 
 class PageServer:
-    """Serves the files of a page and some routes until it is closed.
-
-    Requests for another host, from another origin or without the secret are refused. Routes are
-    relative to the secret; port 0 of 127.0.0.1 is a free one.
-    """
+    """Serves the files of a page and some routes until it is closed. Requests for another host,
+    from another origin or without the secret are refused. Routes are relative to the secret; port 0
+    of 127.0.0.1 is a free one."""
 
     def __init__(self, port: int, routes: "Sequence[BaseRoute]", name: str = "live.html") -> None:
         server = import_server()
@@ -163,11 +159,9 @@ def import_server() -> Any:
 
 
 def open_browser(address: str) -> None:
-    """Open an address in the browser of the desktop, where there is one; wait for nothing.
-
-    Every user of the machine can read the arguments of a program, and the address holds a secret:
-    the browser gets the name of a file that leads there, which this user alone can read.
-    """
+    """Open an address in the browser of the desktop, where there is one; wait for nothing. Every
+    user of the machine can read the arguments of a program, and the address holds a secret: the
+    browser gets the name of a file that leads there, which this user alone can read."""
     shown = sys.platform in ("win32", "darwin") or any(
         os.environ.get(each) for each in ("DISPLAY", "WAYLAND_DISPLAY")
     )

@@ -8,16 +8,13 @@ from smarttouch.afferent import Mode
 from smarttouch.running.controls import STEP, Controls
 from smarttouch.stopping import StopRequest
 
-LOST_S = 0.7
-"""Silence after which a page loses control."""
+LOST_S = 0.7  # silence after which a page loses control
 
 
 class Steering:
-    """Passes what one page asks for to the controls of a run, as keys do.
-
-    A page that asks for something takes control if no other has it. What no page controls any more
-    is paused where there are no other controls (``alone``).
-    """
+    """Passes what one page asks for to the controls of a run, as keys do. A page that asks for
+    something takes control if no other has it. What no page controls any more is paused where there
+    are no other controls (``alone``)."""
 
     def __init__(
         self,
@@ -77,8 +74,7 @@ class Steering:
 
     def act(self, page: int, what: str) -> bool:
         """Do what a page asks for; return False if another has control, ValueError if it is
-        unknown.
-        """
+        unknown."""
         kind, _, name = what.partition(":")
         if what in self._does:
             does = self._does[what]

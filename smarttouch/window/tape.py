@@ -19,9 +19,7 @@ _STANDS_FOR = ("mode", "board", "sensor", "subject", "note")
 
 class Tape(Closing):
     """Pictures of all steps of a recording, in a file of their own until this is closed.
-
-    ``times_s`` has the time of each step that has been read, ``wrong`` what could not be read.
-    """
+    ``times_s`` has the time of each step that has been read, ``wrong`` what could not be read."""
 
     def __init__(self, path: Path) -> None:
         self.recording = Recording(path)
@@ -45,8 +43,7 @@ class Tape(Closing):
 
     def picture(self, index: int) -> bytes:
         """Return the picture of a step, JSON; IndexError if there is none, or it has not been read
-        yet.
-        """
+        yet."""
         if not 0 <= index < len(self.times_s):
             raise IndexError(index)
         with self._lock:
@@ -56,13 +53,13 @@ class Tape(Closing):
     def message(self, first: int = 0) -> dict[str, Any]:
         """Return what a page needs of it beside pictures; times from a step on."""
         recording = self.recording
-        told = {key: str(recording.settings.get(key) or "") for key in _STANDS_FOR}
+        settings = {key: str(recording.settings.get(key) or "") for key in _STANDS_FOR}
         return {
             "name": recording.path.name,
             "array": self.array,
             "started": recording.started.isoformat(timespec="seconds"),
             "duration_s": recording.duration_s,
-            "told": {key: each for key, each in told.items() if each},
+            "told": {key: each for key, each in settings.items() if each},
             "times_s": self.times_s[first:].tolist(),
             "events": self._events,
             "ended": self._ended,

@@ -122,22 +122,9 @@ def reopen_port(
     identity: UsbIdentity | None,
     pause: Callable[[float], None] = time.sleep,
 ) -> Port:
-    """Reopen a lost port as soon as it is back; nothing is written to it.
-
-    Parameters
-    ----------
-    identity : UsbIdentity, optional
-        Of the port before it went, as by `identity_of`; None where USB does not tell.
-    pause : callable
-        Waits so many seconds; what it raises ends the waiting.
-
-    Raises
-    ------
-    OtherDeviceError
-        If all that came back in time is another device.
-    BoardError
-        If nothing came back in time.
-    """
+    """Reopen a lost port as soon as it is back, with the identity that it had; nothing is written
+    to it. ``pause`` waits some seconds; what it raises ends the waiting. OtherDeviceError says that
+    only another device came back in time."""
     deadline = time.monotonic() + within_s
     while True:
         try:
@@ -156,13 +143,7 @@ def reopen_port(
 
 
 def read_some(port: Port) -> bytes:
-    """Return what has come; wait for the first byte as long as the port does.
-
-    Raises
-    ------
-    OSError
-        As the port does, also if the line is gone.
-    """
+    """Return what has come; wait for the first byte as long as the port does."""
     try:
         number = port.fileno()
     except (AttributeError, OSError):
@@ -180,25 +161,8 @@ def write_before(
 ) -> bool:
     """Write bytes unless it is too late for the first of them; return whether they were written.
 
-    Between the last look at the clock and the system's write there is nothing: only a
-    process that is stopped just there still writes late.
-
-    Parameters
-    ----------
-    port : Port
-        Open.
-    data : bytes
-    latest_ns : int
-        When the first byte may go at the latest.
-    now_ns : callable
-        The clock.
-    within_s : float
-        Time limit of a line that accepts nothing.
-
-    Raises
-    ------
-    OSError
-        As the port does, also if the line takes nothing for so long.
+    Between the last look at the clock and the system's write there is nothing: only a process that
+    is stopped just there still writes late. A line that accepts nothing fails after ``within_s``.
     """
     try:
         number = port.fileno()

@@ -7,13 +7,8 @@ from smarttouch.wire.pty_line import LARGEST_READ
 
 
 class TcpLine:
-    """A TCP port of this machine, for one host at a time; it is never pulled out.
-
-    Parameters
-    ----------
-    discovery_port : int, optional
-        UDP port on which ``ETK?`` is answered.
-    """
+    """A TCP port of this machine, for one host at a time, which is never pulled out; ``ETK?`` is
+    answered on the UDP port ``discovery_port``."""
 
     keeps_name = False
     plugged_in = True
@@ -68,7 +63,7 @@ class TcpLine:
     def pull_out(self) -> None: ...
 
     def close(self) -> None:
-        """Leave nothing behind."""
+        """Close all sockets."""
         for each in (self._host, *self._watched):
             if each is not None:
                 each.close()
