@@ -1,7 +1,7 @@
 """Driver of the eTactileKit, which scans on its own clock; the host loads its patterns.
 
-What goes over the wire, and what guards it, stands in `etactilekit_wire`, and how each
-pattern is scanned a known number of times in `etactilekit_step`.
+Its bytes, and what guards them, are in `etactilekit_wire`; `etactilekit_step` scans each pattern a
+known number of times.
 """
 
 import time
@@ -116,7 +116,7 @@ class ETactileKitBoard(SteppedKit):
         codec = self._codec
         busy_us = settings.scan_us(self._outputs, codec.slot_extra_us)
         if sequence.slots and 1000 * busy_us > 0.97 * settings.period_ns:
-            # Its parser would never get a turn again.
+            # Its parser would never run again.
             raise BoardError(
                 f"a scan of {self._outputs} outputs takes {busy_us} µs, which does not fit "
                 f"{settings.period_ns // 1000} µs: lower pulse.discharge_us or the rate",
@@ -135,7 +135,7 @@ class ETactileKitBoard(SteppedKit):
             job = self._take(None if idle else time.monotonic() + IDLE_S)
             if job is not None and self._is_in_time(job, max(job.due_ns, free_ns)):
                 self._perform(job)
-                # What waited for its turn is not late; what comes after a pause is.
+                # A sequence that waited for its turn is not late.
                 free_ns = self._clock.now_ns()
                 idle = False
             elif not self._closing.is_set():
@@ -193,7 +193,7 @@ class ETactileKitBoard(SteppedKit):
         return not self._closing.is_set()
 
     def _show(self, job: Job) -> bool:
-        """Enable a sequence's pulses; return whether the board has obeyed."""
+        """Enable a sequence's pulses; return whether the board has done so."""
         settings = settings_of(job.sequence)
         if settings != self._settings and not self._set(settings):
             return False
@@ -210,7 +210,7 @@ class ETactileKitBoard(SteppedKit):
         return True
 
     def _set(self, settings: Settings) -> bool:
-        """Set pulse and rate while nothing flows; return whether the board has obeyed."""
+        """Set pulse and rate while nothing flows; return whether the board has done so."""
         longest = max(
             each.scan_us(self._outputs, 20) for each in (settings, self._settings) if each
         )
@@ -224,7 +224,7 @@ class ETactileKitBoard(SteppedKit):
                 self._resync()
                 return False
         if settings.rate_hz != before_hz:
-            # The newest firmware ends the period that it has begun.
+            # The newest firmware finishes the current period.
             self._wait(self._clock.now_ns() + 10**9 // before_hz + MARGIN_NS)
         self._settings = settings
         return True
@@ -245,7 +245,7 @@ class ETactileKitBoard(SteppedKit):
         with self._news:
             self._volts = [*self._volts[-63:], (job.sequence, volts)]
         if volts.any():
-            # Without a finger all of it goes through the load beside the skin.
+            # Without a finger all current takes the load beside the skin.
             alone_v = np.minimum(np.abs(current_ua) / 1000 * DUMMY_KOHM, COMPLIANCE_V)
             self.lifted = bool((volts >= OPEN_SHARE * alone_v).all())
 

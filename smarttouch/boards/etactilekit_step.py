@@ -1,12 +1,11 @@
 """Synchronization with the scans of an eTactileKit, which runs on its own clock.
 
-What a scan does is settled when it starts, so a pattern is scanned only if it is there at
-that moment. Pulses are let come, one scan or as many as are wanted start, and pulses are
-stopped again: in between the next pattern is put on the board. The board does not say
-when it scans; but its readings change with each scan, so two questions bracket one, and
-from then on all others are known (`ScanLock`). As long as they are not (nothing is pulsed
-or measured yet, or the line is too slow), a pattern stays for longer than a whole
-period: then it is scanned at least once, perhaps twice, and the report has that range.
+A scan is fixed when it starts, so a pattern is scanned only if it is there at that moment. Pulses
+are enabled, as many scans as wanted start, and pulses are stopped again; in between the next
+pattern is loaded. The board does not report its scans, but its readings change with each of them,
+so two queries bracket one, and from then on all others are known (`ScanLock`). Until then (before
+the first measured pulse, or on a slow line), a pattern stays for longer than a whole period: it is
+scanned once or twice, and the report has that range.
 """
 
 from abc import abstractmethod
@@ -37,7 +36,7 @@ KEEP_NS = 100_000_000  # longest silence to the newest firmware
 
 @dataclass
 class Shown:
-    """Pattern that pulses, and its start."""
+    """Pattern that is being pulsed, and its start."""
 
     job: Job
     since: Span
@@ -46,7 +45,7 @@ class Shown:
     risen: bool = False  # whether readings have shown some of its pulses
 
     def pulsed(self, readings: NDArray[np.uint16]) -> NDArray[np.bool_]:
-        """Return which outputs it has certainly pulsed, by the present readings."""
+        """Return which outputs it has certainly pulsed, by the present readings, (N,) bool."""
         return (self.before < LOW) & (readings >= HIGH)
 
 
@@ -55,21 +54,16 @@ class SteppedKit(ETactileKitLine):
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         super().__init__(port, limits, output)
-        # What it pulses with; None if that is not certain.
-        self._settings: Settings | None = None
-        # Whether its parser stands still while it scans.
-        self._waits = True
+        self._settings: Settings | None = None  # what it pulses with; None if not certain
+        self._waits = True  # whether its parser stands still while it scans
         self._lock = ScanLock(1)
         self._shown: Shown | None = None
-        # The last readings, and the time of their query.
+        # The time of the last query, and its readings.
         self._before: tuple[int, NDArray[np.uint16]] | None = None
-        # How long answers have taken of late.
-        self._answer_ns = 0
-        # When it is time to listen again.
-        self._listen_ns = 0
+        self._answer_ns = 0  # how long recent answers took
+        self._listen_ns = 0  # when to run the next scan without pulses
         self._stopped_ns = 0
-        # The weakest pattern that was measured.
-        self._seen_ua = 10**6
+        self._seen_ua = 10**6  # the weakest pattern that was measured
 
     @abstractmethod
     def _note_volts(
@@ -86,7 +80,7 @@ class SteppedKit(ETactileKitLine):
             return None
         span, readings = found
         assert readings is not None
-        # Those during a scan take as long as that.
+        # An answer during a scan takes as long as the scan.
         took_ns = span.late - span.early
         self._answer_ns = min(took_ns, self._answer_ns * 9 // 8 or took_ns)
         if self._before is not None and self._settings is not None:
@@ -120,10 +114,10 @@ class SteppedKit(ETactileKitLine):
         self._lock.learn(Span(early_ns, answered_ns - 1000 * slots * rest_us))
 
     def _free_of_scans(self, now_ns: int) -> int:
-        """Return the time from which on an answer comes before the next scan can start, ns."""
+        """Return when an answer will come before the next scan can start, ns."""
         self._lock.check(now_ns)
         if not self._lock.locked:
-            # Of the newest firmware a scan may still be under way that began before the stop.
+            # In the newest firmware a scan that began before the stop may still run.
             return max(now_ns, self._stopped_ns + self._scan_ns())
         between_ns = self._lock.nominal_ns - self._scan_ns()
         answer_ns = min(3 * self._answer_ns, between_ns // 3)
@@ -146,7 +140,7 @@ class SteppedKit(ETactileKitLine):
                     return
                 late += 1
             ask_ns = self._worth_asking(now_ns, asked_ns)
-            # Something newer may come meanwhile.
+            # A newer sequence may come meanwhile.
             until_ns = min(due_ns, ask_ns, now_ns + self._lock.nominal_ns)
             self._wait(until_ns)
             if until_ns == ask_ns:
@@ -169,7 +163,7 @@ class SteppedKit(ETactileKitLine):
         shown.risen = True
 
     def _worth_asking(self, now_ns: int, asked_ns: int) -> int:
-        """Return when the next query is useful, to locate scans or to keep the board awake."""
+        """Return when the next query is useful: to locate scans, or to keep the board awake."""
         if not self._lock.locked:
             return now_ns + POLL_NS
         coming = self._lock.scan(self._lock.first_after(now_ns))
@@ -178,7 +172,7 @@ class SteppedKit(ETactileKitLine):
         return asked_ns + KEEP_NS
 
     def _over_ns(self, since: Span, times: int) -> int:
-        """Return the time at which so many scans after an event are certainly over."""
+        """Return when so many scans after an event are certainly over."""
         if not self._lock.locked:
             return int(since.late + times * self._lock.period_ns[1]) + MARGIN_NS
         last = self._lock.scan(self._lock.first_after(since.late) + times - 1)
@@ -228,7 +222,7 @@ class SteppedKit(ETactileKitLine):
         readings = None if stopped is None or self._before is None else self._before[1]
         certain = False if readings is None else shown.pulsed(readings)
         if np.any(certain) and not shown.risen and self._settings is not None:
-            # Nor had it any scan whose slot would have passed when it was last unseen.
+            # No scan had passed that slot when the readings last showed no pulse.
             slots = int(np.argmax(certain))
             unseen_ns = shown.unseen_ns - 1000 * slots * self._settings.scan_us(1, 25)
             since = Span(max(since.early, unseen_ns), max(since.late, unseen_ns))
@@ -240,7 +234,7 @@ class SteppedKit(ETactileKitLine):
             if np.any(certain):
                 least, self._seen_ua = max(1, least), min(level_ua, self._seen_ua)
             elif level_ua >= self._seen_ua and (readings < LOW).all():
-                # Less has been measured before: the board has not kept its time.
+                # Weaker pulses were measured before: the board's timing has changed.
                 self._lock.forget()
                 least, seen = 0, False
             if least and self._lock.locked:
@@ -260,7 +254,7 @@ class SteppedKit(ETactileKitLine):
         return unused
 
     def _give_up(self) -> None:
-        """Record the scans that are possible before a lost board was back, at zero."""
+        """Record the scans that may have run before a lost board came back at zero."""
         shown, self._shown = self._shown, None
         if shown is not None:
             sure_ns = shown.since.late if self._before is None else self._before[0]

@@ -16,12 +16,12 @@ have it; it knows no F4, F9 counts fourfold, and half a command waits for ever
 
 A byte lost inside FE would leave the board waiting, and the next byte sent would
 complete a pattern shifted by eight bits: up to 41 mA. So every change is guarded:
-what stops all pulses goes before it (a mode without any, or a height of zero), a question
-after it, and pulses come back only when it has been answered. A lost byte eats the
-question: no answer, no pulses, and the driver starts the board's parser afresh. Numbers
-avoid bytes that look like commands, and where one byte of a word may be lost, zeros that
-follow make it smaller, never larger. What cannot be guarded: a *doubled* byte (USB and TCP
-make none), and with `HeightCodec` the answer says that all has arrived, not what.
+all pulses are stopped before it (by a mode without any, or a height of zero), a query
+follows it, and pulses come back only when that has been answered. A lost byte swallows the
+query: no answer, no pulses, and the driver resets the board's parser. Numbers avoid bytes
+that look like commands, and where one byte of a word may be lost, zeros that follow make it
+smaller, never larger. Not guarded: a *doubled* byte (USB and TCP make none); and with
+`HeightCodec` the answer says that all has arrived, not what.
 """
 
 from abc import ABC, abstractmethod
@@ -47,9 +47,9 @@ AT_REST = (
     b"\xfc\0" + _END, NO_SENSE, b"\xfb\0\0" + _END, b"\xfa\x01\0" + _END,
     b"\xf7\0" + _END, b"\xf6\x0a\0" + _END,
 )  # fmt: skip
-"""Puts every published firmware at zero, whichever it is: no electrodes, no sense pulses, no
-height (or the mode 0), the shortest pulses, ten scans a second. No byte of it is a question to,
-or a pattern for, any other board that we know."""
+"""Puts every published firmware at zero: no electrodes, no sense pulses, no height (or mode 0), the
+shortest pulses, ten scans a second. No other known board takes a byte of it for a query or a
+pattern."""
 
 
 class Codec(ABC):
@@ -109,17 +109,17 @@ class Codec(ABC):
     @abstractmethod
     def zero_anywhere(self) -> bytes:
         """Return the bytes that put the board at zero in any state of its parser. Zeros first: they
-        end any half command as a smaller one, and no pulse flows while a pattern is half written. A
-        byte that is lost eats a spare one after it, never the next command."""
+        complete any half command as a smaller one, with no pulses meanwhile, and a lost byte costs
+        a spare one, never the next command."""
 
     @property
     def readings_bytes(self) -> int:
         return 2 * self.outputs
 
     def settings(self, settings: Settings, between_hz: int) -> bytes:
-        """Return the commands of the settings, twice, each followed by zeros that end it. Were the
-        first byte of a word lost, the zeros would make it zero, not a longer pulse. ``between_hz``
-        is a rate at which scans of the old and of the new pulses fit."""
+        """Return the commands of the settings, twice, each followed by zeros: were a word's first
+        byte lost, they would make it zero, not a longer pulse. At ``between_hz`` scans of the old
+        and of the new pulses fit."""
         once = (
             self.quiet + _END + b"\xf9\0" + _END + b"\xf8\0" + _END
             + b"\xf6" + between_hz.to_bytes(2, "little") + _END
@@ -166,13 +166,13 @@ class ModeCodec(Codec):
 
 class HeightCodec(Codec):
     """Wire format of commit 936c6c0: one height for all, and no echo but its readings. A sequence
-    of several heights is as many patterns, one scan each."""
+    of several heights becomes as many patterns, one scan each."""
 
     lead = _END
     slot_extra_us = 17
     forgets = even = False
     quiet = (b"\xfb\0\0" + _END) * 2
-    # Four counts to a unit; what has no pulse of a pattern has one of these.
+    # Four counts to a unit; outputs without a pulse of the pattern get a sense pulse.
     sense = quiet + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, SENSE_US, 0xF9, SENSE_COUNTS // 4])
     question = READINGS
 
@@ -187,7 +187,7 @@ class HeightCodec(Codec):
     def _pattern(self, output: NDArray[np.intp], counts: NDArray[np.uint16]) -> bytes:
         parts = []
         while counts.any():
-            # What rounding makes of one current is not two: the lower one is never too much.
+            # Rounding may split one current into two heights; the lower one is never too much.
             height = int(counts[counts > 0].min())
             chosen = (counts == height) | (counts == height + 1)
             codes = np.zeros(self.outputs, np.uint8)
@@ -208,7 +208,7 @@ class HeightCodec(Codec):
 
     @property
     def zero_anywhere(self) -> bytes:
-        # Without electrodes in the end: nothing may follow, and nothing does.
+        # It ends without electrodes: nothing may follow.
         return bytes(2 * self.outputs + 4) + b"".join(AT_REST)
 
     def is_answer(self, answer: bytes) -> bool:

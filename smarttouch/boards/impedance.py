@@ -37,7 +37,7 @@ class Impedance:
         return all(each == "open" for each in self.condition)
 
     def figures(self) -> dict[str, Any]:
-        """Return all of it for a JSON file; what is open has no number."""
+        """Return the values for a JSON file; open electrodes have no number."""
         kohm = [
             None if condition == "open" else float(f"{each:.4g}")
             for each, condition in zip(self.kohm, self.condition, strict=True)

@@ -9,14 +9,13 @@ The board makes one anodic pulse of 50 µs for each intensity that is not zero, 
 order, each followed by 150 µs with all outputs grounded. Without packets there
 are no pulses: a host that is lost is a board at zero.
 
-A byte that is lost or doubled on the line shifts one scan by an electrode, and
-nothing on this wire can tell; the packet after the next is whole again, as no
-intensity looks like the start of one.
+A byte lost or doubled on the line shifts one scan by an electrode, undetectably;
+the packet after the next is whole again, as no intensity looks like a start.
 
-After power-on the board tests its source, and any first packet ends that: ours is
-zeros. They load nothing into its converter, though: what the test left there, at most
-1,024 counts or 2.5 mA, flows for some 3 µs through the electrode that pulses first,
-before its own value does. No packet can prevent that; it is 8 nC, once after power-on.
+After power-on the board tests its source until the first packet: ours is zeros. They
+load nothing into its converter, so the test's last value, at most 1,024 counts or
+2.5 mA, flows for some 3 µs through the electrode that pulses first, before its own
+value does. No packet can prevent that; it is 8 nC, once after power-on.
 """
 
 import time
@@ -115,7 +114,7 @@ class Kajimoto61Board(StreamedBoard):
             )
 
     def _zero(self) -> None:
-        # Ends a packet that was cut short, and with a full one the self-test after power-on.
+        # Zeros complete a packet that was cut short; a full one ends the self-test.
         self._write(bytes(ELECTRODES))
         time.sleep(0.02)
         self._write(ZERO)
@@ -153,7 +152,7 @@ class Kajimoto61Board(StreamedBoard):
             )
         packet = np.zeros(1 + ELECTRODES, np.uint8)
         packet[0] = STIMULATE
-        # Neither rounding up nor a scale that is wrong may pass the limit that was proved.
+        # Neither rounding nor a wrong scale may exceed the limit that was proved.
         steps = np.minimum(np.rint(-current_ua / self._step_ua), self._largest[electrode])
         packet[1 + electrode] = steps.astype(np.uint8)
         return packet.tobytes()
@@ -167,7 +166,7 @@ class Kajimoto61Board(StreamedBoard):
                 self._drop_late(newest)
                 continue
             if job is None or now - deadline_ns > 1000 * job.sequence.period_us:
-                # The first of a run, or after a pause: a new grid.
+                # The first of a run or after a pause starts a new grid.
                 deadline_ns = now + int(LEAD_S * 1e9)
             job, deadline_ns = self._scan(newest, deadline_ns)
             self._rest()
@@ -194,8 +193,8 @@ class Kajimoto61Board(StreamedBoard):
                 self._note_rise(job)
             self._delivered(job)
             left -= 1
-            # After a packet that left late the grid moves: catching up would pass the rate that
-            # was proved, and the little that is left lies in the board's own margin.
+            # After a late packet the grid moves, as catching up would exceed the proved rate; the
+            # part of a period that is caught up lies within the board's own margin.
             period_ns = 1000 * job.sequence.period_us
             deadline_ns = max(deadline_ns + period_ns, sent_ns + period_ns - period_ns // HURRY)
         return job, deadline_ns
@@ -223,7 +222,7 @@ class Kajimoto61Board(StreamedBoard):
             with self._measuring(scan):
                 self._write(bytes([MEASURE]))
             answer = b""
-            # In short reads: a stop waits for one of them.
+            # In short reads, as a stop waits for one.
             for _ in range(ANSWER_READS):
                 self._go_on_unless_stopped()
                 answer += self._read(ELECTRODES + 1 - len(answer), READ_S)

@@ -1,24 +1,23 @@
-"""The keeper: a small process that holds a board's line and sends zero when its host is gone.
+"""Keeper: a small process that holds a board's line and sends zero when its host is gone.
 
-Boards that go on by themselves loop their last pattern when the program that drives them is
-killed. So that program does not write to the port itself: it writes to a keeper, which passes
-every byte on, both ways. When the program ends, however it ends, its end of the line closes; when
-it hangs or is stopped, its heartbeats stay away. Either way the keeper writes the bytes that mean
-zero for this board, lets go of the port and ends.
+Boards that run freely repeat their last pattern when the program that drives them is killed. So
+that program writes not to the port but to a keeper, which relays every byte, both ways. When the
+program ends, however it ends, its end of the line closes; when it hangs or is stopped, its
+heartbeats stop. Either way the keeper writes this board's zero command, closes the port and ends.
 
-It runs as a program of its own, in a session of its own (Ctrl-C, a closed terminal and a kill of
-the host's process group do not reach it), and imports nothing but the standard library, so that
-it is there within some 20 ms. The host's side is `kept_line`.
+It runs in a session of its own (Ctrl-C, a closed terminal and a kill of the host's process group
+do not reach it), and imports only the standard library, so that it starts within some 20 ms. The
+host's side is `kept_line`.
 
 Three file descriptors are given on the command line: the port, ``data`` (a socket that carries
 the board's bytes both ways) and ``control`` (a socket with messages of the host)::
 
     b"."                         a heartbeat
     b"F"                         drop what has come from the board; answered by b"F"
-    b"Z" u8 slow u16 N, N bytes  what means zero, and whether the board loses bytes written fast
+    b"Z" u8 slow u16 N, N bytes  zero command, and whether the board loses bytes written fast
 
-Silence counts from the first ``Z`` on: before it, nothing was sent that could be a current. A
-computer that was suspended counts as a host that was silent, though no clock of theirs ran.
+Silence counts from the first ``Z`` on: nothing sent before can make current. A suspended computer
+counts as a silent host.
 """
 
 import contextlib
@@ -44,8 +43,7 @@ _MOST_READS = 100
 
 
 class Keeper:
-    """Relay of bytes between a host and a port, by their file descriptors, until one of them is
-    gone."""
+    """Relay between a host and a port, by their file descriptors, until one of them is gone."""
 
     def __init__(self, port: int, data: int, control: int) -> None:
         self._port, self._data, self._control = port, data, control
@@ -57,12 +55,12 @@ class Keeper:
             os.set_blocking(each, False)
 
     def end(self, *_: object) -> None:
-        """Request the end of `run`, and nothing else: a signal handler may call it."""
+        """Request the end of `run`, and nothing else, as signal handlers call it."""
         self._ended = True
 
     def run(self) -> int:
-        """Relay until host, port or process end; return the exit code. The board is at zero then,
-        unless its line is lost or takes no bytes."""
+        """Relay until host, port or process end, and put the board at zero unless its line fails;
+        return the exit code."""
         code = LINE_LOST
         try:
             code = self._pass_bytes()
@@ -77,7 +75,7 @@ class Keeper:
     def _pass_bytes(self) -> int:
         active_s, slept = time.monotonic(), _slept_s()
         while not self._ended:
-            # Of a direction that is full nothing more is read; control is read always.
+            # A direction with bytes waiting is not read; control always is.
             reading = [self._control]
             reading += [] if self._to_port else [self._data]
             reading += [] if self._to_host else [self._port]
@@ -90,7 +88,7 @@ class Keeper:
             if self._control in ready or self._data in ready:
                 active_s = time.monotonic()
             elif self._zero and (left <= 0 or not (ready or room)):
-                # Asked after the wait: a keeper that was kept waiting itself has found nothing.
+                # Checked after the wait: a keeper that was delayed itself may still find bytes.
                 return SILENT
             elif not ready and not room:
                 active_s = time.monotonic()
@@ -130,7 +128,7 @@ class Keeper:
             self._unread = self._unread[1:]
             if kind == FLUSH:
                 self._to_host = b""
-                # A device that never ends is not waited for.
+                # A device may never stop sending.
                 for _ in range(_MOST_READS):
                     if not self._read_port():
                         break
@@ -142,7 +140,7 @@ class Keeper:
 
     def _read_port(self) -> bytes:
         """Return the board's bytes; raise OSError if the line is lost."""
-        # A flush may have taken what was there to read.
+        # A flush may have read the bytes.
         if not select.select([self._port], [], [], 0)[0]:
             return b""
         data = os.read(self._port, _MOST)
@@ -151,8 +149,8 @@ class Keeper:
         return data
 
     def _write_zero(self) -> bool:
-        """Write the zero command twice; return whether the line accepted it. The second time in
-        small pieces: older firmware loses bytes that come fast."""
+        """Write the zero command twice, the second time in small pieces, as older firmware loses
+        bytes that come fast; return whether the line accepted it."""
         for slow in (self._slow, True):
             step = PIECE if slow else _MOST
             for start in range(0, len(self._zero), step):

@@ -30,14 +30,15 @@ class KeptBoard(StreamedBoard):
         return self._serial is not None and bool(self._serial.at_zero)
 
     def _ask_again(self, question: bytes, answer: bytes, within_s: float, silence_s: float) -> None:
-        """Query again, after a silence if need be, whether the board gave this answer."""
-        # No zeros before the question: to another device they might be more than one.
+        """Query again, after a silence if need be, and raise OtherDeviceError unless the board
+        gives this answer."""
+        # No zeros before the query: another device might act on them.
         for pause_s in (0.0, silence_s):
             self._pause(pause_s)
             self._flush()
             self._write(question)
             if received := self._read(len(answer), within_s):
-                # A longer answer is another one; zero does not wait for long for that.
+                # A longer answer is another device's; zero waits only briefly for that.
                 received += self._read(1, MORE_S)
                 break
         if received != answer:

@@ -35,9 +35,8 @@ _AT_ZERO = (keeper.GONE, keeper.SILENT, keeper.ENDED)
 class KeptLine:
     """Serial port or TCP connection behind a `keeper`: the interface of a port, and `promise_zero`.
 
-    The port is opened here, with all that may be said about that, and handed on. This program keeps
-    its own end of it, unused: were the keeper killed, zero is written from here. POSIX only, as
-    descriptors are handed on (tried on Linux).
+    The port is opened by this program, which reports errors, and handed to the keeper. It keeps its
+    own descriptor to write zero if the keeper is killed. POSIX only (tried on Linux).
     """
 
     def __init__(self, port: Port) -> None:
@@ -65,7 +64,7 @@ class KeptLine:
             its.enter_context(controlled)
             ends = (_descriptor(self._port), there.fileno(), controlled.fileno())
             self._process = subprocess.Popen(
-                # Nothing that a user has set or installed can keep it from starting.
+                # Isolated: no user setting or package can keep it from starting.
                 [sys.executable, "-I", "-S", keeper.__file__, *map(str, ends)],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
@@ -128,7 +127,7 @@ class KeptLine:
         return read
 
     def reset_input_buffer(self) -> None:
-        """Drop all input from the board, with what is still in the keeper."""
+        """Drop all input from the board, in the keeper too."""
         try:
             self._control.sendall(keeper.FLUSH)
             if not select.select([self._control], [], [], ANSWER_S)[0]:
@@ -166,10 +165,10 @@ class KeptLine:
             try:
                 self._control.send(keeper.HEARTBEAT)
             except BlockingIOError:
-                # It has not read for long; the waiting bytes show that this program lives.
+                # The socket is full: the waiting bytes show that this program lives.
                 continue
             except OSError:
-                # It is gone. Were it killed, the board would go on until the next write.
+                # It is gone; if it was killed, the board is not at zero yet.
                 self._gone()
                 return
 
@@ -183,7 +182,7 @@ class KeptLine:
         return data
 
     def _gone(self) -> serial.SerialException:
-        """Return why the keeper has ended; put the board at zero if it could not."""
+        """Return why the keeper has ended, and put the board at zero if it could not."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(ANSWER_S)
         self._put_at_zero()

@@ -37,7 +37,7 @@ def latch(device: str, reason: str) -> None:
 
 
 def find_latch(device: str) -> Latch | None:
-    """Return the record of a board; one that cannot be read counts as a fault."""
+    """Return the record of a board, None if there is none; an unreadable one counts as a fault."""
     try:
         with _path(device).open("rb") as file:
             record = json.loads(file.read(_MOST_BYTES))

@@ -16,19 +16,19 @@ HEARTBEAT_S = 0.03  # longest silence of the host: the board gives up after 0.1 
 SILENCE_S = 0.5
 """Silence of the board, which sends every 20 ms in a session, after which it counts as gone."""
 LISTENED_S = 0.1
-"""Largest silence counted for one read: a read ends sooner, the rest is our own pause."""
+"""Most silence counted for one read; the rest was a pause of this process."""
 ANSWER_S = 1.0
 AGAIN_S = 0.25  # time after which a query is sent again
 PIECE = 4096  # bytes written at once: a stop waits for one piece, not for a whole packet
 
 
 class LinkLine:
-    """Packets to and from one board, at the port that messages call ``name``.
+    """Packets to and from one board; a fault is raised at the next call.
 
-    A fault is raised at the next call. ``hear`` gets every packet that answers no query, with
-    `news` held; ``aftermath`` returns what a message says after a fault; ``tend`` is called every
-    few milliseconds, to send lost packets again; ``draw`` returns the host's half of a session,
-    each time another.
+    Messages call its port ``name``. ``hear`` gets every packet that answers no query, with `news`
+    held; ``aftermath`` returns the end of messages on faults; ``tend`` is called every few
+    milliseconds to repeat lost packets; ``draw`` returns the host's half of a session, a new one
+    each time.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class LinkLine:
             thread.start()
 
     def now_s(self) -> float:
-        """Return the time on the clock of all timeouts here."""
+        """Return the time by the clock of all timeouts here."""
         return time.monotonic()
 
     def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
@@ -107,8 +107,8 @@ class LinkLine:
     def begin(
         self, accept: Callable[[Message], None], stopped: threading.Event | None = None
     ) -> None:
-        """Begin a session with a board whose CAPABILITIES, possibly of another version, ``accept``
-        does not refuse by raising; ``stopped`` ends the wait (see `overtake`)."""
+        """Begin a session with a board, unless ``accept`` raises on its CAPABILITIES, of any
+        version; ``stopped`` ends the wait (see `overtake`)."""
         deadline = self.now_s() + self.answer_s
         offer = None
         while self.now_s() < deadline:
@@ -148,10 +148,10 @@ class LinkLine:
 
         def answered() -> bool:
             found = self._answers.get(kind)
-            # Another version's answer may be about nothing.
+            # An answer of another version may name no query.
             return found is not None and (found.about >= first or found.version != VERSION)
 
-        # The zero in front ends whatever half packet stands on the line.
+        # The leading zero ends any half packet on the line.
         self.send(question, payload=payload, start=b"\0")
         with self.news:
             halted = stopped.is_set if stopped is not None else lambda: False
@@ -185,9 +185,9 @@ class LinkLine:
         latest_ns: int = 0,
         now_ns: Callable[[], int] = lambda: 0,
     ) -> bool:
-        """Write the next packet of the session behind ``start``; return whether it went. It does
-        not go if the clock is past ``latest_ns`` before its first byte; without a clock it is never
-        too late. A stop may come between its pieces."""
+        """Write the next packet of the session behind ``start``, unless the clock is past
+        ``latest_ns`` before its first byte; return whether it was written. A stop may come between
+        its pieces."""
         if not self.writing.acquire(timeout=ANSWER_S):
             raise BoardError(
                 f"the line to {self.name} is blocked: check the cable",
@@ -196,7 +196,7 @@ class LinkLine:
                 value=self.name,
             )
         try:
-            # Numbered here, so that packets leave in the order of their numbers.
+            # Numbered under the lock, so that packets leave in order.
             packet = start + self.session.encode(kind, about, payload)
             assert self._port is not None
             for at in range(0, len(packet), PIECE):
@@ -221,7 +221,7 @@ class LinkLine:
         return True
 
     def stop_blindly(self) -> None:
-        """Write a STOP to a line that has failed: it may still carry something."""
+        """Write a STOP to a line that has failed, which may still carry it."""
         if self._port is not None:
             with contextlib.suppress(*LINE_ERRORS):
                 self._port.write(b"\0" + self.session.encode(Kind.STOP))
@@ -260,7 +260,7 @@ class LinkLine:
                 return
             before, now = now, self.now_s()
             silent_s += min(now - before, LISTENED_S)
-            # Before a session a board says nothing by itself.
+            # Before a session a board sends nothing by itself.
             if self.take(data) or not self.session.begun:
                 silent_s = 0.0
             if silent_s > self.silence_s:

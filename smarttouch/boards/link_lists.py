@@ -49,11 +49,11 @@ def encode_lists(
     image: KernelImage | None,
     most_bytes: int,
 ) -> bytes:
-    """Return the payload of a SEQUENCE, which was proved, of at most ``most_bytes``.
+    """Return the payload of a proved SEQUENCE, of at most ``most_bytes``.
 
-    Slots whose currents are just what the board makes of kernels that it keeps (``image``) go as
-    lists of these, the others as currents, or as states where the board has one source
-    (``switched``). ``measure`` asks for voltages.
+    Slots whose currents are just what the board makes of kernels that it keeps (``image``) become
+    lists of these; others are written as currents, or as states for a board with one source
+    (``switched``). ``measure`` requests voltages.
     """
     shapes, table, shape = _shapes(sequence)
     if shapes > _MOST_SHAPES:
@@ -75,7 +75,7 @@ def encode_lists(
         )
     intensity = -(-parts_per_billion(sequence.intensity) * FULL // PPB)
     flags = MEASURE * measure | RECHARGE * (recharge is not None)
-    # Bytes and arrays: joining them is their only copy.
+    # Bytes and arrays, copied only when they are joined.
     parts: list[Any] = [
         _HEAD.pack(sequence.period_us, times, intensity, flags, shapes),
         table,
@@ -166,7 +166,7 @@ def _kept(
     sums = sequence.sums
     if sums is None or sums.table is not image.table:
         return None
-    # Copies: nothing may change between the look and the write.
+    # Copies: nothing may change between the check and the write.
     own = KernelLists(image.own, *map(np.array, (sums.first, sums.kernel, sums.amplitude)))
     if not _is_sound(own, sequence.slots):
         return None
@@ -179,7 +179,7 @@ def _kept(
 
 
 def _is_sound(lists: KernelLists, slots: int) -> bool:
-    """Return whether lists go on the wire as they are: of other types they would wrap around."""
+    """Return whether lists have types and sizes that fit the wire; others would wrap around."""
     first, kernel, amplitude = lists.first, lists.kernel, lists.amplitude
     return bool(
         first.dtype == np.intp

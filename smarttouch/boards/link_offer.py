@@ -1,4 +1,4 @@
-"""Check of what a ``link`` board says that it can do."""
+"""Check of the capabilities that a ``link`` board reports."""
 
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.capabilities import Capabilities

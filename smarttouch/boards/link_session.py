@@ -1,4 +1,4 @@
-"""Messages of ``link``, and the host's end of a session: it accepts only fresh, requested ones."""
+"""Messages of ``link``, and the host's end of a session, which accepts only new, requested ones."""
 
 import secrets
 import struct
@@ -60,7 +60,7 @@ def decode(packet: Packet) -> Message:
 
 
 def decode_head(head: bytes) -> Message:
-    """Return the message that begins with these `WHOLE_HEAD_BYTES`; its CRC is yet to come."""
+    """Return the message that begins with these `WHOLE_HEAD_BYTES`, before its CRC."""
     return decode(parse_head(head))
 
 

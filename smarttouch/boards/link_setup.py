@@ -1,4 +1,4 @@
-"""Limits and kernels for a ``link`` board, and its numbers read."""
+"""Limits and kernels given to a ``link`` board, and its numbers decoded."""
 
 from collections.abc import Callable
 from typing import Any
@@ -77,7 +77,7 @@ def give_kernels(
                 value=proof.hex(),
                 allowed=image.proof(line.session.number).hex(),
             )
-        # The first question has nothing in it, and finds out where to begin.
+        # The first query carries no kernels: its answer says where to begin.
         kept = kept if identity == image.identity and kept < len(image.data) else 0
         idle = 0 if kept > at else idle + 1
         at, data = kept, image.data[kept : kept + piece]
@@ -99,7 +99,7 @@ def account_of(answer: Message, name: str) -> tuple[Any, ...]:
 
 
 def reason_of(refusal: Message) -> tuple[int, int, str]:
-    """Return reason and rule of a NAK, and words for the rest of it."""
+    """Return reason, rule and text of a NAK."""
     if len(refusal.payload) != protocol.NAK.size:
         return 0, Rule.NONE, ""
     reason, rule, slot, electrode, value, allowed = protocol.NAK.unpack(refusal.payload)

@@ -32,7 +32,7 @@ class MemoryBoard(Board):
         self.sequences: list[ScanSequence] = []
 
     def _time(self) -> None:
-        """Return the clock of the sequences, as no finger is on this board."""
+        """Return None: time is what sequences state, as no finger is on this board."""
 
     def _open(self) -> None:
         self.sequences.clear()

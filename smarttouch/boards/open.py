@@ -34,18 +34,17 @@ def _of_one_source(found: SafetyLimits, given: SafetyLimits, output: Output | No
 
 
 def require_gate(board: Board, limits: SafetyLimits, given: SafetyLimits) -> None:
-    """Raise BoardError unless a board has the gate of the limits that its driver was given,
-    unchanged (``given`` is a copy from before), all final methods, and the machine's clock if a
-    finger may be on it."""
+    """Raise BoardError unless a board keeps the limits that its driver was given, unchanged since
+    ``given`` was copied, all final methods, and, if a finger may be on it, the machine's clock."""
     fault = seal_fault(board)
     if fault is not None:
         raise fault
     found = board._gate.limits
-    # By value, too: a driver can write into what it was given.
+    # By value too: a driver can change what it was given.
     unchanged = found is limits and found == given
     if not unchanged and not _of_one_source(found, given, board._output):
         raise seal_error(board, "limits", "hand those that it is given to super().__init__")
-    # Only where no finger can be is time what sequences claim.
+    # Only without a finger may time be what sequences state.
     if is_foreign(board) and board.on_a_finger and type(board)._time is not Board._time:
         raise seal_error(board, "clock", "leave _time and _clock as they are")
 

@@ -8,9 +8,8 @@ TIMES = 3
 
 
 def start_anew(start: Callable[[], None], lost: LineLostError) -> None:
-    """Restart a board after its line was lost: ``start`` waits for the port and puts the board at
-    zero. A computer that stands still meanwhile loses the line once more, so it is tried up to
-    three times."""
+    """Restart a board after its line was lost, up to three times, as the line may be lost again
+    meanwhile; ``start`` waits for the port and puts the board at zero."""
     for left in reversed(range(TIMES)):
         try:
             return start()

@@ -1,11 +1,10 @@
 """Scale of a board's current: the current per count of its converter, and its accepted band.
 
-A measured scale may differ from the board's nominal one by 30 %. That is wide enough for what
-makes boards of one kind differ: the converter and its reference (an ESP32's is good to some 10 %),
-the resistors of the current source (1 to 10 %), the one across which it was measured, and the
-reading of an oscilloscope (3 %). And it is narrow enough for mistakes: the boards of the family lie
-a factor of 1.77 or more apart (2.44, 5.66 and 9.99 µA), peak to peak for peak is a factor of 2,
-10 bits for 12 one of 4, and mA for µA one of 1,000.
+A measured scale may differ from the board's nominal one by 30 %. That covers how boards of one
+kind differ (converter and reference, some 10 % in an ESP32; resistors of the current source and the
+measuring one, 1 to 10 %; reading of an oscilloscope, 3 %) and excludes mistakes: boards of the
+family lie a factor of 1.77 or more apart (2.44, 5.66 and 9.99 µA), peak to peak for peak is a
+factor of 2, 10 bits for 12 one of 4, and mA for µA one of 1,000.
 """
 
 import math
@@ -37,10 +36,10 @@ class Scale:
     def most_counts(
         self, limits: SafetyLimits, width_us: float, counts_each: int = 1
     ) -> NDArray[np.int64]:
-        """Return the largest steps of ``counts_each`` counts, (E,) int64, that keep current and
-        charge of pulses up to ``width_us`` within the limits by either scale."""
+        """Return the most steps of ``counts_each`` counts, (E,) int64, that keep current and charge
+        of pulses of up to ``width_us`` within the limits by either scale."""
         most_ua = np.minimum(limits.current_ua, limits.charge_pc / max(float(width_us), 1.0))
-        # A limit of just so many steps is kept, whatever division makes of it.
+        # A limit that is a whole number of steps survives the division.
         steps = np.floor(most_ua / (counts_each * self.largest_ua) + 1e-9)
         return np.asarray(steps, np.int64)
 
@@ -132,6 +131,6 @@ def measured_scale(kind: str, before_ua: float | None, ratio: float) -> float | 
         return None
     scale_ua = before_ua * ratio
     if kind in NOMINAL_UA:
-        # The scale of the profile may have been a measured one; the band is of the nominal.
+        # The band is around the nominal scale, also where the profile has a measured one.
         scale_of(kind, float(f"{scale_ua:.4g}"))
     return scale_ua

@@ -17,12 +17,11 @@ class Span:
 
 
 class ScanLock:
-    """Bounds of the start of each scan of a board.
+    """Bounds on the start of each scan of a board, learned from brackets.
 
-    All it learns from are brackets: a scan has started after one moment and before another. Both
-    ends of every bracket are certain, however late the host was woken; so are those of all scans
-    before and after, since the board's period is known up to the tolerance of the two clocks. Every
-    further bracket narrows both.
+    A bracket says that a scan started after one moment and before another. Both are certain,
+    however late the host woke up, and so are the bounds on all other scans, as the board's period
+    is known within the tolerance of two clocks. Every bracket narrows them.
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -75,7 +74,7 @@ class ScanLock:
         return least, most
 
     def learn(self, bracket: Span) -> None:
-        """Update by a scan that started within a bracket; one that is too wide is ignored."""
+        """Take a bracket in which a scan started; one that is too wide is ignored."""
         width_ns = bracket.late - bracket.early
         if self.last is None:
             if width_ns <= WIDEST * self.period_ns[0]:
@@ -91,7 +90,7 @@ class ScanLock:
         }
         possible = [number for number, span in spans.items() if span.early <= span.late]
         if not possible:
-            # What was certain was not: the board was restarted, or stood still.
+            # It contradicts the bounds: the board was restarted, or stood still.
             self.forget()
         if len(possible) != 1:
             return
@@ -106,7 +105,7 @@ class ScanLock:
             )
 
     def check(self, time_ns: int) -> None:
-        """Reset what has become too uncertain by now."""
+        """Reset if scans have become too uncertain by now."""
         if self.last is None:
             return
         span = self.scan(self._near(time_ns))

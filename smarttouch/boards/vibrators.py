@@ -87,15 +87,15 @@ class VibratorBoard(Board):
         )
 
     def silence(self) -> None:
-        """Stay at rest until the next sequence."""
+        """Vibrate no more until the next sequence."""
         self._shaking.silence()
 
     def share_notes(self, notes: list[str]) -> None:
-        """Write warnings into another list from now on."""
+        """Add warnings to another list from now on."""
         self.notes = self._shaking.notes = notes
 
     def _time(self) -> None:
-        """Return the clock of the sequences, as vibrators carry no current."""
+        """Return None: time is what sequences state, as vibrators carry no current."""
 
     def _open(self) -> None:
         self._number = 0
@@ -145,7 +145,7 @@ def _audio_device(target: str) -> str | None:
 
 
 def _read_options(query: str) -> dict[str, Any]:
-    """Return the options that are given, and always the grid."""
+    """Return the options of a query, and always the grid."""
     read: dict[str, Any] = {"grid": (2, 2)}
     try:
         given = parse_qsl(query, strict_parsing=True) if query else []

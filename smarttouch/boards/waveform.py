@@ -12,9 +12,8 @@ An estimate of ours: short against what a finger resolves in time, long enough t
 
 
 class Waveform:
-    """Sinusoids of one frequency and phase, each with its own amplitude, sampled piece by piece.
-    The phase runs on from one piece to the next, and so does the amplitude: to a new one it glides
-    in `GLIDE_S`."""
+    """Sinusoids of one frequency and phase, each with its own amplitude, sampled piece by piece:
+    the phase runs on, and an amplitude glides to a new one in `GLIDE_S`."""
 
     def __init__(self, channels: int, carrier_hz: float, rate_hz: int) -> None:
         self._step = carrier_hz / rate_hz
@@ -30,7 +29,7 @@ class Waveform:
 
     @property
     def at_rest(self) -> bool:
-        """True if all coming samples are zero, unless an amplitude is set."""
+        """True if all further samples are zero, unless an amplitude is set."""
         return self._glided >= self._glide_samples and not self._to.any()
 
     def glide_to(self, amplitude: NDArray[np.float32]) -> None:
@@ -57,12 +56,9 @@ class Waveform:
 
 
 def vibrator_of(electrodes: ElectrodeArray, rows: int, columns: int) -> NDArray[np.intp]:
-    """Return the vibrator of each site, (E,): the nearest of a sparse grid under the array.
-
-    The array's area is divided into ``rows`` by ``columns`` equal parts, with a vibrator in the
-    middle of each, counted row by row from the top left. PC are few and answer far around them, so
-    a sparse matrix is enough (paper, Section V).
-    """
+    """Return the vibrator of each site, (E,): the nearest of ``rows`` by ``columns`` vibrators,
+    each in the middle of an equal part of the array, row by row from the top left. A sparse grid is
+    enough, as PC are few and answer far around them (paper, Section V)."""
     width_mm, height_mm = electrodes.extent_mm
     x_mm = ((np.arange(columns) + 0.5) / columns - 0.5) * width_mm
     y_mm = ((np.arange(rows) + 0.5) / rows - 0.5) * height_mm

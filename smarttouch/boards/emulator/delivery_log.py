@@ -113,7 +113,7 @@ class DeliveryLog:
         residual_uc: NDArray[np.float64],
         more: bool = False,
     ) -> None:
-        """Add up charge, and keep the record on disk."""
+        """Add up charge, and add a record for the file."""
         charge_uc = delivered.charge_pc * 1e-6
         self.passed_uc += charge_uc
         if not more:
@@ -124,7 +124,7 @@ class DeliveryLog:
             self._delivered += np.array([record], _record(self.electrodes)).tobytes()
 
     def keep(self, number: int, width_us: float, current_ua: NDArray[np.float64]) -> None:
-        """Keep a pulse in memory, for subclasses."""
+        """Take a pulse; for subclasses."""
 
     def write(self) -> None:
         """Write all new records to disk."""

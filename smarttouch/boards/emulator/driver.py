@@ -18,7 +18,7 @@ from smarttouch.stimulation.safety import SafetyLimits
 _STARTS_WITHIN_S = 30.0  # time limit of the start, long enough for a busy computer
 _ENDS_WITHIN_S = 3.0
 _SPEAKS_WITHIN_S = 5.0
-"""Longest silence: what waits for a processor is not gone, and its end shows at the port."""
+"""Longest silence: it may wait for a processor, and its end shows at the port."""
 
 
 class EmulatorBoard(LinkBoard):
@@ -71,7 +71,7 @@ class EmulatorBoard(LinkBoard):
             self._line.name = self._port_of_process()
             super()._open()
         except BaseException:
-            # It has nobody to wait for.
+            # No host will come.
             self._process.terminate()
             self._end()
             raise
@@ -106,7 +106,7 @@ class EmulatorBoard(LinkBoard):
 
     def _end(self) -> None:
         if self._halted:
-            # Nobody waits until it finds out by itself.
+            # Its own time limit would take longer.
             self._process.terminate()
         try:
             self._process.wait(_ENDS_WITHIN_S)

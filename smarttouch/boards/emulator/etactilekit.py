@@ -1,20 +1,17 @@
 """Emulated firmware of the eTactileKit, exact in bytes and scans, with its faults.
 
-It refuses nothing: a wrong byte is a wrong current. What a scan does is settled
-when it starts; commands that come later count from the next one. All generations
-but the newest parse nothing while they scan, so a scan that takes longer than its
-period is followed by the next at once and ends their parser for good. A pulse
-without a width still takes the time of switching on and off. Voltages are those
-of the slots as they pass, not of a finished scan.
+It refuses nothing: a wrong byte is a wrong current. A scan is fixed when it starts; later commands
+count from the next one. All generations but the newest parse nothing while they scan, so a scan
+that takes longer than its period is followed by the next at once and ends their parser for good. A
+pulse without a width still takes the time of switching on and off. Voltages are those of the slots
+as they pass, not of a finished scan.
 
-All go on with their last pattern for ever, but the newest: it puts every amplitude
-at zero half a second after the host fell silent. (On USB that one counts as silence
-that the host's port is closed. A pseudo-terminal cannot tell; here it is that no
-byte comes.)
+All repeat their last pattern for ever but the newest, which puts every amplitude at zero half a
+second after the host fell silent. (On USB, silence is that the host's port is closed; here, on a
+pseudo-terminal, that no byte comes.)
 
-Where its source does not say: outputs are grounded between pulses if there is a
-discharge at all, else left unconnected; outputs beyond the electrode count are
-unconnected.
+Where the published source does not say: outputs are grounded between pulses if there is any
+discharge, else left unconnected; outputs beyond the electrode count are unconnected.
 """
 
 import math
@@ -52,7 +49,7 @@ class ETactileKitFirmware(Firmware):
     skin."""
 
     longest_step_ns = 400_000_000
-    """Its scans go on by its own clock, whatever keeps its process waiting."""
+    """Its scans go on by its own clock while its process waits."""
     books: DeliveryLog
 
     def __init__(
@@ -79,7 +76,6 @@ class ETactileKitFirmware(Firmware):
         return bool(self._received) or not self._silent()
 
     def feed(self, data: bytes, now_ns: int) -> bytes:
-        """Process bytes from the host; return the answer."""
         self._pass_time(now_ns)
         self._fed_ns, self._hushed = now_ns, False
         if not self._received:
@@ -90,7 +86,6 @@ class ETactileKitFirmware(Firmware):
         return self._take_answers()
 
     def advance(self, now_ns: int) -> bytes:
-        """Execute all that is due; return the answer."""
         self._pass_time(now_ns)
         return self._take_answers()
 
@@ -140,7 +135,7 @@ class ETactileKitFirmware(Firmware):
             return None
         length = 1 + self._payload(received[0])
         if length == 1 and received[0] == op.PATTERN and not self._is.forgets:
-            # It waits for the last of no bytes: for ever.
+            # It waits for the last of no bytes, for ever.
             self._stuck = True
             return None
         if len(received) < length:
@@ -168,7 +163,7 @@ class ETactileKitFirmware(Firmware):
                 self._heights[electrode] = min(int.from_bytes(height, "little"), op.LARGEST)
         elif code == op.READINGS:
             size = self._is.reading_bytes
-            # In one byte, the upper bits of the twelve.
+            # One byte holds the upper eight of twelve bits.
             values = (each >> (4 if size == 1 else 0) for each in self._readings[:count])
             return b"".join(each.to_bytes(size, "little") for each in values)
         elif code in (op.CHIPS, op.ECHO):
@@ -179,7 +174,7 @@ class ETactileKitFirmware(Firmware):
                 self._next_ns = max(now_ns, self._started_ns + self._period_ns())
         elif code == op.COUNT:
             if self._is.silence_ns is not None:
-                # Of the newest, electrodes that join the scan begin at zero.
+                # In the newest, electrodes that join the scan begin at zero.
                 self._heights[count:value] = [0] * max(0, value - count)
             self._set[op.COUNT] = value
         elif code != op.WIDTH or value or self._is.has_modes:
@@ -225,7 +220,7 @@ class ETactileKitFirmware(Firmware):
             for _, width_us, phases in pulses
         ]  # fmt: skip
         if not any(height for height, _, _ in pulses) and not any(self._readings):
-            # Scans without pulses need not be gone through one by one.
+            # Scans without pulses are skipped at once.
             each_ns = max(self._period_ns(), sum(lengths_ns))
             self._next_ns += (now_ns - self._next_ns) // each_ns * each_ns
         starts_ns = [self._next_ns]

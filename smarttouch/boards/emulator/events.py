@@ -1,4 +1,4 @@
-"""Events of emulated devices as texts: a time in seconds, what happens then, and its numbers."""
+"""Events of emulated devices as texts: a time in seconds, a kind, and its numbers."""
 
 import math
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from smarttouch.errors import SmartTouchError
 
 @dataclass(frozen=True)
 class Event:
-    """One thing that happens at a time."""
+    """One event of an emulated device."""
 
     time_s: float
     kind: str

@@ -26,29 +26,29 @@ class Firmware(ABC):
         return False
 
     def wait_s(self, clock: Clock) -> float:
-        """Return how long bytes from the host may be waited for."""
+        """Return how long to wait for bytes from the host, s."""
         return 0.001 if self.busy else 0.004
 
     def feed(self, data: bytes, now_ns: int) -> bytes:
-        """Take bytes from the host; return what there is to answer."""
+        """Process bytes from the host; return the answer."""
         return self.advance(now_ns)
 
     @abstractmethod
     def advance(self, now_ns: int) -> bytes:
-        """Do all that is due; return what there is to send."""
+        """Execute all that is due; return what there is to send."""
 
     def idle(self, now_ns: int) -> None:
-        """Let time pass without a line; what is sent meanwhile is lost."""
+        """Let time pass without a line; what would be sent is lost."""
         self.advance(now_ns)
 
     def hang_up(self, now_ns: int) -> None:
-        """The host has closed the line, which the device need not notice."""
+        """Handle that the host has closed the line, which a device need not notice."""
         self.idle(now_ns)
 
     # Not abstract: sensors carry no current and leave it out.
     def zero(self, reason: str, now_ns: int) -> None:  # noqa: B027, may be left out
-        """Lose power; does nothing unless it is overridden."""
+        """Lose power; sensors do nothing."""
 
     def take_order(self, words: list[str]) -> bool:
-        """Do what a line of input says; return whether it is an order."""
+        """Execute a line of input; return whether it was an order."""
         return False

@@ -1,11 +1,10 @@
 """Emulated firmware of the 61-electrode ESP32 kit, exact in bytes, with its faults.
 
-It waits for ever for the rest of a short packet, checks nothing, and its
-readings wrap. After power-on it tests its source, which then drives into no
-electrode, until the first STIMULATE, which it does, whatever it holds; a MEASURE
-is answered meanwhile. What the test left in the converter stays there until the
-end of the first pulse or MEASURE, also behind a packet of zeros: the electrode
-that pulses first is connected to it until its own value has been loaded.
+It waits for ever for the rest of a short packet, checks nothing, and its readings wrap. From
+power-on until the first STIMULATE, which it executes, it tests its source without driving an
+electrode; a MEASURE is answered meanwhile. The test's last value stays in the converter until the
+end of the first pulse or MEASURE, also after a packet of zeros: the electrode that pulses first is
+connected to it until its own value has been loaded.
 """
 
 from collections import deque
@@ -77,17 +76,15 @@ class Kajimoto61Firmware(Firmware):
         return self._scan is not None or bool(self._replies)
 
     def feed(self, data: bytes, now_ns: int) -> bytes:
-        """Process bytes from the host; return the answer."""
         self._run(now_ns)
         self._fed_ns = now_ns
         self._received += data
         self._run(now_ns)
-        # Only while a scan runs do whole packets wait; what its buffer cannot hold is lost.
+        # Whole packets wait only while a scan runs; what exceeds the buffer is lost.
         del self._received[BUFFER:]
         return self._take_replies(now_ns)
 
     def advance(self, now_ns: int) -> bytes:
-        """Execute all that is due; return the answer."""
         self._run(now_ns)
         return self._take_replies(now_ns)
 

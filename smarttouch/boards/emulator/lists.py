@@ -1,6 +1,6 @@
 """Kernels and lists of them as an emulated board of ``link`` reads them.
 
-In code of its own, as are its rules: what the host computes is not what is checked here.
+Like its rules, written independently of the host, so that it checks what the host computes.
 """
 
 import hashlib
@@ -31,7 +31,7 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Lists:
-    """Sequence as it came, before kernels are looked up."""
+    """Sequence as received, before kernels are looked up."""
 
     intensity: int
     groups: list[Group]
@@ -133,7 +133,7 @@ class Keep:
         return len(self._data)
 
     def take(self, identity: bytes, size: int, offset: int, data: bytes) -> None:
-        """Take a part; what does not follow the one before is left out."""
+        """Take a part of the kernels; one that does not continue the part before is dropped."""
         if (identity, size) != (self.identity, self.size):
             self._forget()
             if size > self._room:
@@ -151,7 +151,8 @@ class Keep:
                 self._forget()
 
     def proof(self, session: int) -> bytes:
-        """Return what shows the host of a session what is kept; zeros if it is not whole."""
+        """Return the digest that proves to a session's host which kernels are kept; zeros if they
+        are not complete."""
         if self.weights is None:
             return _NOTHING
         return hashlib.sha256(session.to_bytes(8, "little") + self._data).digest()[:16]

@@ -50,12 +50,9 @@ class _KeptBooks(DeliveryLog):
 
 
 class SimulatedBoard(Board):
-    """Emulated ``link`` firmware in the same thread, driven by its wire format: ``simulated:``.
-
-    The bytes on the wire, the checks of the firmware and the results of the skin model are those of
-    ``emulator:``. Only time is not: a sequence is over as soon as it has been computed, so long
-    texts need not be waited for.
-    """
+    """Emulated ``link`` firmware in the same thread: ``simulated:``. Bytes on the wire, checks and
+    skin are those of ``emulator:``, but time is simulated: a sequence is over as soon as it has
+    been computed."""
 
     simulated_time = True
     on_a_finger = False
@@ -78,7 +75,7 @@ class SimulatedBoard(Board):
         )
 
     def _time(self) -> None:
-        """Return the clock of the sequences, as no finger is on this board."""
+        """Return None: time is what sequences state, as no finger is on this board."""
 
     def take_pulses(self) -> Pulses:
         """Return all pulses delivered since the last call."""
@@ -113,7 +110,7 @@ class SimulatedBoard(Board):
         return self._number
 
     def _exchange(self, packet: bytes) -> None:
-        """Give the firmware a packet, and take its answers with what it has sent since the last."""
+        """Give the firmware a packet, and take its answers and what it has sent since the last."""
         answers = self._unread + self._firmware.feed(packet, self._now_ns)
         self._unread = b""
         for answer in self._deframer.feed(answers):
@@ -136,6 +133,6 @@ class SimulatedBoard(Board):
         return BoardReport(*self._firmware.account())
 
     def _stop(self) -> None:
-        # From another thread, it waits for the end of a sequence.
+        # A stop from another thread waits for the end of the sequence.
         with self._writing:
             self._exchange(self._session.encode(Kind.STOP))

@@ -43,12 +43,12 @@ class SingleSource:
         grounded: bool = True,
         more: bool = False,
     ) -> int:
-        """Deliver a pulse, positive cathodic, ground all outputs for the rest after it, and record
-        both; return the converter's reading of the source at the end of the pulse.
+        """Deliver a pulse, ground all outputs for the rest after it, and record both; return the
+        converter's reading at its end.
 
-        The first ``among`` electrodes take part: one against the others. Before it outputs were
-        ``grounded`` or unconnected; ``more`` if another pulse of the slot follows. Without a number
-        the slot has the electrode's.
+        Current is positive cathodic; the first ``among`` electrodes take part, one against the
+        others. Before it, outputs were ``grounded`` or unconnected; with ``more``, another pulse of
+        the slot follows. The slot's number is the electrode's if not given.
         """
         self._finger.at(start_ns / 1e9, self._skin)
         if start_ns > self._rested_ns:

@@ -43,12 +43,9 @@ class Delivered:
 
 
 class _Steps(NamedTuple):
-    """A pulse cut into K steps of constant current, (K,) and (K, E) each.
-
-    A step turns the capacitor's voltage v into v·decay + I·rise. Its current is the one that fits
-    late in it, where an electrode has v·late + I/admittance. The last step has no length: it is the
-    end of the pulse.
-    """
+    """A pulse cut into K steps of constant current, (K,) and (K, E) each; the last, of no length,
+    is its end. A step turns the capacitor's voltage v into v·decay + I·rise; its current is fitted
+    late in it, where an electrode has v·late + I/admittance."""
 
     length_s: NDArray[np.float64]
     decay: NDArray[np.float64]
@@ -103,9 +100,8 @@ class Skin:
         return float(np.abs(self.residual_uc).max(initial=0))
 
     def pulse(self, current_ua: NDArray[np.float64], width_us: float) -> Delivered:
-        """Drive the current (E,) of each electrode's own source for a time. An electrode that would
-        need more than the compliance gets what fits. Poles that differ in total, by this or from
-        the start, carry what the weaker one does."""
+        """Drive the current (E,) of each electrode's own source for a time. Where that would exceed
+        the compliance, less flows; poles that differ in total carry the smaller one."""
         asked_ua = _balance(np.asarray(current_ua, np.float64))
         amps = asked_ua * 1e-6
         decay = np.exp(-width_us * 1e-6 / (self.parallel_ohm * self.capacitance_f))
