@@ -29,12 +29,12 @@ class Mosaic:
         self._number: int | None = None
 
     def add(self, given: Input) -> None:
-        """Add an image; one that was added before, or is stale, is left out."""
+        """Add an image, unless it is stale or was added before."""
         if given.number == self._number or given.stale or given.image is None:
             return
         self._number = given.number
         optics, pose = self._optics, given.pose
-        # A warp samples points: a frame finer than the page is averaged down first.
+        # A warp samples points, so a frame finer than the page is averaged down first.
         wide, high = (
             round(each / PIXEL_MM) for each in (optics.field_width_mm, optics.field_height_mm)
         )
@@ -82,7 +82,7 @@ class Mosaic:
         return True
 
     def page(self) -> tuple[Page, tuple[float, float]]:
-        """Return the page, and where its top left corner is, (x, y) mm; raises if no frame was
+        """Return the page and the place of its top left corner, (x, y) mm; raise if no frame was
         seen."""
         rows, columns = (np.flatnonzero(self._count.any(axis=axis)) for axis in (1, 0))
         if not len(rows):

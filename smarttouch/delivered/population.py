@@ -42,8 +42,8 @@ def delivered_spikes(
     period_us: Mapping[int, int],
     most_slots: int | None = None,
 ) -> Counts:
-    """Return the spikes of a finger under delivered slots (see `Perception.answers`). Sequences
-    count that ``period_us`` names; of more than ``most_slots`` they are left out evenly."""
+    """Return the spikes of a finger under delivered slots (see `Perception.answers`), of the
+    sequences that ``period_us`` names; above ``most_slots``, sequences are left out evenly."""
     begins = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
     parts = zip(begins, np.append(begins[1:], len(numbers)), strict=False)
     sequences = {}

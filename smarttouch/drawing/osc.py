@@ -99,7 +99,6 @@ class OscSource(StimulusSource):
         )
 
     def close(self) -> None:
-        """Listen no more."""
         self._closing = True
         self._thread.join(_JOIN_S)
         self._line.close()
@@ -127,7 +126,7 @@ class OscSource(StimulusSource):
                 self._admit(each)
 
     def _admit(self, packet: Packet) -> None:
-        """Take a packet if it is of whom the source is for."""
+        """Take a packet from a program that may send."""
         if self._programs is not None:
             verdict = self._programs.verdict(packet)
             self.refused += verdict is Verdict.FOREIGN
@@ -213,7 +212,7 @@ class OscSource(StimulusSource):
 
 
 def _numbers(values: Sequence[Any], count: int) -> NDArray[np.float32]:
-    """Return so many numbers from 0 to 1, given as such or as a blob of bytes."""
+    """Return ``count`` numbers from 0 to 1, given as such or as a blob of bytes."""
     blob = len(values) == 1 and isinstance(values[0], bytes)
     given = np.frombuffer(values[0], np.uint8) / 255 if blob else np.array(values, np.float64)
     found = np.asarray(given, np.float32)
@@ -223,7 +222,7 @@ def _numbers(values: Sequence[Any], count: int) -> NDArray[np.float32]:
 
 
 def _bound(host: str, port: int, alone: bool) -> socket.socket:
-    """Return a socket at an address; one that other machines reach only if not for this one
+    """Return a socket at an address, which other machines may reach only if it is not for this one
     alone."""
     try:
         kind, *_, place = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]

@@ -55,11 +55,10 @@ class DrawSource(StimulusSource):
         self._at = 0
         self._shown: Levels | None = None
         self._notice = ""
-        # Letters and files take long: the loop waits only for the lock of what is shown.
+        # Letters and files take long; the loop waits only for `_lock`, which guards what is shown.
         self._turn, self._lock = threading.Lock(), threading.Lock()
 
     def read(self, time_ns: int) -> Stimulus:
-        """Return what is drawn at a time."""
         with self._lock:
             level = self._now(time_ns)
         if self._shown is None or not np.array_equal(level, self._shown):
@@ -86,7 +85,7 @@ class DrawSource(StimulusSource):
         return self.patterns[at].level
 
     def message(self) -> dict[str, Any]:
-        """Return all that a page shows of it."""
+        """Return the state that a page shows."""
         with self._lock:
             return {
                 "changes": self.changes,
@@ -101,7 +100,7 @@ class DrawSource(StimulusSource):
             }
 
     def draw(self, words: str) -> None:
-        """Do what a page asks for; see the methods whose names begin with ``_do_``."""
+        """Execute a page's request; see the methods whose names begin with ``_do_``."""
         verb, _, rest = words.partition(" ")
         does = getattr(self, f"_do_{verb}", None) if verb.isidentifier() else None
         if does is None:
@@ -158,14 +157,14 @@ class DrawSource(StimulusSource):
             self._playing, self._loops = bool(self.patterns), how == "loop"
 
     def _do_halt(self, rest: str) -> None:
-        """Play no more, and show nothing."""
+        """Stop the list, and show nothing."""
         if rest:
             raise ValueError(rest)
         with self._lock:
             self._halt()
 
     def _do_save(self, kind: str) -> None:
-        """Write the list to a new file or folder where the program was started."""
+        """Write the list to a new file or folder in the working directory."""
         if kind not in ("json", "png"):
             raise ValueError(kind)
         path = _free_name(".json" if kind == "json" else "")
@@ -204,8 +203,8 @@ class DrawSource(StimulusSource):
 
 
 def read_patterns(path: Path, profile: Profile) -> list[Pattern]:
-    """Return the patterns of a file as `PatternFile` writes it. The last lasts as long as the one
-    before it."""
+    """Return the patterns of a file as `PatternFile` writes it; the last lasts as long as the one
+    before."""
     try:
         with open_file(path, SourceError, _MOST_BYTES) as file:
             document = json.loads(file.read())

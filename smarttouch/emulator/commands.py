@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 _ELECTRODES = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 """Usual number of electrodes of each board."""
 _MOST_ELECTRODES = {"link": 1024, "kajimoto61": 61, "etactilekit": 255}
-"""Of a link board because the skin between them takes the square of that."""
+"""That of a link board bounds the skin model, which takes the square of it."""
 _RATE_HZ = {"serial-array": 200.0, "hx711": 80.0, "loadcell": 80.0}
 _RATES_HZ = (0.01, 2000.0)
 _COMPLIANCES_V = (1.0, 10_000.0)
@@ -126,7 +126,7 @@ def _require_board(
 
 
 def _require_places(tcp: bool, discovery_port: int | None, books: Path | None) -> None:
-    """Raise unless there is a place for discovery, and one for the books, if they are wanted."""
+    """Raise unless the options for discovery and books make sense."""
     if discovery_port is not None:
         require_within(SmartTouchError, "discovery_port", discovery_port, 1, 65_535)
         if not tcp:
@@ -315,7 +315,7 @@ def _serve(
     parent: int | None,
     **more: Any,
 ) -> "LineStatistics":
-    """Serve until the end; return what was sent."""
+    """Serve a device until its end; return what was sent."""
     from threadpoolctl import threadpool_limits
 
     from smarttouch.emulator.server import Server
@@ -327,7 +327,7 @@ def _serve(
         message = f"cannot open a port: {error}"
         raise SmartTouchError(message, about="port", problem="unavailable") from None
     server = Server(device, line, **more)
-    # Circuits and images are small: a second thread would only take the host's processor.
+    # Circuits and images are small: a second thread would only slow down the host.
     with threadpool_limits(1), closing(line):
         server.serve(linger_s, parent, describe)
     return server.statistics

@@ -19,7 +19,7 @@ from smarttouch.sources.sensor_protocol import encode_force, encode_frame, encod
 GRAVITY_N_PER_G = 9.80665e-3
 _LONGEST_WAIT_S = 0.02
 _BEHIND_NS = 100_000_000
-"""After such a delay it goes on from now: hardware would not send in a burst."""
+"""Delay after which the schedule restarts: hardware would not send a burst."""
 _BLOCK = 4
 _PATTERN_SIDE = 1024
 _PATTERN_PIXELS_S = 40
@@ -29,7 +29,7 @@ Look = Callable[[float], NDArray[np.uint8]]  # function from a time in seconds t
 
 
 class SensorFirmware(Firmware):
-    """Sends what a sensor measures at absolute deadlines; nothing of it waits."""
+    """Sends what a sensor measures at absolute deadlines, without waiting."""
 
     longest_step_ns = sys.maxsize  # its time never stands still: hosts compare it with their own
     backlog = 1
@@ -61,7 +61,7 @@ class SensorFirmware(Firmware):
 
     @abstractmethod
     def packet(self, number: int, time_s: float) -> bytes:
-        """Return what goes over the line now."""
+        """Return the next bytes for the line."""
 
 
 class SensorArray(SensorFirmware):
@@ -74,7 +74,7 @@ class SensorArray(SensorFirmware):
         self._image: NDArray[np.uint8] | None = None
 
     def packet(self, number: int, time_s: float) -> bytes:
-        """Return a frame, and once a second the device's description."""
+        """Return a frame, once a second with the device's description."""
         if "freeze" not in self.wrong or self._image is None:
             self._image = self._look(time_s)
         data = encode_frame(number, round(time_s * 1e6), self._image)
@@ -105,7 +105,6 @@ class LoadCell(SensorFirmware):
         self._reading: int | None = None
 
     def packet(self, number: int, time_s: float) -> bytes:
-        """Return a reading as the cell sends it."""
         if "freeze" not in self.wrong or self._reading is None:
             self._reading = self._convert(time_s)
         reading = None if "nan" in self.wrong else self._reading
@@ -114,7 +113,7 @@ class LoadCell(SensorFirmware):
         return f"HX711 reading: {'nan' if reading is None else reading}\r\n".encode()
 
     def take_order(self, words: list[str]) -> bool:
-        """Let something else press: ``weight GRAMS`` or ``force NEWTONS``."""
+        """Change the force: ``weight GRAMS`` or ``force NEWTONS``."""
         match words:
             case ["weight", grams]:
                 newtons = _number(grams) * GRAVITY_N_PER_G

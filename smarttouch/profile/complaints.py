@@ -1,4 +1,4 @@
-"""All that pydantic finds wrong in a file, each thing in words and once."""
+"""All that pydantic finds wrong in a file, each fault in words and once."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -41,7 +41,7 @@ Found = tuple[str, dict[str, Any]]
 
 
 def load_model(path: Path, kind: type[_Table], **more: object) -> _Table:
-    """Load a TOML file as a model, with further values of ours."""
+    """Load a TOML file as a model, with further values."""
     table = read_toml(path, ProfileError)
     try:
         return kind.model_validate(table | more)
@@ -50,7 +50,7 @@ def load_model(path: Path, kind: type[_Table], **more: object) -> _Table:
 
 
 def table_error(kind: type[_Error], name: object, error: ValidationError) -> _Error:
-    """Return the error that lists all that is wrong in a file, by its name."""
+    """Return the error that lists all that is wrong in a file."""
     found = [*_complaints(error)]
     sentences = [f"{name}: {words}" for words, _ in found]
     shown = [words for words, _ in found[:_MOST_IN_A_SENTENCE]]

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def misfits(profile: "Profile") -> Iterator[UnfitError]:
-    """Yield all that does not fit: of currents only where there is one for each electrode."""
+    """Yield all that does not fit; currents are checked only if each electrode has one."""
     of_array = [*_misfits_of_array(profile)]
     yield from of_array or _misfits_of_current(profile)
 
@@ -88,7 +88,7 @@ def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
             allowed=float(profile.threshold_ma[index]),
             electrode=index,
         )
-    # Thresholds are single precision: a limit of just their product is kept.
+    # Thresholds are single precision: a limit equal to their product is kept.
     over = full_ma > np.multiply(np.inf if lowered is None else lowered, 1 + 1e-6)
     if lowered is not None and over.any():
         index = int(over.argmax())
@@ -105,7 +105,7 @@ def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
 
 
 def _names_of_strongest(profile: "Profile") -> tuple[str, str]:
-    """Return what says the strongest current, in words, and its key."""
+    """Return the words for the strongest current, and its key."""
     if profile.perception.comfort_ma is not None:
         return "comfort_ma", "perception.comfort_ma"
     return "threshold_ma × comfort_ratio", "perception.comfort_ratio"

@@ -22,7 +22,7 @@ Message = dict[str, Any]
 
 
 def array_message(profile: Profile) -> Message:
-    """Return the array of a profile, and its limits, as a page needs them to draw."""
+    """Return the array and limits of a profile, as a page draws them."""
     electrodes, limits = profile.electrodes, profile.limits
     return {
         "profile": profile.title,

@@ -23,9 +23,12 @@ class Packet:
 
 
 def frame_packet(version: int, kind: int, number: int, *payload: bytes) -> bytes:
-    """Return a packet in its wire format; its payload may be in pieces. It is COBS-encoded and ends
-    with one 0x00, so a receiver that has lost its place finds it again at the next zero. Decoded,
-    all little endian: u8 version, u8 kind, u32 number, the payload, u32 CRC-32 of all before it."""
+    """Return a packet in its wire format; its payload may be in pieces.
+
+    It is COBS-encoded and ends with one 0x00, so that a receiver can resynchronize at the next
+    zero. Decoded, all little endian: u8 version, u8 kind, u32 number, the payload, u32 CRC-32 of
+    all before it.
+    """
     head = _HEAD.pack(version, kind, number)
     crc = zlib.crc32(head)
     for piece in payload:
@@ -48,7 +51,7 @@ class Deframer:
         return len(self._waiting)
 
     def head(self, count: int) -> bytes | None:
-        """Return the first bytes of the incomplete packet, decoded but unchecked. None if fewer
+        """Return the first bytes of the incomplete packet, decoded but unchecked; None if fewer
         than ``count`` have come."""
         found = bytearray()
         start = 0
@@ -89,6 +92,6 @@ class Deframer:
 
 
 def parse_head(body: bytes) -> Packet:
-    """Return a packet from its decoded bytes, its CRC left off and unchecked."""
+    """Return a packet from its decoded bytes without the CRC, unchecked."""
     version, kind, number = _HEAD.unpack_from(body)
     return Packet(kind, number, body[_HEAD.size :], version)

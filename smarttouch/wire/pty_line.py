@@ -13,8 +13,8 @@ LARGEST_READ = 65536
 
 
 class PtyLine:
-    """A serial port of this machine, raw from the start; with ``keeps_name`` it has the same name
-    after it was pulled out and plugged in again."""
+    """A serial port of this machine, raw from the start; with ``keeps_name`` its name survives
+    unplugging."""
 
     def __init__(self, keeps_name: bool = False) -> None:
         self.keeps_name = keeps_name
@@ -29,7 +29,7 @@ class PtyLine:
         """Create the port."""
         self._master, slave = pty.openpty()
         self.name = os.ttyname(slave)
-        # What a host writes must pass as it is, whenever it sets up its end.
+        # Bytes must pass unchanged even before the host sets up its end.
         tty.setraw(slave)
         os.set_blocking(self._master, False)
         # With our end of the slave closed, the host's last close shows as a hang-up.

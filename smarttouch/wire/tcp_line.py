@@ -1,4 +1,4 @@
-"""The far end of a TCP connection to a device that does not exist."""
+"""TCP port as a device, for emulators."""
 
 import select
 import socket
@@ -7,8 +7,8 @@ from smarttouch.wire.pty_line import LARGEST_READ
 
 
 class TcpLine:
-    """A TCP port of this machine, for one host at a time, which is never pulled out; ``ETK?`` is
-    answered on the UDP port ``discovery_port``."""
+    """A TCP port of this machine, for one host at a time, never unplugged; it answers ``ETK?`` on
+    the UDP port ``discovery_port``."""
 
     keeps_name = False
     plugged_in = True
