@@ -20,8 +20,7 @@ from smarttouch.posix import fcntl
 from smarttouch.stopping import RunStopped
 
 ENDED_WITHIN_S = 3.0  # of being asked by `stop_all`
-_STOP, _WAKE = b"\0", b"\1"
-"""Bytes on the pipe of a process: a request to stop, and its own end."""
+_STOP, _WAKE = b"\0", b"\1"  # bytes on the pipe: a request to stop, and the process's own end
 _TOTAL_BYTES = 12
 _MARK = "stopped"
 _MARK_BYTES = 200

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 from serial.tools import list_ports
 
-ETACTILEKIT_PORT = 8888
-"""UDP port on which eTactileKits answer ``ETK?``; other devices have no reason to listen."""
+ETACTILEKIT_PORT = 8888  # UDP port on which eTactileKits answer ``ETK?``
 
 
 @dataclass(frozen=True)

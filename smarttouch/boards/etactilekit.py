@@ -34,14 +34,11 @@ from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.stimulation.timing import ScanTiming
 
-NEWEST_ZERO_MS = 520.0
-"""Time to zero of the newest firmware, which ends its scan 500 ms after the host's last byte."""
+NEWEST_ZERO_MS = 520.0  # newest firmware: ends its scan 500 ms after the host's last byte
 IDLE_S = 0.1  # time without a sequence after which the pattern on the board becomes zeros
-SENSE_S, SENSE_SCANS = 0.25, 5
-"""Duration of sense scans, ten a second, and their largest number until the end is confirmed."""
+SENSE_S, SENSE_SCANS = 0.25, 5  # of sense scans, ten a second; most until they end
 ATTEMPTS = 4  # attempts at a pattern that gave no reading, though weaker ones did
-OPEN_SHARE = 0.95
-"""Part of the voltage without a finger: if every slot reaches it, the finger is lifted."""
+OPEN_SHARE = 0.95  # of the voltage without a finger: if all slots reach it, it is lifted
 
 
 class ETactileKitBoard(SteppedKit):

@@ -26,8 +26,7 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.wire.port import open_port
 
-FIRMWARES = ("936c6c0", "71adee2", "newest")
-"""Known firmwares, by the first commit of the public repository that has each."""
+FIRMWARES = ("936c6c0", "71adee2", "newest")  # by their first commits in the repository
 ECHO_S = 0.1
 CHIPS_S = 0.5  # longest time to an answer
 FORGETS_S = 2.15  # silence after which a partial command is dropped, except by 936c6c0

@@ -34,7 +34,6 @@ class Settings:
         return 1_000_000 // self.rate_hz * 1000
 
     def scan_us(self, outputs: int, slot_extra_us: int) -> int:
-        """Return the duration of a scan."""
         return outputs * (self.width_us + self.discharge_us + slot_extra_us)
 
 

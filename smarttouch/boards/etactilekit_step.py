@@ -23,14 +23,11 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
-LOW, HIGH = 4, 12
-"""Readings below the first had no pulse, those from the second on had one: .3 and 1 V."""
+LOW, HIGH = 4, 12  # readings below 4 had no pulse, from 12 on they had one: .3 and 1 V
 POLL_NS, MARGIN_NS = 1_000_000, 100_000
 LATE_SCANS = 3  # additional scans to wait for if no time is certainly between two scans
-WIDE_NS = 1_000_000
-"""Uncertainty of a scan's start above which a query is sent in the middle of the scan."""
-LISTEN_NS = 1_000_000_000
-"""Interval in which at most one scan is left empty to find when scans start."""
+WIDE_NS = 1_000_000  # above this uncertainty of a start, a query is sent in mid-scan
+LISTEN_NS = 1_000_000_000  # at most one scan in this time is left empty to find starts
 KEEP_NS = 100_000_000  # longest silence to the newest firmware
 
 

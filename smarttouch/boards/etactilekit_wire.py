@@ -60,8 +60,7 @@ class Codec(ABC):
     forgets: ClassVar[bool]  # whether silence ends a partial command
     even: ClassVar[bool]  # whether a slot takes as long without a pulse as with one
     quiet: ClassVar[bytes]  # command that stops all pulses from the next scan on
-    sense: ClassVar[bytes]
-    """Command for ten anodic sense scans a second, of `SENSE_COUNTS` and `SENSE_US`."""
+    sense: ClassVar[bytes]  # ten anodic scans a second, `SENSE_COUNTS` by `SENSE_US`
     nothing: bytes  # payload of a pattern without any pulse
 
     def __init__(self, outputs: int) -> None:

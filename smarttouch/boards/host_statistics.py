@@ -36,7 +36,6 @@ class HostStatistics:
         self._net_uc = max(self._net_uc, self._ledger.worst_uc + self._unsure_uc)
 
     def report(self) -> BoardReport:
-        """Return the report so far."""
         return BoardReport(
             self._sequences,
             self._slots,

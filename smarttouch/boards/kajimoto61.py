@@ -42,16 +42,13 @@ ZERO = bytes([STIMULATE]) + bytes(ELECTRODES)
 WIDTH_US, REST_US = 50, 150
 LARGEST = 200
 COUNTS_PER_BYTE = 16
-MEASURE_MA, MEASURE_US = 2.5, 25
-"""Pulse of a MEASURE through every electrode, fixed by the firmware (over 20 µs)."""
+MEASURE_MA, MEASURE_US = 2.5, 25  # of MEASURE, fixed by the firmware (over 20 µs)
 ANSWER_READS, READ_S = 25, 0.02  # its answer comes within 2.1 ms; it is given half a second
-READING_V = 4 * 0.0893
-"""Volts per unit of a reading, assuming the divider of its relative, the eTactileKit."""
+READING_V = 4 * 0.0893  # volts per unit, by the divider of its relative, the eTactileKit
 WRAP = 256
 COMPLIANCE_V = 300.0  # limit of its switches (HV507)
 HURRY = 20  # divisor of a period: no two packets are closer than it by more than a twentieth
-LEAD_S = 0.003
-"""Time from the first sequence of a run to its packet: the margin for later, delayed ones."""
+LEAD_S = 0.003  # from a run's first sequence to its packet: margin for delayed later ones
 
 
 class Kajimoto61Board(StreamedBoard):

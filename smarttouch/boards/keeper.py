@@ -28,12 +28,9 @@ import sys
 import time
 
 SILENCE_S = 0.09  # longest silence of the host: with the time to wake up and write, .1 s to zero
-PRIORITY = 2
-"""Real-time priority, where allowed: above the host's, 1, so that a hung host does not block it."""
-STUCK_S = 0.4
-"""Time without a byte accepted by the board, while zero is written, after which it is stuck."""
-PIECE, PAUSE_S = 8, 0.003
-"""Piece and pause that the USB of older firmware takes without losing bytes."""
+PRIORITY = 2  # real-time, where allowed: above the host's 1, so a hung host cannot block it
+STUCK_S = 0.4  # without a byte accepted while zero is written: the board is stuck
+PIECE, PAUSE_S = 8, 0.003  # what the USB of older firmware takes without losing bytes
 GONE, SILENT, LINE_LOST, BLOCKED, ENDED = 0, 3, 4, 5, 6
 """Exit codes: the host has closed, or was silent; the line broke, or takes no bytes; SIGTERM."""
 HEARTBEAT, FLUSH, ZERO = b".", b"F", b"Z"

@@ -7,8 +7,7 @@ from smarttouch.wire.port import LINE_ERRORS, Port, reason
 
 KEPT_MS = 100.0  # longest time from the end or hang of this program to the first byte of zero
 
-MORE_S = 0.03
-"""Time for more than the expected answer: longer than the 16 ms for which USB chips keep bytes."""
+MORE_S = 0.03  # wait for more than the answer: USB chips keep bytes for 16 ms
 
 
 class KeptBoard(StreamedBoard):

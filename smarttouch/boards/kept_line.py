@@ -18,8 +18,7 @@ from smarttouch.wire.port import LINE_ERRORS, Port, reason
 
 BEAT_S = 0.02
 ANSWER_S = 2.0  # longest time of the keeper's start or answer
-ENDS_WITHIN_S = 1.5
-"""Longest time of the keeper's end; zero for 253 outputs takes .4 s in small pieces."""
+ENDS_WITHIN_S = 1.5  # of the keeper; zero for 253 outputs takes .4 s in small pieces
 WRITE_S = 0.5
 
 _WHY = {
@@ -87,7 +86,6 @@ class KeptLine:
 
     @property
     def process_id(self) -> int:
-        """Process id of the keeper."""
         return self._process.pid
 
     @property

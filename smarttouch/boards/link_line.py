@@ -13,10 +13,8 @@ from smarttouch.wire.framing import Deframer
 from smarttouch.wire.port import LINE_ERRORS, Port, read_some, reason, write_before
 
 HEARTBEAT_S = 0.03  # longest silence of the host: the board gives up after 0.1 s
-SILENCE_S = 0.5
-"""Silence of the board, which sends every 20 ms in a session, after which it counts as gone."""
-LISTENED_S = 0.1
-"""Most silence counted for one read; the rest was a pause of this process."""
+SILENCE_S = 0.5  # after which a board, which sends every 20 ms in a session, is gone
+LISTENED_S = 0.1  # most silence counted for one read; the rest was a pause of ours
 ANSWER_S = 1.0
 AGAIN_S = 0.25  # time after which a query is sent again
 PIECE = 4096  # bytes written at once: a stop waits for one piece, not for a whole packet
@@ -46,8 +44,7 @@ class LinkLine:
         self._draw = draw
         self.news = threading.Condition()
         self.fault: BoardError | None = None
-        self.overtaken = False
-        """Set by a stop: no heartbeats from then on, so the board ends by itself if need be."""
+        self.overtaken = False  # by a stop: without heartbeats the board stops itself
         self._hear, self._aftermath, self._tend = hear, aftermath, tend
         self._closing = threading.Event()
         # Reentrant: a signal handler may stop while its own thread is writing.
@@ -233,7 +230,6 @@ class LinkLine:
             self.news.notify_all()
 
     def raise_fault(self) -> None:
-        """Raise the stored fault, if any."""
         if self.fault is not None:
             raise self.fault
 

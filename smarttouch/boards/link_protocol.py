@@ -32,8 +32,7 @@ OUTPUTS: tuple[Output, ...] = get_args(Output)
 
 CAPABILITIES = struct.Struct("<HBBHHHH")
 ALIVE = struct.Struct("<h")
-KEEPING = struct.Struct("<IIH")
-"""Room for kernels and for a packet, in bytes, and most kernels; after CAPABILITIES."""
+KEEPING = struct.Struct("<IIH")  # after CAPABILITIES: room in bytes, packet bytes, most kernels
 LIMITS = struct.Struct("<IIHHHHHHIBBH")
 """Least period µs, total µA, width µs, full µA, rounding µA, full µs, ramp ms, session s, session
 µC, duty %, 0, 0; then of each electrode u16 µA, u16 felt µA, u32 pC."""

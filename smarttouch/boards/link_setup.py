@@ -48,7 +48,6 @@ _RULES = {
 
 
 def give_limits(line: LinkLine, limits: SafetyLimits) -> None:
-    """Give a board the limits of the session."""
     if line.ask(Kind.LIMITS, encode_limits(limits)).payload != b"\1":
         raise malformed(line.name)
 

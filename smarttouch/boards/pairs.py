@@ -14,13 +14,11 @@ from smarttouch.boards.probe import one_pair_each
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
-MOST_REFERENCES = 16
-"""References to try before all are taken for open; far apart, as a finger may touch in part."""
+MOST_REFERENCES = 16  # tried before all count as open; far apart, for partial touch
 MOST_TRIPLES = 16
 ENOUGH = 0.5  # part of the electrodes that must conduct to a good reference
 
-Ask = Callable[[ScanSequence], NDArray[np.float64]]
-"""Function that delivers a scan and returns the source's voltage in each slot, (S,) V."""
+Ask = Callable[[ScanSequence], NDArray[np.float64]]  # delivers a scan, returns (S,) V
 
 
 def measure_in_pairs(

@@ -65,7 +65,6 @@ def scale_of(kind: str, measured_ua: float | None) -> Scale:
 
 
 def in_band(ratio: float) -> bool:
-    """Return whether a ratio to the nominal scale is accepted."""
     return abs(ratio - 1) <= BAND + 1e-9
 
 

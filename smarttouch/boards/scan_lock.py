@@ -3,8 +3,7 @@
 import math
 from dataclasses import dataclass
 
-TOLERANCE = 200e-6
-"""Uncertainty of the ratio of two free-running clocks, each within 100 parts per million."""
+TOLERANCE = 200e-6  # of the ratio of two free-running clocks, each within 100 ppm
 WIDEST = 0.25  # part of a period: a scan's start with a larger uncertainty counts as unknown
 
 

@@ -90,8 +90,7 @@ class _Seal(NamedTuple):
     foreign: bool
 
 
-_seals: dict[int, _Seal] = {}
-"""By the id of the board; not in the board, where a driver could change them."""
+_seals: dict[int, _Seal] = {}  # by the id of the board: in it, a driver could change them
 
 
 def make_gate(board: Any, limits: SafetyLimits, clock: Now | None) -> SafetyGate:

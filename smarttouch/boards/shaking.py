@@ -20,8 +20,7 @@ from smarttouch.files import owner_only, unwritable
 FULL_SCALE = 32_767
 _PIECE = 1 << 14  # samples written at once, so that a long pause does not fill the memory
 _LARGEST_BYTES = 0xFFFF_0000  # largest WAV file
-GRACE_NS = 50_000_000
-"""Largest delay of the next sequence without a gap; a period, if that is shorter."""
+GRACE_NS = 50_000_000  # most delay of a sequence without a gap; a period if shorter
 
 
 class Shaking(ABC):

@@ -20,8 +20,7 @@ from smarttouch.boards.announced import Announcement, stopped_since_start
 from smarttouch.errors import BoardError, BoardStoppedError, SmartTouchError
 from smarttouch.stopping import SIGNALS, ZERO_WITHIN_S, RunStopped, StopRequest
 
-RUNS_END_WITHIN_S = 2.0
-"""Time that runs have to end, and to close their recordings, while a stop waits for them."""
+RUNS_END_WITHIN_S = 2.0  # for runs to end and close recordings while a stop waits
 _ENDING = tuple(number for number in SIGNALS if number != signal.SIGINT)
 """Signals that end a process at once where nothing handles them."""
 

@@ -24,8 +24,7 @@ class Mosaic:
         self._optics = optics
         self._sum = np.zeros((0, 0), np.float32)
         self._count = np.zeros((0, 0), np.float32)
-        self._first = self._end = np.zeros(2, np.intp)
-        """Rows and columns where the canvas begins and ends, in pixels of the page."""
+        self._first = self._end = np.zeros(2, np.intp)  # row and column, in pixels of a page
         self._number: int | None = None
 
     def add(self, given: Input) -> None:

@@ -14,8 +14,7 @@ from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.sources.frame import Pose
 
-Counts = dict[int, NDArray[np.intp]]
-"""Number of spikes of each afferent, (A,), by the number of the sequence."""
+Counts = dict[int, NDArray[np.intp]]  # spikes of each afferent, (A,), by sequence number
 Places = NDArray[np.floating]
 
 FIELD_MM = 1.0  # standard deviation of a receptive field. Ours.

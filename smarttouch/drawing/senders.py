@@ -17,8 +17,7 @@ from smarttouch.files import open_file
 
 LEAST_KEY_BYTES = 16
 _MOST_KEY_BYTES = 4096
-_APART_NS = 10_000_000_000
-"""Largest difference between the clocks of a sender with the key and of this machine."""
+_APART_NS = 10_000_000_000  # most difference between the clocks of sender and receiver
 _MAC_BYTES, _TIME_BYTES = 32, 8
 _TABLES = (Path("/proc/net/udp"), Path("/proc/net/udp6"))
 """Open sockets: https://www.kernel.org/doc/html/latest/networking/proc_net_tcp.html."""
@@ -26,8 +25,7 @@ _ENTRY = re.compile(
     rb"^ *\d+: [0-9A-F]+:([0-9A-F]{4})(?: \S+){5} +(\d+) +\d+ +(\d+) ", re.MULTILINE
 )
 """Port, user, and the unique number of the socket."""
-STAMP = getattr(socket, "SO_TIMESTAMPNS", 35)
-"""``SO_TIMESTAMPNS`` of Linux's ``asm-generic/socket.h``, which Python 3.11 does not name."""
+STAMP = getattr(socket, "SO_TIMESTAMPNS", 35)  # Linux's ``asm-generic/socket.h``
 _STAMPED = struct.Struct("@ll")
 _MOST_BYTES = 65_536
 _MOST_AT_ONCE = 64
@@ -37,8 +35,7 @@ class Verdict(Enum):
     """Origin of a packet."""
 
     OURS = auto()
-    NEW = auto()
-    """Of a socket of ours that may be younger than the packet."""
+    NEW = auto()  # of a socket of ours that may be younger than the packet
     FOREIGN = auto()  # of another user, or of a socket that is closed again
 
 

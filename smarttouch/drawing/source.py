@@ -119,7 +119,6 @@ class DrawSource(StimulusSource):
         self._show(_levels(text, len(self._level)))
 
     def _do_letter(self, letter: str) -> None:
-        """Draw a letter."""
         if len(letter) != 1 or not letter.isprintable() or letter == " ":
             raise ValueError(letter)
         self._show(np.rint(255 * draw_letter(letter, self._profile)).astype(np.uint8))

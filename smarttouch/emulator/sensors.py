@@ -18,8 +18,7 @@ from smarttouch.sources.sensor_protocol import encode_force, encode_frame, encod
 
 GRAVITY_N_PER_G = 9.80665e-3
 _LONGEST_WAIT_S = 0.02
-_BEHIND_NS = 100_000_000
-"""Delay after which the schedule restarts: hardware would not send a burst."""
+_BEHIND_NS = 100_000_000  # after this delay the schedule restarts, as hardware sends no burst
 _BLOCK = 4
 _PATTERN_SIDE = 1024
 _PATTERN_PIXELS_S = 40

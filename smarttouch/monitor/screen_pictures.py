@@ -7,8 +7,7 @@ from rich.text import Text
 
 from smarttouch.profile import Profile
 
-MOST_ROWS, MOST_COLUMNS = 16, 64
-"""Largest picture of an image, in characters: drawing more takes time from the loop."""
+MOST_ROWS, MOST_COLUMNS = 16, 64  # of a picture, in characters: drawing takes the loop's time
 
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 _DITHER = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) + 0.5) * 16

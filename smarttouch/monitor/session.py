@@ -27,8 +27,7 @@ from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.source import Source
 from smarttouch.stopping import ENDS_WITHIN_S, StopRequest
 
-DRAWN_WITHIN_S = 30.0
-"""Time for the end after a signal where pictures are drawn; a second signal ends it at once."""
+DRAWN_WITHIN_S = 30.0  # to the end after a signal where pictures are drawn, unless a second comes
 
 Keys = Mapping[str, Callable[[], None]]
 

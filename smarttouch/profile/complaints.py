@@ -14,8 +14,7 @@ _LAYOUTS = ("grid", "hexagon-61", "lines", "free")
 _KINDS = ("constrained-", "function-", "tuple[", "str-enum[")
 _WHOLE_KINDS = ("bool", "int", "float", "str", "SlotPolicy")
 """Kinds of value that pydantic names between the keys of the file."""
-_NOT_OF_KIND = ("float_type", "tuple_type")
-"""Choices that are named for each kind that a value fails to be."""
+_NOT_OF_KIND = ("float_type", "tuple_type")  # named once for each kind that a value fails
 _PROBLEMS = {
     "missing": "missing",
     "union_tag_not_found": "missing",
@@ -36,8 +35,7 @@ _MOST_IN_A_SENTENCE = 8
 
 _Error = TypeVar("_Error", bound=TableError)
 _Table = TypeVar("_Table", bound=BaseModel)
-Found = tuple[str, dict[str, Any]]
-"""Words on a fault, and the attributes of the error that carries them."""
+Found = tuple[str, dict[str, Any]]  # words on a fault, and attributes of its error
 
 
 def load_model(path: Path, kind: type[_Table], **more: object) -> _Table:

@@ -12,8 +12,7 @@ import numpy as np
 from smarttouch.boards.board import Board
 from smarttouch.stimulation.sequence import ScanSequence
 
-LOCKED_S = 0.02
-"""How long a line of a driver is held up: whoever is not through by then waits for its lock."""
+LOCKED_S = 0.02  # delay of a driver's line: an action not through by then waits for its lock
 
 
 @dataclass(frozen=True)

@@ -34,24 +34,20 @@ class DeliveryLog:
     violations: int = 0  # number of sequences that the firmware refused
     unsafe: int = 0  # number of delivered pulses above a safe value, one for each pulse of a slot
     framing_errors: int = 0
-    old_packets: int = 0
-    foreign_packets: int = 0
-    """Numbers of packets that a link board refused as old, and as of another session."""
+    old_packets: int = 0  # refused by a link board
+    foreign_packets: int = 0  # as `old_packets`, but of another session
     max_current_ma: float = 0.0
     max_charge_uc: float = 0.0
     max_net_charge_uc: float = 0.0  # largest charge that was left on an electrode after a slot
     max_volts: float = 0.0  # largest voltage of a source between its poles
-    recharges: int = 0
-    """Number of recharge phases; not counted as slots or pulses, nor in the largest values."""
+    recharges: int = 0  # recharge phases; not counted in slots, pulses or maxima
     passed_uc: NDArray[np.float64] = field(init=False)
     """Net charge that sources have driven through each electrode, (E,), positive cathodic:
     pulses and recharge phases, without what flows back while all electrodes are shorted."""
     state: str = "shorted"
     reason: str = "start"
-    zero_after_ms: float = 0.0
-    """Time from the host's last sign of life to all electrodes shorted, at the last cut-off."""
-    stood_still_ms: float = 0.0
-    """Time for which the board's clock has stood still because its process did."""
+    zero_after_ms: float = 0.0  # from the host's last sign of life to the last cut-off
+    stood_still_ms: float = 0.0  # for which the board's clock stood still with its process
     _delivered: bytearray = field(default_factory=bytearray, repr=False)
 
     def __post_init__(self) -> None:
@@ -127,7 +123,6 @@ class DeliveryLog:
         """Take a pulse; for subclasses."""
 
     def write(self) -> None:
-        """Write all new records to disk."""
         if self.folder is None:
             return
         with (self.folder / DELIVERED_FILE).open("ab") as file:

@@ -17,8 +17,7 @@ from smarttouch.stimulation.safety import SafetyLimits
 
 _STARTS_WITHIN_S = 30.0  # time limit of the start, long enough for a busy computer
 _ENDS_WITHIN_S = 3.0
-_SPEAKS_WITHIN_S = 5.0
-"""Longest silence: it may wait for a processor, and its end shows at the port."""
+_SPEAKS_WITHIN_S = 5.0  # longest silence: it may wait for a processor
 
 
 class EmulatorBoard(LinkBoard):

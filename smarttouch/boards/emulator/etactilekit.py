@@ -48,8 +48,7 @@ class ETactileKitFirmware(Firmware):
     ``firmware`` is a key of `GENERATIONS`, and an infinite ``dummy_ohm`` is no load beside the
     skin."""
 
-    longest_step_ns = 400_000_000
-    """Its scans go on by its own clock while its process waits."""
+    longest_step_ns = 400_000_000  # its scans go on by its own clock while its process waits
     books: DeliveryLog
 
     def __init__(

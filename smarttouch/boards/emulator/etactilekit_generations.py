@@ -10,8 +10,7 @@ SENSE_HEIGHT, SENSE_WIDTH, DISCHARGE, RATE, CHIPS, ECHO = 0xF9, 0xF8, 0xF7, 0xF6
 BIPHASIC, SENSE_ONLY = 1, 2
 LARGEST = LARGEST_READING
 SHORTEST_US = 6.6  # time to switch the source on and off
-Pulse = tuple[int, float, tuple[int, ...]]
-"""Height in counts, width in µs, and the sign of each phase (positive cathodic)."""
+Pulse = tuple[int, float, tuple[int, ...]]  # height in counts, width µs, signs (+ cathodic)
 _SIZES = {
     COUNT: 1,
     MODE: 1,

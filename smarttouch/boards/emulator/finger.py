@@ -60,7 +60,6 @@ class _Drift:
 
 
 def parse_event(text: str) -> Event:
-    """Return the event described by a text."""
     event = parse(text, FORMS, BoardError)
     kind, values = event.kind, event.values
     if (kind == "drift" and values[0] == 0) or (kind == "peel" and not 0 < values[0] <= 1):

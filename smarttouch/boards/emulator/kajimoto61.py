@@ -20,16 +20,12 @@ ELECTRODES = 61
 STIMULATE, MEASURE = 0xFF, 0xFE
 PACKET = 1 + ELECTRODES
 LARGEST = 200
-UA_PER_STEP = 16 * 10_000 / 4096
-"""DAC counts of one step of intensity; 4096 counts are nominally 10 mA."""
+UA_PER_STEP = 16 * 10_000 / 4096  # a step is 16 DAC counts; 4096 are nominally 10 mA
 WIDTH_US, GROUNDED_US, SWITCHING_US = 50, 150, 8
-TEST_UA, LOADING_US = 898 * 10_000 / 4096, 3
-"""Current that the self-test left in the converter, as observed, and the time to load it."""
+TEST_UA, LOADING_US = 898 * 10_000 / 4096, 3  # left by the self-test, as observed; time to load
 MEASURE_UA, MEASURE_US = 2500, 25
-MEASURE_NS, WIRE_NS = 1_400_000, 670_000
-"""Time from a MEASURE to its reply, and the reply's time on the wire."""
-BUFFER = 384
-"""Serial bytes buffered during a scan: 128 of the chip and 256 of its driver. An estimate."""
+MEASURE_NS, WIRE_NS = 1_400_000, 670_000  # from a MEASURE to its reply; that on the wire
+BUFFER = 384  # bytes kept during a scan: 128 of the chip, 256 of its driver. An estimate.
 
 
 @dataclass

@@ -35,8 +35,7 @@ class BoardSession:
         self._taken = self._said = 0
         self._alive: deque[tuple[int, int]] = deque(maxlen=2 + LATE_MS // ALIVE_MS)
         """Time in ns and number of each of the last ALIVE packets."""
-        self._hellos: dict[int, tuple[int, int]] = {}
-        """Last packet and count of HELLOs of each host since BEGIN, by its half."""
+        self._hellos: dict[int, tuple[int, int]] = {}  # last number and count, by the host's half
 
     def encode(self, kind: Kind, about: int = 0, payload: bytes = b"") -> bytes:
         """Return the board's next packet of the session."""
