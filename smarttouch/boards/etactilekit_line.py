@@ -167,7 +167,7 @@ class ETactileKitLine(KeptBoard):
                 value="v1.0",
                 allowed=FIRMWARES,
             )
-        what = f"sent {len(answer)} bytes of readings, not {codec.answer_bytes}"
+        what = f"told {len(answer)} bytes of readings, not {codec.answer_bytes}"
         raise self._lost(what, "malformed")
 
     def _forgets_hosts(self) -> bool:

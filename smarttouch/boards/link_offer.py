@@ -117,6 +117,7 @@ def _require_fit(name: str, found: Capabilities, electrodes: int, wanted: Output
 
 
 def malformed(name: str) -> BoardError:
+    """Return the error of a board that answers nonsense."""
     return BoardError(
         f"the board at {name} answers nonsense: check its firmware",
         about="board",

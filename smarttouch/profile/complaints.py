@@ -14,7 +14,8 @@ _LAYOUTS = ("grid", "hexagon-61", "lines", "free")
 _KINDS = ("constrained-", "function-", "tuple[", "str-enum[")
 _WHOLE_KINDS = ("bool", "int", "float", "str", "SlotPolicy")
 """Kinds of value that pydantic names between the keys of the file."""
-_NOT_OF_KIND = ("float_type", "tuple_type")  # named once for each kind that a value fails
+_NOT_OF_KIND = ("float_type", "tuple_type")
+"""Choices that are named for each kind that a value fails to be."""
 _PROBLEMS = {
     "missing": "missing",
     "union_tag_not_found": "missing",
@@ -51,15 +52,15 @@ def table_error(kind: type[_Error], name: object, error: ValidationError) -> _Er
     """Return the error that lists all that is wrong in a file."""
     found = [*_complaints(error)]
     sentences = [f"{name}: {words}" for words, _ in found]
-    shown = [words for words, _ in found[:_MOST_IN_A_SENTENCE]]
-    if len(found) > len(shown):
-        shown.append(f"and {len(found) - len(shown)} more")
+    told = [words for words, _ in found[:_MOST_IN_A_SENTENCE]]
+    if len(found) > len(told):
+        told.append(f"and {len(found) - len(told)} more")
     complaints = [
         Complaint(each["about"], each["problem"], each["value"], each["allowed"])
         for _, each in found
     ]
     return kind(
-        f"{name}: {'; '.join(shown)}", complaints=complaints, sentences=sentences, **found[0][1]
+        f"{name}: {'; '.join(told)}", complaints=complaints, sentences=sentences, **found[0][1]
     )
 
 

@@ -78,9 +78,9 @@ class EmulatorBoard(LinkBoard):
     def _port_of_process(self) -> str:
         """Return the name of the process's port, as soon as it is printed."""
         assert self._process.stdout is not None
-        deadline, received = time.monotonic() + _STARTS_WITHIN_S, b""
+        deadline, said = time.monotonic() + _STARTS_WITHIN_S, b""
         with self._process.stdout as output:
-            while not received.endswith(b"\n"):
+            while not said.endswith(b"\n"):
                 if time.monotonic() > deadline:
                     raise BoardError(
                         f"the emulator has not started within {_STARTS_WITHIN_S:g} s: this "
@@ -96,8 +96,8 @@ class EmulatorBoard(LinkBoard):
                     message = f"the emulator did not start (exit {self._process.wait()})"
                     code = self._process.returncode
                     raise BoardError(message, about="emulator", problem="gone", value=code)
-                received += piece
-        return received.decode().strip()
+                said += piece
+        return said.decode().strip()
 
     def _close(self) -> None:
         super()._close()

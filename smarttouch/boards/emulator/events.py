@@ -47,5 +47,6 @@ def parse(text: str, forms: Mapping[str, str], error: type[SmartTouchError]) -> 
 def bad_event(
     error: type[SmartTouchError], text: str, what: str, problem: str, allowed: object = None
 ) -> SmartTouchError:
+    """Return the error of an event's text."""
     message = f"event {text!r}{what}"
     return error(message, about="event", problem=problem, value=text, allowed=allowed)
