@@ -1,4 +1,4 @@
-"""Processes that drive boards: others find and stop them, and know how much current they may."""
+"""Processes that drive boards, announced so that others can stop them and add up their current."""
 
 import contextlib
 import os
@@ -19,33 +19,23 @@ from smarttouch.errors import SmartTouchError
 from smarttouch.posix import fcntl
 from smarttouch.stopping import RunStopped
 
-ENDED_WITHIN_S = 3.0
-"""Of being asked by `stop_all`."""
-_STOP, _WAKE = b"\0", b"\1"
-"""Written to the pipe of a process: by who asks it to stop, and by itself."""
+ENDED_WITHIN_S = 3.0  # of being asked by `stop_all`
+_STOP, _WAKE = b"\0", b"\1"  # bytes on the pipe: a request to stop, and the process's own end
 _TOTAL_BYTES = 12
 _MARK = "stopped"
 _MARK_BYTES = 200
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _OWN_STAT = Path("/proc/self/stat")
-_STARTED = 19
-"""Place of the process's start, after the name of its program."""
+_STARTED = 19  # place of the process's start, after the name of its program
 _IMPORTED_NS = now_ns()
 
 
 class Announcement:
-    """File that tells other processes of this one, and the pipe on which they ask it to stop.
+    """File that announces this process to others, and the named pipe on which they ask it to stop.
 
-    Parameters
-    ----------
-    on_request : callable, optional
-        Called in a thread of its own when `stop_all` asks, with a named pipe for it; a process
-        without it is asked by a signal.
-
-    Raises
-    ------
-    SmartTouchError
-        If there is no place for it: what could not be stopped from elsewhere does not begin.
+    A request on the pipe calls ``on_request`` in a thread of its own; without it, the process is
+    asked by a signal. It raises where the file cannot be written: what others could not stop does
+    not begin.
     """
 
     def __init__(self, on_request: Callable[[], None] | None = None) -> None:
@@ -54,15 +44,15 @@ class Announcement:
         self._pipe = None if on_request is None else self._path.with_suffix(".stop")
         try:
             if self._pipe is not None:
-                # First of all: who finds the file finds the pipe.
+                # First: a process that finds the file must find the pipe.
                 self._pipe.unlink(missing_ok=True)
                 os.mkfifo(self._pipe, 0o600)
-                # For writing too, by which it never ends and `withdraw` wakes its reader.
+                # For writing too: it never reaches its end, and `withdraw` can wake its reader.
                 flags = os.O_RDWR | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC
                 self._requests = os.open(self._pipe, flags)
             self._number, hidden = _new_file()
             try:
-                # Held as long as we live, however we end: a file that nobody holds means nothing.
+                # Locked until this process ends, however it ends; an unlocked file means nothing.
                 fcntl.flock(self._number, fcntl.LOCK_EX)
                 hidden.replace(self._path)
             except OSError:
@@ -92,7 +82,7 @@ class Announcement:
         return sum(total for process, total in _held().items() if process != os.getpid())
 
     def withdraw(self) -> None:
-        """Remove it: nothing of this process is to be stopped."""
+        """Remove the file and the pipe."""
         self._path.unlink(missing_ok=True)
         os.close(self._number)
         if self._pipe is not None:
@@ -102,7 +92,7 @@ class Announcement:
                 os.write(self._requests, _WAKE)
 
     def close_inherited(self) -> None:
-        """Let go of it in a forked process: it remains the parent's."""
+        """Close the descriptors in a forked process; the announcement remains the parent's."""
         os.close(self._number)
         if self._pipe is not None:
             os.close(self._requests)
@@ -120,15 +110,13 @@ class Announcement:
 
 
 def running() -> list[int]:
-    """Return the process numbers of all runs; files of runs that were killed are removed.
-
-    Whatever else lies in their folder is passed over.
-    """
+    """Return the process ids of all runs; remove files of runs that were killed, and ignore other
+    files."""
     return list(_held())
 
 
 def _held() -> dict[int, int]:
-    """Return what each process that is announced has declared, µA."""
+    """Return the current that each announced process has declared, µA."""
     found = {}
     for path in _listed():
         process, dot, ending = path.name.partition(".")
@@ -138,7 +126,7 @@ def _held() -> dict[int, int]:
             if number is None:
                 continue
             try:
-                # Shared: two that look at once do not take each other for a run.
+                # Shared: two processes that look at once must not take each other for a run.
                 fcntl.flock(number, fcntl.LOCK_SH | fcntl.LOCK_NB)
             except BlockingIOError:
                 declared = os.pread(number, _TOTAL_BYTES, 0).strip()
@@ -151,16 +139,9 @@ def _held() -> dict[int, int]:
 
 
 def stop_all() -> int:
-    """End every run of this user with all electrodes at zero; return how many there were.
-
-    What was started before and has not begun yet does not begin.
-
-    Raises
-    ------
-    SmartTouchError
-        If some have not ended in time, or those that are just starting could not be kept from it.
-    """
-    # First the mark: who is not listed yet will find it before it begins.
+    """End every run of this user with all electrodes at zero, and keep runs that are just starting
+    from beginning; return how many were running."""
+    # First the mark: a process not listed yet finds it before it begins.
     no_mark: SmartTouchError | None = None
     try:
         leave_mark()
@@ -183,13 +164,13 @@ def stop_all() -> int:
         )
     if no_mark is not None:
         raise no_mark
-    # Who is started after this is newer than the mark, in the system's steps of 10 ms too.
+    # Start times come in steps of 10 ms: processes started from now on are later than the mark.
     time.sleep(0.02)
     return len(asked)
 
 
 def _ask_to_stop(process: int) -> None:
-    """Ask a process on its pipe; by a signal where it has none, as commands do."""
+    """Ask a process to stop: on its pipe, or by a signal where it has none."""
     try:
         flags = os.O_WRONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC
         number = os.open(_folder() / f"{process}.stop", flags)
@@ -197,7 +178,7 @@ def _ask_to_stop(process: int) -> None:
         number = -1
     try:
         if number >= 0 and stat.S_ISFIFO(os.fstat(number).st_mode):
-            # Full: it was asked often enough.
+            # A full pipe holds enough requests.
             with contextlib.suppress(BlockingIOError, BrokenPipeError):
                 os.write(number, _STOP)
         else:
@@ -209,13 +190,7 @@ def _ask_to_stop(process: int) -> None:
 
 
 def leave_mark() -> int:
-    """Let no process that has been started until now begin current; return the time, ns.
-
-    Raises
-    ------
-    SmartTouchError
-        If there is no place for the mark.
-    """
+    """Keep all processes that have started by now from beginning current; return the time, ns."""
     time_ns = now_ns()
     try:
         mark = _folder() / _MARK
@@ -240,13 +215,7 @@ def leave_mark() -> int:
 
 
 def refuse_if_stopped() -> None:
-    """Raise if ``smarttouch stop`` came after this process was started.
-
-    Raises
-    ------
-    RunStopped
-        As if it had been in time to be asked by a signal: no current is to begin.
-    """
+    """Raise RunStopped if ``smarttouch stop`` came after this process was started."""
     if stopped_since_start():
         raise RunStopped(signal.SIGTERM, "smarttouch stop")
 
@@ -258,7 +227,7 @@ def stopped_since_start() -> bool:
 
 
 def started_ns() -> int:
-    """Return when this process was started, by the clock of `now_ns`; never too late."""
+    """Return when this process started, by the clock of `now_ns`, or a time before that."""
     try:
         fields = _OWN_STAT.read_text().rpartition(")")[2].split()
         return int(fields[_STARTED]) * 1_000_000_000 // os.sysconf("SC_CLK_TCK")
@@ -267,7 +236,7 @@ def started_ns() -> int:
 
 
 def _mark_ns() -> int | None:
-    """Return the time of the last stop since the machine was started, None if there was none."""
+    """Return the time of the last stop since the machine booted; None if there was none."""
     with _regular(_folder() / _MARK) as number:
         if number is None:
             return None
@@ -278,7 +247,7 @@ def _mark_ns() -> int | None:
 
 
 def _boot() -> str:
-    """Return what distinguishes this start of the machine from others."""
+    """Return an id of this boot of the machine."""
     try:
         return _BOOT_ID.read_text().strip() or "-"
     except OSError:
@@ -289,7 +258,7 @@ def _folder() -> Path:
     try:
         path = user_state_path("smarttouch", appauthor=False, ensure_exists=True)
         if path.stat().st_mode & 0o077:
-            # No other account of the machine sees what runs, or asks it to stop.
+            # No other user may see runs or stop them.
             path.chmod(0o700)
         return path
     except OSError as error:
@@ -310,14 +279,14 @@ def _listed() -> list[Path]:
 
 
 def _new_file() -> tuple[int, Path]:
-    """Return a new file's descriptor and its path, a name that nothing else has."""
+    """Return the descriptor and the unique path of a new file."""
     number, path = tempfile.mkstemp(prefix=".", suffix=".new", dir=_folder())
     return number, Path(path)
 
 
 @contextmanager
 def _regular(path: Path) -> Iterator[int | None]:
-    """Open a file for reading; None for what is no file, cannot be read, or would block."""
+    """Open a regular file for reading; None if it is none, cannot be read, or would block."""
     try:
         number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
     except OSError:

@@ -40,18 +40,16 @@ __all__ = [
 ]
 
 
-FARTHEST_NS = 10_000_000_000
-"""Planned starts farther ahead than this are of another clock."""
+FARTHEST_NS = 10_000_000_000  # planned starts farther ahead than this are of another clock
 
 
 class Board(Timely, ABC):
     """Base class of display boards.
 
-    A driver implements the underscored methods. `send` cannot be reached
-    around: it proves every sequence safe, on the board's own clock, and the
-    driver sees nothing but the frozen copy that was proved. No final method can be
-    replaced in a class or an object, and a board whose gate, limits or clock are no
-    longer those that it was made with ends in zero.
+    A driver implements the underscored methods. `send` cannot be bypassed: it proves every
+    sequence safe, by the board's own clock, and the driver gets only the frozen copy that was
+    proved. Final methods cannot be replaced in a class or an object, and a board whose gate, limits
+    or clock were exchanged is put at zero.
 
     Parameters
     ----------
@@ -68,11 +66,11 @@ class Board(Timely, ABC):
     """Name of the default profile of such a board."""
     takes_wiring: ClassVar[bool] = False
     keeps_kernels: ClassVar[bool] = False
-    """Whether such boards may keep kernels, and slots should be sums of these."""
+    """Whether such boards can store kernels, so that slots should be sums of them."""
     on_a_finger: ClassVar[bool] = True
     """Whether a finger may be on it."""
     shares_budget: ClassVar[bool] = True
-    """Whether current of its own counts in what all displays of a user may drive together."""
+    """Whether its current counts towards the total of all displays of a user."""
     drives_in_send: ClassVar[bool] = True
     """Whether `_send` itself writes, at once: it is then called within `_driving`. A driver whose
     `_send` waits, or that writes from a thread of its own, sets this to False and makes each
@@ -118,8 +116,8 @@ class Board(Timely, ABC):
     def open(self) -> None:
         """Connect, shake hands, and put all electrodes at zero.
 
-        Other processes can stop a board that a finger may be on from before this begins. It waits,
-        a second at most, where what was sent before leaves too little room for net current.
+        From before this begins, other processes can stop a board that a finger may be on. It waits
+        up to a second where earlier sequences leave too little room for net current.
 
         Raises
         ------
@@ -144,7 +142,7 @@ class Board(Timely, ABC):
 
     @final
     def _open_announced(self) -> None:
-        # A new run starts from zero intensity, and its time may start anew.
+        # A new run starts from zero intensity, and its time may start again.
         self._gate.begin_session()
         self._begin_unless_halted()
         if self._stopped.wait(self._gate.net_rest_ns() / 1e9):
@@ -191,8 +189,8 @@ class Board(Timely, ABC):
         BoardRestartedError
             If the board was lost and is back: begin again at intensity 0.
         SequenceLateError
-            If it, or one before it, was too late to be sent: begin again at intensity 0. Where
-            time is what sequences claim, none is late.
+            If it, or one before it, was too late to be sent: begin again at intensity 0. By the
+            time that sequences state, none is late.
         BoardStoppedError
             If the board was stopped.
         BoardError
@@ -206,7 +204,7 @@ class Board(Timely, ABC):
         self._require_seal()
         if self._time() is not None or self.on_a_finger:
             _require_same_clock(self._due_ns, now_ns)
-        # By the class: nothing of a driver stands in its place.
+        # By the class: a driver cannot replace it.
         Capabilities.require(self.capabilities, sequence, times)
         times = int(times)
         proved = self._gate.prove(sequence, times)
@@ -215,17 +213,17 @@ class Board(Timely, ABC):
                 self._refuse_late(self._due_ns)
             with self._driving() if self.drives_in_send else contextlib.nullcontext():
                 number = self._send(proved, times)
-                # Within: what was sent is in the report by the time that a stop returns.
+                # Within: by the time that a stop returns, the report includes it.
                 if type(self).report is Board.report:
                     self._host_statistics.add(proved, times)
         except SequenceLateError:
-            # The skin has felt nothing for a while: what comes next begins at zero.
+            # Nothing was delivered for a while: what comes next begins at zero.
             self._gate.restart()
             raise
         except LineLostError as lost:
             self._go_on_unless_stopped()
             self._recover(lost)
-            # The skin has felt nothing for a while: what comes next begins at zero.
+            # Nothing was delivered for a while: what comes next begins at zero.
             self._gate.restart()
             self.notes.append(f"{lost}: started anew")
             raise BoardRestartedError(
@@ -235,7 +233,7 @@ class Board(Timely, ABC):
                 value=lost.value,
             ) from None
         except BoardError:
-            # What fails on a board that someone has stopped, fails because of that.
+            # On a stopped board any failure is due to the stop.
             self._go_on_unless_stopped()
             raise
         return number
@@ -260,17 +258,13 @@ class Board(Timely, ABC):
     def _time(self) -> Now | None:
         """Return the clock of the safety gate: the machine's.
 
-        Only a board that no finger can be on has another, or none: then time is what
-        sequences claim.
+        Only a board that no finger can be on has another, or None: the time that sequences state.
         """
         return self.clock
 
     @property
     def device(self) -> str | None:
-        """What a fault of this board is recorded by: its USB serial number, else its port.
-
-        None where there is no device.
-        """
+        """Identity that its faults are recorded by: USB serial number, else port; or None."""
         return None
 
     @final
@@ -331,7 +325,7 @@ class Board(Timely, ABC):
                 self._go_on_unless_stopped()
             raise
         finally:
-            # What comes next begins at zero, and its time may start anew.
+            # What comes next begins at zero, and its time may start again.
             self._gate.restart()
         self._go_on_unless_stopped()
         return found
@@ -345,7 +339,7 @@ class Board(Timely, ABC):
         ----------
         scan : ScanSequence
         times : int
-            Largest number of times that the board makes it.
+            Most times that the board repeats it.
         """
         with self._driving():
             for _ in range(times):
@@ -361,11 +355,11 @@ class Board(Timely, ABC):
 
     @final
     def _require_seal(self) -> None:
-        """Raise, with the board closed, if its driver has replaced what keeps it safe."""
+        """Raise, with the board closed, if its driver has replaced a part of the safety gate."""
         fault = seal_fault(self)
         if fault is not None:
             try:
-                # By the class: the driver may have put something else in their place.
+                # By the class: the driver may have replaced them.
                 Board.halt(self)
             finally:
                 try:
@@ -406,13 +400,13 @@ class Board(Timely, ABC):
     @property
     @final
     def announced(self) -> bool:
-        """Whether ``smarttouch stop`` is to reach it, from its opening to its closing."""
+        """Whether ``smarttouch stop`` must reach it while it is open."""
         return self.on_a_finger or (self._time() is not None and not self.simulated_time)
 
     @property
     @final
     def budget_ua(self) -> int:
-        """Its part of the current that all displays of a user may drive together, µA."""
+        """Its share of the current that all displays of a user may drive together, µA."""
         counts = self.on_a_finger and self.shares_budget
         return self._gate.limits.total_ua if counts else 0
 
@@ -428,13 +422,13 @@ class Board(Timely, ABC):
     def drain(self, timeout_s: float = 1.0) -> None:
         """Wait until all sequences have been delivered, or the time is over.
 
-        Nothing waits on a board whose `_send` returns when all is delivered.
+        This one returns at once, for boards whose `_send` returns when all is delivered.
         """
 
     def report(self) -> BoardReport:
         """Return the report of what was delivered.
 
-        Of what was sent, unless a board that knows more replaces this.
+        This one reports what was sent; a board that knows more replaces it.
         """
         return self._host_statistics.report()
 
@@ -482,10 +476,7 @@ class Board(Timely, ABC):
 
 
 def _require_same_clock(due_ns: int, now_ns: int) -> None:
-    """Raise if a planned start is too far ahead for a time of the board's clock.
-
-    One that is long past is late.
-    """
+    """Raise if a planned start is too far ahead to be by the board's clock."""
     away_ns = due_ns - now_ns
     if away_ns > FARTHEST_NS:
         raise BoardError(

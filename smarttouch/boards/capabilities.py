@@ -53,14 +53,7 @@ class Capabilities:
     """Longest time from the end of this program to zero, if a keeper process ensures that."""
 
     def require(self, sequence: ScanSequence, times: int) -> None:
-        """Raise unless the board can deliver a sequence a number of times.
-
-        Raises
-        ------
-        BoardError
-            If it is of another size, needs something that the board has not, or is repeated
-            too often or a number of times that is not whole.
-        """
+        """Raise BoardError unless the board can deliver a sequence a number of times."""
         if (electrodes := sequence.current_ua.shape[1]) != self.electrodes:
             raise BoardError(
                 f"the sequence is for {electrodes} electrodes, the board has "
@@ -104,7 +97,7 @@ class Capabilities:
                 f"zero {self.kept_ms:g} ms after the program ends or hangs; by itself {silence}"
             )
         names = ("acknowledgments", "voltages", "finger force")
-        told = compress(names, (self.acknowledges, self.measures, self.force))
+        reported = compress(names, (self.acknowledges, self.measures, self.force))
         return [
             ("firmware", self.firmware),
             *([("protocol", self.protocol)] if self.protocol else []),
@@ -113,7 +106,7 @@ class Capabilities:
             ("clock", f"the {self.clock}'s"),
             ("host lost", silence),
             *([("emergency", "switch, closed")] if self.emergency_switch else []),
-            ("while it scans", "tells of " + (", ".join(told) or "nothing")),
+            ("while it scans", "tells of " + (", ".join(reported) or "nothing")),
         ]
 
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 from serial.tools import list_ports
 
-ETACTILEKIT_PORT = 8888
-"""UDP port on which eTactileKits answer ``ETK?``; other devices have no reason to listen."""
+ETACTILEKIT_PORT = 8888  # UDP port on which eTactileKits answer ``ETK?``
 
 
 @dataclass(frozen=True)
@@ -63,13 +62,15 @@ def parse_answer(data: bytes) -> NetworkBoard | None:
     fields = data.decode("utf-8", "replace").strip().split(";")
     if fields[0] != "ETK!":
         return None
-    told = dict(each.split("=", 1) for each in fields[1:] if "=" in each)
-    port = told.get("port", "")
-    if not told.get("ip") or not port.isdecimal():
+    answer = dict(each.split("=", 1) for each in fields[1:] if "=" in each)
+    port = answer.get("port", "")
+    if not answer.get("ip") or not port.isdecimal():
         return None
     # Whatever a stranger calls itself must not steer the terminal.
-    name = "".join(each for each in told.get("name") or told.get("id", "") if each.isprintable())
-    address = "".join(each for each in told["ip"] if each.isalnum() or each in ".:-")
+    name = "".join(
+        each for each in answer.get("name") or answer.get("id", "") if each.isprintable()
+    )
+    address = "".join(each for each in answer["ip"] if each.isalnum() or each in ".:-")
     return NetworkBoard(
-        f"etactilekit:tcp://{address}:{int(port)}", name[:40], told.get("busy") == "1"
+        f"etactilekit:tcp://{address}:{int(port)}", name[:40], answer.get("busy") == "1"
     )

@@ -1,7 +1,7 @@
 """Driver of the eTactileKit, which scans on its own clock; the host loads its patterns.
 
-What goes over the wire, and what guards it, stands in `etactilekit_wire`, and how each
-pattern is scanned a known number of times in `etactilekit_step`.
+Its bytes, and what guards them, are in `etactilekit_wire`; `etactilekit_step` scans each pattern a
+known number of times.
 """
 
 import time
@@ -34,25 +34,20 @@ from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.stimulation.timing import ScanTiming
 
-NEWEST_ZERO_MS = 520.0
-"""Time to zero of the newest firmware, which ends its scan 500 ms after the host's last byte."""
-IDLE_S = 0.1
-"""Time without a sequence after which the pattern on the board becomes zeros."""
-SENSE_S, SENSE_SCANS = 0.25, 5
-"""Duration of sense scans, ten a second, and their largest number until the end is confirmed."""
-ATTEMPTS = 4
-"""Attempts at a pattern that gave no reading, though weaker ones did."""
-OPEN_SHARE = 0.95
-"""Part of the voltage without a finger: if every slot reaches it, the finger is lifted."""
+NEWEST_ZERO_MS = 520.0  # newest firmware: ends its scan 500 ms after the host's last byte
+IDLE_S = 0.1  # time without a sequence after which the pattern on the board becomes zeros
+SENSE_S, SENSE_SCANS = 0.25, 5  # of sense scans, ten a second; most until they end
+ATTEMPTS = 4  # attempts at a pattern that gave no reading, though weaker ones did
+OPEN_SHARE = 0.95  # of the voltage without a finger: if all slots reach it, it is lifted
 
 
 class ETactileKitBoard(SteppedKit):
     """The eTactileKit: ``etactilekit:PORT`` or ``etactilekit:tcp://HOST:8080``.
 
-    After the port, ``?slow`` writes 8 bytes every 3 ms from the start, for USB of
-    older firmware (the driver goes over to it by itself when frames get lost), and
-    ``?firmware=936c6c0``, ``71adee2`` or ``newest`` selects the firmware if a query
-    cannot. Both: ``?slow&firmware=936c6c0``.
+    After the port, ``?slow`` writes 8 bytes every 3 ms from the start, for USB of older firmware
+    (the driver goes over to it by itself when frames get lost), and ``?firmware=936c6c0``,
+    ``71adee2`` or ``newest`` selects the firmware if a query cannot. Both:
+    ``?slow&firmware=936c6c0``.
     """
 
     default_profile: ClassVar[str] = "etactilekit-32"
@@ -118,7 +113,7 @@ class ETactileKitBoard(SteppedKit):
         codec = self._codec
         busy_us = settings.scan_us(self._outputs, codec.slot_extra_us)
         if sequence.slots and 1000 * busy_us > 0.97 * settings.period_ns:
-            # Its parser would never get a turn again.
+            # Its parser would never run again.
             raise BoardError(
                 f"a scan of {self._outputs} outputs takes {busy_us} µs, which does not fit "
                 f"{settings.period_ns // 1000} µs: lower pulse.discharge_us or the rate",
@@ -137,7 +132,7 @@ class ETactileKitBoard(SteppedKit):
             job = self._take(None if idle else time.monotonic() + IDLE_S)
             if job is not None and self._is_in_time(job, max(job.due_ns, free_ns)):
                 self._perform(job)
-                # What waited for its turn is not late; what comes after a pause is.
+                # A sequence that waited for its turn is not late.
                 free_ns = self._clock.now_ns()
                 idle = False
             elif not self._closing.is_set():
@@ -195,7 +190,7 @@ class ETactileKitBoard(SteppedKit):
         return not self._closing.is_set()
 
     def _show(self, job: Job) -> bool:
-        """Enable a sequence's pulses; return whether the board has obeyed."""
+        """Enable a sequence's pulses; return whether the board has done so."""
         settings = settings_of(job.sequence)
         if settings != self._settings and not self._set(settings):
             return False
@@ -203,16 +198,16 @@ class ETactileKitBoard(SteppedKit):
             return False
         self._wait(self._free_of_scans(self._clock.now_ns()))
         go = self._codec.go(job.data)
-        if self._closing.is_set() or (told := self._ask(go, drives=True)) is None:
+        if self._closing.is_set() or (span := self._ask(go, drives=True)) is None:
             self._on_board = b""
             return False
         self._note_rise(job)
         assert self._before is not None
-        self._shown = Shown(job, told, self._before[1])
+        self._shown = Shown(job, span, self._before[1])
         return True
 
     def _set(self, settings: Settings) -> bool:
-        """Set pulse and rate while nothing flows; return whether the board has obeyed."""
+        """Set pulse and rate while nothing flows; return whether the board has done so."""
         longest = max(
             each.scan_us(self._outputs, 20) for each in (settings, self._settings) if each
         )
@@ -226,7 +221,7 @@ class ETactileKitBoard(SteppedKit):
                 self._resync()
                 return False
         if settings.rate_hz != before_hz:
-            # The newest firmware ends the period that it has begun.
+            # The newest firmware finishes the current period.
             self._wait(self._clock.now_ns() + 10**9 // before_hz + MARGIN_NS)
         self._settings = settings
         return True
@@ -247,7 +242,7 @@ class ETactileKitBoard(SteppedKit):
         with self._news:
             self._volts = [*self._volts[-63:], (job.sequence, volts)]
         if volts.any():
-            # Without a finger all of it goes through the load beside the skin.
+            # Without a finger all current takes the load beside the skin.
             alone_v = np.minimum(np.abs(current_ua) / 1000 * DUMMY_KOHM, COMPLIANCE_V)
             self.lifted = bool((volts >= OPEN_SHARE * alone_v).all())
 
@@ -288,7 +283,7 @@ class ETactileKitBoard(SteppedKit):
         return judge(volts, through_skin, COMPLIANCE_V)
 
     def _sense(self, scan: ScanSequence) -> NDArray[np.uint16] | None:
-        """Sense for `SENSE_S`; return the reading of each output, counts, if all were told."""
+        """Sense for `SENSE_S`; return the reading of each output, counts, if the board sent all."""
         codec = self._codec
         with self._line:
             self._zero()

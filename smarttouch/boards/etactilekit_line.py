@@ -26,20 +26,16 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.wire.port import open_port
 
-FIRMWARES = ("936c6c0", "71adee2", "newest")
-"""Known firmwares, by the first commit of the public repository that has each."""
+FIRMWARES = ("936c6c0", "71adee2", "newest")  # by their first commits in the repository
 ECHO_S = 0.1
-CHIPS_S = 0.5
-"""Longest time to an answer."""
-FORGETS_S = 2.15
-"""Silence after which a partial command is dropped, except by 936c6c0."""
+CHIPS_S = 0.5  # longest time to an answer
+FORGETS_S = 2.15  # silence after which a partial command is dropped, except by 936c6c0
 LOSSES_UNTIL_SLOW = 2
 TRIES = 3
-LOOKS = 5
-"""Answers in a row without an echo after which the firmware has none."""
+LOOKS = 5  # answers in a row without an echo after which the firmware has none
 AWAY_S, AWAY_MOST_S = 0.6, 1.8
-"""Time of a closed port that the newest firmware takes for a lost host; half a command that waited
-longer may have been dropped by any."""
+"""Time of a closed port after which the newest firmware drops half a command, and after which any
+may have."""
 
 
 class ETactileKitLine(KeptBoard):
@@ -66,16 +62,12 @@ class ETactileKitLine(KeptBoard):
                 allowed=252,
             )
         self._lost_frames = 0
-        self._senses = False
-        """Whether it may be making sense pulses."""
+        self._senses = False  # whether it may be making sense pulses
 
-    # -- which it is ---------------------------------------------------------
+    # -- detection -----------------------------------------------------------
 
     def _find_out(self) -> tuple[str, int]:
-        """Put any firmware at zero; return its name and its number of outputs.
-
-        The codec is chosen by it, and the board's number of electrodes is set.
-        """
+        """Put any firmware at zero, choose its codec; return its name and its number of outputs."""
         for _ in range(TRIES - 1):
             # Bytes may be lost here too.
             with contextlib.suppress(LineLostError):
@@ -107,10 +99,11 @@ class ETactileKitLine(KeptBoard):
         return self._wanted or firmware, capacity
 
     def _wake(self) -> int:
-        """Put the board at zero and its parser at the start of a command; return its chips."""
+        """Put the board at zero and its parser at the start of a command; return its number of
+        chips."""
         for pause_s in (0.01, FORGETS_S):
-            # A host before us may have left half a pattern: any other byte would complete it,
-            # as a current. What zeros do not end, it drops in a silence.
+            # An earlier host may have left half a pattern, which any byte but zero would complete
+            # as a current. What zeros do not end, a silence does.
             self._write_out(ZEROS)
             self._pause(pause_s)
             for command in AT_REST:
@@ -146,7 +139,7 @@ class ETactileKitLine(KeptBoard):
 
     def _meet_modes(self) -> str:
         codec = self._codec = ModeCodec(self._outputs)
-        # No sense pulses: the guard of every change counts on that.
+        # No sense pulses: the guard of every change relies on that.
         self._write_out(codec.quiet + NO_SENSE + bytes([0xFC, self._outputs]) + PING)
         if not codec.is_answer(self._read(1, ECHO_S)):
             raise self._lost("does not echo its number of electrodes", "mute")
@@ -156,7 +149,7 @@ class ETactileKitLine(KeptBoard):
 
     def _meet_heights(self) -> str:
         codec = self._codec = HeightCodec(self._outputs)
-        # Its electrodes come back with whatever pattern it had: not before the height is zero.
+        # Its electrodes come back with an old pattern: first the height must be zero.
         self._write_out(codec.quiet + CHIPS)
         if not self._read(1, CHIPS_S):
             raise self._lost("does not confirm a height of zero", "mute")
@@ -201,31 +194,18 @@ class ETactileKitLine(KeptBoard):
     def _recognize(self) -> None:
         self._ask_again(CHIPS, bytes([self._chips]), CHIPS_S, FORGETS_S)
 
-    # -- questions and answers -----------------------------------------------
+    # -- queries -------------------------------------------------------------
 
     def _exchange(
         self, body: bytes, *, ask: bool = False, drives: bool = False
     ) -> tuple[Span, NDArray[np.uint16] | None] | None:
-        """Send commands and wait until they are executed.
-
-        Parameters
-        ----------
-        ask : bool
-            Also for the readings, as they are before the commands are obeyed.
-        drives : bool
-            Whether the commands make current.
-
-        Returns
-        -------
-        span : Span, ns
-            Within which the commands were obeyed, by the clock.
-        readings : ndarray, (N,), or None
-            In the board's own order.
-        """
+        """Send commands and wait until they are executed; return the span in which that was and, if
+        asked for, the readings (N,) before them in the board's order; None if the answer is wrong.
+        Commands that make current are marked by ``drives``."""
         codec = self._codec
         data = codec.lead + READINGS * ask + body + codec.question
         expected = codec.readings_bytes * ask + codec.answer_bytes
-        # An answer that was late must not pass for that to this.
+        # A late answer must not be taken for this one's.
         self._flush()
         begun_ns = self._clock.now_ns()
         with self._driving() if drives else contextlib.nullcontext():
@@ -238,13 +218,7 @@ class ETactileKitLine(KeptBoard):
         return span, readings
 
     def _resync(self) -> None:
-        """Resynchronize the board's parser to the start of a command; nothing flows meanwhile.
-
-        Raises
-        ------
-        LineLostError
-            If it does not answer any more.
-        """
+        """Resynchronize the board's parser to the start of a command; nothing flows meanwhile."""
         self._note_loss()
         codec = self._codec
         # Zeros complete any half pattern, and are no commands; if not, silence does.
@@ -254,7 +228,7 @@ class ETactileKitLine(KeptBoard):
             time.sleep(pause_s)
             self._flush()
             self._write_out(codec.quiet + NO_SENSE * self._senses + bytes(4) + codec.question)
-            # It may only have been late, and silence costs far more than waiting here.
+            # The answer may only be late, and a silence would cost far more.
             if codec.is_answer(self._read(codec.answer_bytes, CHIPS_S)):
                 return
         raise self._lost("does not answer any more", "mute")

@@ -11,14 +11,12 @@ from smarttouch.errors import BoardError
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
-UA_PER_COUNT = 9.99
-"""Nominal scale; the firmware does not cap 4095 counts, which are 41 mA."""
+UA_PER_COUNT = 9.99  # nominal scale; the firmware does not cap 4095 counts, which are 41 mA
 LARGEST = 1000
 """Counts, about 10 mA: nothing above leaves this host, whatever the limits. Its firmware does not
 cap 4095 counts, which are 41 mA."""
 FIRST_COMMAND = 0xF4
-SHORTEST_US = 7
-"""Shortest pulse: switching on and off takes 6.6 µs."""
+SHORTEST_US = 7  # shortest pulse: switching on and off takes 6.6 µs
 
 
 @dataclass(frozen=True)
@@ -36,18 +34,12 @@ class Settings:
         return 1_000_000 // self.rate_hz * 1000
 
     def scan_us(self, outputs: int, slot_extra_us: int) -> int:
-        """Return the duration of a scan."""
         return outputs * (self.width_us + self.discharge_us + slot_extra_us)
 
 
 def settings_of(sequence: ScanSequence) -> Settings:
-    """Return the settings of a sequence.
-
-    Raises
-    ------
-    BoardError
-        If its slots want more than one polarity or width, or one that is out of reach.
-    """
+    """Return the settings of a sequence; raise BoardError if its slots want several polarities or
+    widths, or a time that is out of reach."""
     _, current_ua = one_against_all(sequence)
     if len(np.unique(np.sign(current_ua))) > 1:
         raise BoardError(
@@ -100,10 +92,8 @@ def slots_of(sequence: ScanSequence, chosen: NDArray[np.bool_]) -> ScanSequence:
 def heights(
     sequence: ScanSequence, scale: Scale, limits: SafetyLimits
 ) -> tuple[NDArray[np.intp], NDArray[np.uint16]]:
-    """Return the electrode of each slot, and its height in counts.
-
-    Neither rounding nor a scale that is wrong may pass the limits.
-    """
+    """Return the electrode of each slot, and its height in counts; neither rounding nor a scale
+    that is wrong may pass the limits."""
     electrode, current_ua = one_against_all(sequence)
     most = scale.most_counts(limits, sequence.width_us.max(initial=0))
     nearest = np.rint(np.abs(current_ua) / scale.measured_ua)

@@ -1,12 +1,11 @@
 """Synchronization with the scans of an eTactileKit, which runs on its own clock.
 
-What a scan does is settled when it starts, so a pattern is felt only if it is there at
-that moment. Pulses are let come, one scan or as many as are wanted start, and pulses are
-stopped again: in between the next pattern is put on the board. The board does not say
-when it scans; but its readings change with each scan, so two questions bracket one, and
-from then on all others are known (`ScanLock`). As long as they are not (nothing is felt
-or measured yet, or the line is too slow), a pattern stays for longer than a whole
-period: then it is scanned at least once, perhaps twice, and the report has that range.
+A scan is fixed when it starts, so a pattern is scanned only if it is there at that moment. Pulses
+are enabled, as many scans as wanted start, and pulses are stopped again; in between the next
+pattern is loaded. The board does not report its scans, but its readings change with each of them,
+so two queries bracket one, and from then on all others are known (`ScanLock`). Until then (before
+the first measured pulse, or on a slow line), a pattern stays for longer than a whole period: it is
+scanned once or twice, and the report has that range.
 """
 
 from abc import abstractmethod
@@ -24,34 +23,26 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
-LOW, HIGH = 4, 12
-"""Readings below the first had no pulse, those from the second on had one: .3 and 1 V."""
+LOW, HIGH = 4, 12  # readings below 4 had no pulse, from 12 on they had one: .3 and 1 V
 POLL_NS, MARGIN_NS = 1_000_000, 100_000
-LATE_SCANS = 3
-"""Additional scans to wait for if no time is certainly between two scans."""
-WIDE_NS = 1_000_000
-"""Uncertainty of a scan's start above which a query is sent in the middle of the scan."""
-LISTEN_NS = 1_000_000_000
-"""Interval in which at most one scan is left empty to find when scans start."""
-KEEP_NS = 100_000_000
-"""Longest silence to the newest firmware."""
+LATE_SCANS = 3  # additional scans to wait for if no time is certainly between two scans
+WIDE_NS = 1_000_000  # above this uncertainty of a start, a query is sent in mid-scan
+LISTEN_NS = 1_000_000_000  # at most one scan in this time is left empty to find starts
+KEEP_NS = 100_000_000  # longest silence to the newest firmware
 
 
 @dataclass
 class Shown:
-    """Pattern that pulses, and its start."""
+    """Pattern that is being pulsed, and its start."""
 
     job: Job
     since: Span
-    before: NDArray[np.uint16]
-    """Readings of the previous scan."""
-    unseen_ns: int = 0
-    """Time of the last readings that showed none of its pulses."""
-    risen: bool = False
-    """Whether readings have shown some of its pulses."""
+    before: NDArray[np.uint16]  # readings of the previous scan
+    unseen_ns: int = 0  # time of the last readings that showed none of its pulses
+    risen: bool = False  # whether readings have shown some of its pulses
 
-    def felt(self, readings: NDArray[np.uint16]) -> NDArray[np.bool_]:
-        """Return which outputs it has certainly pulsed, by the present readings."""
+    def pulsed(self, readings: NDArray[np.uint16]) -> NDArray[np.bool_]:
+        """Return which outputs it has certainly pulsed, by the present readings, (N,) bool."""
         return (self.before < LOW) & (readings >= HIGH)
 
 
@@ -60,21 +51,16 @@ class SteppedKit(ETactileKitLine):
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         super().__init__(port, limits, output)
-        # What it pulses with; None if that is not certain.
-        self._settings: Settings | None = None
-        # Whether its parser stands still while it scans.
-        self._waits = True
+        self._settings: Settings | None = None  # what it pulses with; None if not certain
+        self._waits = True  # whether its parser stands still while it scans
         self._lock = ScanLock(1)
         self._shown: Shown | None = None
-        # The last readings, and the time of their query.
+        # The time of the last query, and its readings.
         self._before: tuple[int, NDArray[np.uint16]] | None = None
-        # How long answers have taken of late.
-        self._answer_ns = 0
-        # When it is time to listen again.
-        self._listen_ns = 0
+        self._answer_ns = 0  # how long recent answers took
+        self._listen_ns = 0  # when to run the next scan without pulses
         self._stopped_ns = 0
-        # The weakest pattern that was measured.
-        self._seen_ua = 10**6
+        self._seen_ua = 10**6  # the weakest pattern that was measured
 
     @abstractmethod
     def _note_volts(
@@ -91,7 +77,7 @@ class SteppedKit(ETactileKitLine):
             return None
         span, readings = found
         assert readings is not None
-        # Those during a scan take as long as that.
+        # An answer during a scan takes as long as the scan.
         took_ns = span.late - span.early
         self._answer_ns = min(took_ns, self._answer_ns * 9 // 8 or took_ns)
         if self._before is not None and self._settings is not None:
@@ -125,10 +111,10 @@ class SteppedKit(ETactileKitLine):
         self._lock.learn(Span(early_ns, answered_ns - 1000 * slots * rest_us))
 
     def _free_of_scans(self, now_ns: int) -> int:
-        """Return the time from which on an answer comes before the next scan can start, ns."""
+        """Return when an answer will come before the next scan can start, ns."""
         self._lock.check(now_ns)
         if not self._lock.locked:
-            # Of the newest firmware a scan may still be under way that began before the stop.
+            # In the newest firmware a scan that began before the stop may still run.
             return max(now_ns, self._stopped_ns + self._scan_ns())
         between_ns = self._lock.nominal_ns - self._scan_ns()
         answer_ns = min(3 * self._answer_ns, between_ns // 3)
@@ -151,20 +137,20 @@ class SteppedKit(ETactileKitLine):
                     return
                 late += 1
             ask_ns = self._worth_asking(now_ns, asked_ns)
-            # Something newer may come meanwhile.
+            # A newer sequence may come meanwhile.
             until_ns = min(due_ns, ask_ns, now_ns + self._lock.nominal_ns)
             self._wait(until_ns)
             if until_ns == ask_ns:
                 with self._line:
                     if shown is self._shown and not self._closing.is_set():
                         asked_ns = self._clock.now_ns()
-                        told = self._ask(b"") and self._before
-                        if told:
-                            self._look(shown, asked_ns, told[1])
+                        answer = self._ask(b"") and self._before
+                        if answer:
+                            self._look(shown, asked_ns, answer[1])
 
     def _look(self, shown: Shown, asked_ns: int, readings: NDArray[np.uint16]) -> None:
         """Keep the readings of the first scan of the shown pattern."""
-        if not shown.felt(readings).any():
+        if not shown.pulsed(readings).any():
             shown.unseen_ns = asked_ns
             return
         scan = self._lock.last
@@ -174,7 +160,7 @@ class SteppedKit(ETactileKitLine):
         shown.risen = True
 
     def _worth_asking(self, now_ns: int, asked_ns: int) -> int:
-        """Return when the next query is useful, to locate scans or to keep the board awake."""
+        """Return when the next query is useful: to locate scans, or to keep the board awake."""
         if not self._lock.locked:
             return now_ns + POLL_NS
         coming = self._lock.scan(self._lock.first_after(now_ns))
@@ -183,7 +169,7 @@ class SteppedKit(ETactileKitLine):
         return asked_ns + KEEP_NS
 
     def _over_ns(self, since: Span, times: int) -> int:
-        """Return the time at which so many scans after an event are certainly over."""
+        """Return when so many scans after an event are certainly over."""
         if not self._lock.locked:
             return int(since.late + times * self._lock.period_ns[1]) + MARGIN_NS
         last = self._lock.scan(self._lock.first_after(since.late) + times - 1)
@@ -219,25 +205,25 @@ class SteppedKit(ETactileKitLine):
     def _stop_pulses(self) -> bool:
         """Stop all pulses, and record the scans; return False if there seem to be none."""
         shown, self._shown = self._shown, None
-        begun_ns, told = self._clock.now_ns(), None
+        begun_ns, stopped = self._clock.now_ns(), None
         try:
-            told = self._ask(self._codec.quiet)
+            stopped = self._ask(self._codec.quiet)
         finally:
             self._stopped_ns = self._clock.now_ns()
-            felt = self._account(shown, told, begun_ns) if shown is not None else True
-        return felt
+            seen = self._account(shown, stopped, begun_ns) if shown is not None else True
+        return seen
 
-    def _account(self, shown: Shown, told: Span | None, begun_ns: int) -> bool:
+    def _account(self, shown: Shown, stopped: Span | None, begun_ns: int) -> bool:
         """Record the scans of the shown pattern; return False if there seem to be none."""
-        sequence, since, felt = shown.job.sequence, shown.since, True
-        readings = None if told is None or self._before is None else self._before[1]
-        certain = False if readings is None else shown.felt(readings)
+        sequence, since, seen = shown.job.sequence, shown.since, True
+        readings = None if stopped is None or self._before is None else self._before[1]
+        certain = False if readings is None else shown.pulsed(readings)
         if np.any(certain) and not shown.risen and self._settings is not None:
-            # Nor had it any scan whose slot would have passed when it was last unseen.
+            # No scan had passed that slot when the readings last showed no pulse.
             slots = int(np.argmax(certain))
             unseen_ns = shown.unseen_ns - 1000 * slots * self._settings.scan_us(1, 25)
             since = Span(max(since.early, unseen_ns), max(since.late, unseen_ns))
-        least, most = self._lock.starts(since, told or Span(begun_ns, self._clock.now_ns()))
+        least, most = self._lock.starts(since, stopped or Span(begun_ns, self._clock.now_ns()))
         foreign = certain & self._unused(sequence)
         if readings is not None:
             electrode, current_ua = one_against_all(sequence)
@@ -245,9 +231,9 @@ class SteppedKit(ETactileKitLine):
             if np.any(certain):
                 least, self._seen_ua = max(1, least), min(level_ua, self._seen_ua)
             elif level_ua >= self._seen_ua and (readings < LOW).all():
-                # Less has been measured before: the board has not kept its time.
+                # Weaker pulses were measured before: the board's timing has changed.
                 self._lock.forget()
-                least, felt = 0, False
+                least, seen = 0, False
             if least and self._lock.locked:
                 self._note_volts(shown.job, current_ua, readings)
         with self._news:
@@ -256,7 +242,7 @@ class SteppedKit(ETactileKitLine):
             raise self._latch(
                 f"output {foreign.argmax()} pulsed, and its pattern has no pulse there"
             )
-        return felt
+        return seen
 
     def _unused(self, sequence: ScanSequence) -> NDArray[np.bool_]:
         """Return which outputs a sequence does not pulse."""
@@ -265,7 +251,7 @@ class SteppedKit(ETactileKitLine):
         return unused
 
     def _give_up(self) -> None:
-        """Record the scans that are possible before a lost board was back, at zero."""
+        """Record the scans that may have run before a lost board came back at zero."""
         shown, self._shown = self._shown, None
         if shown is not None:
             sure_ns = shown.since.late if self._before is None else self._before[0]

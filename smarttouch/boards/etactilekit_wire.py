@@ -16,12 +16,12 @@ have it; it knows no F4, F9 counts fourfold, and half a command waits for ever
 
 A byte lost inside FE would leave the board waiting, and the next byte sent would
 complete a pattern shifted by eight bits: up to 41 mA. So every change is guarded:
-what stops all pulses goes before it (a mode without any, or a height of zero), a question
-after it, and pulses come back only when it has been answered. A lost byte eats the
-question: no answer, no pulses, and the driver starts the board's parser afresh. Numbers
-avoid bytes that look like commands, and where one byte of a word may be lost, zeros that
-follow make it smaller, never larger. What cannot be guarded: a *doubled* byte (USB and TCP
-make none), and with `HeightCodec` the answer says that all has arrived, not what.
+all pulses are stopped before it (by a mode without any, or a height of zero), a query
+follows it, and pulses come back only when that has been answered. A lost byte swallows the
+query: no answer, no pulses, and the driver resets the board's parser. Numbers avoid bytes
+that look like commands, and where one byte of a word may be lost, zeros that follow make it
+smaller, never larger. Not guarded: a *doubled* byte (USB and TCP make none); and with
+`HeightCodec` the answer says that all has arrived, not what.
 """
 
 from abc import ABC, abstractmethod
@@ -36,49 +36,32 @@ from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
 VOLTS_PER_COUNT = 0.0893
-DUMMY_KOHM = 66.0
-"""Load fitted in parallel with the skin; it takes V / 66 kΩ of the current."""
-COMPLIANCE_V = 300.0
-"""Limit of its switches (HV513), the largest voltage of a reading."""
+DUMMY_KOHM = 66.0  # load fitted in parallel with the skin; it takes V / 66 kΩ of the current
+COMPLIANCE_V = 300.0  # limit of its switches (HV513), the largest voltage of a reading
 SENSE_COUNTS, SENSE_US = 100, 50
-ZEROS = bytes(2 * 255 + 4)
-"""Padding longer than the rest of any command."""
+ZEROS = bytes(2 * 255 + 4)  # padding longer than the rest of any command
 PING, CHIPS, READINGS = b"\xf4", b"\xf5", b"\xff"
 NO_SENSE = b"\xf9\0\0\xf8\0\0"
-_END = bytes(3)
-"""End of any command that has lost a byte."""
+_END = bytes(3)  # end of any command that has lost a byte
 AT_REST = (
     b"\xfc\0" + _END, NO_SENSE, b"\xfb\0\0" + _END, b"\xfa\x01\0" + _END,
     b"\xf7\0" + _END, b"\xf6\x0a\0" + _END,
 )  # fmt: skip
-"""Puts every published firmware at zero, whichever it is: no electrodes, no sense pulses, no
-height (or the mode 0), the shortest pulses, ten scans a second. No byte of it is a question to,
-or a pattern for, any other board that we know."""
+"""Puts every published firmware at zero: no electrodes, no sense pulses, no height (or mode 0), the
+shortest pulses, ten scans a second. No other known board takes a byte of it for a query or a
+pattern."""
 
 
 class Codec(ABC):
-    """Wire format of one generation.
+    """Wire format of one generation, for a number N of outputs."""
 
-    Attributes
-    ----------
-    outputs : int
-        Number N of electrodes that was set.
-    nothing : bytes
-        Payload of a pattern without any pulse.
-    """
-
-    lead: ClassVar[bytes] = b""
-    """Bytes before all others, which end a command whose end was lost."""
+    lead: ClassVar[bytes] = b""  # bytes before all others, which end a command whose end was lost
     slot_extra_us: ClassVar[int]
-    forgets: ClassVar[bool]
-    """Whether silence ends a partial command."""
-    even: ClassVar[bool]
-    """Whether a slot takes as long without a pulse as with one."""
-    quiet: ClassVar[bytes]
-    """Command that stops all pulses from the next scan on."""
-    sense: ClassVar[bytes]
-    """Command for ten anodic sense scans a second, of `SENSE_COUNTS` and `SENSE_US`."""
-    nothing: bytes
+    forgets: ClassVar[bool]  # whether silence ends a partial command
+    even: ClassVar[bool]  # whether a slot takes as long without a pulse as with one
+    quiet: ClassVar[bytes]  # command that stops all pulses from the next scan on
+    sense: ClassVar[bytes]  # ten anodic scans a second, `SENSE_COUNTS` by `SENSE_US`
+    nothing: bytes  # payload of a pattern without any pulse
 
     def __init__(self, outputs: int) -> None:
         self.outputs = outputs
@@ -124,23 +107,18 @@ class Codec(ABC):
     @property
     @abstractmethod
     def zero_anywhere(self) -> bytes:
-        """Return the bytes that put the board at zero in any state of its parser.
-
-        Zeros first: they end any half command as a smaller one, and no pulse flows while a
-        pattern is half written. A byte that is lost eats a spare one after it, never the
-        next command.
-        """
+        """Return the bytes that put the board at zero in any state of its parser. Zeros first: they
+        complete any half command as a smaller one, with no pulses meanwhile, and a lost byte costs
+        a spare one, never the next command."""
 
     @property
     def readings_bytes(self) -> int:
         return 2 * self.outputs
 
     def settings(self, settings: Settings, between_hz: int) -> bytes:
-        """Return the commands of the settings, twice, each followed by zeros that end it.
-
-        Were the first byte of a word lost, the zeros would make it zero, not a longer pulse.
-        ``between_hz`` is a rate at which scans of the old and of the new pulses fit.
-        """
+        """Return the commands of the settings, twice, each followed by zeros: were a word's first
+        byte lost, they would make it zero, not a longer pulse. At ``between_hz`` scans of the old
+        and of the new pulses fit."""
         once = (
             self.quiet + _END + b"\xf9\0" + _END + b"\xf8\0" + _END
             + b"\xf6" + between_hz.to_bytes(2, "little") + _END
@@ -186,16 +164,14 @@ class ModeCodec(Codec):
 
 
 class HeightCodec(Codec):
-    """Wire format of commit 936c6c0: one height for all, and no echo but its readings.
-
-    A sequence of several heights is as many patterns, one scan each.
-    """
+    """Wire format of commit 936c6c0: one height for all, and no echo but its readings. A sequence
+    of several heights becomes as many patterns, one scan each."""
 
     lead = _END
     slot_extra_us = 17
     forgets = even = False
     quiet = (b"\xfb\0\0" + _END) * 2
-    # Four counts to a unit; what has no pulse of a pattern has one of these.
+    # Four counts to a unit; outputs without a pulse of the pattern get a sense pulse.
     sense = quiet + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, SENSE_US, 0xF9, SENSE_COUNTS // 4])
     question = READINGS
 
@@ -210,7 +186,7 @@ class HeightCodec(Codec):
     def _pattern(self, output: NDArray[np.intp], counts: NDArray[np.uint16]) -> bytes:
         parts = []
         while counts.any():
-            # What rounding makes of one current is not two: the lower one is never too much.
+            # Rounding may split one current into two heights; the lower one is never too much.
             height = int(counts[counts > 0].min())
             chosen = (counts == height) | (counts == height + 1)
             codes = np.zeros(self.outputs, np.uint8)
@@ -231,7 +207,7 @@ class HeightCodec(Codec):
 
     @property
     def zero_anywhere(self) -> bytes:
-        # Without electrodes in the end: nothing may follow, and nothing does.
+        # It ends without electrodes: nothing may follow.
         return bytes(2 * self.outputs + 4) + b"".join(AT_REST)
 
     def is_answer(self, answer: bytes) -> bool:

@@ -8,13 +8,7 @@ from smarttouch.stimulation.sequence import ScanSequence
 
 
 class HostStatistics:
-    """Delivery statistics kept by the host.
-
-    Parameters
-    ----------
-    electrodes : int
-        Of the board.
-    """
+    """Delivery statistics kept by the host."""
 
     def __init__(self, electrodes: int) -> None:
         self._sequences = self._slots = self._pulses = self._most_pulses = 0
@@ -24,17 +18,8 @@ class HostStatistics:
     def add(
         self, sequence: ScanSequence, times: int = 1, again: bool = False, most: int | None = None
     ) -> None:
-        """Add a sequence that was scanned.
-
-        Parameters
-        ----------
-        times : int
-            Least number of scans.
-        again : bool
-            Whether the sequence itself has been counted before.
-        most : int, optional
-            Largest number of scans, where it is not known exactly.
-        """
+        """Add a sequence that was scanned ``times`` times, or at least that and at most ``most``
+        times; ``again`` if the sequence itself has been counted before."""
         most = times if most is None else most
         self._sequences += not again
         if not sequence.slots or not most:
@@ -51,7 +36,6 @@ class HostStatistics:
         self._net_uc = max(self._net_uc, self._ledger.worst_uc + self._unsure_uc)
 
     def report(self) -> BoardReport:
-        """Return the report so far."""
         return BoardReport(
             self._sequences,
             self._slots,

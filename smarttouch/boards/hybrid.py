@@ -31,23 +31,8 @@ def _vibrating() -> Any:
 
 
 class HybridBoard(Board):
-    """Board that passes each sequence to two boards at once.
-
-    Queries are answered by the electrode board; a fault of either puts
-    both at zero.
-
-    Parameters
-    ----------
-    electric : Board
-        Gets the slots.
-    shaking : VibratorBoard
-        Gets the vibration.
-
-    Attributes
-    ----------
-    electric, shaking
-        The same.
-    """
+    """Board that sends slots to an electrode board and vibration to vibrators. The electrode board
+    answers queries; a fault of either puts both at zero."""
 
     acknowledged: int = _electric("acknowledged")
     refused: int = _electric("refused")
@@ -67,7 +52,7 @@ class HybridBoard(Board):
     def __init__(self, electric: Board, shaking: VibratorBoard) -> None:
         self.electric, self.shaking = electric, shaking
         super().__init__(electric._gate.limits)
-        # One list: whatever any of the three has to say is said once.
+        # One list for all three: each note appears once.
         self.notes = electric.notes
         self.notes += shaking.notes
         shaking.share_notes(self.notes)
@@ -120,7 +105,7 @@ class HybridBoard(Board):
             self.shaking.halt()
 
     def _stop(self) -> None:
-        # Current first: a file of vibrations may keep its writer waiting.
+        # Current first: writing a file of vibrations may block.
         try:
             self.electric.stop()
         finally:

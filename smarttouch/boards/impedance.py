@@ -6,8 +6,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-SATURATED = 0.97
-"""Part of the compliance at which a source counts as saturated."""
+SATURATED = 0.97  # part of the compliance at which a source counts as saturated
 OPEN_FACTOR = 5.0
 SHORT_FACTOR = 0.1
 """Part of the median below which an electrode is shorted; good ones differ two- or threefold. An
@@ -19,23 +18,13 @@ Condition = Literal["good", "open", "short", "unsure"]
 
 @dataclass(frozen=True, eq=False)
 class Impedance:
-    """Impedances of all electrodes, measured once.
+    """Impedances of all electrodes, measured once."""
 
-    Attributes
-    ----------
-    kohm : ndarray, (E,) float64
-        Voltage over current at the end of the measuring pulse, each electrode
-        to the skin. Infinite where the board's voltage was not enough.
-    condition : tuple of str, (E,)
-        ``open``, ``short``, ``good``, or ``unsure`` where the board's reading
-        fits more than one of them.
-    current_ma : float
-        That it was measured with.
-    """
-
+    # (E,): voltage over current at the end of the measuring pulse, each electrode to the skin;
+    # infinite where the board's voltage was not enough
     kohm: NDArray[np.float64]
-    condition: tuple[Condition, ...]
-    current_ma: float
+    condition: tuple[Condition, ...]  # "unsure" where the reading fits more than one
+    current_ma: float  # of the measuring pulse
 
     @property
     def broken(self) -> tuple[int, ...]:
@@ -48,7 +37,7 @@ class Impedance:
         return all(each == "open" for each in self.condition)
 
     def figures(self) -> dict[str, Any]:
-        """Return all of it for a JSON file; what is open has no number."""
+        """Return the values for a JSON file; open electrodes have no number."""
         kohm = [
             None if condition == "open" else float(f"{each:.4g}")
             for each, condition in zip(self.kohm, self.condition, strict=True)
@@ -67,21 +56,11 @@ def judge(
     compliance_v: float,
     unsure: NDArray[np.bool_] | None = None,
 ) -> Impedance:
-    """Return the impedances from source voltages, each electrode against all others.
+    """Return the impedances from the source's voltages (E,), each electrode against all others.
 
-    The voltage of electrode i is I (Zᵢ + 1 / Σⱼ≠ᵢ 1/Zⱼ), all others in parallel;
-    solved by repeated insertion, which converges as the return is small.
-
-    Parameters
-    ----------
-    volts : ndarray, (E,)
-        Voltage of the source.
-    current_ma : float or ndarray, (E,)
-        Delivered current.
-    compliance_v : float
-        Largest voltage of the source.
-    unsure : ndarray, (E,) bool, optional
-        Readings that may stand for another voltage.
+    The voltage of electrode i is I (Zᵢ + 1 / Σⱼ≠ᵢ 1/Zⱼ), all others in parallel; solved by repeated
+    insertion, which converges as the return is small. ``unsure`` readings, (E,), may stand for
+    another voltage.
     """
     total = np.asarray(volts, np.float64) / np.asarray(current_ma, np.float64)
     saturated = np.asarray(volts) >= SATURATED * compliance_v

@@ -13,5 +13,4 @@ class Job:
     sequence: ScanSequence
     data: bytes
     times: int
-    due_ns: int = 0
-    """Planned start, by the board's clock."""
+    due_ns: int = 0  # planned start, by the board's clock

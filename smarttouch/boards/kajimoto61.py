@@ -9,14 +9,13 @@ The board makes one anodic pulse of 50 µs for each intensity that is not zero, 
 order, each followed by 150 µs with all outputs grounded. Without packets there
 are no pulses: a host that is lost is a board at zero.
 
-A byte that is lost or doubled on the line shifts one scan by an electrode, and
-nothing on this wire can tell; the packet after the next is whole again, as no
-intensity looks like the start of one.
+A byte lost or doubled on the line shifts one scan by an electrode, undetectably;
+the packet after the next is whole again, as no intensity looks like a start.
 
-After power-on the board tests its source, and any first packet ends that: ours is
-zeros. They load nothing into its converter, though: what the test left there, at most
-1,024 counts or 2.5 mA, flows for some 3 µs through the electrode that pulses first,
-before its own value does. No packet can prevent that; it is 8 nC, once after power-on.
+After power-on the board tests its source until the first packet: ours is zeros. They
+load nothing into its converter, so the test's last value, at most 1,024 counts or
+2.5 mA, flows for some 3 µs through the electrode that pulses first, before its own
+value does. No packet can prevent that; it is 8 nC, once after power-on.
 """
 
 import time
@@ -43,19 +42,13 @@ ZERO = bytes([STIMULATE]) + bytes(ELECTRODES)
 WIDTH_US, REST_US = 50, 150
 LARGEST = 200
 COUNTS_PER_BYTE = 16
-MEASURE_MA, MEASURE_US = 2.5, 25
-"""Pulse of a MEASURE through every electrode, fixed by the firmware (over 20 µs)."""
-ANSWER_READS, READ_S = 25, 0.02
-"""Its answer comes within 2.1 ms; it is given half a second."""
-READING_V = 4 * 0.0893
-"""Volts per unit of a reading, assuming the divider of its relative, the eTactileKit."""
+MEASURE_MA, MEASURE_US = 2.5, 25  # of MEASURE, fixed by the firmware (over 20 µs)
+ANSWER_READS, READ_S = 25, 0.02  # its answer comes within 2.1 ms; it is given half a second
+READING_V = 4 * 0.0893  # volts per unit, by the divider of its relative, the eTactileKit
 WRAP = 256
-COMPLIANCE_V = 300.0
-"""Limit of its switches (HV507)."""
-HURRY = 20
-"""Divisor of a period: no two packets are closer than it by more than a twentieth."""
-LEAD_S = 0.003
-"""Time from the first sequence of a run to its packet: the margin for later, delayed ones."""
+COMPLIANCE_V = 300.0  # limit of its switches (HV507)
+HURRY = 20  # divisor of a period: no two packets are closer than it by more than a twentieth
+LEAD_S = 0.003  # from a run's first sequence to its packet: margin for delayed later ones
 
 
 class Kajimoto61Board(StreamedBoard):
@@ -107,9 +100,9 @@ class Kajimoto61Board(StreamedBoard):
         self._flush()
         self._zero()
         # This board sends nothing unrequested; an eTactileKit takes FF for a query and answers.
-        if said := self._read(64, 0.05):
+        if answer := self._read(64, 0.05):
             raise BoardError(
-                f"the board at {self._port_name} answers {len(said)} bytes to a packet that a "
+                f"the board at {self._port_name} answers {len(answer)} bytes to a packet that a "
                 "kajimoto61 board answers with none: it is another one, perhaps etactilekit:",
                 about="board",
                 problem="another",
@@ -118,7 +111,7 @@ class Kajimoto61Board(StreamedBoard):
             )
 
     def _zero(self) -> None:
-        # Ends a packet that was cut short, and with a full one the self-test after power-on.
+        # Zeros complete a packet that was cut short; a full one ends the self-test.
         self._write(bytes(ELECTRODES))
         time.sleep(0.02)
         self._write(ZERO)
@@ -156,7 +149,7 @@ class Kajimoto61Board(StreamedBoard):
             )
         packet = np.zeros(1 + ELECTRODES, np.uint8)
         packet[0] = STIMULATE
-        # Neither rounding up nor a scale that is wrong may pass the limit that was proved.
+        # Neither rounding nor a wrong scale may exceed the limit that was proved.
         steps = np.minimum(np.rint(-current_ua / self._step_ua), self._largest[electrode])
         packet[1 + electrode] = steps.astype(np.uint8)
         return packet.tobytes()
@@ -170,21 +163,14 @@ class Kajimoto61Board(StreamedBoard):
                 self._drop_late(newest)
                 continue
             if job is None or now - deadline_ns > 1000 * job.sequence.period_us:
-                # The first of a run, or after a pause: a new grid.
+                # The first of a run or after a pause starts a new grid.
                 deadline_ns = now + int(LEAD_S * 1e9)
             job, deadline_ns = self._scan(newest, deadline_ns)
             self._rest()
 
     def _scan(self, job: Job, deadline_ns: int) -> tuple[Job | None, int]:
-        """Send one sequence as often as requested.
-
-        Returns
-        -------
-        job : Job or None
-            The last one sent; None if it had become too late.
-        deadline_ns : int
-            When the next one may go.
-        """
+        """Send one sequence as often as requested; return the last one sent, None if it had become
+        too late, and when the next one may go."""
         left = job.times
         while left:
             self._clock.wait_until(deadline_ns, self._closing)
@@ -204,8 +190,8 @@ class Kajimoto61Board(StreamedBoard):
                 self._note_rise(job)
             self._delivered(job)
             left -= 1
-            # After a packet that left late the grid moves: catching up would pass the rate that
-            # was proved, and the little that is left lies in the board's own margin.
+            # After a late packet the grid moves, as catching up would exceed the proved rate; the
+            # part of a period that is caught up lies within the board's own margin.
             period_ns = 1000 * job.sequence.period_us
             deadline_ns = max(deadline_ns + period_ns, sent_ns + period_ns - period_ns // HURRY)
         return job, deadline_ns
@@ -233,7 +219,7 @@ class Kajimoto61Board(StreamedBoard):
             with self._measuring(scan):
                 self._write(bytes([MEASURE]))
             answer = b""
-            # In short reads: a stop waits for one of them.
+            # In short reads, as a stop waits for one.
             for _ in range(ANSWER_READS):
                 self._go_on_unless_stopped()
                 answer += self._read(ELECTRODES + 1 - len(answer), READ_S)

@@ -1,24 +1,23 @@
-"""The keeper: a small process that holds a board's line and sends zero when its host is gone.
+"""Keeper: a small process that holds a board's line and sends zero when its host is gone.
 
-Boards that go on by themselves loop their last pattern when the program that drives them is
-killed. So that program does not write to the port itself: it writes to a keeper, which passes
-every byte on, both ways. When the program ends, however it ends, its end of the line closes; when
-it hangs or is stopped, its heartbeats stay away. Either way the keeper writes the bytes that mean
-zero for this board, lets go of the port and ends.
+Boards that run freely repeat their last pattern when the program that drives them is killed. So
+that program writes not to the port but to a keeper, which relays every byte, both ways. When the
+program ends, however it ends, its end of the line closes; when it hangs or is stopped, its
+heartbeats stop. Either way the keeper writes this board's zero command, closes the port and ends.
 
-It runs as a program of its own, in a session of its own (Ctrl-C, a closed terminal and a kill of
-the host's process group do not reach it), and imports nothing but the standard library, so that
-it is there within some 20 ms. The host's side is `kept_line`.
+It runs in a session of its own (Ctrl-C, a closed terminal and a kill of the host's process group
+do not reach it), and imports only the standard library, so that it starts within some 20 ms. The
+host's side is `kept_line`.
 
 Three file descriptors are given on the command line: the port, ``data`` (a socket that carries
 the board's bytes both ways) and ``control`` (a socket with messages of the host)::
 
     b"."                         a heartbeat
     b"F"                         drop what has come from the board; answered by b"F"
-    b"Z" u8 slow u16 N, N bytes  what means zero, and whether the board loses bytes written fast
+    b"Z" u8 slow u16 N, N bytes  zero command, and whether the board loses bytes written fast
 
-Silence counts from the first ``Z`` on: before it, nothing was sent that could be a current. A
-computer that was suspended counts as a host that was silent, though no clock of theirs ran.
+Silence counts from the first ``Z`` on: nothing sent before can make current. A suspended computer
+counts as a silent host.
 """
 
 import contextlib
@@ -28,14 +27,10 @@ import signal
 import sys
 import time
 
-SILENCE_S = 0.09
-"""Longest silence of the host: with the time to wake up and write, .1 s to zero."""
-PRIORITY = 2
-"""Real-time priority, where allowed: above the host's, 1, so that a hung host does not block it."""
-STUCK_S = 0.4
-"""Time without a byte accepted by the board, while zero is written, after which it is stuck."""
-PIECE, PAUSE_S = 8, 0.003
-"""Piece and pause that the USB of older firmware takes without losing bytes."""
+SILENCE_S = 0.09  # longest silence of the host: with the time to wake up and write, .1 s to zero
+PRIORITY = 2  # real-time, where allowed: above the host's 1, so a hung host cannot block it
+STUCK_S = 0.4  # without a byte accepted while zero is written: the board is stuck
+PIECE, PAUSE_S = 8, 0.003  # what the USB of older firmware takes without losing bytes
 GONE, SILENT, LINE_LOST, BLOCKED, ENDED = 0, 3, 4, 5, 6
 """Exit codes: the host has closed, or was silent; the line broke, or takes no bytes; SIGTERM."""
 HEARTBEAT, FLUSH, ZERO = b".", b"F", b"Z"
@@ -45,32 +40,24 @@ _MOST_READS = 100
 
 
 class Keeper:
-    """Relay of bytes between a host and a port until one of them is gone.
-
-    Parameters
-    ----------
-    port, data, control : int
-        File descriptors.
-    """
+    """Relay between a host and a port, by their file descriptors, until one of them is gone."""
 
     def __init__(self, port: int, data: int, control: int) -> None:
         self._port, self._data, self._control = port, data, control
         self._zero, self._slow = b"", False
-        self._told = b""
+        self._unread = b""
         self._to_port = self._to_host = b""
         self._ended = False
         for each in (port, data, control):
             os.set_blocking(each, False)
 
     def end(self, *_: object) -> None:
-        """Request the end of `run`, and nothing else: a signal handler may call it."""
+        """Request the end of `run`, and nothing else, as signal handlers call it."""
         self._ended = True
 
     def run(self) -> int:
-        """Relay until host, port or process end; return the exit code.
-
-        The board is at zero then, unless its line is lost or takes no bytes.
-        """
+        """Relay until host, port or process end, and put the board at zero unless its line fails;
+        return the exit code."""
         code = LINE_LOST
         try:
             code = self._pass_bytes()
@@ -83,25 +70,25 @@ class Keeper:
         return code
 
     def _pass_bytes(self) -> int:
-        heard, slept = time.monotonic(), _slept_s()
+        active_s, slept = time.monotonic(), _slept_s()
         while not self._ended:
-            # Of a direction that is full nothing more is read; control is read always.
+            # A direction with bytes waiting is not read; control always is.
             reading = [self._control]
             reading += [] if self._to_port else [self._data]
             reading += [] if self._to_host else [self._port]
             writing = [self._port] if self._to_port else []
             writing += [self._data] if self._to_host else []
-            left = heard + SILENCE_S - time.monotonic()
+            left = active_s + SILENCE_S - time.monotonic()
             ready, room, _ = select.select(reading, writing, [], max(0.0, left))
             if self._zero and _slept_s() > slept + SILENCE_S:
                 return SILENT
             if self._control in ready or self._data in ready:
-                heard = time.monotonic()
+                active_s = time.monotonic()
             elif self._zero and (left <= 0 or not (ready or room)):
-                # Asked after the wait: a keeper that was kept waiting itself has found nothing.
+                # Checked after the wait: a keeper that was delayed itself may still find bytes.
                 return SILENT
             elif not ready and not room:
-                heard = time.monotonic()
+                active_s = time.monotonic()
             if self._control in ready and not self._listen():
                 return GONE
             if self._data in ready:
@@ -111,7 +98,7 @@ class Keeper:
             if self._to_port:
                 self._to_port = _write(self._port, self._to_port)
             if self._port in ready and not self._to_host:
-                self._to_host = self._hear()
+                self._to_host = self._read_port()
             if self._to_host:
                 try:
                     self._to_host = _write(self._data, self._to_host)
@@ -122,22 +109,25 @@ class Keeper:
     def _listen(self) -> bool:
         """Handle the host's messages; return whether it is still there."""
         message = _read(self._control)
-        self._told += message
-        while self._told:
-            kind = self._told[:1]
+        self._unread += message
+        while self._unread:
+            kind = self._unread[:1]
             if kind == ZERO:
-                length = ZERO_HEAD + int.from_bytes(self._told[2:4], "little")
-                if len(self._told) < max(length, ZERO_HEAD):
+                length = ZERO_HEAD + int.from_bytes(self._unread[2:4], "little")
+                if len(self._unread) < max(length, ZERO_HEAD):
                     break
-                self._slow = bool(self._told[1])
-                self._zero, self._told = self._told[ZERO_HEAD:length], self._told[length:]
+                self._slow = bool(self._unread[1])
+                self._zero, self._unread = (
+                    self._unread[ZERO_HEAD:length],
+                    self._unread[length:],
+                )
                 continue
-            self._told = self._told[1:]
+            self._unread = self._unread[1:]
             if kind == FLUSH:
                 self._to_host = b""
-                # A device that never ends is not waited for.
+                # A device may never stop sending.
                 for _ in range(_MOST_READS):
-                    if not self._hear():
+                    if not self._read_port():
                         break
                 try:
                     os.write(self._control, FLUSH)
@@ -145,21 +135,19 @@ class Keeper:
                     return False
         return bool(message)
 
-    def _hear(self) -> bytes:
+    def _read_port(self) -> bytes:
         """Return the board's bytes; raise OSError if the line is lost."""
-        # A flush may have taken what was there to read.
+        # A flush may have read the bytes.
         if not select.select([self._port], [], [], 0)[0]:
             return b""
-        said = os.read(self._port, _MOST)
-        if not said:
+        data = os.read(self._port, _MOST)
+        if not data:
             raise OSError("the line is closed")
-        return said
+        return data
 
     def _write_zero(self) -> bool:
-        """Write the zero command twice; return whether the line accepted it.
-
-        The second time in small pieces: older firmware loses bytes that come fast.
-        """
+        """Write the zero command twice, the second time in small pieces, as older firmware loses
+        bytes that come fast; return whether the line accepted it."""
         for slow in (self._slow, True):
             step = PIECE if slow else _MOST
             for start in range(0, len(self._zero), step):

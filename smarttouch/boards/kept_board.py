@@ -5,18 +5,14 @@ from smarttouch.boards.streamed import StreamedBoard
 from smarttouch.errors import OtherDeviceError
 from smarttouch.wire.port import LINE_ERRORS, Port, reason
 
-KEPT_MS = 100.0
-"""Longest time from the end or hang of this program to the first byte of zero."""
+KEPT_MS = 100.0  # longest time from the end or hang of this program to the first byte of zero
 
-MORE_S = 0.03
-"""Time for more than the expected answer: longer than the 16 ms for which USB chips keep bytes."""
+MORE_S = 0.03  # wait for more than the answer: USB chips keep bytes for 16 ms
 
 
 class KeptBoard(StreamedBoard):
-    """Streamed board that repeats its last pattern without a host.
-
-    A driver calls `_promise_zero` before anything that can become a current.
-    """
+    """Streamed board that repeats its last pattern without a host. A driver calls `_promise_zero`
+    before anything that can become a current."""
 
     def _wrap(self, port: Port) -> Port:
         return KeptLine(port)
@@ -33,23 +29,18 @@ class KeptBoard(StreamedBoard):
         return self._serial is not None and bool(self._serial.at_zero)
 
     def _ask_again(self, question: bytes, answer: bytes, within_s: float, silence_s: float) -> None:
-        """Query again, after a silence if need be, whether the board gave this answer.
-
-        Raises
-        ------
-        OtherDeviceError
-            If it answers otherwise, or not at all.
-        """
-        # No zeros before the question: to another device they might be more than one.
+        """Query again, after a silence if need be, and raise OtherDeviceError unless the board
+        gives this answer."""
+        # No zeros before the query: another device might act on them.
         for pause_s in (0.0, silence_s):
             self._pause(pause_s)
             self._flush()
             self._write(question)
-            if said := self._read(len(answer), within_s):
-                # A longer answer is another one; zero does not wait for long for that.
-                said += self._read(1, MORE_S)
+            if received := self._read(len(answer), within_s):
+                # A longer answer is another device's; zero waits only briefly for that.
+                received += self._read(1, MORE_S)
                 break
-        if said != answer:
+        if received != answer:
             raise OtherDeviceError(
                 f"what is at {self._port_name} now does not answer as that board did: nothing but "
                 "this question was sent",

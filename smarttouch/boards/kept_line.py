@@ -17,10 +17,8 @@ from smarttouch.realtime import prioritized
 from smarttouch.wire.port import LINE_ERRORS, Port, reason
 
 BEAT_S = 0.02
-ANSWER_S = 2.0
-"""Longest time of the keeper's start or answer."""
-ENDS_WITHIN_S = 1.5
-"""Longest time of the keeper's end; zero for 253 outputs takes .4 s in small pieces."""
+ANSWER_S = 2.0  # longest time of the keeper's start or answer
+ENDS_WITHIN_S = 1.5  # of the keeper; zero for 253 outputs takes .4 s in small pieces
 WRITE_S = 0.5
 
 _WHY = {
@@ -34,21 +32,10 @@ _AT_ZERO = (keeper.GONE, keeper.SILENT, keeper.ENDED)
 
 
 class KeptLine:
-    """Port behind a `keeper`: the interface of a serial port, and `promise_zero`.
+    """Serial port or TCP connection behind a `keeper`: the interface of a port, and `promise_zero`.
 
-    The port is opened here, with all that may be said about that, and handed on. This program
-    keeps its own end of it, unused: were the keeper killed, zero is written from here. POSIX
-    only, as descriptors are handed on (tried on Linux).
-
-    Parameters
-    ----------
-    port : Port
-        An open serial port or TCP connection.
-
-    Raises
-    ------
-    BoardError
-        If the line is of a kind that cannot be handed to another process, or no process starts.
+    The port is opened by this program, which reports errors, and handed to the keeper. It keeps its
+    own descriptor to write zero if the keeper is killed. POSIX only (tried on Linux).
     """
 
     def __init__(self, port: Port) -> None:
@@ -76,7 +63,7 @@ class KeptLine:
             its.enter_context(controlled)
             ends = (_descriptor(self._port), there.fileno(), controlled.fileno())
             self._process = subprocess.Popen(
-                # Nothing that a user has set or installed can keep it from starting.
+                # Isolated: no user setting or package can keep it from starting.
                 [sys.executable, "-I", "-S", keeper.__file__, *map(str, ends)],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
@@ -99,7 +86,6 @@ class KeptLine:
 
     @property
     def process_id(self) -> int:
-        """Process id of the keeper."""
         return self._process.pid
 
     @property
@@ -108,15 +94,8 @@ class KeptLine:
         return self._process.poll() in _AT_ZERO
 
     def promise_zero(self, zero: bytes, slow: bool = False) -> None:
-        """Set the keeper's zero command for this board, and start its silence timer.
-
-        Parameters
-        ----------
-        zero : bytes
-            Valid at any point of the byte stream, half commands included.
-        slow : bool
-            Whether the board loses bytes that are written fast.
-        """
+        """Set the keeper's zero command, valid at any point of the byte stream, and start its
+        silence timer; ``slow`` if the board loses bytes that are written fast."""
         self._zero = zero
         head = keeper.ZERO + bytes([slow]) + len(zero).to_bytes(2, "little")
         try:
@@ -146,7 +125,7 @@ class KeptLine:
         return read
 
     def reset_input_buffer(self) -> None:
-        """Drop all input from the board, with what is still in the keeper."""
+        """Drop all input from the board, in the keeper too."""
         try:
             self._control.sendall(keeper.FLUSH)
             if not select.select([self._control], [], [], ANSWER_S)[0]:
@@ -184,10 +163,10 @@ class KeptLine:
             try:
                 self._control.send(keeper.HEARTBEAT)
             except BlockingIOError:
-                # It has not read for long; the waiting bytes show that this program lives.
+                # The socket is full: the waiting bytes show that this program lives.
                 continue
             except OSError:
-                # It is gone. Were it killed, the board would go on until the next write.
+                # It is gone; if it was killed, the board is not at zero yet.
                 self._gone()
                 return
 
@@ -201,7 +180,7 @@ class KeptLine:
         return data
 
     def _gone(self) -> serial.SerialException:
-        """Return why the keeper has ended; put the board at zero if it could not."""
+        """Return why the keeper has ended, and put the board at zero if it could not."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(ANSWER_S)
         self._put_at_zero()

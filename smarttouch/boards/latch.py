@@ -20,31 +20,15 @@ _MOST_BYTES = 10_000
 
 @dataclass(frozen=True)
 class Latch:
-    """Record of a fault.
-
-    Attributes
-    ----------
-    device : str
-        Board that it is of.
-    reason : str
-        What was found.
-    date : str
-        Local time, to the second.
-    """
+    """Record of a board's fault."""
 
     device: str
     reason: str
-    date: str
+    date: str  # local time, to the second
 
 
 def latch(device: str, reason: str) -> None:
-    """Record a fault of a board; the first one stays.
-
-    Raises
-    ------
-    SmartTouchError
-        If it cannot be written.
-    """
+    """Record a fault of a board; the first one stays."""
     if find_latch(device) is None:
         path = _path(device)
         make_folder(path.parent)
@@ -53,7 +37,7 @@ def latch(device: str, reason: str) -> None:
 
 
 def find_latch(device: str) -> Latch | None:
-    """Return the record of a board; one that cannot be read counts as a fault."""
+    """Return the record of a board, None if there is none; an unreadable one counts as a fault."""
     try:
         with _path(device).open("rb") as file:
             record = json.loads(file.read(_MOST_BYTES))
@@ -73,12 +57,7 @@ def clear_latch(device: str) -> Latch | None:
 
 
 def refuse_latched(device: str | None) -> None:
-    """Raise if a board is latched.
-
-    Raises
-    ------
-    BoardLatchedError
-    """
+    """Raise BoardLatchedError if a board is latched."""
     if device is not None and (found := find_latch(device)) is not None:
         raise BoardLatchedError(
             f"the board ({device}) is latched since {found.date}: {found.reason}; have it checked, "

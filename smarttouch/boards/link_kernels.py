@@ -13,32 +13,18 @@ from smarttouch.stimulation.kernel_table import KernelTable
 
 _HEAD = struct.Struct("<HH")
 _RUN = struct.Struct("<HH")
-_SHORTEST_GAP = 3
-"""Zeros from which a new run is shorter than to write them out."""
+_SHORTEST_GAP = 3  # zeros from which a new run is shorter than to write them out
 
 
 @dataclass(frozen=True, eq=False)
 class KernelImage:
-    """The kernels of a run, as bytes for a board.
-
-    Attributes
-    ----------
-    table : KernelTable
-        That they are of.
-    own : KernelTable
-        The same, backed by bytes: what has been sent stays so, whatever becomes of the table.
-    count : int
-        Kernels that the board has room for: the first of the table.
-    data : bytes
-    identity : bytes
-        First 16 bytes of its SHA-256.
-    """
+    """The kernels of a run, as bytes for a board."""
 
     table: KernelTable
-    own: KernelTable
-    count: int
+    own: KernelTable  # the same, backed by bytes that stay whatever becomes of the table
+    count: int  # kernels that the board has room for: the first of the table
     data: bytes
-    identity: bytes
+    identity: bytes  # first 16 bytes of the SHA-256 of ``data``
 
     @classmethod
     def of(cls, table: KernelTable, room: int, most: int) -> Self:

@@ -12,43 +12,21 @@ from smarttouch.realtime import prioritized
 from smarttouch.wire.framing import Deframer
 from smarttouch.wire.port import LINE_ERRORS, Port, read_some, reason, write_before
 
-HEARTBEAT_S = 0.03
-"""Longest silence of the host: the board gives up after 0.1 s."""
-SILENCE_S = 0.5
-"""Silence of the board, which sends every 20 ms in a session, after which it counts as gone."""
-LISTENED_S = 0.1
-"""Largest silence counted for one read: a read ends sooner, the rest is our own pause."""
+HEARTBEAT_S = 0.03  # longest silence of the host: the board gives up after 0.1 s
+SILENCE_S = 0.5  # after which a board, which sends every 20 ms in a session, is gone
+LISTENED_S = 0.1  # most silence counted for one read; the rest was a pause of ours
 ANSWER_S = 1.0
-AGAIN_S = 0.25
-"""Time after which a query is sent again."""
-PIECE = 4096
-"""Bytes written at once: a stop waits for one piece, not for a whole packet."""
+AGAIN_S = 0.25  # time after which a query is sent again
+PIECE = 4096  # bytes written at once: a stop waits for one piece, not for a whole packet
 
 
 class LinkLine:
-    """Packets to and from one board. A fault is raised at the next call.
+    """Packets to and from one board; a fault is raised at the next call.
 
-    Parameters
-    ----------
-    name : str
-        Of the port, for messages.
-    hear : callable
-        Takes every packet that answers no question, with `news` held.
-    aftermath : callable
-        Returns what to say after a fault.
-    tend : callable
-        Called every few milliseconds, to send again what has got lost.
-    draw : callable
-        Returns the host's half of a session, each time another.
-
-    Attributes
-    ----------
-    session : HostSession
-        Session of all packets; each opening of the line has its own.
-    answer_s : float
-        Longest wait for an answer.
-    silence_s : float
-        Longest silence of the board in a session.
+    Messages call its port ``name``. ``hear`` gets every packet that answers no query, with `news`
+    held; ``aftermath`` returns the end of messages on faults; ``tend`` is called every few
+    milliseconds to repeat lost packets; ``draw`` returns the host's half of a session, a new one
+    each time.
     """
 
     def __init__(
@@ -60,13 +38,13 @@ class LinkLine:
         draw: Callable[[], int] = draw_half,
     ) -> None:
         self.name = name
-        self.session = HostSession(draw)
+        self.session = HostSession(draw)  # of all packets; each opening has its own
+        # Longest wait for an answer, and longest silence of the board in a session.
         self.answer_s, self.silence_s = ANSWER_S, SILENCE_S
         self._draw = draw
         self.news = threading.Condition()
         self.fault: BoardError | None = None
-        self.overtaken = False
-        """Set by a stop: no heartbeats from then on, so the board ends by itself if need be."""
+        self.overtaken = False  # by a stop: without heartbeats the board stops itself
         self._hear, self._aftermath, self._tend = hear, aftermath, tend
         self._closing = threading.Event()
         # Reentrant: a signal handler may stop while its own thread is writing.
@@ -106,7 +84,7 @@ class LinkLine:
             thread.start()
 
     def now_s(self) -> float:
-        """Return the time on the clock of all timeouts here."""
+        """Return the time by the clock of all timeouts here."""
         return time.monotonic()
 
     def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
@@ -126,23 +104,8 @@ class LinkLine:
     def begin(
         self, accept: Callable[[Message], None], stopped: threading.Event | None = None
     ) -> None:
-        """Begin a session with a board that is accepted.
-
-        Parameters
-        ----------
-        accept : callable
-            Given the board's CAPABILITIES, which may be of another version; raises if it is
-            not to be spoken to.
-        stopped : threading.Event, optional
-            Ends the waiting; see `overtake`.
-
-        Raises
-        ------
-        BoardStoppedError
-            If the board was stopped.
-        BoardError
-            If nothing comes, or the line has failed.
-        """
+        """Begin a session with a board, unless ``accept`` raises on its CAPABILITIES, of any
+        version; ``stopped`` ends the wait (see `overtake`)."""
         deadline = self.now_s() + self.answer_s
         offer = None
         while self.now_s() < deadline:
@@ -161,13 +124,7 @@ class LinkLine:
             self.news.notify_all()
 
     def ask(self, question: Kind, payload: bytes = b"") -> Message:
-        """Send a query until it is answered.
-
-        Raises
-        ------
-        BoardError
-            If nothing comes, or the line has failed.
-        """
+        """Send a query until it is answered."""
         first = self.session.sent + 1
         deadline = self.now_s() + self.answer_s
         while self.now_s() < deadline:
@@ -188,10 +145,10 @@ class LinkLine:
 
         def answered() -> bool:
             found = self._answers.get(kind)
-            # Another version's answer may be about nothing.
+            # An answer of another version may name no query.
             return found is not None and (found.about >= first or found.version != VERSION)
 
-        # The zero in front ends whatever half packet stands on the line.
+        # The leading zero ends any half packet on the line.
         self.send(question, payload=payload, start=b"\0")
         with self.news:
             halted = stopped.is_set if stopped is not None else lambda: False
@@ -225,21 +182,9 @@ class LinkLine:
         latest_ns: int = 0,
         now_ns: Callable[[], int] = lambda: 0,
     ) -> bool:
-        """Write the next packet of the session, unless it is too late; return whether it went.
-
-        A stop may come between its pieces.
-
-        Parameters
-        ----------
-        kind, about, payload
-            Of the packet.
-        start : bytes
-            Goes before it.
-        latest_ns : int
-            When its first byte may go at the latest, by the clock.
-        now_ns : callable
-            The clock; without one it is never too late.
-        """
+        """Write the next packet of the session behind ``start``, unless the clock is past
+        ``latest_ns`` before its first byte; return whether it was written. A stop may come between
+        its pieces."""
         if not self.writing.acquire(timeout=ANSWER_S):
             raise BoardError(
                 f"the line to {self.name} is blocked: check the cable",
@@ -248,7 +193,7 @@ class LinkLine:
                 value=self.name,
             )
         try:
-            # Numbered here, so that packets leave in the order of their numbers.
+            # Numbered under the lock, so that packets leave in order.
             packet = start + self.session.encode(kind, about, payload)
             assert self._port is not None
             for at in range(0, len(packet), PIECE):
@@ -273,7 +218,7 @@ class LinkLine:
         return True
 
     def stop_blindly(self) -> None:
-        """Write a STOP to a line that has failed: it may still carry something."""
+        """Write a STOP to a line that has failed, which may still carry it."""
         if self._port is not None:
             with contextlib.suppress(*LINE_ERRORS):
                 self._port.write(b"\0" + self.session.encode(Kind.STOP))
@@ -285,7 +230,6 @@ class LinkLine:
             self.news.notify_all()
 
     def raise_fault(self) -> None:
-        """Raise the stored fault, if any."""
         if self.fault is not None:
             raise self.fault
 
@@ -312,7 +256,7 @@ class LinkLine:
                 return
             before, now = now, self.now_s()
             silent_s += min(now - before, LISTENED_S)
-            # Before a session a board says nothing by itself.
+            # Before a session a board sends nothing by itself.
             if self.take(data) or not self.session.begun:
                 silent_s = 0.0
             if silent_s > self.silence_s:

@@ -21,10 +21,8 @@ _HEAD = struct.Struct("<IHHBB")
 _SHAPE = struct.Struct("<HH")
 _GROUP = struct.Struct("<BBH")
 _I16 = np.dtype("<i2")
-POINTS, SUM, CURRENTS, STATES = range(4)
-"""Kinds of groups of slots."""
-FULL = 0xFFFF
-"""Intensity 1."""
+POINTS, SUM, CURRENTS, STATES = range(4)  # kinds of groups of slots
+FULL = 0xFFFF  # intensity 1
 MEASURE, RECHARGE = 1, 2
 _MOST_SHAPES = 0xFF
 _U16_MAX = 0xFFFF
@@ -52,30 +50,11 @@ def encode_lists(
     image: KernelImage | None,
     most_bytes: int,
 ) -> bytes:
-    """Return the payload of a SEQUENCE.
+    """Return the payload of a proved SEQUENCE, of at most ``most_bytes``.
 
-    Slots whose currents are just what the board makes of kernels that it keeps go as lists of
-    these, the others as currents or states.
-
-    Parameters
-    ----------
-    sequence : ScanSequence
-        Proved.
-    times : int
-    measure : bool
-        Whether voltages are wanted.
-    switched : bool
-        Whether the board has one source.
-    image : KernelImage, optional
-        What the board keeps.
-    most_bytes : int
-        Largest payload that it takes.
-
-    Raises
-    ------
-    BoardError
-        If it is too large for a packet, or asks a switched board for a recharge phase or for a
-        stronger source than the wire can say.
+    Slots whose currents are just what the board makes of kernels that it keeps (``image``) become
+    lists of these; others are written as currents, or as states for a board with one source
+    (``switched``). ``measure`` requests voltages.
     """
     shapes, table, shape = _shapes(sequence)
     if shapes > _MOST_SHAPES:
@@ -97,7 +76,7 @@ def encode_lists(
         )
     intensity = -(-parts_per_billion(sequence.intensity) * FULL // PPB)
     flags = MEASURE * measure | RECHARGE * (recharge is not None)
-    # Bytes and arrays: joining them is their only copy.
+    # Bytes and arrays, copied only when they are joined.
     parts: list[Any] = [
         _HEAD.pack(sequence.period_us, times, intensity, flags, shapes),
         table,
@@ -188,7 +167,7 @@ def _kept(
     sums = sequence.sums
     if sums is None or sums.table is not image.table:
         return None
-    # Copies: nothing may change between the look and the write.
+    # Copies: nothing may change between the check and the write.
     own = KernelLists(image.own, *map(np.array, (sums.first, sums.kernel, sums.amplitude)))
     if not _is_sound(own, sequence.slots):
         return None
@@ -201,7 +180,7 @@ def _kept(
 
 
 def _is_sound(lists: KernelLists, slots: int) -> bool:
-    """Return whether lists go on the wire as they are: of other types they would wrap around."""
+    """Return whether lists have types and sizes that fit the wire; others would wrap around."""
     first, kernel, amplitude = lists.first, lists.kernel, lists.amplitude
     return bool(
         first.dtype == np.intp

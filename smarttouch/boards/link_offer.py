@@ -1,4 +1,4 @@
-"""Check of what a ``link`` board says that it can do."""
+"""Check of the capabilities that a ``link`` board reports."""
 
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.capabilities import Capabilities
@@ -15,21 +15,16 @@ def accepted(
     wanted: Output | None,
     known: Capabilities | None,
 ) -> tuple[protocol.Output, Capabilities]:
-    """Return a board's outputs and capabilities; a wrong board has received no more than HELLO.
+    """Return a board's outputs and capabilities, checked against the profile and, if known, those
+    from before the line was lost. A wrong board has received no more than HELLO."""
+    kind, found = _offered(answer, name)
+    _require_ready(answer, name, found, known)
+    _require_fit(name, found, electrodes, wanted)
+    return kind, found
 
-    Parameters
-    ----------
-    answer : Message
-        Its CAPABILITIES, of any version.
-    name : str
-        Of its port, for messages.
-    electrodes : int
-        Number in the profile.
-    wanted : Output, optional
-        Output section of the profile.
-    known : Capabilities, optional
-        Those from before the line was lost.
-    """
+
+def _offered(answer: Message, name: str) -> tuple[protocol.Output, Capabilities]:
+    """Return the outputs and capabilities in a CAPABILITIES of any version."""
     if answer.version != protocol.VERSION:
         raise BoardError(
             f"the board at {name} speaks link version {answer.version}, this "
@@ -75,6 +70,13 @@ def accepted(
         most_kernels=kernels,
         packet_bytes=packet,
     )
+    return kind, found
+
+
+def _require_ready(
+    answer: Message, name: str, found: Capabilities, known: Capabilities | None
+) -> None:
+    """Raise if the emergency switch is open, or this is another board than before."""
     if found.emergency_switch and answer.state & protocol.SWITCH_OPEN:
         raise EmergencyStopError(
             f"the emergency switch of the board at {name} is open: close it, then begin again",
@@ -89,6 +91,11 @@ def accepted(
             problem="another",
             value=name,
         )
+
+
+def _require_fit(name: str, found: Capabilities, electrodes: int, wanted: Output | None) -> None:
+    """Raise if a board does not have the electrodes and outputs of the profile."""
+    outputs, kind = found.electrodes, found.output
     if outputs != electrodes:
         raise BoardError(
             f"the board at {name} has {outputs} electrodes, the profile "
@@ -107,7 +114,6 @@ def accepted(
             value=wanted.kind,
             allowed=kind,
         )
-    return kind, found
 
 
 def malformed(name: str) -> BoardError:

@@ -19,40 +19,32 @@ from enum import IntEnum, IntFlag
 from typing import Literal, get_args
 
 VERSION = 5
-SWITCH_OPEN = 1
-"""State of a board whose emergency switch is open."""
+SWITCH_OPEN = 1  # state of a board whose emergency switch is open
 IDENTITY_BYTES = 16
 SILENCE_MS = 100
 ALIVE_MS = 20
-LATE_MS = 250
-"""A packet is old if it confirms nothing that the board sent within this time."""
-LONGEST_PACKET_MS = 1000
-"""Longest time for which an incomplete packet counts as a sign of life."""
+LATE_MS = 250  # a packet is old if it confirms nothing that the board sent within this time
+LONGEST_PACKET_MS = 1000  # longest time for which an incomplete packet counts as a sign of life
 LAST_NUMBER = 2**32 - 1
-HALF = 2**32 - 1
-"""The host's half of a session; the board's is above it."""
+HALF = 2**32 - 1  # the host's half of a session; the board's is above it
 Output = Literal["weighted", "three-state", "one-against-all"]
 OUTPUTS: tuple[Output, ...] = get_args(Output)
 
 CAPABILITIES = struct.Struct("<HBBHHHH")
 ALIVE = struct.Struct("<h")
-KEEPING = struct.Struct("<IIH")
-"""Room for kernels and for a packet, in bytes, and most kernels; after CAPABILITIES."""
+KEEPING = struct.Struct("<IIH")  # after CAPABILITIES: room in bytes, packet bytes, most kernels
 LIMITS = struct.Struct("<IIHHHHHHIBBH")
 """Least period µs, total µA, width µs, full µA, rounding µA, full µs, ramp ms, session s, session
 µC, duty %, 0, width of a full pulse µs; then of each electrode u16 µA, u16 felt µA, u32 pC."""
-KERNELS = struct.Struct("<16sII")
-"""Identity, size and offset."""
+KERNELS = struct.Struct("<16sII")  # identity, size and offset
 KEPT = struct.Struct("<16sIB16s")
 """Identity, bytes that are there, whether all are and are sound, and the session's proof."""
-NAK = struct.Struct("<BBHHii")
-"""Reason, rule, slot, electrode, value and what is allowed."""
+NAK = struct.Struct("<BBHHii")  # reason, rule, slot, electrode, value and what is allowed
 REPORT = struct.Struct("<IIQIIIIBIIIII")
 """Counts of sequences, slots, pulses and violations; largest current µA, charge pC and charge left
 pC; sequences at hand; old and foreign packets; largest net charge within a second pC; seconds with
 current and largest charge µC of the session."""
-NOTHING = 0xFFFF
-"""Slot or electrode where a rule is of none; as a slot, the recharge phase."""
+NOTHING = 0xFFFF  # slot or electrode where a rule is of none; as a slot, the recharge phase
 
 
 class Kind(IntEnum):

@@ -16,10 +16,9 @@ _U16_MAX = 0xFFFF
 class WireSequence:
     """Sequence received by a board.
 
-    ``current_ua`` is (S, E) int16 for weighted boards; for switched ones
-    ``state`` is (S, E) int8 (1 cathode, −1 anode, 0 insulated, 2 not a state)
-    and ``source_ua`` (S,) uint16. Positive is cathodic. ``recharge_ua`` is (E,) int16,
-    None without a recharge phase.
+    ``current_ua`` is (S, E) int16 for weighted boards; for switched ones ``state`` is (S, E) int8
+    (1 cathode, −1 anode, 0 insulated, 2 not a state) and ``source_ua`` (S,) uint16. Positive is
+    cathodic. ``recharge_ua`` is (E,) int16, None without a recharge phase.
     """
 
     period_us: int
@@ -52,13 +51,7 @@ def _u16(values: NDArray[Any]) -> bytes:
 
 
 def source_of(current_ua: NDArray[np.int16]) -> NDArray[np.uint16]:
-    """Return the current of a switched board's one source in each slot, (S,) µA.
-
-    Raises
-    ------
-    BoardError
-        If it is more than the wire can say.
-    """
+    """Return the current of a switched board's one source in each slot, (S,) µA."""
     source = np.maximum(current_ua, 0).sum(axis=1, dtype=np.int64)
     strongest = int(source.max(initial=0))
     if strongest > _U16_MAX:

@@ -1,4 +1,4 @@
-"""Messages of ``link``, and the host's end of a session: it accepts only fresh, requested ones."""
+"""Messages of ``link``, and the host's end of a session, which accepts only new, requested ones."""
 
 import secrets
 import struct
@@ -10,8 +10,7 @@ from smarttouch.errors import LineLostError
 from smarttouch.wire.framing import HEAD_BYTES, Packet, frame_packet, parse_head
 
 _HEAD = struct.Struct("<BQII")
-WHOLE_HEAD_BYTES = HEAD_BYTES + _HEAD.size
-"""Bytes of a decoded packet before its payload."""
+WHOLE_HEAD_BYTES = HEAD_BYTES + _HEAD.size  # bytes of a decoded packet before its payload
 ANSWERS = {
     Kind.HELLO: Kind.CAPABILITIES,
     Kind.BEGIN: Kind.BEGUN,
@@ -61,7 +60,7 @@ def decode(packet: Packet) -> Message:
 
 
 def decode_head(head: bytes) -> Message:
-    """Return the message that begins with these `WHOLE_HEAD_BYTES`; its CRC is yet to come."""
+    """Return the message that begins with these `WHOLE_HEAD_BYTES`, before its CRC."""
     return decode(parse_head(head))
 
 
@@ -71,27 +70,13 @@ def draw_half() -> int:
 
 
 class HostSession:
-    """One session with a board, from before HELLO on.
-
-    Parameters
-    ----------
-    draw : callable
-        Returns 32 random bits that are not all 0.
-
-    Attributes
-    ----------
-    number : int
-        Of the session; its upper half is 0 until the board has answered HELLO.
-    begun : bool
-        Whether the board has answered BEGIN.
-    refused : int
-        Packets that were not taken.
-    """
+    """One session with a board, from before HELLO on; ``draw`` returns 32 random bits that are not
+    all 0."""
 
     def __init__(self, draw: Callable[[], int] = draw_half) -> None:
-        self.number = draw()
-        self.begun = False
-        self.refused = 0
+        self.number = draw()  # its upper half is 0 until the board has answered HELLO
+        self.begun = False  # whether the board has answered BEGIN
+        self.refused = 0  # number of packets
         self._sent = self._taken = self._offered = 0
         self._asked: dict[int, Kind] = {}
 
@@ -101,13 +86,7 @@ class HostSession:
         return self._sent
 
     def encode(self, kind: Kind, about: int = 0, payload: bytes = b"") -> bytes:
-        """Return the host's next packet.
-
-        Raises
-        ------
-        LineLostError
-            If all numbers are used up.
-        """
+        """Return the host's next packet."""
         if self._sent == LAST_NUMBER:
             raise LineLostError(
                 f"the session of {LAST_NUMBER} packets is over",

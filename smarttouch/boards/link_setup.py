@@ -1,4 +1,4 @@
-"""Limits and kernels for a ``link`` board, and its numbers read."""
+"""Limits and kernels given to a ``link`` board, and its numbers decoded."""
 
 from collections.abc import Callable
 from typing import Any
@@ -13,12 +13,9 @@ from smarttouch.boards.link_session import Message
 from smarttouch.errors import BoardError, KernelTableError
 from smarttouch.stimulation.limits import SafetyLimits
 
-OVERHEAD = 64
-"""Bytes of a packet beside what it carries, at most, and some to spare."""
-_PIECE = 1024
-"""Bytes of kernels at once: nothing else can pass while they do."""
-_IDLE = 3
-"""Times that nothing new may have been kept."""
+OVERHEAD = 64  # bytes of a packet beside what it carries, at most, and some to spare
+_PIECE = 1024  # bytes of kernels at once: nothing else can pass while they do
+_IDLE = 3  # times that nothing new may have been kept
 
 _RULES = {
     Rule.LIMITS: "no limits were given in this session",
@@ -51,13 +48,6 @@ _RULES = {
 
 
 def give_limits(line: LinkLine, limits: SafetyLimits) -> None:
-    """Give a board the limits of the session.
-
-    Raises
-    ------
-    BoardError
-        If it does not take them, or is gone.
-    """
     if line.ask(Kind.LIMITS, encode_limits(limits)).payload != b"\1":
         raise malformed(line.name)
 
@@ -65,22 +55,8 @@ def give_limits(line: LinkLine, limits: SafetyLimits) -> None:
 def give_kernels(
     line: LinkLine, image: KernelImage, most_bytes: int, go_on: Callable[[], None]
 ) -> None:
-    """Give a board its kernels; what it keeps of them already is not sent again.
-
-    Parameters
-    ----------
-    line : LinkLine
-    image : KernelImage
-    most_bytes : int
-        Largest packet that it takes.
-    go_on : callable
-        Raises if the board is to be stopped.
-
-    Raises
-    ------
-    BoardError
-        If it does not take them, or is gone.
-    """
+    """Give a board its kernels, in packets of at most ``most_bytes``; what it keeps already is not
+    sent again. ``go_on`` raises if the board is to be stopped."""
     piece = min(_PIECE, most_bytes - OVERHEAD)
     at, data, idle = 0, b"", 0
     while idle < _IDLE:
@@ -100,7 +76,7 @@ def give_kernels(
                 value=proof.hex(),
                 allowed=image.proof(line.session.number).hex(),
             )
-        # The first question has nothing in it, and finds out where to begin.
+        # The first query carries no kernels: its answer says where to begin.
         kept = kept if identity == image.identity and kept < len(image.data) else 0
         idle = 0 if kept > at else idle + 1
         at, data = kept, image.data[kept : kept + piece]
@@ -113,22 +89,16 @@ def give_kernels(
 
 
 def account_of(answer: Message, name: str) -> tuple[Any, ...]:
-    """Return a REPORT: counts, mA and µC, in the order of `protocol.REPORT`.
-
-    Raises
-    ------
-    BoardError
-        If it is none.
-    """
+    """Return a REPORT: counts, mA and µC, in the order of `protocol.REPORT`."""
     if len(answer.payload) != protocol.REPORT.size:
         raise malformed(name)
-    told = protocol.REPORT.unpack(answer.payload)
-    strongest_ua, charge_pc, net_pc = told[4:7]
-    return (*told[:4], strongest_ua / 1e3, charge_pc / 1e6, net_pc / 1e6, *told[7:])
+    fields = protocol.REPORT.unpack(answer.payload)
+    strongest_ua, charge_pc, net_pc = fields[4:7]
+    return (*fields[:4], strongest_ua / 1e3, charge_pc / 1e6, net_pc / 1e6, *fields[7:])
 
 
 def reason_of(refusal: Message) -> tuple[int, int, str]:
-    """Return reason and rule of a NAK, and words for the rest of it."""
+    """Return reason, rule and text of a NAK."""
     if len(refusal.payload) != protocol.NAK.size:
         return 0, Rule.NONE, ""
     reason, rule, slot, electrode, value, allowed = protocol.NAK.unpack(refusal.payload)

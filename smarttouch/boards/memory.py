@@ -11,13 +11,8 @@ from smarttouch.stimulation.sequence import ScanSequence
 
 
 class MemoryBoard(Board):
-    """Board without process, line or current: ``memory:``.
-
-    Attributes
-    ----------
-    sequences : list of ScanSequence
-        All sequences since it was opened.
-    """
+    """Board without process, line or current, which keeps all ``sequences`` since it was opened:
+    ``memory:``."""
 
     on_a_finger = False
 
@@ -37,7 +32,7 @@ class MemoryBoard(Board):
         self.sequences: list[ScanSequence] = []
 
     def _time(self) -> None:
-        """Return the clock of the sequences, as no finger is on this board."""
+        """Return None: time is what sequences state, as no finger is on this board."""
 
     def _open(self) -> None:
         self.sequences.clear()

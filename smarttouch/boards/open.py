@@ -17,20 +17,12 @@ from smarttouch.url_options import read_options
 def make_board(
     url: str, limits: SafetyLimits, output: Output | None = None, **options: Any
 ) -> Board:
-    """Return the driver for a board's URL, not opened yet.
-
-    Options of the driver may stand in the URL, as in ``emulator:?books=FOLDER``.
-
-    Raises
-    ------
-    BoardError
-        If no driver has that name, it has no such option, or that of another package does not
-        keep the contract.
-    """
+    """Return the driver for a board's URL, not opened yet; its options may stand in the URL, as in
+    ``emulator:?books=FOLDER``."""
     opener, rest = _driver(url)
-    rest, told = read_options(opener, rest, BoardError, but=("output",))
+    rest, from_url = read_options(opener, rest, BoardError, but=("output",))
     given = replace(limits)
-    board: Board = opener(rest, limits, output, **{**told, **options})
+    board: Board = opener(rest, limits, output, **{**from_url, **options})
     require_gate(board, limits, given)
     return board
 
@@ -42,31 +34,17 @@ def _of_one_source(found: SafetyLimits, given: SafetyLimits, output: Output | No
 
 
 def require_gate(board: Board, limits: SafetyLimits, given: SafetyLimits) -> None:
-    """Raise unless a board has the gate of these limits, on the machine's clock.
-
-    Parameters
-    ----------
-    board : Board
-    limits : SafetyLimits
-        Those that its driver was given.
-    given : SafetyLimits
-        A copy of them from before.
-
-    Raises
-    ------
-    BoardError
-        If its driver has other limits, another gate, or something in place of a method that
-        is final; or if there may be a finger on it and it has another clock.
-    """
+    """Raise BoardError unless a board keeps the limits that its driver was given, unchanged since
+    ``given`` was copied, all final methods, and, if a finger may be on it, the machine's clock."""
     fault = seal_fault(board)
     if fault is not None:
         raise fault
     found = board._gate.limits
-    # By value, too: a driver can write into what it was given.
+    # By value too: a driver can change what it was given.
     unchanged = found is limits and found == given
     if not unchanged and not _of_one_source(found, given, board._output):
         raise seal_error(board, "limits", "hand those that it is given to super().__init__")
-    # Only where no finger can be is time what sequences claim.
+    # Only without a finger may time be what sequences state.
     if is_foreign(board) and board.on_a_finger and type(board)._time is not Board._time:
         raise seal_error(board, "clock", "leave _time and _clock as they are")
 

@@ -14,14 +14,11 @@ from smarttouch.boards.probe import one_pair_each
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
-MOST_REFERENCES = 16
-"""References to try before all are taken for open; far apart, as a finger may touch in part."""
+MOST_REFERENCES = 16  # tried before all count as open; far apart, for partial touch
 MOST_TRIPLES = 16
-ENOUGH = 0.5
-"""Part of the electrodes that must conduct to a good reference."""
+ENOUGH = 0.5  # part of the electrodes that must conduct to a good reference
 
-Ask = Callable[[ScanSequence], NDArray[np.float64]]
-"""Function that delivers a scan and returns the source's voltage in each slot, (S,) V."""
+Ask = Callable[[ScanSequence], NDArray[np.float64]]  # delivers a scan, returns (S,) V
 
 
 def measure_in_pairs(
@@ -34,22 +31,9 @@ def measure_in_pairs(
 ) -> Impedance:
     """Return the impedance of each electrode, from scans of two electrodes at a time.
 
-    All are measured against one reference r: I (Zᵢ + Zᵣ). Of three electrodes that all
-    conduct, Zᵣ = (Zᵢᵣ + Zⱼᵣ − Zᵢⱼ) / 2; the median over neighbors counts.
-
-    Parameters
-    ----------
-    ask : callable
-        Delivers a scan and returns its voltages.
-    limits : SafetyLimits
-    level_ua : int, µA
-        Through each pair.
-    intensity : float
-        That goes with it; the board is there already.
-    time_ns : int
-        Of the first scan; each of the others is a millisecond later by its stamp.
-    compliance_v : float
-        The most that the source can give.
+    All are measured against one reference r: I (Zᵢ + Zᵣ). Of three electrodes that all conduct, Zᵣ
+    = (Zᵢᵣ + Zⱼᵣ − Zᵢⱼ) / 2; the median over neighbors counts. The board is at the intensity of
+    ``level_ua`` already; scans are stamped a millisecond apart from ``time_ns`` on.
     """
     count, step = limits.electrodes, 0
     current_ma = level_ua / 1000

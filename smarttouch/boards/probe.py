@@ -17,18 +17,9 @@ _STEPS = 20
 
 
 def probe_sequences(limits: SafetyLimits, output: Output | None) -> Iterator[ScanSequence]:
-    """Yield scans of one electrode against all others that rise from zero to `PROBE_MA`.
-
-    Masked electrodes are left out.
-
-    The last one is the measurement; those before it keep the rise within the
-    ramp, in the time that their own stamps say.
-
-    Raises
-    ------
-    BoardError
-        If the limits leave no room for the least informative current.
-    """
+    """Yield scans of one electrode against all others that rise from zero to `PROBE_MA`, without
+    masked electrodes. The last one is the measurement; those before it keep the rise within the
+    ramp, by their own time stamps."""
     peak_ma = min(PROBE_MA, 0.9 * limits.current_ma, 0.9 * limits.full_ma)
     if limits.electrode_ma is not None:
         peak_ma = min(peak_ma, 0.9 * min(limits.electrode_ma))
@@ -70,22 +61,14 @@ def one_each(
     discharge_us: int = 100,
     period_us: int = 0,
 ) -> ScanSequence:
-    """Return a scan with one slot for each electrode against all others.
-
-    Parameters
-    ----------
-    level_ua : int, µA
-        Through the one; the others share it equally. No slots if 0.
-    sites : list of int, optional
-        Electrodes to probe; all if not given.
-    masked : tuple of int
-        Electrodes that take no share: an open one would need all the voltage there is.
-    """
+    """Return a scan of one slot for each site (all if not given): ``level_ua`` through it, returned
+    equally by the other electrodes; no slots if that is 0. Masked ones take no share, as an open
+    one would need all the voltage there is."""
     count = limits.electrodes
     chosen = range(count) if sites is None else sites
     currents = np.zeros((len(chosen) if level_ua else 0, count), np.int16)
     for current, site in zip(currents, chosen, strict=False):
-        # The e-th electrode after the driven one: what does not divide goes to the nearest.
+        # From the driven electrode on: the nearest ones take the remainder.
         away = [(site + step) % count for step in range(1, count)]
         returns = [each for each in away if each not in masked]
         each, over = divmod(level_ua, len(returns))
@@ -105,14 +88,8 @@ def one_pair_each(
     intensity: float,
     time_ns: int,
 ) -> ScanSequence:
-    """Return a scan with one slot for each pair of electrodes: into the first, out of the second.
-
-    Parameters
-    ----------
-    level_ua : int, µA
-        Of the first of each pair, cathodic.
-    pairs : list of (int, int)
-    """
+    """Return a scan with one slot for each pair of electrodes: ``level_ua``, cathodic, through the
+    first, back through the second."""
     currents = np.zeros((len(pairs), limits.electrodes), np.int16)
     for current, (first, second) in zip(currents, pairs, strict=True):
         current[first], current[second] = level_ua, -level_ua

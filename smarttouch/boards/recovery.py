@@ -8,24 +8,8 @@ TIMES = 3
 
 
 def start_anew(start: Callable[[], None], lost: LineLostError) -> None:
-    """Restart a board after its line was lost, up to three times.
-
-    A computer that stands still once more meanwhile loses the line once more.
-
-    Parameters
-    ----------
-    start : callable
-        Waits for the port, and puts the board at zero.
-    lost : LineLostError
-        First fault.
-
-    Raises
-    ------
-    BoardStoppedError
-        If someone stops it meanwhile.
-    BoardError
-        If it does not come back, or something else is in its place.
-    """
+    """Restart a board after its line was lost, up to three times, as the line may be lost again
+    meanwhile; ``start`` waits for the port and puts the board at zero."""
     for left in reversed(range(TIMES)):
         try:
             return start()

@@ -1,11 +1,10 @@
 """Scale of a board's current: the current per count of its converter, and its accepted band.
 
-A measured scale may differ from the board's nominal one by 30 %. That is wide enough for what
-makes boards of one kind differ: the converter and its reference (an ESP32's is good to some 10 %),
-the resistors of the current source (1 to 10 %), the one across which it was measured, and the
-reading of an oscilloscope (3 %). And it is narrow enough for mistakes: the boards of the family lie
-a factor of 1.77 or more apart (2.44, 5.66 and 9.99 µA), peak to peak for peak is a factor of 2,
-10 bits for 12 one of 4, and mA for µA one of 1,000.
+A measured scale may differ from the board's nominal one by 30 %. That covers how boards of one
+kind differ (converter and reference, some 10 % in an ESP32; resistors of the current source and the
+measuring one, 1 to 10 %; reading of an oscilloscope, 3 %) and excludes mistakes: boards of the
+family lie a factor of 1.77 or more apart (2.44, 5.66 and 9.99 µA), peak to peak for peak is a
+factor of 2, 10 bits for 12 one of 4, and mA for µA one of 1,000.
 """
 
 import math
@@ -17,8 +16,7 @@ from numpy.typing import NDArray
 from smarttouch.errors import BoardError
 from smarttouch.stimulation.safety import SafetyLimits
 
-BAND = 0.3
-"""Accepted deviation from the nominal scale, up and down."""
+BAND = 0.3  # accepted deviation from the nominal scale, up and down
 NOMINAL_UA = {"kajimoto61": 10_000 / 4096, "etactilekit": 9.99}
 """Current per count of each board's converter; the kajimoto61's 4096 are 10 mA."""
 
@@ -38,33 +36,17 @@ class Scale:
     def most_counts(
         self, limits: SafetyLimits, width_us: float, counts_each: int = 1
     ) -> NDArray[np.int64]:
-        """Return the steps that keep current and charge below the limits by either scale.
-
-        Parameters
-        ----------
-        width_us : float
-            Of the longest pulse.
-        counts_each : int
-            Counts in a step.
-
-        Returns
-        -------
-        ndarray, (E,)
-        """
+        """Return the most steps of ``counts_each`` counts, (E,) int64, that keep current and charge
+        of pulses of up to ``width_us`` within the limits by either scale."""
         most_ua = np.minimum(limits.current_ua, limits.charge_pc / max(float(width_us), 1.0))
-        # A limit of just so many steps is kept, whatever division makes of it.
+        # A limit that is a whole number of steps survives the division.
         steps = np.floor(most_ua / (counts_each * self.largest_ua) + 1e-9)
         return np.asarray(steps, np.int64)
 
 
 def scale_of(kind: str, measured_ua: float | None) -> Scale:
-    """Return the scale of a kind of board in a profile.
-
-    Raises
-    ------
-    BoardError
-        If what was measured is too far from the nominal one, with the likely mistake.
-    """
+    """Return the scale of a kind of board; raise, with the likely mistake, if a measured one is out
+    of band."""
     nominal_ua = NOMINAL_UA[kind]
     if measured_ua is None:
         return Scale(nominal_ua, nominal_ua)
@@ -83,7 +65,6 @@ def scale_of(kind: str, measured_ua: float | None) -> Scale:
 
 
 def in_band(ratio: float) -> bool:
-    """Return whether a ratio to the nominal scale is accepted."""
     return abs(ratio - 1) <= BAND + 1e-9
 
 
@@ -101,13 +82,8 @@ def _likely(kind: str, measured_ua: float) -> tuple[str, str]:
 
 
 def check_reading(volts: float, ohm: float, current_ma: float) -> float:
-    """Return the ratio to the nominal current, from the voltage across a resistor.
-
-    Raises
-    ------
-    BoardError
-        If the reading is impossible, or too far off, with the likely mistake.
-    """
+    """Return the ratio of measured to nominal current, from the voltage across a resistor; raise,
+    with the likely mistake, if it is out of band."""
     for what, value in (("ohm", ohm), ("current_ma", current_ma)):
         if not 0 < value < math.inf:
             raise BoardError(
@@ -148,26 +124,12 @@ def check_reading(volts: float, ohm: float, current_ma: float) -> float:
 
 
 def measured_scale(kind: str, before_ua: float | None, ratio: float) -> float | None:
-    """Return a board's scale by what was measured, µA a count; None if it has none.
-
-    Parameters
-    ----------
-    kind : str
-        Of the board.
-    before_ua : float or None, µA
-        Its scale so far.
-    ratio : float
-        From `check_reading`.
-
-    Raises
-    ------
-    BoardError
-        If that is no scale of such a board.
-    """
+    """Return a board's measured scale, µA per count, from its scale so far and the ratio of
+    `check_reading`; None if it has none."""
     if before_ua is None:
         return None
     scale_ua = before_ua * ratio
     if kind in NOMINAL_UA:
-        # The scale of the profile may have been a measured one; the band is of the nominal.
+        # The band is around the nominal scale, also where the profile has a measured one.
         scale_of(kind, float(f"{scale_ua:.4g}"))
     return scale_ua

@@ -3,10 +3,8 @@
 import math
 from dataclasses import dataclass
 
-TOLERANCE = 200e-6
-"""Uncertainty of the ratio of two free-running clocks, each within 100 parts per million."""
-WIDEST = 0.25
-"""Part of a period: a scan's start with a larger uncertainty counts as unknown."""
+TOLERANCE = 200e-6  # of the ratio of two free-running clocks, each within 100 ppm
+WIDEST = 0.25  # part of a period: a scan's start with a larger uncertainty counts as unknown
 
 
 @dataclass(frozen=True)
@@ -18,19 +16,11 @@ class Span:
 
 
 class ScanLock:
-    """Bounds of the start of each scan of a board.
+    """Bounds on the start of each scan of a board, learned from brackets.
 
-    All it learns from are brackets: a scan has started after one moment and before another.
-    Both ends of every bracket are certain, however late the host was woken; so are those of
-    all scans before and after, since the board's period is known up to the tolerance of the
-    two clocks. Every further bracket narrows both.
-
-    Attributes
-    ----------
-    period_ns : tuple of (float, float)
-        The shortest and the longest that the board's period can be by the host's clock.
-    last : Span or None
-        The scan that was learned of last.
+    A bracket says that a scan started after one moment and before another. Both are certain,
+    however late the host woke up, and so are the bounds on all other scans, as the board's period
+    is known within the tolerance of two clocks. Every bracket narrows them.
     """
 
     def __init__(self, period_ns: int) -> None:
@@ -44,8 +34,9 @@ class ScanLock:
     def forget(self) -> None:
         """Reset to the nominal period."""
         nominal_ns = self.nominal_ns
+        # Shortest and longest by the host's clock.
         self.period_ns = (nominal_ns * (1 - TOLERANCE), nominal_ns * (1 + TOLERANCE))
-        # Scan 0, and the one that the last bracket was of.
+        # Scan 0, and the one of the last bracket.
         self._first: Span | None = None
         self.last: Span | None = None
         self._number = 0
@@ -82,7 +73,7 @@ class ScanLock:
         return least, most
 
     def learn(self, bracket: Span) -> None:
-        """Update by a scan that started within a bracket; one that is too wide is ignored."""
+        """Take a bracket in which a scan started; one that is too wide is ignored."""
         width_ns = bracket.late - bracket.early
         if self.last is None:
             if width_ns <= WIDEST * self.period_ns[0]:
@@ -98,7 +89,7 @@ class ScanLock:
         }
         possible = [number for number, span in spans.items() if span.early <= span.late]
         if not possible:
-            # What was certain was not: the board was restarted, or stood still.
+            # It contradicts the bounds: the board was restarted, or stood still.
             self.forget()
         if len(possible) != 1:
             return
@@ -113,7 +104,7 @@ class ScanLock:
             )
 
     def check(self, time_ns: int) -> None:
-        """Reset what has become too uncertain by now."""
+        """Reset if scans have become too uncertain by now."""
         if self.last is None:
             return
         span = self.scan(self._near(time_ns))

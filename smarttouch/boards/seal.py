@@ -1,4 +1,4 @@
-"""Seals of boards: what no driver may replace, checked by what is kept apart from the board."""
+"""Seals of boards: the parts that no driver may replace, recorded apart from the board."""
 
 import inspect
 from abc import ABCMeta
@@ -16,13 +16,13 @@ from smarttouch.stimulation.safety import Now, SafetyGate, SafetyLimits
 _ALWAYS = frozenset({"__bases__", "__class__", "__getattribute__", "_sealed"})
 """Names through which final methods could be replaced."""
 _OF_OBJECTS = frozenset({"_clock", "_gate", "_halted", "_opened", "_stopped"})
-"""Names of what each board has for itself: a property of a class would come before it."""
+"""Names of each board's own attributes, which a property of a class would hide."""
 _GATE = frozenset(vars(SafetyGate))
 _WHOLE = [name for name, value in vars(SafetyLimits).items() if isinstance(value, cached_property)]
 
 
 class SealedType(ABCMeta):
-    """Metaclass whose classes keep their final methods, when they are defined and later."""
+    """Metaclass that forbids replacing final methods, in subclasses and later."""
 
     _sealed = _ALWAYS
 
@@ -84,19 +84,17 @@ class _Seal(NamedTuple):
     gate: SafetyGate
     gate_size: int
     limits: SafetyLimits
-    values: tuple[Any, ...]
-    """Of the limits, as given and in whole numbers."""
+    values: tuple[Any, ...]  # of the limits, as given and in whole numbers
     clock: Now | None
     on_a_finger: bool
     foreign: bool
 
 
-_seals: dict[int, _Seal] = {}
-"""By the identity of the board, and not in it, where a driver would come across it."""
+_seals: dict[int, _Seal] = {}  # by the id of the board: in it, a driver could change them
 
 
 def make_gate(board: Any, limits: SafetyLimits, clock: Now | None) -> SafetyGate:
-    """Return the gate of a board, sealed: the first of a board is the one that it must keep."""
+    """Return the sealed gate of a board; the first gate of a board must stay its gate."""
     for name in _WHOLE:
         value = getattr(limits, name)
         if isinstance(value, np.ndarray) and value.flags.owndata:
@@ -118,10 +116,8 @@ def make_gate(board: Any, limits: SafetyLimits, clock: Now | None) -> SafetyGate
 
 
 def seal_fault(board: Any) -> BoardError | None:
-    """Return the error of a board that has another gate, limits or clock than it was made with.
-
-    It is asked before every sequence: what is slow comes only where something has changed.
-    """
+    """Return the error of a board whose gate, limits or clock were exchanged, or None. As it runs
+    before every sequence, slow checks run only where something has changed."""
     seal, own = _seals.get(id(board)), vars(board)
     about = remedy = ""
     if (
@@ -148,7 +144,7 @@ def seal_fault(board: Any) -> BoardError | None:
 
 
 def seal_error(board: Any, about: str, remedy: str) -> BoardError:
-    """Return the error of a board that goes around its gate."""
+    """Return the error of a board that bypasses its gate."""
     kind = type(board).__name__
     return BoardError(
         f"{kind} goes around the safety gate by its {about}: {remedy}",
@@ -159,11 +155,11 @@ def seal_error(board: Any, about: str, remedy: str) -> BoardError:
 
 
 def _same(found: tuple[Any, ...], kept: tuple[Any, ...]) -> bool:
-    """Return whether each is the same object, or at least equal."""
+    """Return whether two tuples hold the same or equal objects."""
     try:
         return found == kept
     except ValueError:
-        # An array in the place of another.
+        # An array was exchanged.
         return False
 
 
@@ -174,7 +170,7 @@ def is_foreign(board: Any) -> bool:
 
 def _has_own_clock(board: Any) -> bool:
     """Return whether the time of a board with a finger on it is not the machine's."""
-    # Only where no finger can be is time what sequences claim.
+    # Only without a finger may time be what sequences state.
     return bool(board.on_a_finger) and (
         type(board._clock) is not MonotonicClock
         or "now_ns" in vars(board._clock)

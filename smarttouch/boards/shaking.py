@@ -18,24 +18,20 @@ from smarttouch.errors import BoardError, SmartTouchError
 from smarttouch.files import owner_only, unwritable
 
 FULL_SCALE = 32_767
-_PIECE = 1 << 14
-"""Samples written at once, so that a long pause does not fill the memory."""
-_LARGEST_BYTES = 0xFFFF_0000
-"""Largest WAV file."""
-GRACE_NS = 50_000_000
-"""Largest delay of the next sequence without a gap; a period, if that is shorter."""
+_PIECE = 1 << 14  # samples written at once, so that a long pause does not fill the memory
+_LARGEST_BYTES = 0xFFFF_0000  # largest WAV file
+GRACE_NS = 50_000_000  # most delay of a sequence without a gap; a period if shorter
 
 
 class Shaking(ABC):
     """Interface of waveform outputs, driven by amplitudes and times."""
 
     time_to_zero_ms: float = 0.0
-    notes: list[str]
-    """List of warnings for the user."""
+    notes: list[str]  # list of warnings for the user
 
     @abstractmethod
     def open(self, waveform: Waveform, rate_hz: int) -> None:
-        """Start, at rest."""
+        """Start without vibration."""
 
     @abstractmethod
     def shake(
@@ -45,11 +41,11 @@ class Shaking(ABC):
 
     @abstractmethod
     def silence(self) -> None:
-        """Return to rest, from any thread."""
+        """Stop vibrating, from any thread."""
 
     @abstractmethod
     def close(self) -> None:
-        """End at rest."""
+        """Stop vibrating and close."""
 
     @abstractmethod
     def drain(self, timeout_s: float) -> None:
@@ -57,10 +53,8 @@ class Shaking(ABC):
 
 
 class WavShaking(Shaking):
-    """WAV file on the time of the sequences; silent between them.
-
-    What is in the file can be read at any time, also if the program is killed.
-    """
+    """WAV file on the time of the sequences, silent between them; readable at any time, even if the
+    program is killed."""
 
     def __init__(self, path: str) -> None:
         self._path = Path(path)
@@ -90,7 +84,7 @@ class WavShaking(Shaking):
                 self._waveform.glide_to(np.zeros_like(amplitude))
                 self._write_until(start)
             self._waveform.glide_to(amplitude)
-            # Written when it is known how long it lasts.
+            # Written once its duration is known.
             self._once = self._sample(time_ns + period_ns)
             self._end = self._sample(time_ns + times * period_ns)
 
@@ -98,7 +92,7 @@ class WavShaking(Shaking):
         with self._lock:
             if self._stream is None:
                 return
-            # A repetition that is stopped was sent once at least.
+            # A stopped repetition was sent at least once.
             self._write_until(min(self._end, self._once))
             self._end = self._written
             if not self._waveform.at_rest:
@@ -124,7 +118,7 @@ class WavShaking(Shaking):
             self._write(min(_PIECE, sample - self._written))
 
     def _write(self, count: int) -> None:
-        """Write so many samples, and a header that matches the file."""
+        """Write samples, and a header that matches the file."""
         assert self._stream is not None
         samples = np.rint(FULL_SCALE * self._waveform.render(count)).astype("<i2")
         self._written += count
@@ -161,13 +155,8 @@ def _wav_header(channels: int, rate_hz: int, samples: int) -> bytes:
 
 
 class AudioShaking(Shaking):
-    """Output to a sound device; silent as soon as no sequence is left.
-
-    Parameters
-    ----------
-    device : str
-        Its number or a part of its name; the usual one if empty.
-    """
+    """Output to a sound device, by number or part of its name (the default one if empty); silent
+    once no sequence is left."""
 
     time_to_zero_ms = 2 * GRACE_NS / 1e6
 
@@ -222,8 +211,8 @@ class AudioShaking(Shaking):
             self._over_s = time.monotonic() + over_ns / 1e9
 
     def silence(self) -> None:
-        # Without the lock, which a signal's own thread may hold; and not by what is left, which
-        # the sound device's thread may be about to write.
+        # Without the lock, which a signal's own thread may hold, and without `_left`, which the
+        # sound device's thread may be about to write.
         self._silenced, self._over_s = True, 0.0
 
     def drain(self, timeout_s: float) -> None:
@@ -235,7 +224,7 @@ class AudioShaking(Shaking):
             return
         self.silence()
         with contextlib.suppress(self._sound.PortAudioError):
-            # Waits until what is on its way, the end of the glide, has been played.
+            # Wait until the end of the glide has been played.
             time.sleep(min(0.5, float(stream.latency) + 2 * GLIDE_S))
             stream.stop()
             stream.close()

@@ -8,20 +8,8 @@ from smarttouch.stimulation.sequence import ScanSequence
 
 
 def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-    """Return the electrode that each slot drives alone, and its current.
-
-    Returns
-    -------
-    electrode : ndarray, (S,)
-    current_ua : ndarray, (S,), µA
-        Positive cathodic.
-
-    Raises
-    ------
-    BoardError
-        If a slot is anything but one electrode against others, or an electrode
-        has two slots: such a board has no way to do it.
-    """
+    """Return the electrode that each slot drives alone, (S,), and its current, (S,) µA, positive
+    cathodic; raise BoardError if a slot is anything else, or an electrode has two."""
     current = sequence.current_ua.astype(np.int64)
     electrode = sequence.site.astype(np.intp)
     rows = np.arange(sequence.slots)

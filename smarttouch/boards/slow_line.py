@@ -3,8 +3,7 @@
 import time
 from collections.abc import Callable
 
-SLOW_ANSWER_S = 0.008
-"""Round trip above which a line is slow: FTDI chips delay input by 16 ms by default."""
+SLOW_ANSWER_S = 0.008  # round trip of a slow line: FTDI chips delay input by 16 ms
 
 
 def slow_line_notes(ask: Callable[[], object]) -> list[str]:

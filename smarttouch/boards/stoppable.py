@@ -1,8 +1,8 @@
-"""What of this process a stop must reach: its open boards and its runs.
+"""Parts of this process that a stop must reach: its open boards and its runs.
 
-``smarttouch stop`` asks on a named pipe, which works in any thread's program and with any
-handlers of signals; SIGTERM and SIGHUP do the same where the program has no handler for them.
-Commands of the command line have their own (`SignalWatch`).
+``smarttouch stop`` asks on a named pipe, which works with any threads and signal handlers; SIGTERM
+and SIGHUP do the same where the program does not handle them. Commands of the command line have
+their own handler (`SignalWatch`).
 """
 
 import atexit
@@ -20,14 +20,13 @@ from smarttouch.boards.announced import Announcement, stopped_since_start
 from smarttouch.errors import BoardError, BoardStoppedError, SmartTouchError
 from smarttouch.stopping import SIGNALS, ZERO_WITHIN_S, RunStopped, StopRequest
 
-RUNS_END_WITHIN_S = 2.0
-"""Time that runs have to end, and to close their recordings, while a stop waits for them."""
+RUNS_END_WITHIN_S = 2.0  # for runs to end and close recordings while a stop waits
 _ENDING = tuple(number for number in SIGNALS if number != signal.SIGINT)
 """Signals that end a process at once where nothing handles them."""
 
 
 class _Stoppable(Protocol):
-    """What the boards of a process are to this module."""
+    """Interface of boards to this module."""
 
     _halted: bool
     _stopped: threading.Event
@@ -81,7 +80,7 @@ class _Program:
 
     def leave_run(self, stop: StopRequest) -> None:
         with self._changed:
-            # By identity: requests are compared by what they hold.
+            # By identity, as equal requests compare equal.
             self._runs = [each for each in self._runs if each is not stop]
             self._withdraw_if_idle()
             self._changed.notify_all()
@@ -105,7 +104,7 @@ class _Program:
                 self._withdraw_if_idle()
 
     def end(self, reason: str) -> None:
-        """Put every open board at zero for good, and let runs end; no board opens any more."""
+        """Put every open board at zero for good, and end runs; no board opens any more."""
         with self._changed:
             self._ended = self._ended or reason
             runs, boards = list(self._runs), list(self._boards)
@@ -122,20 +121,20 @@ class _Program:
             each.join(ZERO_WITHIN_S)
         self.await_runs()
         with self._changed:
-            # Where a board has not confirmed, who stops learns of it: only its closing ends that.
+            # An unconfirmed board stays announced until it is closed, so that a stop reports it.
             for board in at_zero:
                 self._boards.pop(board, None)
             if not self._boards:
                 self._withdraw()
 
     def await_runs(self) -> None:
-        """Wait for runs that were asked to end, for a while."""
+        """Wait a while for runs that were asked to end."""
         with self._changed:
             if self._ended:
                 self._changed.wait_for(lambda: not self._runs, RUNS_END_WITHIN_S)
 
     def leave_to_parent(self) -> None:
-        """In a forked process: the boards are the parent's, and this one must not drive them."""
+        """In a forked process, release the boards, which are the parent's."""
         for board in self._boards:
             board._halted = True
             board._stopped.set()
@@ -175,8 +174,9 @@ class _Program:
             )
 
     def _refuse_beyond_budget(self, own_ua: int) -> None:
-        """Declare first and then look, so that of two that open at once at least one is refused."""
-        # Only here: the help of the program loads no profile.
+        """Declare first, then check, so that of two boards that open at once at least one is
+        refused."""
+        # Imported here, so that the program's help loads no profile.
         from smarttouch.profile.ceilings import CEILING_USER_MA
 
         total_ua = self._declare()
@@ -196,22 +196,18 @@ class _Program:
 
 
 class _Signals:
-    """Handler of SIGTERM and SIGHUP where the program has none.
-
-    It takes no lock: a thread reads the signals' numbers from a pipe and ends the program's
-    boards and runs, whatever the main thread is doing, which then ends by `RunStopped`.
-    """
+    """Handler of SIGTERM and SIGHUP where the program has none. Without a lock: a thread reads
+    signal numbers from a pipe and ends boards and runs, whatever the main thread does, which then
+    ends by `RunStopped`."""
 
     def __init__(self) -> None:
-        self.number = 0
-        """Of the signal that ends the process once the main thread's run has ended."""
-        self.orderly = False
-        """Whether the main thread is in a run, which ends by itself."""
+        self.number = 0  # of the signal that ends the process once the main thread's run has ended
+        self.orderly = False  # whether the main thread is in a run, which ends by itself
         self._count = 0
         self._pipe: tuple[int, int] | None = None
 
     def install(self) -> None:
-        """Handle those that would end the process at once; only the main thread can."""
+        """Handle the signals that would end the process at once; only the main thread can."""
         if threading.current_thread() is not threading.main_thread():
             return
         free = [number for number in _ENDING if signal.getsignal(number) == signal.SIG_DFL]
@@ -222,7 +218,7 @@ class _Signals:
             os.set_blocking(self._pipe[1], False)
             threading.Thread(target=self._watch, name="signals", daemon=True).start()
             atexit.register(_program.await_runs)
-        # At once, too, where the main thread is busy; unless the program's event loop has its own.
+        # Even if the main thread is busy; an event loop's own wakeup descriptor is kept.
         before = signal.set_wakeup_fd(self._pipe[1], warn_on_full_buffer=False)
         if before not in (-1, self._pipe[1]):
             signal.set_wakeup_fd(before)
@@ -230,7 +226,8 @@ class _Signals:
             signal.signal(number, _on_signal)
 
     def restore(self) -> None:
-        """Handle none any more; in another thread they stay, and end the process all the same."""
+        """Handle none any more. Outside the main thread handlers stay, and still end the
+        process."""
         if self._pipe is None or threading.current_thread() is not threading.main_thread():
             return
         if self._count:
@@ -243,27 +240,27 @@ class _Signals:
             signal.set_wakeup_fd(now)
 
     def handle(self, number: int) -> None:
-        """In the main thread: let its run end, or end whatever else it does."""
+        """In the main thread, let its run end, or interrupt whatever else it does."""
         self._count += 1
         if self._pipe is not None:
-            # By itself: an event loop that was started since has its own in place of the pipe.
+            # Explicitly: an event loop may have replaced the pipe since.
             with contextlib.suppress(BlockingIOError):
                 os.write(self._pipe[1], bytes([number]))
         if self.orderly:
             self.number = self.number or number
         elif self._count == 1:
-            # Only the first: what it unwinds is not to be cut short.
+            # Only the first: its unwinding must not be interrupted.
             raise RunStopped(number)
 
     def _watch(self) -> None:
         assert self._pipe is not None
         while True:
             for number in os.read(self._pipe[0], 64):
-                # A program's own handler, which it may have set meanwhile, is left alone.
+                # A handler that the program has set meanwhile is left alone.
                 if number in _ENDING and signal.getsignal(number) == _on_signal:
                     _program.end(SIGNALS[signal.Signals(number)])
                     if self._count > 1:
-                        # A second one ends what takes long: every board is at zero.
+                        # A second one ends the process at once: every board is at zero.
                         os._exit(128 + number)
 
 
@@ -278,7 +275,7 @@ def _halt(board: _Stoppable, at_zero: list[_Stoppable]) -> None:
 
 
 def _after_fork() -> None:
-    """Let a forked process have boards, runs and signals of its own, and none of its parent's."""
+    """Give a forked process boards, runs and signals of its own, and none of its parent's."""
     global _program, _signals
     if _signals._pipe is not None:
         with contextlib.suppress(ValueError):
@@ -295,17 +292,7 @@ if hasattr(os, "register_at_fork"):  # not on Windows
 
 
 def enter(board: _Stoppable) -> None:
-    """Announce a board that is about to be opened, if a stop must reach it.
-
-    Raises
-    ------
-    BoardStoppedError
-        If this program was stopped.
-    BoardError
-        If all displays of this user could drive too much current together.
-    SmartTouchError
-        If it cannot be announced.
-    """
+    """Announce a board that is about to be opened, if a stop must reach it."""
     if board.announced:
         _program.enter_board(board)
 
@@ -317,13 +304,7 @@ def leave(board: _Stoppable) -> None:
 
 @contextmanager
 def announced() -> Iterator[None]:
-    """Announce a command, which signals end in order, for a block.
-
-    Raises
-    ------
-    SmartTouchError
-        If it cannot be announced.
-    """
+    """Announce a command, which signals end in order, for a block."""
     _program.enter_command()
     try:
         yield
@@ -333,15 +314,8 @@ def announced() -> Iterator[None]:
 
 @contextmanager
 def stoppable_run(stop: StopRequest, board: _Stoppable) -> Iterator[Callable[[], None]]:
-    """Announce a run for a block; what it yields leaves the end after a signal to the block.
-
-    Raises
-    ------
-    RunStopped
-        At the end of a run in the main thread that a signal has ended.
-    BoardStoppedError
-        If this program was stopped.
-    """
+    """Announce a run for a block, which ends by RunStopped after a signal in the main thread; what
+    it yields lets the block end in its own time."""
     if not board.announced:
         yield lambda: None
         return

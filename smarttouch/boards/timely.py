@@ -10,8 +10,7 @@ from smarttouch.boards.seal import Sealed
 from smarttouch.clock import LATE_NS, Clock, MonotonicClock
 from smarttouch.errors import BoardFaultError, BoardStoppedError, SequenceLateError
 
-WRITE_S = 0.6
-"""Longest time that a stop waits for one write: ports give up after .5 s."""
+WRITE_S = 0.6  # longest time that a stop waits for one write: ports give up after .5 s
 
 
 class Timely(Sealed):
@@ -51,7 +50,7 @@ class Timely(Sealed):
     def _begin_unless_halted(self) -> None:
         self._overtaken = self._zeroed = False
         self._stopped.clear()
-        # In this order: a halt from another thread is seen here, or comes after the clearing.
+        # In this order: a halt from another thread is seen here or comes later.
         if self._halted:
             self._stopped.set()
         self._go_on_unless_stopped()
@@ -104,14 +103,14 @@ class Timely(Sealed):
             self._writing.release()
 
     def _interrupt(self) -> None:
-        """End what a stop would have to wait for, such as a write of several pieces."""
+        """End work that a stop would have to wait for, such as a write in pieces."""
 
     @abstractmethod
     def _stop(self) -> None:
         """Put all electrodes at zero, from any thread."""
 
     def _pause(self, seconds: float) -> None:
-        """Wait while the board is opened or measures; raise if it is stopped meanwhile."""
+        """Wait while the board opens or measures; raise if it is stopped meanwhile."""
         self._stopped.wait(seconds)
         self._go_on_unless_stopped()
 

@@ -19,12 +19,9 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
-WAV_HZ, AUDIO_HZ = 8000, 48_000
-"""Default sample rates."""
-FEWEST_SAMPLES = 4
-"""Fewest samples in a cycle of the carrier."""
-CARRIERS_HZ = (60.0, 800.0)
-"""Range of carriers that PC responds to (paper, Section III-C)."""
+WAV_HZ, AUDIO_HZ = 8000, 48_000  # default sample rates
+FEWEST_SAMPLES = 4  # fewest samples in a cycle of the carrier
+CARRIERS_HZ = (60.0, 800.0)  # range of carriers that PC responds to (paper, Section III-C)
 MOST_VIBRATORS = 64
 _EXAMPLE = "as in vibrators:out.wav?grid=2x2&hz=250&rate=8000"
 
@@ -32,28 +29,11 @@ _EXAMPLE = "as in vibrators:out.wav?grid=2x2&hz=250&rate=8000"
 class VibratorBoard(Board):
     """Board of vibrators, driven by the activations in sequences, without current.
 
-    ``vibrators:FILE.wav`` writes what the vibrators are driven with, ``vibrators:audio``
-    and ``vibrators:audio:DEVICE`` play it. Options come after a question mark:
-    ``grid=ROWSxCOLUMNS`` of the vibrators under the array (2x2), ``hz`` of the carrier
-    (250), ``rate`` of the samples (8000, on a sound device 48000). A vibrator shakes as
-    strongly as the strongest of the sites that are nearest to it. Amplitude 1 is full
-    scale.
-
-    Parameters
-    ----------
-    rest : str
-        Part of the URL after the colon.
-    limits : SafetyLimits
-        Of the finger's profile.
-    output : Output, optional
-        Of the profile: of no interest here.
-    electrodes : ElectrodeArray, optional
-        Places of the sites; without them all vibrators move alike.
-
-    Raises
-    ------
-    BoardError
-        If an option is wrong, or the extra ``audio`` is missing.
+    ``vibrators:FILE.wav`` writes what the vibrators are driven with, ``vibrators:audio`` and
+    ``vibrators:audio:DEVICE`` play it. Options come after a question mark: ``grid=ROWSxCOLUMNS`` of
+    the vibrators under the array (2x2), ``hz`` of the carrier (250), ``rate`` of the samples (8000,
+    on a sound device 48000). A vibrator shakes as strongly as the strongest of the sites that are
+    nearest to it; without ``electrodes`` all vibrators move alike. Amplitude 1 is full scale.
     """
 
     shares_budget = False
@@ -107,15 +87,15 @@ class VibratorBoard(Board):
         )
 
     def silence(self) -> None:
-        """Stay at rest until the next sequence."""
+        """Vibrate no more until the next sequence."""
         self._shaking.silence()
 
     def share_notes(self, notes: list[str]) -> None:
-        """Write warnings into another list from now on."""
+        """Add warnings to another list from now on."""
         self.notes = self._shaking.notes = notes
 
     def _time(self) -> None:
-        """Return the clock of the sequences, as vibrators carry no current."""
+        """Return None: time is what sequences state, as vibrators carry no current."""
 
     def _open(self) -> None:
         self._number = 0
@@ -154,13 +134,7 @@ class VibratorBoard(Board):
 
 
 def make_vibrators(url: str, limits: SafetyLimits, electrodes: ElectrodeArray) -> VibratorBoard:
-    """Return the vibrators of a URL, with or without ``vibrators:`` before it.
-
-    Raises
-    ------
-    BoardError
-        As `VibratorBoard`.
-    """
+    """Return the vibrators of a URL, with or without ``vibrators:`` before it."""
     return VibratorBoard(url.removeprefix("vibrators:"), limits, electrodes=electrodes)
 
 
@@ -171,7 +145,7 @@ def _audio_device(target: str) -> str | None:
 
 
 def _read_options(query: str) -> dict[str, Any]:
-    """Return the options that are given, and always the grid."""
+    """Return the options of a query, and always the grid."""
     read: dict[str, Any] = {"grid": (2, 2)}
     try:
         given = parse_qsl(query, strict_parsing=True) if query else []

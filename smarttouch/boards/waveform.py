@@ -5,26 +5,15 @@ from numpy.typing import NDArray
 
 from smarttouch.electrodes import ElectrodeArray
 
-PC_HZ = 250.0
-"""Most sensitive frequency of the Pacinian corpuscle (paper, Section I and V)."""
+PC_HZ = 250.0  # most sensitive frequency of the Pacinian corpuscle (paper, Section I and V)
 GLIDE_S = 0.004
 """Time from one amplitude to the next, however different: one cycle at 250 Hz.
 An estimate of ours: short against what a finger resolves in time, long enough to make no click."""
 
 
 class Waveform:
-    """Sinusoids of one frequency and phase, each with its own amplitude.
-
-    Samples come piece by piece; the phase runs on from one to the next, and so
-    does the amplitude: to a new one it glides in `GLIDE_S`.
-
-    Parameters
-    ----------
-    channels : int
-    carrier_hz : float, Hz
-    rate_hz : int, Hz
-        Samples in a second.
-    """
+    """Sinusoids of one frequency and phase, each with its own amplitude, sampled piece by piece:
+    the phase runs on, and an amplitude glides to a new one in `GLIDE_S`."""
 
     def __init__(self, channels: int, carrier_hz: float, rate_hz: int) -> None:
         self._step = carrier_hz / rate_hz
@@ -40,7 +29,7 @@ class Waveform:
 
     @property
     def at_rest(self) -> bool:
-        """True if all coming samples are zero, unless an amplitude is set."""
+        """True if all further samples are zero, unless an amplitude is set."""
         return self._glided >= self._glide_samples and not self._to.any()
 
     def glide_to(self, amplitude: NDArray[np.float32]) -> None:
@@ -67,12 +56,9 @@ class Waveform:
 
 
 def vibrator_of(electrodes: ElectrodeArray, rows: int, columns: int) -> NDArray[np.intp]:
-    """Return the vibrator of each site, (E,): the nearest of a sparse grid under the array.
-
-    The array's area is divided into ``rows`` by ``columns`` equal parts, with a vibrator
-    in the middle of each, counted row by row from the top left. PC are few and answer
-    far around them, so a sparse matrix is enough (paper, Section V).
-    """
+    """Return the vibrator of each site, (E,): the nearest of ``rows`` by ``columns`` vibrators,
+    each in the middle of an equal part of the array, row by row from the top left. A sparse grid is
+    enough, as PC are few and answer far around them (paper, Section V)."""
     width_mm, height_mm = electrodes.extent_mm
     x_mm = ((np.arange(columns) + 0.5) / columns - 0.5) * width_mm
     y_mm = ((np.arange(rows) + 0.5) / rows - 0.5) * height_mm

@@ -1,4 +1,4 @@
-"""Pictures of what the skin got, below what it touched."""
+"""Pictures of the touch that the skin received, below what was touched."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -31,29 +31,24 @@ from smarttouch.running.step import StepResult
 from smarttouch.sources.frame import Pose
 
 FINEST_MM = 0.1
-_WIDTH = (900, 1400)
-"""Pixels that a picture is drawn wide at least, and at most."""
+_WIDTH = (900, 1400)  # pixels that a picture is drawn wide at least, and at most
 _MARGIN, _LABEL = 24, 28
-_SCALE_PART = 0.2
-"""Largest part of a picture's width that its scale bar takes."""
+_SCALE_PART = 0.2  # largest part of a picture's width that its scale bar takes
 _SCALES_MM = (100, 50, 20, 10, 5, 2, 1, 0.5)
 Grey = NDArray[np.uint8]
 Place = tuple[float, float]
 Ink = int | tuple[int, int, int]
 Under = tuple[str, Place, Place, Callable[[tuple[int, int], float], Grey] | None]
-"""Title, top left corner, width and height in mm; and what draws it in rows and columns of pixels
-of so many mm, None where there is nothing to see."""
+"""Title, top left corner, width and height in mm; and a function that draws it for a shape and a
+pixel size in mm, None where there is nothing to see."""
 
 
 class FeltDrawing(DeliveredAnswers, ABC):
-    """Delivered pulses where the electrodes were, below what they touched.
+    """Delivered pulses at the electrodes' places, below what they touched. A place shows the mean
+    response of the electrodes that passed it, or the strongest (see `Perception`);
+    ``magnification`` is mm of the array per mm touched."""
 
-    Every place shows the mean response of the electrodes that passed it, or the strongest;
-    ``magnification`` is mm of the array for one of what it touches. See `Perception`.
-    """
-
-    strongest = False
-    """Whether a place shows the strongest response, not the mean."""
+    strongest = False  # whether a place shows the strongest response, not the mean
     longest_px = 4000
 
     def __init__(
@@ -100,7 +95,7 @@ class FeltDrawing(DeliveredAnswers, ABC):
         return np.column_stack([pose.x_mm + x * cos - y * sin, pose.y_mm + x * sin + y * cos])
 
     def picture(self, corner_mm: Place, shape: tuple[int, int], pixel_mm: float) -> Grey:
-        """Return the touch of an area as ink on paper, (H, W); 255 is nothing, 0 the strongest."""
+        """Return the touch of an area as grey levels, (H, W); 255 is nothing, 0 the strongest."""
         raster = Raster(shape, self.strongest)
         for pose, answer in self:
             place = self.places_mm(pose) - corner_mm
@@ -130,7 +125,7 @@ class FeltDrawing(DeliveredAnswers, ABC):
         )
 
     def save(self, path: Path) -> None:
-        """Write what was touched with the touch below it as one PNG that states its true size."""
+        """Write what was touched and the touch below it as one PNG in true size."""
         title, corner_mm, (width_mm, height_mm), draw_under = self.under()
         pixel_mm = max(FINEST_MM, max(width_mm, height_mm) / self.longest_px)
         height, width = round(height_mm / pixel_mm), round(width_mm / pixel_mm)
@@ -175,7 +170,7 @@ def _draw_scale(
     per_mm: float,
     ink: Ink,
 ) -> None:
-    """Draw a bar of whole millimeters with its length, right above a picture that ends there."""
+    """Draw a bar of whole millimeters with its length, above the right end of a picture."""
     right, top = end
     most_mm = _SCALE_PART * (right - _MARGIN) / per_mm
     length_mm = next((each for each in _SCALES_MM if each <= most_mm), _SCALES_MM[-1])
@@ -189,7 +184,7 @@ def _draw_classes(
     font: ImageFont.ImageFont | ImageFont.FreeTypeFont,
     end: tuple[int, int],
 ) -> None:
-    """Write the name of each class in its color, right above a picture that ends there."""
+    """Write the name of each class in its color, above the right end of a picture."""
     right, top = end
     for afferent, color in reversed(CLASS_COLORS.items()):
         draw.text((right, top), afferent.name, fill=color, font=font, anchor="ra")
@@ -197,9 +192,8 @@ def _draw_classes(
 
 
 class PageDrawing(FeltDrawing):
-    """Shows the mean response at every place of a page, which is put together from the frames if
-    not given.
-    """
+    """Shows the mean response at every place of a page, a mosaic of the frames if it is not
+    given."""
 
     def __init__(
         self, profile: Profile, bank: KernelBank, afferents: tuple[Afferent, ...], page: Page | None
@@ -210,14 +204,14 @@ class PageDrawing(FeltDrawing):
         self._seen = False
 
     def watch(self, sent: StepResult) -> None:
-        """Remember the pose of a step, and the frame where the page is not known."""
+        """Record the pose of a step, and its frame if the page is not known."""
         super().watch(sent)
         if self._mosaic is not None and sent.number in self.poses:
             self._mosaic.add(sent.input)
             self._seen |= sent.input.image is not None
 
     def under(self) -> Under:
-        """Return the whole page; where nothing was seen, the area that the electrodes touched."""
+        """Return the whole page; if nothing was seen, the area that the electrodes touched."""
         title, page, corner_mm = "The page, as it lies under the finger", self._page, (0.0, 0.0)
         if self._mosaic is not None and not self._seen and self.poses:
             places_mm = np.concatenate([self.places_mm(each) for each in self.poses.values()])

@@ -1,4 +1,4 @@
-"""A line as the skin got it, put back together into an image."""
+"""A line as the skin received it, as an image."""
 
 import math
 
@@ -11,8 +11,8 @@ from smarttouch.electrodes import ElectrodeArray
 
 PIXELS_PER_PITCH = 4
 _BLUR_X, _BLUR_Y = 0.4, 0.55
-"""Standard deviations with which values spread between the places where they were taken, in cells:
-wide enough to fill what lies between two rows, and no wider. Found on printed lines."""
+"""Standard deviations by which values are spread, in cells: just enough to fill the gap between
+two rows. Found on printed lines."""
 
 
 class LinePicture:
@@ -36,7 +36,7 @@ class LinePicture:
         self._raster.add(self._row, column, values)
 
     def values(self) -> NDArray[np.float32]:
-        """Return the mean at every place, (H, W) in [0, 1]; spread between those that have one."""
+        """Return the mean at every place, (H, W) in [0, 1], interpolated between values."""
         x, y = self._sigma
         edge = cv2.BORDER_CONSTANT
         return self._raster.mean(
@@ -44,8 +44,8 @@ class LinePicture:
         )
 
     def at(self, x_mm: NDArray[np.floating], y_mm: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Return the mean at electrodes' places, from the line's left end and the top, (N,)."""
-        # Rounding may have put them a pixel aside.
+        """Return the mean at places from the line's left end and the top, (N,)."""
+        # Rounding may be off by a pixel.
         total, count = (
             cv2.boxFilter(each, -1, (3, 3), normalize=False, borderType=cv2.BORDER_CONSTANT)
             for each in (self._raster.value, self._raster.count)
@@ -56,7 +56,7 @@ class LinePicture:
         return np.asarray(total[row, column] / np.maximum(count[row, column], 1), np.float32)
 
     def picture(self, height: int) -> NDArray[np.uint8]:
-        """Return it as ink on paper, (height, W) uint8."""
+        """Return it as grey levels, (height, W) uint8."""
         grey = as_ink(self.values())
         size = (max(1, round(grey.shape[1] * height / grey.shape[0])), height)
         method = cv2.INTER_CUBIC if height > grey.shape[0] else cv2.INTER_AREA

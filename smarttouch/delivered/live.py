@@ -1,4 +1,4 @@
-"""A finger that feels a run while it goes on, in a process of its own, without holding it up."""
+"""A simulated finger's response during a run, in a process of its own that never delays it."""
 
 import contextlib
 import os
@@ -20,8 +20,7 @@ from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
 
 _SERVE = "import sys; from smarttouch.delivered.live import serve; serve(int(sys.argv[1]))"
-_POLITE = 5
-"""Niceness of the process: the sending of packets goes first."""
+_POLITE = 5  # niceness of the process: the sending of packets goes first
 _ENDS_WITHIN_S = 5.0
 
 
@@ -42,11 +41,10 @@ class LiveFinger(Listener):
         self._finger, self._draw = finger, draw
         self._line: Connection | None = None
         self._process: subprocess.Popen[bytes] | None = None
-        self._given: Feeling | None = None
-        """What the process is at, without its spikes."""
+        self._given: Feeling | None = None  # what the process is at, without its spikes
 
     def prepare(self, run: RunContext) -> None:
-        """Start the process; it is ready when it knows what drives its afferents."""
+        """Start the process, and wait until it has computed what drives its afferents."""
         ours, theirs = socket.socketpair()
         with theirs:
             command = [sys.executable, "-c", _SERVE, str(theirs.fileno())]
@@ -60,7 +58,7 @@ class LiveFinger(Listener):
         self._receive()
 
     def step(self, result: StepResult) -> None:
-        """Take a finished response, and hand over a step if none is under way."""
+        """Take a finished response, and hand over a step if the process is idle."""
         assert self._line is not None
         if self._given is not None and self._line.poll():
             self._take()
@@ -76,12 +74,11 @@ class LiveFinger(Listener):
             line.send((slots, active, self._given.wanted))
 
     def finish(self, run: RunContext) -> None:
-        """Take the last: the board is closed."""
+        """Take the last response: the board is closed."""
         if self._given is not None:
             self._take()
 
     def close(self) -> None:
-        """End the process."""
         line, process = self._line, self._process
         self._line = self._process = self._given = None
         if line is not None:
@@ -94,7 +91,7 @@ class LiveFinger(Listener):
                 process.wait()
 
     def abandon(self) -> None:
-        """End the process at once, whatever it is at; from any thread."""
+        """Kill the process, from any thread."""
         process = self._process
         if process is not None:
             process.kill()
@@ -124,7 +121,7 @@ class LiveFinger(Listener):
 
 
 def serve(number: int) -> None:
-    """Simulate responses to what comes by a socket until it is closed."""
+    """Simulate responses to slots from a socket until it is closed."""
     os.nice(_POLITE)
     with Connection(number) as line:
         finger, draw = line.recv()

@@ -13,10 +13,8 @@ from smarttouch.profile import Optics
 from smarttouch.sources.stimulus import Input
 
 PIXEL_MM = 0.1
-LARGEST_PIXELS = 40_000_000
-"""Largest page; frames farther away are left out."""
-_BLOCK = 256
-"""Least growth of the canvas, in pixels."""
+LARGEST_PIXELS = 40_000_000  # largest page; frames farther away are left out
+_BLOCK = 256  # least growth of the canvas, in pixels
 
 
 class Mosaic:
@@ -26,17 +24,16 @@ class Mosaic:
         self._optics = optics
         self._sum = np.zeros((0, 0), np.float32)
         self._count = np.zeros((0, 0), np.float32)
-        self._first = self._end = np.zeros(2, np.intp)
-        """Rows and columns where the canvas begins and ends, in pixels of the page."""
+        self._first = self._end = np.zeros(2, np.intp)  # row and column, in pixels of a page
         self._number: int | None = None
 
     def add(self, given: Input) -> None:
-        """Add an image; one that was added before, or is stale, is left out."""
+        """Add an image, unless it is stale or was added before."""
         if given.number == self._number or given.stale or given.image is None:
             return
         self._number = given.number
         optics, pose = self._optics, given.pose
-        # A warp samples points: a frame finer than the page is averaged down first.
+        # A warp samples points, so a frame finer than the page is averaged down first.
         wide, high = (
             round(each / PIXEL_MM) for each in (optics.field_width_mm, optics.field_height_mm)
         )
@@ -84,9 +81,8 @@ class Mosaic:
         return True
 
     def page(self) -> tuple[Page, tuple[float, float]]:
-        """Return the page, and where its top left corner is, (x, y) mm; raises if no frame was
-        seen.
-        """
+        """Return the page and the place of its top left corner, (x, y) mm; raise if no frame was
+        seen."""
         rows, columns = (np.flatnonzero(self._count.any(axis=axis)) for axis in (1, 0))
         if not len(rows):
             raise SmartTouchError(

@@ -1,4 +1,4 @@
-"""Answers of the skin to delivered pulses, and the poses that they were sent for."""
+"""Responses of the skin to delivered pulses, and the poses at which these were sent."""
 
 from collections.abc import Iterator
 
@@ -38,10 +38,8 @@ class Perception:
         self, numbers: NDArray[np.uint32], width_us: Floats, current_ua: NDArray[np.int16]
     ) -> dict[int, Floats]:
         """Return the strongest response at each site to the slots of each sequence, (E,) in [0, 1].
-
         Slots of one sequence, by ``numbers`` (N,), follow each other, with their ``width_us`` (N,)
-        and ``current_ua`` (N, E), positive cathodic. Sequences without a slot are left out.
-        """
+        and ``current_ua`` (N, E), positive cathodic. Sequences without a slot are left out."""
         if not len(numbers):
             return {}
         current = current_ua * strength(width_us, self._pulse)[:, None]
@@ -53,11 +51,8 @@ class Perception:
 
 
 class DeliveredAnswers(Perception):
-    """Poses of the sequences of a run, and after it the responses to them.
-
-    Iterating yields the pose and the response, (E,) in [0, 1], of each sequence that the board got
-    while the finger touched.
-    """
+    """Poses of the sequences of a run and, after it, the responses to them. Iterating yields pose
+    and response, (E,) in [0, 1], of each sequence delivered while the finger touched."""
 
     def __init__(self, profile: Profile, bank: KernelBank, afferents: tuple[Afferent, ...]) -> None:
         super().__init__(profile, bank, afferents)
@@ -67,7 +62,7 @@ class DeliveredAnswers(Perception):
         self._silent = np.zeros(len(profile.electrodes), np.float32)
 
     def watch(self, sent: StepResult) -> None:
-        """Remember the pose of a step, and how long it lasted."""
+        """Record the pose of a step, and its duration."""
         if sent.number is not None and sent.sequence.intensity > 0:
             self.poses[sent.number] = sent.input.pose
             self.period_us[sent.number] = sent.sequence.period_us
@@ -84,10 +79,8 @@ class DeliveredAnswers(Perception):
 
 
 def strength(width_us: Floats, pulse: Pulse) -> Floats:
-    """Return the effect of pulses of given widths, (N,), relative to the profile's full pulse.
-
-    By Weiss's law: a shorter pulse does less.
-    """
+    """Return the effect of pulses of given widths, (N,), relative to the profile's full pulse, by
+    Weiss's law."""
     chronaxie_us = pulse.chronaxie_us
     full = 1 + chronaxie_us / pulse.width_us
     return np.asarray(full / (1 + chronaxie_us / np.maximum(width_us, 1)), np.float32)

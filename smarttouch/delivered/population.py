@@ -14,17 +14,13 @@ from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.sources.frame import Pose
 
-Counts = dict[int, NDArray[np.intp]]
-"""Number of spikes of each afferent, (A,), by the number of the sequence."""
+Counts = dict[int, NDArray[np.intp]]  # spikes of each afferent, (A,), by sequence number
 Places = NDArray[np.floating]
 
-FIELD_MM = 1.0
-"""Standard deviation of a receptive field. Ours."""
-MOST_SLOTS = 10_000
-"""Slots that are looked at; of more, sequences are left out evenly."""
+FIELD_MM = 1.0  # standard deviation of a receptive field. Ours.
+MOST_SLOTS = 10_000  # slots that are looked at; of more, sequences are left out evenly
 _DARK_QUANTILE = 0.999
-_SIDE_MM = 0.5
-"""Distance of the places by which passes of the finger are counted."""
+_SIDE_MM = 0.5  # distance of the places by which passes of the finger are counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,10 +41,8 @@ def delivered_spikes(
     period_us: Mapping[int, int],
     most_slots: int | None = None,
 ) -> Counts:
-    """Return the spikes of a finger under delivered slots (see `Perception.answers`).
-
-    Sequences count that ``period_us`` names; of more than ``most_slots`` they are left out evenly.
-    """
+    """Return the spikes of a finger under delivered slots (see `Perception.answers`), of the
+    sequences that ``period_us`` names; above ``most_slots``, sequences are left out evenly."""
     begins = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
     parts = zip(begins, np.append(begins[1:], len(numbers)), strict=False)
     sequences = {}

@@ -23,8 +23,7 @@ from smarttouch.reading.window import press_n
 from smarttouch.sources.source import StimulusSource
 from smarttouch.sources.stimulus import Stimulus
 
-SILENT_S = 0.5
-"""Silence after which nothing is felt."""
+SILENT_S = 0.5  # silence after which nothing is felt
 MOST_PIXELS = 1_000_000
 _SIGNED = "/smarttouch/signed"
 _LOOK_S = 0.1
@@ -74,7 +73,7 @@ class OscSource(StimulusSource):
         self._electrodes = profile.electrodes
         self._press_n = press_n(profile)
         self._level = np.zeros(len(profile.electrodes), np.float32)
-        self._heard_s = -math.inf
+        self._received_s = -math.inf
         self._given = 0
         self._read: int | None = None
         self._line = _bound(host, port, alone=key is None)
@@ -85,7 +84,7 @@ class OscSource(StimulusSource):
     def read(self, time_ns: int) -> Stimulus:
         """Return what came last; stale after a silence."""
         level, given = self._level, self._given
-        since_s = time.monotonic() - self._heard_s
+        since_s = time.monotonic() - self._received_s
         if given != self._read:
             self.frames += 1
             self.dropped_frames += max(0, given - (self._read or 0) - 1)
@@ -100,7 +99,6 @@ class OscSource(StimulusSource):
         )
 
     def close(self) -> None:
-        """Listen no more."""
         self._closing = True
         self._thread.join(_JOIN_S)
         self._line.close()
@@ -128,7 +126,7 @@ class OscSource(StimulusSource):
                 self._admit(each)
 
     def _admit(self, packet: Packet) -> None:
-        """Take a packet if it is of whom the source is for."""
+        """Take a packet from a program that may send."""
         if self._programs is not None:
             verdict = self._programs.verdict(packet)
             self.refused += verdict is Verdict.FOREIGN
@@ -162,7 +160,7 @@ class OscSource(StimulusSource):
         except Exception:  # whatever the parser makes of what a program may send
             self.wrong += 1
             return
-        self._level, self._heard_s = level, time.monotonic()
+        self._level, self._received_s = level, time.monotonic()
         self._given += 1
 
     def _changed(
@@ -214,7 +212,7 @@ class OscSource(StimulusSource):
 
 
 def _numbers(values: Sequence[Any], count: int) -> NDArray[np.float32]:
-    """Return so many numbers from 0 to 1, given as such or as a blob of bytes."""
+    """Return ``count`` numbers from 0 to 1, given as such or as a blob of bytes."""
     blob = len(values) == 1 and isinstance(values[0], bytes)
     given = np.frombuffer(values[0], np.uint8) / 255 if blob else np.array(values, np.float64)
     found = np.asarray(given, np.float32)
@@ -224,7 +222,7 @@ def _numbers(values: Sequence[Any], count: int) -> NDArray[np.float32]:
 
 
 def _bound(host: str, port: int, alone: bool) -> socket.socket:
-    """Return a socket at an address; one that other machines reach only if not for this one
+    """Return a socket at an address, which other machines may reach only if it is not for this one
     alone."""
     try:
         kind, *_, place = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]

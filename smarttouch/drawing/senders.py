@@ -17,30 +17,26 @@ from smarttouch.files import open_file
 
 LEAST_KEY_BYTES = 16
 _MOST_KEY_BYTES = 4096
-_APART_NS = 10_000_000_000
-"""Largest difference between the clocks of a sender with the key and of this machine."""
+_APART_NS = 10_000_000_000  # most difference between the clocks of sender and receiver
 _MAC_BYTES, _TIME_BYTES = 32, 8
 _TABLES = (Path("/proc/net/udp"), Path("/proc/net/udp6"))
 """Open sockets: https://www.kernel.org/doc/html/latest/networking/proc_net_tcp.html."""
 _ENTRY = re.compile(
     rb"^ *\d+: [0-9A-F]+:([0-9A-F]{4})(?: \S+){5} +(\d+) +\d+ +(\d+) ", re.MULTILINE
 )
-"""Port, user, and the number of the socket, which no later one has."""
-STAMP = getattr(socket, "SO_TIMESTAMPNS", 35)
-"""``SO_TIMESTAMPNS`` of Linux's ``asm-generic/socket.h``, which Python 3.11 does not name."""
+"""Port, user, and the unique number of the socket."""
+STAMP = getattr(socket, "SO_TIMESTAMPNS", 35)  # Linux's ``asm-generic/socket.h``
 _STAMPED = struct.Struct("@ll")
 _MOST_BYTES = 65_536
 _MOST_AT_ONCE = 64
 
 
 class Verdict(Enum):
-    """Whose a packet is."""
+    """Origin of a packet."""
 
     OURS = auto()
-    NEW = auto()
-    """Of a socket of ours that may have been opened after the packet was sent by another."""
-    FOREIGN = auto()
-    """Of another user, or of a socket that is closed again."""
+    NEW = auto()  # of a socket of ours that may be younger than the packet
+    FOREIGN = auto()  # of another user, or of a socket that is closed again
 
 
 class Packet(NamedTuple):
@@ -52,12 +48,10 @@ class Packet(NamedTuple):
 
 
 class OwnPrograms:
-    """Sockets of this machine, by which packets of this user's programs are known.
-
-    A packet is taken if a socket of this user, and of no other, had its port before the packet came
-    and has it still. That another user's packet waits for that user's port to become ours is then
-    of no use, only the first packets of a new socket are lost.
-    """
+    """Sockets of this machine, by which packets of this user's programs are known. A packet is
+    taken if its port has belonged to one user's sockets, ours, from before it came until now; so a
+    foreign packet cannot wait for its port to become ours, and only the first packets of a new
+    socket are lost."""
 
     def __init__(self) -> None:
         self._user = os.geteuid()
@@ -72,7 +66,7 @@ class OwnPrograms:
         self.look()
 
     def look(self) -> None:
-        """Read which sockets there are now; raises what the system raises."""
+        """Read which sockets there are now; raise OSError if the system does."""
         data = b"\n".join(each.read_bytes() for each in _TABLES if each.exists())
         now_ns, before = time.time_ns(), self._seen
         sockets: dict[int, frozenset[tuple[int, int]]] = defaultdict(frozenset)
@@ -84,7 +78,7 @@ class OwnPrograms:
             self._seen[port] = found, since_ns if known == found else now_ns
 
     def verdict(self, packet: Packet) -> Verdict:
-        """Return whose a packet is that came before the last look."""
+        """Return the origin of a packet that came before the last look."""
         sockets, since_ns = self._seen.get(packet.port, (frozenset(), 0))
         if {user for user, _ in sockets} != {self._user}:
             return Verdict.FOREIGN
@@ -92,12 +86,9 @@ class OwnPrograms:
 
 
 class Key:
-    """Secret of a file, by which packets are known that carry a code made with it.
-
-    Such a packet is HMAC-SHA256 (RFC 2104) of all that follows, the time in ns since 1970 in 8
-    bytes, the highest first, and a packet of OSC. Each time is above those before, so that no
-    packet can be sent a second time.
-    """
+    """Secret in a file that authenticates packets. Each is HMAC-SHA256 (RFC 2104) of all that
+    follows, the time in ns since 1970 in 8 bytes, big endian, and a packet of OSC. Times must
+    increase, so that no packet counts twice."""
 
     def __init__(self, path: Path) -> None:
         with open_file(path, SourceError, _MOST_KEY_BYTES) as file:
@@ -121,7 +112,7 @@ class Key:
         self._last_ns = 0
 
     def opened(self, data: bytes) -> bytes | None:
-        """Return the packet of OSC within one that was made with the key; None for any other."""
+        """Return the packet of OSC in one made with the key; None for any other."""
         code, signed = data[:_MAC_BYTES], data[_MAC_BYTES:]
         if not hmac.compare_digest(code, hmac.digest(self._key, signed, "sha256")):
             return None

@@ -54,12 +54,11 @@ class DrawSource(StimulusSource):
         self._playing, self._loops, self._begun_ns = False, False, -1
         self._at = 0
         self._shown: Levels | None = None
-        self._said = ""
-        # Letters and files take long: the loop waits only for the lock of what is shown.
+        self._notice = ""
+        # Letters and files take long; the loop waits only for `_lock`, which guards what is shown.
         self._turn, self._lock = threading.Lock(), threading.Lock()
 
     def read(self, time_ns: int) -> Stimulus:
-        """Return what is drawn at a time."""
         with self._lock:
             level = self._now(time_ns)
         if self._shown is None or not np.array_equal(level, self._shown):
@@ -86,7 +85,7 @@ class DrawSource(StimulusSource):
         return self.patterns[at].level
 
     def message(self) -> dict[str, Any]:
-        """Return all that a page shows of it."""
+        """Return the state that a page shows."""
         with self._lock:
             return {
                 "changes": self.changes,
@@ -96,22 +95,22 @@ class DrawSource(StimulusSource):
                 ],
                 "playing": self._at if self._playing else None,
                 "loops": self._loops,
-                "said": self._said,
+                "said": self._notice,
                 "library": list(self._library),
             }
 
     def draw(self, words: str) -> None:
-        """Do what a page asks for; see the methods whose names begin with ``_do_``."""
+        """Execute a page's request; see the methods whose names begin with ``_do_``."""
         verb, _, rest = words.partition(" ")
         does = getattr(self, f"_do_{verb}", None) if verb.isidentifier() else None
         if does is None:
             raise ValueError(words)
         with self._turn:
-            self._said = ""
+            self._notice = ""
             try:
                 does(rest)
             except SmartTouchError as error:
-                self._said = str(error)
+                self._notice = str(error)
             with self._lock:
                 self.changes += 1
 
@@ -120,7 +119,6 @@ class DrawSource(StimulusSource):
         self._show(_levels(text, len(self._level)))
 
     def _do_letter(self, letter: str) -> None:
-        """Draw a letter."""
         if len(letter) != 1 or not letter.isprintable() or letter == " ":
             raise ValueError(letter)
         self._show(np.rint(255 * draw_letter(letter, self._profile)).astype(np.uint8))
@@ -158,14 +156,14 @@ class DrawSource(StimulusSource):
             self._playing, self._loops = bool(self.patterns), how == "loop"
 
     def _do_halt(self, rest: str) -> None:
-        """Play no more, and show nothing."""
+        """Stop the list, and show nothing."""
         if rest:
             raise ValueError(rest)
         with self._lock:
             self._halt()
 
     def _do_save(self, kind: str) -> None:
-        """Write the list to a new file or folder where the program was started."""
+        """Write the list to a new file or folder in the working directory."""
         if kind not in ("json", "png"):
             raise ValueError(kind)
         path = _free_name(".json" if kind == "json" else "")
@@ -173,11 +171,11 @@ class DrawSource(StimulusSource):
         for each in self.patterns or [Pattern(self._level)]:
             file.add(each.level, 1000 * each.duration_ms)
         file.save()
-        self._said = f"saved as {path}"
+        self._notice = f"saved as {path}"
 
     def _add(self, *patterns: Pattern) -> None:
         if len(self.patterns) + len(patterns) > MOST_PATTERNS:
-            self._said = f"the list is full: it has {MOST_PATTERNS} patterns"
+            self._notice = f"the list is full: it has {MOST_PATTERNS} patterns"
             return
         with self._lock:
             self._halt()
@@ -204,10 +202,8 @@ class DrawSource(StimulusSource):
 
 
 def read_patterns(path: Path, profile: Profile) -> list[Pattern]:
-    """Return the patterns of a file as `PatternFile` writes it.
-
-    The last lasts as long as the one before it.
-    """
+    """Return the patterns of a file as `PatternFile` writes it; the last lasts as long as the one
+    before."""
     try:
         with open_file(path, SourceError, _MOST_BYTES) as file:
             document = json.loads(file.read())

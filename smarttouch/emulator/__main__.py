@@ -15,13 +15,8 @@ app.command("sensor")(emulate_sensor)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run an emulated device until its host is gone.
-
-    Parameters
-    ----------
-    arguments : sequence of str, optional
-        Instead of the command line's.
-    """
+    """Run an emulated device until its host is gone, with the command line's arguments if none are
+    given."""
     try:
         app(arguments)
     except SmartTouchError as error:

@@ -1,8 +1,11 @@
 """The commands that emulate a board or a sensor, with all their options."""
 
+import json
 import math
 from collections.abc import Callable
 from contextlib import closing, suppress
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,13 +17,17 @@ from smarttouch.wire.pty_line import PtyLine
 from smarttouch.wire.tcp_line import TcpLine
 
 if TYPE_CHECKING:
+    from smarttouch.boards.emulator.delivery_log import DeliveryLog
+    from smarttouch.boards.emulator.finger import Finger
     from smarttouch.boards.emulator.firmware import Firmware
+    from smarttouch.emulator.sensors import Look
     from smarttouch.emulator.server import LineStatistics
+    from smarttouch.profile import Profile
 
 _ELECTRODES = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 """Usual number of electrodes of each board."""
 _MOST_ELECTRODES = {"link": 1024, "kajimoto61": 61, "etactilekit": 255}
-"""Of a link board because the skin between them takes the square of that."""
+"""That of a link board bounds the skin model, which takes the square of it."""
 _RATE_HZ = {"serial-array": 200.0, "hx711": 80.0, "loadcell": 80.0}
 _RATES_HZ = (0.01, 2000.0)
 _COMPLIANCES_V = (1.0, 10_000.0)
@@ -77,20 +84,33 @@ def emulate_board(
 ) -> None:
     """Emulate a board on skin, behind a port whose name is printed, until Ctrl-C."""
     from smarttouch.boards.emulator.delivery_log import DeliveryLog
-    from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
-    from smarttouch.boards.emulator.etactilekit_generations import GENERATIONS
     from smarttouch.boards.emulator.finger import Finger
-    from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
-    from smarttouch.boards.emulator.link import LinkFirmware
     from smarttouch.boards.emulator.skin import COMPLIANCE_V
-    from smarttouch.boards.link_protocol import OUTPUTS, Output
 
     if name not in _ELECTRODES:
         raise not_offered("emulator", name, _ELECTRODES)
-    usual, most = _ELECTRODES[name], _MOST_ELECTRODES[name]
-    electrodes = usual if electrodes is None else electrodes
+    electrodes = _ELECTRODES[name] if electrodes is None else electrodes
     volts = COMPLIANCE_V if compliance is None else compliance
-    least = 61 if name == "kajimoto61" else 1
+    _require_board(name, electrodes, volts, output, firmware)
+    _require_places(tcp, discovery_port, books)
+    kept, finger = DeliveryLog(electrodes, books), Finger(electrodes, event or ())
+    _serve(
+        _board(name, kept, finger, volts, output, firmware, ramp_ms),
+        lambda: TcpLine(discovery_port) if tcp else PtyLine(),
+        str if port_only else partial(_board_advice, name),
+        linger,
+        parent,
+    )
+
+
+def _require_board(
+    name: str, electrodes: int, volts: float, output: str, firmware: str | None
+) -> None:
+    """Raise unless such a board can be emulated."""
+    from smarttouch.boards.emulator.etactilekit_generations import GENERATIONS
+    from smarttouch.boards.link_protocol import OUTPUTS
+
+    least, most = 61 if name == "kajimoto61" else 1, _MOST_ELECTRODES[name]
     require_within(SmartTouchError, "electrodes", electrodes, least, most)
     require_within(SmartTouchError, "compliance", volts, *_COMPLIANCES_V)
     if output not in OUTPUTS:
@@ -103,6 +123,10 @@ def emulate_board(
             )
         if firmware not in GENERATIONS:
             raise not_offered("firmware", firmware, GENERATIONS)
+
+
+def _require_places(tcp: bool, discovery_port: int | None, books: Path | None) -> None:
+    """Raise unless the options for discovery and books make sense."""
     if discovery_port is not None:
         require_within(SmartTouchError, "discovery_port", discovery_port, 1, 65_535)
         if not tcp:
@@ -117,29 +141,35 @@ def emulate_board(
     if books is not None and not books.is_dir():
         message = f"{books} is no folder: make it first"
         raise SmartTouchError(message, about="books", problem="no folder", value=books)
-    kept, finger = DeliveryLog(electrodes, books), Finger(electrodes, event or ())
-    device: Firmware
+
+
+def _board(
+    name: str,
+    books: "DeliveryLog",
+    finger: "Finger",
+    volts: float,
+    output: str,
+    firmware: str | None,
+    ramp_ms: int,
+) -> "Firmware":
+    from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
+    from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
+    from smarttouch.boards.emulator.link import LinkFirmware
+    from smarttouch.boards.link_protocol import OUTPUTS, Output
+
     if name == "kajimoto61":
-        device = Kajimoto61Firmware(kept, finger, volts)
-    elif name == "etactilekit":
-        device = ETactileKitFirmware(kept, finger, volts, firmware or "71adee2")
-    else:
-        kind: Output = next(each for each in OUTPUTS if each == output)
-        require_within(SmartTouchError, "ramp_ms", ramp_ms, 0, 10_000)
-        device = LinkFirmware(electrodes, kind, kept, finger, volts, ramp_ms=ramp_ms)
+        return Kajimoto61Firmware(books, finger, volts)
+    if name == "etactilekit":
+        return ETactileKitFirmware(books, finger, volts, firmware or "71adee2")
+    kind: Output = next(each for each in OUTPUTS if each == output)
+    require_within(SmartTouchError, "ramp_ms", ramp_ms, 0, 10_000)
+    return LinkFirmware(books.electrodes, kind, books, finger, volts, ramp_ms=ramp_ms)
 
-    def advice(port: str) -> str:
-        return (
-            f"A {name} board on emulated skin. In another terminal:\n\n"
-            f"  smarttouch live --board {name}:{port}\n\nCtrl-C ends it."
-        )
 
-    _serve(
-        device,
-        lambda: TcpLine(discovery_port) if tcp else PtyLine(),
-        str if port_only else advice,
-        linger,
-        parent,
+def _board_advice(name: str, port: str) -> str:
+    return (
+        f"A {name} board on emulated skin. In another terminal:\n\n"
+        f"  smarttouch live --board {name}:{port}\n\nCtrl-C ends it."
     )
 
 
@@ -184,9 +214,6 @@ def emulate_sensor(
     port_only: _PortOnly = False,
 ) -> None:
     """Emulate a sensor, behind a port whose name is printed, until Ctrl-C."""
-    import json
-    from dataclasses import asdict
-
     from smarttouch.boards.emulator.events import parse
     from smarttouch.emulator import sensors
     from smarttouch.emulator.server import FAULTS, Orders
@@ -217,13 +244,7 @@ def emulate_sensor(
         if "nan" in kinds:
             message = "a pixel is always a number: event nan is for load cells"
             raise SmartTouchError(message, about="event", problem="conflict", value="nan")
-        look = sensors.look_at_pattern(rows, columns)
-        if url is not None:
-            import cv2
-
-            cv2.setNumThreads(1)
-            look = sensors.look_at_page(url, chosen, rows, columns)
-        device = sensors.SensorArray(look, rate_hz)
+        device = sensors.SensorArray(_look(url, chosen, rows, columns), rate_hz)
     else:
         device = sensors.LoadCell(
             sensors.press(force, path, chosen),
@@ -234,33 +255,50 @@ def emulate_sensor(
             seed=seed,
             rate_hz=rate_hz,
         )
-
-    def advice(port: str) -> str:
-        if name == "serial-array":
-            return (
-                f"A sensor array. In another terminal:\n\n  smarttouch sensor show {name}:{port}\n"
-                f"  smarttouch live --source {name}:{port} --force fixed:0.5\n\nCtrl-C ends it."
-            )
-        curve = f"curve = [{-zero / counts_per_n:g}, {1 / counts_per_n:g}]"
-        return (
-            f"A load cell. In another terminal:\n\n"
-            f"  smarttouch sensor show --force {name}:{port} --profile P\n"
-            f"  smarttouch live --force {name}:{port} --profile P\n\n"
-            f"with {curve} in [force] of the profile P, or smarttouch calibrate force to find it. "
-            "A line typed here puts something else on it: weight 100 (grams), force 0.5 (newtons). "
-            "Ctrl-C ends it."
-        )
-
+    curve = f"curve = [{-zero / counts_per_n:g}, {1 / counts_per_n:g}]"
     sent = _serve(
         device,
         lambda: PtyLine(keeps_name="unplug" in kinds),
-        str if port_only else advice,
+        str if port_only else partial(_sensor_advice, name, curve),
         linger,
         parent,
         faults=faults,
         count=count,
         orders=Orders(),
     )
+    _report(sent, books)
+
+
+def _look(url: str | None, profile: "Profile", rows: int, columns: int) -> "Look":
+    """Return what an array looks at: a source by its URL, else a pattern."""
+    from smarttouch.emulator import sensors
+
+    if url is None:
+        return sensors.look_at_pattern(rows, columns)
+    import cv2
+
+    cv2.setNumThreads(1)
+    return sensors.look_at_page(url, profile, rows, columns)
+
+
+def _sensor_advice(name: str, curve: str, port: str) -> str:
+    if name == "serial-array":
+        return (
+            f"A sensor array. In another terminal:\n\n  smarttouch sensor show {name}:{port}\n"
+            f"  smarttouch live --source {name}:{port} --force fixed:0.5\n\nCtrl-C ends it."
+        )
+    return (
+        f"A load cell. In another terminal:\n\n"
+        f"  smarttouch sensor show --force {name}:{port} --profile P\n"
+        f"  smarttouch live --force {name}:{port} --profile P\n\n"
+        f"with {curve} in [force] of the profile P, or smarttouch calibrate force to find it. "
+        "A line typed here puts something else on it: weight 100 (grams), force 0.5 (newtons). "
+        "Ctrl-C ends it."
+    )
+
+
+def _report(sent: "LineStatistics", books: Path | None) -> None:
+    """Write what was sent to a file, or print it."""
     account = json.dumps(asdict(sent))
     if books is not None:
         write_bytes(books, (account + "\n").encode())
@@ -277,7 +315,7 @@ def _serve(
     parent: int | None,
     **more: Any,
 ) -> "LineStatistics":
-    """Serve until the end; return what was sent."""
+    """Serve a device until its end; return what was sent."""
     from threadpoolctl import threadpool_limits
 
     from smarttouch.emulator.server import Server
@@ -289,7 +327,7 @@ def _serve(
         message = f"cannot open a port: {error}"
         raise SmartTouchError(message, about="port", problem="unavailable") from None
     server = Server(device, line, **more)
-    # Circuits and images are small: a second thread would only take the host's processor.
+    # Circuits and images are small: a second thread would only slow down the host.
     with threadpool_limits(1), closing(line):
         server.serve(linger_s, parent, describe)
     return server.statistics

@@ -18,27 +18,19 @@ from smarttouch.sources.sensor_protocol import encode_force, encode_frame, encod
 
 GRAVITY_N_PER_G = 9.80665e-3
 _LONGEST_WAIT_S = 0.02
-_BEHIND_NS = 100_000_000
-"""After such a delay it goes on from now: hardware would not send in a burst."""
+_BEHIND_NS = 100_000_000  # after this delay the schedule restarts, as hardware sends no burst
 _BLOCK = 4
 _PATTERN_SIDE = 1024
 _PATTERN_PIXELS_S = 40
 _LARGEST_RAW = 2**23 - 1
 
-Look = Callable[[float], NDArray[np.uint8]]
-"""Function from a time in seconds to the image, (H, W)."""
+Look = Callable[[float], NDArray[np.uint8]]  # function from a time in seconds to the image, (H, W)
 
 
 class SensorFirmware(Firmware):
-    """Sends what a sensor measures at absolute deadlines; nothing of it waits.
+    """Sends what a sensor measures at absolute deadlines, without waiting."""
 
-    Parameters
-    ----------
-    rate_hz : float
-    """
-
-    longest_step_ns = sys.maxsize
-    """Its time never stands still: hosts compare it with their own."""
+    longest_step_ns = sys.maxsize  # its time never stands still: hosts compare it with their own
     backlog = 1
 
     def __init__(self, rate_hz: float) -> None:
@@ -68,18 +60,11 @@ class SensorFirmware(Firmware):
 
     @abstractmethod
     def packet(self, number: int, time_s: float) -> bytes:
-        """Return what goes over the line now."""
+        """Return the next bytes for the line."""
 
 
 class SensorArray(SensorFirmware):
-    """A sensor array.
-
-    Parameters
-    ----------
-    look : callable
-        Image at a time.
-    rate_hz : float
-    """
+    """A sensor array; ``look`` returns its image at a time."""
 
     def __init__(self, look: Look, rate_hz: float) -> None:
         super().__init__(rate_hz)
@@ -88,7 +73,7 @@ class SensorArray(SensorFirmware):
         self._image: NDArray[np.uint8] | None = None
 
     def packet(self, number: int, time_s: float) -> bytes:
-        """Return a frame, and once a second what the device is."""
+        """Return a frame, once a second with the device's description."""
         if "freeze" not in self.wrong or self._image is None:
             self._image = self._look(time_s)
         data = encode_frame(number, round(time_s * 1e6), self._image)
@@ -98,20 +83,8 @@ class SensorArray(SensorFirmware):
 
 
 class LoadCell(SensorFirmware):
-    """A load cell with its converter.
-
-    Parameters
-    ----------
-    force_n : callable
-        Force on it at a time, N; NaN is none.
-    counts_per_n, zero, noise : float
-        Its straight line, and the standard deviation of its noise, in counts.
-    framed : bool
-        Packets instead of lines of text.
-    seed : int
-        Of the noise.
-    rate_hz : float
-    """
+    """A load cell with its converter: ``force_n`` returns the force at a time, N (NaN is none);
+    line and noise are in counts. ``framed`` sends packets instead of lines of text."""
 
     def __init__(
         self,
@@ -131,7 +104,6 @@ class LoadCell(SensorFirmware):
         self._reading: int | None = None
 
     def packet(self, number: int, time_s: float) -> bytes:
-        """Return a reading as the cell sends it."""
         if "freeze" not in self.wrong or self._reading is None:
             self._reading = self._convert(time_s)
         reading = None if "nan" in self.wrong else self._reading
@@ -140,7 +112,7 @@ class LoadCell(SensorFirmware):
         return f"HX711 reading: {'nan' if reading is None else reading}\r\n".encode()
 
     def take_order(self, words: list[str]) -> bool:
-        """Let something else press: ``weight GRAMS`` or ``force NEWTONS``."""
+        """Change the force: ``weight GRAMS`` or ``force NEWTONS``."""
         match words:
             case ["weight", grams]:
                 newtons = _number(grams) * GRAVITY_N_PER_G
@@ -171,13 +143,7 @@ def look_at_pattern(rows: int, columns: int) -> Look:
 
 
 def look_at_page(url: str, profile: Profile, rows: int, columns: int) -> Look:
-    """Return the image function of a virtual finger that reads a page repeatedly.
-
-    Raises
-    ------
-    SourceError
-        If there is no such source, or it cannot be asked for any time.
-    """
+    """Return the image function of a virtual finger that reads a page repeatedly."""
     kind = url.partition(":")[0]
     if kind not in ("page", "text"):
         raise SourceError(
@@ -201,13 +167,7 @@ def look_at_page(url: str, profile: Profile, rows: int, columns: int) -> Look:
 
 
 def press(force_n: float, path: Path | None, profile: Profile) -> Callable[[float], float]:
-    """Return the force function of a load cell: constant, or as recorded.
-
-    Raises
-    ------
-    SourceError
-        If there is no such record.
-    """
+    """Return the force function of a load cell: constant, or as recorded."""
     if path is None:
         return lambda _time_s: force_n
     recorded = open_recorded(str(path), profile)

@@ -1,10 +1,10 @@
 """Runs an emulated device on a line: as long as there is a host, and a while longer.
 
-What goes wrong on the way are events as texts: seconds since a host first opened the line, what
-happens, and for how many seconds; for ever if that is not given::
+Faults are events as texts: seconds since a host first opened the line, kind, and duration in
+seconds (for ever if not given)::
 
-    2 garbage 0.5       bytes that are nothing, in place of what it would send
-    3 nan 1             readings that say that there is none (load cells)
+    2 garbage 0.5       random bytes in place of messages
+    3 nan 1             readings that are not numbers (load cells)
     4 freeze 3          the same image or reading again and again (sensors)
     5 silent 1          nothing passes
     6 unplug 1.5        the port is gone; its name is valid again afterwards
@@ -30,25 +30,22 @@ from smarttouch.wire.pty_line import PtyLine
 from smarttouch.wire.tcp_line import TcpLine
 
 FAULTS = dict.fromkeys(("garbage", "nan", "freeze", "silent", "unplug"), "[SECONDS]")
-FIRST_HOST_S = 8.0
-"""Time beyond its lingering that it waits for the first host."""
+FIRST_HOST_S = 8.0  # time beyond its lingering that it waits for the first host
 _WRITE_EVERY_NS = 50_000_000
-_FULL_WAIT_S = 0.0005
-"""Time after which the rest of a message is tried again."""
+_FULL_WAIT_S = 0.0005  # time after which the rest of a message is tried again
 
 
 @dataclass
 class LineStatistics:
-    """Messages that were sent, counted when the last byte had been taken."""
+    """Counts of messages, each counted when its last byte was taken."""
 
     sent: int = 0
-    dropped: int = 0
-    """Due, but not sent: the line was still full."""
+    dropped: int = 0  # due, but not sent: the line was still full
     garbage: int = 0
 
 
 def faults_at(faults: Iterable[Event], time_s: float) -> frozenset[str]:
-    """Return what is wrong at a time."""
+    """Return the kinds of faults at a time."""
     return frozenset(
         fault.kind
         for fault in faults
@@ -60,7 +57,7 @@ class Orders:
     """Lines on standard input, as long as it is open."""
 
     def __init__(self) -> None:
-        # In the background of a terminal there are no orders, and reading must not stop it.
+        # In the background of a terminal, reading must not stop the process.
         signal.signal(signal.SIGTTIN, signal.SIG_IGN)
         self._open = sys.stdin is not None
         self._waiting = b""
@@ -79,20 +76,8 @@ class Orders:
 
 
 class Server:
-    """Serves one host after another.
-
-    Parameters
-    ----------
-    firmware : Firmware
-        Of the device.
-    line : PtyLine or TcpLine
-    faults : iterable of Event
-        What goes wrong.
-    count : int, optional
-        Nothing passes any more after so many messages were sent.
-    orders : Orders, optional
-        What the device is to do, or an event without its time, such as ``garbage 0.5``.
-    """
+    """Serves one host after another; after ``count`` messages nothing passes any more. ``orders``
+    are for the device, or are events without their time, such as ``garbage 0.5``."""
 
     def __init__(
         self,
@@ -109,7 +94,7 @@ class Server:
         self._first_host_ns: int | None = None
         self._hosted = False
         self._waiting: deque[tuple[bytes, bool]] = deque()
-        """Messages that have not been taken, and whether they are garbage."""
+        """Messages that wait for the line, and whether they are garbage."""
         self._random = random.Random(0)
 
     def serve(
@@ -118,14 +103,11 @@ class Server:
         parent: int | None = None,
         describe: Callable[[str], str] = str,
     ) -> None:
-        """Print the port's name and run until SIGTERM, or so long without a host.
+        """Print the port's name, as ``describe`` words it, and run until SIGTERM, ``linger_s``
+        without a host, or the end of the process ``parent``.
 
-        With the process id of its ``parent`` it ends too when that has, even where it was killed.
-
-        With ``describe`` it prints what that makes of the name.
-
-        While there is a host, Ctrl-C is the host's, which ends with a stop and a closed port; it
-        ends the device then only if that would go on for ever by itself.
+        While there is a host, Ctrl-C is meant for the host, which ends with a stop and a closed
+        port. It ends the device only if that would linger for ever.
         """
         ended: list[str] = []
 
@@ -136,7 +118,7 @@ class Server:
         signal.signal(signal.SIGTERM, end)
         signal.signal(signal.SIGINT, end)
         self._write_books()
-        # Who reads the name may signal at once.
+        # Handlers come first: a reader of the name may signal at once.
         print(describe(self._line.name), flush=True)
         clock = DeviceClock(self._firmware.longest_step_ns)
         host_ns, written_ns = FIRST_HOST_S * 1e9, 0
@@ -161,7 +143,7 @@ class Server:
         self._write_books()
 
     def step(self, data: bytes | None, now_ns: int) -> None:
-        """Do what is due now, with what the host has written; None if there is no host."""
+        """Execute what is due, with the bytes of the host; None if there is no host."""
         if data is not None and self._first_host_ns is None:
             self._first_host_ns = now_ns
         wrong = self._wrong_at(now_ns)
@@ -188,7 +170,7 @@ class Server:
             self.statistics.dropped += 1
             return
         if garbage:
-            # Neither end of a line nor of a packet may be missing in it for ever.
+            # Ends of lines and packets stay, so that a host can find the next one.
             message = self._random.randbytes(max(0, len(message) - 2)) + message[-2:]
         self._waiting.append((message, garbage))
         self._push()
@@ -231,16 +213,9 @@ class Server:
 
 
 class DeviceClock:
-    """The device's time, from 0 on, which stands still while the machine runs other processes.
-
-    Hardware is never kept waiting; what plays it is, and must not take its own
-    absence for the host's silence, nor for pulses delivered.
-
-    Parameters
-    ----------
-    longest_step_ns : int
-        How long it may have been away without standing still.
-    """
+    """The device's time, from 0 on, which stands still while the machine runs other processes for
+    longer than ``longest_step_ns``: hardware never waits, so a delay of the emulator must not count
+    as the host's silence or as delivered pulses."""
 
     def __init__(self, longest_step_ns: int = Firmware.longest_step_ns) -> None:
         self._longest_step_ns = longest_step_ns

@@ -1,4 +1,4 @@
-"""Terminal screen of a participant, which shows nothing that would tell the answer."""
+"""Terminal screen of a participant, which never reveals the answer."""
 
 from rich.console import Group
 from rich.panel import Panel
@@ -15,12 +15,10 @@ class BlindScreen(Screen):
     """Shows question, amplitude and pressure; no electrodes, rates or currents."""
 
     def event(self, event: Event) -> None:
-        """Show the newest event, unless it would tell the answer."""
         if not self.hides(event):
             super().event(event)
 
     def hides(self, event: Event) -> bool:
-        """Return whether an event would tell the answer."""
         return event.reveals
 
     def _render(self) -> Group | Text:

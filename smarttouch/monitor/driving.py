@@ -1,4 +1,5 @@
-"""Surroundings of every command that speaks to a board: it can be stopped at any instant."""
+"""Decorators and contexts by which every command that drives a board can be stopped at any
+instant."""
 
 import contextlib
 import functools
@@ -49,16 +50,14 @@ def asks_a_board(command: Callable[_P, _T]) -> Callable[_P, _T]:
 
 
 def the_stop() -> StopRequest:
-    """Return what ends the command that runs."""
+    """Return the stop request of the command that runs."""
     return _watches[-1][0] if _watches else StopRequest()
 
 
 @contextmanager
 def ending_in_order(patience_s: float | None = None) -> Iterator[None]:
-    """Leave it to the block to end when the stop is requested; else a signal ends it anywhere.
-
-    Its end may take ``patience_s`` after a signal.
-    """
+    """Let the block end by itself when a stop is requested, within ``patience_s`` of a signal;
+    elsewhere a signal interrupts."""
     if not _watches:
         yield
         return
@@ -71,10 +70,8 @@ def ending_in_order(patience_s: float | None = None) -> Iterator[None]:
 
 @contextmanager
 def opened(board: "Board", stop: StopRequest | None = None) -> Iterator["Board"]:
-    """Open a board for a block; a stop puts it at zero at once, also while it is being opened.
-
-    What is sent after a stop raises BoardStoppedError.
-    """
+    """Open a board for a block; a stop puts it at zero at once, also while it opens, and sending
+    raises BoardStoppedError after it."""
     with ending_in_order(), (stop or the_stop()).telling(board.halt):
         if _watches:
             refuse_if_stopped()
@@ -87,7 +84,7 @@ def opened(board: "Board", stop: StopRequest | None = None) -> Iterator["Board"]
 
 
 def _open(board: "Board") -> None:
-    """Open a board; what fails after a signal fails because of that."""
+    """Open a board; a failure after a signal counts as a stop."""
     try:
         board.open()
     except BoardError as error:
@@ -105,10 +102,10 @@ def _stoppable() -> Iterator[None]:
     with watch, never_waiting(stop.event.is_set):
         _watches.append((stop, watch))
         try:
-            with _told_as_stopped(watch):
+            with _raising_as_stopped(watch):
                 yield
         except RunStopped as stopped:
-            # Here, where a terminal that has stopped reading keeps nobody waiting.
+            # Here, where a terminal that has stopped reading blocks nothing.
             print(
                 f"smarttouch: ended by {stopped} before it began: all electrodes are off",
                 file=sys.stderr,
@@ -119,19 +116,19 @@ def _stoppable() -> Iterator[None]:
 
 
 @contextmanager
-def _told_as_stopped(watch: SignalWatch) -> Iterator[None]:
+def _raising_as_stopped(watch: SignalWatch) -> Iterator[None]:
     try:
         yield
     except BoardStoppedError:
         if watch.number:
             raise RunStopped(watch.number) from None
-        # By the mark alone: the signal is on its way.
+        # The mark is there, the signal on its way.
         refuse_if_stopped()
         raise
 
 
 def _give_up(number: int) -> None:
-    """End the process now: every board is at zero, and something keeps the rest waiting."""
+    """End the process now: every board is at zero, and something blocks the rest."""
     restore()
     with contextlib.suppress(OSError, ValueError):
         for stream in (sys.__stdout__, sys.__stderr__):

@@ -10,24 +10,21 @@ from typing import Any
 
 from smarttouch.posix import termios, tty
 
-LOST = ""
-"""Key that stands for a terminal that is gone."""
-JOIN_S = 0.3
-"""Longest time that the end waits for a key that is being handled."""
+LOST = ""  # key that stands for a terminal that is gone
+JOIN_S = 0.3  # longest time that the end waits for a key that is being handled
 
 
-_before: list[list[Any]] = []
-"""The terminal's own settings, while they are changed."""
+_before: list[list[Any]] = []  # the terminal's own settings, while they are changed
 
 
 @contextmanager
 def keyboard() -> Iterator[None]:
-    """Let single keys through, where there is a keyboard."""
+    """Let single keys through, if there is a keyboard."""
     if not sys.stdin.isatty():
         yield
         return
     _before.append(termios.tcgetattr(sys.stdin))
-    # Now: after what is still to be printed would be never, if it has stopped reading.
+    # Now, not after pending output, which may never be read.
     tty.setcbreak(sys.stdin, termios.TCSANOW)
     try:
         yield
@@ -36,18 +33,16 @@ def keyboard() -> Iterator[None]:
 
 
 def restore() -> None:
-    """Give the terminal its own settings back; does not wait for it."""
-    # Of a terminal that is gone there is nothing to restore.
+    """Restore the terminal's settings without waiting for it."""
+    # A terminal that is gone has nothing to restore.
     with suppress(termios.error, IndexError):
         termios.tcsetattr(sys.stdin, termios.TCSANOW, _before.pop())
 
 
 @contextmanager
 def keyboard_listener(on_key: Callable[[str], None]) -> Iterator[None]:
-    """Hand every key to a function, from a thread, until the block ends.
-
-    Arrow keys come as ``up``, ``down``, ``left`` and ``right``, a terminal that is gone as `LOST`.
-    """
+    """Pass every key to a function, from a thread, until the block ends: arrow keys as ``up``,
+    ``down``, ``left`` and ``right``, a lost terminal as `LOST`."""
     if not sys.stdin.isatty():
         yield
         return

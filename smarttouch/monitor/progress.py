@@ -1,4 +1,4 @@
-"""A bar for work that takes a while."""
+"""Progress bars."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
@@ -7,18 +7,17 @@ from rich.progress import Progress
 
 from smarttouch import terminal
 
-Advance = Callable[[int, int], None]
-"""Told how many are done, of how many."""
+Advance = Callable[[int, int], None]  # function called with how many are done, of how many
 
 
 def bank_progress(quiet: bool) -> AbstractContextManager[Advance | None]:
-    """Yield what shows how many sites of a kernel bank are designed; None if quiet."""
+    """Yield a function that shows how many sites of a kernel bank are designed; None if quiet."""
     return _bar("Designing kernels", quiet)
 
 
 @contextmanager
 def lines_progress(quiet: bool, title: str = "Reading lines") -> Iterator[Advance]:
-    """Yield what shows how many lines have been felt, or how much of something else is done."""
+    """Yield a function that shows how many lines have been read, or how much else is done."""
     with _bar(title, quiet) as advance:
         yield advance or (lambda _done, _total: None)
 
@@ -32,7 +31,7 @@ def _bar(title: str, quiet: bool) -> Iterator[Advance | None]:
     task = bar.add_task(title)
 
     def advance(done: int, total: int) -> None:
-        # Most runs find a bank ready: nothing is shown unless there is work.
+        # Most runs find a finished bank, and show nothing.
         bar.start()
         bar.update(task, completed=done, total=total)
 
@@ -44,13 +43,7 @@ def _bar(title: str, quiet: bool) -> Iterator[Advance | None]:
 
 
 def first_line_awaited(wait: Callable[[], object], quiet: bool) -> None:
-    """Show that a text is being prepared until its first line is ready.
-
-    Raises
-    ------
-    SmartTouchError
-        Whatever keeps it from being.
-    """
+    """Show that a text is being prepared until its first line is ready."""
     if quiet:
         wait()
         return

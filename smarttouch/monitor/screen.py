@@ -1,4 +1,4 @@
-"""The terminal while a finger reads: limits, keys, source, electrodes, rate."""
+"""Terminal screen of a run: limits, keys, source, electrodes, rate."""
 
 import sys
 import textwrap
@@ -21,21 +21,16 @@ from smarttouch.running.step import StepResult
 
 _REFRESH_PER_S = 10
 _KEYS = "+ − intensity    0 none    space pause    m mode    q, Esc end"
-_ROOMY = 20
-"""Rows of a terminal from which an event has two of them."""
-_LEAST_PICTURE = 9
-"""Fewest rows of the pictures and their title beside the numbers."""
+_ROOMY = 20  # rows of a terminal from which an event has two of them
+_LEAST_PICTURE = 9  # fewest rows of the pictures and their title beside the numbers
 _NAME = 9
 
 Rows = tuple[tuple[str, str], ...]
 
 
 class Screen(Listener):
-    """Shows a run as it goes, from a thread of its own, and sums it up.
-
-    Where nothing can be drawn, or if plain, it prints a line for each event and for each new title
-    of the source instead; when quiet, nothing.
-    """
+    """Shows a run from a thread of its own, and summarizes it. Where nothing can be drawn, or if
+    plain, it prints a line for each event and each new title of the source; if quiet, nothing."""
 
     def __init__(self, url: str, quiet: bool, keys_help: str = "", plain: bool = False) -> None:
         super().__init__()
@@ -44,15 +39,13 @@ class Screen(Listener):
         drawn = self._console.is_terminal and not self._console.is_dumb_terminal
         self._plain = not quiet and (plain or not drawn)
         self._title = ""
-        self._early: list[str] | None = []
-        """Lines on what happened before the board was open."""
+        self._early: list[str] | None = []  # lines on what happened before the board was open
         self._latest: StepResult | None = None
         self._event = ""
         self._keys = keys_help + _KEYS
         self._live: Live | None = None
 
     def prepare(self, run: RunContext) -> None:
-        """Begin to show it."""
         self._source, self._profile, self._controls = run.source, run.profile, run.controls
         self._board, self._statistics = run.board, run.statistics
         self._array = ArrayPicture(run.profile)
@@ -71,7 +64,7 @@ class Screen(Listener):
         self._live.start()
 
     def start(self, run: RunContext) -> None:
-        """Print what runs, and its keys, where nothing is drawn."""
+        """If plain, print what runs, and its keys."""
         if self._plain:
             self._title = run.source.title
             self._print(f"{self._title}, {run.profile.title}, {self._url}")
@@ -83,7 +76,7 @@ class Screen(Listener):
                 self._print(line)
 
     def step(self, result: StepResult) -> None:
-        """Keep the newest; the screen's own thread draws it when it gets to it."""
+        """Keep the newest step for the screen's own thread."""
         self._latest = result
         title = self._source.title
         if self._plain and title != self._title:
@@ -102,15 +95,14 @@ class Screen(Listener):
             self._print(self._event)
 
     def hides(self, event: Event) -> bool:
-        """Return whether an event is kept from whoever sees the screen."""
+        """Return whether an event is hidden from whoever sees the screen."""
         return False
 
     def finish(self, run: RunContext) -> None:
-        """Leave the terminal to what is printed from now on."""
         self.close()
 
     def close(self) -> None:
-        """Leave the terminal as it was."""
+        """Restore the terminal."""
         live, self._live = self._live, None
         if live is not None:
             live.stop()
@@ -121,14 +113,14 @@ class Screen(Listener):
         self._console.print(line, soft_wrap=True, highlight=False, markup=False)
 
     def _render(self) -> Group | Text:
-        """Draw all of it, as high whatever it says, in the rows that there are."""
+        """Draw all of it, in a constant number of rows that fits the terminal."""
         sent = self._latest
         if sent is None:
             return Text("waiting for the first frame")
         width, height = self._console.size
-        said = 2 if height >= _ROOMY else 1
-        event = textwrap.wrap(self._event, width, max_lines=said, placeholder=" …")
-        texts = (*self._keys_lines(width), *event, *[""] * (said - len(event)))
+        event_rows = 2 if height >= _ROOMY else 1
+        event = textwrap.wrap(self._event, width, max_lines=event_rows, placeholder=" …")
+        texts = (*self._keys_lines(width), *event, *[""] * (event_rows - len(event)))
         # The last row stays free: a terminal would scroll when something is printed.
         left = height - 4 - len(texts)
         numbers = self._numbers(sent)
@@ -144,7 +136,7 @@ class Screen(Listener):
     def _keys_lines(self, width: int) -> list[str]:
         if not sys.stdin.isatty():
             return []
-        # What belongs to a key stays beside it.
+        # The words on a key stay beside it.
         groups = (each.replace(" ", "\xa0") for each in self._keys.split("    "))
         lines = textwrap.wrap("   ".join(groups), width)
         return [line.replace("\xa0", " ") for line in lines]
@@ -164,13 +156,13 @@ class Screen(Listener):
         what = f"{sent.step.mode} electrodes" + f", {merged} × {merged} each" * (merged > 1)
         table = Table.grid(padding=(0, 3, 0, 0))
         table.add_row(Text(title, style="dim"), _line(what, "dim"))
-        # As high as it may be, whatever it is of.
+        # Always as high as it may be.
         given.append("\n" * (rows - len(given.split())))
         table.add_row(given, self._array.draw(electrodes, beside, rows))
         return table
 
     def _gauges(self, sent: StepResult, width: int) -> Rows:
-        """Return what limits the stimulus, each with a bar of what is left of a half's width."""
+        """Return the values that limit the stimulus, each with a bar, in half the width."""
         frame, sequence, limits = sent.step.input, sent.step.sequence, self._profile.limits
         peak_ma = float(np.abs(sequence.current_ua.astype(np.int32)).max(initial=0)) / 1000
         charge_uc = peak_ma * float(sequence.width_us.max(initial=0)) / 1000
@@ -214,7 +206,7 @@ class Screen(Listener):
 
 
 def _beside(shared: tuple[float, float] | None) -> str:
-    """Return what points that share slots do beside what they are for."""
+    """Return the unwanted activation by points that share slots, in words."""
     if not shared:
         return "no points share a slot"
     return f"others {shared[0]:.2f}, elsewhere {shared[1]:.2f}"
@@ -226,12 +218,12 @@ def bar(part: float, width: int = 10) -> str:
 
 
 def _line(text: str, style: str = "") -> Text:
-    """Return a text that never takes a second row."""
+    """Return a text that stays in one row."""
     return Text(text, style=style, no_wrap=True, overflow="ellipsis")
 
 
 def _columns(rows: Rows, width: int) -> Table:
-    """Return names and values, two of them in a row."""
+    """Return names and values, two pairs in a row."""
     table = Table.grid(padding=(0, 1, 0, 0))
     for each in (_NAME, max(1, width // 2 - _NAME - 2)) * 2:
         table.add_column(width=each, no_wrap=True, overflow="ellipsis")

@@ -7,8 +7,7 @@ from rich.text import Text
 
 from smarttouch.profile import Profile
 
-MOST_ROWS, MOST_COLUMNS = 16, 64
-"""Largest picture of an image, in characters: drawing more takes time from the loop."""
+MOST_ROWS, MOST_COLUMNS = 16, 64  # of a picture, in characters: drawing takes the loop's time
 
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
 _DITHER = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) + 0.5) * 16
@@ -16,10 +15,8 @@ _DITHER = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5
 
 
 def image_text(image: NDArray[np.uint8], columns: int, rows: int, *, color: bool) -> Text:
-    """Draw a grey image within a number of columns and rows.
-
-    In color it is half blocks, two pixels to a sign; without, dots of Braille signs, eight to one.
-    """
+    """Draw a grey image within a number of columns and rows: in color as half blocks, two pixels to
+    a character, else as Braille characters of eight dots."""
     height, width = image.shape
     rows, columns = min(rows, MOST_ROWS), min(columns, MOST_COLUMNS)
     wide = max(2, round(2 * rows * width / height))
@@ -46,7 +43,7 @@ def _dots(image: NDArray[np.uint8], columns: int, rows: int) -> Text:
 
 
 class ArrayPicture:
-    """Place of each electrode on a canvas of characters, whatever its array."""
+    """Array of electrodes as a picture of characters."""
 
     def __init__(self, profile: Profile) -> None:
         position = profile.electrodes.position_mm
@@ -57,14 +54,12 @@ class ArrayPicture:
         self._spread = 3 if step_x >= step_y else 2
 
     def merged(self, columns: int, rows: int) -> int:
-        """Return how many columns and rows of electrodes one character stands for."""
+        """Return how many columns and rows of electrodes a character covers."""
         return max(-(-self._columns // columns), -(-self._rows // rows))
 
     def draw(self, parts: NDArray[np.float32], columns: int, rows: int) -> Text:
-        """Draw electrodes, (E,) as parts of the strongest, within a number of columns and rows.
-
-        A character shows the largest of its electrodes.
-        """
+        """Draw electrodes, (E,) as parts of the strongest, within a number of columns and rows; a
+        character shows its strongest electrode."""
         merged = self.merged(columns, rows)
         shape = -(-self._rows // merged), -(-self._columns // merged)
         most = np.full(shape, -1.0)

@@ -1,4 +1,4 @@
-"""One run in a terminal: screen, keys, signals, and what is printed and written at its end."""
+"""One run in a terminal: screen, keys, signals, and its printed and written results."""
 
 import contextlib
 import sys
@@ -27,15 +27,14 @@ from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.source import Source
 from smarttouch.stopping import ENDS_WITHIN_S, StopRequest
 
-DRAWN_WITHIN_S = 30.0
-"""Time for the end after a signal where pictures are drawn; a second signal ends it at once."""
+DRAWN_WITHIN_S = 30.0  # to the end after a signal where pictures are drawn, unless a second comes
 
 Keys = Mapping[str, Callable[[], None]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outputs:
-    """Files of a run, and what is shown and said of it."""
+    """Files of a run, and how it is shown."""
 
     felt: Path | None = None
     finger: int = 1
@@ -57,12 +56,12 @@ class Outputs:
 
     @property
     def patience_s(self) -> float:
-        """Time that the end of a stopped run may take: pictures take long."""
+        """Time that the end of a stopped run may take; drawing takes long."""
         drawn = self.felt is not None or self.frames is not None
         return DRAWN_WITHIN_S if drawn else ENDS_WITHIN_S
 
     def listeners(self) -> list[Listener]:
-        """Return a listener for each of them."""
+        """Return the listeners that write these files."""
         return list(
             output_listeners(
                 felt=self.felt,
@@ -89,43 +88,27 @@ def run_in_terminal(
     controls: MakeControls = Controls,
     listeners: Iterable[Listener] = (),
 ) -> None:
-    """Run a source on a display until it ends or a user ends it; print how it went.
-
-    Arguments are those of `Runner`; ``keys`` are functions of single keys beside those of the run,
-    ``keys_help`` words on them for the screen.
-    """
+    """Run a source on a display until it ends or the user ends it, and print a summary. Arguments
+    are those of `Runner`; ``keys`` are functions of further keys, and ``keys_help`` describes them
+    on the screen."""
     stop = the_stop()
     shown = screen(display.url, outputs.quiet, keys_help, outputs.plain)
     typed = sys.stdin.isatty()
-    # Before the window, which takes a port: an output may be impossible.
+    # Before the window, which takes a port, as an output may be impossible.
     followers = outputs.listeners()
-    windows: list[Listener] = []
-    # What is drawn on a page needs one.
+    # A drawing source needs a page.
     port = 0 if outputs.window is None and source.canvas is not None else outputs.window
+    windows: list[Listener] = []
     if port is not None:
-        from smarttouch.window.live import Window
-
-        # Before the screen: it says its address.
         blind = issubclass(screen, BlindScreen)
-        windows.append(
-            Window(
-                stop,
-                port,
-                keys=keys,
-                keys_help=keys_help,
-                alone=not typed,
-                blind=blind,
-                finger=outputs.finger,
-                anatomy=outputs.anatomy,
-            )
-        )
+        windows.append(_window(port, stop, outputs, keys, keys_help, alone=not typed, blind=blind))
     runner = Runner(
         source,
         display,
         config,
         force=force,
         listeners=[
-            *windows,
+            *windows,  # before the screen: they say their address
             shown,
             _Keyboard(stop, keys or {}),
             *followers,
@@ -133,7 +116,7 @@ def run_in_terminal(
             _Orderly(outputs.patience_s),
         ],
         controls=controls,
-        # On a board with a finger on it, whoever has controls turns it up from zero.
+        # On a finger, intensity starts at zero where there are controls.
         first_level=0.0 if display.on_a_finger and (typed or windows) else None,
         most=config.intensity if display.on_a_finger else None,
         stop=stop,
@@ -149,6 +132,30 @@ def run_in_terminal(
         shown.summarize(runner.statistics.figures, runner.statistics.notes, outputs.files)
 
 
+def _window(
+    port: int,
+    stop: StopRequest,
+    outputs: Outputs,
+    keys: Keys | None,
+    keys_help: str,
+    *,
+    alone: bool,
+    blind: bool,
+) -> Listener:
+    from smarttouch.window.live import Window
+
+    return Window(
+        stop,
+        port,
+        keys=keys,
+        keys_help=keys_help,
+        alone=alone,
+        blind=blind,
+        finger=outputs.finger,
+        anatomy=outputs.anatomy,
+    )
+
+
 def _load_kernels(profile: Profile, quiet: bool) -> KernelBank:
     with bank_progress(quiet) as progress:
         return load_bank(profile, progress)
@@ -159,7 +166,7 @@ def _opened(display: Display, stop: StopRequest) -> AbstractContextManager[Board
 
 
 class _Orderly(Listener):
-    """Leaves it to the run to end when a signal comes, from when a board may be open."""
+    """Lets a run end by itself on a signal, from when its board may be open."""
 
     def __init__(self, patience_s: float) -> None:
         super().__init__()
@@ -167,7 +174,7 @@ class _Orderly(Listener):
         self._stack = contextlib.ExitStack()
 
     def prepare(self, run: RunContext) -> None:
-        # Until here a signal ends the program anywhere: no board is open.
+        # Until here, with no board open, a signal ends the program anywhere.
         self._stack.enter_context(ending_in_order(self._patience_s))
 
     def close(self) -> None:

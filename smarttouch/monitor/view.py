@@ -1,4 +1,4 @@
-"""Recordings in the window, until a user has seen enough; and views that are saved."""
+"""Recordings shown in the window, and saved views of them."""
 
 import sys
 import time
@@ -20,7 +20,7 @@ def show_recordings(paths: Sequence[Path], port: int = 0) -> None:
         try:
             print(f"window: {page.address} (Ctrl-C ends)", file=sys.stderr, flush=True)
             open_browser(page.address)
-            # A signal that comes just before a wait does not end it.
+            # Short waits: a signal just before a wait does not end it.
             while True:
                 time.sleep(0.2)
         except KeyboardInterrupt:

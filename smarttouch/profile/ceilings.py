@@ -4,20 +4,12 @@ from typing import NamedTuple
 
 
 class Ceiling(NamedTuple):
-    """One ceiling.
-
-    Attributes
-    ----------
-    name, unit : str
-    value : float
-    source : str
-        Norm or paper that it comes from, or why it is ours; whole sentences.
-    """
+    """One ceiling."""
 
     name: str
     value: float
     unit: str
-    source: str
+    source: str  # norm or paper that it comes from, or why it is ours; whole sentences
 
 
 CEILING_MA = 5.0

@@ -1,4 +1,4 @@
-"""All that pydantic finds wrong in a file, each thing in words and once."""
+"""All that pydantic finds wrong in a file, each fault in words and once."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -36,18 +36,11 @@ _MOST_IN_A_SENTENCE = 8
 
 _Error = TypeVar("_Error", bound=TableError)
 _Table = TypeVar("_Table", bound=BaseModel)
-Found = tuple[str, dict[str, Any]]
-"""Words on a fault, and the attributes of the error that carries them."""
+Found = tuple[str, dict[str, Any]]  # words on a fault, and attributes of its error
 
 
 def load_model(path: Path, kind: type[_Table], **more: object) -> _Table:
-    """Load a TOML file as a model, with further values of ours.
-
-    Raises
-    ------
-    ProfileError
-        If there is none, or it has unknown keys or impossible values: all that is wrong.
-    """
+    """Load a TOML file as a model, with further values."""
     table = read_toml(path, ProfileError)
     try:
         return kind.model_validate(table | more)
@@ -56,7 +49,7 @@ def load_model(path: Path, kind: type[_Table], **more: object) -> _Table:
 
 
 def table_error(kind: type[_Error], name: object, error: ValidationError) -> _Error:
-    """Return the error that lists all that is wrong in a file, by its name."""
+    """Return the error that lists all that is wrong in a file."""
     found = [*_complaints(error)]
     sentences = [f"{name}: {words}" for words, _ in found]
     told = [words for words, _ in found[:_MOST_IN_A_SENTENCE]]

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def misfits(profile: "Profile") -> Iterator[UnfitError]:
-    """Yield all that does not fit: of currents only where there is one for each electrode."""
+    """Yield all that does not fit; currents are checked only if each electrode has one."""
     of_array = [*_misfits_of_array(profile)]
     yield from of_array or _misfits_of_current(profile)
 
@@ -75,9 +75,7 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
 def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
     lowered = profile.limits.electrode_ma
     full_ma = profile.full_ma
-    measured = profile.perception.comfort_ma is not None
-    strongest_of = "comfort_ma" if measured else "threshold_ma × comfort_ratio"
-    strongest_key = "perception." + ("comfort_ma" if measured else "comfort_ratio")
+    strongest_of, strongest_key = _names_of_strongest(profile)
     painful = full_ma <= profile.threshold_ma
     if painful.any():
         index = int(painful.argmax())
@@ -90,7 +88,7 @@ def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
             allowed=float(profile.threshold_ma[index]),
             electrode=index,
         )
-    # Thresholds are single precision: a limit of just their product is kept.
+    # Thresholds are single precision: a limit equal to their product is kept.
     over = full_ma > np.multiply(np.inf if lowered is None else lowered, 1 + 1e-6)
     if lowered is not None and over.any():
         index = int(over.argmax())
@@ -103,6 +101,18 @@ def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
             strongest_key,
             index,
         )
+    yield from _misfits_of_strongest(profile)
+
+
+def _names_of_strongest(profile: "Profile") -> tuple[str, str]:
+    """Return the words for the strongest current, and its key."""
+    if profile.perception.comfort_ma is not None:
+        return "comfort_ma", "perception.comfort_ma"
+    return "threshold_ma × comfort_ratio", "perception.comfort_ratio"
+
+
+def _misfits_of_strongest(profile: "Profile") -> Iterator[UnfitError]:
+    full_ma, (strongest_of, strongest_key) = profile.full_ma, _names_of_strongest(profile)
     limits, width_us, strongest = profile.limits, profile.pulse.width_us, float(full_ma.max())
     if strongest > limits.current_ma:
         yield _too_large(

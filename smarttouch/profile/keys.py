@@ -35,8 +35,7 @@ _TYPES = {float: "number", int: "integer", str: "text", bool: "true or false"}
 _BOUNDS = {"gt": "> {}", "ge": "≥ {}", "lt": "< {}", "le": "≤ {}"}
 _LENGTHS = {"min_length": "at least {} long", "max_length": "at most {} long"}
 
-Row = tuple[str, str, str, str, str, str]
-"""Key, type, unit, default, limits and meaning."""
+Row = tuple[str, str, str, str, str, str]  # key, type, unit, default, limits and meaning
 
 
 def key_reference() -> str:

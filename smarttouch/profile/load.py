@@ -46,13 +46,7 @@ def load_profile(name: str | Path) -> Profile:
 
 
 def profile_path(name: str | Path) -> Path:
-    """Return the file of a profile, by its name or as it is given.
-
-    Raises
-    ------
-    ProfileError
-        If there is none.
-    """
+    """Return the file of a profile, by its name or as it is given."""
     path = data_folder("calibration") / f"{name}.toml"
     if str(name) not in list_profiles():
         path = Path(name)
@@ -69,13 +63,7 @@ def profile_path(name: str | Path) -> Path:
 
 
 def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
-    """Return the profile that the table of a file says; files beside it are found from there.
-
-    Raises
-    ------
-    ProfileError
-        If it says something unknown or impossible: all of it.
-    """
+    """Return the profile that the table of a file says; files beside it are found from there."""
     try:
         profile = Profile.model_validate({**table, "name": path.stem})
     except ProfileError as error:

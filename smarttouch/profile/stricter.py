@@ -16,16 +16,9 @@ _UPPER = (
 
 
 def stricter(own: Profile, other: Profile) -> Profile:
-    """Return a profile, its limits, comfort and masks narrowed to those of another.
-
-    Device, array, kernels and force law stay its own. Where the other has another number of
-    electrodes, the least current of its electrodes holds for all.
-
-    Raises
-    ------
-    ProfileError
-        If no pulse fits both.
-    """
+    """Return a profile, its limits, comfort and masks narrowed to those of another. Device, array,
+    kernels and force law stay its own. Where the other has another number of electrodes, the least
+    current of its electrodes holds for all."""
     count = len(own.electrodes)
     same = len(other.electrodes) == count
 

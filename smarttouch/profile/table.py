@@ -7,17 +7,9 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 
 class UnfitError(ValueError):
-    """A value in a profile that does not fit the rest of it.
-
-    Reading a file makes a `ProfileError` of it, which has the same attributes.
-
-    Parameters
-    ----------
-    message : str
-        One sentence: what is wrong, which number, what to do.
-    **attributes
-        See `SmartTouchError`; the key and its value need not be given where pydantic knows them.
-    """
+    """A value in a profile that does not fit the rest of it. Reading a file makes a `ProfileError`
+    of it with the same attributes; the key and its value need not be given where pydantic knows
+    them."""
 
     def __init__(self, message: str, **attributes: Any) -> None:
         super().__init__(message)
@@ -25,12 +17,7 @@ class UnfitError(ValueError):
 
 
 class AllUnfitError(ValueError):
-    """All values in a profile that do not fit.
-
-    Parameters
-    ----------
-    errors : tuple of UnfitError
-    """
+    """All values in a profile that do not fit."""
 
     def __init__(self, errors: tuple[UnfitError, ...]) -> None:
         super().__init__("; ".join(map(str, errors)))

@@ -19,16 +19,12 @@ CALIBRATED_KEYS = {
     "contact": ("output.impedance_kohm", "output.masked"),
 }
 """Keys that each calibration measures."""
-_A_LINE = 8
-"""Numbers of a long list on one line."""
+_A_LINE = 8  # numbers of a long list on one line
 
 
 def as_toml(profile: Profile) -> str:
-    """Return all that a profile says, as it would stand in a file.
-
-    A comment beside each value that is not the file's own says whether it is a default, or
-    which calibration it comes from.
-    """
+    """Return all that a profile says, as it would stand in a file. A comment beside each value that
+    is not the file's own says whether it is a default, or which calibration it comes from."""
     origins = {
         key: f"calibrated: {part}, {note.when:%Y-%m-%d}"
         for part, note in profile.calibrated.items()

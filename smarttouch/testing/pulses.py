@@ -12,8 +12,7 @@ import numpy as np
 from smarttouch.boards.board import Board
 from smarttouch.stimulation.sequence import ScanSequence
 
-LOCKED_S = 0.02
-"""How long a line of a driver is held up: whoever is not through by then waits for its lock."""
+LOCKED_S = 0.02  # delay of a driver's line: an action not through by then waits for its lock
 
 
 @dataclass(frozen=True)
@@ -77,23 +76,9 @@ def assert_same_pulses(
 
 
 class AtLine:
-    """Context in which an action comes at one line of a driver's code, in this thread.
-
-    Parameters
-    ----------
-    board : Board
-        Its driver's package is what counts, without `Board` itself.
-    number : int
-        Of the line, counted from 0 as they are executed.
-    action : callable
-
-    Attributes
-    ----------
-    lines : int
-        Number of lines that were executed.
-    thread : Thread, optional
-        What the action runs in, once it has come to that line.
-    """
+    """Context in which an action is started, in a thread of its own, at one line of a driver's
+    code: the one with this number, from 0, of those that its package executes, without `Board`
+    itself."""
 
     thread: threading.Thread | None
 
@@ -101,7 +86,7 @@ class AtLine:
         kinds = [kind for kind in type(board).__mro__ if issubclass(kind, Board)]
         self._packages = {_package(kind.__module__) for kind in kinds if kind is not Board}
         self._number, self._action = number, action
-        self.lines, self.thread = 0, None
+        self.lines, self.thread = 0, None  # lines executed; the action's thread, once started
 
     def __enter__(self) -> "AtLine":
         self._before = sys.gettrace()

@@ -15,8 +15,7 @@ from smarttouch.registry import fault_of
 from smarttouch.sources.frame import Frame
 from smarttouch.sources.source import OpticalSource, Source
 
-READS = 30
-"""Number of reads of a source."""
+READS = 30  # of a source
 
 
 class SourceContract:

@@ -21,8 +21,7 @@ FILM_HZ = 25
 MOST_FILM_S = 600
 _PX_PER_MM = 24
 _MOST_PX = 720
-_CODEC = "vp09"
-"""Browsers play it, and OpenCV includes it."""
+_CODEC = "vp09"  # browsers play it, and OpenCV includes it
 
 Current = NDArray[np.int16]
 
@@ -63,10 +62,7 @@ def export_film(
     last: int | None = None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> None:
-    """Write steps of an index that has been read as a film (``.mp4``) in their own time.
-
-    Raises RecordingError if the film is too long, or cannot be written.
-    """
+    """Write a range of steps as a film (``.mp4``) in their own time."""
     # A copy: the recording may still be being read, and it grows.
     times = np.array(tape.times_s[first : None if last is None else last + 1])
     if not len(times):

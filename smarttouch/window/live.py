@@ -29,10 +29,10 @@ _SWITCH_S = 0.0005
 class Window(Listener):
     """Shows a run in a browser, from a thread of its own, and lets one page control it.
 
-    The loop's thread only leaves the newest step where pages find it. Port 0 of 127.0.0.1 is a free
-    one. ``alone``: a run that no page controls any more is paused. ``blind``: pages must not show
-    what is delivered. ``finger`` is the seed of a simulated finger, None for none. ``show`` is
-    called with the address once it is served.
+    The loop's thread only stores the newest step. Port 0 of 127.0.0.1 is a free one. With
+    ``alone``, a run is paused once no page controls it; with ``blind``, pages do not show what is
+    delivered. ``finger`` is the seed of a simulated finger, None for none. ``show`` is called with
+    the address once it is served.
     """
 
     def __init__(
@@ -78,16 +78,13 @@ class Window(Listener):
 
     @property
     def source(self) -> Source:
-        """Source of the run."""
         return self._context.source
 
     @property
     def ended(self) -> str:
-        """Last message to a page."""
         return json.dumps(self._ended)
 
     def prepare(self, run: RunContext) -> None:
-        """Serve the page, and begin to simulate a finger for it."""
         self._context = run
         self.steering = Steering(run.controls, self._run_stop, self._keys, alone=self._alone)
         finger = self._finger(run)
@@ -103,7 +100,7 @@ class Window(Listener):
             "finger": None if finger is None else finger_message(finger),
         }
         self.hello = json.dumps(hello)
-        # Whoever draws must not hold the loop up for a whole default interval of 5 ms.
+        # Drawing must not hold the loop up for a whole default interval of 5 ms.
         if sys.getswitchinterval() > _SWITCH_S:
             self._switch_s = sys.getswitchinterval()
             sys.setswitchinterval(_SWITCH_S)
@@ -114,7 +111,7 @@ class Window(Listener):
         self._show(self.address)
 
     def step(self, result: StepResult) -> None:
-        """Keep the newest; and see whether whoever steers is still there."""
+        """Keep the newest step, and check that the page in control is alive."""
         self._latest = result
         self.steering.look_after()
 
@@ -131,7 +128,7 @@ class Window(Listener):
             self._events.append((self._event_count, entry))
 
     def close(self) -> None:
-        """Send pages the end of the run, and serve no more."""
+        """Send pages the end of the run, and stop serving."""
         if self._pages.over.is_set():
             return
         self._pages.over.set()
@@ -153,7 +150,8 @@ class Window(Listener):
 
     @prioritized()
     def _feel(self, live: LiveFinger) -> None:
-        """Let the finger feel the newest step whenever it is idle, while somebody looks."""
+        """Simulate the newest step whenever the finger's process is idle and a page is
+        connected."""
         latest = feeling = None
         try:
             live.prepare(self._context)
@@ -165,18 +163,16 @@ class Window(Listener):
                     feeling = live.newest
                     self._felt = json.dumps(felt_message(feeling))
         except SmartTouchError as error:
-            # What is delivered does not depend on it.
+            # Delivery does not depend on it.
             if not self._pages.over.is_set():
                 self.notes.append(f"the window shows no finger any more: {error}")
         finally:
             live.close()
 
     def has_seen(self, page: Page) -> bool:
-        """Return whether there is nothing new for a page."""
         return self._latest is page.shown and page.events == self._event_count
 
     def update(self, page: Page) -> str:
-        """Return a message with all that a page has not seen yet."""
         latest = self._latest
         with self._event_lock:
             count, kept = self._event_count, [*self._events]
@@ -214,7 +210,7 @@ class Window(Listener):
             "force_n": force_n if force_n == force_n else None,
         }
         if self._blind:
-            # Whether anything flows, and how often, may be what is asked about.
+            # Whether and how often current flows may be what the subject is asked.
             return state
         return state | {
             "dose_s": dose.seconds,

@@ -21,32 +21,27 @@ if TYPE_CHECKING:
 
 MOST_PAGES = 16
 MOST_HZ = 60
-MOST_MESSAGES_PER_S = 400
-"""Limit for one page; one that sends more loses its connection."""
-_BEAT_S = 0.2
-"""Longest time without a message to a page: its answer says that it is alive."""
+MOST_MESSAGES_PER_S = 400  # limit for one page; one that sends more loses its connection
+_BEAT_S = 0.2  # longest time without a message to a page: its answer says that it is alive
 _INFORMED_WITHIN_S = 0.5
 
 
 @dataclass
 class Page:
-    """One page that is connected, and what it has seen."""
+    """One connected page, and what it has seen."""
 
     number: int
-    waits: bool = True
-    """Whether it has drawn what it was sent last."""
+    waits: bool = True  # whether it has drawn what it was sent last
     shown: StepResult | None = None
     events: int = 0
     felt: str = ""
-    drawn: int = 0
-    """Changes of the drawing that it has seen."""
-    received: int = 0
-    """Messages of this second."""
+    drawn: int = 0  # changes of the drawing that it has seen
+    received: int = 0  # messages of this second
     second: int = 0
 
 
 class PageState(Protocol):
-    """State of a run as pages are sent it, in JSON."""
+    """State of a run as JSON messages to pages."""
 
     @property
     def steering(self) -> Steering: ...
@@ -90,21 +85,21 @@ class Pages:
         ]
 
     def wait(self) -> None:
-        """Wait a little until all pages know that the run is over."""
+        """Wait briefly until all pages know that the run is over."""
         if self._pages:
             self._all_informed.wait(_INFORMED_WITHIN_S)
 
     async def _stopped(self, request: "Request") -> "Response":
-        """Stop where a page has lost its connection."""
+        """Stop for a page that has lost its connection."""
         from starlette.responses import Response
 
-        # The end that is asked for may come first, and the server's with it.
+        # The run, and with it the server, may end first.
         with contextlib.suppress(asyncio.CancelledError):
             await self._stop()
         return Response(status_code=204)
 
     async def _stop(self) -> None:
-        # A board may wait for its line: nobody else is to wait for that.
+        # A board may wait for its line, which must not block other pages.
         await asyncio.to_thread(self._state.steering.stop)
 
     async def _connected(self, socket: "WebSocket") -> None:
@@ -138,7 +133,7 @@ class Pages:
             await asyncio.gather(feeding, return_exceptions=True)
 
     async def _take(self, page: Page, text: str) -> bool:
-        """Do what a page says; return False if that is no message."""
+        """Execute a page's message; return False if it is none."""
         steering, second = self._state.steering, int(time.monotonic())
         page.received = page.received + 1 if second == page.second else 1
         page.second = second
@@ -166,7 +161,7 @@ class Pages:
     async def _act(self, page: Page, verb: str, rest: str) -> None:
         canvas, steering = self._state.source.canvas, self._state.steering
         if verb == "do" and rest.startswith("key:"):
-            # It may wait for the source's line: a stop must not wait for that.
+            # It may wait for the source's line, which must not block a stop.
             await asyncio.to_thread(steering.act, page.number, rest)
         elif verb == "do":
             steering.act(page.number, rest)
@@ -176,7 +171,7 @@ class Pages:
             await asyncio.to_thread(canvas.draw, rest)
 
     async def _feed(self, socket: "WebSocket", page: Page) -> None:
-        """Send the newest to one page whenever it has drawn what it has."""
+        """Send a page the newest state whenever it has drawn the last one."""
         await socket.send_text(self._state.hello)
         sent_s = 0.0
         while True:

@@ -16,14 +16,13 @@ from smarttouch.profile import Profile
 from smarttouch.running.step import StepResult
 from smarttouch.stimulation.sequence import ScanSequence
 
-MOST_PIXELS = 160
-"""Longer side of an image of what a sensor sees; larger ones are made smaller."""
+MOST_PIXELS = 160  # longer side of an image of what a sensor sees; larger ones are made smaller
 _DIGITS = 4
 Message = dict[str, Any]
 
 
 def array_message(profile: Profile) -> Message:
-    """Return the array of a profile, and its limits, as a page needs them to draw."""
+    """Return the array and limits of a profile, as a page draws them."""
     electrodes, limits = profile.electrodes, profile.limits
     return {
         "profile": profile.title,

@@ -1,4 +1,5 @@
-"""Server of a page: this machine alone, a secret in its address, own thread."""
+"""Server of a page, for this machine alone, with a secret in its address and a thread of its
+own."""
 
 import atexit
 import contextlib
@@ -25,12 +26,10 @@ if TYPE_CHECKING:
     from starlette.routing import BaseRoute
 
 HOST = "127.0.0.1"
-MOST_MESSAGE_BYTES = 65_536
-"""Longest message that a page may send; longer ones end its connection."""
+MOST_MESSAGE_BYTES = 65_536  # longest message that a page may send; longer ones end its connection
 PAGE_FOLDER = Path(__file__).parent / "page"
 _JOIN_S = 1.0
-_FILE_KEPT_S = 60.0
-"""How long a browser may take to start and read the file that it is given."""
+_FILE_KEPT_S = 60.0  # how long a browser may take to start and read the file that it is given
 _LEADS_TO = (
     '<!doctype html><meta charset="utf-8"><meta name="referrer" content="no-referrer">'
     '<meta http-equiv="refresh" content="0;url={0}"><title>SmartTouch</title>'
@@ -51,11 +50,9 @@ _HEADERS = {
 
 
 class PageServer:
-    """Serves the files of a page and some routes until it is closed.
-
-    Requests for another host, from another origin or without the secret are refused. Routes are
-    relative to the secret; port 0 of 127.0.0.1 is a free one.
-    """
+    """Serves the files of a page and some routes until it is closed. Requests for another host,
+    from another origin or without the secret are refused. Routes are relative to the secret; port 0
+    of 127.0.0.1 is a free one."""
 
     def __init__(self, port: int, routes: "Sequence[BaseRoute]", name: str = "live.html") -> None:
         server = import_server()
@@ -68,7 +65,7 @@ class PageServer:
         self._prefix = f"/{secrets.token_urlsafe(24)}/"
         self.address = f"http://{HOST}:{self.port}{self._prefix}{name}"
         self._hosts = {f"{each}:{self.port}" for each in (HOST, "localhost")}
-        # Not all browsers take a socket of the same host for their own.
+        # Not all browsers count a socket of the same host as 'self'.
         sockets = " ".join(f"ws://{each}" for each in sorted(self._hosts))
         policy = f"{_POLICY}; connect-src 'self' {sockets}"
         self._headers = {"content-security-policy": policy, **_HEADERS}
@@ -92,7 +89,6 @@ class PageServer:
         self._thread = threading.Thread(target=self._serve, name="window", daemon=True)
 
     def start(self) -> None:
-        """Begin to serve."""
         self._thread.start()
 
     def close(self) -> None:
@@ -102,13 +98,13 @@ class PageServer:
             self._thread.join(_JOIN_S)
         self._socket.close()
 
-    # Whoever holds the interpreter at a lower priority would hold up the loop, which waits for it.
+    # A thread of lower priority that holds the interpreter would hold up the loop.
     @prioritized()
     def _serve(self) -> None:
         self._server.run([self._socket])
 
     async def _guarded(self, scope: Any, receive: Any, send: Any) -> None:
-        """Serve what is allowed, with headers that forbid everything else to the page."""
+        """Serve what is allowed, with headers that restrict the page."""
         headers = {name.decode("latin-1"): value for name, value in scope["headers"]}
         if not self._allows(scope, headers):
             await _refuse(scope, send)
@@ -125,7 +121,7 @@ class PageServer:
 
     def _allows(self, scope: Any, headers: dict[str, bytes]) -> bool:
         origin = headers.get("origin", b"").decode("latin-1")
-        # Pages may be looked at by a link; what acts must say that it is ours.
+        # Links may open pages; requests that act must come from our pages.
         acts = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
         ours = origin in {f"http://{each}" for each in self._hosts} or not (origin or acts)
         path = scope["path"][: len(self._prefix)].encode()
@@ -148,7 +144,7 @@ async def _refuse(scope: Any, send: Any) -> None:
 def import_server() -> Any:
     """Return uvicorn; raises if the extra is missing."""
     try:
-        # Two of them are only looked for: each is part of the extra.
+        # All three are parts of the extra.
         import starlette  # noqa: F401
         import uvicorn
         import websockets  # noqa: F401
@@ -163,11 +159,9 @@ def import_server() -> Any:
 
 
 def open_browser(address: str) -> None:
-    """Open an address in the browser of the desktop, where there is one; wait for nothing.
-
-    Every user of the machine can read the arguments of a program, and the address holds a secret:
-    the browser gets the name of a file that leads there, which this user alone can read.
-    """
+    """Open an address in the desktop's browser, if there is one, without waiting. Every user can
+    read the arguments of a program, and the address holds a secret: so the browser gets a file that
+    leads there and that only this user can read."""
     shown = sys.platform in ("win32", "darwin") or any(
         os.environ.get(each) for each in ("DISPLAY", "WAYLAND_DISPLAY")
     )
@@ -177,7 +171,7 @@ def open_browser(address: str) -> None:
     def show() -> None:
         with contextlib.suppress(webbrowser.Error, OSError, SmartTouchError):
             folder = Path(tempfile.mkdtemp(prefix="smarttouch-"))
-            # At the end of this thread or of the program, whichever comes first.
+            # At the end of the program, if that comes before the end of this thread.
             atexit.register(shutil.rmtree, folder, ignore_errors=True)
             page = folder / "window.html"
             write_bytes(page, _LEADS_TO.format(html.escape(address)).encode())
@@ -193,7 +187,7 @@ def _bound(port: int) -> socket.socket:
     try:
         found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         found.bind((HOST, port))
-        # From now on whoever connects waits, and is not refused.
+        # From now on connections wait, and are not refused.
         found.listen(128)
     except (OSError, OverflowError) as error:
         found.close()

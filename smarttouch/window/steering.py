@@ -8,16 +8,13 @@ from smarttouch.afferent import Mode
 from smarttouch.running.controls import STEP, Controls
 from smarttouch.stopping import StopRequest
 
-LOST_S = 0.7
-"""Silence after which a page loses control."""
+LOST_S = 0.7  # silence after which a page loses control
 
 
 class Steering:
-    """Passes what one page asks for to the controls of a run, as keys do.
-
-    A page that asks for something takes control if no other has it. What no page controls any more
-    is paused where there are no other controls (``alone``).
-    """
+    """Passes one page's requests to the controls of a run, as keys do. A page takes control by a
+    request if no other has it. A run that no page controls any more is paused unless it has other
+    controls (not ``alone``)."""
 
     def __init__(
         self,
@@ -56,7 +53,7 @@ class Steering:
             return self._page == page
 
     def leave(self, page: int) -> None:
-        """Take control from a page, if it had it."""
+        """Release control, if this page has it."""
         with self._lock:
             if self._page != page:
                 return
@@ -65,20 +62,18 @@ class Steering:
             self.controls.pause()
 
     def note_alive(self, page: int) -> None:
-        """Note that a page is alive."""
         if self._page == page:
             self._alive_s = time.monotonic()
 
     def look_after(self) -> None:
-        """Take control from a page that has fallen silent; from any thread."""
+        """Release the control of a page that has fallen silent; from any thread."""
         page = self._page
         if page is not None and time.monotonic() - self._alive_s > LOST_S:
             self.leave(page)
 
     def act(self, page: int, what: str) -> bool:
-        """Do what a page asks for; return False if another has control, ValueError if it is
-        unknown.
-        """
+        """Execute a page's request; return False if another has control, raise ValueError if it is
+        unknown."""
         kind, _, name = what.partition(":")
         if what in self._does:
             does = self._does[what]

@@ -1,4 +1,4 @@
-"""A recording as pictures that can be had in any order, while it is still being read."""
+"""A recording as pictures in any order, also while it is still being read."""
 
 import json
 import tempfile
@@ -18,10 +18,8 @@ _STANDS_FOR = ("mode", "board", "sensor", "subject", "note")
 
 
 class Tape(Closing):
-    """Pictures of all steps of a recording, in a file of their own until this is closed.
-
-    ``times_s`` has the time of each step that has been read, ``wrong`` what could not be read.
-    """
+    """Pictures of all steps of a recording, in a temporary file: ``times_s`` of those that have
+    been read, and ``wrong`` for what could not be read."""
 
     def __init__(self, path: Path) -> None:
         self.recording = Recording(path)
@@ -44,9 +42,8 @@ class Tape(Closing):
         self._thread.join()
 
     def picture(self, index: int) -> bytes:
-        """Return the picture of a step, JSON; IndexError if there is none, or it has not been read
-        yet.
-        """
+        """Return the picture of a step, JSON; raise IndexError if it does not exist or has not been
+        read yet."""
         if not 0 <= index < len(self.times_s):
             raise IndexError(index)
         with self._lock:
@@ -54,15 +51,15 @@ class Tape(Closing):
             return zlib.decompress(self._file.read(self._places[index + 1] - self._places[index]))
 
     def message(self, first: int = 0) -> dict[str, Any]:
-        """Return what a page needs of it beside pictures; times from a step on."""
+        """Return what a page needs beside pictures; times from a step on."""
         recording = self.recording
-        told = {key: str(recording.settings.get(key) or "") for key in _STANDS_FOR}
+        settings = {key: str(recording.settings.get(key) or "") for key in _STANDS_FOR}
         return {
             "name": recording.path.name,
             "array": self.array,
             "started": recording.started.isoformat(timespec="seconds"),
             "duration_s": recording.duration_s,
-            "told": {key: each for key, each in told.items() if each},
+            "told": {key: each for key, each in settings.items() if each},
             "times_s": self.times_s[first:].tolist(),
             "events": self._events,
             "ended": self._ended,
@@ -70,7 +67,6 @@ class Tape(Closing):
         }
 
     def close(self) -> None:
-        """Let go of the file."""
         self._closing = True
         self._thread.join()
         self._file.close()

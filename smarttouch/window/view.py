@@ -47,7 +47,6 @@ class RecordingsPage(Closing):
         self._server.start()
 
     def close(self) -> None:
-        """Serve no more."""
         self._server.close()
         self._close_tapes()
 

@@ -9,8 +9,7 @@ from cobs import cobs
 LARGEST_PACKET = 4 * 2**20
 _HEAD = struct.Struct("<BBI")
 _CRC = struct.Struct("<I")
-HEAD_BYTES = _HEAD.size
-"""Size of a decoded packet's head: version, kind and number."""
+HEAD_BYTES = _HEAD.size  # size of a decoded packet's head: version, kind and number
 
 
 @dataclass(frozen=True)
@@ -26,9 +25,9 @@ class Packet:
 def frame_packet(version: int, kind: int, number: int, *payload: bytes) -> bytes:
     """Return a packet in its wire format; its payload may be in pieces.
 
-    It is COBS-encoded and ends with one 0x00, so a receiver that has lost its
-    place finds it again at the next zero. Decoded, all little endian: u8
-    version, u8 kind, u32 number, the payload, u32 CRC-32 of all before it.
+    It is COBS-encoded and ends with one 0x00, so that a receiver can resynchronize at the next
+    zero. Decoded, all little endian: u8 version, u8 kind, u32 number, the payload, u32 CRC-32 of
+    all before it.
     """
     head = _HEAD.pack(version, kind, number)
     crc = zlib.crc32(head)
@@ -38,21 +37,10 @@ def frame_packet(version: int, kind: int, number: int, *payload: bytes) -> bytes
 
 
 class Deframer:
-    """Parser of packets in a stream of bytes.
-
-    Parameters
-    ----------
-    largest : int
-        Bytes of the largest packet to expect; what is longer is skipped.
-
-    Attributes
-    ----------
-    errors : int
-        Pieces between zeros that were no valid packet.
-    """
+    """Parser of packets in a stream of bytes; what is longer than ``largest`` is skipped."""
 
     def __init__(self, largest: int = LARGEST_PACKET) -> None:
-        self.errors = 0
+        self.errors = 0  # pieces between zeros that were no valid packet
         self._most = largest * 1.01 + 64
         self._waiting = bytearray()
         self._skipping = False
@@ -63,10 +51,8 @@ class Deframer:
         return len(self._waiting)
 
     def head(self, count: int) -> bytes | None:
-        """Return the first bytes of the incomplete packet, decoded but unchecked.
-
-        None if fewer than ``count`` have come.
-        """
+        """Return the first bytes of the incomplete packet, decoded but unchecked; None if fewer
+        than ``count`` have come."""
         found = bytearray()
         start = 0
         while len(found) < count:
@@ -106,6 +92,6 @@ class Deframer:
 
 
 def parse_head(body: bytes) -> Packet:
-    """Return a packet from its decoded bytes, its CRC left off and unchecked."""
+    """Return a packet from its decoded bytes without the CRC, unchecked."""
     version, kind, number = _HEAD.unpack_from(body)
     return Packet(kind, number, body[_HEAD.size :], version)

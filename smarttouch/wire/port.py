@@ -32,7 +32,7 @@ __all__ = [
 ]
 
 _write = ctypes.PyDLL(None, use_errno=True).write
-"""The system's own `write`, without a switch to another thread, which could take long."""
+"""The system's `write`, during which no other Python thread can run, so nothing delays it."""
 _write.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
 _write.restype = ctypes.c_ssize_t
 
@@ -69,7 +69,7 @@ def open_port(
         port.dtr = port.rts = False
         port.open()
         if url.startswith("socket://"):
-            # Short commands must not wait for the answer to those before them.
+            # Short commands must not wait for earlier ones to be acknowledged.
             port._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     except (*LINE_ERRORS, ValueError, AttributeError) as failure:
         problem, advice = _advice(failure)
@@ -100,7 +100,7 @@ def identity_of(port: Port) -> UsbIdentity | None:
 
 
 def device_of(name: str) -> str:
-    """Return what identifies the device at a port: its USB serial number, else the port's name."""
+    """Return the identity of the device at a port: its USB serial number, else the port's name."""
     with contextlib.suppress(*LINE_ERRORS):
         if found := _usb_identity(name):
             return f"USB {found.vendor:04x}:{found.product:04x} {found.serial_number}"
@@ -122,26 +122,13 @@ def reopen_port(
     identity: UsbIdentity | None,
     pause: Callable[[float], None] = time.sleep,
 ) -> Port:
-    """Reopen a lost port as soon as it is back; nothing is written to it.
-
-    Parameters
-    ----------
-    identity : UsbIdentity, optional
-        Of the port before it went, as by `identity_of`; None where USB does not tell.
-    pause : callable
-        Waits so many seconds; what it raises ends the waiting.
-
-    Raises
-    ------
-    OtherDeviceError
-        If all that came back in time is another device.
-    BoardError
-        If nothing came back in time.
-    """
+    """Reopen a lost port as soon as it is back with the same identity, and write nothing; raise
+    OtherDeviceError if only another device came back. ``pause`` waits a number of seconds; what it
+    raises ends the waiting."""
     deadline = time.monotonic() + within_s
     while True:
         try:
-            # By name first: opening another device may reset it. Then again by what was opened.
+            # By name first, as opening another device may reset it; then by the open port.
             if Path(name).exists() and _usb_identity(name) != identity:
                 raise _other(name)
             port = open_port(name)
@@ -156,17 +143,11 @@ def reopen_port(
 
 
 def read_some(port: Port) -> bytes:
-    """Return what has come; wait for the first byte as long as the port does.
-
-    Raises
-    ------
-    OSError
-        As the port does, also if the line is gone.
-    """
+    """Return what has come; wait for the first byte for the port's timeout."""
     try:
         number = port.fileno()
     except (AttributeError, OSError):
-        # No line of the system's own, but one of pyserial's.
+        # A line of pyserial's own, without a descriptor.
         return bytes(port.read(port.in_waiting or 1))
     if not select.select([number], [], [], port.timeout)[0]:
         return b""
@@ -179,31 +160,12 @@ def write_before(
     port: Port, data: bytes, latest_ns: int, now_ns: Callable[[], int], within_s: float = 0.5
 ) -> bool:
     """Write bytes unless it is too late for the first of them; return whether they were written.
-
-    Between the last look at the clock and the system's write there is nothing: only a
-    process that is stopped just there still writes late.
-
-    Parameters
-    ----------
-    port : Port
-        Open.
-    data : bytes
-    latest_ns : int
-        When the first byte may go at the latest.
-    now_ns : callable
-        The clock.
-    within_s : float
-        Time limit of a line that accepts nothing.
-
-    Raises
-    ------
-    OSError
-        As the port does, also if the line takes nothing for so long.
-    """
+    Nothing runs between the last look at the clock and the system's write, so only a process that
+    is suspended just there writes late. A line that accepts nothing fails after ``within_s``."""
     try:
         number = port.fileno()
     except (AttributeError, OSError):
-        # No line of the system's own, but one of pyserial's.
+        # A line of pyserial's own, without a descriptor.
         if now_ns() > latest_ns:
             return False
         port.write(data)

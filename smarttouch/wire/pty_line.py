@@ -13,13 +13,8 @@ LARGEST_READ = 65536
 
 
 class PtyLine:
-    """A serial port of this machine, raw from the start.
-
-    Parameters
-    ----------
-    keeps_name : bool
-        The port has the same name after it was pulled out and plugged in again.
-    """
+    """A serial port of this machine, raw from the start; with ``keeps_name`` its name survives
+    unplugging."""
 
     def __init__(self, keeps_name: bool = False) -> None:
         self.keeps_name = keeps_name
@@ -31,10 +26,10 @@ class PtyLine:
         return self._master >= 0
 
     def plug_in(self) -> None:
-        """Have a port."""
+        """Create the port."""
         self._master, slave = pty.openpty()
         self.name = os.ttyname(slave)
-        # What a host writes must pass as it is, whenever it sets up its end.
+        # Bytes must pass unchanged even before the host sets up its end.
         tty.setraw(slave)
         os.set_blocking(self._master, False)
         # With our end of the slave closed, the host's last close shows as a hang-up.
@@ -45,7 +40,7 @@ class PtyLine:
             self.name = str(link)
 
     def pull_out(self) -> None:
-        """Have none: the host's end hangs up."""
+        """Remove the port: the host's end hangs up."""
         if self._folder is not None:
             Path(self.name).unlink(missing_ok=True)
         if self.plugged_in:
@@ -53,7 +48,7 @@ class PtyLine:
         self._master = -1
 
     def close(self) -> None:
-        """Leave nothing behind."""
+        """Remove the port and its name."""
         self.pull_out()
         if self._folder is not None:
             self._folder.cleanup()

@@ -1,4 +1,4 @@
-"""The far end of a TCP connection to a device that does not exist."""
+"""TCP port as a device, for emulators."""
 
 import select
 import socket
@@ -7,13 +7,8 @@ from smarttouch.wire.pty_line import LARGEST_READ
 
 
 class TcpLine:
-    """A TCP port of this machine, for one host at a time; it is never pulled out.
-
-    Parameters
-    ----------
-    discovery_port : int, optional
-        UDP port on which ``ETK?`` is answered.
-    """
+    """A TCP port of this machine, for one host at a time, never unplugged; it answers ``ETK?`` on
+    the UDP port ``discovery_port``."""
 
     keeps_name = False
     plugged_in = True
@@ -68,7 +63,7 @@ class TcpLine:
     def pull_out(self) -> None: ...
 
     def close(self) -> None:
-        """Leave nothing behind."""
+        """Close all sockets."""
         for each in (self._host, *self._watched):
             if each is not None:
                 each.close()

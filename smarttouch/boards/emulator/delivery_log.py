@@ -17,8 +17,7 @@ SAFE_CURRENT_UA, SAFE_WIDTH_US, SAFE_CHARGE_UC = 5000, 200, 0.5
 """Limits of a safe slot on any electrode, whatever the firmware allows."""
 SAFE_RECHARGE_UA, SAFE_RECHARGE_US, SAFE_RECHARGE_UC = 500, 20_000, 2.0
 """Limits of a safe recharge phase."""
-_RECHARGE = 0xFFFF
-"""Slot and site that mark a recharge phase among the records."""
+_RECHARGE = 0xFFFF  # slot and site that mark a recharge phase among the records
 _ROUNDING = 1 + 1e-6
 _FLOWS_UA = 0.5
 
@@ -32,31 +31,23 @@ class DeliveryLog:
     sequences: int = 0
     slots: int = 0
     pulses: int = 0
-    violations: int = 0
-    """Number of sequences that the firmware refused."""
-    unsafe: int = 0
-    """Number of delivered pulses above a safe value, one for each pulse of a slot."""
+    violations: int = 0  # number of sequences that the firmware refused
+    unsafe: int = 0  # number of delivered pulses above a safe value, one for each pulse of a slot
     framing_errors: int = 0
-    old_packets: int = 0
-    foreign_packets: int = 0
-    """Numbers of packets that a link board refused as old, and as of another session."""
+    old_packets: int = 0  # refused by a link board
+    foreign_packets: int = 0  # as `old_packets`, but of another session
     max_current_ma: float = 0.0
     max_charge_uc: float = 0.0
-    max_net_charge_uc: float = 0.0
-    """Largest charge that was left on an electrode after a slot."""
-    max_volts: float = 0.0
-    """Largest voltage of a source between its poles."""
-    recharges: int = 0
-    """Number of recharge phases; not counted as slots or pulses, nor in the largest values."""
+    max_net_charge_uc: float = 0.0  # largest charge that was left on an electrode after a slot
+    max_volts: float = 0.0  # largest voltage of a source between its poles
+    recharges: int = 0  # recharge phases; not counted in slots, pulses or maxima
     passed_uc: NDArray[np.float64] = field(init=False)
     """Net charge that sources have driven through each electrode, (E,), positive cathodic:
     pulses and recharge phases, without what flows back while all electrodes are shorted."""
     state: str = "shorted"
     reason: str = "start"
-    zero_after_ms: float = 0.0
-    """Time from the host's last sign of life to all electrodes shorted, at the last cut-off."""
-    stood_still_ms: float = 0.0
-    """Time for which the board's clock has stood still because its process did."""
+    zero_after_ms: float = 0.0  # from the host's last sign of life to the last cut-off
+    stood_still_ms: float = 0.0  # for which the board's clock stood still with its process
     _delivered: bytearray = field(default_factory=bytearray, repr=False)
 
     def __post_init__(self) -> None:
@@ -74,22 +65,9 @@ class DeliveryLog:
         *,
         more: bool = False,
     ) -> None:
-        """Record one pulse.
-
-        Parameters
-        ----------
-        number, slot, site : int
-            Sequence or scan, slot in it, and the point that slot was for.
-        delivered : Delivered
-            Delivered pulse.
-        width_us : float
-        residual_uc : ndarray, (E,)
-            Charge left on each electrode after the slot's discharge.
-        time_us : float
-            When the pulse began, on the board's clock.
-        more : bool
-            Whether another pulse of the same slot follows.
-        """
+        """Record one pulse of a slot, with the charge left on each electrode, (E,), after the
+        slot's discharge and its start by the board's clock; ``more`` if another pulse of the slot
+        follows."""
         magnitude_ua = np.abs(delivered.current_ua)
         peak_ua = float(magnitude_ua.max(initial=0))
         charge_uc = peak_ua * width_us * 1e-6
@@ -131,7 +109,7 @@ class DeliveryLog:
         residual_uc: NDArray[np.float64],
         more: bool = False,
     ) -> None:
-        """Add up charge, and keep the record on disk."""
+        """Add up charge, and add a record for the file."""
         charge_uc = delivered.charge_pc * 1e-6
         self.passed_uc += charge_uc
         if not more:
@@ -142,10 +120,9 @@ class DeliveryLog:
             self._delivered += np.array([record], _record(self.electrodes)).tobytes()
 
     def keep(self, number: int, width_us: float, current_ua: NDArray[np.float64]) -> None:
-        """Keep a pulse in memory, for subclasses."""
+        """Take a pulse; for subclasses."""
 
     def write(self) -> None:
-        """Write all new records to disk."""
         if self.folder is None:
             return
         with (self.folder / DELIVERED_FILE).open("ab") as file:
@@ -166,14 +143,11 @@ def read_state(folder: Path) -> dict[str, object]:
 
 
 def read_slots(folder: Path) -> NDArray[Any]:
-    """Return every pulse of a slot that an emulator delivered.
+    """Return every pulse of a slot that an emulator delivered, a structured array (N,).
 
-    Returns
-    -------
-    slots : structured ndarray, (N,)
-        ``number``, ``slot``, ``site``, ``time_us``, and per electrode (E,) ``current_ua``
-        (mean over the pulse), ``charge_uc`` of the pulse, ``volts`` (against the tissue at its
-        end) and ``residual_uc`` (charge left after the discharge), all positive cathodic.
+    Its fields are ``number``, ``slot``, ``site``, ``time_us``, and per electrode (E,)
+    ``current_ua`` (mean over the pulse), ``charge_uc`` of the pulse, ``volts`` (against the tissue
+    at its end) and ``residual_uc`` (charge left after the discharge), all positive cathodic.
     """
     return _records(folder, recharges=False)
 
@@ -193,17 +167,8 @@ def _records(folder: Path, recharges: bool) -> NDArray[Any]:
 def read_delivered(
     folder: Path,
 ) -> tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]:
-    """Return every pulse an emulator delivered, as its sequence, width and currents.
-
-    Returns
-    -------
-    numbers : ndarray, (N,)
-        Sequence of each slot.
-    width_us : ndarray, (N,) µs
-        Duration of each pulse.
-    current_ua : ndarray, (N, E) int16, µA
-        Delivered current, positive cathodic, clipped to int16.
-    """
+    """Return every pulse an emulator delivered: sequence number (N,), width (N,) µs and current (N,
+    E) int16 µA, positive cathodic and clipped."""
     table = read_slots(folder)
     limit = np.iinfo(np.int16)
     current = np.clip(table["current_ua"], limit.min, limit.max).astype(np.int16)

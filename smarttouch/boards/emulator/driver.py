@@ -15,29 +15,15 @@ from smarttouch.profile.device import Output
 from smarttouch.registry import refuse_rest
 from smarttouch.stimulation.safety import SafetyLimits
 
-_STARTS_WITHIN_S = 30.0
-"""Time limit of the start, long enough for a busy computer."""
+_STARTS_WITHIN_S = 30.0  # time limit of the start, long enough for a busy computer
 _ENDS_WITHIN_S = 3.0
-_SPEAKS_WITHIN_S = 5.0
-"""Longest silence: what waits for a processor is not gone, and an end is told by its port."""
+_SPEAKS_WITHIN_S = 5.0  # longest silence: it may wait for a processor
 
 
 class EmulatorBoard(LinkBoard):
-    """Board emulated by a process of its own, which runs as long as it is open.
-
-    Parameters
-    ----------
-    rest : str
-        Nothing: ``emulator:`` starts its own.
-    limits : SafetyLimits
-        Of the finger's profile.
-    output : Output, optional
-        Output of the emulated board; weighted if not given.
-    books : Path, optional
-        Existing folder in which it keeps its books.
-    events : sequence of str
-        Events of the finger, as ``smarttouch board emulate`` takes them.
-    """
+    """Board emulated by a process of its own, which runs as long as it is open: ``emulator:``.
+    ``books`` is an existing folder for its delivery log, and ``events`` of the finger are as
+    ``smarttouch board emulate`` takes them."""
 
     on_a_finger = False
     device = None
@@ -84,7 +70,7 @@ class EmulatorBoard(LinkBoard):
             self._line.name = self._port_of_process()
             super()._open()
         except BaseException:
-            # It has nobody to wait for.
+            # No host will come.
             self._process.terminate()
             self._end()
             raise
@@ -119,7 +105,7 @@ class EmulatorBoard(LinkBoard):
 
     def _end(self) -> None:
         if self._halted:
-            # Nobody waits until it finds out by itself.
+            # Its own time limit would take longer.
             self._process.terminate()
         try:
             self._process.wait(_ENDS_WITHIN_S)

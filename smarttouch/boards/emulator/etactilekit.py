@@ -1,20 +1,17 @@
 """Emulated firmware of the eTactileKit, exact in bytes and scans, with its faults.
 
-It refuses nothing: a wrong byte is a wrong current. What a scan does is settled
-when it starts; commands that come later count from the next one. All generations
-but the newest parse nothing while they scan, so a scan that takes longer than its
-period is followed by the next at once and ends their parser for good. A pulse
-without a width still takes the time of switching on and off. Voltages are those
-of the slots as they pass, not of a finished scan.
+It refuses nothing: a wrong byte is a wrong current. A scan is fixed when it starts; later commands
+count from the next one. All generations but the newest parse nothing while they scan, so a scan
+that takes longer than its period is followed by the next at once and ends their parser for good. A
+pulse without a width still takes the time of switching on and off. Voltages are those of the slots
+as they pass, not of a finished scan.
 
-All go on with their last pattern for ever, but the newest: it puts every amplitude
-at zero half a second after the host fell silent. (On USB that one counts as silence
-that the host's port is closed. A pseudo-terminal cannot tell; here it is that no
-byte comes.)
+All repeat their last pattern for ever but the newest, which puts every amplitude at zero half a
+second after the host fell silent. (On USB, silence is that the host's port is closed; here, on a
+pseudo-terminal, that no byte comes.)
 
-Where its source does not say: outputs are grounded between pulses if there is a
-discharge at all, else left unconnected; outputs beyond the electrode count are
-unconnected.
+Where the published source does not say: outputs are grounded between pulses if there is any
+discharge, else left unconnected; outputs beyond the electrode count are unconnected.
 """
 
 import math
@@ -30,49 +27,28 @@ from smarttouch.boards.emulator.skin import COMPLIANCE_V
 UA_PER_COUNT = 9.99
 SWITCHING_NS = 10_000
 FORGETS_NS = 2_000_000_000
-DUMMY_OHM = 66e3
-"""Load fitted in parallel with the skin."""
+DUMMY_OHM = 66e3  # load fitted in parallel with the skin
 RATE_HZ = 100
 _MOST = 255
 
 
 @dataclass
 class _Scan:
-    """Settings of a scan, fixed at its start.
+    """Settings of a scan, fixed at its start."""
 
-    Attributes
-    ----------
-    pulses : list of Pulse
-        Of each electrode.
-    starts_ns : list of int
-        When each slot begins; the last is the end.
-    """
-
-    pulses: list[op.Pulse]
-    starts_ns: list[int]
+    pulses: list[op.Pulse]  # of each electrode
+    starts_ns: list[int]  # of each slot; the last is the end
     discharge_us: int
     done: int = 0
     pulsed: bool = False
 
 
 class ETactileKitFirmware(Firmware):
-    """The kit between its line and its electrodes.
+    """The kit between its line and its electrodes, which are all the outputs of its log;
+    ``firmware`` is a key of `GENERATIONS`, and an infinite ``dummy_ohm`` is no load beside the
+    skin."""
 
-    Parameters
-    ----------
-    books : DeliveryLog
-        Its electrodes are all the outputs that there are.
-    finger : Finger, optional
-        Events of the skin while it runs.
-    compliance_v : float, V
-    firmware : str
-        Key of `GENERATIONS`.
-    dummy_ohm : float
-        Load beside the skin; infinite for none.
-    """
-
-    longest_step_ns = 400_000_000
-    """Its scans go on by its own clock, whatever keeps its process waiting."""
+    longest_step_ns = 400_000_000  # its scans go on by its own clock while its process waits
     books: DeliveryLog
 
     def __init__(
@@ -99,7 +75,6 @@ class ETactileKitFirmware(Firmware):
         return bool(self._received) or not self._silent()
 
     def feed(self, data: bytes, now_ns: int) -> bytes:
-        """Process bytes from the host; return the answer."""
         self._pass_time(now_ns)
         self._fed_ns, self._hushed = now_ns, False
         if not self._received:
@@ -110,7 +85,6 @@ class ETactileKitFirmware(Firmware):
         return self._take_answers()
 
     def advance(self, now_ns: int) -> bytes:
-        """Execute all that is due; return the answer."""
         self._pass_time(now_ns)
         return self._take_answers()
 
@@ -160,7 +134,7 @@ class ETactileKitFirmware(Firmware):
             return None
         length = 1 + self._payload(received[0])
         if length == 1 and received[0] == op.PATTERN and not self._is.forgets:
-            # It waits for the last of no bytes: for ever.
+            # It waits for the last of no bytes, for ever.
             self._stuck = True
             return None
         if len(received) < length:
@@ -188,9 +162,9 @@ class ETactileKitFirmware(Firmware):
                 self._heights[electrode] = min(int.from_bytes(height, "little"), op.LARGEST)
         elif code == op.READINGS:
             size = self._is.reading_bytes
-            # In one byte, the upper bits of the twelve.
-            told = (each >> (4 if size == 1 else 0) for each in self._readings[:count])
-            return b"".join(each.to_bytes(size, "little") for each in told)
+            # One byte holds the upper eight of twelve bits.
+            values = (each >> (4 if size == 1 else 0) for each in self._readings[:count])
+            return b"".join(each.to_bytes(size, "little") for each in values)
         elif code in (op.CHIPS, op.ECHO):
             return bytes([self._chips if code == op.CHIPS else count])
         elif code == op.RATE:
@@ -199,7 +173,7 @@ class ETactileKitFirmware(Firmware):
                 self._next_ns = max(now_ns, self._started_ns + self._period_ns())
         elif code == op.COUNT:
             if self._is.silence_ns is not None:
-                # Of the newest, electrodes that join the scan begin at zero.
+                # In the newest, electrodes that join the scan begin at zero.
                 self._heights[count:value] = [0] * max(0, value - count)
             self._set[op.COUNT] = value
         elif code != op.WIDTH or value or self._is.has_modes:
@@ -245,7 +219,7 @@ class ETactileKitFirmware(Firmware):
             for _, width_us, phases in pulses
         ]  # fmt: skip
         if not any(height for height, _, _ in pulses) and not any(self._readings):
-            # Scans without pulses need not be gone through one by one.
+            # Scans without pulses are skipped at once.
             each_ns = max(self._period_ns(), sum(lengths_ns))
             self._next_ns += (now_ns - self._next_ns) // each_ns * each_ns
         starts_ns = [self._next_ns]

@@ -9,10 +9,8 @@ PATTERN, READINGS, COUNT, MODE, POLARITY, WIDTH = 0xFE, 0xFF, 0xFC, 0xFB, 0xFD, 
 SENSE_HEIGHT, SENSE_WIDTH, DISCHARGE, RATE, CHIPS, ECHO = 0xF9, 0xF8, 0xF7, 0xF6, 0xF5, 0xF4
 BIPHASIC, SENSE_ONLY = 1, 2
 LARGEST = LARGEST_READING
-SHORTEST_US = 6.6
-"""Time to switch the source on and off."""
-Pulse = tuple[int, float, tuple[int, ...]]
-"""Height in counts, width in µs, and the sign of each phase (positive cathodic)."""
+SHORTEST_US = 6.6  # time to switch the source on and off
+Pulse = tuple[int, float, tuple[int, ...]]  # height in counts, width µs, signs (+ cathodic)
 _SIZES = {
     COUNT: 1,
     MODE: 1,
@@ -27,37 +25,18 @@ _SIZES = {
 
 @dataclass(frozen=True)
 class Generation:
-    """One published firmware.
+    """One published firmware."""
 
-    Attributes
-    ----------
-    sizes : mapping
-        Bytes after each op-code that sets a number.
-    height_bytes : int
-        Of each electrode in a pattern: 2 for its height, 1 for a code (0 sense, 1 monophasic,
-        2 biphasic) where one height counts for all.
-    reading_bytes : int
-        Of each electrode in the answer to `READINGS`.
-    echoes : bool
-        Whether it knows `ECHO`.
-    forgets : bool
-        Whether half a command is dropped after two seconds.
-    waits : bool
-        Whether its parser stands still during a scan: both run on one processor core.
-    slot_ns : int
-        Time that switching adds to each slot's pulse and discharge.
-    silence_ns : int, optional
-        After so long without a byte it puts all amplitudes at zero.
-    """
-
-    sizes: Mapping[int, int]
+    sizes: Mapping[int, int]  # bytes after each op-code that sets a number
+    # Of each electrode in a pattern: 2 for its height, 1 for a code (0 sense, 1 monophasic,
+    # 2 biphasic) where one height counts for all.
     height_bytes: int
-    reading_bytes: int = 2
-    echoes: bool = True
-    forgets: bool = True
-    waits: bool = True
-    slot_ns: int = 10_000
-    silence_ns: int | None = None
+    reading_bytes: int = 2  # of each electrode in the answer to `READINGS`
+    echoes: bool = True  # whether it knows `ECHO`
+    forgets: bool = True  # whether half a command is dropped after two seconds
+    waits: bool = True  # whether its parser stands still during a scan: one processor core
+    slot_ns: int = 10_000  # that switching adds to each slot's pulse and discharge
+    silence_ns: int | None = None  # after so long without a byte all amplitudes are zero
 
     @property
     def has_modes(self) -> bool:
@@ -65,15 +44,8 @@ class Generation:
         return self.height_bytes == 2
 
     def pulse(self, numbers: Mapping[int, int], height: int) -> Pulse:
-        """Return an electrode's height in counts, width in µs, and the signs of its phases.
-
-        Parameters
-        ----------
-        numbers : mapping
-            All that commands have set, by op-codes.
-        height : int
-            Of the electrode in the pattern, or its code.
-        """
+        """Return an electrode's height in counts, width in µs, and the signs of its phases, from
+        all that commands have set, by op-code, and its height or code in the pattern."""
         sense, own = numbers[SENSE_HEIGHT], -1 if numbers[POLARITY] else 1
         if self.has_modes:
             senses, biphasic = numbers[MODE] == SENSE_ONLY, numbers[MODE] == BIPHASIC

@@ -1,4 +1,4 @@
-"""Events of emulated devices as texts: a time in seconds, what happens then, and its numbers."""
+"""Events of emulated devices as texts: a time in seconds, a kind, and its numbers."""
 
 import math
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from smarttouch.errors import SmartTouchError
 
 @dataclass(frozen=True)
 class Event:
-    """One thing that happens at a time."""
+    """One event of an emulated device."""
 
     time_s: float
     kind: str
@@ -18,17 +18,9 @@ class Event:
 
 
 def parse(text: str, forms: Mapping[str, str], error: type[SmartTouchError]) -> Event:
-    """Return the event of a text.
-
-    Parameters
-    ----------
-    text : str
-    forms : mapping
-        From each kind to the names of its numbers: ``ELECTRODE`` comes first, one in brackets
-        may be left out.
-    error : type
-        Raised where the text cannot be understood; it says how an event is written.
-    """
+    """Return the event of a text. ``forms`` maps each kind to the names of its numbers:
+    ``ELECTRODE`` comes first, one in brackets may be left out. Where the text cannot be understood,
+    ``error`` is raised."""
     words = text.split()
     kind = next((each for each in forms if words[1:2] == [each]), None)
     if kind is None:

@@ -25,12 +25,9 @@ from smarttouch.boards.emulator.events import Event, bad_event, parse
 from smarttouch.boards.emulator.skin import Skin
 from smarttouch.errors import BoardError
 
-FORCE_N = 1.0
-"""Default force: a firm reading pressure, which does not reduce the current."""
-OPEN_FACTOR = 5e5
-"""Impedance factor of an open electrode: about 1 GΩ."""
-SHORT_FACTOR = 1e-4
-"""Impedance factor of a shorted electrode: a few ohm to the tissue."""
+FORCE_N = 1.0  # default force: a firm reading pressure, which does not reduce the current
+OPEN_FACTOR = 5e5  # impedance factor of an open electrode: about 1 GΩ
+SHORT_FACTOR = 1e-4  # impedance factor of a shorted electrode: a few ohm to the tissue
 _FINEST = 0.005
 
 FORMS = {
@@ -63,13 +60,6 @@ class _Drift:
 
 
 def parse_event(text: str) -> Event:
-    """Return the event described by a text.
-
-    Raises
-    ------
-    BoardError
-        Saying what cannot be understood, and how it is written.
-    """
     event = parse(text, FORMS, BoardError)
     kind, values = event.kind, event.values
     if (kind == "drift" and values[0] == 0) or (kind == "peel" and not 0 < values[0] <= 1):
@@ -80,24 +70,8 @@ def parse_event(text: str) -> Event:
 
 
 class Finger:
-    """Finger on the electrodes, with the state of each contact.
-
-    Parameters
-    ----------
-    electrodes : int
-    events : iterable of str
-        In any order; see the module.
-
-    Attributes
-    ----------
-    force_n : float
-        Current force, 0 when lifted.
-
-    Raises
-    ------
-    BoardError
-        If an event cannot be understood, or is of an electrode that is not there.
-    """
+    """Finger on the electrodes, with the state of each contact; events, see the module, come in any
+    order."""
 
     def __init__(self, electrodes: int, events: Iterable[str] = ()) -> None:
         parsed = sorted((parse_event(text) for text in events), key=lambda event: event.time_s)
@@ -124,6 +98,7 @@ class Finger:
 
     @property
     def force_n(self) -> float:
+        """Current force, 0 when lifted."""
         return self._pressure_n if self._touches else 0.0
 
     def opens_switch(self, now_s: float) -> bool:
@@ -143,7 +118,7 @@ class Finger:
         for electrode, drift in list(self._drifts.items()):
             factor = drift.at(now_s)
             over = now_s >= drift.start_s + drift.lasts_s
-            # The circuit is solved anew for each change: in steps too small to matter.
+            # The circuit is solved again for each change: in steps too small to matter.
             if over or abs(math.log(factor / self._drifted[electrode])) > _FINEST:
                 self._drifted[electrode] = factor
                 changed = True

@@ -13,24 +13,12 @@ class Clock(Protocol):
 
 
 class Firmware(ABC):
-    """A device between its line and what it touches; it has no clock of its own.
-
-    Attributes
-    ----------
-    books : DeliveryLog or None
-        Account of what flowed.
-    longest_step_ns : int
-        How long its process may have been kept waiting before its time stands still.
-    backlog : int
-        As soon as so many bytes wait for the host, further messages are dropped.
-    wrong : frozenset of str
-        Faults at this time, of those that are not of the line.
-    """
+    """A device between its line and what it touches; it has no clock of its own."""
 
     books: DeliveryLog | None = None
-    longest_step_ns = 10_000_000
-    backlog = 65536
-    wrong: frozenset[str] = frozenset()
+    longest_step_ns = 10_000_000  # a process kept waiting for longer stops the device's time
+    backlog = 65536  # as soon as so many bytes wait for the host, messages are dropped
+    wrong: frozenset[str] = frozenset()  # faults at this time, other than those of the line
 
     @property
     def busy(self) -> bool:
@@ -38,29 +26,29 @@ class Firmware(ABC):
         return False
 
     def wait_s(self, clock: Clock) -> float:
-        """Return how long bytes from the host may be waited for."""
+        """Return how long to wait for bytes from the host, s."""
         return 0.001 if self.busy else 0.004
 
     def feed(self, data: bytes, now_ns: int) -> bytes:
-        """Take bytes from the host; return what there is to answer."""
+        """Process bytes from the host; return the answer."""
         return self.advance(now_ns)
 
     @abstractmethod
     def advance(self, now_ns: int) -> bytes:
-        """Do all that is due; return what there is to send."""
+        """Execute all that is due; return what there is to send."""
 
     def idle(self, now_ns: int) -> None:
-        """Let time pass without a line; what is sent meanwhile is lost."""
+        """Let time pass without a line; what would be sent is lost."""
         self.advance(now_ns)
 
     def hang_up(self, now_ns: int) -> None:
-        """The host has closed the line, which the device need not notice."""
+        """Handle that the host has closed the line, which a device need not notice."""
         self.idle(now_ns)
 
     # Not abstract: sensors carry no current and leave it out.
     def zero(self, reason: str, now_ns: int) -> None:  # noqa: B027, may be left out
-        """Lose power; does nothing unless it is overridden."""
+        """Lose power; sensors do nothing."""
 
     def take_order(self, words: list[str]) -> bool:
-        """Do what a line of input says; return whether it is an order."""
+        """Execute a line of input; return whether it was an order."""
         return False

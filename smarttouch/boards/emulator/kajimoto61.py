@@ -1,11 +1,10 @@
 """Emulated firmware of the 61-electrode ESP32 kit, exact in bytes, with its faults.
 
-It waits for ever for the rest of a short packet, checks nothing, and its
-readings wrap. After power-on it tests its source, which then drives into no
-electrode, until the first STIMULATE, which it does, whatever it holds; a MEASURE
-is answered meanwhile. What the test left in the converter stays there until the
-end of the first pulse or MEASURE, also behind a packet of zeros: the electrode
-that pulses first is connected to it until its own value has been loaded.
+It waits for ever for the rest of a short packet, checks nothing, and its readings wrap. From
+power-on until the first STIMULATE, which it executes, it tests its source without driving an
+electrode; a MEASURE is answered meanwhile. The test's last value stays in the converter until the
+end of the first pulse or MEASURE, also after a packet of zeros: the electrode that pulses first is
+connected to it until its own value has been loaded.
 """
 
 from collections import deque
@@ -21,16 +20,12 @@ ELECTRODES = 61
 STIMULATE, MEASURE = 0xFF, 0xFE
 PACKET = 1 + ELECTRODES
 LARGEST = 200
-UA_PER_STEP = 16 * 10_000 / 4096
-"""DAC counts of one step of intensity; 4096 counts are nominally 10 mA."""
+UA_PER_STEP = 16 * 10_000 / 4096  # a step is 16 DAC counts; 4096 are nominally 10 mA
 WIDTH_US, GROUNDED_US, SWITCHING_US = 50, 150, 8
-TEST_UA, LOADING_US = 898 * 10_000 / 4096, 3
-"""Current that the self-test left in the converter, as observed, and the time to load it."""
+TEST_UA, LOADING_US = 898 * 10_000 / 4096, 3  # left by the self-test, as observed; time to load
 MEASURE_UA, MEASURE_US = 2500, 25
-MEASURE_NS, WIRE_NS = 1_400_000, 670_000
-"""Time from a MEASURE to its reply, and the reply's time on the wire."""
-BUFFER = 384
-"""Serial bytes buffered during a scan: 128 of the chip and 256 of its driver. An estimate."""
+MEASURE_NS, WIRE_NS = 1_400_000, 670_000  # from a MEASURE to its reply; that on the wire
+BUFFER = 384  # bytes kept during a scan: 128 of the chip, 256 of its driver. An estimate.
 
 
 @dataclass
@@ -55,16 +50,7 @@ class _Scan:
 
 
 class Kajimoto61Firmware(Firmware):
-    """The kit between its serial line and its electrodes.
-
-    Parameters
-    ----------
-    books : DeliveryLog
-        Of 61 electrodes.
-    finger : Finger, optional
-        Events of the skin while it runs.
-    compliance_v : float, V
-    """
+    """The kit between its serial line and its electrodes."""
 
     books: DeliveryLog
 
@@ -86,17 +72,15 @@ class Kajimoto61Firmware(Firmware):
         return self._scan is not None or bool(self._replies)
 
     def feed(self, data: bytes, now_ns: int) -> bytes:
-        """Process bytes from the host; return the answer."""
         self._run(now_ns)
         self._fed_ns = now_ns
         self._received += data
         self._run(now_ns)
-        # Only while a scan runs do whole packets wait; what its buffer cannot hold is lost.
+        # Whole packets wait only while a scan runs; what exceeds the buffer is lost.
         del self._received[BUFFER:]
         return self._take_replies(now_ns)
 
     def advance(self, now_ns: int) -> bytes:
-        """Execute all that is due; return the answer."""
         self._run(now_ns)
         return self._take_replies(now_ns)
 

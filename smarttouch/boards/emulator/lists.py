@@ -1,6 +1,6 @@
 """Kernels and lists of them as an emulated board of ``link`` reads them.
 
-In code of its own, as are its rules: what the host computes is not what is checked here.
+Like its rules, written independently of the host, so that it checks what the host computes.
 """
 
 import hashlib
@@ -16,39 +16,26 @@ _HEAD = struct.Struct("<IHHBB")
 _GROUP = struct.Struct("<BBH")
 _PAIR = struct.Struct("<HH")
 _NOTHING = bytes(16)
-MOST_AMPLITUDE = 0xFFFF
-"""Largest sum of a slot's amplitudes."""
+MOST_AMPLITUDE = 0xFFFF  # largest sum of a slot's amplitudes
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Slots of one kind and one pulse shape.
+    """Slots of one kind and one pulse shape."""
 
-    Attributes
-    ----------
-    kind : int
-        0 points, 1 one sum, 2 currents, 3 states.
-    slots : int
-    kernel, amplitude : ndarray, (N,) int64
-        Of points and sums.
-    rows : WireSequence or None
-        Of currents and states.
-    """
-
-    kind: int
+    kind: int  # 0 points, 1 one sum, 2 currents, 3 states
     slots: int
-    kernel: NDArray[np.int64]
-    amplitude: NDArray[np.int64]
+    kernel: NDArray[np.int64]  # (N,) of points and sums
+    amplitude: NDArray[np.int64]  # (N,)
 
 
 @dataclass(frozen=True, eq=False)
 class Lists:
-    """Sequence as it came, before kernels are looked up."""
+    """Sequence as received, before kernels are looked up."""
 
     intensity: int
     groups: list[Group]
-    sequence: WireSequence
-    """Currents of points and sums are zero until `filled`."""
+    sequence: WireSequence  # currents of points and sums are zero until kernels are looked up
 
     @property
     def slots(self) -> int:
@@ -56,13 +43,7 @@ class Lists:
 
 
 def decode_lists(payload: bytes, electrodes: int, switched: bool) -> Lists:
-    """Return the sequence in a payload.
-
-    Raises
-    ------
-    ValueError
-        If the payload is not exactly one sequence.
-    """
+    """Return the sequence in a payload; raise ValueError if that is not exactly one."""
     if len(payload) < _HEAD.size:
         raise ValueError("too short")
     period_us, times, intensity, flags, count = _HEAD.unpack_from(payload)
@@ -126,7 +107,7 @@ def _u16(columns: NDArray[np.uint8]) -> NDArray[np.int64]:
 def summed(
     weights: NDArray[np.int16], kernel: NDArray[np.int64], amplitude: NDArray[np.int64]
 ) -> NDArray[np.int16]:
-    """Return the current of every electrode in a slot, (E,) µA: see the page of ``link``."""
+    """Return the current of every electrode in a slot, (E,) int16 µA: see the page of ``link``."""
     return rounded((weights[kernel].astype(np.int64) * amplitude[:, None]).sum(axis=0))
 
 
@@ -137,31 +118,22 @@ def rounded(every: NDArray[np.int64]) -> NDArray[np.int16]:
 
 
 class Keep:
-    """Kernels that a board keeps from one session to the next.
-
-    Attributes
-    ----------
-    identity : bytes
-        First 16 bytes of the SHA-256 of what is being kept; zeros if nothing.
-    size : int
-    weights : ndarray or None, (K, E) int16
-        Once all of it is there.
-    site : ndarray, (K,) uint16
-    """
+    """Kernels that a board keeps from one session to the next."""
 
     def __init__(self, electrodes: int, room: int, most: int) -> None:
         self._electrodes, self._room, self._most = electrodes, room, most
         self._data = bytearray()
+        # First 16 bytes of the SHA-256 of what is being kept; zeros if nothing.
         self.identity, self.size = _NOTHING, 0
-        self.weights: NDArray[np.int16] | None = None
-        self.site = np.zeros(0, np.uint16)
+        self.weights: NDArray[np.int16] | None = None  # (K, E), once all of it is there
+        self.site = np.zeros(0, np.uint16)  # (K,)
 
     @property
     def received(self) -> int:
         return len(self._data)
 
     def take(self, identity: bytes, size: int, offset: int, data: bytes) -> None:
-        """Take a part; what does not follow the one before is left out."""
+        """Take a part of the kernels; one that does not continue the part before is dropped."""
         if (identity, size) != (self.identity, self.size):
             self._forget()
             if size > self._room:
@@ -179,7 +151,8 @@ class Keep:
                 self._forget()
 
     def proof(self, session: int) -> bytes:
-        """Return what shows the host of a session what is kept; zeros if it is not whole."""
+        """Return the digest that proves to a session's host which kernels are kept; zeros if they
+        are not complete."""
         if self.weights is None:
             return _NOTHING
         return hashlib.sha256(session.to_bytes(8, "little") + self._data).digest()[:16]

@@ -17,42 +17,25 @@ from smarttouch.boards.link_protocol import (
 )
 from smarttouch.boards.link_session import Message, decode_head, draw_half, encode
 
-MOST_HOSTS = 8
-"""Number of hosts with separate HELLO records."""
+MOST_HOSTS = 8  # number of hosts with separate HELLO records
 _MS = 1_000_000
 
 
 class BoardSession:
-    """The session begun last, and the challenge for the next.
-
-    Parameters
-    ----------
-    draw : callable
-        Returns 32 random bits that are not all 0, each time others.
-
-    Attributes
-    ----------
-    number : int
-        Of the session; 0 before the first.
-    live : bool
-        Whether its host is there; what ends it sets this to False.
-    old, foreign : int
-        Packets refused, as old and as of another session.
-    state : int
-        Of the board, in each of its packets.
-    """
+    """The latest session, and the challenge for the next; ``draw`` returns 32 random bits, not all
+    0, new ones each time."""
 
     def __init__(self, draw: Callable[[], int] = draw_half) -> None:
-        self.state = 0
+        self.state = 0  # of the board, in each of its packets
+        # Of the session, 0 before the first; packets refused as old and as of another session.
         self.number = self.old = self.foreign = 0
-        self.live = False
+        self.live = False  # whether its host is there; what ends it sets this to False
         self._draw = draw
         self._challenge = draw()
         self._taken = self._said = 0
         self._alive: deque[tuple[int, int]] = deque(maxlen=2 + LATE_MS // ALIVE_MS)
-        """Time of each of the last packets ALIVE, in ns, and its number."""
-        self._hellos: dict[int, tuple[int, int]] = {}
-        """Last packet and number of HELLOs of each host since BEGIN, by its half."""
+        """Time in ns and number of each of the last ALIVE packets."""
+        self._hellos: dict[int, tuple[int, int]] = {}  # last number and count, by the host's half
 
     def encode(self, kind: Kind, about: int = 0, payload: bytes = b"") -> bytes:
         """Return the board's next packet of the session."""
@@ -111,14 +94,8 @@ class BoardSession:
         self._hellos.clear()
 
     def take(self, message: Message, began_ns: int) -> Refusal | None:
-        """Take a packet of the session, or return the reason why it is refused.
-
-        Parameters
-        ----------
-        message : Message
-        began_ns : int
-            When its first byte came, on the board's clock.
-        """
+        """Take a packet of the session, or return why it is refused; ``began_ns`` is when its first
+        byte came."""
         refusal = self._judge(message, began_ns)
         if refusal is Refusal.OLD:
             self.old += 1
@@ -129,7 +106,7 @@ class BoardSession:
         return refusal
 
     def promises(self, head: bytes, began_ns: int, now_ns: int) -> bool:
-        """Return whether an incomplete packet is a sign of life: those that are long."""
+        """Return whether an incomplete packet is a sign of life, as those of long kinds are."""
         message, early = decode_head(head), now_ns - began_ns <= LONGEST_PACKET_MS * _MS
         fresh = self._judge(message, began_ns) is None
         return message.kind in (Kind.SEQUENCE, Kind.KERNELS) and early and fresh
@@ -139,11 +116,11 @@ class BoardSession:
             return Refusal.FOREIGN
         if message.number <= self._taken:
             return Refusal.OLD
-        # A stop is never too late: its sender may receive nothing, and must get through.
+        # A stop is never too late: it counts even from a host that receives nothing.
         late = message.kind != Kind.STOP and message.heard <= self._faded(began_ns)
         return Refusal.OLD if late else None
 
     def _faded(self, now_ns: int) -> int:
-        """Return the number of the last ALIVE that is too old; -1 if there is none."""
+        """Return the number of the last ALIVE that is too old to confirm; -1 if none is."""
         gone = (number for sent_ns, number in self._alive if sent_ns < now_ns - LATE_MS * _MS)
         return max(gone, default=-1)

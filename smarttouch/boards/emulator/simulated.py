@@ -22,8 +22,7 @@ from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.wire.framing import LARGEST_PACKET, Deframer
 
-_BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2
-"""Longest time that the host says nothing."""
+_BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest time that the host says nothing
 
 Pulses = tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]
 """Sequence of each slot (N,), its width (N,) µs, and its delivered current (N, E) µA, positive
@@ -51,21 +50,9 @@ class _KeptBooks(DeliveryLog):
 
 
 class SimulatedBoard(Board):
-    """Emulated ``link`` firmware in the same thread, driven by its wire format: ``simulated:``.
-
-    The bytes on the wire, the checks of the firmware and the results of the skin model
-    are those of ``emulator:``. Only time is not: a sequence is over as
-    soon as it has been computed, so long texts need not be waited for.
-
-    Parameters
-    ----------
-    rest : str
-        Nothing comes after the colon.
-    limits : SafetyLimits
-        Of the finger's profile.
-    output : Output, optional
-        Output of the emulated board; weighted if not given.
-    """
+    """Emulated ``link`` firmware in the same thread: ``simulated:``. Bytes on the wire, checks and
+    skin are those of ``emulator:``, but time is simulated: a sequence is over as soon as it has
+    been computed."""
 
     simulated_time = True
     on_a_finger = False
@@ -88,7 +75,7 @@ class SimulatedBoard(Board):
         )
 
     def _time(self) -> None:
-        """Return the clock of the sequences, as no finger is on this board."""
+        """Return None: time is what sequences state, as no finger is on this board."""
 
     def take_pulses(self) -> Pulses:
         """Return all pulses delivered since the last call."""
@@ -106,7 +93,7 @@ class SimulatedBoard(Board):
         self._deframer = Deframer()
         self._session = HostSession()
         self._now_ns = self._number = 0
-        self._unheard = b""
+        self._unread = b""
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
         self._number += 1
@@ -119,13 +106,13 @@ class SimulatedBoard(Board):
             self._now_ns += _BEAT_NS
             self._exchange(self._session.encode(Kind.HEARTBEAT))
         self._now_ns = end_ns
-        self._unheard = self._firmware.advance(end_ns)
+        self._unread = self._firmware.advance(end_ns)
         return self._number
 
     def _exchange(self, packet: bytes) -> None:
-        """Give the firmware a packet, and take its answers with what it has said since the last."""
-        answers = self._unheard + self._firmware.feed(packet, self._now_ns)
-        self._unheard = b""
+        """Give the firmware a packet, and take its answers and what it has sent since the last."""
+        answers = self._unread + self._firmware.feed(packet, self._now_ns)
+        self._unread = b""
         for answer in self._deframer.feed(answers):
             message = self._session.take(answer)
             if message is None:
@@ -146,6 +133,6 @@ class SimulatedBoard(Board):
         return BoardReport(*self._firmware.account())
 
     def _stop(self) -> None:
-        # From another thread, it waits for the end of a sequence.
+        # A stop from another thread waits for the end of the sequence.
         with self._writing:
             self._exchange(self._session.encode(Kind.STOP))

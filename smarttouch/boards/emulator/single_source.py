@@ -8,24 +8,12 @@ from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.skin import Skin
 
-VOLTS_PER_COUNT = 0.0893
-"""Scale of the eTactileKit's converter; assumed for its relative's as well."""
+VOLTS_PER_COUNT = 0.0893  # scale of the eTactileKit's converter; assumed for its relative's as well
 LARGEST_READING = 4095
 
 
 class SingleSource:
-    """Output stage of a kit, with the skin connected.
-
-    Parameters
-    ----------
-    books : DeliveryLog
-        Delivery log.
-    finger : Finger, optional
-        Events of the skin while it runs.
-    compliance_v : float, V
-    shunt_ohm : float
-        Load beside the skin.
-    """
+    """Output stage of a kit, with the skin connected; a shunt is a load beside the skin."""
 
     def __init__(
         self,
@@ -55,27 +43,12 @@ class SingleSource:
         grounded: bool = True,
         more: bool = False,
     ) -> int:
-        """Deliver a pulse, ground all outputs for the rest after it, and record both.
+        """Deliver a pulse, ground all outputs for the rest after it, and record both; return the
+        converter's reading at its end.
 
-        Parameters
-        ----------
-        number, electrode, slot : int
-            For the books; without a slot it has the electrode's number.
-        current_ua : float, µA
-            Positive cathodic.
-        width_us, rest_us : float, µs
-        start_ns : int
-        among : int
-            Number of electrodes that take part, the first of all; the others are their return.
-        grounded : bool
-            Whether outputs were grounded since the rest before, or unconnected.
-        more : bool
-            Whether another pulse of the same slot follows.
-
-        Returns
-        -------
-        int
-            The converter's reading of the source at the end of the pulse.
+        Current is positive cathodic; the first ``among`` electrodes take part, one against the
+        others. Before it, outputs were ``grounded`` or unconnected; with ``more``, another pulse of
+        the slot follows. The slot's number is the electrode's if not given.
         """
         self._finger.at(start_ns / 1e9, self._skin)
         if start_ns > self._rested_ns:

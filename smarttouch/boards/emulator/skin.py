@@ -22,8 +22,7 @@ PARALLEL_OHM = 50e3
 CAPACITANCE_F = 1.0e-9
 """Horny layer under a 1 mm disc on a moist fingertip. Estimates of ours: 2.4 mA for 200 µs then
 needs about 125 V, what displays of this kind supply."""
-SPREAD = 0.15
-"""Largest relative difference of electrodes of one array. An estimate of ours."""
+SPREAD = 0.15  # largest relative difference of electrodes of one array. An estimate of ours.
 COMPLIANCE_V = 300.0
 _SHARED = (6, 1.3, 0.6)
 _CAPPED = (24, 1.15, 1.0)
@@ -34,32 +33,19 @@ _MOST_WIDTHS = 64
 
 @dataclass(frozen=True, eq=False)
 class Delivered:
-    """Result of one pulse.
+    """Result of one pulse."""
 
-    Attributes
-    ----------
-    current_ua : ndarray, (E,) float64, µA
-        Mean over the pulse, positive cathodic.
-    charge_pc : ndarray, (E,) float64, pC
-    volts : ndarray, (E,) float64, V
-        Each electrode against the tissue at the end of the pulse, positive cathodic.
-    source_v : float
-        Voltage of the source between its poles at the end of the pulse.
-    """
-
-    current_ua: NDArray[np.float64]
+    current_ua: NDArray[np.float64]  # (E,): mean over the pulse, positive cathodic
     charge_pc: NDArray[np.float64]
+    # (E,): each electrode against the tissue at the end of the pulse, positive cathodic
     volts: NDArray[np.float64]
-    source_v: float
+    source_v: float  # between the poles of the source at the end of the pulse
 
 
 class _Steps(NamedTuple):
-    """A pulse cut into K steps of constant current, (K,) and (K, E) each.
-
-    A step turns the capacitor's voltage v into v·decay + I·rise. Its current is the one that
-    fits late in it, where an electrode has v·late + I/admittance. The last
-    step has no length: it is the end of the pulse.
-    """
+    """A pulse cut into K steps of constant current, (K,) and (K, E) each; the last, of no length,
+    is its end. A step turns the capacitor's voltage v into v·decay + I·rise; its current is fitted
+    late in it, where an electrode has v·late + I/admittance."""
 
     length_s: NDArray[np.float64]
     decay: NDArray[np.float64]
@@ -77,24 +63,8 @@ class _Modes(NamedTuple):
 
 
 class Skin:
-    """Charge on the E electrodes, updated pulse by pulse.
-
-    Parameters
-    ----------
-    electrodes : int
-    compliance_v : float
-        Most that a source supplies.
-    spread : float
-        By which share impedances differ at most between electrodes.
-    seed : int
-        Of that spread.
-
-    Attributes
-    ----------
-    series_ohm, parallel_ohm, capacitance_f : ndarray, (E,)
-    charge_uc : ndarray, (E,) float64, µC
-        Net charge that has passed each electrode and not come back.
-    """
+    """Charge on the E electrodes, updated pulse by pulse. Impedances differ between electrodes by
+    the share ``spread`` at most, drawn by ``seed``."""
 
     def __init__(
         self,
@@ -108,7 +78,7 @@ class Skin:
         self._healthy = differ * np.array([[SERIES_OHM], [PARALLEL_OHM], [CAPACITANCE_F]])
         self.electrodes, self.compliance_v = electrodes, compliance_v
         self._volts = np.zeros(electrodes)
-        self.charge_uc = np.zeros(electrodes)
+        self.charge_uc = np.zeros(electrodes)  # net, that has passed and not come back
         self.scale(np.ones(electrodes), np.ones(electrodes))
 
     def scale(self, resistance: NDArray[np.float64], capacitance: NDArray[np.float64]) -> None:
@@ -130,11 +100,8 @@ class Skin:
         return float(np.abs(self.residual_uc).max(initial=0))
 
     def pulse(self, current_ua: NDArray[np.float64], width_us: float) -> Delivered:
-        """Drive the current (E,) of each electrode's own source for a time.
-
-        An electrode that would need more than the compliance gets what fits. Poles
-        that differ in total, by this or from the start, carry what the weaker one does.
-        """
+        """Drive the current (E,) of each electrode's own source for a time. Where that would exceed
+        the compliance, less flows; poles that differ in total carry the smaller one."""
         asked_ua = _balance(np.asarray(current_ua, np.float64))
         amps = asked_ua * 1e-6
         decay = np.exp(-width_us * 1e-6 / (self.parallel_ohm * self.capacitance_f))
@@ -171,16 +138,8 @@ class Skin:
         shunt_ohm: float = np.inf,
     ) -> Delivered:
         """Drive one source for a time; its current divides by the impedances of each pole.
-
-        Parameters
-        ----------
-        state : ndarray, (E,) int8
-            1 cathode, −1 anode, 0 insulated. With one pole missing nothing flows.
-        source_ua : float, µA
-        width_us : float, µs
-        shunt_ohm : float
-            A load beside the skin that takes its part of the source's current.
-        """
+        ``state`` is (E,): 1 cathode, −1 anode, 0 insulated; with one pole missing nothing flows. A
+        shunt beside the skin takes its part."""
         poles = np.array([state > 0, state < 0])
         if not poles.any(axis=1).all() or not width_us:
             self.idle(width_us)
