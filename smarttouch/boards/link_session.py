@@ -109,12 +109,7 @@ class HostSession:
             If all numbers are used up.
         """
         if self._sent == LAST_NUMBER:
-            raise LineLostError(
-                f"the session of {LAST_NUMBER} packets is over",
-                about="packets",
-                problem="too many",
-                allowed=LAST_NUMBER,
-            )
+            raise LineLostError(f"the session of {LAST_NUMBER} packets is over", about="packets")
         self._sent += 1
         if kind in ANSWERS:
             self._asked[self._sent] = ANSWERS[kind]

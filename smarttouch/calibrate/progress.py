@@ -74,8 +74,6 @@ class Progress(Closing):
             raise CalibrationError(
                 f"{self.path} is not the beginning of a threshold session: remove it to start over",
                 about="file",
-                problem="malformed",
-                value=self.path,
             ) from None
         for key, value in self._settings.items():
             before = settings.get(key) if isinstance(settings, dict) else None
@@ -84,9 +82,6 @@ class Progress(Closing):
                     f"{self.path} was begun with another {key}: go on with the same, or remove it "
                     "to start over",
                     about=key,
-                    problem="conflict",
-                    value=value,
-                    allowed=before,
                 )
         return found
 

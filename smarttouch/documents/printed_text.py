@@ -29,9 +29,6 @@ def print_text(text: str) -> Page:
         raise PageError(
             f"the text has {len(lines)} lines, a page of {height_mm:.0f} mm: shorten it",
             about="text",
-            problem="too large",
-            value=height_mm,
-            allowed=LARGEST_MM,
         )
     size = (round(_PRINT_WIDTH_MM * _PER_MM), round(height_mm * _PER_MM))
     sheet = Image.new("L", size, 255)
@@ -68,7 +65,7 @@ def _wrapped(text: str) -> list[str]:
     lines = [line for part in text.splitlines() for line in textwrap.wrap(part, _COLUMNS) or [""]]
     if not any(line.strip() for line in lines):
         message = "text: has nothing to print: give some words after the colon"
-        raise PageError(message, about="text", problem="empty", value=text)
+        raise PageError(message, about="text")
     return lines
 
 

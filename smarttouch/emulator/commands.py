@@ -98,25 +98,17 @@ def emulate_board(
     if firmware is not None:
         if name != "etactilekit":
             message = f"firmware is for etactilekit, and a {name} has only one: leave it out"
-            raise SmartTouchError(
-                message, about="firmware", problem="conflict", value=name, allowed=("etactilekit",)
-            )
+            raise SmartTouchError(message, about="firmware")
         if firmware not in GENERATIONS:
             raise not_offered("firmware", firmware, GENERATIONS)
     if discovery_port is not None:
         require_within(SmartTouchError, "discovery_port", discovery_port, 1, 65_535)
         if not tcp:
             message = "discovery_port is for a board on the network: serve TCP"
-            raise SmartTouchError(
-                message,
-                about="discovery_port",
-                problem="conflict",
-                value=discovery_port,
-                remedy="tcp",
-            )
+            raise SmartTouchError(message, about="discovery_port", remedy="tcp")
     if books is not None and not books.is_dir():
         message = f"{books} is no folder: make it first"
-        raise SmartTouchError(message, about="books", problem="no folder", value=books)
+        raise SmartTouchError(message, about="books")
     kept, finger = DeliveryLog(electrodes, books), Finger(electrodes, event or ())
     device: Firmware
     if name == "kajimoto61":
@@ -216,7 +208,7 @@ def emulate_sensor(
     if name == "serial-array":
         if "nan" in kinds:
             message = "a pixel is always a number: event nan is for load cells"
-            raise SmartTouchError(message, about="event", problem="conflict", value="nan")
+            raise SmartTouchError(message, about="event")
         look = sensors.look_at_pattern(rows, columns)
         if url is not None:
             import cv2
@@ -287,7 +279,7 @@ def _serve(
         line = open_line()
     except OSError as error:
         message = f"cannot open a port: {error}"
-        raise SmartTouchError(message, about="port", problem="unavailable") from None
+        raise SmartTouchError(message, about="port") from None
     server = Server(device, line, **more)
     # Circuits and images are small: a second thread would only take the host's processor.
     with threadpool_limits(1), closing(line):

@@ -79,22 +79,16 @@ class Skin(Table):
                 "a layered medium takes its conductivities from skin.layers, any other one from "
                 "skin.conductivity_s_per_m: give just that",
                 about="skin.medium",
-                problem="conflict",
-                value=self.medium,
                 remedy="skin.layers" if layered else "skin.conductivity_s_per_m",
             )
         if layered and self.layers and not np.isinf(self.layers[-1].thickness_mm):
             yield UnfitError(
                 "the last of skin.layers goes on without end: leave out thickness_mm",
                 about="skin.layers",
-                problem="conflict",
-                value=self.layers[-1].thickness_mm,
             )
         if any(np.isinf(layer.thickness_mm) for layer in self.layers[:-1]):
             yield UnfitError(
-                "each of skin.layers but the last needs its thickness_mm",
-                about="skin.layers",
-                problem="missing",
+                "each of skin.layers but the last needs its thickness_mm", about="skin.layers"
             )
         for name in ("ra", "sai", "pc"):
             depth = getattr(self, f"{name}_depth_mm")
@@ -103,7 +97,4 @@ class Skin(Table):
                     f"spread.{name}_depth_mm reaches the surface from {name}_depth_mm {depth:g}: "
                     "no fiber lies outside the skin; lower it",
                     about=f"skin.spread.{name}_depth_mm",
-                    problem="too large",
-                    value=getattr(self.spread, f"{name}_depth_mm"),
-                    allowed=depth,
                 )

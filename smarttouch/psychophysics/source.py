@@ -165,8 +165,6 @@ class ExperimentSource(StimulusSource, Listener):
                     f"no trial could begin for {patience_s:g} s, and nobody is there to "
                     f"{self._finger}: give more intensity or force",
                     about="trial",
-                    problem="late",
-                    value=patience_s,
                     remedy="intensity or force",
                 )
             yield self._stimulus(faint, self._silent_us, level)
@@ -259,9 +257,6 @@ class ExperimentSource(StimulusSource, Listener):
                 f"current was lost {spoiled} times in one trial, and {most} may be: check the "
                 "board's line, and keep the finger on the electrodes",
                 about="trial",
-                problem="lost",
-                value=spoiled,
-                allowed=most,
             )
 
     def _ask(self, trial: Trial) -> Generator[Stimulus, None, Answer | None]:

@@ -17,7 +17,7 @@ def open_path(rest: str) -> "PathMotion":
     """Open ``path:CSV``."""
     if not rest:
         message = "path: names no file: give one, as in path:way.csv"
-        raise SourceError(message, about="file", problem="missing")
+        raise SourceError(message, about="file")
     return PathMotion(Path(rest))
 
 
