@@ -45,7 +45,7 @@ def test_impossible_widths(cells):
 def test_nobody_there(host):
     with pytest.raises(SourceError) as caught:
         BrlttyConnection(Address(host, free_port(), False), 20).open()
-    assert caught.value.problem == "unavailable"
+    assert caught.value.about == "address"
 
 
 def test_a_port_that_is_taken():
@@ -53,7 +53,7 @@ def test_a_port_that_is_taken():
         port = taken.getsockname()[1]
         with pytest.raises(SourceError) as caught:
             BrlttyConnection(Address("127.0.0.1", port, True), 20).open()
-        assert caught.value.problem == "unavailable"
+        assert caught.value.about == "address"
 
 
 @pytest.fixture

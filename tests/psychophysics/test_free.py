@@ -168,13 +168,7 @@ def test_rows_are_on_disk_at_once(line, tmp_path):
     )
     assert told == ["mode SAI"]
     log.close()
-    with raises(
-        ExperimentError,
-        about="file",
-        problem="exists",
-        value=tmp_path / "free.csv",
-        remedy="output",
-    ):
+    with raises(ExperimentError, about="file", value=tmp_path / "free.csv", remedy="output"):
         FreeLog(tmp_path / "free.csv")
 
 

@@ -200,7 +200,7 @@ def test_every_experiment_has_a_question_and_answers(profile):
         (
             "localization",
             ExperimentOptions(site=0),
-            {"about": "site", "problem": "impossible", "value": 0},
+            {"about": "site", "value": 0},
         ),
         (
             "discomfort",

@@ -72,7 +72,7 @@ class SwitchedSearch:
             raise masked_point(int(masked[0]))
         if not len(self.sites):
             message = "a slot without an active site has no states: leave it out"
-            raise DesignError(message, about="slot", problem="empty")
+            raise DesignError(message, about="slot")
         self._judge, self._level, self._bounds = judge, level, bounds
         limit = profile.limits.total_ma if total_ma is None else total_ma
         self._total_ma = np.inf if limit is None else limit

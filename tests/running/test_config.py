@@ -27,7 +27,7 @@ def test_a_recorded_scan_is_used_where_the_board_can(profile):
 
 
 def test_holding_goes_point_by_point(profile):
-    with raises(SmartTouchError, about="scan", problem="conflict", remedy="scan points"):
+    with raises(SmartTouchError, about="scan", remedy="scan points"):
         RunConfig(scan="frame", hold="energy").sharing(profile)
 
 

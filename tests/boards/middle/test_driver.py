@@ -159,12 +159,12 @@ def test_an_emergency_switch_ends_the_run_and_keeps_the_board_shut(world, board)
     slots = world.books.slots
     world.wait(protocol.ALIVE_MS + 2)
     for _ in range(2):
-        with raises(EmergencyStopError, about="board", problem="emergency"):
+        with raises(EmergencyStopError, about="board"):
             board._send(sequence(), 1)
-    with raises(EmergencyStopError, about="board", problem="emergency"):
+    with raises(EmergencyStopError, about="board"):
         world.make_board()._open()
     world.firmware.switch_open = False
     world.wait(50)
-    with raises(EmergencyStopError, about="board", problem="emergency"):
+    with raises(EmergencyStopError, about="board"):
         board._send(sequence(), 1)
     assert world.books.slots == slots

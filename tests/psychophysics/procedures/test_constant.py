@@ -88,11 +88,11 @@ def test_too_high_comparisons_are_not_there():
 
 
 def test_errors():
-    with raises(ExperimentError, about="conditions", problem="too few", value=0):
+    with raises(ExperimentError, about="conditions", value=0):
         ConstantStimuli([])
     procedure = ConstantStimuli([(1.0, 2.0)], 1)
     procedure.answer(True)
-    with raises(ExperimentError, about="trial", problem="gone"):
+    with raises(ExperimentError, about="trial"):
         procedure.next()
 
 
