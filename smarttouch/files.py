@@ -49,8 +49,7 @@ def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> N
 def require_replaceable(path: Path, error: type[SmartTouchError]) -> None:
     """Raise if a new file would replace anything but a file, such as a device."""
     if path.exists() and not path.is_file():
-        message = f"cannot write {path}: it is no file; give another name"
-        raise _wrong(error, message)
+        raise _wrong(error, f"cannot write {path}: it is no file; give another name")
 
 
 def open_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> BinaryIO:
@@ -108,8 +107,7 @@ def read_toml(path: Path, error: type[SmartTouchError]) -> dict[str, Any]:
     try:
         return parse_toml(text)
     except ValueError as failure:
-        message = f"{path} is not a readable TOML file: {failure}"
-        raise _wrong(error, message) from None
+        raise _wrong(error, f"{path} is not a readable TOML file: {failure}") from None
 
 
 def parse_toml(text: str) -> dict[str, Any]:
@@ -196,8 +194,7 @@ def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTou
             fcntl.fcntl(file, fcntl.F_SETFL, fcntl.fcntl(file, fcntl.F_GETFL) & ~os.O_NONBLOCK)
             file.write(data)
     except ValueError:
-        message = f"cannot write {path}: no file has such a name"
-        raise _wrong(error, message) from None
+        raise _wrong(error, f"cannot write {path}: no file has such a name") from None
     except OSError as failure:
         raise unwritable(error, path, failure) from None
 
@@ -257,8 +254,7 @@ def _check(
         raise _wrong(error, f"{path} is a folder: give a file")
     for is_kind, name in _KINDS:
         if is_kind(found.st_mode):
-            message = f"{path} is a {name}: give a file"
-            raise _wrong(error, message)
+            raise _wrong(error, f"{path} is a {name}: give a file")
     if found.st_size > most_bytes:
         raise _too_large(error, path, found.st_size, most_bytes)
 

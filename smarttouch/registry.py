@@ -219,5 +219,4 @@ def _load(
 def refuse_rest(url: str, rest: str, error: type[SmartTouchError]) -> None:
     """Raise an error if something comes after the colon of a URL that takes nothing there."""
     if rest:
-        message = f"{url} takes nothing after the colon, not {rest!r}"
-        raise error(message, about="board")
+        raise error(f"{url} takes nothing after the colon, not {rest!r}", about="board")

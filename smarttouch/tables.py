@@ -60,8 +60,7 @@ class CsvTable:
         cells = self.rows[row]
         # A decimal comma shows as one cell too many, and moves all others.
         if any(map(str.strip, cells[len(self.head) :])):
-            words = f"{len(cells)} cells, where the heading has {len(self.head)}"
-            raise self.wrong(row, words)
+            raise self.wrong(row, f"{len(cells)} cells, where the heading has {len(self.head)}")
         cells = cells + [""] * (len(self.head) - len(cells))
         numbers = [finite(cells[place]) for place in places]
         for place, number in zip(places, numbers, strict=True):

@@ -5,6 +5,7 @@ import numbers
 import re
 from collections.abc import Iterable
 from contextlib import contextmanager
+from enum import Enum
 
 import pytest
 
@@ -28,8 +29,8 @@ def assert_says(error, value=None, allowed=None, **attributes):
     """Check that an error's attributes have these values, and that its message is one line.
 
     ``value`` and ``allowed`` are attributes of a SafetyError; of others the message shows them.
-    A value that can be called judges an attribute instead, and a `pytest.approx` compares as it
-    does.
+    What can be called judges an attribute, or one of the numbers shown, and a `pytest.approx`
+    compares as it does.
     """
     message = str(error)
     assert message
@@ -52,15 +53,17 @@ def assert_says(error, value=None, allowed=None, **attributes):
 def _shows(message, expected):
     """Whether a message shows a name or number, or all of several; a share as a percentage, too."""
     expected = getattr(expected, "expected", expected)
-    if callable(expected) or isinstance(expected, bool):
-        return True
+    found = [float(each.replace(",", "")) for each in re.findall(_NUMBER, message)]
+    if callable(expected):
+        return any(map(expected, found))
+    if isinstance(expected, Enum):
+        return expected.name in message
     if isinstance(expected, str) or not isinstance(expected, Iterable | numbers.Real):
         return str(expected).strip() in message
     if isinstance(expected, Iterable):
         return all(_shows(message, each) for each in expected)
     if not math.isfinite(expected):
         return str(float(expected)) in message
-    found = [float(each.replace(",", "")) for each in re.findall(_NUMBER, message)]
     scales = (
         (1, 100) if "%" in message else (1, 1e-6) if "mega" in message or "MB" in message else (1,)
     )

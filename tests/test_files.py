@@ -90,12 +90,12 @@ def test_sizes(tmp_path):
         assert "1,099,511.6 MB" in str(error.value)
     (tmp_path / "a").write_bytes(b"abc")
     assert read_bytes(tmp_path / "a", PageError, 3) == b"abc"
-    with raises(PageError, value=3, allowed=2):
+    with raises(PageError, about="file"):
         read_bytes(tmp_path / "a", PageError, 2)
     maps = Path("/proc/self/maps")
     if maps.exists():
         # A file that says it is empty, and is not.
-        with raises(PageError, value=3, allowed=2):
+        with raises(PageError, about="file"):
             read_bytes(maps, PageError, 2)
 
 

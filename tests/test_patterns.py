@@ -80,9 +80,8 @@ def test_a_folder_of_pictures(keep):
 
 def test_what_cannot_be_written_is_named(profile, tmp_path):
     path = tmp_path / "a.bmp"
-    with raises(SmartTouchError, about="file", value=path) as error:
+    with raises(SmartTouchError, about="file", value=(path, ".gif", ".json")):
         PatternFile(path, profile)
-    assert all(suffix in str(error.value) for suffix in error.value.allowed)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "x").touch()
     with raises(SmartTouchError, about="file", value=tmp_path / "full"):

@@ -159,10 +159,9 @@ def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
 
 
 def _require_weights(grams: NDArray[np.float64], law: ForceLaw) -> None:
-    if not (np.isfinite(grams).all() and (grams >= 0).all()):
-        raise CalibrationError(
-            "a weight must be a number of grams, 0 or more: give it again", about="weights"
-        )
+    if len(wrong := grams[~(np.isfinite(grams) & (grams >= 0))]):
+        message = f"{wrong[0]:g} g is no weight: give a number of grams, 0 or more"
+        raise CalibrationError(message, about="weights")
     distinct = len(np.unique(grams))
     if distinct < 3:
         raise CalibrationError(

@@ -79,8 +79,8 @@ class Progress(Closing):
             before = settings.get(key) if isinstance(settings, dict) else None
             if before != value:
                 raise CalibrationError(
-                    f"{self.path} was begun with another {key}: go on with the same, or remove it "
-                    "to start over",
+                    f"{self.path} was begun with {key} {before}, not {value}: go on with the same, "
+                    "or remove it to start over",
                     about=key,
                 )
         return found

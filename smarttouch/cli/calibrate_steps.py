@@ -48,8 +48,7 @@ class CalibrationOptions(OptionGroup):
         from smarttouch.profile import DEFAULT_PROFILE
 
         if self.output is None:
-            message = "give a file FILE.toml for what is measured"
-            raise CalibrationError(message, about="output")
+            raise CalibrationError("give a file FILE.toml for what is measured", about="output")
         usual = DEFAULT_PROFILE if board_url is None else default_profile(board_url)
         return file_to_calibrate(
             part, self.profile, usual, self.output, self.overwrite, simulated=simulated

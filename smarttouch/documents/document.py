@@ -167,8 +167,7 @@ class PdfDocument(Document):
         try:
             sheet = self._pdf[index]
         except pypdfium2.PdfiumError:
-            message = f"{name} cannot be read: the file is damaged"
-            raise PageError(message, about="page") from None
+            raise PageError(f"{name} cannot be read: the file is damaged", about="page") from None
         with contextlib.closing(sheet):
             return self._render(sheet, name)
 

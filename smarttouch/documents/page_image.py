@@ -65,8 +65,7 @@ def check_scale_options(
 ) -> None:
     """Raise a PageError if the user's scale is invalid; ``width`` names the second."""
     if dpi is not None and width_mm is not None:
-        message = f"dpi and {width} are both given: give one of them"
-        raise PageError(message, about="dpi")
+        raise PageError(f"dpi and {width} are both given: give one of them", about="dpi")
     for name, value in (("dpi", dpi), (width, width_mm)):
         if value is not None and not 0 < value < float("inf"):
             raise PageError(f"{name} {value:g} must be above 0", about=name)
@@ -86,11 +85,9 @@ def open_image(path: Path, kind: str = IMAGE) -> Iterator[Image.Image]:
         message = f"{path} is above {MOST_PIXELS // 10**6} megapixels: make it smaller first"
         raise PageError(message, about="pixels") from None
     except UnidentifiedImageError:
-        message = f"{path} is not {kind}"
-        raise PageError(message, about="file") from None
+        raise PageError(f"{path} is not {kind}", about="file") from None
     except _DAMAGES as error:
-        message = f"{path} cannot be read: {error}"
-        raise PageError(message, about="file") from None
+        raise PageError(f"{path} cannot be read: {error}", about="file") from None
 
 
 def read_grey(

@@ -107,8 +107,7 @@ def emulate_board(
             message = "discovery_port is for a board on the network: serve TCP"
             raise SmartTouchError(message, about="discovery_port", remedy="tcp")
     if books is not None and not books.is_dir():
-        message = f"{books} is no folder: make it first"
-        raise SmartTouchError(message, about="books")
+        raise SmartTouchError(f"{books} is no folder: make it first", about="books")
     kept, finger = DeliveryLog(electrodes, books), Finger(electrodes, event or ())
     device: Firmware
     if name == "kajimoto61":
@@ -278,8 +277,7 @@ def _serve(
     try:
         line = open_line()
     except OSError as error:
-        message = f"cannot open a port: {error}"
-        raise SmartTouchError(message, about="port") from None
+        raise SmartTouchError(f"cannot open a port: {error}", about="port") from None
     server = Server(device, line, **more)
     # Circuits and images are small: a second thread would only take the host's processor.
     with threadpool_limits(1), closing(line):

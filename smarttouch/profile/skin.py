@@ -91,10 +91,10 @@ class Skin(Table):
                 "each of skin.layers but the last needs its thickness_mm", about="skin.layers"
             )
         for name in ("ra", "sai", "pc"):
-            depth = getattr(self, f"{name}_depth_mm")
-            if depth - getattr(self.spread, f"{name}_depth_mm") <= 0:
+            depth, spread = (getattr(each, f"{name}_depth_mm") for each in (self, self.spread))
+            if depth - spread <= 0:
                 yield UnfitError(
-                    f"spread.{name}_depth_mm reaches the surface from {name}_depth_mm {depth:g}: "
-                    "no fiber lies outside the skin; lower it",
+                    f"spread.{name}_depth_mm {spread:g} reaches the surface from {name}_depth_mm "
+                    f"{depth:g}: no fiber lies outside the skin; lower it",
                     about=f"skin.spread.{name}_depth_mm",
                 )

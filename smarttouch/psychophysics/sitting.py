@@ -107,8 +107,7 @@ def usual_name(
                 about=parameter,
             )
     if seed is not None and seed < 0:
-        message = f"the seed {seed} must be 0 or more"
-        raise SmartTouchError(message, about="seed")
+        raise SmartTouchError(f"the seed {seed} must be 0 or more", about="seed")
     named = "-".join(each for each in (participant, session, experiment) if each)
     usual = zlib.crc32(f"{participant}/{session}".encode()) % 10_000
     return named, usual if seed is None else seed

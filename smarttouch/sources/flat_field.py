@@ -43,8 +43,7 @@ class FlatField:
                 "again"
             )
         if not gain.any():
-            message = "every pixel is dead in the flat field: calibrate the optics again"
-            raise _no_field(message)
+            raise _no_field("every pixel is dead in the flat field: calibrate the optics again")
         self.dark = np.ascontiguousarray(dark, np.float32)
         self.gain = np.ascontiguousarray(gain, np.float32)
 

@@ -106,20 +106,17 @@ def _wrong(message: str, remedy: str = "") -> SourceError:
 def _open(path: str) -> "InputDevice[str]":
     evdev = _evdev()
     if not Path(path).exists():
-        message = f"no device {path}: see {_FOLDER}/by-id for what there is"
-        raise _wrong(message)
+        raise _wrong(f"no device {path}: see {_FOLDER}/by-id for what there is")
     try:
         device: InputDevice[str] = evdev.InputDevice(path, readonly=True)
     except PermissionError:
         raise _wrong(f"{path} may not be read by you: {_GROUP}") from None
     except OSError as error:
-        message = f"{path} is no input device: {error.strerror or error}"
-        raise _wrong(message) from None
+        raise _wrong(f"{path} is no input device: {error.strerror or error}") from None
     if not _is_mouse(device):
         name = device.name
         device.close()
-        message = f"{path}, {name}, reports no motion along two axes: choose a mouse"
-        raise _wrong(message)
+        raise _wrong(f"{path}, {name}, reports no motion along two axes: choose a mouse")
     return device
 
 
@@ -131,8 +128,7 @@ def _first_mouse() -> "InputDevice[str]":
             if _is_mouse(device):
                 return device
             device.close()
-    message = f"no mouse among what you may read in {_FOLDER}: plug one in, or {_GROUP}"
-    raise _wrong(message)
+    raise _wrong(f"no mouse among what you may read in {_FOLDER}: plug one in, or {_GROUP}")
 
 
 def _natural(path: str) -> tuple[int, str]:

@@ -82,8 +82,7 @@ class MouseSource(StimulusSource):
             message = f"mode {mode} is more than one class: choose RA, SAI or PC"
             raise SourceError(message, about="mode")
         if not 0 < scale < math.inf:
-            message = f"a scale of {scale:g} must be above 0"
-            raise SourceError(message, about="scale")
+            raise SourceError(f"a scale of {scale:g} must be above 0", about="scale")
         self.fastest_hz = _possible_hz(rate_hz, fastest_hz, profile.limits.rate_hz)
         self.duration_s = motion.duration_s
         self.knows_force = motion.knows_force or press_n is not None

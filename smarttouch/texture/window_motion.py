@@ -29,8 +29,7 @@ _START_S = 10.0
 def open_window(rest: str, *, texture: Texture | None = None) -> "WindowMotion":
     """Open ``window:`` over a texture, or over an empty pad."""
     if rest:
-        message = f"window: takes nothing after the colon, not {rest!r}"
-        raise SourceError(message, about="motion")
+        raise SourceError(f"window: takes nothing after the colon, not {rest!r}", about="motion")
     return WindowMotion(texture)
 
 

@@ -40,8 +40,7 @@ def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) ->
 def chosen(profile: Profile, sites: Collection[int]) -> NDArray[np.intp]:
     """Return the sites that were named, each once, (S,), ascending."""
     if len(sites) == 0:
-        message = "no site is to pulse: choose at least one"
-        raise ScheduleError(message, about="site")
+        raise ScheduleError("no site is to pulse: choose at least one", about="site")
     count, masked = len(profile.electrodes), profile.output.masked
     for each in sites:
         if not 0 <= each < count or each in masked:

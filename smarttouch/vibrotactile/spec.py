@@ -85,8 +85,7 @@ def _parse(text: str, seconds: float) -> _Part:
     kind, _, rest = said.partition(":")
     matched = _GRAMMAR[kind].fullmatch(rest) if kind in _GRAMMAR else None
     if matched is None:
-        message = f"{text.strip()!r} is no part of a trace: {_EXAMPLE}"
-        raise SmartTouchError(message, about="trace")
+        raise SmartTouchError(f"{text.strip()!r} is no part of a trace: {_EXAMPLE}", about="trace")
     if not start_s < end_s <= seconds:
         raise SmartTouchError(
             f"{text.strip()!r} lasts from {start_s:g} to {end_s:g} s, the trace {seconds:g} s: "

@@ -169,7 +169,7 @@ OTHER = {
 @pytest.mark.parametrize("name", OTHER)
 def test_what_is_no_braille_is_one_sentence(name):
     page = Page(OTHER[name](), 0.1)
-    with raises(PageError, about="page", allowed=LEAST_CERTAINTY):
+    with raises(PageError, about="page"):
         read_braille(page)
     assert not looks_like_braille(page)
 

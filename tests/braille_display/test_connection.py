@@ -8,6 +8,8 @@ from smarttouch.braille_display.connection import USUAL_PORT, Address, BrlttyCon
 from smarttouch.errors import SourceError
 from tests.braille_display.real import free_port, wait_until
 
+from ..raising import raises
+
 HANGS_S = 60
 
 
@@ -28,10 +30,8 @@ def test_addresses(text, host, port, listens):
 
 @pytest.mark.parametrize("text", ["listen:0", "listen:70000", "desk:x", "desk:-1"])
 def test_what_is_no_address(text):
-    with pytest.raises(SourceError) as caught:
+    with raises(SourceError, about="address", value=text):
         Address.parse(text)
-    assert caught.value.about == "address"
-    assert caught.value.value == text
 
 
 @pytest.mark.parametrize("cells", [0, 256])

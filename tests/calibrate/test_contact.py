@@ -74,7 +74,7 @@ LIFTED = {"about": "finger"}
         ),
         (
             [measured([30] * 6, ["unsure"] * 6)],
-            {"about": "contact", "value": 0, "allowed": 1},
+            {"about": "contact", "value": 0},
         ),
         (
             [measured([10 * 4**i] * 6, GOOD) for i in range(3)],

@@ -125,8 +125,8 @@ def nonsense():
     yield "one step", (0, 20, 50, 100), {**line, 50: 2.1e4}.get, bent
     yield "two weights", (0, 0, 100), line.get, wrong("weights", 2)
     yield "too light", (0, 5, 10), lambda g: 1e3 * g, wrong("weights", 10)
-    yield "negative", (-5, 50, 100), lambda g: 1e3 * g, wrong("weights", (-5, 50, 100))
-    yield "no number", (np.nan, 50, 100), lambda g: 1.0, wrong("weights", tuple)
+    yield "negative", (-5, 50, 100), lambda g: 1e3 * g, wrong("weights", -5)
+    yield "no number", (np.nan, 50, 100), lambda g: 1.0, wrong("weights", np.nan)
 
 
 @pytest.mark.parametrize(("name", "grams", "reading", "attributes"), list(nonsense()))
@@ -144,7 +144,6 @@ def test_a_weight_that_was_not_at_rest(profile):
         CalibrationError,
         about="drift",
         value=pytest.approx(0.1, abs=0.001),
-        allowed=pytest.approx(0.03 * 0.9),
     ) as caught:
         fit_curve(found, profile.force)
     assert "50 g" in str(caught.value)

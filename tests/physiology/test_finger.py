@@ -190,6 +190,5 @@ def test_electrodes_beyond_the_contact_deliver_nothing(small):
 
 
 def test_a_seed_is_no_negative_number(profile):
-    with pytest.raises(ProfileError) as caught:
+    with raises(ProfileError, about="seed", value=-1):
         Finger(profile, -1)
-    assert (caught.value.about, caught.value.value) == ("seed", -1)

@@ -23,7 +23,7 @@ def wrong(about, value=None, allowed=None, remedy=""):
     ("old", "new", "attributes"),
     [
         ("pitch_x_mm", "pitch_z_mm", wrong("array.pitch_x_mm")),
-        ("[skin]", "surprise = 1\n[skin]", wrong("array.surprise", 1)),
+        ("[skin]", "surprise = 1\n[skin]", wrong("array.surprise")),
         ("rows = 8", "rows = -1", wrong("array.rows", -1, 1)),
         ("rows = 8", "", wrong("array.rows")),
         ('layout = "grid"', 'layout = "ring"',
@@ -65,7 +65,7 @@ def wrong(about, value=None, allowed=None, remedy=""):
         ("[optics]", "masked = [3, -1]\n[optics]", wrong("output.masked", -1, 0)),
         ("[optics]", "masked = [3, 5, 3]\n[optics]", wrong("output.masked", 3)),
         ("[optics]", f"masked = {list(range(63))}\n[optics]",
-         wrong("output.masked", 63, 62)),
+         wrong("output.masked", 1, 64)),
         ("[optics]", "wiring = [0, 1]\n[optics]", wrong("output.wiring", 2, 64)),
         ("[optics]", "wiring = [7, 7]\n[optics]", wrong("output.wiring", 7)),
         ("[optics]", "ua_per_count = 0\n[optics]", wrong("output.ua_per_count", 0, 0)),
@@ -108,8 +108,8 @@ def test_electrodes_anywhere(edited):
 @pytest.mark.parametrize(
     ("positions", "shape", "size", "attributes"),
     [
-        ("[]", "disc", "[1, 0]", wrong("electrodes", 0, 2)),
-        ("[[0, 0]]", "disc", "[1, 0]", wrong("electrodes", 1, 2)),
+        ("[]", "disc", "[1, 0]", wrong("electrodes", "no electrodes", "two")),
+        ("[[0, 0]]", "disc", "[1, 0]", wrong("electrodes", 1, "two")),
         ("[[0, 0], [2, 0], [0, 0]]", "disc", "[1, 0]", wrong("electrodes", (0, 2))),
         (
             "[[0, 0], [2, 0]]",
@@ -140,9 +140,9 @@ def test_impossible_arrays(edited, positions, shape, size, attributes):
             [("rows = 8", "rows = -1"), ("current_ma = 5.0", "current_ma = 50.0"),
              ("full_n = 0.9", "full_n = 0.1"), ("[skin]", "surprise = 1\n[skin]"),
              ("rate_hz = 50.0", "")],
-            [("array.rows", -1, 1), ("array.surprise", 1),
+            [("array.rows", -1, 1), ("array.surprise",),
              ("force.full_n", 0.1, 0.15), ("pulse.rate_hz",),
-             ("limits.current_ma", 50.0, 5.0)],
+             ("limits.current_ma", 50.0, 5)],
         ),
         (
             [("[optics]", "masked = [64]\nwiring = [1, 2]\n[optics]"),
@@ -156,8 +156,8 @@ def test_impossible_arrays(edited, positions, shape, size, attributes):
         ),
         (
             [("comfort_ratio = 2.0", "comfort_ratio = 5.0"), ("pulse_us = 200", "pulse_us = 100")],
-            [("limits.current_ma", pytest.approx(6), 5),
-             ("limits.charge_uc", pytest.approx(1.2), 0.5),
+            [("limits.current_ma", "6.00", 5),
+             ("limits.charge_uc", "1.2", 0.5),
              ("pulse.width_us", 200, 100)],
         ),
         (

@@ -185,12 +185,12 @@ def test_every_experiment_has_a_question_and_answers(profile):
         (
             "frequency",
             ExperimentOptions(site=64),
-            {"about": "site", "value": 64, "allowed": tuple(range(64))},
+            {"about": "site", "value": 64},
         ),
         (
             "frequency",
             ExperimentOptions(standards=(300.0,)),
-            {"about": "standards", "value": (300,), "allowed": 200},
+            {"about": "standards", "allowed": 200},
         ),
         (
             "frequency",

@@ -190,7 +190,7 @@ def test_words_and_cells_are_told_apart(tmp_path, reading):
     for name in ("a.brf", "a.txt"):
         lines = list(Braille().lines(Source(str(tmp_path / name)), reading))
         assert [line.cells for line in lines] == [("⠁⠃",)]
-    with raises(ReadingError, about="kind", allowed=("braille",)):
+    with raises(ReadingError, about="kind", allowed="Braille"):
         list(Shapes().lines(Source(str(tmp_path / "a.brf")), reading))
 
 

@@ -141,7 +141,6 @@ class _Joint:
                         f"the solver gave up ({self._solver.modelStatusToString(status)}): "
                         "check the depths and sizes of the profile",
                         about="solver",
-                        value=self._solver.modelStatusToString(status),
                     )
                 self._solver.clearSolver()
                 cold = True
@@ -162,7 +161,7 @@ class _Joint:
             self._solver.clearSolver()
             cold = True
         message = f"no optimum after {rounds} rounds: loosen the bounds a little"
-        raise DesignError(message, about="solver", value=rounds, allowed=_ROUNDS)
+        raise DesignError(message, about="solver")
 
     def _give_broken(self, current: Array, worst: float) -> int:
         added = 0

@@ -66,7 +66,7 @@ class SwitchedSearch:
         profile, self.sites = judge.profile, np.flatnonzero(level)
         if profile.output.kind == "weighted":
             message = "the board has a source for every electrode: use FrameOperator"
-            raise DesignError(message, about="output.kind", value=profile.output.kind)
+            raise DesignError(message, about="output.kind")
         masked = np.setdiff1d(self.sites, profile.driven)
         if len(masked):
             raise masked_point(int(masked[0]))

@@ -297,7 +297,7 @@ def test_after_a_loss_nothing_but_zero_is_let_through(monkeypatch, profile, pipe
 
 def test_a_board_that_stays_lost_ends_the_run(monkeypatch, pipeline, board):
     def broken(*_):
-        raise LineLostError("the board at x has vanished", about="board", value="x")
+        raise LineLostError("the board at x has vanished", about="board")
 
     monkeypatch.setattr(board, "_send", broken)
     with raises(LineLostError, about="board", value="x"), board:

@@ -199,7 +199,7 @@ def test_what_cannot_be(profile, device, option, value):
 
 def test_an_option_of_other_sensors_is_not_taken(profile, device):
     allowed = ("size", "exposure", "fps")
-    with raises(SourceError, about="baud", value=9600, allowed=allowed):
+    with raises(SourceError, about="baud", allowed=allowed):
         open_source("camera:0", profile, baud=9600)
     assert device.opened == []
 
@@ -278,9 +278,8 @@ def test_the_driver_may_tell_when_an_image_was_taken(device, monkeypatch):
 )
 def test_a_missing_camera_is_one_sentence_and_nothing_else(profile, capfd, place):
     """The real OpenCV."""
-    with raises(SourceError, about="camera") as caught:
+    with raises(SourceError, about="camera", value=place.removeprefix("camera:")):
         open_source(place, profile)
-    assert f"camera:{caught.value.value}" == place
     captured = capfd.readouterr()
     assert captured.out == captured.err == ""
 

@@ -238,7 +238,7 @@ def test_no_image_at_first(profile, monkeypatch):
     ("error", "attributes"),
     [
         (
-            SourceError("of its own", about="image", value=7),
+            SourceError("of its own", about="image"),
             {"about": "image", "value": 7, "__cause__": None},
         ),
         (

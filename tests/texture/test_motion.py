@@ -93,7 +93,7 @@ def test_a_sensor_tells_the_motion():
         ("sweep:x", {}, "rounds", "x"),
         ("sweep:99999", {}, "rounds", "99999"),
         ("sweep:", {"speed_mm_s": 0.0}, "speed_mm_s", 0.0),
-        ("sweep:", {"cpi": 400}, "cpi", 400),
+        ("sweep:", {"cpi": 400}, "cpi", "sweep:"),
         ("path:", {}, "file", None),
         ("path:none.csv", {}, "file", Path("none.csv")),
         ("camera:x", {}, "camera", "x"),

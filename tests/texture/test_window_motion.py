@@ -134,5 +134,5 @@ def test_without_tk_it_says_so(monkeypatch):
 
 
 def test_it_takes_nothing_after_the_colon():
-    with raises(SourceError, about="motion", value="window:x"):
+    with raises(SourceError, about="motion", value=("window:", "x")):
         open_motion("window:x")

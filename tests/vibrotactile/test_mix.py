@@ -112,7 +112,7 @@ def test_a_board_without_pc_leaves_it_out_or_refuses():
 def test_a_board_with_one_rate_takes_one_class(profile, bank):
     timing = ScanTiming(whole_hz=True)
     assert mix_colors(open_trace("tone:30Hz,9um"), profile, bank, timing=timing).mode is Mode.RA
-    both = {"value": (Afferent.RA, Afferent.SAI), "allowed": 1}
+    both = {"value": (Afferent.RA, Afferent.SAI)}
     with raises(ScheduleError, about="classes", **both):
         mix_colors(open_trace("tone:30Hz,9um+press:1N"), profile, bank, timing=timing)
 

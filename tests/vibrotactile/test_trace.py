@@ -67,7 +67,7 @@ def test_a_trace_has_as_many_forces_as_displacements():
 def test_how_long_a_trace_may_be():
     with raises(SmartTouchError, about="duration_s", value=601, allowed=600):
         Trace(np.zeros(601), np.zeros(601), sample_hz=1.0)
-    with raises(SmartTouchError, about="samples", value=1, allowed=2):
+    with raises(SmartTouchError, about="samples", value=1):
         Trace(np.zeros(1), np.zeros(1))
 
 
@@ -174,7 +174,7 @@ def test_a_sweep_passes_its_middle_at_half_time():
         ("tone:-30Hz,8um", "trace", "tone:-30Hz,8um"),
         ("tone:0Hz,8um", "frequency", (0,)),
         ("tone:2000Hz,8um", "frequency", (2000,)),
-        ("sweep:100-50Hz,8um", "frequency", (100, 50)),
+        ("sweep:100-50Hz,8um", "frequency", "100-50Hz"),
         ("press:1N@2-1", "trace", (2, 1)),
         ("press:1N@0-9", "trace", (0, 9)),
         ("noise:50.1-50.2Hz,1um", "trace", (50.1, 50.2)),

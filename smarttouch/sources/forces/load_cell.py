@@ -219,12 +219,10 @@ def _parse(url: str) -> tuple[str, str, int]:
     kind, _, rest = url.partition(":")
     if kind not in _KINDS:
         kinds = " or ".join(f"{each}:PORT" for each in _KINDS)
-        message = f"{url!r} is not a load cell: give {kinds}"
-        raise SourceError(message, about="force")
+        raise SourceError(f"{url!r} is not a load cell: give {kinds}", about="force")
     name, option, speed = rest.partition("?baud=")
     if not name:
-        message = f"{url!r} has no port: give one, as in {kind}:/dev/ttyUSB0"
-        raise SourceError(message, about="port")
+        raise SourceError(f"{url!r} has no port: give one, as in {kind}:/dev/ttyUSB0", about="port")
     if not option:
         return kind, name, _KINDS[kind][0]
     if not (speed.isdecimal() and 0 < int(speed) < 10**8):

@@ -93,9 +93,7 @@ def test_what_cannot_be_judged_is_said(profile):
         judge.judge(np.zeros(16), np.zeros(16))
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "most"), [("other", 0.0, np.inf), ("spill", -1.0, np.inf), ("uneven", 1.0, 1)]
-)
-def test_bounds_that_are_none_are_refused(name, value, most):
-    with raises(DesignError, about=name, value=value, allowed=(0, most)):
+@pytest.mark.parametrize(("name", "value"), [("other", 0.0), ("spill", -1.0), ("uneven", 1.0)])
+def test_bounds_that_are_none_are_refused(name, value):
+    with raises(DesignError, about=name, value=value, allowed=(0, 1)):
         FrameBounds(**{name: value})

@@ -166,7 +166,7 @@ def test_interleaved_of_one_and_of_known_length():
     assert one.total == 3
     answer_all(one, lambda _: 1.0)
     assert one.estimate() == one.estimates()[0]
-    with raises(ExperimentError, about="standards", value=0):
+    with raises(ExperimentError, about="standards"):
         Interleaved([])
 
 

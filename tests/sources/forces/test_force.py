@@ -87,7 +87,7 @@ def test_the_columns_a_record_needs(recorded):
 
 
 def test_a_force_that_is_no_finger_s_is_said_with_its_line(recorded):
-    with raises(SourceError, about="force_n", allowed=100) as caught:
+    with raises(SourceError, about="force_n", value=150) as caught:
         recorded(HEADER + "0,1\n1,150\n")
     assert "line 3" in str(caught.value)
 
