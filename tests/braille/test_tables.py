@@ -87,12 +87,7 @@ def test_a_word_that_is_unknown_leaves_the_others_as_they_are():
 
 @pytest.mark.parametrize("name", ["", "xx", "xx-YY", "nonsense.ctb", "../../etc/passwd", "en-1 "])
 def test_unknown_names(name):
-    with raises(
-        BrailleError,
-        about="table",
-        value=name,
-        allowed=lambda names: {"en-1", "en-2", "ja"} < set(names),
-    ):
+    with raises(BrailleError, about="table", value=name, allowed=("en-1", "en-2", "ja")):
         open_table(name)
 
 

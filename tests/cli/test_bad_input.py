@@ -94,11 +94,11 @@ def no_place(name):
         ("live --mode XY", no_choice("mode", "XY", "RA", "SAI", "PC", "natural")),
         (
             "live --board vibrators:x.wav",
-            says(about="board", value="vibrators:x.wav", remedy="vibrators"),
+            says(about="board", remedy="vibrators"),
         ),
         (
             "live --scan frame --hold charge",
-            says(about="scan", value="frame", remedy="scan points"),
+            says(about="scan", remedy="scan points"),
         ),
         ("live --scan all", no_choice("scan", "all", "auto", "points", "frame")),
         ("live --scan frame --profile kajimoto-61", says(ScheduleError, "one-against-all")),

@@ -291,7 +291,7 @@ def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
             wrong("0.01", "5 mm", about="dot_pitch_mm", value=0),
         ),
         (["force"], wrong("hx711:PORT", about="cell", remedy="simulate")),
-        (["force", "--simulate", "--seconds", "nan"], wrong(about="seconds", value=math.isnan)),
+        (["force", "--simulate", "--seconds", "nan"], wrong(about="seconds", value=math.nan)),
         (["force", "--simulate", "--weights", "0,a"], wrong(about="weights", value="0,a")),
         (["force", "--simulate", "--weights", "0,nan"], wrong(about="weights", value="0,nan")),
         (["force", "--simulate", "--weights", "0,1,2"], wrong(" 2 g ", " 92 g")),

@@ -119,7 +119,7 @@ def test_nobody_knows_the_force(program_here, tmp_path):
             says(about="mode", value="color", allowed=("RA", "SAI", "PC", "natural")),
         ),
         (("--intensity", "1.2"), says(about="intensity", value=1.2, allowed=(0, 1))),
-        (("--softness", "nan"), says(about="softness", value=math.isnan, allowed=(0, 1))),
+        (("--softness", "nan"), says(about="softness", value=math.nan, allowed=(0, 1))),
         (("--source", "camera:0?size=640"), says(SourceError, "size", "640x480")),
         (("--source", "text:a?exposure=3"), says(SourceError, " exposure:", "speed_mm_s")),
         (

@@ -121,7 +121,7 @@ def test_files_of_cells_and_texts(program_here, tmp_path):
         slots.append(figures_of(tmp_path / "f.json")["slots"])
     assert slots[0] > 0
     done = program_here("read", "note.brf", "--frames", "f.gif")
-    says(ReadingError, "note.brf", about="kind", allowed=("braille",))(refused(done))
+    says(ReadingError, "note.brf", about="kind", allowed="Braille")(refused(done))
 
 
 @needs_tesseract

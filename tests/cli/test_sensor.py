@@ -68,7 +68,7 @@ def test_a_force_is_shown(run, tmp_path):
         ),
         (
             ["show", "text:x", "--seconds", "nan"],
-            says(about="seconds", value=math.isnan, allowed=(0, 3600)),
+            says(about="seconds", value=math.nan, allowed=(0, 3600)),
         ),
         (
             ["show", "text:x", "--save", "no/where.png"],

@@ -192,7 +192,7 @@ def test_what_is_no_camera(profile, device, rest):
     ],
 )
 def test_what_cannot_be(profile, device, option, value):
-    with raises(SourceError, about=option, value=lambda given: given is value):
+    with raises(SourceError, about=option, value=value):
         open_source("camera:0", profile, **{option: value})
     assert device.opened == []
 

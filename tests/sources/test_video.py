@@ -256,7 +256,7 @@ def test_slow_slides_are_not_stale(profile, folder):
 
 @pytest.mark.parametrize("fps", [0.0, -1.0, float("nan"), 1e6])
 def test_rates_that_cannot_be(profile, folder, fps):
-    with raises(SourceError, about="fps", value=lambda given: given is fps):
+    with raises(SourceError, about="fps", value=fps):
         open_source(f"frames:{folder}", profile, fps=fps)
 
 

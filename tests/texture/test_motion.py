@@ -105,7 +105,7 @@ def test_what_is_wrong_is_said(url, options, about, value):
 
 
 def test_what_a_motion_may_be():
-    known = {"sweep", "path", "evdev", "window", "camera"}.issubset
+    known = ("sweep", "path", "evdev", "window", "camera")
     with raises(SourceError, about="motion", allowed=known):
         open_motion("wheel:")
     with raises(SourceError, about="rounds", allowed=(1, 10_000)):

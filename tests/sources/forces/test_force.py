@@ -40,7 +40,7 @@ def test_what_is_no_fixed_force(profile, text):
 
 
 def test_unknown_kinds_of_force(profile):
-    known = {"fixed", "hx711", "loadcell", "recorded"}.issubset
+    known = ("fixed", "hx711", "loadcell", "recorded")
     with raises(SourceError, about="force", value="spring:1", allowed=known):
         open_force("spring:1", profile)
 
