@@ -67,7 +67,7 @@ class Recording:
         found = self.about.get("format")
         if found is None:
             message = f"{path} tells nothing of a run: it is no recording of SmartTouch"
-            raise self._wrong("file", message)
+            raise RecordingError(message, about="file")
         if found != FORMAT:
             raise RecordingError(
                 f"{path} is a recording of format {found!r}, this version reads {FORMAT}: use the "
@@ -92,7 +92,7 @@ class Recording:
             return int(self.about["started_unix_ns"])
         except (KeyError, ValueError):
             message = f"{self.path} does not say when its run began"
-            raise self._wrong("started_unix_ns", message) from None
+            raise RecordingError(message, about="started_unix_ns") from None
 
     @property
     def started(self) -> datetime:
@@ -118,7 +118,7 @@ class Recording:
         except (ValidationError, ProfileError) as error:
             first = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
             message = f"the profile in {self.path} is not one of this version's: {first}"
-            raise self._wrong("profile", message) from None
+            raise RecordingError(message, about="profile") from None
 
     @cached_property
     def settings(self) -> dict[str, Any]:
@@ -232,10 +232,10 @@ class Recording:
     def _look_through(self, file: BinaryIO) -> None:
         """Read everything but the messages."""
         if not file.seek(0, os.SEEK_END):
-            raise self._wrong("file", f"{self.path} is empty")
+            raise RecordingError(f"{self.path} is empty", about="file")
         file.seek(0)
         if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise self._wrong("file", f"{self.path} is no MCAP file")
+            raise RecordingError(f"{self.path} is no MCAP file", about="file")
         kinds: dict[int, Any] = {
             Opcode.METADATA: Metadata,
             Opcode.SCHEMA: Schema,
@@ -280,8 +280,5 @@ class Recording:
         except (KeyError, ValueError):
             table = None
         if not isinstance(table, dict):
-            raise self._wrong(key, f"the {key} in {self.path} cannot be read")
+            raise RecordingError(f"the {key} in {self.path} cannot be read", about=key)
         return table
-
-    def _wrong(self, about: str, message: str) -> RecordingError:
-        return RecordingError(message, about=about)

@@ -82,7 +82,7 @@ class VideoFile(Clip):
         if not self._capture.isOpened() or text:
             self.close()
             message = f"{self.path} is not a readable video: give an MP4, AVI, MKV or MOV"
-            raise _wrong("file", message)
+            raise SourceError(message, about="file")
         rate_hz = self._capture.get(cv2.CAP_PROP_FPS)
         if 0 < rate_hz <= FASTEST_HZ:
             self.rate_hz = rate_hz
@@ -95,8 +95,7 @@ class VideoFile(Clip):
         self._first = self.next()
         if self._first is None or min(self._first.shape) < _FEWEST_PIXELS:
             self.close()
-            message = f"{self.path} has no readable frame: record it again"
-            raise _wrong("file", message)
+            raise SourceError(f"{self.path} has no readable frame: record it again", about="file")
 
     def next(self) -> NDArray[np.uint8] | None:
         if self._first is not None:
@@ -202,18 +201,14 @@ def _images(folder: Path) -> list[Path]:
             if file.suffix.lower() in SUFFIXES and not file.name.startswith(".")
         ]
     except FileNotFoundError:
-        raise _wrong("folder", f"no folder {folder}: check its name") from None
+        raise SourceError(f"no folder {folder}: check its name", about="folder") from None
     except OSError as error:
         message = f"cannot read the folder {folder}: {error.strerror}"
-        raise _wrong("folder", message) from None
+        raise SourceError(message, about="folder") from None
     if not files:
         message = f"{folder} contains no images: give PNG, JPEG, BMP, TIFF or PGM files"
-        raise _wrong("folder", message)
+        raise SourceError(message, about="folder")
     return sorted(files, key=_natural)
-
-
-def _wrong(about: str, message: str) -> SourceError:
-    return SourceError(message, about=about)
 
 
 def _natural(file: Path) -> list[tuple[int, int, str]]:
@@ -233,11 +228,9 @@ def _reading(file: Path) -> Iterator[Image.Image]:
         ):
             yield image
     except UnidentifiedImageError:
-        message = f"{file} is not a readable image: remove it"
-        raise _wrong("file", message) from None
+        raise SourceError(f"{file} is not a readable image: remove it", about="file") from None
     except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
-        message = f"{file} cannot be read, remove it: {error}"
-        raise _wrong("file", message) from None
+        raise SourceError(f"{file} cannot be read, remove it: {error}", about="file") from None
 
 
 def _size(file: Path) -> tuple[int, int]:
@@ -252,7 +245,7 @@ def _size(file: Path) -> tuple[int, int]:
             f"{file} has {width} x {height} pixels: a frame needs at least {_FEWEST_PIXELS} x "
             f"{_FEWEST_PIXELS}, and at most {_MOST_PIXELS // 10**6} megapixels"
         )
-        raise _wrong("file", message)
+        raise SourceError(message, about="file")
     return width, height
 
 
