@@ -144,7 +144,7 @@ def test_a_board_that_is_lost_ends_its_session_before_the_next(world, board):
     lose(world, "to_host", Kind.ACK)
     board._send(sequence(), 1000)
     before = board._line.session.number
-    board._recover(board._line.lost("is gone", "gone"))
+    board._recover(board._line.lost("is gone"))
     assert board._line.session.number != before
     assert world.refused() == 0
     board._send(sequence(), 1)
