@@ -1,7 +1,6 @@
 """Voltages become impedances, and bad electrodes are told from good ones."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 

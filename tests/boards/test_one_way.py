@@ -12,7 +12,7 @@ from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.boards.open import make_board
 from smarttouch.boards.vibrators import VibratorBoard
-from smarttouch.errors import BoardClosedError, BoardError, BoardStoppedError
+from smarttouch.errors import BoardClosedError, BoardError, BoardStoppedError, LineLostError
 
 from ..raising import raises
 from .test_etactilekit import OPEN, PING, QUIET, ZERO, make  # noqa: F401
@@ -112,8 +112,9 @@ def test_sense_pulses_end_also_where_their_readings_are_lost(script, make):  # n
     lost = (b"\xff" + NO_SENSE + PING, b"")
     resync = [(bytes(514), b""), (QUIET + NO_SENSE + bytes(4) + PING, b"\x04")]
     ended = [(NO_SENSE + PING, b"\x04"), *ZERO]
-    script(*OPEN, *ZERO, (SENSE, b""), lost, *resync, *ended, *ZERO)
-    with make() as board, raises(BoardError, about="measure"):
+    once = [*ZERO, (SENSE, b""), lost, *resync, *ended]
+    script(*OPEN, *once, *once, *ZERO)
+    with make() as board, raises(LineLostError, about="measure"):
         board.measure()
 
 
