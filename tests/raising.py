@@ -56,7 +56,7 @@ def _shows(message, expected):
     found = [float(each.replace(",", "")) for each in re.findall(_NUMBER, message)]
     if callable(expected):
         return any(map(expected, found))
-    if isinstance(expected, Enum):
+    if isinstance(expected, Enum) and not isinstance(expected, str):
         return expected.name in message
     if isinstance(expected, str) or not isinstance(expected, Iterable | numbers.Real):
         return str(expected).strip() in message

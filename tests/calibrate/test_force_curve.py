@@ -117,7 +117,7 @@ def nonsense():
     """Each a name, weights, readings, and what is wrong with them."""
     line = {0: 0, 20: 2e4, 50: 5e4, 100: 1e5}
     yield "nothing moves", UP, lambda g: 5.0, {**wrong("readings", 0), "allowed": 0}
-    noisy = {**wrong("readings", 0), "allowed": lambda noise: noise > 5 * 15}
+    noisy = {**wrong("readings", 0), "allowed": lambda noise: noise > 15}
     yield "only noise", UP, lambda g: 0.0, noisy
     turned = wrong("readings", (20, 50))
     yield "turns back", (0, 20, 50, 100), {**line, 50: 1e4}.get, turned

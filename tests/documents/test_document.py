@@ -361,7 +361,7 @@ def test_a_given_scale_of_an_image(tmp_path, options):
     [
         ({"dpi": 300, "page_width_mm": 5}, "dpi", ("dpi", "page_width_mm")),
         ({"dpi": 0}, "dpi", 0),
-        ({"page_width_mm": math.nan}, "page_width_mm", math.isnan),
+        ({"page_width_mm": math.nan}, "page_width_mm", math.nan),
         ({"dpi": 1}, "size_mm", pytest.approx((7620, 10160))),
     ],
 )

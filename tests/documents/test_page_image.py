@@ -161,7 +161,7 @@ def test_a_folder(tmp_path):
     [
         ({"dpi": 300, "page_width_mm": 5}, "dpi", ("dpi", "page_width_mm")),
         ({"dpi": 0}, "dpi", 0),
-        ({"dpi": math.nan}, "dpi", math.isnan),
+        ({"dpi": math.nan}, "dpi", math.nan),
         ({"page_width_mm": -5}, "page_width_mm", -5),
         ({"dpi": 0.1}, "size_mm", pytest.approx((20_320, 15_240))),
         ({"dpi": 1e5}, "size_mm", pytest.approx((0.02032, 0.01524))),

@@ -173,7 +173,7 @@ def test_impossible_arrays(edited, positions, shape, size, attributes):
             [("ra_depth_mm = 0.1", "ra_depth_mm = 0.8"),
              ("sai_depth_mm = 0.1", "sai_depth_mm = 2.0")],
             [("skin.spread.ra_depth_mm", 0.8, 0.7),
-             ("skin.spread.sai_depth_mm", 2.0, 0.9)],
+             ("skin.spread.sai_depth_mm", 2, 0.9)],
         ),
     ],
 )  # fmt: skip

@@ -239,7 +239,7 @@ def test_no_image_at_first(profile, monkeypatch):
     [
         (
             SourceError("of its own", about="image"),
-            {"about": "image", "value": 7, "__cause__": None},
+            {"about": "image", "__cause__": None},
         ),
         (
             ODD,
