@@ -48,11 +48,7 @@ class TableError(SmartTouchError):
     """
 
     def __init__(
-        self,
-        message: str = "",
-        *,
-        complaints: Sequence[tuple[str, str]] = (),
-        **attributes: Any,
+        self, message: str = "", *, complaints: Sequence[tuple[str, str]] = (), **attributes: Any
     ) -> None:
         super().__init__(message, **attributes)
         self.complaints = tuple(complaints) or ((self.about, message),)
@@ -209,10 +205,7 @@ def require_within(
     if most == math.inf:
         allowed = f"{least:g} or more"
     message = f"{words or f'{about} {value:g}'} is out of range: give {allowed}"
-    raise error(
-        message,
-        about=about,
-    )
+    raise error(message, about=about)
 
 
 def not_offered(

@@ -133,10 +133,7 @@ def test_a_board_without_a_host_ends_by_itself(make_limits, start_emulator):
 
 def test_a_busy_port_is_named(make_limits, start_emulator):
     _, port = start_emulator()
-    with (
-        LinkBoard(port, make_limits()),
-        raises(BoardError, about="port", value=port),
-    ):
+    with LinkBoard(port, make_limits()), raises(BoardError, about="port", value=port):
         LinkBoard(port, make_limits()).open()
 
 

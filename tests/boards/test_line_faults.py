@@ -166,10 +166,7 @@ def test_a_port_that_goes_and_comes_back_begins_at_zero(hosted, known_by_usb):
 def test_a_port_that_stays_away_is_told_of(hosted, monkeypatch):
     for module in ("link", "streamed"):
         monkeypatch.setattr(f"smarttouch.boards.{module}.RECOVER_S", 0.3)
-    with (
-        raises(BoardError, about="board", value=str(hosted.line.path)) as error,
-        hosted.board,
-    ):
+    with raises(BoardError, about="board", value=str(hosted.line.path)) as error, hosted.board:
         pulled_out_after(4, hosted)
     goes_on = hosted.kind == "etactilekit"
     assert (error.value.remedy == "switch it off") == goes_on

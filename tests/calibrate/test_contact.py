@@ -72,14 +72,8 @@ LIFTED = {"about": "finger"}
             [measured([30, 30] + [np.inf] * 4, ["good"] * 2 + ["open"] * 4)],
             {"about": "contact", "value": 4},
         ),
-        (
-            [measured([30] * 6, ["unsure"] * 6)],
-            {"about": "contact", "value": 0},
-        ),
-        (
-            [measured([10 * 4**i] * 6, GOOD) for i in range(3)],
-            {"about": "contact"},
-        ),
+        ([measured([30] * 6, ["unsure"] * 6)], {"about": "contact", "value": 0}),
+        ([measured([10 * 4**i] * 6, GOOD) for i in range(3)], {"about": "contact"}),
     ],
 )
 def test_no_contact_is_one_sentence(runs, attributes):

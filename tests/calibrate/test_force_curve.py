@@ -140,10 +140,6 @@ def test_nonsense_is_one_sentence(profile, name, grams, reading, attributes):
 def test_a_weight_that_was_not_at_rest(profile):
     found = weighed(SimulatedCell())
     found[2] = dataclasses.replace(found[2], drift=0.1 * 4.1e5)
-    with raises(
-        CalibrationError,
-        about="drift",
-        value=pytest.approx(0.1, abs=0.001),
-    ) as caught:
+    with raises(CalibrationError, about="drift", value=pytest.approx(0.1, abs=0.001)) as caught:
         fit_curve(found, profile.force)
     assert "50 g" in str(caught.value)

@@ -121,14 +121,7 @@ def test_a_flat_field_is_still_found_from_another_folder(tmp_path):
     assert Path(found).read_bytes() == b"field"
 
 
-@pytest.mark.parametrize(
-    "output",
-    [
-        "mine.txt",
-        "none/mine.toml",
-        "folder.toml",
-    ],
-)
+@pytest.mark.parametrize("output", ["mine.txt", "none/mine.toml", "folder.toml"])
 def test_outputs_that_cannot_be(tmp_path, output):
     (tmp_path / "folder.toml").mkdir()
     with raises(CalibrationError, about="file", value=tmp_path / output):

@@ -197,11 +197,7 @@ def test_no_target_is_one_sentence(profile, image, about):
 
 
 @pytest.mark.parametrize(
-    ("view", "about"),
-    [
-        (View(offset_mm=(2.4, 2.4)), "large dots"),
-        (View(zoom=2.5), "dots"),
-    ],
+    ("view", "about"), [(View(offset_mm=(2.4, 2.4)), "large dots"), (View(zoom=2.5), "dots")]
 )
 def test_a_target_that_is_not_in_view(profile, view, about):
     target = target_for(profile)

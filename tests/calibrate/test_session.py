@@ -348,19 +348,7 @@ def test_electrodes_by_number_and_range(profile, text, expected):
     assert parse_electrodes(text, profile) == expected
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "a",
-        "3-",
-        "-3",
-        "1;2",
-        "5-2",
-        "64",
-        "0-64",
-    ],
-)
+@pytest.mark.parametrize("text", ["", "a", "3-", "-3", "1;2", "5-2", "64", "0-64"])
 def test_electrodes_that_are_none(profile, text):
     with raises(CalibrationError, about="electrodes", value=text):
         parse_electrodes(text, profile)

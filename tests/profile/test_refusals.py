@@ -224,11 +224,7 @@ def test_a_ring_around_a_disc(edited, tmp_path):
 @pytest.mark.parametrize(
     ("shapes", "sizes", "attributes"),
     [
-        (
-            '["disc", "annulus"]',
-            "[[6.5, 0.0], [8.0, 6.0]]",
-            wrong("electrodes", (0, 1)),
-        ),
+        ('["disc", "annulus"]', "[[6.5, 0.0], [8.0, 6.0]]", wrong("electrodes", (0, 1))),
         ('["disc", "disc"]', "[[1.0, 0.0], [2.0, 0.0]]", wrong("electrodes", (0, 1))),
         ('["disc"]', "[[1.0, 0.0], [2.0, 0.0]]", wrong("array.shapes", 1, 2)),
         (

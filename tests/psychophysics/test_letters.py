@@ -48,10 +48,7 @@ def test_letters_are_parsed():
     assert parse_letters("a,e,A,u") == "AEU"
 
 
-@pytest.mark.parametrize(
-    "text",
-    ["A", "", "A1", "Ä,B"],
-)
+@pytest.mark.parametrize("text", ["A", "", "A1", "Ä,B"])
 def test_what_is_no_list_of_letters(text):
     with raises(ExperimentError, about="letters", value=text):
         parse_letters(text)

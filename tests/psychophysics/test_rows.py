@@ -135,12 +135,7 @@ def test_a_bad_line_is_named(tmp_path, column, cell):
 
 
 @pytest.mark.parametrize(
-    ("data", "about"),
-    [
-        (b"\xff\xfe\x00\n", "file"),
-        (b"a,b\n1,2\n", "thisRepN"),
-        (b"", "thisRepN"),
-    ],
+    ("data", "about"), [(b"\xff\xfe\x00\n", "file"), (b"a,b\n1,2\n", "thisRepN"), (b"", "thisRepN")]
 )
 def test_what_is_no_such_file(tmp_path, data, about):
     path = tmp_path / "a.csv"

@@ -132,15 +132,7 @@ def test_no_bytes_crash_the_reader(broken_path, data):
         Recording(broken_path)
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"",
-        b"\x89MCAP",
-        b"precious",
-        b"\x89MCAP0\r\n",
-    ],
-)
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP", b"precious", b"\x89MCAP0\r\n"])
 def test_what_is_none_of_ours(broken_path, content):
     broken_path.write_bytes(content)
     with raises(RecordingError, about="file", value=broken_path):

@@ -237,14 +237,8 @@ def test_no_image_at_first(profile, monkeypatch):
 @pytest.mark.parametrize(
     ("error", "attributes"),
     [
-        (
-            SourceError("of its own", about="image"),
-            {"about": "image", "__cause__": None},
-        ),
-        (
-            ODD,
-            {"about": "source", "value": "camera 0", "__cause__": ODD},
-        ),
+        (SourceError("of its own", about="image"), {"about": "image", "__cause__": None}),
+        (ODD, {"about": "source", "value": "camera 0", "__cause__": ODD}),
     ],
 )
 def test_errors_of_the_thread_reach_the_reader(profile, error, attributes):

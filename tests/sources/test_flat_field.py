@@ -114,10 +114,7 @@ def test_a_damaged_file_is_refused_or_still_a_field(tmp_path_factory, cut, at, v
         assert again.correct(np.zeros(again.gain.shape, np.uint8)).dtype == np.uint8
 
 
-@pytest.mark.parametrize(
-    "content",
-    [None, b"", b"garbage" * 50],
-)
+@pytest.mark.parametrize("content", [None, b"", b"garbage" * 50])
 def test_a_file_that_is_none(tmp_path, content):
     path = tmp_path / "f.npz"
     if content is not None:

@@ -188,13 +188,7 @@ def test_no_damage_crashes(profile, tmp_path_factory, data):
 
 
 @pytest.mark.parametrize(
-    "content",
-    [
-        None,
-        b"",
-        bytes(range(256)) * 20,
-        b"hello, I am a text\n" * 20,
-    ],
+    "content", [None, b"", bytes(range(256)) * 20, b"hello, I am a text\n" * 20]
 )
 @pytest.mark.parametrize("unpaced", [True, False])
 def test_what_is_no_video(profile, tmp_path, capfd, content, unpaced):

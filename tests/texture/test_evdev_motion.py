@@ -140,10 +140,7 @@ def test_the_first_mouse_is_found_among_others(device, monkeypatch):
         assert motion._path == "/dev/input/event3"
 
 
-@pytest.mark.parametrize(
-    "error",
-    [PermissionError(13, "no"), OSError(25, "Inappropriate")],
-)
+@pytest.mark.parametrize("error", [PermissionError(13, "no"), OSError(25, "Inappropriate")])
 def test_a_device_that_cannot_be_read(device, error):
     device.error = error
     with raises(SourceError, about="mouse", value=device.place):

@@ -143,10 +143,7 @@ def test_where_pc_is_felt_elsewhere_its_pulses_move(profile, bank):
         mix_colors(open_trace("tone:250Hz,1um", 0.3), profile, bank, sites=[59])
 
 
-@pytest.mark.parametrize(
-    ("sites", "site"),
-    [([], None), ([64], 64), ([-1], -1)],
-)
+@pytest.mark.parametrize(("sites", "site"), [([], None), ([64], 64), ([-1], -1)])
 def test_sites_that_cannot_pulse_are_refused(sites, site, profile):
     with raises(ScheduleError, about="site", value=site, electrode=site):
         chosen(profile, sites)

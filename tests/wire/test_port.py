@@ -22,13 +22,7 @@ from ..raising import raises
 
 @pytest.mark.parametrize(
     "name",
-    [
-        "/dev/nowhere",
-        "/dev/null",
-        "tcp://127.0.0.1",
-        "tcp://127.0.0.1:99999",
-        "nonsense://x",
-    ],
+    ["/dev/nowhere", "/dev/null", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", "nonsense://x"],
 )
 def test_what_cannot_be_opened_is_named(name):
     with raises(BoardError, about="port", value=name) as error:

@@ -402,11 +402,7 @@ def test_what_cannot_be_opened(url, about, value):
 
 
 @pytest.mark.parametrize(
-    ("data", "attributes"),
-    [
-        (b"", {"allowed": 0.3}),
-        (b"\x81\x92\xf0", {"remedy": "?baud="}),
-    ],
+    ("data", "attributes"), [(b"", {"allowed": 0.3}), (b"\x81\x92\xf0", {"remedy": "?baud="})]
 )
 def test_a_cell_from_which_nothing_comes(make_cell, monkeypatch, data, attributes):
     monkeypatch.setattr(load_cell, "FIRST_READING_S", 0.3)
