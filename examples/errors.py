@@ -2,8 +2,9 @@
 Errors of one sentence
 ======================
 
-All that a user can cause is a `SmartTouchError`: one sentence with the number and what to do, and
-the same as attributes for programs. The command line prints the sentence and exits with 2.
+All that a user can cause is a `SmartTouchError`: one sentence with the number and what to do.
+Programs go by its class and by what it is about; the command line prints the sentence and exits
+with 2.
 """
 
 from pathlib import Path
@@ -15,7 +16,7 @@ import smarttouch as st
 def show(error: st.SmartTouchError) -> None:
     """Print the sentence, and what a program may look at."""
     print(f"{type(error).__name__}: {error}")
-    print(f"    about {error.about}, value {error.value!r}, allowed {error.allowed}\n")
+    print(f"    about {error.about}\n")
 
 
 # %%

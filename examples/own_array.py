@@ -92,7 +92,7 @@ path.with_name("wrong.toml").write_text(PROFILE.replace("rows = 5", "rows = 500\
 try:
     st.load_profile(path.with_name("wrong.toml"))
 except st.ProfileError as error:
-    print(*error.sentences, sep="\n")
+    print(*(sentence for _, sentence in error.complaints), sep="\n")
 
 # %%
 # Kernels are designed once and kept for the next time. Positive is cathodic.

@@ -24,7 +24,6 @@ def on_cluster(address: str | None) -> Iterator[None]:
         raise SmartTouchError(
             "a cluster needs Dask: install it with the extra, pip install 'smarttouch[cluster]'",
             about="cluster",
-            problem="missing",
             remedy="pip install 'smarttouch[cluster]'",
         ) from None
     from joblib import parallel_config
@@ -37,8 +36,6 @@ def on_cluster(address: str | None) -> Iterator[None]:
             f"no Dask scheduler answers at {address!r} ({error or type(error).__name__}): give its "
             "address as tcp://HOST:8786",
             about="cluster",
-            problem="unreachable",
-            value=address,
         ) from None
     with client, parallel_config("dask", client=client, wait_for_workers_timeout=60):
         yield

@@ -63,9 +63,6 @@ class ElectrodeArray:
                 f"the array has {len(self) or 'no'} electrode{'' if len(self) else 's'}: give at "
                 "least two, as current must go somewhere",
                 about="electrodes",
-                problem="too few",
-                value=len(self),
-                allowed=2,
             )
         apart = self.distance_mm + np.diag(np.full(len(self), np.inf))
         touching = apart < COINCIDENT_MM if self.own is None else self._overlap(apart)
@@ -76,8 +73,6 @@ class ElectrodeArray:
             raise ProfileError(
                 f"electrodes {first} and {second} {how} at ({x:g}, {y:g}) mm: move one of them",
                 about="electrodes",
-                problem="conflict",
-                value=(first, second),
                 electrode=first,
             )
 
@@ -226,5 +221,5 @@ def parse_ranges(
     ]
     if None in found:
         message = f"{about} {text!r} are no list: give numbers and ranges like 0-7,12"
-        raise error(message, about=about, problem="malformed", value=text)
+        raise error(message, about=about)
     return [(int(each[1]), int(each[2] or each[1])) for each in found if each]

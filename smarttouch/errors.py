@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 
 class SmartTouchError(Exception):
@@ -17,12 +17,6 @@ class SmartTouchError(Exception):
     about : str
         Name of what is wrong: a parameter, a key of a profile, a limit, or "file", "port",
         "board" and the like.
-    problem : str
-        Kind of problem: "missing", "unknown", "too large" ….
-    value : object
-        Actual value: a number, a name, a path.
-    allowed : object
-        Allowed value: a number, or the names to choose from.
     remedy : str
         The parameter, key or command that mends it, and what it is to be: "overwrite or output",
         "profile line-8".
@@ -35,47 +29,29 @@ class SmartTouchError(Exception):
         message: str = "",
         *,
         about: str = "",
-        problem: str = "",
-        value: object = None,
-        allowed: object = None,
         remedy: str = "",
         slot: int | None = None,
         electrode: int | None = None,
     ) -> None:
         super().__init__(message)
-        self.about, self.problem = about, problem
-        self.value, self.allowed, self.remedy = value, allowed, remedy
+        self.about, self.remedy = about, remedy
         self.slot, self.electrode = slot, electrode
-
-
-class Complaint(NamedTuple):
-    """One thing that is wrong in a file, as in `SmartTouchError`."""
-
-    key: str
-    problem: str
-    value: object = None
-    allowed: object = None
 
 
 class TableError(SmartTouchError):
     """A file of keys and values cannot be found, read or believed.
 
-    Its own attributes are those of the first complaint; ``sentences`` is the message as a list, one
-    for each complaint.
+    Attributes
+    ----------
+    complaints : tuple of tuple
+        Key and sentence of each thing that is wrong; ``about`` is the key of the first.
     """
 
     def __init__(
-        self,
-        message: str = "",
-        *,
-        complaints: Sequence[Complaint] = (),
-        sentences: Sequence[str] = (),
-        **attributes: Any,
+        self, message: str = "", *, complaints: Sequence[tuple[str, str]] = (), **attributes: Any
     ) -> None:
         super().__init__(message, **attributes)
-        own = Complaint(self.about, self.problem, self.value, self.allowed)
-        self.complaints = tuple(complaints) or (own,)
-        self.sentences = tuple(sentences) or (message,)
+        self.complaints = tuple(complaints) or ((self.about, message),)
 
 
 class ProfileError(TableError):
@@ -92,6 +68,10 @@ class SourceLostError(SourceError):
 
 class PageError(SmartTouchError):
     """A page or document cannot be read, or shows nothing that could be."""
+
+
+class UnknownSizeError(PageError):
+    """Nothing says how large a page is: give its resolution or width."""
 
 
 class BrailleError(SmartTouchError):
@@ -130,9 +110,6 @@ class SafetyError(SmartTouchError):
         number.
     """
 
-    value: float
-    allowed: float
-
     def __init__(
         self,
         message: str,
@@ -143,9 +120,8 @@ class SafetyError(SmartTouchError):
         slot: int | None = None,
         electrode: int | None = None,
     ) -> None:
-        super().__init__(
-            message, about=limit, value=value, allowed=allowed, slot=slot, electrode=electrode
-        )
+        super().__init__(message, about=limit, slot=slot, electrode=electrode)
+        self.value, self.allowed = value, allowed
 
     @property
     def limit(self) -> str:
@@ -158,6 +134,10 @@ class BoardError(SmartTouchError):
 
 class LineLostError(BoardError):
     """The line to a board broke, or it fell silent; a restart may help."""
+
+
+class SilentBoardError(BoardError):
+    """A board does not answer when it is opened; it may be starting still."""
 
 
 class OtherDeviceError(BoardError):
@@ -188,6 +168,10 @@ class BoardLatchedError(BoardError):
     """A board is refused because of an earlier fault, until a person clears it."""
 
 
+class BoardClosedError(BoardError):
+    """A board is not open."""
+
+
 class BoardStoppedError(BoardError):
     """A board was stopped, and is at zero: nothing is sent to it any more."""
 
@@ -209,7 +193,6 @@ def require_within(
     words: str = "",
     *,
     above: bool = False,
-    problem: str = "out of range",
 ) -> None:
     """Raise an error unless a number is in its range; NaN is in none.
 
@@ -222,13 +205,12 @@ def require_within(
     if most == math.inf:
         allowed = f"{least:g} or more"
     message = f"{words or f'{about} {value:g}'} is out of range: give {allowed}"
-    raise error(message, about=about, problem=problem, value=value, allowed=(least, most))
+    raise error(message, about=about)
 
 
 def not_offered(
     about: str, value: str, names: Iterable[str], error: type[SmartTouchError] = SmartTouchError
 ) -> SmartTouchError:
     """Return the error of a parameter that names none of its choices."""
-    allowed = tuple(names)
-    message = f"{about} {value!r} is not offered: choose {' or '.join(allowed)}"
-    return error(message, about=about, problem="unknown", value=value, allowed=allowed)
+    message = f"{about} {value!r} is not offered: choose {' or '.join(names)}"
+    return error(message, about=about)

@@ -41,7 +41,7 @@ def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> N
     try:
         _check(path, path.stat(), error, most_bytes)
     except (FileNotFoundError, NotADirectoryError, ValueError):
-        raise _wrong(error, "missing", path, f"no file {path}: check its name") from None
+        raise error(f"no file {path}: check its name", about="file") from None
     except OSError as failure:
         raise unreadable(error, path, failure) from None
 
@@ -49,8 +49,7 @@ def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> N
 def require_replaceable(path: Path, error: type[SmartTouchError]) -> None:
     """Raise if a new file would replace anything but a file, such as a device."""
     if path.exists() and not path.is_file():
-        message = f"cannot write {path}: it is no file; give another name"
-        raise _wrong(error, "no file", path, message)
+        raise error(f"cannot write {path}: it is no file; give another name", about="file")
 
 
 def open_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> BinaryIO:
@@ -99,7 +98,7 @@ def decoded(data: bytes, path: Path, error: type[SmartTouchError]) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as failure:
         message = f"{path} is not a text in UTF-8 (byte {failure.start + 1}): save it as UTF-8"
-        raise _wrong(error, "not UTF-8", path, message) from None
+        raise error(message, about="file") from None
 
 
 def read_toml(path: Path, error: type[SmartTouchError]) -> dict[str, Any]:
@@ -108,8 +107,7 @@ def read_toml(path: Path, error: type[SmartTouchError]) -> dict[str, Any]:
     try:
         return parse_toml(text)
     except ValueError as failure:
-        message = f"{path} is not a readable TOML file: {failure}"
-        raise _wrong(error, "malformed", path, message) from None
+        raise error(f"{path} is not a readable TOML file: {failure}", about="file") from None
 
 
 def parse_toml(text: str) -> dict[str, Any]:
@@ -196,8 +194,7 @@ def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTou
             fcntl.fcntl(file, fcntl.F_SETFL, fcntl.fcntl(file, fcntl.F_GETFL) & ~os.O_NONBLOCK)
             file.write(data)
     except ValueError:
-        message = f"cannot write {path}: no file has such a name"
-        raise _wrong(error, "unwritable", path, message) from None
+        raise error(f"cannot write {path}: no file has such a name", about="file") from None
     except OSError as failure:
         raise unwritable(error, path, failure) from None
 
@@ -223,7 +220,7 @@ def open_alone(path: Path, error: type[SmartTouchError], of: Path | None = None)
                 f"{of or path} is in use by another run: wait until that has ended, or give "
                 "another file"
             )
-            raise _wrong(error, "busy", of or path, message) from None
+            raise error(message, about="file") from None
         except OSError:
             return file
         # Whoever had it may have removed it just now: that lock keeps nobody out.
@@ -254,42 +251,37 @@ def _check(
     path: Path, found: os.stat_result, error: type[SmartTouchError], most_bytes: int
 ) -> None:
     if stat.S_ISDIR(found.st_mode):
-        raise _wrong(error, "folder", path, f"{path} is a folder: give a file")
+        raise error(f"{path} is a folder: give a file", about="file")
     for is_kind, name in _KINDS:
         if is_kind(found.st_mode):
-            message = f"{path} is a {name}: give a file"
-            raise _wrong(error, name, path, message)
+            raise error(f"{path} is a {name}: give a file", about="file")
     if found.st_size > most_bytes:
         raise _too_large(error, path, found.st_size, most_bytes)
 
 
-def _wrong(error: type[SmartTouchError], problem: str, path: Path, message: str) -> SmartTouchError:
-    return error(message, about="file", problem=problem, value=path)
-
-
 def unreadable(error: type[SmartTouchError], path: Path, failure: OSError) -> SmartTouchError:
     """Return the error for a file that cannot be read."""
-    return _wrong(error, "unreadable", path, f"cannot read {path}: {failure.strerror}")
+    return error(f"cannot read {path}: {failure.strerror}", about="file")
 
 
 def unwritable(error: type[SmartTouchError], path: Path, failure: OSError) -> SmartTouchError:
     """Return the error for a file that cannot be written."""
     reason = "nobody reads from it" if failure.errno == errno.ENXIO else failure.strerror
-    return _wrong(error, "unwritable", path, f"cannot write {path}: {reason}")
+    return error(f"cannot write {path}: {reason}", about="file")
 
 
 def _too_large(
     error: type[SmartTouchError], path: Path, size: int, most_bytes: int
 ) -> SmartTouchError:
     message = f"{path} has {size / 1e6:,.1f} MB, above the limit of {most_bytes / 1e6:,.0f} MB"
-    return error(message, about="file", problem="too large", value=size, allowed=most_bytes)
+    return error(message, about="file")
 
 
 def require_folder(path: Path | None) -> None:
     """Raise before any work is done if a file could not be written in the end."""
     if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
         message = f"cannot write {path}: give a file in a folder that exists"
-        raise SmartTouchError(message, about="file", problem="unwritable", value=path)
+        raise SmartTouchError(message, about="file")
 
 
 def write_json(path: Path, figures: Any) -> None:

@@ -65,7 +65,6 @@ class Markers(Listener):
                 f"the Lab Streaming Layer makes no outlet: {error}; check the network, or leave "
                 "the markers out",
                 about="markers",
-                problem="impossible",
             ) from None
 
     def step(self, result: StepResult) -> None:
@@ -163,7 +162,6 @@ def _import_pylsl() -> Any:
         raise MarkersError(
             "markers need pylsl: install it with the extra, pip install 'smarttouch[lsl]'",
             about="pylsl",
-            problem="missing",
             remedy="pip install 'smarttouch[lsl]'",
         ) from None
     except RuntimeError:
@@ -171,7 +169,6 @@ def _import_pylsl() -> Any:
             "markers need liblsl, which pylsl has not found: install it (https://labstreaminglayer.org)"
             ", or leave the markers out",
             about="liblsl",
-            problem="missing",
             remedy="https://labstreaminglayer.org",
         ) from None
     # Its library otherwise writes over the screen; older ones cannot be silenced.

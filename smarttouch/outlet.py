@@ -131,7 +131,7 @@ def never_waiting(stopped: Callable[[], bool]) -> Iterator[None]:
             raise
         except OSError as error:
             message = f"cannot write to standard output: {error.strerror}"
-            raise SmartTouchError(message, about="standard output", problem="unwritable") from None
+            raise SmartTouchError(message, about="standard output") from None
         finally:
             outlet.close()
 

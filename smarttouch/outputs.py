@@ -55,8 +55,6 @@ class FeltPicture(Listener):
                 "this picture needs a board that reports every pulse, and this one "
                 "does not: use the board emulator:",
                 about="felt",
-                problem="conflict",
-                allowed=("emulator:", "simulated:"),
                 remedy="board emulator:",
             )
         own = getattr(run.source, "drawing", None)

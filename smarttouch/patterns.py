@@ -31,19 +31,10 @@ class PatternFile:
 
     def __init__(self, path: Path, profile: Profile) -> None:
         if path.suffix not in ("", ".gif", ".json"):
-            raise SmartTouchError(
-                f"cannot write {path}: give {FORMATS}",
-                about="file",
-                problem="unknown",
-                value=path,
-                allowed=(".gif", ".json", ""),
-            )
+            raise SmartTouchError(f"cannot write {path}: give {FORMATS}", about="file")
         if not path.suffix and path.exists() and (not path.is_dir() or any(path.iterdir())):
             raise SmartTouchError(
-                f"{path} is there and not empty: give another folder",
-                about="file",
-                problem="exists",
-                value=path,
+                f"{path} is there and not empty: give another folder", about="file"
             )
         self._path, self._profile = path, profile
         self._activation: list[NDArray[np.uint8]] = []
@@ -63,19 +54,14 @@ class PatternFile:
     def save(self) -> None:
         """Write all files; raises if there are no steps, or they cannot be written."""
         if not self._activation:
-            raise SmartTouchError(
-                "there were no steps: nothing can be written", about="patterns", problem="empty"
-            )
+            raise SmartTouchError("there were no steps: nothing can be written", about="patterns")
         try:
             {".gif": self._save_film, ".json": self._save_numbers, "": self._save_pictures}[
                 self._path.suffix
             ]()
         except OSError as error:
             raise SmartTouchError(
-                f"cannot write {self._path}: {error.strerror or error}",
-                about="file",
-                problem="unwritable",
-                value=self._path,
+                f"cannot write {self._path}: {error.strerror or error}", about="file"
             ) from None
 
     def _save_numbers(self) -> None:

@@ -46,7 +46,6 @@ class Fault(NamedTuple):
 
     about: str
     """Name of the method or class."""
-    problem: str
     sentence: str
 
 
@@ -79,9 +78,6 @@ def find_opener(
         raise error(
             f"the packages {' and '.join(packages)} both have a {kind} {name}: remove one of them",
             about=kind,
-            problem="ambiguous",
-            value=name,
-            allowed=tuple(packages),
         )
     return _load(points[0], error, base, arguments), rest
 
@@ -91,13 +87,7 @@ def unknown(
 ) -> SmartTouchError:
     """Return the error of a URL that begins with none of the names that are known."""
     names = ", ".join(f"{each}:" for each in known)
-    return error(
-        f"unknown {kind} {url!r}: it must begin with one of {names}",
-        about=kind,
-        problem="unknown",
-        value=url,
-        allowed=tuple(known),
-    )
+    return error(f"unknown {kind} {url!r}: it must begin with one of {names}", about=kind)
 
 
 def given_options(
@@ -116,9 +106,6 @@ def given_options(
             raise error(
                 f"{url.partition(':')[0]}: does not take {name}: leave it out (it takes {takes})",
                 about=name,
-                problem="unknown",
-                value=given[name],
-                allowed=taken,
             )
     return given
 
@@ -135,14 +122,14 @@ def fault_of(kind: type, base: type) -> Fault | None:
     what the one of ``base`` takes.
     """
     if not issubclass(kind, base):
-        return Fault(kind.__name__, "not a subclass", f"{kind.__name__} is no {base.__name__}")
+        return Fault(kind.__name__, f"{kind.__name__} is no {base.__name__}")
     replaced = replaced_finals(kind, base)
     if replaced:
         which = f"{base.__name__}.{replaced[0]}"
-        return Fault(replaced[0], "replaced", f"{kind.__name__} replaces {which}, which is final")
+        return Fault(replaced[0], f"{kind.__name__} replaces {which}, which is final")
     missing = sorted(getattr(kind, "__abstractmethods__", ()))
     if missing:
-        return Fault(missing[0], "missing", f"{kind.__name__} has no method {missing[0]}")
+        return Fault(missing[0], f"{kind.__name__} has no method {missing[0]}")
     for name in sorted(dir(base)):
         expected, own = inspect.getattr_static(base, name), inspect.getattr_static(kind, name)
         if not inspect.isfunction(expected) or own is expected or name.startswith("__"):
@@ -150,7 +137,7 @@ def fault_of(kind: type, base: type) -> Fault | None:
         called = _positions(expected)
         if not inspect.isfunction(own) or not _can_take(own, called):
             how = f"{kind.__name__}.{name} cannot be called as {name}({', '.join(called[1:])})"
-            return Fault(name, "signature", how)
+            return Fault(name, how)
     return None
 
 
@@ -202,18 +189,16 @@ def _load(
         return error(
             f"{point.name}: of the package {package} cannot be used: {fault.sentence}",
             about=fault.about,
-            problem=fault.problem,
-            value=package,
         )
 
     try:
         opener = point.load()
     except Exception as broken:
         why = f"{point.value} cannot be loaded ({type(broken).__name__}: {broken})"
-        raise refusal(Fault(point.value, "cannot be loaded", why)) from broken
+        raise refusal(Fault(point.value, why)) from broken
     if not callable(opener) or not _can_take(opener, arguments):
         how = f"{point.attr} cannot be called as {point.attr}({', '.join(arguments)})"
-        raise refusal(Fault(point.attr, "signature", how))
+        raise refusal(Fault(point.attr, how))
     if isinstance(opener, type):
         fault = fault_of(opener, base)
         if fault is not None:
@@ -234,5 +219,4 @@ def _load(
 def refuse_rest(url: str, rest: str, error: type[SmartTouchError]) -> None:
     """Raise an error if something comes after the colon of a URL that takes nothing there."""
     if rest:
-        message = f"{url} takes nothing after the colon, not {rest!r}"
-        raise error(message, about="board", problem="malformed", value=rest)
+        raise error(f"{url} takes nothing after the colon, not {rest!r}", about="board")

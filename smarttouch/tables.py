@@ -36,40 +36,37 @@ class CsvTable:
                 f"{self.path} has the columns {', '.join(self.head) or 'none'}: its first line "
                 f"must name {', '.join(names)}"
             )
-            raise self.error(message, about="columns", value=self.head, allowed=tuple(names))
+            raise self.error(message, about="columns")
         places = [self.head.index(name) for name in names]
         values = np.array([self._row(row, places) for row in range(len(self.rows))])
         if len(values) < fewest:
             message = f"{self.path} has {len(values)} rows of numbers: give {fewest} or more"
-            raise self.error(
-                message, about="rows", problem="too few", value=len(values), allowed=fewest
-            )
+            raise self.error(message, about="rows")
         falls = np.flatnonzero(np.diff(values[:, 0]) <= 0)
         if rising and len(falls):
             row = int(falls[0]) + 1
             now, before = values[row, 0], values[row - 1, 0]
             words = f"{names[0]} {now:g} is not above the {before:g} before it: it must rise"
-            raise self.wrong(row, words, "falling")
+            raise self.wrong(row, words)
         return values
 
-    def wrong(self, row: int, words: str, problem: str) -> SmartTouchError:
+    def wrong(self, row: int, words: str) -> SmartTouchError:
         """Return the error that a row ends in."""
         line = self.lines[row]
         message = f"{self.path}, line {line}: {words}"
-        return self.error(message, about="line", problem=problem, value=line)
+        return self.error(message, about="line")
 
     def _row(self, row: int, places: list[int]) -> list[float]:
         cells = self.rows[row]
         # A decimal comma shows as one cell too many, and moves all others.
         if any(map(str.strip, cells[len(self.head) :])):
-            words = f"{len(cells)} cells, where the heading has {len(self.head)}"
-            raise self.wrong(row, words, "malformed")
+            raise self.wrong(row, f"{len(cells)} cells, where the heading has {len(self.head)}")
         cells = cells + [""] * (len(self.head) - len(cells))
         numbers = [finite(cells[place]) for place in places]
         for place, number in zip(places, numbers, strict=True):
             if math.isnan(number):
                 words = f"{self.head[place]} is {cells[place]!r}, not a number: correct it"
-                raise self.wrong(row, words, "malformed")
+                raise self.wrong(row, words)
         return numbers
 
 
@@ -91,7 +88,7 @@ def parse_csv(
         found = [(reader.line_num, row) for row in reader if any(map(str.strip, row))]
     except csv.Error as failure:
         message = f"{path} is no CSV file ({failure}): save it as one in UTF-8"
-        raise error(message, about="file", problem="malformed", value=path) from None
+        raise error(message, about="file") from None
     lines, (head, *rows) = [line for line, _ in found[1:]], [row for _, row in found] or [[]]
     return CsvTable(path, error, tuple(map(str.strip, head)), rows, lines)
 

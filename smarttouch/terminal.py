@@ -77,10 +77,7 @@ class Output:
         except OSError as error:
             if self._name:
                 raise SmartTouchError(
-                    f"cannot write to {self._name}: {error.strerror}",
-                    about="stream",
-                    problem="unwritable",
-                    value=self._name,
+                    f"cannot write to {self._name}: {error.strerror}", about="stream"
                 ) from None
 
 

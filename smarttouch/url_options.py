@@ -35,9 +35,6 @@ def read_options(
                 f"{rest!r} has no option {name}: choose {', '.join(sorted(known))}, or leave it "
                 "out",
                 about=f"?{name}",
-                problem="unknown",
-                value=name,
-                allowed=tuple(sorted(known)),
             )
         kind = known[name]
         value = _read_option(name, unquote(text), kind, error)
@@ -55,12 +52,7 @@ def joined_options(
 ) -> dict[str, Any]:
     """Return the options given beside a URL and those in it; raises if one is in both."""
     if twice := sorted(given.keys() & in_url.keys()):
-        raise error(
-            f"{twice[0]} is given in {url!r} and beside it: leave one out",
-            about=twice[0],
-            problem="conflict",
-            value=(in_url[twice[0]], given[twice[0]]),
-        )
+        raise error(f"{twice[0]} is given in {url!r} and beside it: leave one out", about=twice[0])
     return given | in_url
 
 
@@ -69,7 +61,7 @@ def parse_size(text: str, error: type[SmartTouchError], about: str) -> tuple[int
     found = re.fullmatch("([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", text.lower())
     if found is None:
         message = f"{about} {text!r} is not a size: give width and height as 640x480"
-        raise error(message, about=about, problem="malformed", value=text)
+        raise error(message, about=about)
     return int(found[1]), int(found[2])
 
 
@@ -102,7 +94,7 @@ def _read_option(name: str, text: str, kind: Any, error: type[SmartTouchError]) 
     except (ValueError, KeyError):
         needed = {bool: "1 or 0", int: "a whole number", float: "a number"}[kind]
         message = f"?{name}={text} cannot be read: give {needed}, as in ?{name}=1"
-        raise error(message, about=f"?{name}", problem="malformed", value=text) from None
+        raise error(message, about=f"?{name}") from None
 
 
 def _exists(rest: str) -> bool:

@@ -6,7 +6,7 @@ import pytest
 
 from smarttouch.errors import SourceError, not_offered, require_within
 
-from .raising import raises
+from .raising import assert_says, raises
 
 
 @pytest.mark.parametrize("value", [1, 2.5, 4])
@@ -16,12 +16,12 @@ def test_a_number_in_its_range(value):
 
 @pytest.mark.parametrize("value", [0.999, 4.001, -math.inf, math.inf])
 def test_a_number_out_of_its_range(value):
-    with raises(SourceError, about="rate_hz", problem="out of range", value=value, allowed=(1, 4)):
+    with raises(SourceError, about="rate_hz", value=value, allowed=(1, 4)):
         require_within(SourceError, "rate_hz", value, 1, 4)
 
 
 def test_what_is_no_number_is_in_no_range():
-    with raises(SourceError, about="rate_hz", value=math.isnan):
+    with raises(SourceError, about="rate_hz", value=math.nan):
         require_within(SourceError, "rate_hz", math.nan, -math.inf, math.inf)
 
 
@@ -34,4 +34,4 @@ def test_a_range_without_its_lower_end():
 def test_a_name_that_is_none_of_the_choices():
     error = not_offered("scan", "all", iter(["points", "auto"]), SourceError)
     assert type(error) is SourceError
-    assert (error.about, error.value, error.allowed) == ("scan", "all", ("points", "auto"))
+    assert_says(error, about="scan", value="all", allowed=("points", "auto"))

@@ -195,7 +195,7 @@ class TestFaults:
 
     def test_a_fault_at_the_start_is_told(self, lsl, profile):
         lsl.refuse = RuntimeError("could not create stream outlet.")
-        with raises(MarkersError, about="markers", problem="impossible") as error:
+        with raises(MarkersError, about="markers") as error:
             opened(profile)
         assert str(lsl.refuse) in str(error.value)
 
@@ -211,7 +211,7 @@ class TestFaults:
             raise missing
 
         monkeypatch.setattr("importlib.import_module", refuse)
-        with raises(MarkersError, about=about, problem="missing", remedy=remedy) as error:
+        with raises(MarkersError, about=about, remedy=remedy) as error:
             opened(profile)
         assert remedy in str(error.value)
 

@@ -80,19 +80,18 @@ def test_a_folder_of_pictures(keep):
 
 def test_what_cannot_be_written_is_named(profile, tmp_path):
     path = tmp_path / "a.bmp"
-    with raises(SmartTouchError, about="file", problem="unknown", value=path) as error:
+    with raises(SmartTouchError, about="file", value=(path, ".gif", ".json")):
         PatternFile(path, profile)
-    assert all(suffix in str(error.value) for suffix in error.value.allowed)
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "x").touch()
-    with raises(SmartTouchError, about="file", problem="exists", value=tmp_path / "full"):
+    with raises(SmartTouchError, about="file", value=tmp_path / "full"):
         PatternFile(tmp_path / "full", profile)
-    with raises(SmartTouchError, about="patterns", problem="empty"):
+    with raises(SmartTouchError, about="patterns"):
         PatternFile(tmp_path / "a.gif", profile).save()
     for path in (tmp_path / "none" / "a.json", tmp_path / "none" / "a.gif"):
         lost = PatternFile(path, profile)
         lost.watch(step(0))
-        with raises(SmartTouchError, about="file", problem="unwritable", value=path):
+        with raises(SmartTouchError, about="file", value=path):
             lost.save()
 
 

@@ -96,10 +96,10 @@ def test_kernels_of_one_array_are_found():
 
 
 def test_errors_are_public():
-    with raises(st.ProfileError, about="profile", problem="unknown"):
+    with raises(st.ProfileError, about="profile"):
         st.load_profile("nothing")
     profile = st.load_profile("electric-mouse")
-    with raises(st.BoardError, about="board", problem="unknown"):
+    with raises(st.BoardError, about="board"):
         st.open_display("nothing:", profile)
-    with raises(st.SourceError, about="source", problem="unknown"):
+    with raises(st.SourceError, about="source"):
         st.open_source("nothing:", profile)

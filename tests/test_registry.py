@@ -8,7 +8,7 @@ import pytest
 from smarttouch.boards.board import Board
 from smarttouch.boards.memory import MemoryBoard
 from smarttouch.boards.open import default_profile, make_board, may_touch_a_finger
-from smarttouch.errors import BoardError, SmartTouchError, SourceError
+from smarttouch.errors import BoardClosedError, BoardError, SmartTouchError, SourceError
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.registry import fault_of, find_opener, known_names
 from smarttouch.running.display import open_display
@@ -88,7 +88,7 @@ def test_a_source_of_others(installed, profile):
     installed(SOURCE, "smarttouch.sources", "open_mine")
     with open_source("mine:", profile, shade=3) as source:
         assert source.read(0) is None
-    with raises(SourceError, about="color", problem="unknown", allowed=("shade",)):
+    with raises(SourceError, about="color", allowed=("shade",)):
         open_source("mine:", profile, color=1)
 
 
@@ -102,7 +102,7 @@ def test_no_other_package_takes_a_name_of_ours(installed, limits):
 def test_two_packages_with_one_name(installed, limits):
     installed(BOARD)
     installed(BOARD, package="another")
-    both = {"problem": "ambiguous", "value": "mine", "allowed": ("another", "their-board")}
+    both = {"value": "mine", "allowed": ("another", "their-board")}
     with raises(BoardError, about="board", **both):
         make_board("mine:", limits)
 
@@ -116,16 +116,16 @@ FINAL = "\n    def {}(self, *given, **named): ...\n"
 
 
 @pytest.mark.parametrize(
-    ("text", "about", "problem"),
+    ("text", "about", "words"),
     [
-        (without("    def _stop(self): ...\n"), "_stop", "missing"),
-        (BOARD.replace("sequence, times", "sequence"), "_send", "signature"),
-        (BOARD.replace("drain(self, timeout_s=1.0)", "drain(self)"), "drain", "signature"),
-        (BOARD + "    _recover = 5\n", "_recover", "signature"),
+        (without("    def _stop(self): ...\n"), "_stop", "has no method"),
+        (BOARD.replace("sequence, times", "sequence"), "_send", "cannot be called"),
+        (BOARD.replace("drain(self, timeout_s=1.0)", "drain(self)"), "drain", "cannot be called"),
+        (BOARD + "    _recover = 5\n", "_recover", "cannot be called"),
         ("import nothing_of_that_name\n" + BOARD, "", "cannot be loaded"),
-        ("Mine = 1\n", "Mine", "signature"),
-        ("class Mine:\n    def __init__(self, *given): ...\n", "Mine", "not a subclass"),
-        (BOARD.replace("rest, limits, output=None", "rest"), "Mine", "signature"),
+        ("Mine = 1\n", "Mine", "cannot be called"),
+        ("class Mine:\n    def __init__(self, *given): ...\n", "Mine", "is no Board"),
+        (BOARD.replace("rest, limits, output=None", "rest"), "Mine", "cannot be called"),
         ("Theirs = 1\n", "", "cannot be loaded"),
         # Refused where it is defined, by Board itself.
         *((BOARD + FINAL.format(name), "", "cannot be loaded") for name in (
@@ -134,37 +134,34 @@ FINAL = "\n    def {}(self, *given, **named): ...\n"
         (BOARD + "    clock = dose = None\n", "", "cannot be loaded"),
     ],
 )  # fmt: skip
-def test_a_broken_board_is_refused_by_its_package(installed, limits, text, about, problem):
+def test_a_broken_board_is_refused_by_its_package(installed, limits, text, about, words):
     installed(text)
-    with raises(BoardError, problem=problem, value="their-board") as caught:
+    with raises(BoardError, value=("their-board", words)) as caught:
         make_board("mine:", limits)
     assert about in caught.value.about
-    assert "their-board" in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("text", "target", "about", "problem"),
+    ("text", "target", "about"),
     [
-        (SOURCE.replace("read(self", "reads(self"), "Mine", "read", "missing"),
-        (SOURCE.replace("read(self, time_ns)", "read(self)"), "Mine", "read", "signature"),
-        (SOURCE.replace("read(self, time_ns)", "read(self)"), "open_mine", "read", "signature"),
-        (SOURCE.replace("rest, profile, *,", "rest, *,"), "open_mine", "open_mine", "signature"),
-        (SOURCE, "open_nothing", "object", "not a subclass"),
-        (SOURCE, "open_other", "", "cannot be loaded"),
+        (SOURCE.replace("read(self", "reads(self"), "Mine", "read"),
+        (SOURCE.replace("read(self, time_ns)", "read(self)"), "Mine", "read"),
+        (SOURCE.replace("read(self, time_ns)", "read(self)"), "open_mine", "read"),
+        (SOURCE.replace("rest, profile, *,", "rest, *,"), "open_mine", "open_mine"),
+        (SOURCE, "open_nothing", "object"),
+        (SOURCE, "open_other", ""),
     ],
 )  # fmt: skip
-def test_a_broken_source_is_refused_by_its_package(
-    installed, profile, text, target, about, problem
-):
+def test_a_broken_source_is_refused_by_its_package(installed, profile, text, target, about):
     installed(text, "smarttouch.sources", target, "their-source")
-    with raises(SourceError, problem=problem, value="their-source") as caught:
+    with raises(SourceError, value="their-source") as caught:
         open_source("mine:", profile)
     assert about in caught.value.about
 
 
 def test_a_broken_force_is_refused_by_its_package(installed, profile):
     installed(SOURCE, "smarttouch.forces", "open_mine", "their-force")
-    with raises(SourceError, about="Mine", problem="not a subclass", value="their-force"):
+    with raises(SourceError, about="Mine", value="their-force"):
         open_force("mine:", profile)
 
 
@@ -188,7 +185,7 @@ def test_a_board_that_goes_around_its_gate_is_refused(installed, limits, more, a
     else:
         text = head + more + "\n" + base + tail
     installed(text)
-    with raises(BoardError, about=about or "limits", problem="replaced", value="Mine"):
+    with raises(BoardError, about=about or "limits", value="Mine"):
         make_board("mine:", limits)
 
 
@@ -202,15 +199,15 @@ def test_a_board_that_does_not_say_what_it_can_do(installed, limits):
     start, end = BOARD.index("        self.capabilities"), BOARD.index("    def drain")
     installed(BOARD[:start] + BOARD[end:])
     board = make_board("mine:", limits)
-    with raises(BoardError, about="capabilities", problem="missing", value="Mine"):
+    with raises(BoardError, about="capabilities", value="Mine"):
         board.open()
-    with raises(BoardError, about="board", problem="closed"):
+    with raises(BoardClosedError, about="board"):
         board.send(None)
 
 
 @pytest.mark.parametrize("name", ["send", "stop", "halt", "close", "open", "dose", "clock"])
 def test_no_board_is_defined_without_its_safety(name):
-    with raises(BoardError, about=name, problem="replaced", value="Theirs"):
+    with raises(BoardError, about=name, value="Theirs"):
         type("Theirs", (MemoryBoard,), {name: lambda self: None})
 
 
@@ -224,7 +221,7 @@ def test_ours_keep_the_contract():
     assert len(ours) > 5
     faults = [fault_of(each, Board) for each in ours]
     # Those in between have something left to be done.
-    assert {fault.problem for fault in faults if fault} <= {"missing"}
+    assert all("has no method" in fault.sentence for fault in faults if fault)
 
 
 @pytest.mark.parametrize(
@@ -247,6 +244,6 @@ def test_a_display_of_a_class_has_the_gate_too(profile):
         def __init__(self, rest, limits, output=None):
             super().__init__(rest, replace(limits, rate_hz=200.0), output)
 
-    with raises(BoardError, about="limits", problem="replaced", value="Wide"):
+    with raises(BoardError, about="limits", value="Wide"):
         open_display(Wide, profile)
     assert open_display(MemoryBoard, profile).board.capabilities is not None

@@ -51,7 +51,6 @@ class MrgFiber:
                 f"the MRG model needs PyFibers and NEURON, which are not ready here ({error}): "
                 'pip install "neuron>=9" "pyfibers>=0.13", then run pyfibers_compile',
                 about="pyfibers",
-                problem="missing",
                 remedy="pip install",
             ) from None
         logging.getLogger("pyfibers").setLevel(logging.ERROR)

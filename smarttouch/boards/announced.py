@@ -65,8 +65,6 @@ class Announcement:
                 f"cannot write {file}, by which smarttouch stop would find this run: "
                 f"{error.strerror}; move what is there out of the way",
                 about="file",
-                problem="unwritable",
-                value=file,
             ) from None
         if on_request is not None:
             threading.Thread(
@@ -158,9 +156,6 @@ def stop_all() -> int:
             f"{len(left)} of {len(asked)} runs have not ended within {ENDED_WITHIN_S:g} s (process "
             f"{left[0]}): switch the board off",
             about="runs",
-            problem="late",
-            value=tuple(left),
-            allowed=ENDED_WITHIN_S,
         )
     if no_mark is not None:
         raise no_mark
@@ -208,8 +203,6 @@ def leave_mark() -> int:
             f"cannot write {place}, which keeps runs that are just starting from beginning: "
             f"{error.strerror}; move what is there out of the way and stop again",
             about="file",
-            problem="unwritable",
-            value=place,
         ) from None
     return time_ns
 
@@ -263,9 +256,7 @@ def _folder() -> Path:
         return path
     except OSError as error:
         message = f"cannot make the folder {error.filename} for the state of runs: {error.strerror}"
-        raise SmartTouchError(
-            message, about="folder", problem="unwritable", value=error.filename
-        ) from None
+        raise SmartTouchError(message, about="folder") from None
 
 
 def _listed() -> list[Path]:
@@ -273,9 +264,7 @@ def _listed() -> list[Path]:
         return sorted(_folder().iterdir())
     except OSError as error:
         message = f"cannot look for runs in {error.filename}: {error.strerror}"
-        raise SmartTouchError(
-            message, about="folder", problem="unreadable", value=error.filename
-        ) from None
+        raise SmartTouchError(message, about="folder") from None
 
 
 def _new_file() -> tuple[int, Path]:

@@ -17,6 +17,7 @@ from smarttouch.boards.seal import make_gate, seal_fault
 from smarttouch.boards.stoppable import enter, leave
 from smarttouch.boards.timely import Timely
 from smarttouch.errors import (
+    BoardClosedError,
     BoardError,
     BoardFaultError,
     BoardRestartedError,
@@ -99,8 +100,6 @@ class Board(Timely, ABC):
                 "output.wiring is for boards whose outputs are wired by the user (etactilekit:): "
                 "remove it from the profile of this one",
                 about="output.wiring",
-                problem="conflict",
-                value=output.wiring,
             )
         super().__init__()
         self.notes: list[str] = []
@@ -128,9 +127,7 @@ class Board(Timely, ABC):
             `CEILING_USER_MA`, and whatever keeps the board from opening.
         """
         if self._opened:
-            raise BoardError(
-                "the board is open already: close it first", about="board", problem="open"
-            )
+            raise BoardError("the board is open already: close it first", about="board")
         self._require_seal()
         refuse_latched(self.device)
         enter(self)
@@ -157,8 +154,6 @@ class Board(Timely, ABC):
                 f"{type(self).__name__} does not say what the board can do: set capabilities, at "
                 "the latest in _open",
                 about="capabilities",
-                problem="missing",
-                value=type(self).__name__,
             )
         if self._stopped.is_set():
             self.close()
@@ -226,12 +221,7 @@ class Board(Timely, ABC):
             # Nothing was delivered for a while: what comes next begins at zero.
             self._gate.restart()
             self.notes.append(f"{lost}: started anew")
-            raise BoardRestartedError(
-                f"{lost}, and was started anew",
-                about=lost.about,
-                problem=lost.problem,
-                value=lost.value,
-            ) from None
+            raise BoardRestartedError(f"{lost}, and was started anew", about=lost.about) from None
         except BoardError:
             # On a stopped board any failure is due to the stop.
             self._go_on_unless_stopped()
@@ -274,8 +264,6 @@ class Board(Timely, ABC):
             f"{reason}: the board is at zero and latched; have it checked, then clear it with "
             "smarttouch board clear",
             about="board",
-            problem="fault",
-            value=reason,
             remedy="smarttouch board clear",
         )
         with contextlib.suppress(BoardError):
@@ -349,9 +337,7 @@ class Board(Timely, ABC):
     @final
     def _require_open(self, what: str) -> None:
         if not self._opened:
-            raise BoardError(
-                f"the board is not open: open it before {what}", about="board", problem="closed"
-            )
+            raise BoardClosedError(f"the board is not open: open it before {what}", about="board")
 
     @final
     def _require_seal(self) -> None:
@@ -444,9 +430,7 @@ class Board(Timely, ABC):
         raise lost
 
     def _measure(self) -> Impedance:
-        raise BoardError(
-            "this board does not measure: use a multimeter", about="measure", problem="impossible"
-        )
+        raise BoardError("this board does not measure: use a multimeter", about="measure")
 
     def _close(self) -> None:
         """Close the line, if there is one; all electrodes are at zero already."""
@@ -483,7 +467,4 @@ def _require_same_clock(due_ns: int, now_ns: int) -> None:
             f"due_ns is {away_ns / 1e9:.3g} s from now, and at most {FARTHEST_NS / 1e9:g} s are "
             "possible: give a time of the board's clock (board.clock.now_ns())",
             about="due_ns",
-            problem="out of range",
-            value=due_ns,
-            allowed=FARTHEST_NS,
         )

@@ -100,11 +100,11 @@ class ETactileKitBoard(SteppedKit):
                 break
             self._resync()
         else:
-            raise self._lost("does not confirm the end of its sense pulses", "mute")
+            raise self._lost("does not confirm the end of its sense pulses")
         self._stop_pulses()
         nothing = self._codec.nothing
         if not (self._load(nothing) or self._load(nothing)):
-            raise self._lost("does not confirm a pattern of zeros", "mute")
+            raise self._lost("does not confirm a pattern of zeros")
 
     # -- sequences ---------------------------------------------------------
 
@@ -118,9 +118,6 @@ class ETactileKitBoard(SteppedKit):
                 f"a scan of {self._outputs} outputs takes {busy_us} µs, which does not fit "
                 f"{settings.period_ns // 1000} µs: lower pulse.discharge_us or the rate",
                 about="period_us",
-                problem="too small",
-                value=settings.period_ns // 1000,
-                allowed=busy_us,
                 remedy="pulse.discharge_us",
             )
         return codec.payload(sequence, self._wiring, self._scale, self._gate.limits)
@@ -275,8 +272,6 @@ class ETactileKitBoard(SteppedKit):
                 f"the board at {self._port_name} did not tell all of its {self._outputs} readings: "
                 "measure again",
                 about="measure",
-                problem="mute",
-                value=self._port_name,
             )
         volts = readings[self._wiring].astype(np.float64) * VOLTS_PER_COUNT
         through_skin = np.maximum(level_ua / 1000 - volts / DUMMY_KOHM, 1e-6)

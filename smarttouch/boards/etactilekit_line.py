@@ -21,7 +21,7 @@ from smarttouch.boards.etactilekit_wire import (
 from smarttouch.boards.keeper import PAUSE_S, PIECE
 from smarttouch.boards.kept_board import KeptBoard
 from smarttouch.boards.scan_lock import Span
-from smarttouch.errors import BoardError, LineLostError, not_offered
+from smarttouch.errors import BoardError, LineLostError, SilentBoardError, not_offered
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.wire.port import open_port
@@ -57,9 +57,6 @@ class ETactileKitLine(KeptBoard):
             raise BoardError(
                 f"output {self._outputs - 1} is out of reach: an eTactileKit counts to 253 outputs",
                 about="output.wiring",
-                problem="too large",
-                value=self._outputs - 1,
-                allowed=252,
             )
         self._lost_frames = 0
         self._senses = False  # whether it may be making sense pulses
@@ -82,9 +79,6 @@ class ETactileKitLine(KeptBoard):
                 f"the eTactileKit at {self._port_name} has {capacity} outputs, the profile needs "
                 f"{self._outputs}: use the profile of this board",
                 about="electrodes",
-                problem="too many",
-                value=self._outputs,
-                allowed=capacity,
             )
         firmware = self._meet_modes() if self._echoes(chips) else self._meet_heights()
         if self._wanted not in (None, firmware) and {self._wanted, firmware} != set(FIRMWARES[1:]):
@@ -92,9 +86,6 @@ class ETactileKitLine(KeptBoard):
                 f"the board at {self._port_name} answers as firmware {firmware} does, not as "
                 f"{self._wanted}: leave ?firmware out",
                 about="?firmware",
-                problem="conflict",
-                value=self._wanted,
-                allowed=firmware,
             )
         return self._wanted or firmware, capacity
 
@@ -112,12 +103,10 @@ class ETactileKitLine(KeptBoard):
             self._write(CHIPS)
             if answer := self._read(1, CHIPS_S):
                 return answer[0]
-        raise BoardError(
+        raise SilentBoardError(
             f"the board at {self._port_name} does not answer as an eTactileKit does: check that "
             "it is on, and switch it off and on",
             about="board",
-            problem="mute",
-            value=self._port_name,
         )
 
     def _echoes(self, chips: int) -> bool:
@@ -132,8 +121,7 @@ class ETactileKitLine(KeptBoard):
             if answer != bytes([chips]):
                 raise self._lost(
                     "answers in a way that no known eTactileKit does "
-                    f"({answer.hex() or 'not at all'}): switch it off and on, or update it",
-                    "malformed",
+                    f"({answer.hex() or 'not at all'}): switch it off and on, or update it"
                 )
         return False
 
@@ -142,7 +130,7 @@ class ETactileKitLine(KeptBoard):
         # No sense pulses: the guard of every change relies on that.
         self._write_out(codec.quiet + NO_SENSE + bytes([0xFC, self._outputs]) + PING)
         if not codec.is_answer(self._read(1, ECHO_S)):
-            raise self._lost("does not echo its number of electrodes", "mute")
+            raise self._lost("does not echo its number of electrodes")
         if self._wanted is None and self._forgets_hosts() and self._forgets_hosts():
             return "newest"
         return "71adee2"
@@ -152,7 +140,7 @@ class ETactileKitLine(KeptBoard):
         # Its electrodes come back with an old pattern: first the height must be zero.
         self._write_out(codec.quiet + CHIPS)
         if not self._read(1, CHIPS_S):
-            raise self._lost("does not confirm a height of zero", "mute")
+            raise self._lost("does not confirm a height of zero")
         self._write_out(bytes([0xFC, self._outputs]) + codec.question)
         answer = self._read(codec.answer_bytes + 1, ECHO_S)
         if codec.is_answer(answer):
@@ -163,12 +151,8 @@ class ETactileKitLine(KeptBoard):
                 f"the firmware of the board at {self._port_name} is eTactileKit v1.0, which is "
                 "not spoken: update it",
                 about="firmware",
-                problem="too old",
-                value="v1.0",
-                allowed=FIRMWARES,
             )
-        what = f"told {len(answer)} bytes of readings, not {codec.answer_bytes}"
-        raise self._lost(what, "malformed")
+        raise self._lost(f"told {len(answer)} bytes of readings, not {codec.answer_bytes}")
 
     def _forgets_hosts(self) -> bool:
         """Return whether it drops a partial command when its host was away for a while."""
@@ -231,7 +215,7 @@ class ETactileKitLine(KeptBoard):
             # The answer may only be late, and a silence would cost far more.
             if codec.is_answer(self._read(codec.answer_bytes, CHIPS_S)):
                 return
-        raise self._lost("does not answer any more", "mute")
+        raise self._lost("does not answer any more")
 
     def _note_loss(self) -> None:
         self._lost_frames += 1
@@ -269,10 +253,6 @@ def _parse(options: str) -> tuple[bool, str | None]:
             firmware = value
         else:
             raise BoardError(
-                f"etactilekit: knows the options ?slow and ?firmware, not ?{option}",
-                about="option",
-                problem="unknown",
-                value=option,
-                allowed=("slow", "firmware"),
+                f"etactilekit: knows the options ?slow and ?firmware, not ?{option}", about="option"
             )
     return slow, firmware

@@ -46,32 +46,23 @@ def settings_of(sequence: ScanSequence) -> Settings:
             "some slots are anodic, some cathodic, and this board has one polarity for all: "
             "send them as two sequences",
             about="current_ua",
-            problem="conflict",
         )
     if sequence.slots and np.ptp(sequence.width_us):
         raise BoardError(
             f"slots of {int(sequence.width_us.min())} to {int(sequence.width_us.max())} µs in "
             "one sequence, and this board has one pulse width for all",
             about="width_us",
-            problem="conflict",
         )
     width = int(sequence.width_us.max(initial=0))
     if sequence.slots and width < SHORTEST_US:
         raise BoardError(
-            f"pulses of {width} µs are too short: at least {SHORTEST_US} µs",
-            about="width_us",
-            problem="too small",
-            value=width,
-            allowed=SHORTEST_US,
+            f"pulses of {width} µs are too short: at least {SHORTEST_US} µs", about="width_us"
         )
     discharge = int(sequence.discharge_us.max(initial=0))
     if discharge >= FIRST_COMMAND:
         raise BoardError(
             f"a discharge of {discharge} µs is too long: at most {FIRST_COMMAND - 1}",
             about="discharge_us",
-            problem="too large",
-            value=discharge,
-            allowed=FIRST_COMMAND - 1,
         )
     rate_hz = max(1, round(1e6 / sequence.period_us))
     return Settings(width, discharge, rate_hz, bool((current_ua < 0).any()))

@@ -73,9 +73,6 @@ class Kajimoto61Board(StreamedBoard):
                 f"a kajimoto61 board has {ELECTRODES} electrodes, the profile "
                 f"{limits.electrodes}: use the profile {self.default_profile}",
                 about="electrodes",
-                problem="conflict",
-                value=limits.electrodes,
-                allowed=ELECTRODES,
                 remedy=f"profile {self.default_profile}",
             )
         self._scale = scale_of(self.kind, None if output is None else output.ua_per_count)
@@ -105,8 +102,6 @@ class Kajimoto61Board(StreamedBoard):
                 f"the board at {self._port_name} answers {len(answer)} bytes to a packet that a "
                 "kajimoto61 board answers with none: it is another one, perhaps etactilekit:",
                 about="board",
-                problem="another",
-                value=self._port_name,
                 remedy="etactilekit:",
             )
 
@@ -125,7 +120,6 @@ class Kajimoto61Board(StreamedBoard):
                 f"slot {slot} is cathodic, and this board is anodic only: choose a mode that its "
                 "profile offers",
                 about="current_ua",
-                problem="impossible",
                 slot=slot,
             )
         if (sequence.width_us != WIDTH_US).any() or (sequence.discharge_us > REST_US).any():
@@ -133,9 +127,6 @@ class Kajimoto61Board(StreamedBoard):
                 f"this board pulses for {WIDTH_US} µs and grounds for {REST_US} µs, the sequence "
                 f"wants {int(sequence.width_us[0])} and {int(sequence.discharge_us[0])}",
                 about="width_us",
-                problem="impossible",
-                value=(int(sequence.width_us[0]), int(sequence.discharge_us[0])),
-                allowed=(WIDTH_US, REST_US),
             )
         shortest = self.timing.shortest_period_us(sequence.slots, ELECTRODES, WIDTH_US, REST_US)
         if sequence.period_us < shortest:
@@ -143,9 +134,6 @@ class Kajimoto61Board(StreamedBoard):
                 f"a period of {sequence.period_us} µs is too short for {sequence.slots} "
                 f"electrodes: this board needs {shortest} µs",
                 about="period_us",
-                problem="too small",
-                value=sequence.period_us,
-                allowed=shortest,
             )
         packet = np.zeros(1 + ELECTRODES, np.uint8)
         packet[0] = STIMULATE
@@ -232,9 +220,6 @@ class Kajimoto61Board(StreamedBoard):
                     f"{ELECTRODES + 1} bytes to a measurement, or others than readings: it was put "
                     "at zero; measure again",
                     about="measure",
-                    problem="malformed",
-                    value=len(answer),
-                    allowed=ELECTRODES + 1,
                 )
         readings = np.frombuffer(answer[:-1], np.uint8).astype(np.float64)
         # The next voltage that reads the same still lies within what the board can supply.

@@ -23,7 +23,7 @@ class KeptBoard(StreamedBoard):
         try:
             self._serial.promise_zero(zero, slow)
         except LINE_ERRORS as error:
-            raise self._lost(f"has vanished ({reason(error)})", "gone") from None
+            raise self._lost(f"has vanished ({reason(error)})") from None
 
     def _at_zero(self) -> bool:
         return self._serial is not None and bool(self._serial.at_zero)
@@ -45,8 +45,6 @@ class KeptBoard(StreamedBoard):
                 f"what is at {self._port_name} now does not answer as that board did: nothing but "
                 "this question was sent",
                 about="board",
-                problem="another",
-                value=self._port_name,
             )
 
     def _aftermath(self) -> str:

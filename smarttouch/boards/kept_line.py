@@ -49,7 +49,6 @@ class KeptLine:
                 f"the process that keeps the board's line cannot be started ({reason(error)}): "
                 "close other programs and try again",
                 about="keeper",
-                problem="impossible",
             ) from None
 
     def _start(self) -> None:
@@ -200,8 +199,6 @@ def _descriptor(port: Port) -> int:
             "this board goes on by itself when its program is gone, so a process of its own must "
             "hold the line, which is possible for a serial device or tcp://HOST:PORT only",
             about="port",
-            problem="impossible",
-            value=port.port,
             remedy="tcp://HOST:PORT",
         )
     return int(port.fileno())

@@ -63,8 +63,6 @@ def refuse_latched(device: str | None) -> None:
             f"the board ({device}) is latched since {found.date}: {found.reason}; have it checked, "
             "then clear it with smarttouch board clear",
             about="board",
-            problem="latched",
-            value=found.reason,
             remedy="smarttouch board clear",
         )
 

@@ -121,9 +121,7 @@ class LinkBoard(Board):
 
     def _open(self) -> None:
         if not self._line.name:
-            raise BoardError(
-                "link: needs a port, for example link:/dev/ttyACM0", about="port", problem="missing"
-            )
+            raise BoardError("link: needs a port, for example link:/dev/ttyACM0", about="port")
         port = open_port(self._line.name)
         self._identity = identity_of(port)
         self._packets_before = 0
@@ -232,7 +230,7 @@ class LinkBoard(Board):
                 return
             number = next(iter(self._in_flight))
         what = f"has not acknowledged sequence {number} within {line.answer_s:g} s"
-        raise line.lost(what, "mute")
+        raise line.lost(what)
 
     def _send_again(self) -> None:
         """Send a sequence without an ACK once more, unless it is too late for it.
@@ -369,8 +367,6 @@ class LinkBoard(Board):
                 f"the board at {self._line.name} did not tell the voltages of its electrodes: "
                 "measure again",
                 about="measure",
-                problem="mute",
-                value=self._line.name,
             )
         return found[-1].astype(np.float64) if found else np.empty(0)
 
@@ -444,8 +440,6 @@ class LinkBoard(Board):
             f"the emergency switch of the board at {self._line.name} was opened: all electrodes "
             "are at zero; close it, then begin again",
             about="board",
-            problem="emergency",
-            value=self._line.name,
         )
 
     def _refused(self, message: Message) -> None:
@@ -464,11 +458,11 @@ class LinkBoard(Board):
             self._unsafe_refused += 1
             # Clocks differ: what rose too fast for the board's begins anew at zero.
             fault = line.lost if rule == Rule.RISE else line.gone
-            line.fail(fault(f"refused sequence {message.about} as unsafe: {words}", "refused"))
+            line.fail(fault(f"refused sequence {message.about} as unsafe: {words}"))
         elif why == Refusal.STOPPED and not line.overtaken:
-            line.fail(line.gone("has been stopped or started anew by someone else", "stopped"))
+            line.fail(line.gone("has been stopped or started anew by someone else"))
         elif why == Refusal.SILENCE:
-            line.fail(line.lost("heard nothing for 100 ms", "late"))
+            line.fail(line.lost("heard nothing for 100 ms"))
 
     def _aftermath(self) -> str:
         done = f", {self.acknowledged} sequences acknowledged"

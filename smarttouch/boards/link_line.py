@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from smarttouch.boards.link_protocol import VERSION, Kind
 from smarttouch.boards.link_session import ANSWERS, HostSession, Message, draw_half
-from smarttouch.errors import BoardError, BoardStoppedError, LineLostError
+from smarttouch.errors import BoardError, BoardStoppedError, LineLostError, SilentBoardError
 from smarttouch.realtime import prioritized
 from smarttouch.wire.framing import Deframer
 from smarttouch.wire.port import LINE_ERRORS, Port, read_some, reason, write_before
@@ -156,20 +156,15 @@ class LinkLine:
             self.raise_fault()
             if halted():
                 raise BoardStoppedError(
-                    f"the board at {self.name} was stopped before it answered",
-                    about="board",
-                    problem="stopped",
-                    value=self.name,
+                    f"the board at {self.name} was stopped before it answered", about="board"
                 )
             return self._answers.pop(kind) if answered() else None
 
-    def _no_answer(self) -> BoardError:
-        return BoardError(
+    def _no_answer(self) -> SilentBoardError:
+        return SilentBoardError(
             f"the board at {self.name} does not answer: check that it is on and speaks link "
             f"version {VERSION}",
             about="board",
-            problem="mute",
-            value=self.name,
         )
 
     def send(
@@ -186,12 +181,7 @@ class LinkLine:
         ``latest_ns`` before its first byte; return whether it was written. A stop may come between
         its pieces."""
         if not self.writing.acquire(timeout=ANSWER_S):
-            raise BoardError(
-                f"the line to {self.name} is blocked: check the cable",
-                about="port",
-                problem="blocked",
-                value=self.name,
-            )
+            raise BoardError(f"the line to {self.name} is blocked: check the cable", about="port")
         try:
             # Numbered under the lock, so that packets leave in order.
             packet = start + self.session.encode(kind, about, payload)
@@ -199,10 +189,7 @@ class LinkLine:
             for at in range(0, len(packet), PIECE):
                 if self.overtaken and len(packet) > PIECE:
                     raise BoardError(
-                        "the board was stopped: open it again before sending",
-                        about="board",
-                        problem="stopped",
-                        value=self.name,
+                        "the board was stopped: open it again before sending", about="board"
                     )
                 piece = packet[at : at + PIECE]
                 if at:
@@ -211,7 +198,7 @@ class LinkLine:
                     return False
             self._last_written = self.now_s()
         except LINE_ERRORS as error:
-            self.fail(self.lost(f"cannot be written to ({reason(error)})", "unwritable"))
+            self.fail(self.lost(f"cannot be written to ({reason(error)})"))
             self.raise_fault()
         finally:
             self.writing.release()
@@ -233,15 +220,15 @@ class LinkLine:
         if self.fault is not None:
             raise self.fault
 
-    def lost(self, what: str, problem: str) -> LineLostError:
+    def lost(self, what: str) -> LineLostError:
         """Return a fault that a restart may repair."""
         message = f"the board at {self.name} {what}{self._aftermath()}"
-        return LineLostError(message, about="board", problem=problem, value=self.name)
+        return LineLostError(message, about="board")
 
-    def gone(self, what: str, problem: str) -> BoardError:
+    def gone(self, what: str) -> BoardError:
         """Return a fault that is final."""
         message = f"the board at {self.name} {what}{self._aftermath()}"
-        return BoardError(message, about="board", problem=problem, value=self.name)
+        return BoardError(message, about="board")
 
     @prioritized()
     def _read_all(self) -> None:
@@ -252,7 +239,7 @@ class LinkLine:
                 data = read_some(self._port)
             except LINE_ERRORS as error:
                 if not self._closing.is_set():
-                    self.fail(self.lost(f"has vanished ({reason(error)})", "gone"))
+                    self.fail(self.lost(f"has vanished ({reason(error)})"))
                 return
             before, now = now, self.now_s()
             silent_s += min(now - before, LISTENED_S)
@@ -260,7 +247,7 @@ class LinkLine:
             if self.take(data) or not self.session.begun:
                 silent_s = 0.0
             if silent_s > self.silence_s:
-                self.fail(self.lost(f"has been silent for {self.silence_s:g} s", "mute"))
+                self.fail(self.lost(f"has been silent for {self.silence_s:g} s"))
                 return
 
     def take(self, data: bytes) -> int:

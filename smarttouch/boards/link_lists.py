@@ -62,9 +62,6 @@ def encode_lists(
             f"{shapes} pulse shapes in one sequence are above the limit of {_MOST_SHAPES}: "
             "choose fewer pulse widths",
             about="shapes",
-            problem="too many",
-            value=shapes,
-            allowed=_MOST_SHAPES,
         )
     recharge = sequence.recharge_ua
     if switched and recharge is not None:
@@ -72,7 +69,6 @@ def encode_lists(
             "a recharge phase needs a source for each electrode, and this board has one for all: "
             "leave it out",
             about="recharge_ua",
-            problem="impossible",
         )
     intensity = -(-parts_per_billion(sequence.intensity) * FULL // PPB)
     flags = MEASURE * measure | RECHARGE * (recharge is not None)
@@ -91,9 +87,6 @@ def encode_lists(
             f"a sequence of {len(payload)} bytes is above the board's limit of {most_bytes}: scan "
             "fewer points at once",
             about="packet",
-            problem="too large",
-            value=len(payload),
-            allowed=most_bytes,
         )
     return payload
 
@@ -214,7 +207,4 @@ def _too_many(count: int) -> BoardError:
     return BoardError(
         f"{count} slots or points of one kind are above the limit of {_U16_MAX}: scan fewer points",
         about="slots",
-        problem="too many",
-        value=count,
-        allowed=_U16_MAX,
     )

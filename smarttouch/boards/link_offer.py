@@ -30,9 +30,6 @@ def _offered(answer: Message, name: str) -> tuple[protocol.Output, Capabilities]
             f"the board at {name} speaks link version {answer.version}, this "
             f"program {protocol.VERSION}: bring both to the same",
             about="version",
-            problem="conflict",
-            value=answer.version,
-            allowed=protocol.VERSION,
         )
     head = protocol.CAPABILITIES.size
     if len(answer.payload) < head + protocol.KEEPING.size:
@@ -42,11 +39,7 @@ def _offered(answer: Message, name: str) -> tuple[protocol.Output, Capabilities]
     )
     if output >= len(protocol.OUTPUTS):
         raise BoardError(
-            f"the board at {name} has outputs of unknown kind {output}",
-            about="output.kind",
-            problem="unknown",
-            value=output,
-            allowed=protocol.OUTPUTS,
+            f"the board at {name} has outputs of unknown kind {output}", about="output.kind"
         )
     kind = protocol.OUTPUTS[output]
     room, packet, kernels = protocol.KEEPING.unpack_from(answer.payload, head)
@@ -81,15 +74,10 @@ def _require_ready(
         raise EmergencyStopError(
             f"the emergency switch of the board at {name} is open: close it, then begin again",
             about="board",
-            problem="emergency",
-            value=name,
         )
     if known not in (None, found):
         raise OtherDeviceError(
-            f"the board at {name} now is another: only HELLO was sent to it",
-            about="board",
-            problem="another",
-            value=name,
+            f"the board at {name} now is another: only HELLO was sent to it", about="board"
         )
 
 
@@ -101,26 +89,15 @@ def _require_fit(name: str, found: Capabilities, electrodes: int, wanted: Output
             f"the board at {name} has {outputs} electrodes, the profile "
             f"{electrodes}: use the profile of this board",
             about="electrodes",
-            problem="conflict",
-            value=electrodes,
-            allowed=outputs,
         )
     if wanted is not None and wanted.kind != kind:
         raise BoardError(
             f"the board at {name} is {kind}, the profile needs "
             f"{wanted.kind}: use the profile of this board",
             about="output.kind",
-            problem="conflict",
-            value=wanted.kind,
-            allowed=kind,
         )
 
 
 def malformed(name: str) -> BoardError:
     """Return the error of a board that answers nonsense."""
-    return BoardError(
-        f"the board at {name} answers nonsense: check its firmware",
-        about="board",
-        problem="malformed",
-        value=name,
-    )
+    return BoardError(f"the board at {name} answers nonsense: check its firmware", about="board")

@@ -59,9 +59,6 @@ def source_of(current_ua: NDArray[np.int16]) -> NDArray[np.uint16]:
             f"a slot asks {strongest / 1000:.1f} mA of one source, the wire carries at most "
             f"{_U16_MAX / 1000:.1f} mA: lower the currents",
             about="source_ua",
-            problem="too large",
-            value=strongest,
-            allowed=_U16_MAX,
             slot=int(source.argmax()),
         )
     found: NDArray[np.uint16] = source.astype("<u2")

@@ -88,12 +88,7 @@ class HostSession:
     def encode(self, kind: Kind, about: int = 0, payload: bytes = b"") -> bytes:
         """Return the host's next packet."""
         if self._sent == LAST_NUMBER:
-            raise LineLostError(
-                f"the session of {LAST_NUMBER} packets is over",
-                about="packets",
-                problem="too many",
-                allowed=LAST_NUMBER,
-            )
+            raise LineLostError(f"the session of {LAST_NUMBER} packets is over", about="packets")
         self._sent += 1
         if kind in ANSWERS:
             self._asked[self._sent] = ANSWERS[kind]

@@ -70,11 +70,7 @@ def give_kernels(
             if proof == image.proof(line.session.number):
                 return
             raise KernelTableError(
-                f"the board at {line.name} keeps other kernels than it was sent",
-                about="kernels",
-                problem="another",
-                value=proof.hex(),
-                allowed=image.proof(line.session.number).hex(),
+                f"the board at {line.name} keeps other kernels than it was sent", about="kernels"
             )
         # The first query carries no kernels: its answer says where to begin.
         kept = kept if identity == image.identity and kept < len(image.data) else 0
@@ -83,8 +79,6 @@ def give_kernels(
     raise BoardError(
         f"the board at {line.name} does not keep the kernels that it is sent: check its firmware",
         about="kernels",
-        problem="refused",
-        value=len(image.data),
     )
 
 

@@ -2,7 +2,13 @@
 
 from collections.abc import Callable
 
-from smarttouch.errors import BoardError, BoardStoppedError, LineLostError, OtherDeviceError
+from smarttouch.errors import (
+    BoardError,
+    BoardStoppedError,
+    LineLostError,
+    OtherDeviceError,
+    SilentBoardError,
+)
 
 TIMES = 3
 
@@ -16,10 +22,8 @@ def start_anew(start: Callable[[], None], lost: LineLostError) -> None:
         except BoardStoppedError:
             raise
         except OtherDeviceError as other:
-            raise BoardError(
-                f"{lost}; {other}", about=other.about, problem=other.problem, value=other.value
-            ) from None
+            raise BoardError(f"{lost}; {other}", about=other.about) from None
         except BoardError as again:
-            if not left or not (isinstance(again, LineLostError) or again.problem == "mute"):
+            if not left or not isinstance(again, LineLostError | SilentBoardError):
                 raise lost from None
     return None

@@ -51,15 +51,12 @@ def scale_of(kind: str, measured_ua: float | None) -> Scale:
     if measured_ua is None:
         return Scale(nominal_ua, nominal_ua)
     if not in_band(measured_ua / nominal_ua):
-        problem, mistake = _likely(kind, measured_ua)
+        mistake = _likely(kind, measured_ua)
         raise BoardError(
             f"output.ua_per_count = {measured_ua:g} is {measured_ua / nominal_ua:.3g} times the "
             f"{nominal_ua:.4g} µA of a {kind} board, and boards differ by {100 * BAND:.0f} % at "
             f"most: {mistake}",
             about="output.ua_per_count",
-            problem=problem,
-            value=measured_ua,
-            allowed=((1 - BAND) * nominal_ua, (1 + BAND) * nominal_ua),
         )
     return Scale(measured_ua, nominal_ua)
 
@@ -68,17 +65,16 @@ def in_band(ratio: float) -> bool:
     return abs(ratio - 1) <= BAND + 1e-9
 
 
-def _likely(kind: str, measured_ua: float) -> tuple[str, str]:
+def _likely(kind: str, measured_ua: float) -> str:
     ratio = measured_ua / NOMINAL_UA[kind]
     if in_band(1000 * ratio):
-        return "too small by 1000", "mA where µA is meant? Give µA"
+        return "mA where µA is meant? Give µA"
     if in_band(ratio / 1000):
-        return "too large by 1000", "nA where µA is meant? Give µA"
+        return "nA where µA is meant? Give µA"
     for other, nominal_ua in NOMINAL_UA.items():
         if in_band(measured_ua / nominal_ua):
-            words = f"that is the scale of a {other} board; is this the right profile?"
-            return "another", words
-    return "out of range", "measure it again (smarttouch board calibrate-scale), or remove it"
+            return f"that is the scale of a {other} board; is this the right profile?"
+    return "measure it again (smarttouch board calibrate-scale), or remove it"
 
 
 def check_reading(volts: float, ohm: float, current_ma: float) -> float:
@@ -86,40 +82,25 @@ def check_reading(volts: float, ohm: float, current_ma: float) -> float:
     with the likely mistake, if it is out of band."""
     for what, value in (("ohm", ohm), ("current_ma", current_ma)):
         if not 0 < value < math.inf:
-            raise BoardError(
-                f"{what} {value:g} must be above 0 and finite",
-                about=what,
-                problem="out of range",
-                value=value,
-            )
+            raise BoardError(f"{what} {value:g} must be above 0 and finite", about=what)
     if not 0 < volts < math.inf:
         raise BoardError(
-            f"{volts:g} V across {ohm:g} ohm is no current: check the connections",
-            about="volts",
-            problem="no current",
-            value=volts,
+            f"{volts:g} V across {ohm:g} ohm is no current: check the connections", about="volts"
         )
     ratio = 1000 * volts / ohm / current_ma
     if in_band(ratio):
         return ratio
-    problem = "out of range"
     mistake = "check the connections, the resistor, and which board this is"
     if in_band(ratio / 1000):
-        problem = "too large by 1000"
         mistake = "mV where V is meant, or kilohms where ohms are?"
     elif in_band(1000 * ratio):
-        problem = "too small by 1000"
         mistake = "kV where V is meant, or µA where mA are?"
     elif in_band(ratio / 2):
-        problem = "peak to peak"
         mistake = "peak to peak of both phases, where the peak is meant?"
     raise BoardError(
         f"{volts:g} V across {ohm:g} ohm are {ratio:.3g} times the nominal {current_ma:g} mA, and "
         f"boards differ by {100 * BAND:.0f} % at most: {mistake}",
         about="volts",
-        problem=problem,
-        value=volts,
-        allowed=tuple(edge * ohm * current_ma / 1000 for edge in (1 - BAND, 1 + BAND)),
     )
 
 

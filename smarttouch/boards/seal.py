@@ -73,8 +73,6 @@ def _replaced(kind: type, name: str) -> BoardError:
         f"{kind.__name__} replaces {name}, which keeps every board safe: implement the underscored "
         "methods of Board instead",
         about=name,
-        problem="replaced",
-        value=kind.__name__,
     )
 
 
@@ -146,12 +144,7 @@ def seal_fault(board: Any) -> BoardError | None:
 def seal_error(board: Any, about: str, remedy: str) -> BoardError:
     """Return the error of a board that bypasses its gate."""
     kind = type(board).__name__
-    return BoardError(
-        f"{kind} goes around the safety gate by its {about}: {remedy}",
-        about=about,
-        problem="replaced",
-        value=kind,
-    )
+    return BoardError(f"{kind} goes around the safety gate by its {about}: {remedy}", about=about)
 
 
 def _same(found: tuple[Any, ...], kept: tuple[Any, ...]) -> bool:

@@ -144,9 +144,6 @@ def _wav_header(channels: int, rate_hz: int, samples: int) -> bytes:
         raise BoardError(
             "the WAV file of the vibrators is full, it holds 4 GB: lower its rate",
             about="file",
-            problem="too large",
-            value=size,
-            allowed=_LARGEST_BYTES,
             remedy="rate",
         )
     sound = struct.pack("<HHIIHH", 1, channels, rate_hz, rate_hz * frame, frame, 16)
@@ -188,8 +185,6 @@ class AudioShaking(Shaking):
                 f"cannot play {waveform.channels} vibrators on the sound device "
                 f"{self._device or 'of this computer'}: {reason}; see python3 -m sounddevice",
                 about="sound device",
-                problem="impossible",
-                value=self._device,
                 remedy="python3 -m sounddevice",
             ) from None
 
@@ -198,10 +193,7 @@ class AudioShaking(Shaking):
     ) -> None:
         if not self._stream.active:
             raise BoardError(
-                "the sound device of the vibrators is gone: connect it again",
-                about="sound device",
-                problem="gone",
-                value=self._device,
+                "the sound device of the vibrators is gone: connect it again", about="sound device"
             )
         over_ns = times * period_ns
         with self._lock:
@@ -251,7 +243,6 @@ def _import_sounddevice() -> Any:
             "vibrators:audio needs sounddevice: install it with pip install 'smarttouch[audio]', "
             "or write a file with vibrators:FILE.wav",
             about="sounddevice",
-            problem="missing",
             remedy="pip install 'smarttouch[audio]'",
         ) from None
     except OSError:
@@ -259,6 +250,5 @@ def _import_sounddevice() -> Any:
             "vibrators:audio needs PortAudio: install it with apt install libportaudio2, or write "
             "a file with vibrators:FILE.wav",
             about="PortAudio",
-            problem="missing",
             remedy="apt install libportaudio2",
         ) from None

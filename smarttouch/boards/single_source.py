@@ -22,7 +22,6 @@ def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[n
             f"slot {int(wrong.argmax())} is no pattern of one electrode against all others, and "
             "this board can make no other: use its own profile",
             about="current_ua",
-            problem="impossible",
             slot=int(wrong.argmax()),
         )
     if len(np.unique(electrode)) != len(electrode):
@@ -30,8 +29,5 @@ def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[n
             f"{len(electrode)} slots share {len(np.unique(electrode))} electrodes: this board "
             "drives each once in a scan",
             about="slots",
-            problem="too many",
-            value=len(electrode),
-            allowed=len(np.unique(electrode)),
         )
     return electrode, own

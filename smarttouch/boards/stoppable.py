@@ -170,7 +170,6 @@ class _Program:
                 f"this program was stopped by {self._ended or 'smarttouch stop'}, and drives no "
                 "board any more: start it again",
                 about="program",
-                problem="stopped",
             )
 
     def _refuse_beyond_budget(self, own_ua: int) -> None:
@@ -189,9 +188,6 @@ class _Program:
                 f"one, which may drive {own_ua / 1000:g} mA: {CEILING_USER_MA:g} mA are allowed, "
                 "so close another display or lower limits.total_ma in the profile",
                 about="limits.total_ma",
-                problem="too large",
-                value=total_ua / 1000,
-                allowed=CEILING_USER_MA,
             )
 
 

@@ -66,18 +66,13 @@ class StreamedBoard(Board):
         super().__init__(limits, output)
         if not port:
             raise BoardError(
-                f"{self.kind}: needs a port, for example {self.kind}:/dev/ttyUSB0",
-                about="port",
-                problem="missing",
+                f"{self.kind}: needs a port, for example {self.kind}:/dev/ttyUSB0", about="port"
             )
         if output is not None and output.kind != "one-against-all":
             raise BoardError(
                 f"a {self.kind} board is one-against-all, the profile needs {output.kind}: use "
                 f"the profile {self.default_profile}",
                 about="output.kind",
-                problem="conflict",
-                value=output.kind,
-                allowed="one-against-all",
                 remedy=f"profile {self.default_profile}",
             )
         self._port_name = port
@@ -144,8 +139,6 @@ class StreamedBoard(Board):
                 f"{lost}; USB tells no serial number of it and it cannot be asked who it is, so "
                 "nothing is sent to what comes back: check the cable, then start again",
                 about=lost.about,
-                problem=lost.problem,
-                value=lost.value,
             )
         start_anew(self._start_again, lost)
 
@@ -269,7 +262,7 @@ class StreamedBoard(Board):
         except BoardError as error:
             self._fail(error)
         except LINE_ERRORS as error:
-            self._fail(self._lost(f"has vanished ({reason(error)})", "gone"))
+            self._fail(self._lost(f"has vanished ({reason(error)})"))
 
     def _take(self, until_s: float | None = None) -> Job | None:
         """Return the newest sequence, or None at a time or when closing."""
@@ -323,32 +316,32 @@ class StreamedBoard(Board):
             self._news.notify_all()
 
     def _write(self, data: bytes) -> None:
-        with self._open_port("cannot be written to", "unwritable") as port:
+        with self._open_port("cannot be written to") as port:
             port.write(data)
 
     def _write_in_time(self, data: bytes, due_ns: int) -> bool:
         """Write data that is due at a time, or nothing if that is too long ago."""
-        with self._open_port("cannot be written to", "unwritable") as port:
+        with self._open_port("cannot be written to") as port:
             return write_before(port, data, due_ns + LATE_NS, self._clock.now_ns)
 
     def _read(self, count: int, within_s: float) -> bytes:
         """Return as many bytes as come in time, at most ``count``."""
-        with self._open_port("has vanished", "gone") as port:
+        with self._open_port("has vanished") as port:
             port.timeout = within_s
             return bytes(port.read(count))
 
     def _flush(self) -> None:
-        with self._open_port("has vanished", "gone") as port:
+        with self._open_port("has vanished") as port:
             port.reset_input_buffer()
 
     @contextlib.contextmanager
-    def _open_port(self, what: str, problem: str) -> Iterator[Port]:
+    def _open_port(self, what: str) -> Iterator[Port]:
         """Lend the line; raise LineLostError if it fails."""
         assert self._serial is not None
         try:
             yield self._serial
         except LINE_ERRORS as error:
-            raise self._lost(f"{what} ({reason(error)})", problem) from None
+            raise self._lost(f"{what} ({reason(error)})") from None
 
     def _fail(self, fault: BoardError) -> None:
         with self._news:
@@ -356,13 +349,11 @@ class StreamedBoard(Board):
             self._busy = False
             self._news.notify_all()
 
-    def _lost(self, what: str, problem: str) -> LineLostError:
+    def _lost(self, what: str) -> LineLostError:
         after = self._aftermath()
         return LineLostError(
             f"the board at {self._port_name} {what}{after}",
             about="board",
-            problem=problem,
-            value=self._port_name,
             remedy="switch it off" if after else "",
         )
 

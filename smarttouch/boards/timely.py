@@ -64,7 +64,6 @@ class Timely(Sealed):
             raise BoardStoppedError(
                 f"the board was stopped, all electrodes are at zero: {again} before sending",
                 about="board",
-                problem="stopped",
             )
 
     @final
@@ -131,6 +130,4 @@ class Timely(Sealed):
             f"this computer stood still for more than {LATE_NS // 1_000_000} ms: what was due then "
             "was not sent, and intensity begins at zero",
             about="board",
-            problem="late",
-            allowed=LATE_NS,
         )

@@ -58,17 +58,11 @@ class VibratorBoard(Board):
                 f"vibrators: {self._sample_hz} samples a second are too few for "
                 f"{self._carrier_hz:g} Hz: give rate={FEWEST_SAMPLES * self._carrier_hz:g} or more",
                 about="rate",
-                problem="too small",
-                value=self._sample_hz,
-                allowed=FEWEST_SAMPLES * self._carrier_hz,
             )
         if device is None and not target.endswith(".wav"):
             raise BoardError(
                 f"vibrators: needs a file that ends in .wav, or audio, not {target!r}: {_EXAMPLE}",
                 about="board",
-                problem="malformed" if target else "missing",
-                value=target,
-                allowed=(".wav", "audio"),
             )
         self._vibrators = rows * columns
         self._vibrator_of = None if electrodes is None else vibrator_of(electrodes, rows, columns)
@@ -151,10 +145,7 @@ def _read_options(query: str) -> dict[str, Any]:
         given = parse_qsl(query, strict_parsing=True) if query else []
     except ValueError:
         raise BoardError(
-            f"vibrators: cannot read the options {query!r}: {_EXAMPLE}",
-            about="option",
-            problem="malformed",
-            value=query,
+            f"vibrators: cannot read the options {query!r}: {_EXAMPLE}", about="option"
         ) from None
     for name, text in given:
         if name == "grid":
@@ -165,11 +156,7 @@ def _read_options(query: str) -> dict[str, Any]:
             read[name] = _number(name, text, 1000, 192_000)
         else:
             raise BoardError(
-                f"vibrators: knows the options grid, hz and rate, not {name}",
-                about="option",
-                problem="unknown",
-                value=name,
-                allowed=("grid", "hz", "rate"),
+                f"vibrators: knows the options grid, hz and rate, not {name}", about="option"
             )
     return read
 
@@ -178,19 +165,13 @@ def _grid(text: str) -> tuple[int, int]:
     rows, _, columns = text.partition("x")
     if not (rows.isdecimal() and columns.isdecimal() and int(rows) * int(columns) > 0):
         raise BoardError(
-            f"vibrators: grid={text} is no grid: give rows x columns, {_EXAMPLE}",
-            about="grid",
-            problem="malformed",
-            value=text,
+            f"vibrators: grid={text} is no grid: give rows x columns, {_EXAMPLE}", about="grid"
         )
     if int(rows) * int(columns) > MOST_VIBRATORS:
         raise BoardError(
             f"vibrators: grid={text} has {int(rows) * int(columns)} vibrators: at most "
             f"{MOST_VIBRATORS} are possible",
             about="grid",
-            problem="too many",
-            value=int(rows) * int(columns),
-            allowed=MOST_VIBRATORS,
         )
     return int(rows), int(columns)
 
@@ -201,11 +182,5 @@ def _number(name: str, text: str, least: float, most: float) -> float:
     except ValueError:
         value = float("nan")
     if not least <= value <= most:
-        raise BoardError(
-            f"vibrators: {name}={text} must be from {least:g} to {most:g}",
-            about=name,
-            problem="out of range",
-            value=text,
-            allowed=(least, most),
-        )
+        raise BoardError(f"vibrators: {name}={text} must be from {least:g} to {most:g}", about=name)
     return value

@@ -55,8 +55,6 @@ def _codes(line: str, where: str) -> str:
                 f"{cell} ({where}, cell {column}) has dots 7 or 8, which BRF files cannot hold: "
                 "write a .pef file, or choose a table of 6 dots",
                 about="cell",
-                problem="eight dots",
-                value=cell,
             )
     return "".join(_CODE[pattern(cell)] for cell in line)
 
@@ -69,7 +67,5 @@ def _cells(line: str, name: str, count: int) -> str:
                 f"{name}, line {count}, column {column}: {code!r} is not ASCII Braille: is this a "
                 "BRF file?",
                 about="cell",
-                problem="malformed",
-                value=code,
             )
     return cells

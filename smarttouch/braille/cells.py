@@ -37,8 +37,6 @@ def require_cells(line: str) -> None:
                 f"{character!r} at position {column + 1} is not a Braille cell: give characters "
                 "U+2800 to U+28FF",
                 about="cell",
-                problem="malformed",
-                value=character,
             )
 
 
@@ -53,10 +51,7 @@ def dots_to_cells(dots: NDArray[Any]) -> str:
     """Return a line of cells from its dots, (N, 8) or (N, 6) bool; column k is dot k + 1."""
     if dots.ndim != 2 or dots.shape[1] not in (6, 8):
         raise BrailleError(
-            f"dots of shape {dots.shape} are not cells: give (N, 6) or (N, 8)",
-            about="dots",
-            problem="malformed",
-            value=dots.shape,
+            f"dots of shape {dots.shape} are not cells: give (N, 6) or (N, 8)", about="dots"
         )
     patterns = np.packbits(dots.astype(bool), axis=1, bitorder="little")
     return "".join(chr(ord(BLANK) + int(each)) for each in patterns.ravel())

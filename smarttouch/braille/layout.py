@@ -28,9 +28,6 @@ def lay_out(
             f"a page of {columns} x {rows} cells is too small: give at least {indent + 2} columns "
             "and 1 row",
             about="page",
-            problem="too small",
-            value=(columns, rows),
-            allowed=(indent + 2, 1),
         )
     lines = [line for each in paragraphs for line in _wrap(each, columns, indent)]
     return [lines[first : first + rows] for first in range(0, len(lines), rows)]

@@ -62,11 +62,7 @@ class LouisCode:
     def __init__(self, table: str, goes_back: bool | None = None) -> None:
         if not has_table(table):
             raise BrailleError(
-                f"liblouis has no table {table!r} here: {INSTALL}",
-                about="table",
-                problem="missing",
-                value=table,
-                remedy=INSTALL,
+                f"liblouis has no table {table!r} here: {INSTALL}", about="table", remedy=INSTALL
             )
         self._table = table
         self.goes_back = _goes_both_ways(table) if goes_back is None else goes_back
@@ -247,10 +243,7 @@ def _translate(
             return Translated(made, cell_of[:length], character_of[: written.value])
     way = "cells into a text" if back else "a text into cells"
     raise BrailleError(
-        f"liblouis could not turn {way} with {table}: choose another table",
-        about="table",
-        problem="impossible",
-        value=table,
+        f"liblouis could not turn {way} with {table}: choose another table", about="table"
     )
 
 

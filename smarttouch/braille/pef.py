@@ -63,28 +63,15 @@ def parse_pef(data: bytes, name: str = "PEF") -> Pages:
         _refuse_declarations(data, name)
         root = ET.fromstring(data)
     except (ET.ParseError, expat.ExpatError, LookupError, ValueError) as error:
-        raise BrailleError(
-            f"{name} is not XML: {error}", about="file", problem="malformed", value=name
-        ) from None
+        raise BrailleError(f"{name} is not XML: {error}", about="file") from None
     if root.tag != f"{{{_PEF}}}pef":
-        raise BrailleError(
-            f"{name} is not a PEF file: its root is {root.tag!r}",
-            about="file",
-            problem="unknown",
-            value=root.tag,
-            allowed=f"{{{_PEF}}}pef",
-        )
+        raise BrailleError(f"{name} is not a PEF file: its root is {root.tag!r}", about="file")
     pages = [
         [_row(row, name) for row in page.findall(f"{{{_PEF}}}row")]
         for page in root.iter(f"{{{_PEF}}}page")
     ]
     if not pages:
-        raise BrailleError(
-            f"{name} is a PEF file without pages",
-            about="file",
-            problem="empty",
-            value=name,
-        )
+        raise BrailleError(f"{name} is a PEF file without pages", about="file")
     return pages
 
 
@@ -97,10 +84,7 @@ def _refuse_declarations(data: bytes, name: str) -> None:
 
     def refuse(*_: object) -> None:
         raise BrailleError(
-            f"{name} declares a document type, which PEF files must not have",
-            about="file",
-            problem="doctype",
-            value=name,
+            f"{name} declares a document type, which PEF files must not have", about="file"
         )
 
     parser = expat.ParserCreate()
@@ -113,7 +97,5 @@ def _row(row: ET.Element, name: str) -> str:
     try:
         require_cells(line)
     except BrailleError as error:
-        raise BrailleError(
-            f"{name}: {error}", about=error.about, problem=error.problem, value=error.value
-        ) from None
+        raise BrailleError(f"{name}: {error}", about=error.about) from None
     return line

@@ -74,8 +74,6 @@ def read_braille(page: Page, light_from_deg: float | None = None) -> BraillePage
         raise PageError(
             f"light from {light_from_deg:g}°: give 0 for the right, 90 for the top",
             about="light_from_deg",
-            problem="malformed",
-            value=light_from_deg,
         )
     below = light_from_deg is not None and light_from_deg % 360 > 180
     grey = 255 - page.grey if below else page.grey
@@ -95,9 +93,6 @@ def read_braille(page: Page, light_from_deg: float | None = None) -> BraillePage
             f"only {found.certainty[kept].sum():.0f} of {len(kept)} possible cells are certain: is "
             "it a page of Braille, upright, sharp and lit from one side?",
             about="page",
-            problem="too few",
-            value=certainty,
-            allowed=LEAST_CERTAINTY,
         )
     notes = []
     if certainty < DISTURBED:

@@ -44,8 +44,6 @@ def file_of(source: str) -> Path | None:
         raise BrailleError(
             f"there is no file {source}: check its name, or give {TEXT}{source} for these words",
             about="file",
-            problem="missing",
-            value=Path(source),
         )
     return Path(source) if there else None
 
@@ -73,9 +71,7 @@ def load_cells(source: str, table: BrailleTable, leave_out: bool = False) -> Loa
         paragraphs = cells.strip("\n").split("\n")
     if not any(paragraph.strip(BLANK) for paragraph in paragraphs):
         raise BrailleError(
-            "there is nothing to read: give a text, or a file with one",
-            about="text",
-            problem="empty",
+            "there is nothing to read: give a text, or a file with one", about="text"
         )
     return Loaded(paragraphs, pages, notes)
 
@@ -92,11 +88,7 @@ def write_cells(path: Path, pages: Pages) -> None:
         write_bytes(path, lines.encode(), BrailleError)
     else:
         raise BrailleError(
-            f"cannot write {path}: give a name that ends in .brf, .pef or .txt",
-            about="file",
-            problem="ending",
-            value=path,
-            allowed=(".brf", ".pef", ".txt"),
+            f"cannot write {path}: give a name that ends in .brf, .pef or .txt", about="file"
         )
 
 

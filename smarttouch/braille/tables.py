@@ -68,8 +68,6 @@ class BrailleTable:
                 f"table {self.name} has no cells for {missing[0]!r} (U+{ord(missing[0]):04X})"
                 f"{others}: {self.code.remedy}",
                 about="text",
-                problem="unknown",
-                value=missing,
             )
         tidy = tidy.translate(dict.fromkeys(map(ord, missing)))
         return "\n".join(self.code.encode(line) for line in tidy.split("\n"))
@@ -81,8 +79,6 @@ class BrailleTable:
                 f"table {self.name} translates texts into cells only: choose another table to "
                 "translate back",
                 about="table",
-                problem="impossible",
-                value=self.name,
             )
         lines = cells.split("\n")
         for line in lines:
@@ -158,9 +154,6 @@ def open_table(name: str = DEFAULT_TABLE) -> BrailleTable:
             f"unknown table {name!r}: choose one of {', '.join(_KNOWN)}, or give the tag of a "
             "language (pt), or the file name of a table of liblouis",
             about="table",
-            problem="unknown",
-            value=name,
-            allowed=tuple(_KNOWN),
         )
     if known.file is not None and louis.has_table(known.file):
         code = _EnglishLouis if known.built_in is Grade1 else LouisCode
@@ -169,8 +162,6 @@ def open_table(name: str = DEFAULT_TABLE) -> BrailleTable:
         raise BrailleError(
             f"table {name} ({known.title}) needs liblouis: {louis.INSTALL}",
             about="liblouis",
-            problem="missing",
-            value=name,
             remedy=louis.INSTALL,
         )
     return BrailleTable(name, known.title, known.built_in(), MISSING_NOTE if known.file else None)

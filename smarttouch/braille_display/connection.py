@@ -40,8 +40,6 @@ class Address:
                 f"{text!r} is not an address of BRLTTY: give listen:PORT, listen:HOST:PORT or "
                 f"HOST:PORT, as in listen:{USUAL_PORT}",
                 about="address",
-                problem="malformed",
-                value=text,
             )
         return cls(host, number, listens)
 
@@ -59,10 +57,7 @@ class BrlttyConnection:
     def __init__(self, address: Address, cells: int) -> None:
         if not 1 <= cells <= MOST_CELLS:
             raise SourceError(
-                f"a display of {cells} cells is not possible: give 1 to {MOST_CELLS}",
-                about="cells",
-                value=cells,
-                allowed=(1, MOST_CELLS),
+                f"a display of {cells} cells is not possible: give 1 to {MOST_CELLS}", about="cells"
             )
         self.address, self.cells = address, cells
         self.shown: DisplayContent | None = None
@@ -92,8 +87,6 @@ class BrlttyConnection:
                 f"cannot {'listen' if self.address.listens else 'connect'} at {self.address}: "
                 f"{getattr(error, 'strerror', None) or error}: {remedy}",
                 about="address",
-                problem="unavailable",
-                value=str(self.address),
             ) from None
         self._thread.start()
         return self

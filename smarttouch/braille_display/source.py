@@ -43,13 +43,7 @@ def open_brltty(
     ``pan`` the window moves on by itself at its end.
     """
     if show not in list(Presentation):
-        raise SourceError(
-            f"cells cannot be shown as {show!r}: choose line or cell",
-            about="show",
-            problem="unknown",
-            value=show,
-            allowed=tuple(map(str, Presentation)),
-        )
+        raise SourceError(f"cells cannot be shown as {show!r}: choose line or cell", about="show")
     connection = BrlttyConnection(Address.parse(rest), cells)
     source = BrailleDisplaySource(connection, profile, Presentation(show), speed_mm_s, pan)
     connection.open()
@@ -82,8 +76,6 @@ class BrailleDisplaySource(StimulusSource):
             raise SourceError(
                 f"{speed_mm_s:g} mm/s must be from {SLOWEST_MM_S:g} to {FASTEST_MM_S:g}",
                 about="speed_mm_s",
-                value=speed_mm_s,
-                allowed=(SLOWEST_MM_S, FASTEST_MM_S),
             )
         self.connection = connection
         self.layout: CellLayout = cell_layout(profile, eight=True)

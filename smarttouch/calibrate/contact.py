@@ -89,7 +89,6 @@ def judge_contact(measured: Sequence[Impedance]) -> ContactFound:
         raise CalibrationError(
             "no electrode touches anything: put the finger on the array, and measure again",
             about="finger",
-            problem="missing",
         )
     kohm = np.array([each.kohm for each in measured])
     condition = tuple(_most(each) for each in zip(*(m.condition for m in measured), strict=True))
@@ -109,9 +108,6 @@ def judge_contact(measured: Sequence[Impedance]) -> ContactFound:
             f"{broken} of {count} electrodes do not touch or are shorted, and {good} are good: lay "
             "the finger on all of the array, clean and moisten it, and measure again",
             about="contact",
-            problem="too many" if lost else "too few",
-            value=broken if lost else good,
-            allowed=MOST_BROKEN * count if lost else 1,
         )
     restless = np.nanmedian(spread[touching] / middle[touching]) if len(kohm) > 1 else 0.0
     if restless > MOST_RESTLESS:
@@ -119,9 +115,6 @@ def judge_contact(measured: Sequence[Impedance]) -> ContactFound:
             f"measurements of one electrode differ by {restless:.0%}: hold the finger still, and "
             "measure again",
             about="contact",
-            problem="restless",
-            value=float(restless),
-            allowed=MOST_RESTLESS,
         )
     return found
 

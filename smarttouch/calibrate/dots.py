@@ -43,9 +43,6 @@ def find_dots(image: NDArray[np.uint8]) -> Dots:
             f"an image of {image.shape[1]} × {image.shape[0]} pixels is too coarse for dots: "
             f"{FEWEST_SIDE} a side are needed",
             about="image",
-            problem="too small",
-            value=(image.shape[1], image.shape[0]),
-            allowed=FEWEST_SIDE,
         )
     pixel, area = _blobs(image)
     seed = _find_l(pixel, area)
@@ -63,9 +60,7 @@ def _blobs(image: NDArray[np.uint8]) -> tuple[Points, NDArray[np.float64]]:
     ink, scale = _ink(image)
     if np.percentile(ink, 99.5) < LEAST_INK:
         raise CalibrationError(
-            "no dots are seen: lay the printed target under the sensor, and light it",
-            about="dots",
-            problem="missing",
+            "no dots are seen: lay the printed target under the sensor, and light it", about="dots"
         )
     grey = np.rint(255 * ink).astype(np.uint8)
     level, binary = cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
@@ -121,9 +116,6 @@ def _find_l(pixel: Points, area: NDArray[np.float64]) -> NDArray[np.float64]:
             f"only {len(pixel)} whole dots are seen, 9 are needed: bring the target into view and "
             "into focus",
             about="dots",
-            problem="too few",
-            value=len(pixel),
-            allowed=9,
         )
     apart = np.linalg.norm(pixel[:, None] - pixel[None], axis=2)
     around = np.argsort(apart, axis=1)[:, 1:9]
@@ -149,7 +141,6 @@ def _find_l(pixel: Points, area: NDArray[np.float64]) -> NDArray[np.float64]:
             f"the L of four large dots is not seen among {len(pixel)} dots: move the target until "
             "it is in the middle of the image, and in focus",
             about="large dots",
-            problem="missing",
         )
     return best[1]
 

@@ -102,7 +102,7 @@ def parse_grams(text: str) -> list[float]:
         grams = [math.nan]
     if not all(0 <= each < math.inf for each in grams):
         message = f"weights {text!r} are not understood: give grams like 0,20,50,100"
-        raise CalibrationError(message, about="weights", problem="malformed", value=text)
+        raise CalibrationError(message, about="weights")
     return grams
 
 
@@ -115,9 +115,6 @@ def weigh(cell: Cell, grams: float, seconds: float) -> Weighing:
             f"{len(good)} of {len(raw)} readings at {grams:g} g are numbers, {FEWEST_READINGS} "
             "and half of all are needed: check the cell's connections, or read for more seconds",
             about="readings",
-            problem="too few",
-            value=len(good),
-            allowed=FEWEST_READINGS,
             remedy="seconds",
         )
     middle, spread = middle_and_spread(good)
@@ -162,21 +159,14 @@ def fit_curve(weighings: Sequence[Weighing], law: ForceLaw) -> ForceFound:
 
 
 def _require_weights(grams: NDArray[np.float64], law: ForceLaw) -> None:
-    if not (np.isfinite(grams).all() and (grams >= 0).all()):
-        raise CalibrationError(
-            "a weight must be a number of grams, 0 or more: give it again",
-            about="weights",
-            problem="malformed",
-            value=tuple(grams.tolist()),
-        )
+    if len(wrong := grams[~(np.isfinite(grams) & (grams >= 0))]):
+        message = f"{wrong[0]:g} g is no weight: give a number of grams, 0 or more"
+        raise CalibrationError(message, about="weights")
     distinct = len(np.unique(grams))
     if distinct < 3:
         raise CalibrationError(
             f"{distinct} different weights say nothing of the residual: give three or more",
             about="weights",
-            problem="too few",
-            value=distinct,
-            allowed=3,
         )
     full_g = 1000 * law.full_n / STANDARD_GRAVITY
     if grams.max() < LEAST_REACH * full_g:
@@ -184,9 +174,6 @@ def _require_weights(grams: NDArray[np.float64], law: ForceLaw) -> None:
             f"the heaviest weight of {grams.max():g} g is far below full force, {full_g:.0f} g: "
             "give one about as heavy as that",
             about="weights",
-            problem="too small",
-            value=float(grams.max()),
-            allowed=LEAST_REACH * full_g,
         )
 
 
@@ -200,9 +187,6 @@ def _require_answer(
             f"the readings move by {moved:.6g} from the lightest to the heaviest weight, and by "
             f"{noise:.6g} by themselves: is the cell connected, and the weight on it?",
             about="readings",
-            problem="mute",
-            value=moved,
-            allowed=5 * noise,
         )
     mean = np.array([reading[grams == each].mean() for each in np.unique(grams)])
     steps = np.diff(mean)
@@ -213,8 +197,6 @@ def _require_answer(
             f"the reading does not go on in one direction from {first:g} to {second:g} g: weigh "
             "again, each weight alone and at rest",
             about="readings",
-            problem="conflict",
-            value=(float(first), float(second)),
         )
 
 
@@ -227,9 +209,6 @@ def _require_good(found: ForceFound) -> None:
             f"the curve misses the weights by {found.residual_n:.3f} N rms, above "
             f"{MOST_RESIDUAL:.0%} of full force, {found.full_n:g} N: weigh {worst.grams:g} g again",
             about="residual",
-            problem="too large",
-            value=found.residual_n,
-            allowed=MOST_RESIDUAL * found.full_n,
         )
     restless = max(found.weighings, key=lambda each: abs(each.drift))
     drift_n = abs(restless.drift * found.slope_n)
@@ -238,7 +217,4 @@ def _require_good(found: ForceFound) -> None:
             f"the reading drifted by {drift_n:.3f} N while {restless.grams:g} g lay on the cell: "
             "wait until it rests, and weigh again",
             about="drift",
-            problem="too large",
-            value=drift_n,
-            allowed=MOST_DRIFT * found.full_n,
         )

@@ -26,9 +26,6 @@ def parse_electrodes(text: str | None, profile: Profile) -> list[int]:
                 f"electrode {named} is out of range: {profile.name} has electrodes 0 to "
                 f"{count - 1}",
                 about="electrodes",
-                problem="unknown",
-                value=named,
-                allowed=count - 1,
             )
         chosen += range(low, high + 1)
     masked = sorted(set(chosen) & set(profile.output.masked))
@@ -36,8 +33,6 @@ def parse_electrodes(text: str | None, profile: Profile) -> list[int]:
         raise CalibrationError(
             f"electrode {masked[0]} is masked in {profile.name}: leave it out",
             about="electrodes",
-            problem="masked",
-            value=masked[0],
             electrode=masked[0],
         )
     return sorted(set(chosen))
@@ -54,7 +49,6 @@ def filled(profile: Profile, found: Found) -> tuple[list[float], list[float]]:
             "no electrode was felt and then strong enough: check contact with "
             "'smarttouch calibrate contact', and explain the task",
             about="thresholds",
-            problem="empty",
             remedy="smarttouch calibrate contact",
         )
     threshold, comfort = profile.threshold_ma.astype(float), profile.full_ma.astype(float)

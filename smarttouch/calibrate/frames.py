@@ -45,20 +45,11 @@ def collect_images(source: Source, count: int) -> Images:
                 f"{source.title} gave {len(images)} of {count} frames, and none for "
                 f"{SILENCE_S:g} s: check the source",
                 about="frames",
-                problem="late",
-                value=len(images),
-                allowed=count,
             )
         else:
             time.sleep(_LOOK_S)
     if not images:
-        raise CalibrationError(
-            f"{source.title} gave no frames: check the source",
-            about="frames",
-            problem="missing",
-            value=0,
-            allowed=count,
-        )
+        raise CalibrationError(f"{source.title} gave no frames: check the source", about="frames")
     return images
 
 

@@ -54,9 +54,6 @@ def measure_optics(dark: _Stack, white: _Stack) -> OpticsFound:
             f"blank paper is still uneven by {after:.1%} after correction, above "
             f"{MOST_UNEVEN:.0%}: use blank paper, hold it still, and give more frames",
             about="unevenness",
-            problem="too large",
-            value=after,
-            allowed=MOST_UNEVEN,
             remedy="frames",
         )
     stack = np.stack(list(white)).astype(np.float32)

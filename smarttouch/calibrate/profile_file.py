@@ -67,20 +67,11 @@ class ProfileFile:
         self._overwrite = overwrite
         if output.suffix != ".toml":
             raise CalibrationError(
-                f"the new profile {output} must end in .toml",
-                about="file",
-                problem="ending",
-                value=output,
-                allowed=(".toml",),
-                remedy="output",
+                f"the new profile {output} must end in .toml", about="file", remedy="output"
             )
         if not output.absolute().parent.is_dir():
             raise CalibrationError(
-                f"cannot write {output}: its folder does not exist",
-                about="file",
-                problem="unwritable",
-                value=output,
-                remedy="output",
+                f"cannot write {output}: its folder does not exist", about="file", remedy="output"
             )
         self._require_free(output)
         self._keep_flat_field()
@@ -135,9 +126,6 @@ class ProfileFile:
             raise CalibrationError(
                 f"what was measured makes no profile, nothing was written: {said}",
                 about=error.about,
-                problem=error.problem,
-                value=error.value,
-                allowed=error.allowed,
                 remedy=error.remedy,
                 electrode=error.electrode,
             ) from None
@@ -151,8 +139,6 @@ class ProfileFile:
             raise CalibrationError(
                 f"{path} exists already: give another file, or overwrite it",
                 about="file",
-                problem="exists",
-                value=path,
                 remedy="overwrite",
             )
 
@@ -161,8 +147,6 @@ class ProfileFile:
             raise CalibrationError(
                 f"{self.output} was changed meanwhile, nothing was written: repeat the command",
                 about="file",
-                problem="changed",
-                value=self.output,
             )
 
     def _table(self, name: str) -> MutableMapping[str, Any]:
@@ -206,9 +190,6 @@ def file_to_calibrate(
             f"{output} is there, and differs from {start} in {key}: go on from "
             "what is there, or write another file",
             about=key,
-            problem="conflict",
-            value=output,
-            allowed=start,
             remedy="output",
         )
     if part in file.profile.calibrated and not overwrite:
@@ -216,8 +197,6 @@ def file_to_calibrate(
             f"{output} has its {part} already: overwrite that, which keeps the rest, or "
             "write another file",
             about=part,
-            problem="exists",
-            value=output,
             remedy="overwrite or output",
         )
     notes = file.profile.calibrated
@@ -227,8 +206,6 @@ def file_to_calibrate(
             f"{output} has its {measured[0]} from a real finger or sensor: write a "
             "simulation to another file, or overwrite it",
             about=part,
-            problem="simulated",
-            value=output,
             remedy="output or overwrite",
         )
     return file
@@ -243,7 +220,5 @@ def _begin(path: Path) -> tuple[str, tomlkit.TOMLDocument, Profile]:
         document = tomlkit.parse(text)
         table = document.unwrap()
     except (tomlkit.exceptions.TOMLKitError, ValueError, RecursionError) as error:
-        raise ProfileError(
-            f"{path} cannot be changed: {error}", about="file", problem="malformed", value=path
-        ) from None
+        raise ProfileError(f"{path} cannot be changed: {error}", about="file") from None
     return text, document, profile_of(table, path)

@@ -74,19 +74,14 @@ class Progress(Closing):
             raise CalibrationError(
                 f"{self.path} is not the beginning of a threshold session: remove it to start over",
                 about="file",
-                problem="malformed",
-                value=self.path,
             ) from None
         for key, value in self._settings.items():
             before = settings.get(key) if isinstance(settings, dict) else None
             if before != value:
                 raise CalibrationError(
-                    f"{self.path} was begun with another {key}: go on with the same, or remove it "
-                    "to start over",
+                    f"{self.path} was begun with {key} {before}, not {value}: go on with the same, "
+                    "or remove it to start over",
                     about=key,
-                    problem="conflict",
-                    value=value,
-                    allowed=before,
                 )
         return found
 

@@ -113,9 +113,6 @@ def _within(dots: Dots, target: DotTarget) -> Dots:
             f"{int(there.sum())} dots of the target are seen, {FEWEST_DOTS} are needed: bring more "
             "of it into view, or print it with dots closer together",
             about="dots",
-            problem="too few",
-            value=int(there.sum()),
-            allowed=FEWEST_DOTS,
             remedy="dot_pitch_mm",
         )
     return Dots(dots.pixel[there], dots.cell[there])
@@ -135,9 +132,7 @@ def _fit(dots: Dots, target: DotTarget) -> tuple[NDArray[np.float64], NDArray[np
         fitted, _ = cv2.findHomography(page_mm[kept], aim[kept], 0)
         if fitted is None:
             raise CalibrationError(
-                "the dots lie on one line: bring more of the target into view",
-                about="dots",
-                problem="on a line",
+                "the dots lie on one line: bring more of the target into view", about="dots"
             )
         homography = np.asarray(fitted, np.float64)
         # A tilted disc is seen as an ellipse, and its middle is not where the disc's middle is.
@@ -189,9 +184,6 @@ def _require_good(found: RegistrationFound) -> None:
             f"the dots are up to {worst:.2f} of an electrode's pitch from where they should be, "
             f"above {MOST_RESIDUAL:g}: lay the target flat, check its dots and the lens",
             about="residual",
-            problem="too large",
-            value=float(worst),
-            allowed=MOST_RESIDUAL,
             remedy="dot_pitch_mm",
         )
     count = len(found.electrode_pixel)
@@ -200,8 +192,5 @@ def _require_good(found: RegistrationFound) -> None:
             f"{len(found.outside)} of {count} electrodes look beyond the image: move the target's "
             "L under the middle of the array, or check optics.magnification",
             about="electrodes",
-            problem="outside",
-            value=len(found.outside),
-            allowed=MOST_OUTSIDE * count,
             remedy="optics.magnification",
         )

@@ -149,8 +149,6 @@ class ThresholdSession:
                 f"electrode {site}: {procedure.guessed} of {procedure.blanks} trials without any "
                 "current were called felt: explain the task again, then run the same command again",
                 about="blanks",
-                problem="too many",
-                value=procedure.guessed,
                 electrode=site,
             )
         return replace(rising, threshold_ma=procedure.threshold_ma, spread=procedure.spread)

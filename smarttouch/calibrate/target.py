@@ -113,9 +113,6 @@ def target_for(profile: Profile, dot_pitch_mm: float | None = None) -> DotTarget
                 "target: set optics.rotation_deg, offset_x_mm and offset_y_mm by hand, or give the "
                 "pitch of its dots if the sensor is finer than the profile says",
                 about="optics",
-                problem="impossible",
-                value=finest_mm,
-                allowed=field_mm / FEWEST_PITCHES,
                 remedy="dot_pitch_mm",
             )
         pitch_mm = max(wished) if wished else min(fit)

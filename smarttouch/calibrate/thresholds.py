@@ -131,8 +131,6 @@ class ThresholdProcedure:
             f"stopped, all electrodes are off: {left} of {len(self.sites)} electrodes are left, "
             "the same command goes on there",
             about="thresholds",
-            problem="stopped",
-            value=left,
         )
 
     def put_down(self, progress: Progress) -> str:

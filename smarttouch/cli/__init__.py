@@ -147,7 +147,8 @@ def _outcome(error: BaseException) -> int:
         # Whoever read our output has gone; there is nobody to tell.
         return 1
     if isinstance(error, SmartTouchError):
-        *others, last = error.sentences if isinstance(error, TableError) else (str(error),)
+        found = error.complaints if isinstance(error, TableError) else [("", str(error))]
+        *others, last = [sentence for _, sentence in found]
         for sentence in others:
             _say(sentence)
         _say(last + named_options(error, _built(), sys.argv[1:]))
@@ -175,9 +176,6 @@ def _require_files() -> None:
             f"this program may open {most} files at once and needs {_FEWEST_FILES}: allow them "
             f"with ulimit -n {_FEWEST_FILES}",
             about="open files",
-            problem="too few",
-            value=most,
-            allowed=_FEWEST_FILES,
             remedy="ulimit",
         )
 

@@ -124,13 +124,12 @@ def try_out(
                 "there is no keyboard to end it with, and a finger may be on the board: say how "
                 f"strong it is to become, for example {_WALK_MA:g} mA",
                 about="keyboard",
-                problem="missing",
                 remedy="current_ma",
             )
         current_ma = _WALK_MA
     if seconds is None and not sys.stdin.isatty():
         message = "there is no keyboard to wait for: give seconds"
-        raise SmartTouchError(message, about="keyboard", problem="missing", remedy="seconds")
+        raise SmartTouchError(message, about="keyboard", remedy="seconds")
     walk, stop = Walk(display.profile, current_ma, seconds), the_stop()
 
     def say(event: "Event") -> None:
@@ -198,9 +197,7 @@ def calibrate_scale(
             volts = float(answer)
         except ValueError:
             message = f"{answer!r} is no voltage: give a number of volts"
-            raise SmartTouchError(
-                message, about="volts", problem="malformed", value=answer
-            ) from None
+            raise SmartTouchError(message, about="volts") from None
     ratio = check_reading(volts, ohm, current_ma)
     scale_ua = measured_scale(url.partition(":")[0], display.board.ua_per_count, ratio)
     typer.echo(

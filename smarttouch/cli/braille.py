@@ -50,7 +50,7 @@ def braille(
         return
     if source is None:
         message = "nothing to read is given: give a text or a file, or list the tables"
-        raise BrailleError(message, about="text", problem="missing", remedy="tables")
+        raise BrailleError(message, about="text", remedy="tables")
     require_folder(output)
     named = table_of(table, document.languages)
     code = open_table(named)
@@ -65,9 +65,7 @@ def braille(
             return
         if output.suffix.lower() != ".txt":
             message = f"cannot write a text as {output}: give a name that ends in .txt"
-            raise BrailleError(
-                message, about="file", problem="unknown", value=output, allowed=(".txt",)
-            )
+            raise BrailleError(message, about="file")
         write_bytes(output, text.encode(), BrailleError)
         print(output)
         return

@@ -108,9 +108,7 @@ def registration(
     if target is not None:
         if target.exists() and not calibration.overwrite:
             message = f"{target} exists already: give another file, or overwrite it"
-            raise CalibrationError(
-                message, about="file", problem="exists", value=target, remedy="target or overwrite"
-            )
+            raise CalibrationError(message, about="file", remedy="target or overwrite")
         grid.draw(target)
         typer.echo(f"{target}: dots {grid.pitch_mm:g} mm apart; print it at 100 %, black on white.")
     if calibration.output is None and target is not None and source is None and not simulate:

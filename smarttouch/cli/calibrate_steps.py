@@ -48,8 +48,7 @@ class CalibrationOptions(OptionGroup):
         from smarttouch.profile import DEFAULT_PROFILE
 
         if self.output is None:
-            message = "give a file FILE.toml for what is measured"
-            raise CalibrationError(message, about="output", problem="missing")
+            raise CalibrationError("give a file FILE.toml for what is measured", about="output")
         usual = DEFAULT_PROFILE if board_url is None else default_profile(board_url)
         return file_to_calibrate(
             part, self.profile, usual, self.output, self.overwrite, simulated=simulated
@@ -58,7 +57,7 @@ class CalibrationOptions(OptionGroup):
 
 def missing(about: str, message: str) -> CalibrationError:
     """Return the error that nothing is given to measure with, which a simulation can stand for."""
-    return CalibrationError(message, about=about, problem="missing", remedy="simulate")
+    return CalibrationError(message, about=about, remedy="simulate")
 
 
 def ask(what: str, yes: bool) -> None:
@@ -86,7 +85,7 @@ def _answer(question: str, remedy: str) -> str:
         return str(typer.prompt(question, default="", show_default=False))
     except typer.Abort:
         message = "nobody answered, nothing was written: use a terminal, or give it beforehand"
-        raise CalibrationError(message, about="answer", problem="missing", remedy=remedy) from None
+        raise CalibrationError(message, about="answer", remedy=remedy) from None
 
 
 def finish(

@@ -52,10 +52,7 @@ def require_answers(
             f"a simulation answers for nobody: no current of its flows through {board_url!r}, only "
             f"through {' or '.join(boards)}",
             about="board",
-            problem="conflict",
-            value=board_url,
-            allowed=boards,
         )
     if not simulate and not sys.stdin.isatty():
         message = "there is no keyboard to answer on: use a terminal, or simulate"
-        raise error(message, about="keyboard", problem="missing", remedy="simulate")
+        raise error(message, about="keyboard", remedy="simulate")

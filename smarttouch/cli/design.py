@@ -76,7 +76,7 @@ def design(
     ]  # fmt: skip
     if len(special) > 1:
         message = f"{' and '.join(special)} do not go together: give one of them"
-        raise SmartTouchError(message, about=special[0], problem="conflict", value=tuple(special))
+        raise SmartTouchError(message, about=special[0])
     if site is not None:
         require_site(chosen, site)
     modes = possible_modes(chosen)
@@ -87,9 +87,6 @@ def design(
                 f"mode {afferent.name} is not possible with the board of {profile}: it offers "
                 f"{', '.join(offered) or 'none'}",
                 about="mode",
-                problem="impossible",
-                value=afferent.name,
-                allowed=offered,
             )
         modes = [afferent]
     sites = chosen.driven.tolist() if site is None else [site]

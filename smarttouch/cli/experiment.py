@@ -120,8 +120,6 @@ def run_listed(
         raise ExperimentError(
             "nobody can answer as fast as simulated: goes: choose emulator:, or simulate",
             about="board",
-            problem="impossible",
-            value=run.board_url,
             remedy="simulate",
         )
     chosen = run.load_profile()

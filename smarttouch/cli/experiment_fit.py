@@ -115,9 +115,7 @@ def _parse_guess(text: str | None) -> "Guess | None":
         return float(text)
     except ValueError:
         message = f"guess {text!r} is not offered: give a share such as 0.5, equal or free"
-        raise ExperimentError(
-            message, about="guess", problem="unknown", value=text, allowed=("equal", "free")
-        ) from None
+        raise ExperimentError(message, about="guess") from None
 
 
 def _print(found: Sequence[tuple["Table", list["Finding"]]]) -> None:

@@ -69,7 +69,7 @@ def free_run(
     """Let a user turn amplitude, rate, mode and site until they have had enough."""
     if not sys.stdin.isatty() and options.seconds is None:
         message = "there is no keyboard, by which this would end: use a terminal, or give seconds"
-        raise ExperimentError(message, about="keyboard", problem="missing", remedy="seconds")
+        raise ExperimentError(message, about="keyboard", remedy="seconds")
     raised = up_to_the_ceiling(profile)
     with contextlib.ExitStack() as stack:
         knob = None if knob_url is None else stack.enter_context(open_motion(knob_url))

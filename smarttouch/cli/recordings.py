@@ -80,11 +80,7 @@ def view(
 
     if len(files) > 1:
         raise RecordingError(
-            f"a view is saved of one recording, not of {len(files)}: give one",
-            about="files",
-            problem="too many",
-            value=len(files),
-            allowed=1,
+            f"a view is saved of one recording, not of {len(files)}: give one", about="files"
         )
     save_view(files[0], save, step, None)
     print(save)

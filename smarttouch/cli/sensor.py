@@ -44,8 +44,7 @@ def show(
     chosen = load_profile(profile or DEFAULT_PROFILE)
     if force:
         if save is not None:
-            message = "save is for frames: leave out force, or this"
-            raise SmartTouchError(message, about="force", problem="conflict")
+            raise SmartTouchError("save is for frames: leave out force, or this", about="force")
         with open_force(url, chosen) as pressed:
             rows = look_at_force(pressed, seconds)
         print_table([*rows, *(("note", note) for note in pressed.notes)], left=2)

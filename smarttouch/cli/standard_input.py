@@ -41,14 +41,11 @@ def _file_of_standard_input() -> Iterator[Path]:
         raise SmartTouchError(
             "standard input holds nothing: give a file, or pipe a text or a page into the command",
             about="standard input",
-            problem="empty",
         )
     if len(data) > _MOST_BYTES:
         raise SmartTouchError(
             f"standard input holds more than {_MOST_BYTES / 1e6:,.0f} MB: give a file",
             about="standard input",
-            problem="too large",
-            allowed=_MOST_BYTES,
         )
     with tempfile.TemporaryDirectory(prefix="smarttouch-") as folder:
         path = Path(folder) / f"standard input{_ending(data)}"

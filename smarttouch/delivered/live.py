@@ -116,7 +116,6 @@ class LiveFinger(Listener):
             raise SmartTouchError(
                 "the process that simulates the finger has ended: see what it wrote, and run again",
                 about="finger",
-                problem="ended",
             ) from None
 
 

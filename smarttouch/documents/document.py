@@ -65,24 +65,18 @@ def parse_pages(text: str, count: int) -> list[int]:
         match = re.fullmatch(r"\s*([0-9]{1,9})\s*(-\s*([0-9]{1,9})?\s*)?", part)
         if match is None:
             message = f"pages {text}: {part.strip()!r} is not a page: write 1,3-5 or 7-"
-            raise PageError(message, about="pages", problem="malformed", value=part.strip())
+            raise PageError(message, about="pages")
         first = int(match[1])
         last = int(match[3] or count) if match[2] else first
         for number in (first, last):
             if not 1 <= number <= count:
                 raise PageError(
-                    f"pages {text}: the document {_absent(number, count)}",
-                    about="pages",
-                    problem="missing",
-                    value=number,
-                    allowed=(1, count),
+                    f"pages {text}: the document {_absent(number, count)}", about="pages"
                 )
         if last < first:
             raise PageError(
                 f"pages {text}: {first} is after {last}: write {last}-{first}",
                 about="pages",
-                problem="conflict",
-                value=(first, last),
                 remedy=f"{last}-{first}",
             )
         indexes += range(first - 1, last)
@@ -103,13 +97,7 @@ class Document(Closing, ABC):
     def page(self, index: int) -> Page:
         """Return a page by its index from 0."""
         if not 0 <= index < len(self):
-            raise PageError(
-                f"{self.path} {_absent(index + 1, len(self))}",
-                about="page",
-                problem="missing",
-                value=index + 1,
-                allowed=(1, len(self)),
-            )
+            raise PageError(f"{self.path} {_absent(index + 1, len(self))}", about="page")
         return self._load(index)
 
     @abstractmethod
@@ -179,8 +167,7 @@ class PdfDocument(Document):
         try:
             sheet = self._pdf[index]
         except pypdfium2.PdfiumError:
-            message = f"{name} cannot be read: the file is damaged"
-            raise PageError(message, about="page", problem="damaged", value=index + 1) from None
+            raise PageError(f"{name} cannot be read: the file is damaged", about="page") from None
         with contextlib.closing(sheet):
             return self._render(sheet, name)
 
@@ -219,8 +206,6 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument":
         raise PageError(
             f"{path}: a PDF needs the extra pdf: pip install 'smarttouch[pdf]'",
             about="pypdfium2",
-            problem="missing",
-            value=path,
             remedy="pip install 'smarttouch[pdf]'",
         ) from None
     try:
@@ -228,11 +213,11 @@ def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument":
     except pypdfium2.PdfiumError as error:
         if "password" not in str(error).lower():
             message = f"{path} is damaged, or has no pages: save it again"
-            raise PageError(message, about="file", problem="damaged", value=path) from None
-        problem, message = "missing", f"{path} is encrypted: give its password"
+            raise PageError(message, about="file") from None
+        message = f"{path} is encrypted: give its password"
         if password is not None:
-            problem, message = "wrong", f"{path} is encrypted: this is not its password"
-        raise PageError(message, about="password", problem=problem, value=path) from None
+            message = f"{path} is encrypted: this is not its password"
+        raise PageError(message, about="password") from None
     # Needed to render filled-in fields, before any page is opened.
     if pdf.get_formtype() == pypdfium2.raw.FORMTYPE_ACRO_FORM:
         pdf.init_forms()

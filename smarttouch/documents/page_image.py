@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from smarttouch.errors import PageError
+from smarttouch.errors import PageError, UnknownSizeError
 from smarttouch.files import MOST_DOCUMENT_BYTES, open_file
 
 MOST_PIXELS = 100_000_000
@@ -54,7 +54,7 @@ def load_page(path: Path, dpi: float | None = None, page_width_mm: float | None 
         grey, mm_per_pixel = read_grey(path, image, dpi, page_width_mm)
     if mm_per_pixel is None:
         message = f"{path} does not state its size: give {_SCALE}"
-        raise PageError(message, about="size_mm", problem="missing", value=path, remedy=_SCALE)
+        raise UnknownSizeError(message, about="size_mm", remedy=_SCALE)
     height, width = grey.shape
     require_size_mm(str(path), width * mm_per_pixel, height * mm_per_pixel)
     return Page(grey, mm_per_pixel)
@@ -65,11 +65,10 @@ def check_scale_options(
 ) -> None:
     """Raise a PageError if the user's scale is invalid; ``width`` names the second."""
     if dpi is not None and width_mm is not None:
-        message = f"dpi and {width} are both given: give one of them"
-        raise PageError(message, about="dpi", problem="conflict", value=("dpi", width))
+        raise PageError(f"dpi and {width} are both given: give one of them", about="dpi")
     for name, value in (("dpi", dpi), (width, width_mm)):
         if value is not None and not 0 < value < float("inf"):
-            raise PageError(f"{name} {value:g} must be above 0", about=name, value=value, allowed=0)
+            raise PageError(f"{name} {value:g} must be above 0", about=name)
 
 
 @contextmanager
@@ -84,13 +83,11 @@ def open_image(path: Path, kind: str = IMAGE) -> Iterator[Image.Image]:
                 yield image
     except Image.DecompressionBombError:
         message = f"{path} is above {MOST_PIXELS // 10**6} megapixels: make it smaller first"
-        raise PageError(message, about="pixels", problem="too many", allowed=MOST_PIXELS) from None
+        raise PageError(message, about="pixels") from None
     except UnidentifiedImageError:
-        message = f"{path} is not {kind}"
-        raise PageError(message, about="file", problem="malformed", value=path) from None
+        raise PageError(f"{path} is not {kind}", about="file") from None
     except _DAMAGES as error:
-        message = f"{path} cannot be read: {error}"
-        raise PageError(message, about="file", problem="damaged", value=path) from None
+        raise PageError(f"{path} cannot be read: {error}", about="file") from None
 
 
 def read_grey(
@@ -123,18 +120,12 @@ def require_pixels(name: str, width: int, height: int) -> None:
             f"{name} has {width} x {height} pixels, above the limit of "
             f"{MOST_PIXELS // 10**6} megapixels: make it smaller first",
             about="pixels",
-            problem="too many",
-            value=(width, height),
-            allowed=MOST_PIXELS,
         )
     if min(width, height) < FEWEST_PIXELS:
         raise PageError(
             f"{name} has {width} x {height} pixels: a page needs at least "
             f"{FEWEST_PIXELS} x {FEWEST_PIXELS}",
             about="pixels",
-            problem="too few",
-            value=(width, height),
-            allowed=(FEWEST_PIXELS, FEWEST_PIXELS),
         )
 
 
@@ -145,8 +136,6 @@ def require_size_mm(name: str, width_mm: float, height_mm: float, options: str =
             f"{name} would be {width_mm:.4g} x {height_mm:.4g} mm: give a {options} "
             f"that makes it {SMALLEST_MM:g} to {LARGEST_MM:g} mm",
             about="size_mm",
-            value=(width_mm, height_mm),
-            allowed=(SMALLEST_MM, LARGEST_MM),
             remedy=options,
         )
 

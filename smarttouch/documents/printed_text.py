@@ -27,11 +27,9 @@ def print_text(text: str) -> Page:
     height_mm = 2 * _MARGIN_MM + (len(lines) - 1) * _LINE_STEP_MM + _LINE_MM
     if height_mm > LARGEST_MM:
         raise PageError(
-            f"the text has {len(lines)} lines, a page of {height_mm:.0f} mm: shorten it",
+            f"the text has {len(lines)} lines, a page of {height_mm:.0f} mm, above the "
+            f"{LARGEST_MM:g} that are possible: shorten it",
             about="text",
-            problem="too large",
-            value=height_mm,
-            allowed=LARGEST_MM,
         )
     size = (round(_PRINT_WIDTH_MM * _PER_MM), round(height_mm * _PER_MM))
     sheet = Image.new("L", size, 255)
@@ -67,8 +65,7 @@ def prepare_text(text: str) -> PreparedPage:
 def _wrapped(text: str) -> list[str]:
     lines = [line for part in text.splitlines() for line in textwrap.wrap(part, _COLUMNS) or [""]]
     if not any(line.strip() for line in lines):
-        message = "text: has nothing to print: give some words after the colon"
-        raise PageError(message, about="text", problem="empty", value=text)
+        raise PageError("text: has nothing to print: give some words after the colon", about="text")
     return lines
 
 

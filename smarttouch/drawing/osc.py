@@ -37,8 +37,6 @@ def open_osc(rest: str, profile: Profile, key: Path | None = None) -> "OscSource
         raise SourceError(
             f"{rest!r} is no place to listen at: give osc:PORT or osc:ADDRESS:PORT, as in osc:9000",
             about="address",
-            problem="malformed",
-            value=rest,
         )
     return OscSource(profile, host.strip("[]") or "127.0.0.1", int(port), key)
 
@@ -231,8 +229,6 @@ def _bound(host: str, port: int, alone: bool) -> socket.socket:
                 f"any program that reaches {host} could send: give a key, as in "
                 f"osc:{host}:{port}?key=FILE, or the port alone",
                 about="key",
-                problem="missing",
-                value=host,
             )
         line = socket.socket(kind, socket.SOCK_DGRAM)
         try:
@@ -247,8 +243,6 @@ def _bound(host: str, port: int, alone: bool) -> socket.socket:
             f"cannot listen at {host}:{port}: {getattr(error, 'strerror', None) or error}; give "
             "another port, as in osc:9001",
             about="address",
-            problem="unavailable",
-            value=f"{host}:{port}",
         ) from None
     return line
 
@@ -260,7 +254,6 @@ def _import_parser() -> Any:
         raise SourceError(
             "osc: needs the extra osc: pip install 'smarttouch[osc]'",
             about="osc",
-            problem="missing",
             remedy="pip install 'smarttouch[osc]'",
         ) from None
 

@@ -61,7 +61,6 @@ class OwnPrograms:
                 f"this system has no {_TABLES[0]}, which says whose program sends: give a key, as "
                 "in osc:9000?key=FILE",
                 about="key",
-                problem="missing",
             )
         self.look()
 
@@ -95,19 +94,13 @@ class Key:
             found, self._key = os.fstat(file.fileno()), file.read().strip()
         if found.st_uid != os.geteuid() or found.st_mode & 0o077:
             raise SourceError(
-                f"{path} is not yours alone: chmod 600 {path}, with a new key in it",
-                about="key",
-                problem="shared",
-                value=path,
+                f"{path} is not yours alone: chmod 600 {path}, with a new key in it", about="key"
             )
         if len(self._key) < LEAST_KEY_BYTES:
             raise SourceError(
                 f"{path} has a key of {len(self._key)} bytes: give at least {LEAST_KEY_BYTES}, as "
                 "openssl rand -hex 32 writes them",
                 about="key",
-                problem="too short",
-                value=len(self._key),
-                allowed=LEAST_KEY_BYTES,
             )
         self._last_ns = 0
 

@@ -228,17 +228,12 @@ def read_patterns(path: Path, profile: Profile) -> list[Pattern]:
             f"{path} has no patterns of electrodes, each of at most {LONGEST_MS} ms: give a file "
             "that the frames of a run were written to",
             about="file",
-            problem="malformed",
-            value=path,
         )
     if len(levels) > MOST_PATTERNS:
         raise SourceError(
             f"{path} has {len(levels)} patterns, and a list at most {MOST_PATTERNS}: write the "
             "frames of a shorter run",
             about="file",
-            problem="too many",
-            value=len(levels),
-            allowed=MOST_PATTERNS,
         )
     own = profile.electrodes.position_mm
     if place.shape != own.shape or not np.allclose(place, own, atol=0.01):
@@ -246,9 +241,6 @@ def read_patterns(path: Path, profile: Profile) -> list[Pattern]:
             f"{path} is of {len(place)} electrodes at other places than the {len(own)} of "
             f"{profile.name}: choose the profile that it was made with",
             about="profile",
-            problem="conflict",
-            value=len(place),
-            allowed=len(own),
             remedy="profile",
         )
     lasts_ms = np.diff(begin_ms).tolist()

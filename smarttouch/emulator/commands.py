@@ -118,9 +118,7 @@ def _require_board(
     if firmware is not None:
         if name != "etactilekit":
             message = f"firmware is for etactilekit, and a {name} has only one: leave it out"
-            raise SmartTouchError(
-                message, about="firmware", problem="conflict", value=name, allowed=("etactilekit",)
-            )
+            raise SmartTouchError(message, about="firmware")
         if firmware not in GENERATIONS:
             raise not_offered("firmware", firmware, GENERATIONS)
 
@@ -131,16 +129,9 @@ def _require_places(tcp: bool, discovery_port: int | None, books: Path | None) -
         require_within(SmartTouchError, "discovery_port", discovery_port, 1, 65_535)
         if not tcp:
             message = "discovery_port is for a board on the network: serve TCP"
-            raise SmartTouchError(
-                message,
-                about="discovery_port",
-                problem="conflict",
-                value=discovery_port,
-                remedy="tcp",
-            )
+            raise SmartTouchError(message, about="discovery_port", remedy="tcp")
     if books is not None and not books.is_dir():
-        message = f"{books} is no folder: make it first"
-        raise SmartTouchError(message, about="books", problem="no folder", value=books)
+        raise SmartTouchError(f"{books} is no folder: make it first", about="books")
 
 
 def _board(
@@ -243,7 +234,7 @@ def emulate_sensor(
     if name == "serial-array":
         if "nan" in kinds:
             message = "a pixel is always a number: event nan is for load cells"
-            raise SmartTouchError(message, about="event", problem="conflict", value="nan")
+            raise SmartTouchError(message, about="event")
         device = sensors.SensorArray(_look(url, chosen, rows, columns), rate_hz)
     else:
         device = sensors.LoadCell(
@@ -324,8 +315,7 @@ def _serve(
     try:
         line = open_line()
     except OSError as error:
-        message = f"cannot open a port: {error}"
-        raise SmartTouchError(message, about="port", problem="unavailable") from None
+        raise SmartTouchError(f"cannot open a port: {error}", about="port") from None
     server = Server(device, line, **more)
     # Circuits and images are small: a second thread would only slow down the host.
     with threadpool_limits(1), closing(line):

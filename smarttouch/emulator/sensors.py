@@ -147,11 +147,7 @@ def look_at_page(url: str, profile: Profile, rows: int, columns: int) -> Look:
     kind = url.partition(":")[0]
     if kind not in ("page", "text"):
         raise SourceError(
-            f"source {url!r}: an emulated array looks at page:FILE or text:STRING",
-            about="url",
-            problem="unknown",
-            value=url,
-            allowed=("page", "text"),
+            f"source {url!r}: an emulated array looks at page:FILE or text:STRING", about="url"
         )
     shape = {"sensor_rows": rows, "sensor_columns": columns}
     optics = profile.optics.model_copy(update=shape)
@@ -178,6 +174,4 @@ def _number(word: str) -> float:
     try:
         return float(np.nan_to_num(float(word)))
     except ValueError:
-        raise SourceError(
-            f"{word!r} is no number", about="order", problem="malformed", value=word
-        ) from None
+        raise SourceError(f"{word!r} is no number", about="order") from None

@@ -201,8 +201,6 @@ class Server:
             raise SourceError(
                 "the port's name would change: start it with the event '0 unplug 0'",
                 about="event",
-                problem="impossible",
-                value=fault.kind,
                 remedy="event 0 unplug 0",
             )
         self._faults.append(fault)

@@ -103,11 +103,7 @@ class TactileMapper:
         """
         if mode is Mode.COLOR:
             raise ScheduleError(
-                "mode color is for stimuli, and this source gives images: choose RA",
-                about="mode",
-                problem="impossible",
-                value="color",
-                allowed="RA",
+                "mode color is for stimuli, and this source gives images: choose RA", about="mode"
             )
         if frame.image.shape != self._registration.frame_shape:
             self._prepare((frame.image.shape[0], frame.image.shape[1]))

@@ -194,8 +194,6 @@ def _field_mm(
             "optics.homography takes some electrode out of the camera's sight, or sees less than "
             "one: calibrate the registration again, or remove it",
             about="optics.homography",
-            problem="impossible",
-            value=optics.homography,
         )
     width_mm, height_mm = (1 / chosen).tolist()
     return width_mm, height_mm

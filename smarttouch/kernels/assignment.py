@@ -55,8 +55,6 @@ def _best_states(judge: "_Judge", problem: Problem, site: int) -> tuple[NDArray[
             f"no switching pattern activates {problem.describe(site)}: its electrodes are too far "
             "apart for its depth",
             about="site",
-            problem="impossible",
-            value=site,
             electrode=site,
         )
     if len(problem.driven) <= EXACT:

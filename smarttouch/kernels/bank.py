@@ -141,9 +141,6 @@ class KernelBank:
                 f"mode {afferent.name} is not possible with this profile's board: "
                 f"it offers {offered or 'none'}",
                 about="mode",
-                problem="impossible",
-                value=afferent,
-                allowed=tuple(sorted(self.weights)),
             )
         return self.weights[afferent]
 

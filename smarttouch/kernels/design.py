@@ -84,8 +84,6 @@ def design_kernel(
             f"no kernel for {problem.describe(site)}: the target cannot be activated; change the "
             "array, or the depths of its profile",
             about="site",
-            problem="impossible",
-            value=site,
             electrode=site,
         )
     if not (program.unique and rows.within_limits(program.pattern)) and rows.limit(program):
@@ -95,7 +93,6 @@ def design_kernel(
                 f"no kernel for {problem.describe(site)} keeps limits.total_ma and "
                 "limits.electrode_ma of the profile: raise them, or lower the strongest current",
                 about="limits",
-                problem="too small",
                 remedy="limits.total_ma or limits.electrode_ma",
                 electrode=site,
             )

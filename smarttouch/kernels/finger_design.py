@@ -283,7 +283,5 @@ def _solved(program: _Program) -> Array:
         raise DesignError(
             f"the solver gave up ({found.message}): check the depths and sizes of the profile",
             about="solver",
-            problem="failed",
-            value=found.status,
         )
     return np.asarray(found.x[:count])

@@ -157,7 +157,7 @@ class LinearProgram:
             self._cost(np.r_[np.zeros(self._count + 1), prices])
             if self._solve() is None:
                 message = "the solver lost its own answer: loosen the limits a little"
-                raise DesignError(message, about="solver", problem="gone")
+                raise DesignError(message, about="solver")
         return self.pattern
 
     def _keep_optimum(self) -> None:
@@ -205,8 +205,6 @@ class LinearProgram:
                     f"the solver gave up ({self._solver.modelStatusToString(status)}): "
                     "check the depths and sizes of the profile",
                     about="solver",
-                    problem="failed",
-                    value=self._solver.modelStatusToString(status),
                 )
             for name, value in rescue.items():
                 self._solver.setOptionValue(name, value)

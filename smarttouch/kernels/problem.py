@@ -86,8 +86,6 @@ def masked_site(site: int) -> DesignError:
         f"site {site} is masked: its electrode is not driven; choose another, or take it out of "
         "output.masked of the profile",
         about="site",
-        problem="masked",
-        value=site,
         remedy="output.masked",
         electrode=site,
     )
@@ -143,8 +141,6 @@ class Problem:
                 f"{afferent.name} must be selected against one or two other classes, not against "
                 f"{', '.join(each.name for each in others) or 'none'}",
                 about="others",
-                problem="conflict" if others else "missing",
-                value=tuple(others),
             )
         sets = {each: self._might_be(everywhere(profile, each)) for each in Afferent}
         aims = self._might_be(targets(profile, afferent))
@@ -196,14 +192,7 @@ class Problem:
         if not 0 <= site < self.electrodes:
             last = self.electrodes - 1
             message = f"site {site} is out of range: the array has sites 0 to {last}"
-            raise DesignError(
-                message,
-                about="site",
-                problem="unknown",
-                value=site,
-                allowed=(0, last),
-                electrode=site,
-            )
+            raise DesignError(message, about="site", electrode=site)
         if site in self.profile.output.masked:
             raise masked_site(site)
 
@@ -271,7 +260,7 @@ class Problem:
             own_af = float((aims @ weights).min())
             if own_af <= 0:
                 message = f"the pattern for {self.describe(site)} does not activate its target"
-                raise DesignError(message, about="pattern", value=own_af, allowed=0, electrode=site)
+                raise DesignError(message, about="pattern", electrode=site)
             others = rows.other @ weights
             highest = float(others.max())
             if highest / own_af > worst:

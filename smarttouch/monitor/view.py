@@ -31,11 +31,7 @@ def save_view(path: Path, output: Path, step: int = 0, slot: int | None = None) 
     """Write a step of a recording as a picture, or all from it on as a film."""
     if output.suffix not in KINDS:
         raise RecordingError(
-            f"cannot write {output}: give a name that ends in {', '.join(KINDS)}",
-            about="save",
-            problem="unknown",
-            value=output,
-            allowed=KINDS,
+            f"cannot write {output}: give a name that ends in {', '.join(KINDS)}", about="save"
         )
     require_folder(output)
     with Tape(path) as tape:
@@ -51,7 +47,4 @@ def save_view(path: Path, output: Path, step: int = 0, slot: int | None = None) 
                 f"{path} has {len(tape)} steps, and no step {step} with slot {slot or 0}"
                 f"{tape.wrong and f' ({tape.wrong})'}: choose another",
                 about="step",
-                problem="unknown",
-                value=step,
-                allowed=len(tape),
             ) from None

@@ -54,9 +54,6 @@ def field(
                 "layered skin is offered for point, disc and annulus electrodes, not for "
                 "rectangles: use medium 'half-space'",
                 about="skin.medium",
-                problem="conflict",
-                value=skin.medium,
-                allowed=("half-space",),
             )
         found = potential.rectangle(x, y, depth_mm, outer, inner)
     elif skin.layers or shape == "annulus":
@@ -168,9 +165,6 @@ def potential_mv(
             "a finger of layered skin is not offered: give the profile a homogeneous medium, "
             "'half-space' or 'infinite'",
             about="skin.medium",
-            problem="unknown",
-            value=skin.medium,
-            allowed=("half-space", "infinite", "plane"),
         )
     flat, depth = points_mm.reshape(-1, 3)[:, :2], points_mm.reshape(-1, 3)[:, 2:]
     if skin.medium != "plane" and {shape for shape, _ in electrodes.kinds} <= {"disc", "annulus"}:

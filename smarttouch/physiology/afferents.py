@@ -49,9 +49,6 @@ class Afferents:
                 f"a {self.afferent.name} fiber at a depth of {self.depth_mm:g} mm lies outside "
                 "the skin: depths are measured below the surface, above 0",
                 about="depth_mm",
-                problem="too small",
-                value=self.depth_mm,
-                allowed=0,
             )
 
 

@@ -158,8 +158,5 @@ def load_anatomy(name: str | Path) -> Anatomy:
         raise ProfileError(
             f"no anatomy {str(name)!r}: give a TOML file or one of {', '.join(known)}",
             about="anatomy",
-            problem="unknown",
-            value=str(name),
-            allowed=tuple(known),
         )
     return load_model(path, Anatomy, name=path.stem)

@@ -157,9 +157,6 @@ def load_driving(fiber: str, end: End, width_us: float) -> DrivingFunction:
             f"no driving function of a {fiber!r} fiber with ending {end!r}: there are those of "
             f"{'; '.join(names)}",
             about="fiber",
-            problem="unknown",
-            value=(fiber, end),
-            allowed=names,
         )
     widths = sorted(float(each) for each in fitted)
     if not widths[0] <= width_us <= widths[-1]:
@@ -167,9 +164,6 @@ def load_driving(fiber: str, end: End, width_us: float) -> DrivingFunction:
             f"a pulse of {width_us:g} µs is outside the fitted widths of {widths[0]:g} to "
             f"{widths[-1]:g} µs: choose one within",
             about="width_us",
-            problem="too small" if width_us < widths[0] else "too large",
-            value=width_us,
-            allowed=(widths[0], widths[-1]),
         )
     weights = {
         part: np.array([fitted[f"{each:g}"][part] for each in widths])

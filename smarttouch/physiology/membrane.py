@@ -237,9 +237,6 @@ def threshold_ma(
                 f"{_CEILING_MA:g} mA with a {width_us:g} µs pulse: check the fiber's depth and "
                 f"internode ({fiber.internode_mm:g} mm), and that potentials are in mV per mA",
                 about="threshold_ma",
-                problem="too small" if first == 0 else "too large",
-                value=polarity,
-                allowed=(_FLOOR_MA, _CEILING_MA),
             )
         low, high = float(candidates[first - 1]), float(candidates[first])
     return high

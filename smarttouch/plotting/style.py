@@ -31,7 +31,6 @@ def new_figure(width_in: float, height_in: float) -> "Figure":
         raise SmartTouchError(
             "figures need matplotlib: install it with the extra, pip install 'smarttouch[plot]'",
             about="matplotlib",
-            problem="missing",
             remedy="pip install 'smarttouch[plot]'",
         ) from None
     pyplot = sys.modules.get("matplotlib.pyplot")
@@ -44,11 +43,7 @@ def require_drawable(path: Path) -> None:
     """Raise at once if a figure could not be drawn in the end: its format, or no matplotlib."""
     if path.suffix.lower().lstrip(".") not in FORMATS:
         raise SmartTouchError(
-            f"cannot draw {path}: name it {', '.join('*.' + f for f in FORMATS)}",
-            about="file",
-            problem="unknown",
-            value=path,
-            allowed=tuple(f".{each}" for each in FORMATS),
+            f"cannot draw {path}: name it {', '.join('*.' + f for f in FORMATS)}", about="file"
         )
     new_figure(1, 1)
 

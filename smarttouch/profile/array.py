@@ -35,9 +35,6 @@ class GridLayout(Table):
                 f"inner_diameter_mm {self.inner_diameter_mm:g} must be below diameter_mm "
                 f"{self.diameter_mm:g}",
                 about="array.inner_diameter_mm",
-                problem="too large",
-                value=self.inner_diameter_mm,
-                allowed=self.diameter_mm,
             )
         return self
 
@@ -118,9 +115,6 @@ class FreeLayout(Table):
                     f"array.{key} lists {len(values or ())} of {count} electrodes: give one for "
                     "each, of both shapes and sizes_mm, or neither",
                     about=f"array.{key}",
-                    problem="too few" if len(values or ()) < count else "too many",
-                    value=len(values or ()),
-                    allowed=count,
                 )
         for shape, size in zip(self.shapes or (), self.sizes_mm or (), strict=False):
             yield from _unsized(shape, size, "sizes_mm", "shapes")
@@ -147,8 +141,6 @@ def _unsized(
             f"{key} {list(size_mm)} does not go with shape {shape!r}: give [diameter, 0] of a "
             "disc, [outer, inner] of an annulus, [width, height] of a rectangle",
             about=f"array.{key}",
-            problem="conflict",
-            value=size_mm,
             remedy=f"array.{remedy}",
         )
 

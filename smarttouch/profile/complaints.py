@@ -6,9 +6,9 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from smarttouch.errors import Complaint, ProfileError, TableError
+from smarttouch.errors import ProfileError, TableError
 from smarttouch.files import read_toml
-from smarttouch.profile.table import AllUnfitError, UnfitError
+from smarttouch.profile.table import AllUnfitError
 
 _LAYOUTS = ("grid", "hexagon-61", "lines", "free")
 _KINDS = ("constrained-", "function-", "tuple[", "str-enum[")
@@ -16,22 +16,6 @@ _WHOLE_KINDS = ("bool", "int", "float", "str", "SlotPolicy")
 """Kinds of value that pydantic names between the keys of the file."""
 _NOT_OF_KIND = ("float_type", "tuple_type")
 """Choices that are named for each kind that a value fails to be."""
-_PROBLEMS = {
-    "missing": "missing",
-    "union_tag_not_found": "missing",
-    "extra_forbidden": "unknown",
-    "unexpected_keyword_argument": "unknown",
-    "literal_error": "unknown",
-    "union_tag_invalid": "unknown",
-    "greater_than": "too small",
-    "greater_than_equal": "too small",
-    "less_than": "too large",
-    "less_than_equal": "too large",
-    "too_short": "too few",
-    "too_long": "too many",
-}
-"""Problems of `SmartTouchError` by the names that pydantic has for them."""
-_BOUNDS = ("gt", "ge", "lt", "le", "min_length", "max_length")
 _MOST_IN_A_SENTENCE = 8
 
 _Error = TypeVar("_Error", bound=TableError)
@@ -51,17 +35,11 @@ def load_model(path: Path, kind: type[_Table], **more: object) -> _Table:
 def table_error(kind: type[_Error], name: object, error: ValidationError) -> _Error:
     """Return the error that lists all that is wrong in a file."""
     found = [*_complaints(error)]
-    sentences = [f"{name}: {words}" for words, _ in found]
     told = [words for words, _ in found[:_MOST_IN_A_SENTENCE]]
     if len(found) > len(told):
         told.append(f"and {len(found) - len(told)} more")
-    complaints = [
-        Complaint(each["about"], each["problem"], each["value"], each["allowed"])
-        for _, each in found
-    ]
-    return kind(
-        f"{name}: {'; '.join(told)}", complaints=complaints, sentences=sentences, **found[0][1]
-    )
+    complaints = [(each["about"], f"{name}: {words}") for words, each in found]
+    return kind(f"{name}: {'; '.join(told)}", complaints=complaints, **found[0][1])
 
 
 def _complaints(error: ValidationError) -> Iterator[Found]:
@@ -74,9 +52,9 @@ def _complaints(error: ValidationError) -> Iterator[Found]:
         unfit = each.get("ctx", {}).get("error")
         if isinstance(unfit, AllUnfitError):
             for one in unfit.errors:
-                yield str(one), _attributes(key, each) | one.attributes
+                yield str(one), {"about": key} | one.attributes
         else:
-            yield _in_words(key, each)
+            yield _in_words(key, each), {"about": key} | getattr(unfit, "attributes", {})
 
 
 def _key(error: Mapping[str, Any]) -> str:
@@ -85,31 +63,15 @@ def _key(error: Mapping[str, Any]) -> str:
     return f"{key}.layout" if error["type"].startswith("union_tag") else key
 
 
-def _attributes(key: str, error: Mapping[str, Any]) -> dict[str, Any]:
-    context = error.get("ctx", {})
-    problem = _PROBLEMS.get(error["type"], "malformed")
-    return {
-        "about": key,
-        "problem": problem,
-        "value": None if problem == "missing" else error["input"],
-        "allowed": next((context[each] for each in _BOUNDS if each in context), None),
-    }
-
-
-def _in_words(key: str, error: Mapping[str, Any]) -> Found:
-    kind, given, context = error["type"], error["input"], error.get("ctx", {})
-    attributes = _attributes(key, error)
+def _in_words(key: str, error: Mapping[str, Any]) -> str:
+    kind, given = error["type"], error["input"]
     words = error["msg"].removeprefix("Value error, ").replace("valid tuple", "list")
-    if isinstance(context.get("error"), UnfitError):
-        attributes |= context["error"].attributes
     if kind in ("extra_forbidden", "unexpected_keyword_argument"):
-        return f"unknown key {key!r}: remove it or correct its spelling", attributes
+        return f"unknown key {key!r}: remove it or correct its spelling"
     if kind in ("missing", "union_tag_not_found"):
-        return f"key {key!r} is missing: add it (any shipped profile shows how)", attributes
+        return f"key {key!r} is missing: add it (any shipped profile shows how)"
     if kind == "union_tag_invalid":
-        tag = context["tag"]
-        words = f"{key} = {repr(tag)[:60]}: choose one of {', '.join(_LAYOUTS)}"
-        return words, attributes | {"value": tag, "allowed": _LAYOUTS}
+        return f"{key} = {repr(error['ctx']['tag'])[:60]}: choose one of {', '.join(_LAYOUTS)}"
     if isinstance(given, dict) and key:
-        return f"{key}: {words}", attributes
-    return f"{key} = {repr(given)[:60]}: {words}" if key else words, attributes
+        return f"{key}: {words}"
+    return f"{key} = {repr(given)[:60]}: {words}" if key else words

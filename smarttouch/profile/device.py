@@ -54,16 +54,10 @@ class Output(Table):
                 yield UnfitError(
                     f"output.{key} lists {twice} more than once: give each once",
                     about=f"output.{key}",
-                    problem="twice",
-                    value=twice,
                 )
             if min(values, default=0) < 0:
                 yield UnfitError(
-                    f"output.{key} lists {min(values)}: numbers begin at 0",
-                    about=f"output.{key}",
-                    problem="too small",
-                    value=min(values),
-                    allowed=0,
+                    f"output.{key} lists {min(values)}: numbers begin at 0", about=f"output.{key}"
                 )
 
 
@@ -113,11 +107,7 @@ class ForceLaw(Table):
     def _ordered(self) -> Self:
         if self.full_n <= self.contact_n:
             raise UnfitError(
-                f"full_n {self.full_n} must exceed contact_n {self.contact_n}",
-                about="force.full_n",
-                problem="too small",
-                value=self.full_n,
-                allowed=self.contact_n,
+                f"full_n {self.full_n} must exceed contact_n {self.contact_n}", about="force.full_n"
             )
         return self
 

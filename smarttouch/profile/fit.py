@@ -25,18 +25,12 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
             f"output.masked lists {max(masked)}, the array has electrodes 0 to {count - 1}: "
             "remove it",
             about="output.masked",
-            problem="too large",
-            value=max(masked),
-            allowed=count - 1,
         )
     if count - len(masked) < 2:
         yield UnfitError(
             f"output.masked leaves {count - len(masked)} of {count} electrodes: current needs "
             "at least two, shorten the list or repair the array",
             about="output.masked",
-            problem="too many",
-            value=len(masked),
-            allowed=count - 2,
         )
     if wiring is not None and len(wiring) != count:
         yield _of_another_length("output.wiring", len(wiring), count, "leave it out")
@@ -52,9 +46,6 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
             f"skin.medium 'plane' does not go with array.layout {profile.array.layout!r}: "
             "it is for 'lines'; 'half-space' is for all",
             about="skin.medium",
-            problem="conflict",
-            value="plane",
-            allowed=("half-space",),
             remedy="array.layout",
         )
     if profile.kernels.objective == "finger" and profile.output.kind != "weighted":
@@ -62,9 +53,6 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
             f"kernels.objective 'finger' does not go with output.kind {profile.output.kind!r}: "
             "the board must give every electrode its own current; 'node' is for all",
             about="kernels.objective",
-            problem="conflict",
-            value="finger",
-            allowed=("node",),
             remedy="output.kind",
         )
     lowered = profile.limits.electrode_ma
@@ -83,23 +71,18 @@ def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
             f"comfort_ma is {full_ma[index]:.2f} mA at electrode {index}, not above its "
             f"threshold_ma of {profile.threshold_ma[index]:.2f}: measure both again",
             about="perception.comfort_ma",
-            problem="too small",
-            value=float(full_ma[index]),
-            allowed=float(profile.threshold_ma[index]),
             electrode=index,
         )
     # Thresholds are single precision: a limit equal to their product is kept.
     over = full_ma > np.multiply(np.inf if lowered is None else lowered, 1 + 1e-6)
     if lowered is not None and over.any():
         index = int(over.argmax())
-        yield _too_large(
-            "limits.electrode_ma",
-            float(full_ma[index]),
-            lowered[index],
+        yield UnfitError(
             f"{strongest_of} is {full_ma[index]:.2f} mA at electrode {index}, above its "
             f"limits.electrode_ma {lowered[index]:g}: lower one of the two",
-            strongest_key,
-            index,
+            about="limits.electrode_ma",
+            remedy=strongest_key,
+            electrode=index,
         )
     yield from _misfits_of_strongest(profile)
 
@@ -115,54 +98,32 @@ def _misfits_of_strongest(profile: "Profile") -> Iterator[UnfitError]:
     full_ma, (strongest_of, strongest_key) = profile.full_ma, _names_of_strongest(profile)
     limits, width_us, strongest = profile.limits, profile.pulse.width_us, float(full_ma.max())
     if strongest > limits.current_ma:
-        yield _too_large(
-            "limits.current_ma",
-            strongest,
-            limits.current_ma,
+        yield UnfitError(
             f"{strongest_of} reaches {strongest:.2f} mA, above limits.current_ma "
             f"{limits.current_ma}: lower one of the two",
-            strongest_key,
+            about="limits.current_ma",
+            remedy=strongest_key,
         )
     if limits.total_ma is not None and limits.total_ma < strongest:
-        yield _too_large(
-            "limits.total_ma",
-            strongest,
-            limits.total_ma,
+        yield UnfitError(
             f"limits.total_ma {limits.total_ma:g} is below the {strongest:.2f} mA that "
             f"{strongest_of} sends through one electrode: raise it, or lower one of the two",
-            strongest_key,
+            about="limits.total_ma",
+            remedy=strongest_key,
         )
     if width_us > limits.pulse_us:
-        yield _too_large(
-            "pulse.width_us",
-            width_us,
-            limits.pulse_us,
+        yield UnfitError(
             f"pulse.width_us {width_us} is above limits.pulse_us {limits.pulse_us:g}: lower it",
+            about="pulse.width_us",
         )
     charge = strongest * width_us / 1000
     if charge > limits.charge_uc:
-        yield _too_large(
-            "limits.charge_uc",
-            charge,
-            limits.charge_uc,
+        yield UnfitError(
             f"the strongest pulse carries {charge:.3f} µC, above limits.charge_uc "
             f"{limits.charge_uc}: lower {strongest_of} or pulse.width_us",
-            strongest_key,
+            about="limits.charge_uc",
+            remedy=strongest_key,
         )
-
-
-def _too_large(
-    key: str,
-    value: float,
-    allowed: float,
-    words: str,
-    remedy: str = "",
-    electrode: int | None = None,
-) -> UnfitError:
-    return UnfitError(
-        words, about=key, problem="too large", value=value, allowed=allowed, remedy=remedy,
-        electrode=electrode,
-    )  # fmt: skip
 
 
 def _of_another_length(key: str, numbers: int, electrodes: int, otherwise: str) -> UnfitError:
@@ -170,7 +131,4 @@ def _of_another_length(key: str, numbers: int, electrodes: int, otherwise: str) 
         f"{key} lists {numbers} electrodes, the array has {electrodes}: "
         f"give {electrodes} numbers, or {otherwise}",
         about=key,
-        problem="too few" if numbers < electrodes else "too many",
-        value=numbers,
-        allowed=electrodes,
     )

@@ -55,9 +55,6 @@ def profile_path(name: str | Path) -> Path:
                 f"no profile {str(name)!r}: give a TOML file or one of "
                 f"{', '.join(list_profiles())}",
                 about="profile",
-                problem="unknown",
-                value=str(name),
-                allowed=tuple(list_profiles()),
             )
     return path
 
@@ -69,7 +66,7 @@ def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
     except ProfileError as error:
         # Of the array alone, which names no file.
         message = f"{path}: {error}"
-        error.args, error.sentences = (message,), (message,)
+        error.args, error.complaints = (message,), ((error.about, message),)
         raise
     except ValidationError as error:
         raise table_error(ProfileError, path, error) from None

@@ -79,31 +79,22 @@ class Skin(Table):
                 "a layered medium takes its conductivities from skin.layers, any other one from "
                 "skin.conductivity_s_per_m: give just that",
                 about="skin.medium",
-                problem="conflict",
-                value=self.medium,
                 remedy="skin.layers" if layered else "skin.conductivity_s_per_m",
             )
         if layered and self.layers and not np.isinf(self.layers[-1].thickness_mm):
             yield UnfitError(
                 "the last of skin.layers goes on without end: leave out thickness_mm",
                 about="skin.layers",
-                problem="conflict",
-                value=self.layers[-1].thickness_mm,
             )
         if any(np.isinf(layer.thickness_mm) for layer in self.layers[:-1]):
             yield UnfitError(
-                "each of skin.layers but the last needs its thickness_mm",
-                about="skin.layers",
-                problem="missing",
+                "each of skin.layers but the last needs its thickness_mm", about="skin.layers"
             )
         for name in ("ra", "sai", "pc"):
-            depth = getattr(self, f"{name}_depth_mm")
-            if depth - getattr(self.spread, f"{name}_depth_mm") <= 0:
+            depth, spread = (getattr(each, f"{name}_depth_mm") for each in (self, self.spread))
+            if depth - spread <= 0:
                 yield UnfitError(
-                    f"spread.{name}_depth_mm reaches the surface from {name}_depth_mm {depth:g}: "
-                    "no fiber lies outside the skin; lower it",
+                    f"spread.{name}_depth_mm {spread:g} reaches the surface from {name}_depth_mm "
+                    f"{depth:g}: no fiber lies outside the skin; lower it",
                     about=f"skin.spread.{name}_depth_mm",
-                    problem="too large",
-                    value=getattr(self.spread, f"{name}_depth_mm"),
-                    allowed=depth,
                 )

@@ -33,11 +33,7 @@ def raise_all(errors: Iterable[UnfitError]) -> None:
 
 def _require_sensible(value: float) -> float:
     if not SMALLEST <= value <= LARGEST:
-        raise UnfitError(
-            f"{value:g} is of no use: give a number from {SMALLEST:g} to {LARGEST:g}",
-            problem="too small" if value < SMALLEST else "too large",
-            allowed=SMALLEST if value < SMALLEST else LARGEST,
-        )
+        raise UnfitError(f"{value:g} is of no use: give a number from {SMALLEST:g} to {LARGEST:g}")
     return value
 
 

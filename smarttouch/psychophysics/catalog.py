@@ -84,11 +84,7 @@ def design(name: str, profile: Profile, wanted: ExperimentOptions) -> Design:
     """Build an experiment of the catalog."""
     if name not in CATALOG:
         raise ExperimentError(
-            f"there is no experiment {name!r}: choose {' or '.join(CATALOG)}",
-            about="experiment",
-            problem="unknown",
-            value=name,
-            allowed=tuple(CATALOG),
+            f"there is no experiment {name!r}: choose {' or '.join(CATALOG)}", about="experiment"
         )
     entry = CATALOG[name]
     method = wanted.procedure or entry.methods[0]
@@ -96,9 +92,6 @@ def design(name: str, profile: Profile, wanted: ExperimentOptions) -> Design:
         raise ExperimentError(
             f"the procedure {method!r} is not for {name}: choose {' or '.join(entry.methods)}",
             about="procedure",
-            problem="unknown",
-            value=method,
-            allowed=entry.methods,
         )
     require_site(wanted.site, profile)
     if name in _IN_MA and profile.pulse.carrier == "width":
@@ -106,9 +99,6 @@ def design(name: str, profile: Profile, wanted: ExperimentOptions) -> Design:
             f"{name} counts in mA, and intensity changes the width of this profile's pulses: set "
             "pulse.carrier = 'height'",
             about="pulse.carrier",
-            problem="conflict",
-            value="width",
-            allowed=("height",),
         )
     train_s = entry.train_s if wanted.train_s is None else wanted.train_s
     return entry.make(Stimuli(profile, wanted.afferent, train_s), wanted, method)
@@ -180,9 +170,6 @@ def _discomfort(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Des
             f"a current that is enough in {stimuli.train_s:g} s comes too suddenly: let trains "
             f"last {slowest_s:g} s or more",
             about="train_s",
-            problem="too small",
-            value=stimuli.train_s,
-            allowed=slowest_s,
         )
     task = DiscomfortTask(stimuli, _site(stimuli, wanted), _rate_hz(stimuli, wanted))
     return Design(task, Repeats(wanted.repetitions or 5), method, again=False)
@@ -195,8 +182,6 @@ def _two_point(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Desi
             f"no two electrodes of {stimuli.profile.name} lie beside each other: choose another "
             "profile",
             about="profile",
-            problem="impossible",
-            value=stimuli.profile.name,
         )
     nearest = apart_mm[: 2 * _FARTHEST]
     procedure = _constant([(0.0, each) for each in nearest], wanted, True, REPETITIONS)
@@ -211,8 +196,6 @@ def _localization(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> D
         raise ExperimentError(
             f"site {site} has no neighbors as far left as right: choose one in the middle of a row",
             about="site",
-            problem="impossible",
-            value=site,
         )
     pairs = [(0.0, sign * each) for each in far_mm for sign in (-1, 1)]
     task = LocalizationTask(stimuli, site, _rate_hz(stimuli, wanted))

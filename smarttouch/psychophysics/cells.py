@@ -32,20 +32,14 @@ def write_cell(value: str | float | None, column: str) -> str:
     if isinstance(value, str):
         if "\n" in value or "\r" in value:
             raise ExperimentError(
-                f"{column} {value!r} has a line break: leave it out",
-                about=column,
-                problem="malformed",
-                value=value,
+                f"{column} {value!r} has a line break: leave it out", about=column
             )
         return value
     if value is None:
         return ""
     if not math.isfinite(value):
         raise ExperimentError(
-            f"{column} is {value}, which no trial can be: give a number",
-            about=column,
-            problem="malformed",
-            value=value,
+            f"{column} is {value}, which no trial can be: give a number", about=column
         )
     # What comes from numpy would be written with its type's name.
     return repr(float(value)) if isinstance(value, float) else str(int(value))

@@ -60,9 +60,6 @@ def up_to_the_ceiling(profile: Profile) -> Profile:
             f"a threshold of {profile.threshold_ma.max():.2f} mA is not below the limit of "
             f"{most_ma:g} mA: correct perception.threshold_ma or limits.current_ma",
             about="perception.threshold_ma",
-            problem="too large",
-            value=float(profile.threshold_ma.max()),
-            allowed=most_ma,
         )
     perception = profile.perception.model_dump() | {"comfort_ma": ceiling_ma}
     return Profile.model_validate({**profile.model_dump(), "perception": perception})
@@ -79,11 +76,7 @@ class FreeLog(Closing):
             )
         except FileExistsError:
             raise ExperimentError(
-                f"{path} exists: give another file",
-                about="file",
-                problem="exists",
-                value=path,
-                remedy="output",
+                f"{path} exists: give another file", about="file", remedy="output"
             ) from None
         except OSError as error:
             raise unwritable(ExperimentError, path, error) from None
@@ -146,17 +139,12 @@ class FreeSource(StimulusSource, Listener):
             raise ExperimentError(
                 f"{rate_hz:g} pulses a second must be from {SLOWEST_HZ:g} to {fastest_hz:g}",
                 about="rate_hz",
-                value=rate_hz,
-                allowed=(SLOWEST_HZ, fastest_hz),
             )
         if afferent not in offered:
             raise ExperimentError(
                 f"mode {afferent.name} is not possible with {profile.name}: choose "
                 + " or ".join(each.name for each in offered),
                 about="mode",
-                problem="impossible",
-                value=afferent.name,
-                allowed=tuple(each.name for each in offered),
             )
         require_site(site, profile)
         self.knows_force = press_n is not None

@@ -23,8 +23,6 @@ def parse_letters(text: str | None) -> str:
         raise ExperimentError(
             f"letters {text!r} must be two or more letters from A to Z, as in AEIOU",
             about="letters",
-            problem="unknown" if strange else "too few",
-            value=text,
         )
     return letters
 
@@ -41,9 +39,6 @@ def draw_letter(letter: str, profile: Profile) -> NDArray[np.float32]:
             f"{profile.name} has {rows} row{'s' * (rows > 1)} of electrodes, letters need at least "
             f"{FEWEST_ROWS}: choose another profile, for example electric-mouse",
             about="profile",
-            problem="too few",
-            value=rows,
-            allowed=FEWEST_ROWS,
         )
     window = profile_for_reading(profile)
     shape = (window.optics.sensor_rows, window.optics.sensor_columns)

@@ -188,9 +188,6 @@ def require_letters(text: str) -> str:
     letters = "".join(dict.fromkeys(text.upper()))
     if not letters or set(letters) - set(ALPHABET):
         raise ExperimentError(
-            f"{text!r} must be letters from A to Z, as in T or AEIOU",
-            about="LETTERS",
-            problem="unknown" if letters else "too few",
-            value=text,
+            f"{text!r} must be letters from A to Z, as in T or AEIOU", about="LETTERS"
         )
     return letters

@@ -91,11 +91,7 @@ class RowFile(Closing):
         self.path, self.about = path, about
         if path.suffix.lower() != ".csv":
             raise ExperimentError(
-                f"answers go into a .csv file, not {path}: give such a name",
-                about="file",
-                problem="ending",
-                value=path,
-                allowed=(".csv",),
+                f"answers go into a .csv file, not {path}: give such a name", about="file"
             )
         if path.exists():
             require_file(path, ExperimentError, MOST_TABLE_BYTES)
@@ -147,9 +143,6 @@ class RowFile(Closing):
                         f"{self.path} has {name} {has!r}, not {wanted!r}: give another file, or "
                         "overwrite it",
                         about=name,
-                        problem="conflict",
-                        value=has,
-                        allowed=wanted,
                     )
 
 
@@ -167,8 +160,6 @@ def _parse(data: bytes, path: Path) -> list[TrialRow]:
             raise ExperimentError(
                 f"{path} has no column {column} in its first line: give a file of answers",
                 about=column,
-                problem="missing",
-                value=path,
             )
     place = {each.name: head.index(COLUMNS[each.name]) for each in fields(TrialRow)}
     kinds = {each.name: each.type for each in fields(TrialRow)}
@@ -184,7 +175,5 @@ def _parse(data: bytes, path: Path) -> list[TrialRow]:
                 f"{path}, line {number}: {COLUMNS[name]} is missing or not what belongs there; "
                 "correct or delete the line",
                 about=COLUMNS[name],
-                problem="malformed",
-                value=dict(enumerate(line)).get(place[name]),
             ) from None
     return rows

@@ -28,8 +28,6 @@ class Session:
                     f"{file.path}, trial {number + 1}, is not of this experiment: go on with the "
                     "options it was begun with, overwrite it, or give another file",
                     about="trial",
-                    problem="conflict",
-                    value=number + 1,
                     remedy="overwrite or output",
                 )
             procedure.answer(row.success)

@@ -92,7 +92,7 @@ def parse_standards(text: str | None) -> tuple[float, ...] | None:
         standards = ()
     if not standards or not all(0 < each < 1e6 for each in standards):
         message = f"standards {text!r} are not understood: give frequencies in Hz, as in 15,30,45"
-        raise SmartTouchError(message, about="standards", problem="malformed", value=text)
+        raise SmartTouchError(message, about="standards")
     return tuple(dict.fromkeys(standards))
 
 
@@ -105,12 +105,9 @@ def usual_name(
             raise SmartTouchError(
                 f"{parameter} {name!r} becomes part of a file's name: use letters, digits, - and _",
                 about=parameter,
-                problem="malformed",
-                value=name,
             )
     if seed is not None and seed < 0:
-        message = f"the seed {seed} must be 0 or more"
-        raise SmartTouchError(message, about="seed", value=seed, allowed=0)
+        raise SmartTouchError(f"the seed {seed} must be 0 or more", about="seed")
     named = "-".join(each for each in (participant, session, experiment) if each)
     usual = zlib.crc32(f"{participant}/{session}".encode()) % 10_000
     return named, usual if seed is None else seed

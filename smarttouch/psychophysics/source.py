@@ -172,8 +172,6 @@ class ExperimentSource(StimulusSource, Listener):
                     f"no trial could begin for {patience_s:g} s, and nobody is there to "
                     f"{self._finger}: give more intensity or force",
                     about="trial",
-                    problem="late",
-                    value=patience_s,
                     remedy="intensity or force",
                 )
             faint = np.float32(self._faint) * (activation > 0)
@@ -267,9 +265,6 @@ class ExperimentSource(StimulusSource, Listener):
                 f"current was lost {spoiled} times in one trial, and {most} may be: check the "
                 "board's line, and keep the finger on the electrodes",
                 about="trial",
-                problem="lost",
-                value=spoiled,
-                allowed=most,
             )
 
     def _ask(self, trial: Trial) -> Generator[Stimulus, None, Answer | None]:

@@ -61,8 +61,6 @@ class Stimuli:
             raise ExperimentError(
                 f"trains of {train_s:g} s must be above 0 and at most {LONGEST_S:g} s long",
                 about="train_s",
-                value=train_s,
-                allowed=(0, LONGEST_S),
             )
         self.profile, self.afferent, self.train_s = profile, afferent, train_s
 
@@ -74,8 +72,6 @@ class Stimuli:
                 f"pulses at {rate_hz:g} Hz are not possible: the frequency must be above 0 and at "
                 f"most the profile's limit of {limit_hz:g} Hz",
                 about="rate_hz",
-                value=rate_hz,
-                allowed=(0, limit_hz),
             )
         pulses = round(self.train_s * rate_hz)
         if pulses < FEWEST_PULSES:
@@ -83,9 +79,6 @@ class Stimuli:
                 f"{self.train_s:g} s at {rate_hz:g} Hz are {pulses} pulses, fewer than the "
                 f"{FEWEST_PULSES} that make a frequency: make trains longer",
                 about="train_s",
-                problem="too few",
-                value=pulses,
-                allowed=FEWEST_PULSES,
             )
         activation = np.zeros((len(Afferent), len(self.profile.electrodes)), np.float32)
         if isinstance(where, np.ndarray):
@@ -134,7 +127,4 @@ def require_site(site: int | None, profile: Profile) -> None:
             f"site {site} is masked or none of the {len(profile.electrodes)} sites of "
             f"{profile.name}: leave it out for the middle",
             about="site",
-            problem="unknown",
-            value=site,
-            allowed=tuple(profile.driven.tolist()),
         )

@@ -61,8 +61,6 @@ class Subject(Listener):
             raise ExperimentError(
                 "simulated subjects feel simulated currents only: choose the board simulated:",
                 about="board",
-                problem="conflict",
-                allowed=("simulated:",),
             )
         self._board = board
 

@@ -20,15 +20,10 @@ class TrialTiming:
     def __post_init__(self) -> None:
         if not 0 <= self.gap_s <= 60:
             raise ExperimentError(
-                f"a gap of {self.gap_s:g} s must be from 0 to 60 s",
-                about="gap_s",
-                value=self.gap_s,
-                allowed=(0, 60),
+                f"a gap of {self.gap_s:g} s must be from 0 to 60 s", about="gap_s"
             )
         if self.answer_s is not None and not 0 < self.answer_s <= 3600:
             raise ExperimentError(
                 f"{self.answer_s:g} s for an answer must be above 0, at most 3600 s",
                 about="answer_s",
-                value=self.answer_s,
-                allowed=(0, 3600),
             )

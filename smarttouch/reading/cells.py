@@ -132,11 +132,7 @@ def cell_layout(profile: Profile, lines: int = 1, eight: bool = False) -> CellLa
     )
     if lines < 1:
         raise ReadingError(
-            f"{lines} lines of Braille at once are not possible: give 1 or more",
-            about="lines",
-            problem="too small",
-            value=lines,
-            allowed=1,
+            f"{lines} lines of Braille at once are not possible: give 1 or more", about="lines"
         )
     if layout.height > rows or dot_x + 1 > columns:
         fewer = lines > 1 and replace(layout, lines=1).height <= rows
@@ -145,9 +141,6 @@ def cell_layout(profile: Profile, lines: int = 1, eight: bool = False) -> CellLa
             f"Braille with {8 if eight else 6} dots need {layout.height} x {dot_x + 1}: choose "
             + ("fewer lines" if fewer else "another profile"),
             about="profile",
-            problem="too few",
-            value=(rows, columns),
-            allowed=(layout.height, dot_x + 1),
             remedy="lines" if fewer else "",
         )
     return layout
@@ -161,7 +154,5 @@ def _grid_of(electrodes: ElectrodeArray, name: str) -> tuple[int, int]:
             f"the electrodes of {name} are no grid of rows and columns, dots would fall between "
             "them: choose another profile, or read letter shapes",
             about="profile",
-            problem="no grid",
-            value=name,
         )
     return len(y), len(x)

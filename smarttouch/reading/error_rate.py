@@ -46,8 +46,6 @@ def word_error_rate(truth: str, text: str) -> float:
 def _rate(truth: Sequence[str], text: Sequence[str]) -> float:
     if not truth:
         raise ReadingError(
-            "the text to compare with is empty: give the text of the page",
-            about="truth",
-            problem="empty",
+            "the text to compare with is empty: give the text of the page", about="truth"
         )
     return Levenshtein.distance(truth, text) / len(truth)

@@ -101,7 +101,6 @@ class EmptyPages:
                 "no line of text was found: is it a page of print, sharp, and large enough "
                 "(letters of 6 pixels and more)?",
                 about="page",
-                problem="empty",
             )
         if self._empty:
             self._note(f"no line of text on page {', '.join(map(str, self._empty))}")

@@ -73,11 +73,7 @@ class Shapes:
         require_rows(profile, source.note)
         if source.holds_cells:
             raise ReadingError(
-                f"{source.name} holds Braille, not letters: read it as Braille",
-                about="kind",
-                problem="conflict",
-                value="shapes",
-                allowed=("braille",),
+                f"{source.name} holds Braille, not letters: read it as Braille", about="kind"
             )
         for prepared in source.prepared():
             for index in range(len(prepared.lines)):
@@ -92,9 +88,6 @@ def require_rows(profile: Profile, note: Note) -> None:
             f"{profile.name} has {rows} row{'s' * (rows > 1)} of electrodes, letter shapes need at "
             f"least {FEWEST_ROWS}: choose another profile, for example electric-mouse",
             about="profile",
-            problem="too few",
-            value=rows,
-            allowed=FEWEST_ROWS,
         )
     if rows < ENOUGH_ROWS:
         note(

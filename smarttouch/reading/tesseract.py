@@ -59,7 +59,6 @@ def find_tesseract() -> Path:
         raise ReadingError(
             "Tesseract is not installed: apt install tesseract-ocr (or brew install tesseract)",
             about="tesseract",
-            problem="missing",
             remedy="apt install tesseract-ocr",
         )
     return Path(found)
@@ -78,10 +77,7 @@ def read_words(
     """
     if not re.fullmatch(r"\w+(\+\w+)*", languages, re.ASCII):
         raise ReadingError(
-            f"languages {languages!r}: give codes such as eng or eng+deu",
-            about="languages",
-            problem="malformed",
-            value=languages,
+            f"languages {languages!r}: give codes such as eng or eng+deu", about="languages"
         )
     find_tesseract()
     shown = [index for index, image in enumerate(images) if not _is_blank(image)]
@@ -160,15 +156,10 @@ def _run(
         raise TooSlowError(
             f"Tesseract did not finish within {timeout_s:g} s: give it a smaller image",
             about="tesseract",
-            problem="late",
-            value=timeout_s,
         ) from None
     except OSError as error:
         raise ReadingError(
-            f"{program} does not start: {error.strerror}",
-            about="tesseract",
-            problem="unusable",
-            value=program,
+            f"{program} does not start: {error.strerror}", about="tesseract"
         ) from None
     out, errors = (each.decode("utf-8", "replace") for each in (done.stdout, done.stderr))
     return subprocess.CompletedProcess(done.args, done.returncode, out, errors)
@@ -182,15 +173,10 @@ def _require_success(done: "subprocess.CompletedProcess[str]") -> None:
         raise ReadingError(
             f"Tesseract has no data for the language {missing[1]}: apt install {package}",
             about="languages",
-            problem="missing",
-            value=missing[1],
             remedy=f"apt install {package}",
         )
     if done.returncode:
         reason = done.stderr.strip().split("\n")[-1] or "no message"
         raise ReadingError(
-            f"Tesseract failed with status {done.returncode}: {reason}",
-            about="tesseract",
-            problem="failed",
-            value=done.returncode,
+            f"Tesseract failed with status {done.returncode}: {reason}", about="tesseract"
         )

@@ -114,12 +114,7 @@ def check_recording(
             if len(report.differences) < KEPT:
                 report.differences.append(difference)
     if not report.sequences:
-        raise RecordingError(
-            f"{path} holds no sequence: there is nothing to check",
-            about="file",
-            problem="empty",
-            value=recording.path,
-        )
+        raise RecordingError(f"{path} holds no sequence: there is nothing to check", about="file")
     if not recording.whole:
         report.left_out = report.left_out or "the recording is cut"
     return report
@@ -159,8 +154,6 @@ def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[P
                 f"the settings in {recording.path} do not say how it was made: compliance_v is "
                 "missing, which hold needs",
                 about="settings.compliance_v",
-                problem="missing",
-                value=recording.path,
             )
         adaptation = Adaptation(profile, run.hold, run.compliance_v, run.timing)
     if run.balance:
@@ -172,9 +165,6 @@ def rebuilt(recording: Recording, profile: Profile, bank: KernelBank) -> tuple[P
                     f"electrodes, and the profile has {len(ledger.charge_pc)}: compare with the "
                     "recorded profile",
                     about="settings.carried_pc",
-                    problem="malformed",
-                    value=len(run.carried_pc),
-                    allowed=len(ledger.charge_pc),
                 )
             ledger.charge_pc[:] = run.carried_pc
         if run.recharge:

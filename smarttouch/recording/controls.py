@@ -39,9 +39,6 @@ class RecordedControls(Controls):
                     f"{recording.path} has steps in mode {recorded.mode}, which this board does "
                     "not offer: choose a board and profile that do",
                     about="mode",
-                    problem="unknown",
-                    value=recorded.mode,
-                    allowed=modes,
                 )
 
     def state(self, time_ns: int) -> ControlState:

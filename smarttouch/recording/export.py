@@ -40,10 +40,7 @@ def export(path: Path, folder: Path) -> list[Path]:
         make_folder(folder)
         if any(folder.iterdir()):
             raise RecordingError(
-                f"{folder} is not empty: give a folder that is, or a new one",
-                about="file",
-                problem="not empty",
-                value=folder,
+                f"{folder} is not empty: give a folder that is, or a new one", about="file"
             )
         return _export(recording, folder)
     except OSError as error:

@@ -60,9 +60,6 @@ class FoxgloveServer(Listener):
             raise SmartTouchError(
                 f"Foxglove cannot have port {self.port}: {error}; give another one",
                 about="foxglove",
-                problem="unavailable",
-                value=self.port,
-                allowed=(0, 65535),
                 remedy="foxglove",
             ) from None
         self.port = self._server.port
@@ -113,7 +110,6 @@ def _import_foxglove() -> Any:
         raise SmartTouchError(
             "Foxglove needs the extra foxglove: pip install 'smarttouch[foxglove]'",
             about="foxglove",
-            problem="missing",
             remedy="pip install 'smarttouch[foxglove]'",
         ) from None
     return foxglove

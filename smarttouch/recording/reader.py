@@ -67,15 +67,12 @@ class Recording:
         found = self.about.get("format")
         if found is None:
             message = f"{path} tells nothing of a run: it is no recording of SmartTouch"
-            raise self._wrong("file", "unknown", message)
+            raise RecordingError(message, about="file")
         if found != FORMAT:
             raise RecordingError(
                 f"{path} is a recording of format {found!r}, this version reads {FORMAT}: use the "
                 "version that made it",
                 about="format",
-                problem="unknown",
-                value=found,
-                allowed=FORMAT,
             )
 
     @property
@@ -95,7 +92,7 @@ class Recording:
             return int(self.about["started_unix_ns"])
         except (KeyError, ValueError):
             message = f"{self.path} does not say when its run began"
-            raise self._wrong("started_unix_ns", "missing", message) from None
+            raise RecordingError(message, about="started_unix_ns") from None
 
     @property
     def started(self) -> datetime:
@@ -106,8 +103,6 @@ class Recording:
             raise RecordingError(
                 f"{self.path} began at an impossible time, {self.started_unix_ns} ns",
                 about="started_unix_ns",
-                problem="impossible",
-                value=self.started_unix_ns,
             ) from None
 
     @property
@@ -123,7 +118,7 @@ class Recording:
         except (ValidationError, ProfileError) as error:
             first = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
             message = f"the profile in {self.path} is not one of this version's: {first}"
-            raise self._wrong("profile", "malformed", message) from None
+            raise RecordingError(message, about="profile") from None
 
     @cached_property
     def settings(self) -> dict[str, Any]:
@@ -175,9 +170,6 @@ class Recording:
                     f"{self.path} has a step {at_ns / 1e9:.3f} s after its start whose {name} is "
                     f"{str(value)[:24]}, which no run has: it was not made by recording",
                     about=name,
-                    problem="impossible",
-                    value=value,
-                    allowed=(least, most),
                 )
 
     def events(self) -> Iterator[tuple[int, str]]:
@@ -209,9 +201,6 @@ class Recording:
                                 f"{self.path} holds more than {self._most_messages:,} messages, "
                                 "too many for its size: it was not made by recording",
                                 about="messages",
-                                problem="too many",
-                                value=count,
-                                allowed=self._most_messages,
                             )
                         yield each
         except OSError as error:
@@ -243,10 +232,10 @@ class Recording:
     def _look_through(self, file: BinaryIO) -> None:
         """Read everything but the messages."""
         if not file.seek(0, os.SEEK_END):
-            raise self._wrong("file", "empty", f"{self.path} is empty")
+            raise RecordingError(f"{self.path} is empty", about="file")
         file.seek(0)
         if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise self._wrong("file", "malformed", f"{self.path} is no MCAP file")
+            raise RecordingError(f"{self.path} is no MCAP file", about="file")
         kinds: dict[int, Any] = {
             Opcode.METADATA: Metadata,
             Opcode.SCHEMA: Schema,
@@ -282,9 +271,6 @@ class Recording:
                 f"{self.path} of {size / 1e6:,.1f} MB claims to hold {sum(claims) / 1e6:,.0f} MB: "
                 "it was not made by recording",
                 about="chunks",
-                problem="too large",
-                value=sum(claims),
-                allowed=most if believed else MOST_CHUNK_BYTES,
             )
         self._most_messages = BASE_MESSAGES + size
 
@@ -294,8 +280,5 @@ class Recording:
         except (KeyError, ValueError):
             table = None
         if not isinstance(table, dict):
-            raise self._wrong(key, "malformed", f"the {key} in {self.path} cannot be read")
+            raise RecordingError(f"the {key} in {self.path} cannot be read", about=key)
         return table
-
-    def _wrong(self, about: str, problem: str, message: str) -> RecordingError:
-        return RecordingError(message, about=about, problem=problem, value=self.path)

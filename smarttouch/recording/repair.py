@@ -70,11 +70,7 @@ def repair(path: Path, output: Path | None = None) -> Repaired:
             writer.finish()
     except FileExistsError:
         raise RecordingError(
-            f"{output} exists: give another file",
-            about="file",
-            problem="exists",
-            value=output,
-            remedy="output",
+            f"{output} exists: give another file", about="file", remedy="output"
         ) from None
     except OSError as error:
         raise unwritable(RecordingError, output, error) from None

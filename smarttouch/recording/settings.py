@@ -93,10 +93,4 @@ def read_settings(table: dict[str, Any]) -> RunSettings:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(map(str, first["loc"]))
-        missing = first["type"] == "missing"
-        raise RecordingError(
-            f"{key}: {first['msg']}",
-            about=f"settings.{key}",
-            problem="missing" if missing else "malformed",
-            value=None if missing else first["input"],
-        ) from None
+        raise RecordingError(f"{key}: {first['msg']}", about=f"settings.{key}") from None

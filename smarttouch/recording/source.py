@@ -19,7 +19,6 @@ def open_recording(rest: str, profile: Profile, *, unpaced: bool = False) -> "Re
         raise SourceError(
             "recording: needs a file: give recording:FILE.mcap",
             about="file",
-            problem="missing",
             remedy="recording:FILE.mcap",
         )
     return RecordingSource(Recording(Path(rest)), unpaced)
@@ -46,10 +45,7 @@ class RecordingSource(Source):
         self._seen = True
         if self._ahead is None:
             raise SourceError(
-                f"{recording.path} holds no steps: nothing can be played from it",
-                about="file",
-                problem="empty",
-                value=recording.path,
+                f"{recording.path} holds no steps: nothing can be played from it", about="file"
             )
         if not recording.whole:
             self.notes.append(f"{recording.path} is cut: it is played as far as it goes")
@@ -87,9 +83,6 @@ class RecordingSource(Source):
                 f"{self.title} holds stimuli for {recorded} electrodes, the profile {profile.name} "
                 f"has {count}: give the profile of the display that they are to go to",
                 about="electrodes",
-                problem="conflict",
-                value=recorded,
-                allowed=count,
                 remedy="profile",
             )
         return stricter(profile, was)

@@ -122,15 +122,10 @@ class RecordingWriter:
                 f"{self._path} was removed, moved or replaced while it was written, so it is not "
                 "this run's recording: leave the file alone until the run has ended",
                 about="file",
-                problem="missing",
-                value=self._path,
             )
         said = getattr(self._failure, "strerror", None) or repr(self._failure)
         return RecordingError(
-            f"{self._path} is cut short: {said}; what was written is kept",
-            about="file",
-            problem="late" if isinstance(self._failure, TimeoutError) else "unwritable",
-            value=self._path,
+            f"{self._path} is cut short: {said}; what was written is kept", about="file"
         )
 
     def _fail(self, error: Exception) -> None:
@@ -248,8 +243,5 @@ class _PackedIndexes:
 def name_taken(path: Path) -> RecordingError:
     """Return the error of a recording that exists already."""
     return RecordingError(
-        f"{path} exists and recordings are never overwritten: give another name",
-        about="file",
-        problem="exists",
-        value=path,
+        f"{path} exists and recordings are never overwritten: give another name", about="file"
     )

@@ -85,19 +85,9 @@ class RunConfig:
         for name in ("intensity", "softness"):
             value = getattr(self, name)
             if value is not None and not 0 <= value <= 1:
-                raise SmartTouchError(
-                    f"{name} {value:g} must be from 0 to 1",
-                    about=name,
-                    value=value,
-                    allowed=(0, 1),
-                )
+                raise SmartTouchError(f"{name} {value:g} must be from 0 to 1", about=name)
         if self.seconds is not None and not self.seconds > 0:
-            raise SmartTouchError(
-                f"seconds {self.seconds:g} must be above 0",
-                about="seconds",
-                value=self.seconds,
-                allowed=0,
-            )
+            raise SmartTouchError(f"seconds {self.seconds:g} must be above 0", about="seconds")
 
     def sharing(self, profile: Profile) -> SlotPolicy:
         """Return the classes whose points share slots, and how.
@@ -119,9 +109,6 @@ class RunConfig:
                 "hold learns from the voltage of each point, and several share a slot: choose "
                 "the scan points",
                 about="scan",
-                problem="conflict",
-                value=self.scan,
-                allowed=("points",),
                 remedy="scan points",
             )
         return sharing
@@ -152,9 +139,5 @@ def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> str:
         if value.lower() == each.lower():
             return each
     raise SmartTouchError(
-        f"{name} {value!r} is not offered: choose {' or '.join(allowed)}",
-        about=name,
-        problem="unknown",
-        value=value,
-        allowed=allowed,
+        f"{name} {value!r} is not offered: choose {' or '.join(allowed)}", about=name
     )

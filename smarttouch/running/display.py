@@ -72,8 +72,6 @@ class Display(Closing):
                 "vibrators make no current, and shake only what PC is to feel: give them beside a "
                 "board of electrodes",
                 about="board",
-                problem="conflict",
-                value=url,
                 remedy="vibrators",
             )
         self.board: Board = board

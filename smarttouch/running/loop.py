@@ -68,7 +68,6 @@ def run_loop(
             "controls, for example Controls(ControlState(mode, level=0)), and raise the level "
             "from there",
             about="controls",
-            problem="missing",
         )
     controls = controls or Controls(ControlState(pipeline.mode))
     if isinstance(source, Listener):

@@ -20,9 +20,7 @@ def masked_where_broken(board: Board, profile: Profile, note: Callable[[str], No
     found = board.measure()
     if found.lifted:
         raise BoardError(
-            "no electrode touches anything: put the finger on the array first",
-            about="finger",
-            problem="missing",
+            "no electrode touches anything: put the finger on the array first", about="finger"
         )
     broken = sorted({*profile.output.masked, *found.broken})
     good, unsure = (found.condition.count(each) for each in ("good", "unsure"))
@@ -55,15 +53,12 @@ def make_regulator(
             raise BoardError(
                 "hold needs a board that tells the voltage of each slot, and this one does not",
                 about="hold",
-                value=config.hold,
             )
         if not board.timing.own_widths and config.hold == "charge":
             raise BoardError(
                 "hold charge needs a pulse width of its own for each slot, and this board has "
                 "one for all: choose energy",
                 about="hold",
-                value=config.hold,
-                allowed=("energy",),
             )
         hold: Hold = "charge" if config.hold == "charge" else "energy"
         adaptation = Adaptation(profile, hold, can.compliance_v, board.timing)
@@ -74,7 +69,6 @@ def make_regulator(
             raise BoardError(
                 f"balance needs both polarities, and this board is {can.polarities[0]} only",
                 about="balance",
-                value=can.polarities,
             )
         else:
             note(

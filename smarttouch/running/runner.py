@@ -252,7 +252,6 @@ class Runner:
                 "a finger may be on the board, and nobody says how strong it is to become: give "
                 "an intensity, for example 0.3",
                 about="intensity",
-                problem="missing",
                 remedy="intensity",
             )
 
@@ -273,7 +272,6 @@ class Runner:
             "nothing measures it and a person presses, "
             f"fixed:{self.display.profile.force.full_n:g} (N)",
             about="force",
-            problem="missing",
             remedy="force",
         )
 

@@ -46,15 +46,13 @@ class Walk(StimulusSource):
         super().__init__("one electrode after another")
         if seconds is not None and not seconds > 0:
             message = f"{seconds:g} s for each electrode must be above 0"
-            raise SmartTouchError(message, about="seconds", value=seconds, allowed=0)
+            raise SmartTouchError(message, about="seconds")
         full_ma = float(profile.full_ma.max())
         if not 0 < current_ma <= full_ma:
             raise SmartTouchError(
                 f"{current_ma:g} mA must be above 0 and at most the {full_ma:g} mA that the "
                 "profile calls the strongest comfortable",
                 about="current_ma",
-                value=current_ma,
-                allowed=full_ma,
             )
         self.tried = 0
         self._profile, self._current_ma, self._seconds = profile, current_ma, seconds

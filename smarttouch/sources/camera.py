@@ -103,20 +103,15 @@ class CameraDevice(ImageDevice):
                 f"an image of {size[0]} x {size[1]} pixels is not possible: give width and "
                 "height, for example 640 x 480",
                 about="size",
-                value=size,
             )
         if fps is not None and not 0 < fps <= 1000:
             raise SourceError(
-                f"{fps:g} images a second are not possible: give above 0, at most 1000",
-                about="fps",
-                value=fps,
-                allowed=1000,
+                f"{fps:g} images a second are not possible: give above 0, at most 1000", about="fps"
             )
         if exposure is not None and not abs(exposure) < 1e9:
             raise SourceError(
                 f"an exposure of {exposure:g} is not possible: give one that the camera accepts",
                 about="exposure",
-                value=exposure,
             )
         self._size, self._exposure, self._fps = size, exposure, fps
         self._capture: cv2.VideoCapture | None = None
@@ -141,8 +136,6 @@ class CameraDevice(ImageDevice):
                 f"cannot open {self.title}: check that it is plugged in, that its number is right "
                 "and that no other program uses it",
                 about="camera",
-                problem="unavailable",
-                value=self._device,
             )
         self._failures = 0
 
@@ -191,9 +184,7 @@ class CameraDevice(ImageDevice):
         """Return the next image; waits as long as the driver does, a second at most."""
         capture = self._capture
         if capture is None:
-            raise SourceLostError(
-                f"{self.title} is not open", about="camera", problem="gone", value=self._device
-            )
+            raise SourceLostError(f"{self.title} is not open", about="camera")
         with QUIET_OPENCV:
             try:
                 taken, image = capture.read()
@@ -203,10 +194,7 @@ class CameraDevice(ImageDevice):
             self._failures += 1
             if self._failures >= FAILURES:
                 raise SourceLostError(
-                    f"{self.title} gave no image {FAILURES} times in a row",
-                    about="camera",
-                    problem="mute",
-                    value=self._device,
+                    f"{self.title} gave no image {FAILURES} times in a row", about="camera"
                 )
             time.sleep(min(timeout_s, _PAUSE_S))
             return None
@@ -236,8 +224,6 @@ def to_grey(image: NDArray[Any]) -> NDArray[np.uint8]:
             f"images of shape {image.shape} and type {image.dtype} cannot be read: give grey or "
             "color",
             about="image",
-            problem="malformed",
-            value=(image.shape, str(image.dtype)),
         )
     if channels == 1:
         return np.ascontiguousarray(image.reshape(image.shape[:2]))
@@ -256,6 +242,4 @@ def _device(rest: str) -> int | str:
         f"camera:{rest} is not a camera: give its number, as in camera:0, or its device, as in "
         "camera:/dev/video2",
         about="camera",
-        problem="malformed",
-        value=rest,
     )

@@ -120,7 +120,7 @@ class LiveSource(OpticalSource):
                     f"{self.title} gave no image within {FIRST_IMAGE_S:g} s: check that it is on, "
                     "and that no other program uses it"
                 )
-                raise self._error("mute", message, FIRST_IMAGE_S)
+                raise SourceError(message, about="source")
             self._unread = False
         age_ns = max(0, self._now_ns() - newest.taken_ns)
         return Frame(
@@ -165,7 +165,9 @@ class LiveSource(OpticalSource):
         except SourceError as error:
             self._fail(error)
         except Exception as error:
-            failure = self._error("failed", f"{self.title} failed: {type(error).__name__}: {error}")
+            failure = SourceError(
+                f"{self.title} failed: {type(error).__name__}: {error}", about="source"
+            )
             failure.__cause__ = error
             self._fail(failure)
         finally:
@@ -207,7 +209,7 @@ class LiveSource(OpticalSource):
                 f"{self.title} was disconnected and did not return within {self._replug_s:g} s: "
                 "plug it in and start again"
             )
-            raise self._error("gone", message, self._replug_s)
+            raise SourceError(message, about="source")
 
     def _take(self, shot: Shot) -> None:
         image, pose = self._intake.take(shot.image)
@@ -226,9 +228,6 @@ class LiveSource(OpticalSource):
             if not self._closed:
                 self.frames += images
                 self.dropped_frames += images
-
-    def _error(self, problem: str, message: str, most: float | None = None) -> SourceError:
-        return SourceError(message, about="source", problem=problem, value=self.title, allowed=most)
 
     def _fail(self, failure: SourceError) -> None:
         with self._changed:

@@ -82,7 +82,7 @@ class VideoFile(Clip):
         if not self._capture.isOpened() or text:
             self.close()
             message = f"{self.path} is not a readable video: give an MP4, AVI, MKV or MOV"
-            raise _wrong("file", "malformed", self.path, message)
+            raise SourceError(message, about="file")
         rate_hz = self._capture.get(cv2.CAP_PROP_FPS)
         if 0 < rate_hz <= FASTEST_HZ:
             self.rate_hz = rate_hz
@@ -95,8 +95,7 @@ class VideoFile(Clip):
         self._first = self.next()
         if self._first is None or min(self._first.shape) < _FEWEST_PIXELS:
             self.close()
-            message = f"{self.path} has no readable frame: record it again"
-            raise _wrong("file", "empty", self.path, message)
+            raise SourceError(f"{self.path} has no readable frame: record it again", about="file")
 
     def next(self) -> NDArray[np.uint8] | None:
         if self._first is not None:
@@ -159,9 +158,6 @@ class ImageFolder(Clip):
                     f"{file} has {width} x {height} pixels, {self._files[0].name} has "
                     f"{sizes[0][0]} x {sizes[0][1]}: all images of a folder must be of one size",
                     about="file",
-                    problem="conflict",
-                    value=file,
-                    allowed=sizes[0],
                 )
 
     def next(self) -> NDArray[np.uint8] | None:
@@ -185,8 +181,6 @@ def _require_file(path: Path) -> None:
         raise SourceError(
             f"{path} is a folder: give a video file, or frames:{path}",
             about="file",
-            problem="folder",
-            value=path,
             remedy=f"frames:{path}",
         )
     require_file(path, SourceError, MOST_DOCUMENT_BYTES)
@@ -198,8 +192,6 @@ def _images(folder: Path) -> list[Path]:
         raise SourceError(
             f"{folder} is a file: give a folder of images, or video:{folder}",
             about="folder",
-            problem="file",
-            value=folder,
             remedy=f"video:{folder}",
         )
     try:
@@ -209,18 +201,14 @@ def _images(folder: Path) -> list[Path]:
             if file.suffix.lower() in SUFFIXES and not file.name.startswith(".")
         ]
     except FileNotFoundError:
-        raise _wrong("folder", "missing", folder, f"no folder {folder}: check its name") from None
+        raise SourceError(f"no folder {folder}: check its name", about="folder") from None
     except OSError as error:
         message = f"cannot read the folder {folder}: {error.strerror}"
-        raise _wrong("folder", "unreadable", folder, message) from None
+        raise SourceError(message, about="folder") from None
     if not files:
         message = f"{folder} contains no images: give PNG, JPEG, BMP, TIFF or PGM files"
-        raise _wrong("folder", "empty", folder, message)
+        raise SourceError(message, about="folder")
     return sorted(files, key=_natural)
-
-
-def _wrong(about: str, problem: str, path: Path, message: str) -> SourceError:
-    return SourceError(message, about=about, problem=problem, value=path)
 
 
 def _natural(file: Path) -> list[tuple[int, int, str]]:
@@ -240,11 +228,9 @@ def _reading(file: Path) -> Iterator[Image.Image]:
         ):
             yield image
     except UnidentifiedImageError:
-        message = f"{file} is not a readable image: remove it"
-        raise _wrong("file", "malformed", file, message) from None
+        raise SourceError(f"{file} is not a readable image: remove it", about="file") from None
     except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
-        message = f"{file} cannot be read, remove it: {error}"
-        raise _wrong("file", "damaged", file, message) from None
+        raise SourceError(f"{file} cannot be read, remove it: {error}", about="file") from None
 
 
 def _size(file: Path) -> tuple[int, int]:
@@ -259,7 +245,7 @@ def _size(file: Path) -> tuple[int, int]:
             f"{file} has {width} x {height} pixels: a frame needs at least {_FEWEST_PIXELS} x "
             f"{_FEWEST_PIXELS}, and at most {_MOST_PIXELS // 10**6} megapixels"
         )
-        raise _wrong("file", "too few pixels" if small else "too many pixels", file, message)
+        raise SourceError(message, about="file")
     return width, height
 
 

@@ -34,21 +34,16 @@ class FlatField:
     def __init__(self, dark: NDArray[np.float32], gain: NDArray[np.float32]) -> None:
         if dark.ndim != 2 or dark.shape != gain.shape or not dark.size:
             raise _no_field(
-                "malformed",
-                (dark.shape, gain.shape),
                 f"the dark level of shape {dark.shape} and the gain of shape {gain.shape} are no "
-                "flat field: calibrate the optics again",
+                "flat field: calibrate the optics again"
             )
         if not (np.isfinite(dark).all() and np.isfinite(gain).all() and (gain >= 0).all()):
             raise _no_field(
-                "impossible",
-                None,
                 "the flat field has values that are negative or not finite: calibrate the optics "
-                "again",
+                "again"
             )
         if not gain.any():
-            message = "every pixel is dead in the flat field: calibrate the optics again"
-            raise _no_field("dead", gain.size, message)
+            raise _no_field("every pixel is dead in the flat field: calibrate the optics again")
         self.dark = np.ascontiguousarray(dark, np.float32)
         self.gain = np.ascontiguousarray(gain, np.float32)
 
@@ -75,11 +70,8 @@ class FlatField:
         if image.shape != self.gain.shape:
             (rows, columns), (height, width) = image.shape[:2], self.gain.shape
             raise _no_field(
-                "conflict",
-                (columns, rows),
                 f"the flat field is for frames of {width} × {height}, this one has {columns} × "
-                f"{rows}: calibrate the optics again, or remove optics.flat_field",
-                (width, height),
+                f"{rows}: calibrate the optics again, or remove optics.flat_field"
             )
         level = np.subtract(image, self.dark, dtype=np.float32)
         level *= self.gain
@@ -105,9 +97,6 @@ class FlatField:
                 f"the dark frames are {dark.shape[1]} × {dark.shape[0]}, the white ones "
                 f"{white.shape[1]} × {white.shape[0]}: use one source for both",
                 about="frames",
-                problem="conflict",
-                value=white.shape,
-                allowed=dark.shape,
             )
         span = white - dark
         usual = float(np.median(span))
@@ -117,9 +106,6 @@ class FlatField:
                 "needed: is the light on, the sensor covered for the dark and on white paper "
                 "after?",
                 about="white",
-                problem="too small",
-                value=usual,
-                allowed=LEAST_SPAN,
             )
         saturated = float((white >= SATURATED).mean())
         if saturated > MOST_SATURATED:
@@ -127,9 +113,6 @@ class FlatField:
                 f"{saturated:.0%} of the pixels are saturated on white paper: lower the exposure "
                 "or the light",
                 about="white",
-                problem="saturated",
-                value=saturated,
-                allowed=MOST_SATURATED,
             )
         broken = (span < DEAD_SHARE * usual) | (dark > np.median(dark) + HOT_LEVELS)
         if broken.mean() > MOST_BROKEN:
@@ -137,9 +120,6 @@ class FlatField:
                 f"{int(broken.sum())} of {broken.size} pixels are dead or hot: is the field of "
                 "view free, lit evenly enough and really dark when covered?",
                 about="pixels",
-                problem="too many",
-                value=int(broken.sum()),
-                allowed=int(MOST_BROKEN * broken.size),
             )
         level = float(np.median(white[~broken]))
         gain = np.where(broken, 0.0, level / np.where(broken, 1.0, span))
@@ -162,41 +142,32 @@ class FlatField:
             message = (
                 f"no flat field {path}: put it beside the profile, or remove optics.flat_field"
             )
-            raise _no_field("missing", Path(path), message)
+            raise _no_field(message)
         with open_file(Path(path), SourceError, MOST_BANK_BYTES) as file:
             try:
                 stored = read_arrays(file)
                 dark, gain = (np.asarray(stored[name], np.float32) for name in ("dark", "gain"))
             except (OSError, ValueError, TypeError, KeyError):
                 raise _no_field(
-                    "unreadable",
-                    Path(path),
                     f"{path} is not a flat field: calibrate the optics again, or remove "
-                    "optics.flat_field",
+                    "optics.flat_field"
                 ) from None
         return cls(dark, gain)
 
 
-def _no_field(problem: str, value: object, message: str, allowed: object = None) -> SourceError:
+def _no_field(message: str) -> SourceError:
     key = "optics.flat_field"
-    return SourceError(
-        message, about=key, problem=problem, value=value, allowed=allowed, remedy=key
-    )
+    return SourceError(message, about=key, remedy=key)
 
 
 def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
     """Return the mean of images of one shape."""
     if not len(images):
-        raise CalibrationError(
-            "no frames arrived: check the source", about="frames", problem="missing"
-        )
+        raise CalibrationError("no frames arrived: check the source", about="frames")
     shapes = {image.shape for image in images}
     if len(shapes) > 1:
         raise CalibrationError(
-            f"the frames differ in shape, {sorted(shapes)}: use one source",
-            about="frames",
-            problem="conflict",
-            value=tuple(sorted(shapes)),
+            f"the frames differ in shape, {sorted(shapes)}: use one source", about="frames"
         )
     total = np.zeros(images[0].shape)
     for image in images:

@@ -19,7 +19,5 @@ def read_available(port: Port, title: str) -> bytes:
             with contextlib.suppress(BlockingIOError):
                 data += wire.recv(_LARGEST_READ)
     except LINE_ERRORS as error:
-        raise SourceLostError(
-            f"{title} was disconnected: {reason(error)}", about="port", problem="gone", value=title
-        ) from None
+        raise SourceLostError(f"{title} was disconnected: {reason(error)}", about="port") from None
     return data

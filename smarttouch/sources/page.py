@@ -11,7 +11,7 @@ from smarttouch.documents.document import open_document
 from smarttouch.documents.page_image import Page, load_page
 from smarttouch.documents.printed_text import print_text
 from smarttouch.documents.text_lines import find_lines
-from smarttouch.errors import PageError
+from smarttouch.errors import PageError, UnknownSizeError
 from smarttouch.profile import Profile
 from smarttouch.sources.frame import Frame
 from smarttouch.sources.reading_path import Path2D, ReadingPath, RecordedPath
@@ -71,9 +71,6 @@ def _magnification(text: str, page: Page, profile: Profile, light_on_dark: bool)
                 f"magnify {text} is not possible: give auto, or a number from "
                 f"{LEAST_MAGNIFIED:g} to {MOST_MAGNIFIED:g}",
                 about="magnify",
-                problem="out of range",
-                value=text,
-                allowed=(LEAST_MAGNIFIED, MOST_MAGNIFIED),
             )
         return factor
     lines = find_lines(page, light_on_dark)
@@ -93,9 +90,8 @@ def load_or_guess(path: Path, dpi: float | None, width_mm: float | None) -> tupl
     """Return a page, and a sentence if its scale is guessed; empty if it is known."""
     try:
         return load_page(path, dpi=dpi, page_width_mm=width_mm), ""
-    except PageError as error:
-        if (error.about, error.problem) != ("size_mm", "missing"):
-            raise
+    except UnknownSizeError:
+        pass
     with open_document(path) as document:
         return document.page(0), f"{document.notes[-1]}; give dpi or page_width_mm if you know it"
 

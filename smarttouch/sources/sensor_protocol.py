@@ -100,8 +100,6 @@ def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
         raise SourceError(
             f"a frame on the wire is grey, one byte a pixel, not {image.dtype} of {image.shape}",
             about="frame",
-            problem="malformed",
-            value=(image.shape, str(image.dtype)),
         )
     rows, columns = image.shape
     if not (1 <= rows <= MOST_PIXELS_A_SIDE and 1 <= columns <= MOST_PIXELS_A_SIDE):
@@ -109,9 +107,6 @@ def encode_frame(number: int, time_us: int, image: NDArray[np.uint8]) -> bytes:
             f"a frame on the wire has 1 to {MOST_PIXELS_A_SIDE} rows and columns, "
             f"not {rows} x {columns}",
             about="frame",
-            problem="too large" if image.size else "empty",
-            value=image.shape,
-            allowed=MOST_PIXELS_A_SIDE,
         )
     head = _FRAME.pack(rows, columns, time_us % NUMBERS)
     return frame_packet(VERSION, PacketKind.FRAME, number % NUMBERS, head + image.tobytes())
@@ -121,12 +116,7 @@ def encode_force(number: int, time_us: int, reading: int | None) -> bytes:
     """Return a load cell's reading in its wire format."""
     value = NO_READING if reading is None else reading
     if not NO_READING <= value < 2**31:
-        raise SourceError(
-            f"reading {value} does not fit 32 bits: scale it down",
-            about="reading",
-            problem="too large",
-            value=value,
-        )
+        raise SourceError(f"reading {value} does not fit 32 bits: scale it down", about="reading")
     payload = _FORCE.pack(value, time_us % NUMBERS)
     return frame_packet(VERSION, PacketKind.FORCE, number % NUMBERS, payload)
 

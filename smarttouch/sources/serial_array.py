@@ -28,15 +28,11 @@ def open_serial_array(rest: str, profile: Profile, *, baud: int | None = None) -
     """Open ``serial-array:PORT``: a device, ``tcp://HOST:PORT``, or any URL that pyserial knows."""
     if not rest:
         raise SourceError(
-            "serial-array: has no port: give one, as in serial-array:/dev/ttyACM0",
-            about="port",
-            problem="missing",
+            "serial-array: has no port: give one, as in serial-array:/dev/ttyACM0", about="port"
         )
     if baud is not None and baud < 1:
         raise SourceError(
-            f"{baud} baud is not a line speed: give bits per second, as in 115200",
-            about="baud",
-            value=baud,
+            f"{baud} baud is not a line speed: give bits per second, as in 115200", about="baud"
         )
     return LiveSource(SerialArrayDevice(rest, USUAL_BAUD if baud is None else baud), profile)
 
@@ -135,8 +131,6 @@ class SerialArrayDevice(ImageDevice):
                 f"{self._baud} baud) and that the device sends the format of "
                 "smarttouch/sources/sensor_protocol.py",
                 about="port",
-                problem="malformed",
-                value=self._name,
                 remedy="baud",
             )
 

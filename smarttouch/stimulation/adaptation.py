@@ -67,9 +67,6 @@ class Adaptation:
                 f"charge is held by longer pulses, and this board's last {self._timing.width_us} "
                 "µs always: hold energy",
                 about="hold",
-                problem="impossible",
-                value=hold,
-                allowed="energy",
             )
         sites = len(profile.electrodes)
         self._limits, self._hold = profile.limits, hold

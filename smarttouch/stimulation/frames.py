@@ -109,9 +109,7 @@ class FrameSlots:
         if (why := unsupported_reason(profile)) is not None:
             key, reason = why
             raise ScheduleError(
-                f"a whole frame cannot be shown at once: {reason}: choose points",
-                about=key,
-                problem="impossible",
+                f"a whole frame cannot be shown at once: {reason}: choose points", about=key
             )
         # Matrices are small: with other work on the machine, a second thread costs a hundredfold.
         self._blas = ThreadpoolController()

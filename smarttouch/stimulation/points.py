@@ -83,8 +83,6 @@ class PointSlots:
                 f"the kernels drive an electrode that output.masked {masked} lists: design the "
                 "bank of this very profile",
                 about="output.masked",
-                problem="conflict",
-                value=tuple(masked),
             )
         self._kernels_ua = weights * (profile.full_ma * 1000)[:, None]
         self._strongest = np.abs(weights).argmax(axis=1)
@@ -133,9 +131,6 @@ class PointSlots:
                 f"strength, above the {most_ma:g} mA of a slot: lower perception.comfort_ratio, or "
                 "set limits.total_ma below it and kernels are designed within",
                 about="limits.total_ma",
-                problem="too large",
-                value=float(total_ma[site]),
-                allowed=most_ma,
                 remedy="perception.comfort_ratio",
                 electrode=site,
             )

@@ -64,8 +64,6 @@ def rates_of(
                 f"one rate of {rate_hz:g} Hz is not for several classes at once: set "
                 "pulse.ra_rate_hz and pulse.sai_rate_hz of the profile",
                 about="rate_hz",
-                problem="conflict",
-                value=rate_hz,
                 remedy="pulse.ra_rate_hz",
             )
         if timing.whole_hz or timing.every_electrode or timing.in_index_order:
@@ -73,9 +71,6 @@ def rates_of(
                 "natural mode pulses at two rates, and this board scans all electrodes at "
                 "one: choose RA or SAI",
                 about="mode",
-                problem="impossible",
-                value="natural",
-                allowed=("RA", "SAI"),
             )
     for each_hz in rates_hz.values():
         if not _SLOWEST_HZ <= each_hz <= limits.rate_hz:
@@ -83,9 +78,6 @@ def rates_of(
                 f"a rate of {each_hz:g} Hz is not possible: it must be at least "
                 f"{_SLOWEST_HZ:g} Hz and at most the profile's limit of {limits.rate_hz:g} Hz",
                 about="rate_hz",
-                problem="out of range",
-                value=each_hz,
-                allowed=(_SLOWEST_HZ, limits.rate_hz),
             )
     return rates_hz
 

@@ -260,9 +260,6 @@ class ScanScheduler:
                 f"pulses {period_us} µs apart are not possible: the profile's limit of "
                 f"{1e6 / self._least_us:g} Hz asks for {self._least_us} µs or more",
                 about="period_us",
-                problem="too small",
-                value=period_us,
-                allowed=self._least_us,
                 remedy="limits.rate_hz",
             )
         driven = []
@@ -275,9 +272,6 @@ class ScanScheduler:
                     f"{Afferent(each).name} was asked for and cannot be driven here: choose of "
                     f"{offered}",
                     about="mode",
-                    problem="impossible",
-                    value=Afferent(each).name,
-                    allowed=tuple(afferent.name for afferent in self._driven),
                 )
         return tuple(driven)
 
@@ -350,9 +344,6 @@ class ScanScheduler:
                 f"allow, and one sequence may bring at most {BURST_US / 1000:.0f} ms of it: lower "
                 "perception.comfort_ratio or pulse.width_us, or choose another mode",
                 about="period_us",
-                problem="too large",
-                value=needed_us,
-                allowed=BURST_US,
                 remedy="perception.comfort_ratio",
             )
         return needed_us

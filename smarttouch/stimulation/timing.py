@@ -69,9 +69,6 @@ class ScanTiming:
                 f"a scan takes {period / 1e6:.2f} s, and the board scans once a second at the "
                 "slowest: lower pulse.discharge_us or the number of electrodes",
                 about="period_us",
-                problem="too large",
-                value=period,
-                allowed=1_000_000,
                 remedy="pulse.discharge_us",
             )
         return -(-1_000_000 // rate_hz)
@@ -85,9 +82,6 @@ class ScanTiming:
                     f"the profile's pulse.{key} is {asked} µs, the board's is always {fixed} µs: "
                     f"set pulse.{key} = {fixed}",
                     about=f"pulse.{key}",
-                    problem="conflict",
-                    value=asked,
-                    allowed=fixed,
                     remedy=f"pulse.{key} = {fixed}",
                 )
         if profile.pulse.carrier == "width" and not self.own_widths:
@@ -95,8 +89,5 @@ class ScanTiming:
                 "pulse.carrier 'width' needs a pulse width of its own for each slot, and this "
                 "board has one for all: set pulse.carrier = 'height'",
                 about="pulse.carrier",
-                problem="conflict",
-                value="width",
-                allowed="height",
                 remedy="pulse.carrier = 'height'",
             )

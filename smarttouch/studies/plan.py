@@ -38,9 +38,7 @@ class Study(Table):
     def _something_felt(self) -> Self:
         if not (self.letters or self.pages):
             raise UnfitError(
-                "letters is empty and there are no pages: give one of them",
-                about="letters",
-                problem="missing",
+                "letters is empty and there are no pages: give one of them", about="letters"
             )
         return self
 
@@ -49,10 +47,7 @@ class Study(Table):
     def _known(cls, letters: str) -> str:
         letters = "".join(dict.fromkeys(letters.upper()))
         if set(letters) - set(ALPHABET):
-            raise UnfitError(
-                f"letters {letters!r} must be from A to Z, as in T or AEIOU",
-                problem="unknown",
-            )
+            raise UnfitError(f"letters {letters!r} must be from A to Z, as in T or AEIOU")
         return letters
 
     @field_validator("intensities")
@@ -60,10 +55,7 @@ class Study(Table):
     def _possible(cls, intensities: tuple[float, ...]) -> tuple[float, ...]:
         for each in intensities:
             if not 0 < each <= 1:
-                raise UnfitError(
-                    f"intensity {each:g} must be above 0 and at most 1", problem="too large",
-                    allowed=(0, 1),
-                )  # fmt: skip
+                raise UnfitError(f"intensity {each:g} must be above 0 and at most 1")  # fmt: skip
         return intensities
 
     @field_validator("kernels")
@@ -72,9 +64,7 @@ class Study(Table):
         for each in kernels:
             if each not in ("node", "finger") and not each.startswith("finger:"):
                 raise UnfitError(
-                    f"kernels {each!r} are not offered: give node, finger or finger:ANATOMY",
-                    problem="unknown",
-                    allowed=("node", "finger", "finger:ANATOMY"),
+                    f"kernels {each!r} are not offered: give node, finger or finger:ANATOMY"
                 )
         return kernels
 

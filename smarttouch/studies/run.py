@@ -57,10 +57,7 @@ def run_study(
         make_folder(parts)
     except OSError as error:
         raise SmartTouchError(
-            f"cannot make the folder {folder}: {error.strerror}",
-            about="output",
-            problem="unwritable",
-            value=folder,
+            f"cannot make the folder {folder}: {error.strerror}", about="output"
         ) from None
     grid = Grid(study, beside, designing)
     work = [*_letters(grid, parts), *_pages(grid, parts)]

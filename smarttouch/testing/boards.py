@@ -12,7 +12,7 @@ import pytest
 
 from smarttouch.boards.board import Board
 from smarttouch.boards.open import require_gate
-from smarttouch.errors import BoardError, BoardStoppedError, SafetyError
+from smarttouch.errors import BoardClosedError, BoardError, BoardStoppedError, SafetyError
 from smarttouch.registry import fault_of
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
@@ -311,7 +311,7 @@ class BoardContract:
             assert not thread.is_alive()
             with pytest.raises(BoardStoppedError) as error:
                 board.send(self.sequence(2))
-            assert (error.value.about, error.value.problem) == ("board", "stopped")
+            assert error.value.about == "board"
             self.assert_silent()
 
     @pytest.mark.parametrize("what", ["send", "measure"])
@@ -359,9 +359,9 @@ class BoardContract:
             self._start(board)
         self.assert_silent()
         assert [name for name, _ in self.calls][-2:] == ["_stop", "_close"]
-        with pytest.raises(BoardError) as error:
+        with pytest.raises(BoardClosedError) as error:
             board.send(self.sequence(2))
-        assert (error.value.about, error.value.problem) == ("board", "closed")
+        assert error.value.about == "board"
 
     def test_an_exception_puts_it_at_zero(self, new_board: NewBoard) -> None:
         broken = RuntimeError("something broke")
@@ -399,14 +399,16 @@ class BoardContract:
         more = self.electrodes + 1
         with new_board() as board, pytest.raises(BoardError) as error:
             board.send(self.sequence(0, electrodes=more))
-        refused = (error.value.about, error.value.value, error.value.allowed)
-        assert refused == ("electrodes", more, self.electrodes)
+        assert error.value.about == "electrodes"
+        assert f"{more}" in str(error.value)
+        assert f"{self.electrodes}" in str(error.value)
 
     @pytest.mark.parametrize("times", [0, -1, 65_536])
     def test_impossible_repetitions_are_named(self, new_board: NewBoard, times: int) -> None:
         with new_board() as board, pytest.raises(BoardError) as error:
             board.send(self.sequence(0), times)
-        assert (error.value.about, error.value.value) == ("times", times)
+        assert error.value.about == "times"
+        assert f"{times} " in str(error.value)
 
     def test_it_can_be_opened_again_and_begins_at_zero(self, new_board: NewBoard) -> None:
         board = new_board()

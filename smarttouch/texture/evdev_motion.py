@@ -46,19 +46,14 @@ class EvdevMotion(Motion):
             except OSError as error:
                 device.close()
                 message = f"{self._path} cannot be had alone ({error.strerror}): share it"
-                raise _wrong("busy", self._path, message, "grab") from None
+                raise _wrong(message, "grab") from None
         self._thread = threading.Thread(target=self._listen, name="mouse", daemon=True)
         self._thread.start()
 
     def read(self, time_ns: int) -> tuple[float, float]:
         """Return the displacement of the mouse since the first read."""
         if self._gone:
-            raise SourceLostError(
-                f"{self._path} is gone: plug the mouse in again",
-                about="mouse",
-                problem="gone",
-                value=self._path,
-            )
+            raise SourceLostError(f"{self._path} is gone: plug the mouse in again", about="mouse")
         with self._lock:
             across, down = self._counts
         if self._first is None:
@@ -104,27 +99,24 @@ class EvdevMotion(Motion):
             self.notes.append(words)
 
 
-def _wrong(problem: str, path: str, message: str, remedy: str = "") -> SourceError:
-    return SourceError(message, about="mouse", problem=problem, value=path, remedy=remedy)
+def _wrong(message: str, remedy: str = "") -> SourceError:
+    return SourceError(message, about="mouse", remedy=remedy)
 
 
 def _open(path: str) -> "InputDevice[str]":
     evdev = _evdev()
     if not Path(path).exists():
-        message = f"no device {path}: see {_FOLDER}/by-id for what there is"
-        raise _wrong("missing", path, message)
+        raise _wrong(f"no device {path}: see {_FOLDER}/by-id for what there is")
     try:
         device: InputDevice[str] = evdev.InputDevice(path, readonly=True)
     except PermissionError:
-        raise _wrong("forbidden", path, f"{path} may not be read by you: {_GROUP}") from None
+        raise _wrong(f"{path} may not be read by you: {_GROUP}") from None
     except OSError as error:
-        message = f"{path} is no input device: {error.strerror or error}"
-        raise _wrong("no device", path, message) from None
+        raise _wrong(f"{path} is no input device: {error.strerror or error}") from None
     if not _is_mouse(device):
         name = device.name
         device.close()
-        message = f"{path}, {name}, reports no motion along two axes: choose a mouse"
-        raise _wrong("no mouse", path, message)
+        raise _wrong(f"{path}, {name}, reports no motion along two axes: choose a mouse")
     return device
 
 
@@ -136,8 +128,7 @@ def _first_mouse() -> "InputDevice[str]":
             if _is_mouse(device):
                 return device
             device.close()
-    message = f"no mouse among what you may read in {_FOLDER}: plug one in, or {_GROUP}"
-    raise _wrong("missing", str(_FOLDER), message)
+    raise _wrong(f"no mouse among what you may read in {_FOLDER}: plug one in, or {_GROUP}")
 
 
 def _natural(path: str) -> tuple[int, str]:
@@ -158,6 +149,5 @@ def _evdev() -> ModuleType:
         raise SourceError(
             "evdev: needs the extra mouse, on Linux: pip install 'smarttouch[mouse]'",
             about="evdev",
-            problem="missing",
             remedy="pip install 'smarttouch[mouse]'",
         ) from None

@@ -34,8 +34,7 @@ class TextureDrawing(FeltDrawing):
     def under(self) -> Under:
         """Return the part of the texture that the array came over."""
         if not np.isfinite(self._least).all():
-            message = "the hand felt nothing: there is nothing to draw"
-            raise SmartTouchError(message, about="felt", problem="empty")
+            raise SmartTouchError("the hand felt nothing: there is nothing to draw", about="felt")
         half = np.abs(self._position_mm).max(axis=0) + np.array(self._cell_mm)
         corner, end = self._least - half, self._most + half
         left, top = corner.tolist()

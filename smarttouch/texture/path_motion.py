@@ -16,8 +16,7 @@ _NEEDED = ("time_s", "x_mm", "y_mm")
 def open_path(rest: str) -> "PathMotion":
     """Open ``path:CSV``."""
     if not rest:
-        message = "path: names no file: give one, as in path:way.csv"
-        raise SourceError(message, about="file", problem="missing")
+        raise SourceError("path: names no file: give one, as in path:way.csv", about="file")
     return PathMotion(Path(rest))
 
 

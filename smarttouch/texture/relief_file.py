@@ -17,7 +17,7 @@ from smarttouch.documents.page_image import (
     require_size_mm,
 )
 from smarttouch.documents.printed_text import print_text
-from smarttouch.errors import PageError
+from smarttouch.errors import PageError, UnknownSizeError
 from smarttouch.files import MOST_BANK_BYTES, open_file
 
 LETTER_MM = 12.0
@@ -94,10 +94,10 @@ def _load_array(
             heights = np.asarray(read_array(file, path.stat().st_size), np.float64)
         except (OSError, ValueError, TypeError) as error:
             message = f"cannot read the height map {path}: it is not an array of numbers ({error})"
-            raise PageError(message, about="file", problem="malformed", value=path) from None
+            raise PageError(message, about="file") from None
     if heights.ndim != 2:
         message = f"{path} has {heights.ndim} axes: a height map has two, rows and columns"
-        raise PageError(message, about="axes", value=heights.ndim, allowed=2)
+        raise PageError(message, about="axes")
     require_pixels(str(path), heights.shape[1], heights.shape[0])
     if dpi is not None:
         return heights, 25.4 / dpi
@@ -106,9 +106,9 @@ def _load_array(
     return heights, width_mm / heights.shape[1]
 
 
-def _unscaled(path: Path) -> PageError:
+def _unscaled(path: Path) -> UnknownSizeError:
     message = f"{path} does not say how large it is: give {_SCALE}"
-    return PageError(message, about="size_mm", problem="missing", value=path, remedy=_SCALE)
+    return UnknownSizeError(message, about="size_mm", remedy=_SCALE)
 
 
 def _like(values: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -126,5 +126,5 @@ def _stretched(name: str, values: NDArray[np.float64], least: float) -> NDArray[
         low, high = values.min(), values.max()
     if high - low <= max(least, 1e-12):
         message = f"{name} is flat: there is nothing on it that could be felt"
-        raise PageError(message, about="texture", problem="empty", value=name)
+        raise PageError(message, about="texture")
     return np.asarray(np.clip((values - low) / (high - low), 0, 1), np.float32)

@@ -80,11 +80,9 @@ class MouseSource(StimulusSource):
         super().__init__(f"{texture.title} under {motion.title}")
         if len(mode.afferents) != 1:
             message = f"mode {mode} is more than one class: choose RA, SAI or PC"
-            allowed = tuple(each.name for each in Afferent)
-            raise SourceError(message, about="mode", value=mode, allowed=allowed)
+            raise SourceError(message, about="mode")
         if not 0 < scale < math.inf:
-            message = f"a scale of {scale:g} must be above 0"
-            raise SourceError(message, about="scale", value=scale, allowed=0)
+            raise SourceError(f"a scale of {scale:g} must be above 0", about="scale")
         self.fastest_hz = _possible_hz(rate_hz, fastest_hz, profile.limits.rate_hz)
         self.duration_s = motion.duration_s
         self.knows_force = motion.knows_force or press_n is not None
@@ -196,8 +194,6 @@ def _possible_hz(rate_hz: float, fastest_hz: float | None, most_hz: float) -> fl
             f"{fastest_hz:g} pulses a second are not possible with {rate_hz:g} frames: give at "
             f"most half of them, {rate_hz / 2:g}, or more frames",
             about="fastest_hz",
-            value=fastest_hz,
-            allowed=rate_hz / 2,
             remedy="rate_hz",
         )
     return fastest_hz

@@ -38,8 +38,6 @@ def open_sweep(
         raise SourceError(
             f"sweep:{rest} is no number of rounds: give 1 to {_MOST_ROUNDS}, as in sweep:3",
             about="rounds",
-            value=rest,
-            allowed=(1, _MOST_ROUNDS),
         )
     motion = SweepMotion(speed_mm_s, span_mm, lane_mm, int(rest or USUAL_ROUNDS), seed)
     motion.origin_mm = origin_mm
@@ -76,9 +74,6 @@ class SweepMotion(Motion):
                 f"{rounds} rounds of {len(points) // 2} lanes are more strokes than "
                 f"{_MOST_STROKES}: ask for fewer",
                 about="strokes",
-                problem="too many",
-                value=rounds * len(points),
-                allowed=_MOST_STROKES,
             )
         self._table = _timed(np.vstack([points[:1], *[points[1:]] * rounds]), speed_mm_s)
         self.duration_s = float(self._table[-1, 0])

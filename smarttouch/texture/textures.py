@@ -47,12 +47,12 @@ def open_texture(
         for name, value in given.items():
             if value:
                 message = f"{name} is for images, and {spec} is exact: leave it out"
-                raise PageError(message, about=name, problem="conflict", value=value)
+                raise PageError(message, about=name)
         return _grating(spec, rest)
     if kind == "text" and ":" in spec:
         if dpi is not None:
             message = "dpi is for images, and a text has no resolution of its own: give its width"
-            raise PageError(message, about="dpi", problem="conflict", value=dpi, remedy="width_mm")
+            raise PageError(message, about="dpi", remedy="width_mm")
         heights = print_heights(rest, width_mm)
     else:
         heights = load_heights(Path(spec), dpi, width_mm)
@@ -63,6 +63,6 @@ def _grating(spec: str, rest: str) -> Texture:
     match = re.fullmatch(rf"\s*{_NUMBER}\s*(mm)?\s*(,\s*([-+]?){_NUMBER}\s*(deg|°)?)?\s*", rest)
     if match is None:
         message = f"{spec!r} is no grating: write grating:4mm or grating:4mm,30deg"
-        raise PageError(message, about="grating", problem="malformed", value=spec)
+        raise PageError(message, about="grating")
     pitch_mm, sign, angle = float(match[1]), match[4], float(match[5] or 0)
     return Grating(pitch_mm, -angle if sign == "-" else angle)

@@ -29,8 +29,7 @@ _START_S = 10.0
 def open_window(rest: str, *, texture: Texture | None = None) -> "WindowMotion":
     """Open ``window:`` over a texture, or over an empty pad."""
     if rest:
-        message = f"window: takes nothing after the colon, not {rest!r}"
-        raise SourceError(message, about="motion", problem="malformed", value=f"window:{rest}")
+        raise SourceError(f"window: takes nothing after the colon, not {rest!r}", about="motion")
     return WindowMotion(texture)
 
 
@@ -72,7 +71,7 @@ class WindowMotion(Motion):
             self._open = False
             self._closing.set()
             message = "window: the display does not answer: try again"
-            raise SourceError(message, about="display", problem="mute") from None
+            raise SourceError(message, about="display") from None
         if isinstance(started, SourceError):
             self.close()
             raise started
@@ -114,7 +113,7 @@ class WindowMotion(Motion):
             del shown
         except tkinter.TclError as error:
             message = f"window: the display failed: {error}"
-            self._started.put(SourceError(message, about="display", problem="failed"))
+            self._started.put(SourceError(message, about="display"))
         self._open = False
         # Tcl ends the program if another thread collects what is left of the window.
         self._closing.wait()
@@ -166,7 +165,7 @@ def fit(
 
 
 def _missing(what: str, message: str) -> SourceError:
-    return SourceError(message, about=what, problem="missing", remedy="evdev:")
+    return SourceError(message, about=what, remedy="evdev:")
 
 
 def _png(image: NDArray[np.uint8]) -> bytes:

@@ -138,9 +138,6 @@ def mix(
             "own, and this board scans all electrodes at one: choose another board, or something "
             "that one class alone answers",
             about="classes",
-            problem="too many",
-            value=tuple(electrical),
-            allowed=1,
         )
     trains = list(ideal.values())
     if shaking:
@@ -190,9 +187,6 @@ def _drivable(
             f"board of {profile.name} drives {' and '.join(each.name for each in made)} at these "
             "sites: choose another profile, or something that others answer too",
             about="classes",
-            problem="impossible",
-            value=left_out,
-            allowed=tuple(made),
         )
     return [each for each in answering if each in made], left_out
 

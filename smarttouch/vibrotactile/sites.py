@@ -40,8 +40,7 @@ def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) ->
 def chosen(profile: Profile, sites: Collection[int]) -> NDArray[np.intp]:
     """Return the sites that were named, each once, (S,), ascending."""
     if len(sites) == 0:
-        message = "no site is to pulse: choose at least one"
-        raise ScheduleError(message, about="site", problem="missing")
+        raise ScheduleError("no site is to pulse: choose at least one", about="site")
     count, masked = len(profile.electrodes), profile.output.masked
     for each in sites:
         if not 0 <= each < count or each in masked:
@@ -49,9 +48,6 @@ def chosen(profile: Profile, sites: Collection[int]) -> NDArray[np.intp]:
             raise ScheduleError(
                 f"site {each} cannot pulse: {profile.name} has sites 0 to {count - 1}{without}",
                 about="site",
-                problem="masked" if each in masked else "unknown",
-                value=each,
-                allowed=(0, count - 1),
                 electrode=each,
             )
     return np.unique(np.array(list(sites), np.intp))
@@ -63,12 +59,10 @@ def parse_places(
     """Return the electrodes that a list such as 27,28,35-36 names, or all, or a `disc`."""
     if sites is not None and radius_mm is not None:
         message = "sites and a radius both say what pulses: give one of them"
-        raise SmartTouchError(
-            message, about="sites", problem="conflict", value=("sites", "radius_mm")
-        )
+        raise SmartTouchError(message, about="sites")
     if radius_mm is not None and not radius_mm >= 0:
         message = f"a radius of {radius_mm:g} mm is not possible: give 0 or more"
-        raise SmartTouchError(message, about="radius_mm", value=radius_mm, allowed=0)
+        raise SmartTouchError(message, about="radius_mm")
     if sites is None:
         return disc(profile, radius_mm)
     if sites == "all":

@@ -58,12 +58,11 @@ def open_trace(text: str, seconds: float = 2.0, seed: int = 0) -> Trace:
     """
     if not 0 < seconds <= LONGEST_S:
         message = f"{seconds:g} s are not possible: above 0, at most {LONGEST_S:g}"
-        allowed = (0, LONGEST_S)
-        raise SmartTouchError(message, about="seconds", value=seconds, allowed=allowed)
+        raise SmartTouchError(message, about="seconds")
     if not is_spec(text):
         if not Path(text).exists():
             message = f"{text!r} is neither a file nor a trace in a line: {_EXAMPLE}"
-            raise SmartTouchError(message, about="trace", problem="missing", value=text)
+            raise SmartTouchError(message, about="trace")
         return read_trace(Path(text), seconds, seed)
     random = np.random.default_rng(seed)
     time = np.arange(max(2, round(seconds * SAMPLE_HZ))) / SAMPLE_HZ
@@ -86,16 +85,12 @@ def _parse(text: str, seconds: float) -> _Part:
     kind, _, rest = said.partition(":")
     matched = _GRAMMAR[kind].fullmatch(rest) if kind in _GRAMMAR else None
     if matched is None:
-        message, value = f"{text.strip()!r} is no part of a trace: {_EXAMPLE}", text.strip()
-        raise SmartTouchError(message, about="trace", problem="malformed", value=value)
+        raise SmartTouchError(f"{text.strip()!r} is no part of a trace: {_EXAMPLE}", about="trace")
     if not start_s < end_s <= seconds:
         raise SmartTouchError(
             f"{text.strip()!r} lasts from {start_s:g} to {end_s:g} s, the trace {seconds:g} s: "
             "let it end after it begins, or make the trace longer",
             about="trace",
-            problem="late" if start_s < end_s else "conflict",
-            value=(start_s, end_s),
-            allowed=(0, seconds),
             remedy="seconds",
         )
     values = tuple(float(each) for each in matched.groups())
@@ -105,8 +100,6 @@ def _parse(text: str, seconds: float) -> _Part:
             f"{text.strip()!r}: frequencies must be above 0, at most {HIGHEST_HZ:g} Hz, and the "
             "lower one first",
             about="frequency",
-            value=band,
-            allowed=(0, HIGHEST_HZ),
         )
     return _Part(kind, values, start_s, end_s)
 
@@ -143,8 +136,6 @@ def _noise(part: _Part, time: Array, random: np.random.Generator) -> Array:
             f"noise from {low_hz:g} to {high_hz:g} Hz is too narrow a band for so short a trace: "
             "widen it, or make the trace longer",
             about="trace",
-            problem="too narrow",
-            value=(low_hz, high_hz),
             remedy="seconds",
         )
     return np.asarray(wave * (rms_um / spread))

@@ -85,9 +85,6 @@ def split(
             f"full force at {sai_full_n:g} N is no more than the {SAI_FORCE_N:g} N at which SAI "
             "begins to answer: raise force.full_n of the profile",
             about="force.full_n",
-            problem="too small",
-            value=sai_full_n,
-            allowed=SAI_FORCE_N,
             remedy="force.full_n",
         )
     return {

@@ -31,22 +31,15 @@ class Trace:
                 f"a trace of {self.displacement_um.shape} displacements and {self.force_n.shape} "
                 "forces: give as many of both, in one row",
                 about="samples",
-                problem="conflict",
-                value=(self.displacement_um.shape, self.force_n.shape),
             )
         if len(self.force_n) < 2:
             raise SmartTouchError(
-                f"{self.title} has {len(self.force_n)} samples: give two or more",
-                about="samples",
-                problem="too few",
-                value=len(self.force_n),
-                allowed=2,
+                f"{self.title} has {len(self.force_n)} samples: give two or more", about="samples"
             )
         if not (np.isfinite(self.displacement_um).all() and np.isfinite(self.force_n).all()):
             raise SmartTouchError(
                 f"{self.title} has a sample that is not a finite number: leave such samples out",
                 about="samples",
-                problem="not finite",
             )
         if self.duration_s > LONGEST_S:
             raise _too_long(self.title, self.duration_s)
@@ -83,8 +76,6 @@ def sampled(
             f"{title} has {len(time)} times for {len(rows[0])} displacements and {len(rows[1])} "
             "forces: give as many of each, two or more",
             about="samples",
-            problem="conflict" if len(time) > 1 else "too few",
-            value=(len(time), len(rows[0]), len(rows[1])),
         )
     steps = np.diff(time)
     if not (np.isfinite(time).all() and (steps > 0).all()):
@@ -93,8 +84,6 @@ def sampled(
             f"{title}: times must rise, and sample {worst + 1} at {time[worst + 1]:g} s does not: "
             "sort them and give each once",
             about="samples",
-            problem="falling",
-            value=worst + 1,
         )
     if time[-1] - time[0] > LONGEST_S:
         raise _too_long(title, float(time[-1] - time[0]))
@@ -107,6 +96,4 @@ def sampled(
 
 def _too_long(title: str, seconds: float) -> SmartTouchError:
     message = f"{title} lasts {seconds:g} s: at most {LONGEST_S:g}, cut it"
-    return SmartTouchError(
-        message, about="duration_s", problem="too large", value=seconds, allowed=LONGEST_S
-    )
+    return SmartTouchError(message, about="duration_s")

@@ -72,9 +72,6 @@ def export_film(
         raise RecordingError(
             f"a film of {seconds:.0f} s is longer than {MOST_FILM_S}: choose fewer steps",
             about="film",
-            problem="too long",
-            value=seconds,
-            allowed=MOST_FILM_S,
         )
     count = max(1, round(seconds * FILM_HZ))
     at_s = times[0] + np.arange(count) / FILM_HZ
@@ -110,8 +107,6 @@ def _write_film(
                         f"cannot write {path}: see whether its folder is there and may be written "
                         "to, and that this OpenCV writes VP9",
                         about="file",
-                        problem="unwritable",
-                        value=path,
                     )
             writer.write(cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
             advance(done, count)

@@ -152,7 +152,6 @@ def import_server() -> Any:
         raise SmartTouchError(
             "a window needs the extra window: pip install 'smarttouch[window]'",
             about="window",
-            problem="missing",
             remedy="pip install 'smarttouch[window]'",
         ) from None
     return uvicorn
@@ -195,9 +194,6 @@ def _bound(port: int) -> socket.socket:
             f"the window cannot have port {port}: {getattr(error, 'strerror', None) or error}; "
             "give another one, or none for one that is free",
             about="window",
-            problem="unavailable",
-            value=port,
-            allowed=(0, 65535),
             remedy="window",
         ) from None
     return found

@@ -30,9 +30,6 @@ class RecordingsPage(Closing):
             raise RecordingError(
                 f"{len(paths)} recordings cannot be shown at once: give one or {MOST_RECORDINGS}",
                 about="files",
-                problem="too many" if paths else "too few",
-                value=len(paths),
-                allowed=MOST_RECORDINGS,
             )
         import_server()
         self.tapes: list[Tape] = []

@@ -72,10 +72,7 @@ def open_port(
             # Short commands must not wait for earlier ones to be acknowledged.
             port._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     except (*LINE_ERRORS, ValueError, AttributeError) as failure:
-        problem, advice = _advice(failure)
-        raise error(
-            f"cannot open {name}: {advice}", about="port", problem=problem, value=name
-        ) from None
+        raise error(f"cannot open {name}: {_advice(failure)}", about="port") from None
     return port
 
 
@@ -190,10 +187,7 @@ def write_before(
 
 def _other(name: str) -> OtherDeviceError:
     return OtherDeviceError(
-        f"by its USB numbers another device is at {name} now: nothing was sent",
-        about="board",
-        problem="another",
-        value=name,
+        f"by its USB numbers another device is at {name} now: nothing was sent", about="board"
     )
 
 
@@ -203,17 +197,16 @@ def reason(error: Exception) -> str:
     return os.strerror(number) if number else (str(error) or type(error).__name__)
 
 
-def _advice(error: Exception) -> tuple[str, str]:
+def _advice(error: Exception) -> str:
     text = str(error)
     if "lock" in text or "busy" in text.lower():
-        return "busy", "it is in use by another program: close that first"
+        return "it is in use by another program: close that first"
     if "ioctl" in text:
-        return "no serial port", "it is no serial port: check the name"
+        return "it is no serial port: check the name"
     if "refused" in text:
-        return "refused", "nobody listens there: check that it is on, its address and port"
+        return "nobody listens there: check that it is on, its address and port"
     if "No such file" in text or getattr(error, "errno", None) == 2:
-        return "missing", "there is no such port: check the cable and the name"
+        return "there is no such port: check the cable and the name"
     if "ermission" in text:
-        advice = "permission denied: add yourself to the group of the port (often dialout)"
-        return "forbidden", advice
-    return "malformed" if isinstance(error, ValueError) else "unreadable", text
+        return "permission denied: add yourself to the group of the port (often dialout)"
+    return text

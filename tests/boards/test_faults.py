@@ -16,7 +16,7 @@ from smarttouch.boards.emulator.driver import EmulatorBoard
 from smarttouch.boards.link import LinkBoard
 from smarttouch.boards.link_line import SILENCE_S
 from smarttouch.boards.link_protocol import Kind
-from smarttouch.errors import BoardError
+from smarttouch.errors import BoardError, LineLostError, SilentBoardError
 from smarttouch.profile.device import Output
 from tests.boards.fresh import until
 
@@ -45,9 +45,6 @@ for step in range(10_000):
     print(board.process_id, flush=True)
     time.sleep(0.16)
 """
-
-
-GONE = ("gone", "unwritable", "mute")
 
 
 def send_on(board, make_sequence, pause_s=0.02):
@@ -90,9 +87,8 @@ def test_a_killed_board_is_told_of_at_the_next_send(make_limits, make_sequence):
         board.send(make_sequence(0))
         board.drain()
         os.kill(board.process_id, signal.SIGKILL)
-        with raises(BoardError, about="board", problem=GONE.__contains__) as error:
+        with raises(BoardError, about="board", value="/dev/") as error:
             send_on(board, make_sequence)
-        assert error.value.value.startswith("/dev/")
         assert board.acknowledged == 1
         assert f"{board.capabilities.time_to_zero_ms:g} ms" in str(error.value)
 
@@ -111,7 +107,7 @@ def test_a_board_that_hangs_is_told_of(make_limits, make_sequence):
         board.drain()
         os.kill(board.process_id, signal.SIGSTOP)
         try:
-            with raises(BoardError, about="board", problem="mute"):
+            with raises(LineLostError, about="board"):
                 send_on(board, make_sequence, 0.05)
         finally:
             os.kill(board.process_id, signal.SIGCONT)
@@ -137,20 +133,17 @@ def test_a_board_without_a_host_ends_by_itself(make_limits, start_emulator):
 
 def test_a_busy_port_is_named(make_limits, start_emulator):
     _, port = start_emulator()
-    with (
-        LinkBoard(port, make_limits()),
-        raises(BoardError, about="port", problem="busy", value=port),
-    ):
+    with LinkBoard(port, make_limits()), raises(BoardError, about="port", value=port):
         LinkBoard(port, make_limits()).open()
 
 
 def test_a_missing_port_is_named(make_limits):
-    with raises(BoardError, about="port", problem="missing", value="/dev/nowhere"):
+    with raises(BoardError, about="port", value="/dev/nowhere"):
         LinkBoard("/dev/nowhere", make_limits()).open()
 
 
 def test_a_link_needs_a_port(make_limits):
-    with raises(BoardError, about="port", problem="missing", value=None):
+    with raises(BoardError, about="port", value=None):
         LinkBoard("", make_limits()).open()
 
 
@@ -166,7 +159,7 @@ def test_a_silent_port_is_told_of(make_limits):
     master, slave = os.openpty()
     name = os.ttyname(slave)
     try:
-        with raises(BoardError, about="board", problem="mute", value=name):
+        with raises(SilentBoardError, about="board", value=name):
             LinkBoard(name, make_limits()).open()
     finally:
         os.close(master)
@@ -177,7 +170,7 @@ def test_a_board_that_someone_else_stopped_is_told_of(make_limits, make_sequence
     with EmulatorBoard("", make_limits()) as board:
         board.send(make_sequence(0))
         board._line.send(Kind.STOP)
-        with raises(BoardError, about="board", problem="stopped"):
+        with raises(BoardError, about="board"):
             send_on(board, make_sequence)
 
 
@@ -211,7 +204,7 @@ def test_a_stop_overtakes_a_long_packet(make_limits, make_sequence, monkeypatch)
         board.stop()
         thread.join(60)
         assert not thread.is_alive()
-        assert_says(raised[0], about="board", problem="stopped")
+        assert_says(raised[0], about="board")
         assert board.report().slots == 0
 
 
@@ -229,7 +222,7 @@ def test_a_stop_in_the_middle_of_a_send(make_limits, make_sequence, monkeypatch)
             return sent
 
         monkeypatch.setattr(board._line._port, "write", interrupted)
-        with raises(BoardError, about="board", problem="stopped"):
+        with raises(BoardError, about="board"):
             board.send(make_sequence(1, slots=4000, period_us=3_000_000, level_ua=70))
         assert board.report().slots == 0
 

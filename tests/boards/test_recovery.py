@@ -3,7 +3,13 @@
 import pytest
 
 from smarttouch.boards.recovery import TIMES, start_anew
-from smarttouch.errors import BoardError, BoardStoppedError, LineLostError, OtherDeviceError
+from smarttouch.errors import (
+    BoardError,
+    BoardStoppedError,
+    LineLostError,
+    OtherDeviceError,
+    SilentBoardError,
+)
 
 LOST = LineLostError("the line broke")
 
@@ -19,9 +25,10 @@ def failing(*errors):
     return start, left
 
 
+@pytest.mark.parametrize("kind", [LineLostError, SilentBoardError])
 @pytest.mark.parametrize("again", range(TIMES))
-def test_what_is_lost_again_meanwhile_is_begun_again(again):
-    start, left = failing(*[LineLostError("again")] * again)
+def test_what_is_lost_again_meanwhile_is_begun_again(kind, again):
+    start, left = failing(*[kind("again")] * again)
     start_anew(start, LOST)
     assert left == []
 

@@ -53,7 +53,7 @@ class Lost(Plain):
     """A board that does not confirm zero."""
 
     def _halt(self):
-        raise LineLostError("lost", about="board", problem="lost")
+        raise LineLostError("lost", about="board")
 
 
 @contextlib.contextmanager
@@ -137,10 +137,7 @@ def test_the_folder_and_its_files_are_for_their_owner_alone(own_state):
 
 
 def too_much(total_ma):
-    return raises(
-        BoardError,
-        about="limits.total_ma", problem="too large", value=total_ma, allowed=CEILING_USER_MA,
-    )  # fmt: skip
+    return raises(BoardError, about="limits.total_ma", value=total_ma, allowed=CEILING_USER_MA)
 
 
 @pytest.mark.parametrize("total_ma", [10.0, 5.0, 0.001])
@@ -213,7 +210,7 @@ def test_who_stops_a_board_that_confirms_no_zero_learns_of_it():
             say()
             time.sleep(PATIENCE_S)
 
-    late = {"about": "runs", "problem": "late"}
+    late = {"about": "runs"}
     with in_child(work) as child, raises(SmartTouchError, **late, value=(child,)):
         stop_all()
 

@@ -153,7 +153,7 @@ class TestTheFile:
             thread = threading.Thread(target=board.stop)
             thread.start()
             thread.join(5)
-            with raises(BoardStoppedError, about="board", problem="stopped"):
+            with raises(BoardStoppedError, about="board"):
                 board.send(shaken(1.0, 500 * MS))
         samples, rate_hz = wav()
         assert len(samples) / rate_hz <= 0.02 + GLIDE_S + 0.001
@@ -189,33 +189,33 @@ class TestTheFile:
             board.send(shaken(0.5))
             with monkeypatch.context() as patch:
                 patch.setattr("os.pwrite", refuse)
-                with raises(BoardError, about="file", problem="unwritable") as error:
+                with raises(BoardError, about="file") as error:
                     board.send(shaken(0.5, 20 * MS))
                 assert os.strerror(errno.ENOSPC) in str(error.value)
 
     def test_a_file_that_cannot_be_written_is_named(self, profile):
         board = VibratorBoard("/nowhere/out.wav", SafetyLimits.of(profile))
         path = Path("/nowhere/out.wav")
-        with raises(BoardError, about="file", problem="unwritable", value=path):
+        with raises(BoardError, about="file", value=path):
             board.open()
 
     @pytest.mark.parametrize(
-        ("rest", "about", "problem", "value", "allowed"),
+        ("rest", "about", "value", "allowed"),
         [
-            ("", "board", "missing", "", (".wav", "audio")),
-            ("out.mp3", "board", "malformed", "out.mp3", (".wav", "audio")),
-            ("out.wav?volume=3", "option", "unknown", "volume", ("grid", "hz", "rate")),
-            ("out.wav?grid", "option", "malformed", "grid", None),
-            ("out.wav?grid=2", "grid", "malformed", "2", None),
-            ("out.wav?grid=0x3", "grid", "malformed", "0x3", None),
-            ("out.wav?grid=9x9", "grid", "too many", 81, 64),
-            ("out.wav?hz=30", "hz", "out of range", "30", (60, 800)),
-            ("out.wav?rate=fast", "rate", "out of range", "fast", (1000, 192_000)),
-            ("out.wav?hz=800&rate=3000", "rate", "too small", 3000, 3200),
+            ("", "board", "", (".wav", "audio")),
+            ("out.mp3", "board", "out.mp3", (".wav", "audio")),
+            ("out.wav?volume=3", "option", "volume", ("grid", "hz", "rate")),
+            ("out.wav?grid", "option", "grid", None),
+            ("out.wav?grid=2", "grid", "2", None),
+            ("out.wav?grid=0x3", "grid", "0x3", None),
+            ("out.wav?grid=9x9", "grid", 81, 64),
+            ("out.wav?hz=30", "hz", "30", (60, 800)),
+            ("out.wav?rate=fast", "rate", "fast", (1000, 192_000)),
+            ("out.wav?hz=800&rate=3000", "rate", 3000, 3200),
         ],
     )
-    def test_what_is_wrong_with_a_url_is_said(self, profile, rest, about, problem, value, allowed):
-        with raises(BoardError, about=about, problem=problem, value=value, allowed=allowed):
+    def test_what_is_wrong_with_a_url_is_said(self, profile, rest, about, value, allowed):
+        with raises(BoardError, about=about, value=value, allowed=allowed):
             VibratorBoard(rest, SafetyLimits.of(profile))
 
 
@@ -360,7 +360,7 @@ class TestTheSoundDevice:
         with opened(board("audio")) as vibrators:
             vibrators.send(shaken(0.0))
             sound.stream.active = False
-            with raises(BoardError, about="sound device", problem="gone"):
+            with raises(BoardError, about="sound device"):
                 vibrators.send(shaken(0.0, 20 * MS))
 
     def test_falling_behind_is_noted(self, sound, board):
@@ -372,7 +372,7 @@ class TestTheSoundDevice:
 
     def test_a_device_that_cannot_play_so_is_named(self, sound, board):
         sound.refuse = FakeSound.PortAudioError("Invalid number of channels")
-        with raises(BoardError, about="sound device", problem="impossible", value=1) as error:
+        with raises(BoardError, about="sound device", value=1) as error:
             board("audio:1").open()
         assert "4 vibrators" in str(error.value)
         assert str(sound.refuse) in str(error.value)
@@ -389,7 +389,7 @@ class TestTheSoundDevice:
             raise missing
 
         monkeypatch.setattr("importlib.import_module", refuse)
-        with raises(BoardError, about=about, problem="missing", remedy=remedy) as error:
+        with raises(BoardError, about=about, remedy=remedy) as error:
             board("audio")
         assert remedy in str(error.value)
 

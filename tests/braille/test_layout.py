@@ -57,11 +57,5 @@ def test_lines_of_others_join():
 
 @pytest.mark.parametrize(("columns", "rows", "indent"), [(3, 5, 2), (1, 5, 0), (40, 0, 2)])
 def test_too_small_a_page(columns, rows, indent):
-    with raises(
-        BrailleError,
-        about="page",
-        problem="too small",
-        value=(columns, rows),
-        allowed=(indent + 2, 1),
-    ):
+    with raises(BrailleError, about="page", value=(columns, rows), allowed=(indent + 2, 1)):
         lay_out(["⠁"], columns, rows, indent)

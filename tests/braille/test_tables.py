@@ -40,14 +40,10 @@ def test_without_liblouis_there_is_grade_1(no_liblouis):
     assert table.to_text(table.to_cells("Hello")) == "Hello"
     assert open_table("ja").note is None
     with raises(
-        BrailleError,
-        about="liblouis",
-        problem="missing",
-        value="en-2",
-        remedy="apt install liblouis20 liblouis-data",
+        BrailleError, about="liblouis", value="en-2", remedy="apt install liblouis20 liblouis-data"
     ):
         open_table("en-2")
-    with raises(BrailleError, about="table", problem="unknown", value="es-g1.ctb"):
+    with raises(BrailleError, about="table", value="es-g1.ctb"):
         open_table("es-g1.ctb")
 
 
@@ -78,7 +74,7 @@ def test_a_language_has_a_table(tag, name, cells):
 
 def test_only_languages_of_our_own_without_liblouis(no_liblouis):
     assert open_table("en-GB").name == "en-1"
-    with raises(BrailleError, about="table", problem="unknown", value="pt"):
+    with raises(BrailleError, about="table", value="pt"):
         open_table("pt")
 
 
@@ -91,13 +87,7 @@ def test_a_word_that_is_unknown_leaves_the_others_as_they_are():
 
 @pytest.mark.parametrize("name", ["", "xx", "xx-YY", "nonsense.ctb", "../../etc/passwd", "en-1 "])
 def test_unknown_names(name):
-    with raises(
-        BrailleError,
-        about="table",
-        problem="unknown",
-        value=name,
-        allowed=lambda names: {"en-1", "en-2", "ja"} < set(names),
-    ):
+    with raises(BrailleError, about="table", value=name, allowed=("en-1", "en-2", "ja")):
         open_table(name)
 
 
@@ -116,10 +106,10 @@ def test_accents_may_come_apart_and_invisible_characters_go():
 
 
 def test_what_has_no_cells():
-    with raises(BrailleError, about="text", problem="unknown", value="中") as caught:
+    with raises(BrailleError, about="text", value="中") as caught:
         open_table().to_cells("a中")
     assert all(each in str(caught.value) for each in ("en-1", "U+4E2D"))
-    with raises(BrailleError, about="text", problem="unknown", value="漢字") as caught:
+    with raises(BrailleError, about="text", value="漢") as caught:
         open_table("ja").to_cells("漢字")
     assert all(each in str(caught.value) for each in ("ja", "U+6F22", "1 more"))
     table = open_table()
@@ -128,14 +118,14 @@ def test_what_has_no_cells():
 
 
 def test_letters_are_not_cells():
-    with raises(BrailleError, about="cell", problem="malformed", value="x") as caught:
+    with raises(BrailleError, about="cell", value="x") as caught:
         open_table().to_text("⠁\n⠁x")
     assert "position 2" in str(caught.value)
 
 
 @needs_liblouis
 def test_some_tables_cannot_go_back():
-    with raises(BrailleError, about="table", problem="impossible", value="de-2"):
+    with raises(BrailleError, about="table", value="de-2"):
         open_table("de-2").to_text("⠁")
 
 

@@ -93,7 +93,6 @@ def test_readings_that_are_none(readings):
     with raises(
         CalibrationError,
         about="readings",
-        problem="too few",
         value=np.isfinite(readings).sum(),
         allowed=5,
         remedy="seconds",
@@ -110,24 +109,24 @@ def test_a_weighing_is_robust():
     assert found.force_n == pytest.approx(0.02 * STANDARD_GRAVITY)
 
 
-def wrong(about, problem, value):
-    return {"about": about, "problem": problem, "value": value}
+def wrong(about, value):
+    return {"about": about, "value": value}
 
 
 def nonsense():
     """Each a name, weights, readings, and what is wrong with them."""
     line = {0: 0, 20: 2e4, 50: 5e4, 100: 1e5}
-    yield "nothing moves", UP, lambda g: 5.0, {**wrong("readings", "mute", 0), "allowed": 0}
-    noisy = {**wrong("readings", "mute", 0), "allowed": lambda noise: noise > 5 * 15}
+    yield "nothing moves", UP, lambda g: 5.0, {**wrong("readings", 0), "allowed": 0}
+    noisy = {**wrong("readings", 0), "allowed": lambda noise: noise > 15}
     yield "only noise", UP, lambda g: 0.0, noisy
-    turned = wrong("readings", "conflict", (20, 50))
+    turned = wrong("readings", (20, 50))
     yield "turns back", (0, 20, 50, 100), {**line, 50: 1e4}.get, turned
-    bent = wrong("residual", "too large", lambda residual_n: residual_n > 0.05 * 0.9)
+    bent = wrong("residual", lambda residual_n: residual_n > 0.05 * 0.9)
     yield "one step", (0, 20, 50, 100), {**line, 50: 2.1e4}.get, bent
-    yield "two weights", (0, 0, 100), line.get, wrong("weights", "too few", 2)
-    yield "too light", (0, 5, 10), lambda g: 1e3 * g, wrong("weights", "too small", 10)
-    yield "negative", (-5, 50, 100), lambda g: 1e3 * g, wrong("weights", "malformed", (-5, 50, 100))
-    yield "no number", (np.nan, 50, 100), lambda g: 1.0, wrong("weights", "malformed", tuple)
+    yield "two weights", (0, 0, 100), line.get, wrong("weights", 2)
+    yield "too light", (0, 5, 10), lambda g: 1e3 * g, wrong("weights", 10)
+    yield "negative", (-5, 50, 100), lambda g: 1e3 * g, wrong("weights", -5)
+    yield "no number", (np.nan, 50, 100), lambda g: 1.0, wrong("weights", np.nan)
 
 
 @pytest.mark.parametrize(("name", "grams", "reading", "attributes"), list(nonsense()))
@@ -141,12 +140,6 @@ def test_nonsense_is_one_sentence(profile, name, grams, reading, attributes):
 def test_a_weight_that_was_not_at_rest(profile):
     found = weighed(SimulatedCell())
     found[2] = dataclasses.replace(found[2], drift=0.1 * 4.1e5)
-    with raises(
-        CalibrationError,
-        about="drift",
-        problem="too large",
-        value=pytest.approx(0.1, abs=0.001),
-        allowed=pytest.approx(0.03 * 0.9),
-    ) as caught:
+    with raises(CalibrationError, about="drift", value=pytest.approx(0.1, abs=0.001)) as caught:
         fit_curve(found, profile.force)
     assert "50 g" in str(caught.value)

@@ -81,16 +81,16 @@ def test_one_calibration_after_the_other_in_one_file(tmp_path):
 def test_nothing_is_overwritten_without_being_told_to(tmp_path):
     mine = tmp_path / "mine.toml"
     mine.write_text("what was there")
-    with raises(CalibrationError, about="file", problem="exists", value=mine, remedy="overwrite"):
+    with raises(CalibrationError, about="file", value=mine, remedy="overwrite"):
         ProfileFile("electric-mouse", mine)
     # Nor what came there meanwhile.
     late = ProfileFile("electric-mouse", tmp_path / "late.toml")
     (tmp_path / "late.toml").write_text("came meanwhile")
-    with raises(CalibrationError, about="file", problem="exists", value=tmp_path / "late.toml"):
+    with raises(CalibrationError, about="file", value=tmp_path / "late.toml"):
         late.write()
     other = ProfileFile("electric-mouse", tmp_path / "other.toml")
     (tmp_path / "other.npz").write_bytes(b"there")
-    with raises(CalibrationError, about="file", problem="exists", value=tmp_path / "other.npz"):
+    with raises(CalibrationError, about="file", value=tmp_path / "other.npz"):
         other.write({tmp_path / "other.npz": b"new"})
     assert mine.read_text() == "what was there"
     assert (tmp_path / "late.toml").read_text() == "came meanwhile"
@@ -104,13 +104,7 @@ def test_what_would_not_load_replaces_nothing(tmp_path):
     before = mine.read_bytes()
     file = ProfileFile(str(mine), mine, overwrite=True)
     file.set("perception.threshold_ma", [1.0, 2.0])
-    with raises(
-        CalibrationError,
-        about="perception.threshold_ma",
-        problem="too few",
-        value=2,
-        allowed=64,
-    ):
+    with raises(CalibrationError, about="perception.threshold_ma", value=2, allowed=64):
         file.write({tmp_path / "mine.npz": b"beside"})
     assert mine.read_bytes() == before
     assert sorted(each.name for each in tmp_path.iterdir()) == ["mine.toml"]
@@ -127,22 +121,15 @@ def test_a_flat_field_is_still_found_from_another_folder(tmp_path):
     assert Path(found).read_bytes() == b"field"
 
 
-@pytest.mark.parametrize(
-    ("output", "problem"),
-    [
-        ("mine.txt", "ending"),
-        ("none/mine.toml", "unwritable"),
-        ("folder.toml", "no file"),
-    ],
-)
-def test_outputs_that_cannot_be(tmp_path, output, problem):
+@pytest.mark.parametrize("output", ["mine.txt", "none/mine.toml", "folder.toml"])
+def test_outputs_that_cannot_be(tmp_path, output):
     (tmp_path / "folder.toml").mkdir()
-    with raises(CalibrationError, about="file", problem=problem, value=tmp_path / output):
+    with raises(CalibrationError, about="file", value=tmp_path / output):
         ProfileFile("electric-mouse", tmp_path / output, overwrite=True)
 
 
 def test_a_start_that_is_none(tmp_path):
-    with raises(ProfileError, about="profile", problem="unknown", value="nobody"):
+    with raises(ProfileError, about="profile", value="nobody"):
         ProfileFile("nobody", tmp_path / "mine.toml")
 
 
@@ -153,7 +140,7 @@ def test_a_disk_that_is_full(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("smarttouch.calibrate.profile_file.os.fsync", fail)
-    with raises(CalibrationError, about="file", problem="unwritable", value=tmp_path / "mine.toml"):
+    with raises(CalibrationError, about="file", value=tmp_path / "mine.toml"):
         file.write()
     assert list(tmp_path.iterdir()) == []
 
@@ -185,9 +172,7 @@ def test_a_part_again_needs_overwrite_and_keeps_the_rest(tmp_path):
     calibrated("force", "force.curve", [0.0, 1e-6], mine)
     calibrated("contact", "output.masked", [3], mine)
     before = mine.read_bytes()
-    with raises(
-        CalibrationError, about="force", problem="exists", value=mine, remedy="overwrite or output"
-    ):
+    with raises(CalibrationError, about="force", value=mine, remedy="overwrite or output"):
         file_to_calibrate("force", None, "electric-mouse", mine)
     assert mine.read_bytes() == before
     profile = calibrated("force", "force.curve", [0.5, 1e-6], mine, overwrite=True)
@@ -199,7 +184,7 @@ def test_a_simulation_does_not_mix_with_what_was_measured(tmp_path):
     mine = tmp_path / "mine.toml"
     start = (None, "electric-mouse", mine)
     calibrated("force", "force.curve", [0.0, 1e-6], mine)
-    with raises(CalibrationError, about="contact", problem="simulated", value=mine):
+    with raises(CalibrationError, about="contact", value=mine):
         file_to_calibrate("contact", *start, simulated=True)
     assert file_to_calibrate("contact", *start, overwrite=True, simulated=True)
     again = file_to_calibrate("force", *start, overwrite=True, simulated=True)
@@ -215,9 +200,9 @@ def test_a_start_of_another_device_or_with_other_limits_is_refused(tmp_path, cha
     lowered.set("limits.current_ma", 4.0)
     lowered.write()
     for start, overwrite in ((str(other), False), (str(other), True)):
-        with raises(CalibrationError, about="limits.current_ma", problem="conflict", value=mine):
+        with raises(CalibrationError, about="limits.current_ma", value=mine):
             file_to_calibrate("contact", start, "electric-mouse", mine, overwrite)
-    with raises(CalibrationError, problem="conflict", value=mine):
+    with raises(CalibrationError, value=mine):
         file_to_calibrate("contact", "line-7", "electric-mouse", mine)
 
 
@@ -225,7 +210,7 @@ def test_an_output_that_is_no_profile_is_kept(tmp_path):
     mine = tmp_path / "mine.toml"
     mine.write_text("what was there")
     for overwrite in (False, True):
-        with raises(ProfileError, about="file", problem="malformed", value=mine):
+        with raises(ProfileError, about="file", value=mine):
             file_to_calibrate("force", None, "electric-mouse", mine, overwrite)
     assert mine.read_text() == "what was there"
 
@@ -237,6 +222,6 @@ def test_what_another_has_written_meanwhile_is_kept(tmp_path):
     calibrated("contact", "output.masked", [3], mine)
     before = mine.read_bytes()
     slow.set("perception.threshold_ma", [1.1] * 64)
-    with raises(CalibrationError, about="file", problem="changed", value=mine):
+    with raises(CalibrationError, about="file", value=mine):
         slow.write()
     assert mine.read_bytes() == before

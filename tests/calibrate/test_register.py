@@ -137,16 +137,14 @@ def test_every_sensor_that_is_fine_enough_has_a_target(name):
 
 def test_a_sensor_too_coarse_for_any_target():
     profile = load_profile("smarttouch-4x4")
-    with raises(
-        CalibrationError, about="optics", problem="impossible", remedy="dot_pitch_mm"
-    ) as caught:
+    with raises(CalibrationError, about="optics", remedy="dot_pitch_mm") as caught:
         target_for(profile)
     assert "16 × 16" in str(caught.value)
     assert "5 × 5 mm" in str(caught.value)
     assert target_for(profile, 1.0).pitch_mm == 1.0
-    with raises(CalibrationError, about="dot_pitch_mm", value=7, allowed=lambda each: each[1] == 5):
+    with raises(CalibrationError, about="dot_pitch_mm", value=7, allowed=5):
         target_for(profile, 7.0)
-    with raises(CalibrationError, about="dot_pitch_mm", value=np.isnan):
+    with raises(CalibrationError, about="dot_pitch_mm", value=np.nan):
         target_for(profile, float("nan"))
 
 
@@ -168,7 +166,7 @@ def test_the_target_as_it_is_printed(tmp_path):
     for column, row in LARGE_DOTS:
         assert [column, row] in dots.cell.tolist()
     path = tmp_path / "none" / "target.png"
-    with raises(CalibrationError, about="file", problem="unwritable", value=path):
+    with raises(CalibrationError, about="file", value=path):
         target.draw(path)
 
 
@@ -181,33 +179,29 @@ def bars():
 
 
 @pytest.mark.parametrize(
-    ("image", "about", "problem"),
+    ("image", "about"),
     [
-        (np.full(COARSE, 200, np.uint8), "dots", "missing"),
-        (np.zeros(COARSE, np.uint8), "dots", "too few"),
-        (bars(), "dots", "too few"),
+        (np.full(COARSE, 200, np.uint8), "dots"),
+        (np.zeros(COARSE, np.uint8), "dots"),
+        (bars(), "dots"),
         # By chance an L may be seen in some, whose dots do not lie on a grid.
-        (speckle(0), "residual", "too large"),
-        *((speckle(seed), "dots", "too few") for seed in range(1, 5)),
-        (np.zeros((2, 2), np.uint8), "image", "too small"),
-        (speckle(9)[:3], "image", "too small"),
+        (speckle(0), "residual"),
+        *((speckle(seed), "dots") for seed in range(1, 5)),
+        (np.zeros((2, 2), np.uint8), "image"),
+        (speckle(9)[:3], "image"),
     ],
 )
-def test_no_target_is_one_sentence(profile, image, about, problem):
-    with raises(CalibrationError, about=about, problem=problem):
+def test_no_target_is_one_sentence(profile, image, about):
+    with raises(CalibrationError, about=about):
         register(image, profile, target_for(profile))
 
 
 @pytest.mark.parametrize(
-    ("view", "about", "problem"),
-    [
-        (View(offset_mm=(2.4, 2.4)), "large dots", "missing"),
-        (View(zoom=2.5), "dots", "too few"),
-    ],
+    ("view", "about"), [(View(offset_mm=(2.4, 2.4)), "large dots"), (View(zoom=2.5), "dots")]
 )
-def test_a_target_that_is_not_in_view(profile, view, about, problem):
+def test_a_target_that_is_not_in_view(profile, view, about):
     target = target_for(profile)
-    with raises(CalibrationError, about=about, problem=problem):
+    with raises(CalibrationError, about=about):
         register(view.render(target, profile.optics, COARSE), profile, target)
 
 
@@ -220,14 +214,10 @@ def test_a_target_that_does_not_fit_the_fit(profile):
     bulge = 1 + 0.22 * (x * x + y * y)
     source = [np.clip(np.rint(a * bulge * 240 + b), 0, c - 1).astype(int)
               for a, b, c in ((y, 239.5, 480), (x, 319.5, 640))]  # fmt: skip
-    with raises(
-        CalibrationError, about="residual", problem="too large", value=lambda worst: worst > 0.05
-    ):
+    with raises(CalibrationError, about="residual", value=lambda worst: worst > 0.05):
         register(image[source[0], source[1]], profile, target)
     wide = profile.model_copy(
         update={"optics": profile.optics.model_copy(update={"magnification": 1.0})}
     )
-    with raises(
-        CalibrationError, about="electrodes", problem="outside", remedy="optics.magnification"
-    ):
+    with raises(CalibrationError, about="electrodes", remedy="optics.magnification"):
         register(View().render(target, profile.optics, COARSE), wide, target)

@@ -249,7 +249,7 @@ def test_a_board_that_was_lost_begins_again_at_zero(profile, tmp_path, begun, ad
 def test_a_board_that_is_lost_all_the_time(profile, tmp_path, begun):
     display, progress = display_of(profile, Losing), begun(tmp_path / "p.json", {})
     display.board.at = range(0, 5000, 200)
-    with raises(ExperimentError, about="trial", problem="lost", value=4, allowed=3):
+    with raises(ExperimentError, about="trial", value=4, allowed=3):
         run(display, profile, subjects(profile), [0], progress)
     assert display.board._stopped.is_set()
     assert not progress.found
@@ -299,7 +299,7 @@ def test_a_person_is_told_what_to_do_and_stops(procedure, key):
         said.append(line)
         return key if line.startswith("electrode 5") else None
 
-    with raises(CalibrationError, about="thresholds", problem="stopped", value=1):
+    with raises(CalibrationError, about="thresholds", value=1):
         measured(procedure(), press)
     assert "2.50 mA" in said[0]
     assert len(said) == 2
@@ -336,7 +336,7 @@ def test_what_was_not_measured_stays_as_it_was(profile, changed):
     assert filled(own, {5: found()})[1] == [2.2] * 5 + [2.0] + [2.2] * 58
     assert sentence(measured, adaptive=False).startswith("2 ")
     assert "[1, 2]" in sentence(measured, adaptive=True)
-    with raises(CalibrationError, about="thresholds", problem="empty"):
+    with raises(CalibrationError, about="thresholds"):
         filled(profile, {1: found(np.nan, np.nan)})
 
 
@@ -348,28 +348,16 @@ def test_electrodes_by_number_and_range(profile, text, expected):
     assert parse_electrodes(text, profile) == expected
 
 
-@pytest.mark.parametrize(
-    ("text", "problem"),
-    [
-        ("", "malformed"),
-        ("a", "malformed"),
-        ("3-", "malformed"),
-        ("-3", "malformed"),
-        ("1;2", "malformed"),
-        ("5-2", "unknown"),
-        ("64", "unknown"),
-        ("0-64", "unknown"),
-    ],
-)
-def test_electrodes_that_are_none(profile, text, problem):
-    with raises(CalibrationError, about="electrodes", problem=problem, value=text):
+@pytest.mark.parametrize("text", ["", "a", "3-", "-3", "1;2", "5-2", "64", "0-64"])
+def test_electrodes_that_are_none(profile, text):
+    with raises(CalibrationError, about="electrodes", value=text):
         parse_electrodes(text, profile)
 
 
 def test_masked_electrodes_are_left_out(profile, changed):
     masked = changed(profile, {"output.masked": (1, 2)})
     assert parse_electrodes(None, masked)[:3] == [0, 3, 4]
-    with raises(CalibrationError, about="electrodes", problem="masked", value=2):
+    with raises(CalibrationError, about="electrodes", value=2):
         parse_electrodes("2-4", masked)
 
 
@@ -381,7 +369,7 @@ def test_progress_is_read_back_and_its_settings_count(tmp_path, begun):
     again = begun(path, {"repeats": 3, "board": "emulator:"})
     assert again.found[4] == kept.found[4]
     assert not again.found[1].felt
-    with raises(CalibrationError, about="repeats", problem="conflict", value=5):
+    with raises(CalibrationError, about="repeats", value=(3, 5)):
         begun(path, {"repeats": 5, "board": "emulator:"})
     again.forget()
     assert begun(path, {}).found == {}
@@ -397,14 +385,14 @@ def test_two_programs_do_not_go_on_with_one_session(tmp_path):
         [sys.executable, "-c", code, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as other:
         assert other.stdout.readline() == "has it\n"
-        with raises(CalibrationError, about="file", problem="busy", value=path):
+        with raises(CalibrationError, about="file", value=path):
             Progress(path, {})
         other.communicate()
     assert other.returncode == 0
     with Progress(path, {}) as mine:
         mine.keep(4, found())
         # The file is another one now, and still taken.
-        with raises(CalibrationError, about="file", problem="busy", value=path):
+        with raises(CalibrationError, about="file", value=path):
             Progress(path, {})
     assert [each.name for each in tmp_path.iterdir()] == ["p.json"]
     with Progress(path, {}) as again:
@@ -426,7 +414,7 @@ def test_two_programs_do_not_go_on_with_one_session(tmp_path):
 def test_progress_that_is_none(tmp_path, begun, content):
     path = tmp_path / "p.json"
     path.write_bytes(content.encode("utf-8", "surrogatepass"))
-    with raises(CalibrationError, about="file", problem="malformed", value=path):
+    with raises(CalibrationError, about="file", value=path):
         begun(path, {})
 
 

@@ -69,7 +69,7 @@ def test_walked_through_without_hardware(run, tmp_path, what):
     before = (tmp_path / "mine.toml").read_bytes()
     again = run(what, "--simulate", "--output", "mine.toml").exception
     assert isinstance(again, CalibrationError)
-    assert (again.about, again.problem, again.remedy) == (what, "exists", "overwrite or output")
+    assert (again.about, again.remedy) == (what, "overwrite or output")
     assert (tmp_path / "mine.toml").read_bytes() == before
     done(run(what, "--simulate", "--output", "mine.toml", "--overwrite"))
 
@@ -112,7 +112,7 @@ def test_optics_asks_for_dark_and_white(run, tmp_path):
     wrong(" 0 grey levels", " 40 ")(asked.exception)
     unanswered = run("optics", "--source", "frames:same", "--output", "mine.toml")
     assert unanswered.output.count(" Enter") == 1
-    wrong(about="answer", problem="missing", remedy="yes")(unanswered.exception)
+    wrong(about="answer", remedy="yes")(unanswered.exception)
     assert not list(tmp_path.glob("mine*"))
 
 
@@ -133,7 +133,7 @@ def test_registration_of_a_camera(run, tmp_path, profile):
     with Image.open(tmp_path / "target.png") as image:
         assert image.info["dpi"][0] == pytest.approx(1270, abs=1)
     again = run("registration", "--target", "target.png")
-    wrong(about="file", problem="exists", value=Path("target.png"))(again.exception)
+    wrong(about="file", value=Path("target.png"))(again.exception)
 
 
 def test_a_target_alone(run, tmp_path):
@@ -209,7 +209,7 @@ def test_a_second_session_for_the_same_profile_is_refused(run, tmp_path):
     alone = ("--simulate", "--board", "memory:", "--electrodes", "0", "--output", "mine.toml")
     with Progress(tmp_path / "mine.thresholds.json", {}):
         error = run("thresholds", *alone).exception
-    wrong(about="file", problem="busy", value=Path("mine.thresholds.json"))(error)
+    wrong(about="file", value=Path("mine.thresholds.json"))(error)
     assert not list(tmp_path.glob("*mine*"))
 
 
@@ -274,32 +274,32 @@ def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "check"),
     [
-        (["optics"], wrong(about="source", problem="missing", remedy="simulate")),
+        (["optics"], wrong(about="source", remedy="simulate")),
         (["optics", "--dark", "frames:none"], wrong("white", about="source")),
         (
             ["optics", "--source", "nothing:", "--yes"],
-            says(SourceError, about="source", problem="unknown", value="nothing:"),
+            says(SourceError, about="source", value="nothing:"),
         ),
         (["optics", "--source", "frames:none", "--yes"], says(SourceError, " none:")),
-        (["registration"], wrong(about="source", problem="missing", remedy="simulate")),
+        (["registration"], wrong(about="source", remedy="simulate")),
         (
             ["registration", "--center", "left"],
-            wrong(about="center", problem="unknown", value="left", allowed=("target", "image")),
+            wrong(about="center", value="left", allowed=("target", "image")),
         ),
         (
             ["registration", "--dot-pitch-mm", "0"],
             wrong("0.01", "5 mm", about="dot_pitch_mm", value=0),
         ),
-        (["force"], wrong("hx711:PORT", about="cell", problem="missing", remedy="simulate")),
-        (["force", "--simulate", "--seconds", "nan"], wrong(about="seconds", value=math.isnan)),
+        (["force"], wrong("hx711:PORT", about="cell", remedy="simulate")),
+        (["force", "--simulate", "--seconds", "nan"], wrong(about="seconds", value=math.nan)),
         (["force", "--simulate", "--weights", "0,a"], wrong(about="weights", value="0,a")),
         (["force", "--simulate", "--weights", "0,nan"], wrong(about="weights", value="0,nan")),
         (["force", "--simulate", "--weights", "0,1,2"], wrong(" 2 g ", " 92 g")),
-        (["thresholds"], wrong(about="keyboard", problem="missing", remedy="simulate")),
+        (["thresholds"], wrong(about="keyboard", remedy="simulate")),
         (["thresholds", "--electrodes", "64"], wrong(about="electrodes", value="64", allowed=63)),
         (
             ["thresholds", "--simulate", "--board", "link:/dev/null"],
-            wrong(about="board", problem="conflict", value="link:/dev/null"),
+            wrong(about="board", value="link:/dev/null"),
         ),
         (["contact", "--board", "memory:"], says(BoardError, "measure")),
         (["contact", "--profile", "nobody"], says(ProfileError, "'nobody'")),
@@ -311,6 +311,6 @@ def test_what_cannot_be_is_one_sentence(run, tmp_path, arguments, check):
 
 
 def test_what_is_measured_needs_a_place(run):
-    wrong(about="output", problem="missing")(run("registration", "--simulate").exception)
+    wrong(about="output")(run("registration", "--simulate").exception)
     nowhere = run("force", "--simulate", "--output", "none/mine.toml")
     wrong("none/mine.toml")(nowhere.exception)

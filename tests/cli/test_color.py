@@ -111,20 +111,11 @@ def test_what_is_left_out_is_said(run_color):
             ("tone:250Hz,2um", "--profile", "kajimoto-61"),
             says(ScheduleError, "PC", "kajimoto-61", " RA "),
         ),
-        (
-            ("tone:30Hz,2um", "--sites", "a-b"),
-            says(about="sites", problem="malformed", value="a-b"),
-        ),
+        (("tone:30Hz,2um", "--sites", "a-b"), says(about="sites", value="a-b")),
         (("tone:30Hz,2um", "--sites", "64"), says(ScheduleError, "site 64 ", " 0 to 63")),
         (("tone:30", "--split-only"), says(SmartTouchError, "'tone:30'", "tone:30Hz,8um")),
-        (
-            ("tone:30Hz,9um", "--json", "no/f.json"),
-            says(about="file", problem="unwritable", value=Path("no/f.json")),
-        ),
-        (
-            ("tone:30Hz,9um", "--intensity", "2"),
-            says(about="intensity", value=2, allowed=(0, 1)),
-        ),
+        (("tone:30Hz,9um", "--json", "no/f.json"), says(about="file", value=Path("no/f.json"))),
+        (("tone:30Hz,9um", "--intensity", "2"), says(about="intensity", value=2, allowed=(0, 1))),
         (("none.csv",), says(SmartTouchError, "'none.csv'", "tone:30Hz,8um")),
     ],
 )
@@ -144,7 +135,7 @@ def test_without_force_there_is_no_current(run_color):
 
 def test_a_finger_on_the_board_needs_a_word_on_force(run_color, monkeypatch):
     monkeypatch.setattr("smarttouch.boards.emulator.simulated.SimulatedBoard.on_a_finger", True)
-    with raises(SourceError, about="force", problem="missing", remedy="force"):
+    with raises(SourceError, about="force", remedy="force"):
         run_color("tone:30Hz,9um", "--intensity", "1", "--board", "simulated:")
 
 

@@ -90,7 +90,7 @@ def test_a_second_run_on_the_same_answers_is_refused(program_here, tmp_path):
     with open_alone(path, ExperimentError):
         for more in ((), ("--overwrite",)):
             second = program_here(*SIMULATED, "--repetitions", "1", "--output", path, *more)
-            says(ExperimentError, about="file", problem="busy", value=path)(refused(second))
+            says(ExperimentError, about="file", value=path)(refused(second))
             assert second.stdout == ""
     assert path.read_bytes() == b""
 
@@ -203,42 +203,39 @@ def test_free_stimulation_for_some_seconds(program_here, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "check"),
     [
-        (("run", "frequency"), wrong(about="keyboard", problem="missing", remedy="simulate")),
+        (("run", "frequency"), wrong(about="keyboard", remedy="simulate")),
         (
             ("run", "frequency", "--simulate", "model", "--board", "memory:"),
-            wrong(about="board", problem="conflict", value="memory:", allowed=("simulated:",)),
+            wrong(about="board", value="memory:", allowed=("simulated:",)),
         ),
         (
             ("run", "frequency", "--simulate", "me"),
-            says(
-                about="simulate", problem="unknown", value="me",
-                allowed=("model", "random", "first", "silent"),
-            ),
+            says(about="simulate", value="me", allowed=("model", "random", "first", "silent")),
         ),
         (("run", "sight", "--simulate", "model"), wrong("'sight'", "frequency", "letters")),
         (
             (*SIMULATED[1:], "--subject", "a/b"),
-            says(about="participant", problem="malformed", value="a/b"),
+            says(about="participant", value="a/b"),
         ),
         (
             (*SIMULATED[1:], "--standards", "30,x"),
-            says(about="standards", problem="malformed", value="30,x"),
+            says(about="standards", value="30,x"),
         ),
         ((*SIMULATED[1:], "--seed", "-1"), says(about="seed", value=-1, allowed=0)),
         ((*SIMULATED[1:], "--gap-s", "-1"), wrong(about="gap_s", value=-1, allowed=(0, 60))),
         (
             (*SIMULATED[1:], "--mode", "natural"),
-            says(about="mode", problem="unknown", value="natural", allowed=("RA", "SAI", "PC")),
+            says(about="mode", value="natural", allowed=("RA", "SAI", "PC")),
         ),
         ((*SIMULATED[1:], "--output", "a.txt"), wrong("a.txt", ".csv")),
-        (("free",), wrong(about="keyboard", problem="missing", remedy="seconds")),
+        (("free",), wrong(about="keyboard", remedy="seconds")),
         (
             ("free", "--seconds", "1", "--rate", "500"),
             wrong(about="rate_hz", value=500, allowed=(10, 200)),
         ),
         (
             ("free", "--seconds", "1", "--mode", "warm"),
-            says(about="mode", problem="unknown", value="warm", allowed=("RA", "SAI", "PC")),
+            says(about="mode", value="warm", allowed=("RA", "SAI", "PC")),
         ),
     ],
 )  # fmt: skip

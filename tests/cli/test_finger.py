@@ -46,7 +46,7 @@ def test_tables_of_what_was_published(program_here, tmp_path, name, columns):
 @pytest.mark.parametrize(
     ("arguments", "kind", "says"),
     [
-        (["4"], ExperimentError, {"about": "LETTERS", "problem": "unknown", "value": "4"}),
+        (["4"], ExperimentError, {"about": "LETTERS", "value": "4"}),
         (["T", "--anatomy=none"], ProfileError, {"about": "anatomy", "value": "none"}),
         (["T", "--profile=line-7"], ExperimentError, {"about": "profile", "value": 1}),
         (["--table=none"], SmartTouchError, {"about": "table"}),

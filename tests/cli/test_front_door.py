@@ -107,4 +107,4 @@ def test_nothing_on_standard_input(monkeypatch):
     monkeypatch.setattr(sys, "stdin", io.StringIO())
     with pytest.raises(SmartTouchError) as raised:
         or_standard_input(Context(), "-")
-    assert (raised.value.about, raised.value.problem) == ("standard input", "empty")
+    assert raised.value.about == "standard input"

@@ -105,10 +105,7 @@ def test_what_was_felt_replays_to_the_bit(program_here, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "wrong"),
     [
-        (
-            ["--texture", "none.png"],
-            says(PageError, about="file", problem="missing", value=Path("none.png")),
-        ),
+        (["--texture", "none.png"], says(PageError, about="file", value=Path("none.png"))),
         (["--texture", "grating:x"], says(PageError, "'grating:x'", "grating:4mm,30deg")),
         (["--motion", "wheel:"], says(SourceError, "'wheel:'", "evdev:", "sweep:", "window:")),
         (
@@ -125,12 +122,9 @@ def test_what_was_felt_replays_to_the_bit(program_here, tmp_path):
             ["--mode", "natural"],
             says(SourceError, about="mode", value="natural", allowed=("RA", "SAI", "PC")),
         ),
-        (["--mode", "XY"], says(about="mode", problem="unknown", value="XY")),
+        (["--mode", "XY"], says(about="mode", value="XY")),
         (["--seconds", "0"], says(about="seconds", value=0, allowed=0)),
-        (
-            ["--felt", "felt.png", "--board", "memory:"],
-            says(about="felt", problem="conflict"),
-        ),
+        (["--felt", "felt.png", "--board", "memory:"], says(about="felt")),
     ],
 )
 def test_bad_input_is_one_sentence(program_here, arguments, wrong):

@@ -29,7 +29,7 @@ def test_which_boards_a_finger_may_be_on(url, finger):
 def test_no_command_drives_a_real_board_that_nobody_controls(program_here, command):
     board = ("link:/dev/nowhere",) if command[0] == "board" else ("--board", "link:/dev/nowhere")
     about = "keyboard" if command[0] == "board" else "intensity"
-    says(about=about, problem="missing")(refused(program_here(*command, *board)))
+    says(about=about)(refused(program_here(*command, *board)))
 
 
 @pytest.mark.parametrize(

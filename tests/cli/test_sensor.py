@@ -54,35 +54,20 @@ def test_a_force_is_shown(run, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "wrong"),
     [
-        (
-            ["show", "nothing:"],
-            says(SourceError, about="source", problem="unknown", value="nothing:"),
-        ),
-        (
-            ["show", "text:x", "--force"],
-            says(SourceError, about="force", problem="unknown", value="text:x"),
-        ),
-        (
-            ["show", "text:x", "--seconds", "0"],
-            says(about="seconds", value=0, allowed=(0, 3600)),
-        ),
+        (["show", "nothing:"], says(SourceError, about="source", value="nothing:")),
+        (["show", "text:x", "--force"], says(SourceError, about="force", value="text:x")),
+        (["show", "text:x", "--seconds", "0"], says(about="seconds", value=0, allowed=(0, 3600))),
         (
             ["show", "text:x", "--seconds", "nan"],
-            says(about="seconds", value=math.isnan, allowed=(0, 3600)),
+            says(about="seconds", value=math.nan, allowed=(0, 3600)),
         ),
         (
             ["show", "text:x", "--save", "no/where.png"],
-            says(about="file", problem="unwritable", value=Path("no/where.png")),
+            says(about="file", value=Path("no/where.png")),
         ),
         (["show", "text:x?baud=9600"], says(SourceError, " baud:", "seed")),
-        (
-            ["show", "camera:0?size=9"],
-            says(SourceError, "size", "640x480"),
-        ),
-        (
-            ["show", "fixed:1", "--force", "--save", "a.png"],
-            says(about="force", problem="conflict"),
-        ),
+        (["show", "camera:0?size=9"], says(SourceError, "size", "640x480")),
+        (["show", "fixed:1", "--force", "--save", "a.png"], says(about="force")),
         (["show", "text:x", "--profile", "none"], says(ProfileError, "'none'")),
         (["show", "serial-array:/dev/nowhere"], says(SourceError, "/dev/nowhere")),
         (
@@ -91,21 +76,10 @@ def test_a_force_is_shown(run, tmp_path):
         ),
         (
             ["emulate", "mouse"],
-            says(
-                about="emulator",
-                problem="unknown",
-                value="mouse",
-                allowed=("serial-array", "hx711", "loadcell"),
-            ),
+            says(about="emulator", value="mouse", allowed=("serial-array", "hx711", "loadcell")),
         ),
-        (
-            ["emulate", "hx711", "--books", "no/where"],
-            says(about="file", problem="unwritable", value=Path("no/where")),
-        ),
-        (
-            ["emulate", "hx711", "--rate", "-1"],
-            says(about="rate", problem="out of range", value=-1, allowed=(0.01, 2000)),
-        ),
+        (["emulate", "hx711", "--books", "no/where"], says(about="file", value=Path("no/where"))),
+        (["emulate", "hx711", "--rate", "-1"], says(about="rate", value=-1, allowed=(0.01, 2000))),
     ],
 )
 def test_wrong_requests_end_in_one_sentence(run, arguments, wrong):

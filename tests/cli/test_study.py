@@ -40,7 +40,7 @@ def test_it_ends_with_one_sentence(program_here, tmp_path):
     (tmp_path / "plan.toml").write_text("fingers = 3")
     error = refused(program_here("study", "plan.toml", "--output", "out"))
     assert type(error) is ProfileError
-    assert_says(error, about="title", problem="missing")
+    assert_says(error, about="title")
     (tmp_path / "plan.toml").write_text(PLAN)
     error = refused(program_here("study", "plan.toml", "--output", "out", "--cluster", "nowhere:x"))
     assert_says(error, about="cluster")

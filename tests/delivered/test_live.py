@@ -85,5 +85,5 @@ def test_a_process_that_has_ended_ends_the_run(finger):
             live._process.kill()
             live._process.wait()
 
-    with raises(st.SmartTouchError, about="finger", problem="ended"):
+    with raises(st.SmartTouchError, about="finger"):
         run(finger.profile, Kills(), live)

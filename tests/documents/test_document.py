@@ -186,9 +186,9 @@ def test_what_is_filled_into_a_form_is_seen(tmp_path):
 def test_an_encrypted_pdf_opens_with_its_password_alone(tmp_path):
     path = tmp_path / "secret.pdf"
     path.write_bytes(encrypted(b"0 144 144 144 re f", "tulip"))
-    with raises(PageError, about="password", problem="missing", value=path):
+    with raises(PageError, about="password", value=path):
         open_document(path)
-    with raises(PageError, about="password", problem="wrong", value=path) as caught:
+    with raises(PageError, about="password", value=path) as caught:
         open_document(path, password="rose")
     assert "rose" not in str(caught.value)
     with open_document(path, password="tulip") as document:
@@ -203,29 +203,26 @@ def test_without_a_user_password_none_is_asked_for(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("content", "problem"),
+    "content",
     [
-        (b"%PDF-1.7\n", "damaged"),
-        (b"%PDF-1.7\nnonsense\n%%EOF", "damaged"),
-        (
-            pdf_file([b"<</Type/Catalog/Pages 2 0 R>>", b"<</Type/Pages/Kids[]/Count 0>>"]),
-            "damaged",
-        ),
-        (b"", "malformed"),
-        (b"a plain text", "malformed"),
-        (None, "missing"),
+        b"%PDF-1.7\n",
+        b"%PDF-1.7\nnonsense\n%%EOF",
+        pdf_file([b"<</Type/Catalog/Pages 2 0 R>>", b"<</Type/Pages/Kids[]/Count 0>>"]),
+        b"",
+        b"a plain text",
+        None,
     ],
 )
-def test_bad_files(tmp_path, content, problem):
+def test_bad_files(tmp_path, content):
     path = tmp_path / "page.pdf"
     if content is not None:
         path.write_bytes(content)
-    with raises(PageError, about="file", problem=problem, value=path):
+    with raises(PageError, about="file", value=path):
         open_document(path)
 
 
 def test_a_folder(tmp_path):
-    with raises(PageError, about="file", problem="folder", value=tmp_path):
+    with raises(PageError, about="file", value=tmp_path):
         open_document(tmp_path)
 
 
@@ -246,7 +243,7 @@ def test_pages_of_impossible_sizes(tmp_path, size, size_mm):
 def test_a_page_that_is_damaged(tmp_path):
     path = tmp_path / "page.pdf"
     path.write_bytes(one_page().replace(b"Kids[3 0 R]", b"Kids[9 0 R]"))
-    damaged = raises(PageError, about="page", problem="damaged", value=1)
+    damaged = raises(PageError, about="page", value=1)
     with open_document(path) as document, damaged as caught:
         document.page(0)
     assert str(path) in str(caught.value)
@@ -257,7 +254,7 @@ def test_a_resolution_that_leaves_no_pixels(tmp_path):
     path.write_bytes(one_page())
     with (
         open_document(path, dpi=2) as document,
-        raises(PageError, about="pixels", problem="too few", value=(4, 8), allowed=(8, 8)),
+        raises(PageError, about="pixels", value=(4, 8), allowed=(8, 8)),
     ):
         document.page(0)
 
@@ -278,7 +275,7 @@ def test_a_truncated_document_gives_pages_or_one_sentence(tmp_path, suffix, kept
     path = tmp_path / f"cut.{suffix}"
     path.write_bytes(whole[: int(kept * len(whole))])
     result = outcome(path)
-    assert result in (1, 2, 3) or result.problem in ("damaged", "malformed")
+    assert result in (1, 2, 3) or result.about in ("file", "page")
 
 
 @pytest.mark.parametrize("suffix", ["pdf", "tif"])
@@ -301,7 +298,7 @@ def test_without_the_extra(tmp_path, monkeypatch):
     path = save(tmp_path / "page.pdf", sheets(1))
     monkeypatch.setitem(sys.modules, "pypdfium2", None)
     remedy = "pip install 'smarttouch[pdf]'"
-    with raises(PageError, about="pypdfium2", problem="missing", value=path, remedy=remedy):
+    with raises(PageError, about="pypdfium2", value=path, remedy=remedy):
         open_document(path)
 
 
@@ -364,7 +361,7 @@ def test_a_given_scale_of_an_image(tmp_path, options):
     [
         ({"dpi": 300, "page_width_mm": 5}, "dpi", ("dpi", "page_width_mm")),
         ({"dpi": 0}, "dpi", 0),
-        ({"page_width_mm": math.nan}, "page_width_mm", math.isnan),
+        ({"page_width_mm": math.nan}, "page_width_mm", math.nan),
         ({"dpi": 1}, "size_mm", pytest.approx((7620, 10160))),
     ],
 )
@@ -381,7 +378,7 @@ def test_pages_that_are_not_there(tmp_path, suffix, index):
     path = save(tmp_path / f"two.{suffix}", sheets(2))
     with (
         open_document(path) as document,
-        raises(PageError, about="page", problem="missing", value=index + 1, allowed=(1, 2)),
+        raises(PageError, about="page", value=index + 1, allowed=2),
     ):
         document.page(index)
 
@@ -405,18 +402,18 @@ def test_pages_asked_for(text, indexes):
     [("", ""), ("1,,2", ""), ("one", "one"), ("-3", "-3"), ("²", "²"), ("1" * 5000, "1" * 5000)],
 )
 def test_what_is_no_page(text, part):
-    with raises(PageError, about="pages", problem="malformed", value=part):
+    with raises(PageError, about="pages", value=part):
         parse_pages(text, 12)
 
 
 @pytest.mark.parametrize(("text", "number"), [("0", 0), ("1,13", 13), ("3-999999999", 999_999_999)])
 def test_numbers_of_no_page(text, number):
-    with raises(PageError, about="pages", problem="missing", value=number, allowed=(1, 12)):
+    with raises(PageError, about="pages", value=number, allowed=12):
         parse_pages(text, 12)
 
 
 def test_pages_from_behind():
-    with raises(PageError, about="pages", problem="conflict", value=(5, 3), remedy="3-5"):
+    with raises(PageError, about="pages", value=(5, 3), remedy="3-5"):
         parse_pages("5-3", 12)
 
 

@@ -96,7 +96,7 @@ def test_pixels_become_square(picture, tmp_path, stated, shape, mm_per_pixel):
 def test_resolutions_that_are_not_believed(picture, tmp_path, stated):
     path = tmp_path / "page.tif"
     picture.save(path, dpi=stated)
-    with raises(PageError, about="size_mm", problem="missing", value=path):
+    with raises(PageError, about="size_mm", value=path):
         load_page(path)
 
 
@@ -115,44 +115,44 @@ def png_header(width, height):
 
 
 @pytest.mark.parametrize(
-    ("content", "problem"),
+    "content",
     [
-        (None, "missing"),
-        (b"", "malformed"),
-        (b"hello, I am a text", "malformed"),
+        None,
+        b"",
+        b"hello, I am a text",
         # Pillow has its own mind of an image without pixels, by version.
-        (png_header(0, 0), ("damaged", "malformed").__contains__),
-        (png_header(100, 100), "damaged"),
+        png_header(0, 0),
+        png_header(100, 100),
     ],
 )
-def test_bad_files(tmp_path, content, problem):
+def test_bad_files(tmp_path, content):
     path = tmp_path / "page.png"
     if content is not None:
         path.write_bytes(content)
-    with raises(PageError, about="file", problem=problem, value=path):
+    with raises(PageError, about="file", value=path):
         load_page(path, dpi=300)
 
 
 @pytest.mark.parametrize(
-    ("side", "problem", "value", "allowed"),
+    ("side", "value", "allowed"),
     [
         # So large that Pillow does not even tell how large.
-        (60_000, "too many", None, 10**8),
-        (12_000, "too many", (12_000, 12_000), 10**8),
-        (1, "too few", (1, 1), (8, 8)),
+        (60_000, None, 10**8),
+        (12_000, (12_000, 12_000), 10**8),
+        (1, (1, 1), (8, 8)),
     ],
 )
-def test_too_many_and_too_few_pixels(tmp_path, side, problem, value, allowed):
+def test_too_many_and_too_few_pixels(tmp_path, side, value, allowed):
     path = tmp_path / "page.png"
     path.write_bytes(png_header(side, side))
-    pixels = {"problem": problem, "value": value, "allowed": allowed}
+    pixels = {"value": value, "allowed": allowed}
     with raises(PageError, about="pixels", **pixels) as caught:
         load_page(path, dpi=300)
     assert str(path) in str(caught.value)
 
 
 def test_a_folder(tmp_path):
-    with raises(PageError, about="file", problem="folder", value=tmp_path):
+    with raises(PageError, about="file", value=tmp_path):
         load_page(tmp_path)
 
 
@@ -161,7 +161,7 @@ def test_a_folder(tmp_path):
     [
         ({"dpi": 300, "page_width_mm": 5}, "dpi", ("dpi", "page_width_mm")),
         ({"dpi": 0}, "dpi", 0),
-        ({"dpi": math.nan}, "dpi", math.isnan),
+        ({"dpi": math.nan}, "dpi", math.nan),
         ({"page_width_mm": -5}, "page_width_mm", -5),
         ({"dpi": 0.1}, "size_mm", pytest.approx((20_320, 15_240))),
         ({"dpi": 1e5}, "size_mm", pytest.approx((0.02032, 0.01524))),
@@ -178,7 +178,7 @@ def test_without_a_scale(picture, tmp_path):
     path = tmp_path / "page.png"
     picture.save(path)
     remedy = "dpi or page_width_mm"
-    with raises(PageError, about="size_mm", problem="missing", value=path, remedy=remedy):
+    with raises(PageError, about="size_mm", value=path, remedy=remedy):
         load_page(path)
 
 

@@ -18,7 +18,7 @@ def test_printed_text():
 
 @pytest.mark.parametrize("text", ["", "  ", "\n\n"])
 def test_nothing_to_print(text):
-    with raises(PageError, about="text", problem="empty", value=text):
+    with raises(PageError, about="text", value=text):
         print_text(text)
 
 

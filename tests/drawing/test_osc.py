@@ -141,30 +141,30 @@ def test_nonsense_changes_nothing(source, send):
 
 @pytest.mark.parametrize("place", ["", "x", "0", "65536", "127.0.0.1:", "²"])
 def test_what_is_no_port_is_refused(profile, place):
-    with raises(SourceError, about="address", problem="malformed", value=place):
+    with raises(SourceError, about="address", value=place):
         st.open_source(f"osc:{place}", profile)
 
 
 def test_a_port_that_is_taken_is_refused(source, profile):
     port = source._line.getsockname()[1]
-    with raises(SourceError, about="address", problem="unavailable"):
+    with raises(SourceError, about="address"):
         st.open_source(f"osc:{port}", profile)
 
 
 def test_what_is_no_host_is_refused(profile):
-    with raises(SourceError, about="address", problem="unavailable", value="a..b:9000"):
+    with raises(SourceError, about="address", value="a..b:9000"):
         st.open_source("osc:a..b:9000", profile)
 
 
 @pytest.mark.parametrize("address", ["0.0.0.0", "[::]", "192.0.2.1"])
 def test_other_machines_need_a_key(profile, address):
-    with raises(SourceError, about="key", problem="missing", value=address.strip("[]")):
+    with raises(SourceError, about="key", value=address.strip("[]")):
         st.open_source(f"osc:{address}:9000", profile)
 
 
 def test_a_system_that_does_not_say_who_sends_needs_a_key(profile, monkeypatch, tmp_path):
     monkeypatch.setattr(senders, "_TABLES", (tmp_path / "none", tmp_path / "none6"))
-    with raises(SourceError, about="key", problem="missing"):
+    with raises(SourceError, about="key"):
         st.open_source("osc:9000", profile)
 
 
@@ -177,10 +177,10 @@ def key(tmp_path):
 
 
 @pytest.mark.parametrize(("content", "mode", "expected"), [
-    (b"0123456789abcde\n", 0o600, {"problem": "too short", "value": 15, "allowed": 16}),
-    (b"0123456789abcdef", 0o640, {"problem": "shared"}),
-    (b"0123456789abcdef", 0o604, {"problem": "shared"}),
-    (bytes(4097), 0o600, {"problem": "too large"}),
+    (b"0123456789abcde\n", 0o600, {"value": 15, "allowed": 16}),
+    (b"0123456789abcdef", 0o640, {}),
+    (b"0123456789abcdef", 0o604, {}),
+    (bytes(4097), 0o600, {}),
 ])  # fmt: skip
 def test_a_key_is_long_and_its_owner_s_alone(profile, key, content, mode, expected):
     key.write_bytes(content)
@@ -332,7 +332,7 @@ def is_bound(line, port):
 
 def test_without_the_extra_it_says_which(profile, monkeypatch):
     monkeypatch.setitem(sys.modules, "pythonosc.osc_packet", None)
-    with raises(SourceError, about="osc", problem="missing"):
+    with raises(SourceError, about="osc"):
         st.open_source("osc:9000", profile)
 
 

@@ -161,25 +161,28 @@ def test_events(text, fault):
 
 
 @pytest.mark.parametrize(
-    ("text", "problem"),
+    ("text", "words"),
     [
-        *((text, "unknown") for text in ("", "2", "nan", "2 dance")),
-        *((text, "malformed") for text in ("x nan", "2 nan x")),
-        *((text, "negative") for text in ("-1 nan", "inf nan", "2 nan -1", "2 nan inf")),
-        ("2 nan 1 1", "too many"),
+        *((text, "is none") for text in ("", "2", "nan", "2 dance")),
+        *((text, "has no number") for text in ("x nan", "2 nan x")),
+        *(
+            (text, "negative or not finite")
+            for text in ("-1 nan", "inf nan", "2 nan -1", "2 nan inf")
+        ),
+        ("2 nan 1 1", "has 2 values"),
     ],
 )
-def test_what_is_no_event(text, problem):
-    with raises(SourceError, about="event", problem=problem, value=text):
+def test_what_is_no_event(text, words):
+    with raises(SourceError, about="event", value=(text, words)):
         parse_fault(text)
 
 
 def test_orders_that_cannot_be():
     cell = LoadCell(press(0.0, None, None))
-    with raises(SourceError, about="order", problem="malformed", value="x"):
+    with raises(SourceError, about="order", value="x"):
         cell.take_order(["force", "x"])
     server, _ = make_server()
-    with raises(SourceError, about="event", problem="impossible", value="unplug"):
+    with raises(SourceError, about="event", value="unplug"):
         server._add(Event(0, "unplug"))
 
 

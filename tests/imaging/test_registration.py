@@ -127,8 +127,7 @@ def test_a_tilted_camera_sees_a_quadrilateral_of_each_cell(profile):
 )  # fmt: skip
 def test_a_homography_that_is_none(profile, matrix):
     optics = changed(profile, homography=tuple(map(float, matrix)))
-    key, value = "optics.homography", optics.homography
-    with raises(ProfileError, about=key, problem="impossible", value=value):
+    with raises(ProfileError, about="optics.homography"):
         Registration(profile.electrodes, optics, (64, 64))
 
 

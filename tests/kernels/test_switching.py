@@ -171,7 +171,7 @@ def test_one_of_n_counts_on_no_masked_electrode(small):
 
 @pytest.mark.parametrize("design", [design_kernel, design_one_of_n, design_three_state])
 def test_a_masked_site_has_no_kernel(small, design):
-    masked = {"problem": "masked", "value": 2, "remedy": "output.masked", "electrode": 2}
+    masked = {"value": 2, "remedy": "output.masked", "electrode": 2}
     with raises(DesignError, about="site", **masked):
         design(Problem(small(**{"output.masked": [2]}), Afferent.RA), 2)
 
@@ -179,7 +179,7 @@ def test_a_masked_site_has_no_kernel(small, design):
 @pytest.mark.parametrize("site", [-1, 6])
 def test_site_out_of_range(small, site):
     for design in (design_one_of_n, design_three_state):
-        with raises(DesignError, about="site", problem="unknown", value=site, allowed=(0, 5)):
+        with raises(DesignError, about="site", value=site, allowed=(0, 5)):
             design(Problem(small(), Afferent.RA), site)
 
 

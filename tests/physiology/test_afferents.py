@@ -55,8 +55,7 @@ def test_an_axon_starts_under_its_electrode(profile, afferent):
 def test_a_fiber_outside_the_skin_is_refused(profile):
     inside = targets(profile, Afferent.RA)
     for depth_mm in (0.0, -0.7, float("nan")):
-        depth = {"value": lambda given, depth_mm=depth_mm: given is depth_mm, "allowed": 0}
-        with raises(DesignError, about="depth_mm", **depth):
+        with raises(DesignError, about="depth_mm", value=depth_mm):
             afferents.Afferents(
                 Afferent.RA, inside.position_mm, depth_mm, inside.direction, None, inside.grid
             )

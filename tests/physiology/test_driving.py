@@ -155,9 +155,9 @@ def test_second_differences():
 
 
 def test_what_is_not_offered():
-    with raises(DesignError, about="fiber", problem="unknown", value=("trunk", "passive")):
+    with raises(DesignError, about="fiber", value=("trunk", "passive")):
         load_driving("trunk", "passive", 200.0)
-    with raises(DesignError, about="width_us", problem="too small", value=20.0):
+    with raises(DesignError, about="width_us", value=20.0):
         load_driving("trunk", "through", 20.0)
-    with raises(DesignError, about="width_us", problem="too large", value=600.0):
+    with raises(DesignError, about="width_us", value=600.0):
         load_driving("trunk", "through", 600.0)

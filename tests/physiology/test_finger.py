@@ -140,15 +140,16 @@ def test_another_anatomy_from_a_file(tmp_path, small):
 
 
 def test_what_is_wrong_with_an_anatomy(tmp_path, small):
-    with raises(ProfileError, about="anatomy", problem="unknown", value="none-such"):
+    with raises(ProfileError, about="anatomy", value="none-such"):
         Finger(small, 1, "none-such")
     path = tmp_path / "mine.toml"
     path.write_text('title = "x"\n[ra]\ndensity_per_cm2 = -1\n[sai]\n[pc]\nlegs = 3\n')
     with raises(ProfileError, about=lambda about: "density" in about) as caught:
         Finger(small, 1, path)
-    assert {each.problem for each in caught.value.complaints} >= {"too small", "missing", "unknown"}
+    said = " ".join(sentence for _, sentence in caught.value.complaints)
+    assert all(words in said for words in ("greater than", "is missing", "unknown key"))
     path.write_text("[ra")
-    with raises(ProfileError, problem="malformed"):
+    with raises(ProfileError):
         Finger(small, 1, path)
 
 
@@ -189,6 +190,5 @@ def test_electrodes_beyond_the_contact_deliver_nothing(small):
 
 
 def test_a_seed_is_no_negative_number(profile):
-    with pytest.raises(ProfileError) as caught:
+    with raises(ProfileError, about="seed", value=-1):
         Finger(profile, -1)
-    assert (caught.value.about, caught.value.value) == ("seed", -1)

@@ -199,9 +199,9 @@ def test_scales_with_the_potential():
     assert threshold_ma(-flat(0.9), fiber, cathodic=False, step_us=5.0) == once
 
 
-@pytest.mark.parametrize(("scale", "problem"), [(1e-4, "too large"), (1e6, "too small")])
-def test_no_threshold_is_one_clear_error(scale, problem):
-    none = {"problem": problem, "value": "anodic", "allowed": (1e-4, 1000)}
+@pytest.mark.parametrize("scale", [1e-4, 1e6])
+def test_no_threshold_is_one_clear_error(scale):
+    none = {"value": "anodic", "allowed": (1e-4, 1000)}
     with raises(DesignError, about="threshold_ma", **none):
         threshold_ma(scale * upright(), Fiber(), cathodic=False)
 

@@ -61,16 +61,14 @@ def test_shipped_ones_drive_every_electrode(name):
 
 def test_no_toml(edited):
     path = edited(("[array]", "[array"))
-    with raises(ProfileError, about="file", problem="malformed", value=path) as caught:
+    with raises(ProfileError, about="file", value=path) as caught:
         load_profile(path)
     assert str(path) in str(caught.value)
 
 
 def test_unknown_name():
     names = tuple(list_profiles())
-    with raises(
-        ProfileError, about="profile", problem="unknown", value="nothing", allowed=names
-    ) as caught:
+    with raises(ProfileError, about="profile", value="nothing", allowed=names) as caught:
         load_profile("nothing")
     assert all(name in str(caught.value) for name in ("nothing", *SHIPPED))
 
@@ -78,7 +76,7 @@ def test_unknown_name():
 def test_not_text(tmp_path):
     path = tmp_path / "x.toml"
     path.write_bytes(b"\xff\xfe\x00")
-    with raises(ProfileError, about="file", problem="not UTF-8", value=path):
+    with raises(ProfileError, about="file", value=path):
         load_profile(path)
 
 

@@ -13,68 +13,62 @@ from smarttouch.resources import data_folder
 from ..raising import raises
 
 
-def wrong(about, problem, value=None, allowed=None, remedy=""):
+def wrong(about, value=None, allowed=None, remedy=""):
     if isinstance(value, float):
         value = pytest.approx(value, nan_ok=True)
-    return {
-        "about": about,
-        "problem": problem,
-        "value": value,
-        "allowed": allowed,
-        "remedy": remedy,
-    }
+    return {"about": about, "value": value, "allowed": allowed, "remedy": remedy}
 
 
 @pytest.mark.parametrize(
     ("old", "new", "attributes"),
     [
-        ("pitch_x_mm", "pitch_z_mm", wrong("array.pitch_x_mm", "missing")),
-        ("[skin]", "surprise = 1\n[skin]", wrong("array.surprise", "unknown", 1)),
-        ("rows = 8", "rows = -1", wrong("array.rows", "too small", -1, 1)),
-        ("rows = 8", "", wrong("array.rows", "missing")),
+        ("pitch_x_mm", "pitch_z_mm", wrong("array.pitch_x_mm")),
+        ("[skin]", "surprise = 1\n[skin]", wrong("array.surprise")),
+        ("rows = 8", "rows = -1", wrong("array.rows", -1, 1)),
+        ("rows = 8", "", wrong("array.rows")),
         ('layout = "grid"', 'layout = "ring"',
-         wrong("array.layout", "unknown", "ring", ("grid", "hexagon-61", "lines", "free"))),
-        ('layout = "grid"', "", wrong("array.layout", "missing")),
+         wrong("array.layout", "ring", ("grid", "hexagon-61", "lines", "free"))),
+        ('layout = "grid"', "", wrong("array.layout")),
         ("threshold_ma = 1.2", "threshold_ma = [1.2, 1.3]",
-         wrong("perception.threshold_ma", "too few", 2, 64)),
+         wrong("perception.threshold_ma", 2, 64)),
         ("threshold_ma = 1.2", "threshold_ma = nan",
-         wrong("perception.threshold_ma", "malformed", math.nan)),
+         wrong("perception.threshold_ma", math.nan)),
         ("threshold_ma = 1.2", "threshold_ma = 1e-30",
-         wrong("perception.threshold_ma", "too small", 1e-30, 1e-9)),
+         wrong("perception.threshold_ma", 1e-30, 1e-9)),
         ("comfort_ratio = 2.0", "comfort_ratio = 4.5",
-         wrong("limits.current_ma", "too large", 5.4, 5, "perception.comfort_ratio")),
+         wrong("limits.current_ma", 5.4, 5, "perception.comfort_ratio")),
         ("comfort_ratio = 2.0", "comfort_ratio = 2.5",
-         wrong("limits.charge_uc", "too large", 0.6, 0.5, "perception.comfort_ratio")),
+         wrong("limits.charge_uc", 0.6, 0.5, "perception.comfort_ratio")),
         ("comfort_ratio = 2.0", f"comfort_ratio = 2.0\ncomfort_ma = {[2.0] * 63 + [1.0]}",
-         wrong("perception.comfort_ma", "too small", 1.0, pytest.approx(1.2))),
-        ("current_ma = 5.0", "current_ma = 50.0", wrong("limits.current_ma", "too large", 50.0, 5)),
-        ("charge_uc = 0.5", "charge_uc = 0.6", wrong("limits.charge_uc", "too large", 0.6, 0.5)),
-        ("ramp_s = 0.5", "ramp_s = 0.1", wrong("limits.ramp_s", "too small", 0.1, 0.5)),
-        ("pulse_us = 200", "pulse_us = 100", wrong("pulse.width_us", "too large", 200, 100)),
-        ("full_n = 0.9", "full_n = 0.1", wrong("force.full_n", "too small", 0.1, 0.15)),
+         wrong("perception.comfort_ma", 1.0, pytest.approx(1.2))),
+        ("current_ma = 5.0", "current_ma = 50.0", wrong("limits.current_ma", 50.0, 5)),
+        ("charge_uc = 0.5", "charge_uc = 0.6", wrong("limits.charge_uc", 0.6, 0.5)),
+        ("ramp_s = 0.5", "ramp_s = 0.1", wrong("limits.ramp_s", 0.1, 0.5)),
+        ("pulse_us = 200", "pulse_us = 100", wrong("pulse.width_us", 200, 100)),
+        ("full_n = 0.9", "full_n = 0.1", wrong("force.full_n", 0.1, 0.15)),
         ('medium = "half-space"', 'medium = "plane"',
-         wrong("skin.medium", "conflict", "plane", ("half-space",), "array.layout")),
+         wrong("skin.medium", "plane", ("half-space",), "array.layout")),
         ('medium = "half-space"', 'medium = "layered"',
-         wrong("skin.medium", "conflict", "layered", remedy="skin.layers")),
+         wrong("skin.medium", "layered", remedy="skin.layers")),
         ("total_ma = 10.0", "total_ma = 1.0",
-         wrong("limits.total_ma", "too large", 2.4, 1, "perception.comfort_ratio")),
-        ("total_ma = 10.0", "electrode_ma = [1.0]", wrong("limits.electrode_ma", "too few", 1, 64)),
+         wrong("limits.total_ma", 2.4, 1, "perception.comfort_ratio")),
+        ("total_ma = 10.0", "electrode_ma = [1.0]", wrong("limits.electrode_ma", 1, 64)),
         ("total_ma = 10.0", f"electrode_ma = {[5.0] * 63 + [2.0]}",
-         wrong("limits.electrode_ma", "too large", 2.4, 2, "perception.comfort_ratio")),
+         wrong("limits.electrode_ma", 2.4, 2, "perception.comfort_ratio")),
         ("ra_depth_mm = 0.1", "ra_depth_mm = 0.8",
-         wrong("skin.spread.ra_depth_mm", "too large", 0.8, 0.7)),
+         wrong("skin.spread.ra_depth_mm", 0.8, 0.7)),
         ("ra_depth_mm = 0.7", "ra_depth_mm = -0.7",
-         wrong("skin.ra_depth_mm", "too small", -0.7, 0)),
+         wrong("skin.ra_depth_mm", -0.7, 0)),
         ("diameter_mm = 1.0", "diameter_mm = 1.0\ninner_diameter_mm = 1.0",
-         wrong("array.inner_diameter_mm", "too large", 1.0, 1)),
-        ("[optics]", "masked = [64]\n[optics]", wrong("output.masked", "too large", 64, 63)),
-        ("[optics]", "masked = [3, -1]\n[optics]", wrong("output.masked", "too small", -1, 0)),
-        ("[optics]", "masked = [3, 5, 3]\n[optics]", wrong("output.masked", "twice", 3)),
+         wrong("array.inner_diameter_mm", 1.0, 1)),
+        ("[optics]", "masked = [64]\n[optics]", wrong("output.masked", 64, 63)),
+        ("[optics]", "masked = [3, -1]\n[optics]", wrong("output.masked", -1, 0)),
+        ("[optics]", "masked = [3, 5, 3]\n[optics]", wrong("output.masked", 3)),
         ("[optics]", f"masked = {list(range(63))}\n[optics]",
-         wrong("output.masked", "too many", 63, 62)),
-        ("[optics]", "wiring = [0, 1]\n[optics]", wrong("output.wiring", "too few", 2, 64)),
-        ("[optics]", "wiring = [7, 7]\n[optics]", wrong("output.wiring", "twice", 7)),
-        ("[optics]", "ua_per_count = 0\n[optics]", wrong("output.ua_per_count", "too small", 0, 0)),
+         wrong("output.masked", 1, 64)),
+        ("[optics]", "wiring = [0, 1]\n[optics]", wrong("output.wiring", 2, 64)),
+        ("[optics]", "wiring = [7, 7]\n[optics]", wrong("output.wiring", 7)),
+        ("[optics]", "ua_per_count = 0\n[optics]", wrong("output.ua_per_count", 0, 0)),
     ],
 )  # fmt: skip
 def test_refusals(edited, old, new, attributes):
@@ -114,22 +108,22 @@ def test_electrodes_anywhere(edited):
 @pytest.mark.parametrize(
     ("positions", "shape", "size", "attributes"),
     [
-        ("[]", "disc", "[1, 0]", wrong("electrodes", "too few", 0, 2)),
-        ("[[0, 0]]", "disc", "[1, 0]", wrong("electrodes", "too few", 1, 2)),
-        ("[[0, 0], [2, 0], [0, 0]]", "disc", "[1, 0]", wrong("electrodes", "conflict", (0, 2))),
+        ("[]", "disc", "[1, 0]", wrong("electrodes", "no electrodes", "two")),
+        ("[[0, 0]]", "disc", "[1, 0]", wrong("electrodes", 1, "two")),
+        ("[[0, 0], [2, 0], [0, 0]]", "disc", "[1, 0]", wrong("electrodes", (0, 2))),
         (
             "[[0, 0], [2, 0]]",
             "annulus",
             "[1, 1]",
-            wrong("array.size_mm", "conflict", (1, 1), remedy="array.shape"),
+            wrong("array.size_mm", (1, 1), remedy="array.shape"),
         ),
         (
             "[[0, 0], [2, 0]]",
             "rectangle",
             "[1, 0]",
-            wrong("array.size_mm", "conflict", (1, 0), remedy="array.shape"),
+            wrong("array.size_mm", (1, 0), remedy="array.shape"),
         ),
-        ("[[0, 0], [2, 0]]", "star", "[1, 0]", wrong("array.shape", "unknown", "star")),
+        ("[[0, 0], [2, 0]]", "star", "[1, 0]", wrong("array.shape", "star")),
     ],
 )
 def test_impossible_arrays(edited, positions, shape, size, attributes):
@@ -146,40 +140,40 @@ def test_impossible_arrays(edited, positions, shape, size, attributes):
             [("rows = 8", "rows = -1"), ("current_ma = 5.0", "current_ma = 50.0"),
              ("full_n = 0.9", "full_n = 0.1"), ("[skin]", "surprise = 1\n[skin]"),
              ("rate_hz = 50.0", "")],
-            [("array.rows", "too small", -1, 1), ("array.surprise", "unknown", 1, None),
-             ("force.full_n", "too small", 0.1, 0.15), ("pulse.rate_hz", "missing", None, None),
-             ("limits.current_ma", "too large", 50.0, 5.0)],
+            [("array.rows", -1, 1), ("array.surprise",),
+             ("force.full_n", 0.1, 0.15), ("pulse.rate_hz",),
+             ("limits.current_ma", 50.0, 5)],
         ),
         (
             [("[optics]", "masked = [64]\nwiring = [1, 2]\n[optics]"),
              ("threshold_ma = 1.2", "threshold_ma = [1.2]")],
-            [("output.masked", "too large", 64, 63), ("output.wiring", "too few", 2, 64),
-             ("perception.threshold_ma", "too few", 1, 64)],
+            [("output.masked", 64, 63), ("output.wiring", 2, 64),
+             ("perception.threshold_ma", 1, 64)],
         ),
         (
             [("[optics]", "masked = [3, 3]\nwiring = [-1, 2]\n[optics]")],
-            [("output.masked", "twice", 3, None), ("output.wiring", "too small", -1, 0)],
+            [("output.masked", 3), ("output.wiring", -1, 0)],
         ),
         (
             [("comfort_ratio = 2.0", "comfort_ratio = 5.0"), ("pulse_us = 200", "pulse_us = 100")],
-            [("limits.current_ma", "too large", pytest.approx(6), 5),
-             ("limits.charge_uc", "too large", pytest.approx(1.2), 0.5),
-             ("pulse.width_us", "too large", 200, 100)],
+            [("limits.current_ma", "6.00", 5),
+             ("limits.charge_uc", "1.2", 0.5),
+             ("pulse.width_us", 200, 100)],
         ),
         (
             [("threshold_ma = 1.2", 'threshold_ma = [1.2, "x", -1.0]')],
-            [("perception.threshold_ma.1", "malformed", "x", None),
-             ("perception.threshold_ma.2", "too small", -1.0, 0)],
+            [("perception.threshold_ma.1", "x"),
+             ("perception.threshold_ma.2", -1.0, 0)],
         ),
         (
             [('threshold_ma = 1.2', 'threshold_ma = "x"')],
-            [("perception.threshold_ma", "malformed", "x", None)],
+            [("perception.threshold_ma", "x")],
         ),
         (
             [("ra_depth_mm = 0.1", "ra_depth_mm = 0.8"),
              ("sai_depth_mm = 0.1", "sai_depth_mm = 2.0")],
-            [("skin.spread.ra_depth_mm", "too large", 0.8, 0.7),
-             ("skin.spread.sai_depth_mm", "too large", 2.0, 0.9)],
+            [("skin.spread.ra_depth_mm", 0.8, 0.7),
+             ("skin.spread.sai_depth_mm", 2, 0.9)],
         ),
     ],
 )  # fmt: skip
@@ -187,21 +181,21 @@ def test_all_that_is_wrong_is_told_at_once(edited, changes, complaints):
     path = edited(*changes)
     with raises(ProfileError) as caught:
         load_profile(path)
-    found = caught.value.complaints
-    assert len(found) == len(complaints)
-    assert all(each in found for each in complaints)
-    assert len(caught.value.sentences) == len(complaints)
-    assert all(str(path) in sentence for sentence in caught.value.sentences)
-    first = found[0]
-    assert (caught.value.about, caught.value.problem) == (first.key, first.problem)
-    assert all(each.key.rpartition(".")[2] in str(caught.value) for each in found)
+    found = dict(caught.value.complaints)
+    assert len(caught.value.complaints) == len(complaints)
+    assert {key for key, *_ in complaints} == set(found)
+    for key, *numbers in complaints:
+        assert all(f"{each}" in found[key] for each in (path, *numbers)), found[key]
+    assert caught.value.about == caught.value.complaints[0][0]
+    assert all(key.rpartition(".")[2] in str(caught.value) for key in found)
 
 
 def test_an_error_of_one_thing_complains_of_it():
     with raises(ProfileError) as caught:
         load_profile("nothing")
     (complaint,) = caught.value.complaints
-    assert complaint == ("profile", "unknown", "nothing", tuple(list_profiles()))
+    assert complaint == ("profile", str(caught.value))
+    assert all(each in complaint[1] for each in ("nothing", *list_profiles()))
 
 
 def with_shapes(edited, shapes, sizes, positions="[[0, 0], [0, 0]]"):
@@ -230,17 +224,13 @@ def test_a_ring_around_a_disc(edited, tmp_path):
 @pytest.mark.parametrize(
     ("shapes", "sizes", "attributes"),
     [
-        (
-            '["disc", "annulus"]',
-            "[[6.5, 0.0], [8.0, 6.0]]",
-            wrong("electrodes", "conflict", (0, 1)),
-        ),
-        ('["disc", "disc"]', "[[1.0, 0.0], [2.0, 0.0]]", wrong("electrodes", "conflict", (0, 1))),
-        ('["disc"]', "[[1.0, 0.0], [2.0, 0.0]]", wrong("array.shapes", "too few", 1, 2)),
+        ('["disc", "annulus"]', "[[6.5, 0.0], [8.0, 6.0]]", wrong("electrodes", (0, 1))),
+        ('["disc", "disc"]', "[[1.0, 0.0], [2.0, 0.0]]", wrong("electrodes", (0, 1))),
+        ('["disc"]', "[[1.0, 0.0], [2.0, 0.0]]", wrong("array.shapes", 1, 2)),
         (
             '["disc", "annulus"]',
             "[[1.0, 0.0], [6.0, 6.0]]",
-            wrong("array.sizes_mm", "conflict", (6, 6), remedy="array.shapes"),
+            wrong("array.sizes_mm", (6, 6), remedy="array.shapes"),
         ),
     ],
 )
@@ -260,4 +250,4 @@ def test_a_copy_is_checked_and_keeps_nothing_that_was_derived():
     impossible = {"limits": profile.limits.model_dump() | {"current_ma": 50.0}, "surprise": 1}
     with raises(ProfileError, about="limits.current_ma") as error:
         profile.model_copy(update=impossible)
-    assert [each.key for each in error.value.complaints] == ["limits.current_ma", "surprise"]
+    assert [key for key, _ in error.value.complaints] == ["limits.current_ma", "surprise"]

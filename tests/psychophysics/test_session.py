@@ -117,7 +117,7 @@ def test_another_experiment_s_answers_are_not_gone_on_with(tmp_path):
     respond(path, ["1"], seed=3)
     made = design("frequency", MOUSE, ExperimentOptions(standards=(45.0,), seed=3))
     file = RowFile(path, About("f", "constant", "p", "s", 3))
-    with file, raises(ExperimentError, about="trial", problem="conflict", value=1):
+    with file, raises(ExperimentError, about="trial", value=1):
         Session(made.task, made.procedure, file, DATE)
 
 
@@ -130,7 +130,7 @@ def test_more_answers_than_trials_are_another_experiment_s(tmp_path):
         made.procedure.next()
         made.procedure.answer(True)
     file = RowFile(path, About("f", "constant", "p", "s", 0))
-    with file, raises(ExperimentError, about="trial", problem="conflict", value=1):
+    with file, raises(ExperimentError, about="trial", value=1):
         Session(made.task, made.procedure, file, DATE)
 
 

@@ -175,9 +175,7 @@ def test_where_currents_count_no_key_changes_one_unnoticed(profile, bank, tmp_pa
 
 
 def test_a_trial_that_cannot_begin_is_not_waited_for_where_nobody_is(profile, bank, tmp_path):
-    with raises(
-        ExperimentError, about="trial", problem="late", value=3, remedy="intensity or force"
-    ):
+    with raises(ExperimentError, about="trial", value=3, remedy="intensity or force"):
         sit(
             design("frequency", profile, FEW), profile, bank, tmp_path / "rows.csv", Perfect(),
             controls=Controls(ControlState(Mode.RA, 0.0)), course=TrialTiming(patience_s=3),

@@ -182,26 +182,18 @@ def test_every_experiment_has_a_question_and_answers(profile):
             ExperimentOptions(procedure="staircase"),
             {"about": "procedure", "value": "staircase", "allowed": ("constant",)},
         ),
-        (
-            "frequency",
-            ExperimentOptions(site=64),
-            {"about": "site", "value": 64, "allowed": tuple(range(64))},
-        ),
+        ("frequency", ExperimentOptions(site=64), {"about": "site", "value": 64}),
         (
             "frequency",
             ExperimentOptions(standards=(300.0,)),
-            {"about": "standards", "value": (300,), "allowed": 200},
+            {"about": "standards", "allowed": 200},
         ),
         (
             "frequency",
             ExperimentOptions(standards=(200.0,), procedure="staircase"),
             {"about": "standards", "value": 200, "allowed": 200},
         ),
-        (
-            "localization",
-            ExperimentOptions(site=0),
-            {"about": "site", "problem": "impossible", "value": 0},
-        ),
+        ("localization", ExperimentOptions(site=0), {"about": "site", "value": 0}),
         (
             "discomfort",
             ExperimentOptions(train_s=0.9),

@@ -100,7 +100,7 @@ def test_few_rows_are_told_of_and_fewer_are_refused(source_of, notes):
     assert "smarttouch-4x4" in notes[0]
     assert "4 rows" in notes[0]
     assert "Braille" in notes[0]
-    with raises(ReadingError, about="profile", problem="too few", value=1, allowed=4):
+    with raises(ReadingError, about="profile", value=1, allowed=4):
         list(Shapes().lines(source_of("text:hi"), profile_for_reading(load_profile("line-7"))))
 
 
@@ -127,7 +127,7 @@ def test_blank_pages_are_told_of(source_of, reading, notes):
 
 def test_where_nothing_is_found_it_says_so(source_of, reading):
     for kind in (Shapes(), Braille(embossed=False)):
-        with raises(ReadingError, about="page", problem="empty"):
+        with raises(ReadingError, about="page"):
             list(kind.lines(source_of("two.tif", "", ""), reading))
 
 
@@ -135,7 +135,7 @@ def test_a_picture_is_no_text(tmp_path, reading):
     from skimage import data
 
     Image.fromarray(data.astronaut()).save(tmp_path / "who.png")
-    with raises(ReadingError, about="page", problem="empty"):
+    with raises(ReadingError, about="page"):
         list(Shapes().lines(Source(str(tmp_path / "who.png")), reading))
 
 
@@ -190,7 +190,7 @@ def test_words_and_cells_are_told_apart(tmp_path, reading):
     for name in ("a.brf", "a.txt"):
         lines = list(Braille().lines(Source(str(tmp_path / name)), reading))
         assert [line.cells for line in lines] == [("⠁⠃",)]
-    with raises(ReadingError, about="kind", problem="conflict", allowed=("braille",)):
+    with raises(ReadingError, about="kind", allowed="Braille"):
         list(Shapes().lines(Source(str(tmp_path / "a.brf")), reading))
 
 
@@ -227,7 +227,7 @@ def test_a_cell_stays_as_long_as_a_line_takes_to_move_on_by_one(reading):
 
 
 def test_blank_cells_alone_are_nothing_to_read(source_of, reading):
-    with raises(SmartTouchError, about="text", problem="empty"):
+    with raises(SmartTouchError, about="text"):
         list(Braille().lines(source_of(f"text:{BLANK}"), reading))
 
 

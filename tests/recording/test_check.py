@@ -148,25 +148,23 @@ def test_a_cut_one_is_compared_as_far_as_it_goes(recording, tmp_path):
 
 def test_nothing_is_not_identical(record, tmp_path):
     path = record(tmp_path / "run.mcap", [])
-    with raises(RecordingError, about="file", problem="empty", value=path):
+    with raises(RecordingError, about="file", value=path):
         check_recording(path)
 
 
 @pytest.mark.parametrize(
-    ("wrong", "key", "problem"),
+    ("wrong", "key"),
     [
-        ({}, "mode", "missing"),
-        ({"mode": "XY"}, "mode", "malformed"),
-        ({"timing": {"width": 3}}, "timing.width", "malformed"),
-        ({"hold": "tight"}, "hold", "malformed"),
+        ({}, "mode"),
+        ({"mode": "XY"}, "mode"),
+        ({"timing": {"width": 3}}, "timing.width"),
+        ({"hold": "tight"}, "hold"),
     ],
 )
-def test_settings_that_do_not_say_how(
-    tmp_path, record, about, settings, steps, wrong, key, problem
-):
+def test_settings_that_do_not_say_how(tmp_path, record, about, settings, steps, wrong, key):
     table = json.dumps({**settings, **wrong} if wrong else {})
     path = record(tmp_path / "run.mcap", steps[:2], about={**about, "settings": table})
-    with raises(RecordingError, about=f"settings.{key}", problem=problem):
+    with raises(RecordingError, about=f"settings.{key}"):
         check_recording(path)
 
 

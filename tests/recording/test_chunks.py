@@ -3,6 +3,7 @@
 import contextlib
 import json
 import random
+import re
 import struct
 import zlib
 
@@ -117,23 +118,14 @@ def test_a_bomb_of_many_chunks_is_refused_before_any_is_unpacked(write, monkeypa
 
     monkeypatch.setattr(zstandard, "ZstdDecompressor", unpack)
     for act in (Recording, describe, repair):
-        with raises(
-            RecordingError,
-            about="chunks",
-            problem="too large",
-            value=lambda claimed: round(claimed / 1e6) == 1200,
-        ):
+        with raises(RecordingError, about="chunks", value=1.2e9):
             act(path)
 
 
 def test_a_chunk_beyond_belief(write):
     body = chunk(message(b"{}"), claimed=MOST_CHUNK_BYTES + 1)
     with raises(
-        RecordingError,
-        about="chunks",
-        problem="too large",
-        value=MOST_CHUNK_BYTES + 1,
-        allowed=MOST_CHUNK_BYTES,
+        RecordingError, about="chunks", value=MOST_CHUNK_BYTES + 1, allowed=MOST_CHUNK_BYTES
     ):
         Recording(write(record(Opcode.CHUNK, body)))
     # Beside one that holds, it is a damage like any other.
@@ -148,10 +140,10 @@ def test_too_many_messages(write):
                     + b"json" + struct.pack("<I", 0))  # fmt: skip
     path = write(record(Opcode.CHUNK, chunk(schema + message(b"") * 300_000)))
     assert path.stat().st_size < 50_000
-    with raises(
-        RecordingError, about="messages", problem="too many", allowed=lambda most: most < 150_000
-    ):
+    with raises(RecordingError, about="messages") as caught:
         list(Recording(path).messages())
+    most = re.search(r"more than ([\d,]+) messages", str(caught.value))[1]
+    assert int(most.replace(",", "")) < 150_000
 
 
 def test_what_a_recording_may_hold_is_more_than_any_holds(goldens):

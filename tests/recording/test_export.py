@@ -54,18 +54,14 @@ def test_all_is_written(tmp_path, goldens):
 
 def test_nothing_is_overwritten(tmp_path, recording):
     (tmp_path / "mine.txt").write_text("precious")
-    with raises(RecordingError, about="file", problem="not empty", value=tmp_path):
+    with raises(RecordingError, about="file", value=tmp_path):
         export(recording, tmp_path)
-    with raises(RecordingError, about="file", problem="unwritable", value=tmp_path / "mine.txt"):
+    with raises(RecordingError, about="file", value=tmp_path / "mine.txt"):
         export(recording, tmp_path / "mine.txt")
     (tmp_path / "run-repaired.mcap").write_text("precious")
     (tmp_path / "run.mcap").write_bytes(recording.read_bytes()[:-100])
     with raises(
-        RecordingError,
-        about="file",
-        problem="exists",
-        value=tmp_path / "run-repaired.mcap",
-        remedy="output",
+        RecordingError, about="file", value=tmp_path / "run-repaired.mcap", remedy="output"
     ):
         repair(tmp_path / "run.mcap")
     assert (tmp_path / "run-repaired.mcap").read_text() == "precious"

@@ -132,25 +132,17 @@ def test_no_bytes_crash_the_reader(broken_path, data):
         Recording(broken_path)
 
 
-@pytest.mark.parametrize(
-    ("content", "problem"),
-    [
-        (b"", "empty"),
-        (b"\x89MCAP", "malformed"),
-        (b"precious", "malformed"),
-        (b"\x89MCAP0\r\n", "unknown"),
-    ],
-)
-def test_what_is_none_of_ours(broken_path, content, problem):
+@pytest.mark.parametrize("content", [b"", b"\x89MCAP", b"precious", b"\x89MCAP0\r\n"])
+def test_what_is_none_of_ours(broken_path, content):
     broken_path.write_bytes(content)
-    with raises(RecordingError, about="file", problem=problem, value=broken_path):
+    with raises(RecordingError, about="file", value=broken_path):
         Recording(broken_path)
 
 
 def test_what_is_not_there(tmp_path):
-    with raises(RecordingError, about="file", problem="missing", value=tmp_path / "none.mcap"):
+    with raises(RecordingError, about="file", value=tmp_path / "none.mcap"):
         Recording(tmp_path / "none.mcap")
-    with raises(RecordingError, about="file", problem="folder", value=tmp_path):
+    with raises(RecordingError, about="file", value=tmp_path):
         Recording(tmp_path)
 
 
@@ -164,7 +156,7 @@ def written(path, metadata):
 
 
 def test_a_recording_of_the_future(broken_path):
-    with raises(RecordingError, about="format", problem="unknown", value="9", allowed="1"):
+    with raises(RecordingError, about="format", value="9", allowed="1"):
         written(broken_path, {"format": "9"})
 
 

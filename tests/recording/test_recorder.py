@@ -75,14 +75,14 @@ def test_the_plain_reader_reads_it(recording, steps):
 def test_an_existing_file_is_kept(tmp_path, about):
     path = tmp_path / "run.mcap"
     path.write_text("precious")
-    with raises(RecordingError, about="file", problem="exists", value=path):
+    with raises(RecordingError, about="file", value=path):
         RecordingWriter(path, about, 0)
     assert path.read_text() == "precious"
 
 
 def test_a_folder_that_is_not_there(tmp_path, about):
     path = tmp_path / "none" / "run.mcap"
-    with raises(RecordingError, about="file", problem="unwritable", value=path):
+    with raises(RecordingError, about="file", value=path):
         RecordingWriter(path, about, 0)
 
 
@@ -102,7 +102,7 @@ def test_a_failure_is_told_at_the_next_step_and_once(recorder, tmp_path, steps, 
     until(lambda: recorder._failure is not None)
     recorder.event(0, "an event is no place to be told")
     path = tmp_path / "run.mcap"
-    with raises(RecordingError, about="file", problem="unwritable", value=path) as caught:
+    with raises(RecordingError, about="file", value=path) as caught:
         recorder.record(steps[2])
     assert "No space left on device" in str(caught.value)
     recorder.close()
@@ -112,7 +112,7 @@ def test_a_failure_is_told_at_the_next_step_and_once(recorder, tmp_path, steps, 
 def test_a_failure_that_nobody_heard_of_is_told_at_the_end(recorder, steps, monkeypatch):
     monkeypatch.setattr(recorder._writer, "finish", full)
     recorder.record(steps[0])
-    with raises(RecordingError, about="file", problem="unwritable"):
+    with raises(RecordingError, about="file"):
         recorder.close()
     recorder.close()
 
@@ -123,7 +123,7 @@ def test_whatever_goes_wrong_is_told(recorder, steps, monkeypatch):
 
     monkeypatch.setattr(recorder._encoder, "messages", broken)
     recorder.record(steps[0])
-    with raises(RecordingError, about="file", problem="unwritable") as caught:
+    with raises(RecordingError, about="file") as caught:
         recorder.close()
     assert "this cannot be written" in str(caught.value)
 
@@ -137,7 +137,7 @@ def test_a_disk_that_is_too_slow_ends_the_run(recorder, steps, monkeypatch):
         for sent in steps:
             recorder.record(sent)
 
-    with raises(RecordingError, about="file", problem="late") as caught:
+    with raises(RecordingError, about="file") as caught:
         run()
     assert "3 " in str(caught.value)
     goes_on.set()
@@ -292,7 +292,7 @@ def test_a_disk_that_does_not_take_it_ends_the_run(recorder, steps, monkeypatch)
     monkeypatch.setattr(module, "SYNC_S", 0.0)
     recorder.record(steps[0])
     until(lambda: recorder._failure is not None)
-    with raises(RecordingError, about="file", problem="unwritable"):
+    with raises(RecordingError, about="file"):
         recorder.record(steps[1])
 
 
@@ -316,7 +316,7 @@ def test_a_recording_that_vanishes_is_an_error(recorder, tmp_path, steps, monkey
         monkeypatch.setattr(module, "SYNC_S", 0.0)
         recorder.record(steps[1])
         until(lambda: recorder._failure is not None)
-    with raises(RecordingError, about="file", problem="missing", value=path):
+    with raises(RecordingError, about="file", value=path):
         recorder.close() if late else recorder.record(steps[2])
     recorder.close()
     if (tmp_path / "moved.mcap").exists():

@@ -134,7 +134,6 @@ class _Joint:
                     "no currents activate all points of this slot within its bounds: use more "
                     "slots, or loosen the bounds",
                     about="slot",
-                    problem="impossible",
                 )
             if status != highspy.HighsModelStatus.kOptimal:
                 if cold:
@@ -142,8 +141,6 @@ class _Joint:
                         f"the solver gave up ({self._solver.modelStatusToString(status)}): "
                         "check the depths and sizes of the profile",
                         about="solver",
-                        problem="failed",
-                        value=self._solver.modelStatusToString(status),
                     )
                 self._solver.clearSolver()
                 cold = True
@@ -164,7 +161,7 @@ class _Joint:
             self._solver.clearSolver()
             cold = True
         message = f"no optimum after {rounds} rounds: loosen the bounds a little"
-        raise DesignError(message, about="solver", problem="late", value=rounds, allowed=_ROUNDS)
+        raise DesignError(message, about="solver")
 
     def _give_broken(self, current: Array, worst: float) -> int:
         added = 0

@@ -66,13 +66,13 @@ class SwitchedSearch:
         profile, self.sites = judge.profile, np.flatnonzero(level)
         if profile.output.kind == "weighted":
             message = "the board has a source for every electrode: use FrameOperator"
-            raise DesignError(message, about="output.kind", value=profile.output.kind)
+            raise DesignError(message, about="output.kind")
         masked = np.setdiff1d(self.sites, profile.driven)
         if len(masked):
             raise masked_point(int(masked[0]))
         if not len(self.sites):
             message = "a slot without an active site has no states: leave it out"
-            raise DesignError(message, about="slot", problem="empty")
+            raise DesignError(message, about="slot")
         self._judge, self._level, self._bounds = judge, level, bounds
         limit = profile.limits.total_ma if total_ma is None else total_ma
         self._total_ma = np.inf if limit is None else limit

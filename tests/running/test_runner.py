@@ -8,6 +8,7 @@ from PIL import Image
 
 from smarttouch.afferent import Afferent, Mode
 from smarttouch.errors import (
+    BoardClosedError,
     BoardError,
     BoardStoppedError,
     ProfileError,
@@ -137,7 +138,7 @@ def test_an_exception_in_a_listener_ends_at_zero(source, display, stage, monkeyp
     with pytest.raises(BrokenError):
         Runner(source, display, RunConfig(), listeners=[noting, other]).run()
     assert other.calls[-1] == "close"
-    with raises(BoardError, about="board", problem="closed"):
+    with raises(BoardClosedError, about="board"):
         display.board.send(None)
 
 
@@ -161,7 +162,7 @@ def test_a_stop_from_another_thread_ends_it_at_zero(profile):
 
 def test_on_a_finger_somebody_says_how_strong(profile, source):
     display = open_display("link:/dev/nowhere", profile)
-    with raises(SmartTouchError, about="intensity", problem="missing"):
+    with raises(SmartTouchError, about="intensity"):
         Runner(source, display, RunConfig()).run()
     # Then it is the port that is missing.
     with raises(BoardError, about="port"):
@@ -170,7 +171,7 @@ def test_on_a_finger_somebody_says_how_strong(profile, source):
 
 def test_without_force_there_is_no_run(display, source, monkeypatch):
     monkeypatch.setattr(type(source), "knows_force", False)
-    with raises(SourceError, about="force", problem="missing"):
+    with raises(SourceError, about="force"):
         Runner(source, display, RunConfig()).run()
 
 
@@ -223,7 +224,7 @@ def test_outputs_are_listeners(profile, source, display, tmp_path):
     listeners = [FeltPicture(paths[0], anatomy="paper"), Patterns(paths[1]), Recorder(paths[2])]
     Runner(source, display, RunConfig(mode=Mode.RA), listeners=listeners).run()
     assert all(path.stat().st_size > 1000 for path in paths)
-    with raises(SmartTouchError, about="file", problem="exists", value=paths[2]):
+    with raises(SmartTouchError, about="file", value=paths[2]):
         Runner(
             open_source("text:a", profile), display, RunConfig(), listeners=[Recorder(paths[2])]
         ).run()
@@ -231,7 +232,7 @@ def test_outputs_are_listeners(profile, source, display, tmp_path):
 
 def test_a_picture_of_what_was_felt_needs_every_pulse(profile, source, tmp_path):
     display = open_display("memory:", profile)
-    with raises(SmartTouchError, about="felt", problem="conflict"):
+    with raises(SmartTouchError, about="felt"):
         Runner(source, display, RunConfig(), listeners=[FeltPicture(tmp_path / "a.png")]).run()
 
 
@@ -263,7 +264,7 @@ def test_where_no_finger_can_be_made_what_was_delivered_is_drawn(profile, tmp_pa
 
 def test_a_picture_of_no_anatomy_is_refused_before_the_board(profile, source, tmp_path):
     display = open_display("simulated:", profile)
-    with raises(ProfileError, about="anatomy", problem="unknown", value="none"):
+    with raises(ProfileError, about="anatomy", value="none"):
         Runner(
             source, display, RunConfig(), listeners=[FeltPicture(tmp_path / "a.png", 1, "none")]
         ).run()

@@ -91,7 +91,7 @@ def test_a_force_that_is_made_up_presses_on_no_finger(flows, profile, tmp_path, 
     def source():
         return VIRTUAL[name](profile, tmp_path)
 
-    refused = {"about": "force", "problem": "missing", "remedy": "force"}
+    refused = {"about": "force", "remedy": "force"}
     with raises(SourceError, **refused):
         flows(source())
     with raises(SourceError, **refused):

@@ -176,7 +176,7 @@ def test_images_are_compressed_only_where_more_come(profile, device, compressed_
 
 @pytest.mark.parametrize("rest", ["", "-1", "1e3", "99999", "http://x/y"])
 def test_what_is_no_camera(profile, device, rest):
-    with raises(SourceError, about="camera", problem="malformed", value=rest):
+    with raises(SourceError, about="camera", value=rest):
         open_source(f"camera:{rest}", profile)
     assert device.opened == []
 
@@ -192,14 +192,14 @@ def test_what_is_no_camera(profile, device, rest):
     ],
 )
 def test_what_cannot_be(profile, device, option, value):
-    with raises(SourceError, about=option, value=lambda given: given is value):
+    with raises(SourceError, about=option, value=value):
         open_source("camera:0", profile, **{option: value})
     assert device.opened == []
 
 
 def test_an_option_of_other_sensors_is_not_taken(profile, device):
     allowed = ("size", "exposure", "fps")
-    with raises(SourceError, about="baud", problem="unknown", value=9600, allowed=allowed):
+    with raises(SourceError, about="baud", allowed=allowed):
         open_source("camera:0", profile, baud=9600)
     assert device.opened == []
 
@@ -226,11 +226,11 @@ def test_gone_is_several_failures_in_a_row(device):
     source.open()
     device.plugged = False
     assert [source.grab(0.0) for _ in range(camera.FAILURES - 1)] == [None] * 4
-    with raises(SourceLostError, about="camera", problem="mute", value=0):
+    with raises(SourceLostError, about="camera", value=0):
         source.grab(0.0)
     source.close()
     source.close()
-    with raises(SourceLostError, about="camera", problem="gone", value=0):
+    with raises(SourceLostError, about="camera", value=0):
         source.grab(0.0)
 
 
@@ -278,9 +278,8 @@ def test_the_driver_may_tell_when_an_image_was_taken(device, monkeypatch):
 )
 def test_a_missing_camera_is_one_sentence_and_nothing_else(profile, capfd, place):
     """The real OpenCV."""
-    with raises(SourceError, about="camera", problem="unavailable") as caught:
+    with raises(SourceError, about="camera", value=place.removeprefix("camera:")):
         open_source(place, profile)
-    assert f"camera:{caught.value.value}" == place
     captured = capfd.readouterr()
     assert captured.out == captured.err == ""
 
@@ -325,7 +324,7 @@ def test_every_image_becomes_grey(image, level):
 @pytest.mark.parametrize("image", [np.zeros((3, 4, 2), np.uint8), np.zeros((3, 4), np.float64)])
 def test_what_is_no_image(image):
     found = (image.shape, str(image.dtype))
-    with raises(SourceError, about="image", problem="malformed", value=found):
+    with raises(SourceError, about="image", value=found):
         to_grey(image)
 
 

@@ -85,24 +85,24 @@ def test_the_page_in_the_docstring_is_what_is_sent():
 
 
 @pytest.mark.parametrize(
-    ("image", "problem", "value"),
+    ("image", "value"),
     [
-        (np.zeros((0, 4), np.uint8), "empty", (0, 4)),
-        (np.zeros((4, 0), np.uint8), "empty", (4, 0)),
-        (np.zeros((256, 4), np.uint8), "too large", (256, 4)),
-        (np.zeros((4, 256), np.uint8), "too large", (4, 256)),
-        (np.zeros((4, 4, 3), np.uint8), "malformed", ((4, 4, 3), "uint8")),
-        (np.zeros((4, 4)), "malformed", ((4, 4), "float64")),
+        (np.zeros((0, 4), np.uint8), (0, 4)),
+        (np.zeros((4, 0), np.uint8), (4, 0)),
+        (np.zeros((256, 4), np.uint8), (256, 4)),
+        (np.zeros((4, 256), np.uint8), (4, 256)),
+        (np.zeros((4, 4, 3), np.uint8), ((4, 4, 3), "uint8")),
+        (np.zeros((4, 4)), ((4, 4), "float64")),
     ],
 )
-def test_what_no_frame_can_hold(image, problem, value):
-    with raises(SourceError, about="frame", problem=problem, value=value):
+def test_what_no_frame_can_hold(image, value):
+    with raises(SourceError, about="frame", value=value):
         encode_frame(0, 0, image)
 
 
 @pytest.mark.parametrize("reading", [2**31, NO_READING - 1])
 def test_what_no_reading_can_hold(reading):
-    with raises(SourceError, about="reading", problem="too large", value=reading):
+    with raises(SourceError, about="reading", value=reading):
         encode_force(0, 0, reading)
 
 

@@ -188,38 +188,30 @@ def test_no_damage_crashes(profile, tmp_path_factory, data):
 
 
 @pytest.mark.parametrize(
-    ("content", "problem"),
-    [
-        (None, "missing"),
-        (b"", "malformed"),
-        (bytes(range(256)) * 20, "malformed"),
-        (b"hello, I am a text\n" * 20, "malformed"),
-    ],
+    "content", [None, b"", bytes(range(256)) * 20, b"hello, I am a text\n" * 20]
 )
 @pytest.mark.parametrize("unpaced", [True, False])
-def test_what_is_no_video(profile, tmp_path, capfd, content, problem, unpaced):
+def test_what_is_no_video(profile, tmp_path, capfd, content, unpaced):
     path = tmp_path / "clip.avi"
     if content is not None:
         path.write_bytes(content)
-    with raises(SourceError, about="file", problem=problem, value=path):
+    with raises(SourceError, about="file", value=path):
         open_source(f"video:{path}", profile, unpaced=unpaced)
     assert capfd.readouterr().err == ""
 
 
 def test_a_video_without_frames(profile, write_video):
     path = write_video(frames=0)
-    # Which of the two depends on OpenCV's version.
-    either = ("malformed", "empty").__contains__
-    with raises(SourceError, about="file", problem=either, value=path):
+    with raises(SourceError, about="file", value=path):
         open_source(f"video:{path}", profile)
 
 
 def test_folders_and_files_are_told_apart(profile, folder):
     remedy = f"frames:{folder}"
-    with raises(SourceError, about="file", problem="folder", value=folder, remedy=remedy):
+    with raises(SourceError, about="file", value=folder, remedy=remedy):
         open_source(f"video:{folder}", profile)
     file = folder / "notes.txt"
-    with raises(SourceError, about="folder", problem="file", value=file, remedy=f"video:{file}"):
+    with raises(SourceError, about="folder", value=file, remedy=f"video:{file}"):
         open_source(f"frames:{file}", profile)
 
 
@@ -258,36 +250,36 @@ def test_slow_slides_are_not_stale(profile, folder):
 
 @pytest.mark.parametrize("fps", [0.0, -1.0, float("nan"), 1e6])
 def test_rates_that_cannot_be(profile, folder, fps):
-    with raises(SourceError, about="fps", value=lambda given: given is fps):
+    with raises(SourceError, about="fps", value=fps):
         open_source(f"frames:{folder}", profile, fps=fps)
 
 
 def test_missing_and_empty_folders(profile, tmp_path):
     nowhere = tmp_path / "nowhere"
-    with raises(SourceError, about="folder", problem="missing", value=nowhere):
+    with raises(SourceError, about="folder", value=nowhere):
         open_source(f"frames:{nowhere}", profile)
-    with raises(SourceError, about="folder", problem="empty", value=tmp_path):
+    with raises(SourceError, about="folder", value=tmp_path):
         open_source(f"frames:{tmp_path}", profile)
 
 
 def test_an_image_of_another_size_is_named(profile, folder):
     path = folder / "b11.png"
     Image.fromarray(np.zeros((6, 9), np.uint8)).save(path)
-    with raises(SourceError, about="file", problem="conflict", value=path, allowed=(8, 6)):
+    with raises(SourceError, about="file", value=path, allowed=(8, 6)):
         open_source(f"frames:{folder}", profile)
 
 
 def test_an_image_too_small(profile, tmp_path):
     path = tmp_path / "a.png"
     Image.fromarray(np.zeros((6, 1), np.uint8)).save(path)
-    with raises(SourceError, about="file", problem="too few pixels", value=path):
+    with raises(SourceError, about="file", value=path):
         open_source(f"frames:{tmp_path}", profile)
 
 
 def test_a_file_that_is_no_image_is_named(profile, folder):
     path = folder / "20.png"
     path.write_bytes(b"hello")
-    with raises(SourceError, about="file", problem="malformed", value=path):
+    with raises(SourceError, about="file", value=path):
         open_source(f"frames:{folder}", profile)
 
 
@@ -300,7 +292,7 @@ def test_a_damaged_image_is_named_when_it_comes(profile, tmp_path, unpaced):
     damaged = tmp_path / "2.png"
     damaged.write_bytes(damaged.read_bytes()[:1500])
     sensor = open_source(f"frames:{tmp_path}", profile, unpaced=unpaced)
-    with raises(SourceError, about="file", problem="damaged", value=damaged):
+    with raises(SourceError, about="file", value=damaged):
         levels(sensor)
 
 
@@ -374,7 +366,6 @@ def test_a_playlist_leads_nowhere(tmp_path, profile, playlist, ending):
     os.mkfifo(tmp_path / "pipe.ts")
     path = tmp_path / f"list.{ending}"
     path.write_text(playlist)
-    places = {path: "malformed", tmp_path / "pipe.ts": "pipe", Path("/dev/zero"): "device"}
-    for place, problem in places.items():
-        with raises(SourceError, about="file", problem=problem, value=place):
+    for place in (path, tmp_path / "pipe.ts", Path("/dev/zero")):
+        with raises(SourceError, about="file", value=place):
             open_source(f"video:{place}", profile)

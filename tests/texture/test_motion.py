@@ -86,26 +86,26 @@ def test_a_sensor_tells_the_motion():
 
 
 @pytest.mark.parametrize(
-    ("url", "options", "about", "problem", "value"),
+    ("url", "options", "about", "value"),
     [
-        ("wheel:", {}, "motion", "unknown", "wheel:"),
-        ("sweep", {}, "motion", "unknown", "sweep"),
-        ("sweep:x", {}, "rounds", "", "x"),
-        ("sweep:99999", {}, "rounds", "", "99999"),
-        ("sweep:", {"speed_mm_s": 0.0}, "speed_mm_s", "out of range", 0.0),
-        ("sweep:", {"cpi": 400}, "cpi", "unknown", 400),
-        ("path:", {}, "file", "missing", None),
-        ("path:none.csv", {}, "file", "missing", Path("none.csv")),
-        ("camera:x", {}, "camera", "malformed", "x"),
+        ("wheel:", {}, "motion", "wheel:"),
+        ("sweep", {}, "motion", "sweep"),
+        ("sweep:x", {}, "rounds", "x"),
+        ("sweep:99999", {}, "rounds", "99999"),
+        ("sweep:", {"speed_mm_s": 0.0}, "speed_mm_s", 0.0),
+        ("sweep:", {"cpi": 400}, "cpi", "sweep:"),
+        ("path:", {}, "file", None),
+        ("path:none.csv", {}, "file", Path("none.csv")),
+        ("camera:x", {}, "camera", "x"),
     ],
 )
-def test_what_is_wrong_is_said(url, options, about, problem, value):
-    with raises(SourceError, about=about, problem=problem, value=value):
+def test_what_is_wrong_is_said(url, options, about, value):
+    with raises(SourceError, about=about, value=value):
         open_motion(url, **options)
 
 
 def test_what_a_motion_may_be():
-    known = {"sweep", "path", "evdev", "window", "camera"}.issubset
+    known = ("sweep", "path", "evdev", "window", "camera")
     with raises(SourceError, about="motion", allowed=known):
         open_motion("wheel:")
     with raises(SourceError, about="rounds", allowed=(1, 10_000)):
@@ -116,20 +116,20 @@ def test_what_a_motion_may_be():
 
 
 @pytest.mark.parametrize(
-    ("text", "about", "problem", "value"),
+    ("text", "about", "value"),
     [
-        ("x_mm,y_mm\n0,0\n", "columns", "", ("x_mm", "y_mm")),
-        ("time_s,x_mm,y_mm\n0,0,0\n", "rows", "too few", 1),
-        ("time_s,x_mm,y_mm\n0,0,0\n0,1,1\n", "line", "falling", 3),
-        ("time_s,x_mm,y_mm\n0,0,0\n1,1,1\n1,2,2\n3,0,0\n", "line", "falling", 4),
-        ("time_s,x_mm,y_mm\n0,0,0\n1,a,1\n", "line", "malformed", 3),
-        ("time_s,x_mm,y_mm\n0,0,0\n1,inf,1\n", "line", "malformed", 3),
-        ("time_s,x_mm,y_mm\n0,0,0\n1,1\n", "line", "malformed", 3),
+        ("x_mm,y_mm\n0,0\n", "columns", ("x_mm", "y_mm")),
+        ("time_s,x_mm,y_mm\n0,0,0\n", "rows", 1),
+        ("time_s,x_mm,y_mm\n0,0,0\n0,1,1\n", "line", 3),
+        ("time_s,x_mm,y_mm\n0,0,0\n1,1,1\n1,2,2\n3,0,0\n", "line", 4),
+        ("time_s,x_mm,y_mm\n0,0,0\n1,a,1\n", "line", 3),
+        ("time_s,x_mm,y_mm\n0,0,0\n1,inf,1\n", "line", 3),
+        ("time_s,x_mm,y_mm\n0,0,0\n1,1\n", "line", 3),
     ],
 )
-def test_a_wrong_way_says_where(tmp_path, text, about, problem, value):
+def test_a_wrong_way_says_where(tmp_path, text, about, value):
     path = tmp_path / "way.csv"
     path.write_text(text)
-    with raises(SourceError, about=about, problem=problem, value=value) as caught:
+    with raises(SourceError, about=about, value=value) as caught:
         open_motion(f"path:{path}")
     assert str(path) in str(caught.value)

@@ -121,7 +121,7 @@ def test_a_closed_window_ends_the_motion(display):
 def test_without_a_display_it_says_so(display):
     FakeTk.missing = True
     try:
-        with raises(SourceError, about="display", problem="missing", remedy="evdev:"):
+        with raises(SourceError, about="display", remedy="evdev:"):
             open_motion("window:")
     finally:
         FakeTk.missing = False
@@ -129,10 +129,10 @@ def test_without_a_display_it_says_so(display):
 
 def test_without_tk_it_says_so(monkeypatch):
     monkeypatch.setitem(sys.modules, "tkinter", None)
-    with raises(SourceError, about="tkinter", problem="missing", remedy="evdev:"):
+    with raises(SourceError, about="tkinter", remedy="evdev:"):
         open_motion("window:")
 
 
 def test_it_takes_nothing_after_the_colon():
-    with raises(SourceError, about="motion", problem="malformed", value="window:x"):
+    with raises(SourceError, about="motion", value=("window:", "x")):
         open_motion("window:x")

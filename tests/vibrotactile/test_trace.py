@@ -44,30 +44,30 @@ def test_finer_samples_are_kept():
 
 
 @pytest.mark.parametrize(
-    ("time_s", "moved", "about", "problem", "value"),
+    ("time_s", "moved", "about", "value"),
     [
-        ([0, 1, 1], [0, 0, 0], "samples", "falling", 2),
-        ([0, np.nan, 1], [0, 0, 0], "samples", "falling", 1),
-        ([0], [0], "samples", "too few", (1, 1, 1)),
-        ([0, 1], [0, 0, 0], "samples", "conflict", (2, 3, 2)),
-        ([0, 601], [0, 0], "duration_s", "too large", 601),
-        ([0, 1], [0, np.inf], "samples", "not finite", None),
+        ([0, 1, 1], [0, 0, 0], "samples", 2),
+        ([0, np.nan, 1], [0, 0, 0], "samples", 1),
+        ([0], [0], "samples", (1, 1, 1)),
+        ([0, 1], [0, 0, 0], "samples", (2, 3, 2)),
+        ([0, 601], [0, 0], "duration_s", 601),
+        ([0, 1], [0, np.inf], "samples", None),
     ],
 )
-def test_arrays_that_are_no_trace_are_refused(time_s, moved, about, problem, value):
-    with raises(SmartTouchError, about=about, problem=problem, value=value):
+def test_arrays_that_are_no_trace_are_refused(time_s, moved, about, value):
+    with raises(SmartTouchError, about=about, value=value):
         sampled(time_s, moved)
 
 
 def test_a_trace_has_as_many_forces_as_displacements():
-    with raises(SmartTouchError, about="samples", problem="conflict", value=((3,), (4,))):
+    with raises(SmartTouchError, about="samples", value=((3,), (4,))):
         Trace(np.zeros(3), np.zeros(4))
 
 
 def test_how_long_a_trace_may_be():
     with raises(SmartTouchError, about="duration_s", value=601, allowed=600):
         Trace(np.zeros(601), np.zeros(601), sample_hz=1.0)
-    with raises(SmartTouchError, about="samples", problem="too few", value=1, allowed=2):
+    with raises(SmartTouchError, about="samples", value=1):
         Trace(np.zeros(1), np.zeros(1))
 
 
@@ -96,37 +96,37 @@ def test_phases_that_a_spectrum_has_not_follow_the_seed(csv_file):
 
 
 @pytest.mark.parametrize(
-    ("text", "about", "problem", "value"),
+    ("text", "about", "value"),
     [
-        ("", "columns", "", ()),
-        ("a,b\n1,2\n", "columns", "", ("a", "b")),
-        ("time_s,amplitude_um\n1,2\n", "columns", "", ("time_s", "amplitude_um")),
-        ("frequency_hz,phase_deg\n1,2\n", "columns", "", ("frequency_hz", "phase_deg")),
-        ("time_s,force_n\n0,1\n", "rows", "too few", 1),
-        ("time_s,force_n\n0,1\n\n1,x\n", "line", "malformed", 4),
-        ("time_s,force_n\n0,1\n1\n", "line", "malformed", 3),
-        ("time_s,force_n\n0,1\n1,nan\n", "line", "malformed", 3),
-        ("time_s,force_n\n0,1\n\n2,1\n1.5,1\n", "line", "falling", 5),
-        ("frequency_hz,amplitude_um\n30,1\n40,-1\n", "line", "impossible", 3),
-        ("frequency_hz,amplitude_um\n9000,1\n", "line", "impossible", 2),
-        ("time_s,force_n\n0,1\n700,1\n", "duration_s", "too large", 700),
+        ("", "columns", ()),
+        ("a,b\n1,2\n", "columns", ("a", "b")),
+        ("time_s,amplitude_um\n1,2\n", "columns", ("time_s", "amplitude_um")),
+        ("frequency_hz,phase_deg\n1,2\n", "columns", ("frequency_hz", "phase_deg")),
+        ("time_s,force_n\n0,1\n", "rows", 1),
+        ("time_s,force_n\n0,1\n\n1,x\n", "line", 4),
+        ("time_s,force_n\n0,1\n1\n", "line", 3),
+        ("time_s,force_n\n0,1\n1,nan\n", "line", 3),
+        ("time_s,force_n\n0,1\n\n2,1\n1.5,1\n", "line", 5),
+        ("frequency_hz,amplitude_um\n30,1\n40,-1\n", "line", 3),
+        ("frequency_hz,amplitude_um\n9000,1\n", "line", 2),
+        ("time_s,force_n\n0,1\n700,1\n", "duration_s", 700),
     ],
 )
-def test_a_bad_file_is_told_with_its_line(csv_file, text, about, problem, value):
+def test_a_bad_file_is_told_with_its_line(csv_file, text, about, value):
     path = csv_file(text)
-    with raises(SmartTouchError, about=about, problem=problem, value=value) as caught:
+    with raises(SmartTouchError, about=about, value=value) as caught:
         open_trace(path)
     assert path in str(caught.value)
 
 
 def test_files_that_cannot_be_read(csv_file, tmp_path):
     none = str(tmp_path / "none.csv")
-    with raises(SmartTouchError, about="trace", problem="missing", value=none):
+    with raises(SmartTouchError, about="trace", value=none):
         open_trace(none)
-    with raises(SmartTouchError, about="file", problem="folder", value=tmp_path):
+    with raises(SmartTouchError, about="file", value=tmp_path):
         open_trace(str(tmp_path))
     path = csv_file("time_s,µ", encoding="latin-1")
-    with raises(SmartTouchError, about="file", problem="not UTF-8", value=Path(path)):
+    with raises(SmartTouchError, about="file", value=Path(path)):
         open_trace(path)
 
 
@@ -166,22 +166,22 @@ def test_a_sweep_passes_its_middle_at_half_time():
 
 
 @pytest.mark.parametrize(
-    ("spec", "about", "problem", "value"),
+    ("spec", "about", "value"),
     [
-        ("tone:30Hz", "trace", "malformed", "tone:30Hz"),
-        ("tone:30Hz,8mm", "trace", "malformed", "tone:30Hz,8mm"),
-        ("tone:30Hz,8um+hum:3", "trace", "malformed", "hum:3"),
-        ("tone:-30Hz,8um", "trace", "malformed", "tone:-30Hz,8um"),
-        ("tone:0Hz,8um", "frequency", "", (0,)),
-        ("tone:2000Hz,8um", "frequency", "", (2000,)),
-        ("sweep:100-50Hz,8um", "frequency", "", (100, 50)),
-        ("press:1N@2-1", "trace", "conflict", (2, 1)),
-        ("press:1N@0-9", "trace", "late", (0, 9)),
-        ("noise:50.1-50.2Hz,1um", "trace", "too narrow", (50.1, 50.2)),
+        ("tone:30Hz", "trace", "tone:30Hz"),
+        ("tone:30Hz,8mm", "trace", "tone:30Hz,8mm"),
+        ("tone:30Hz,8um+hum:3", "trace", "hum:3"),
+        ("tone:-30Hz,8um", "trace", "tone:-30Hz,8um"),
+        ("tone:0Hz,8um", "frequency", (0,)),
+        ("tone:2000Hz,8um", "frequency", (2000,)),
+        ("sweep:100-50Hz,8um", "frequency", "100-50Hz"),
+        ("press:1N@2-1", "trace", (2, 1)),
+        ("press:1N@0-9", "trace", (0, 9)),
+        ("noise:50.1-50.2Hz,1um", "trace", (50.1, 50.2)),
     ],
 )
-def test_a_line_that_cannot_be_understood(spec, about, problem, value):
-    with raises(SmartTouchError, about=about, problem=problem, value=value):
+def test_a_line_that_cannot_be_understood(spec, about, value):
+    with raises(SmartTouchError, about=about, value=value):
         open_trace(spec)
 
 
@@ -194,7 +194,7 @@ def test_what_a_line_may_be():
 
 @pytest.mark.parametrize("seconds", [0, -1, 601, float("nan")])
 def test_impossible_lengths_are_refused(seconds):
-    with raises(SmartTouchError, about="seconds", value=lambda given: given is seconds):
+    with raises(SmartTouchError, about="seconds", value=seconds):
         open_trace("press:1N", seconds)
 
 

@@ -270,10 +270,5 @@ def test_a_finger_feels_what_is_delivered(running):
 
 
 def test_a_port_that_is_taken_is_refused(running):
-    with (
-        running() as run,
-        raises(
-            SmartTouchError, about="window", problem="unavailable", value=run.window.server.port
-        ),
-    ):
+    with running() as run, raises(SmartTouchError, about="window", value=run.window.server.port):
         Window(run.stop, run.window.server.port)

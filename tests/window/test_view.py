@@ -176,10 +176,10 @@ def test_saved_views(recorded, profile, tmp_path):
 
 def test_what_cannot_be_saved_is_refused(recorded, tmp_path):
     path = recorded[0]
-    with raises(RecordingError, about="save", problem="unknown"):
+    with raises(RecordingError, about="save"):
         save_view(path, tmp_path / "a.gif")
-    with raises(RecordingError, about="step", problem="unknown", value=500, allowed=STEPS):
+    with raises(RecordingError, about="step", value=500, allowed=STEPS):
         save_view(path, tmp_path / "a.png", 500)
-    for count, problem in ((0, "too few"), (3, "too many")):
-        with raises(RecordingError, about="files", problem=problem, value=count):
+    for count in (0, 3):
+        with raises(RecordingError, about="files", value=count):
             RecordingsPage([path] * count)

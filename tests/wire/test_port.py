@@ -21,17 +21,11 @@ from ..raising import raises
 
 
 @pytest.mark.parametrize(
-    ("name", "problem"),
-    [
-        ("/dev/nowhere", "missing"),
-        ("/dev/null", "no serial port"),
-        ("tcp://127.0.0.1", "malformed"),
-        ("tcp://127.0.0.1:99999", "malformed"),
-        ("nonsense://x", "malformed"),
-    ],
+    "name",
+    ["/dev/nowhere", "/dev/null", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", "nonsense://x"],
 )
-def test_what_cannot_be_opened_is_named(name, problem):
-    with raises(BoardError, about="port", problem=problem, value=name) as error:
+def test_what_cannot_be_opened_is_named(name):
+    with raises(BoardError, about="port", value=name) as error:
         open_port(name)
     assert name in str(error.value)
 
@@ -40,7 +34,7 @@ def test_an_address_where_nobody_listens():
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
     name = f"tcp://127.0.0.1:{port}"
-    with raises(BoardError, about="port", problem="refused", value=name):
+    with raises(BoardError, about="port", value=name):
         open_port(name)
 
 
@@ -57,7 +51,7 @@ def test_short_writes_over_tcp_do_not_wait(scheme):
 
 
 def test_a_port_that_stays_away_is_not_waited_for_longer_than_asked():
-    with raises(BoardError, about="port", problem="missing", value="/dev/nowhere"):
+    with raises(BoardError, about="port", value="/dev/nowhere"):
         reopen_port("/dev/nowhere", 0.12, None)
 
 
@@ -118,7 +112,7 @@ def test_another_device_in_a_ports_place_is_not_opened_for_writing(plugged, befo
     with open_port(name) as port:
         identity = identity_of(port)
     _, far = plugged(**after)
-    with raises(OtherDeviceError, about="board", problem="another", value=name):
+    with raises(OtherDeviceError, about="board", value=name):
         reopen_port(name, 0.12, identity)
     assert heard(far) == b""
 

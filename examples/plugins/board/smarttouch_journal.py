@@ -38,11 +38,7 @@ class JournalBoard(Board):
             clock="host",
         )
         if not rest:
-            raise BoardError(
-                "journal: needs a file, for example journal:run.txt",
-                about="file",
-                problem="missing",
-            )
+            raise BoardError("journal: needs a file, for example journal:run.txt", about="file")
         self._path = Path(rest)
         self._file: IO[str] | None = None
         self._lock = threading.Lock()
@@ -53,10 +49,7 @@ class JournalBoard(Board):
             self._file = self._path.open("w", encoding="utf-8")
         except OSError as error:
             raise BoardError(
-                f"cannot write {self._path} ({error.strerror}): give another file",
-                about="file",
-                problem="unwritable",
-                value=self._path,
+                f"cannot write {self._path} ({error.strerror}): give another file", about="file"
             ) from None
         self._number = 0
         self._write("zero")

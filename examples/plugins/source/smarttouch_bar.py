@@ -26,17 +26,10 @@ def open_bar(rest: str, profile: Profile, *, speed_mm_s: float = 10.0) -> "BarSo
             f"bar:{rest} is no width: give millimeters above 0, at most "
             f"{profile.optics.field_width_mm:g}",
             about="width",
-            problem="impossible",
-            value=rest,
-            allowed=profile.optics.field_width_mm,
         )
     if not 0 < speed_mm_s <= 1000:
         raise SourceError(
-            f"{speed_mm_s:g} mm/s cannot be: give above 0, at most 1000",
-            about="speed_mm_s",
-            problem="impossible",
-            value=speed_mm_s,
-            allowed=1000,
+            f"{speed_mm_s:g} mm/s cannot be: give above 0, at most 1000", about="speed_mm_s"
         )
     return BarSource(width_mm, speed_mm_s, profile)
 

@@ -86,16 +86,13 @@ class EmulatorBoard(LinkBoard):
                         f"the emulator has not started within {_STARTS_WITHIN_S:g} s: this "
                         "computer is too busy, try again",
                         about="emulator",
-                        problem="late",
-                        allowed=_STARTS_WITHIN_S,
                     )
                 if not select.select([output], [], [], 0)[0]:
                     self._pause(0.01)
                     continue
                 if not (piece := os.read(output.fileno(), 256)):
                     message = f"the emulator did not start (exit {self._process.wait()})"
-                    code = self._process.returncode
-                    raise BoardError(message, about="emulator", problem="gone", value=code)
+                    raise BoardError(message, about="emulator")
                 said += piece
         return said.decode().strip()
 

@@ -25,28 +25,25 @@ def parse(text: str, forms: Mapping[str, str], error: type[SmartTouchError]) -> 
     kind = next((each for each in forms if words[1:2] == [each]), None)
     if kind is None:
         what = f" is none: write a time in s and one of {', '.join(forms)}"
-        raise bad_event(error, text, what, "unknown", tuple(forms))
+        raise bad_event(error, text, what)
     form = f"TIME {kind} {forms[kind]}".strip()
     try:
         electrode = int(words.pop(2)) if "ELECTRODE" in form else 0
         time_s, *values = (float(word) for word in (words[0], *words[2:]))
     except (IndexError, ValueError):
         what = f" has no number where one belongs: write {form}"
-        raise bad_event(error, text, what, "malformed", form) from None
+        raise bad_event(error, text, what) from None
     names = [name for name in forms[kind].split() if name != "ELECTRODE"]
     if not len(names) - form.count("[") <= len(values) <= len(names):
-        problem = "too few" if len(values) < len(names) else "too many"
         what = f" has {len(values)} values after its name: write {form}"
-        raise bad_event(error, text, what, problem, form)
+        raise bad_event(error, text, what)
     if not all(0 <= value < math.inf for value in (time_s, *values)) or electrode < 0:
         what = " has a number that is negative or not finite"
-        raise bad_event(error, text, what, "negative")
+        raise bad_event(error, text, what)
     return Event(time_s, kind, electrode, tuple(values))
 
 
-def bad_event(
-    error: type[SmartTouchError], text: str, what: str, problem: str, allowed: object = None
-) -> SmartTouchError:
+def bad_event(error: type[SmartTouchError], text: str, what: str) -> SmartTouchError:
     """Return the error of an event's text."""
     message = f"event {text!r}{what}"
-    return error(message, about="event", problem=problem, value=text, allowed=allowed)
+    return error(message, about="event")

@@ -65,7 +65,7 @@ def parse_event(text: str) -> Event:
     if (kind == "drift" and values[0] == 0) or (kind == "peel" and not 0 < values[0] <= 1):
         limit = "above 0" if kind == "drift" else "above 0 and at most 1"
         what = f": {values[0]:g} is out of range, it must be {limit}"
-        raise bad_event(BoardError, text, what, "out of range", limit)
+        raise bad_event(BoardError, text, what)
     return event
 
 
@@ -81,9 +81,6 @@ class Finger:
                     f"an event is of electrode {event.electrode}, the board has 0 to "
                     f"{electrodes - 1}",
                     about="event",
-                    problem="too large",
-                    value=event.electrode,
-                    allowed=electrodes - 1,
                 )
         switch = ("emergency", "release")
         self._due = deque(event for event in parsed if event.kind not in switch)

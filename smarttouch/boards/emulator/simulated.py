@@ -123,10 +123,7 @@ class SimulatedBoard(Board):
                 self.refused += 1
                 _, _, words = reason_of(message)
                 raise BoardError(
-                    f"the simulated board refused sequence {message.about}: {words}",
-                    about="board",
-                    problem="refused",
-                    value=message.about,
+                    f"the simulated board refused sequence {message.about}: {words}", about="board"
                 )
 
     def report(self) -> BoardReport:

@@ -140,9 +140,6 @@ def _kernel(profile: Profile, afferents: Afferents, skin: Skin, dx: Array, dy: A
             "whole frames are offered for arrays of one shape of electrode, this one has "
             f"{len(array.kinds)}: give points slots of their own",
             about="array.shapes",
-            problem="too many",
-            value=len(array.kinds),
-            allowed=1,
             remedy="frames.share",
         )
     # One electrode is no array: the second one's column is not used.

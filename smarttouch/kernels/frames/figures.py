@@ -71,10 +71,7 @@ class FrameBounds:
             most = 1 if name == "uneven" else np.inf
             if not 0 < value < most:
                 raise DesignError(
-                    f"bound {name} = {value} of a frame must be above 0, uneven below 1",
-                    about=name,
-                    value=value,
-                    allowed=(0, most),
+                    f"bound {name} = {value} of a frame must be above 0, uneven below 1", about=name
                 )
 
 
@@ -134,10 +131,10 @@ def judge_all(judge: SlotJudge, current: Array, level: Array) -> list[FrameFigur
 def no_active_site() -> DesignError:
     """Return the error of a frame without an active site."""
     message = "a frame without an active site has no figures: leave its slot out"
-    return DesignError(message, about="slot", problem="empty")
+    return DesignError(message, about="slot")
 
 
 def masked_point(site: int) -> DesignError:
     """Return the error of a site that no frame can activate."""
     message = f"site {site} is masked: its electrode is not driven; leave it out"
-    return DesignError(message, about="site", problem="masked", value=site, electrode=site)
+    return DesignError(message, about="site", electrode=site)

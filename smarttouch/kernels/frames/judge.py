@@ -54,8 +54,6 @@ class FrameJudge:
                 f"wish_af has {np.size(wish_af)} values, the array {len(profile.electrodes)} "
                 "electrodes: give one for each",
                 about="wish_af",
-                value=np.size(wish_af),
-                allowed=len(profile.electrodes),
             )
         self.profile, self.afferent = profile, afferent
         self.wish_af = np.asarray(wish_af, np.float64)

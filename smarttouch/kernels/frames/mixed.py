@@ -43,8 +43,7 @@ class MixedJudge:
         classes = [each.afferent for each in judges]
         if not classes or len(set(classes)) < len(classes):
             message = "a mixed frame needs one judge for each of its classes"
-            problem = "conflict" if classes else "missing"
-            raise DesignError(message, about="judges", problem=problem, value=tuple(classes))
+            raise DesignError(message, about="judges")
         self.target = np.concatenate([each.target for each in judges])
         self.wish_af = np.concatenate([each.wish_af for each in judges])
         self.wanted: list[FieldMap] = [each.own for each in judges]

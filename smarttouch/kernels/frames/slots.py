@@ -154,7 +154,7 @@ def _slot(
         current, figures = operator.bounded(wanted, bounds, total_ma)
     except np.linalg.LinAlgError:
         message = "the points of a slot depend on one another: give fewer"
-        raise DesignError(message, about="slot", problem="too many", value=len(sites)) from None
+        raise DesignError(message, about="slot") from None
     kept = keeps(operator.judge, figures, bounds, current, total_ma)
     if not kept and len(sites) == 1 and points_ma is not None:
         current = points_ma[sites[0]] * level[sites[0]]

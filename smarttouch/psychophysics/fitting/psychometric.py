@@ -89,33 +89,23 @@ class Model:
             raise ExperimentError(
                 "Weibull's function needs a logarithmic axis: choose normal or logistic",
                 about="shape",
-                problem="conflict",
-                value=self.shape,
-                allowed=(Shape.NORMAL, Shape.LOGISTIC),
             )
         floor = 0.0 if isinstance(self.guess, str) else self.guess
         if not 0 <= floor < 1:
             raise ExperimentError(
-                f"a guess rate of {floor:g} is no share: give 0 to below 1",
-                about="guess",
-                value=floor,
-                allowed=(0, 1),
+                f"a guess rate of {floor:g} is no share: give 0 to below 1", about="guess"
             )
         if not 0 <= self.most_lapses < (1 - floor) / 2:
             raise ExperimentError(
                 f"a lapse rate of up to {self.most_lapses:g} leaves no room for answers: give less "
                 f"than {(1 - floor) / 2:g}",
                 about="most_lapses",
-                value=self.most_lapses,
-                allowed=(0, (1 - floor) / 2),
             )
         if self.at is not None and not floor < self.at < 1:
             raise ExperimentError(
                 f"the threshold cannot be at {self.at:g} of the answers: give a share between "
                 f"{floor:g} and 1",
                 about="at",
-                value=self.at,
-                allowed=(floor, 1),
             )
 
     @property
@@ -141,9 +131,6 @@ class Model:
             raise ExperimentError(
                 f"{given.min():g} has no logarithm: fit it on a linear axis",
                 about="stimulus",
-                problem="too small",
-                value=float(given.min()),
-                allowed=0,
                 remedy="linear",
             )
         with np.errstate(divide="ignore"):

@@ -49,9 +49,6 @@ def read_table(
             raise ExperimentError(
                 f"{path} has no column {name!r} for {parameter}: choose {' or '.join(head)}",
                 about=parameter,
-                problem="missing",
-                value=name,
-                allowed=head,
             )
     rows = []
     for number, cells in lines:
@@ -67,10 +64,7 @@ def read_table(
         )
     if not rows:
         raise ExperimentError(
-            f"{path} has no trials below its first line: give one that has",
-            about="file",
-            problem="empty",
-            value=path,
+            f"{path} has no trials below its first line: give one that has", about="file"
         )
     table = np.array(rows, np.float64)
     alternatives = _alternatives([cells for _, cells in lines])
@@ -92,9 +86,7 @@ def _cells(path: Path) -> tuple[tuple[str, ...], list[tuple[int, _Cells]]]:
     table = parse_csv(text, path, ExperimentError, delimiter, strict=True)
     head, rows = table.head, table.rows
     if not head:
-        raise ExperimentError(
-            f"{path} is empty: give a file of answers", about="file", problem="empty", value=path
-        )
+        raise ExperimentError(f"{path} is empty: give a file of answers", about="file")
     if rows and not text.endswith("\n") and len(rows[-1]) < len(head):
         rows.pop()
     found = []
@@ -104,9 +96,6 @@ def _cells(path: Path) -> tuple[tuple[str, ...], list[tuple[int, _Cells]]]:
                 f"{path}, line {number}: {len(row)} cells, not {len(head)} as in the first line; "
                 "correct or delete it",
                 about="line",
-                problem="too few",
-                value=len(row),
-                allowed=len(head),
             )
         cells = dict(zip(head, map(str.strip, row), strict=False))
         if delimiter == ";":
@@ -119,10 +108,7 @@ def _number(text: str, where: str, column: str) -> float:
     number = finite(text)
     if math.isnan(number):
         raise ExperimentError(
-            f"{where}: {column} is {text!r}, not a number; correct or delete it",
-            about=column,
-            problem="malformed",
-            value=text,
+            f"{where}: {column} is {text!r}, not a number; correct or delete it", about=column
         )
     return number
 
@@ -135,8 +121,6 @@ def _success(text: str, where: str, column: str) -> float:
         raise ExperimentError(
             f"{where}: {column} is {text!r}, not 1 or 0; name another column for y",
             about=column,
-            problem="malformed",
-            value=text,
             remedy="y",
         )
     return float(word in _YES)

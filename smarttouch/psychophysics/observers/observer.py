@@ -157,9 +157,6 @@ class SimulatedObserver:
             raise ExperimentError(
                 f"the simulated observer has no answer to {task!r}: it knows {', '.join(known)}",
                 about="task",
-                problem="unknown",
-                value=task,
-                allowed=known,
             )
         return self._judges[task]
 
@@ -216,9 +213,6 @@ class SimulatedObserver:
                 f"the simulated observer does not know what {missing[0]!r} feels like: give it a "
                 "template of each alternative",
                 about="template",
-                problem="missing",
-                value=missing[0],
-                allowed=tuple(self.templates),
             )
         nerve = self._nerve
         felt = np.max([nerve.at_electrodes(nerve.of(each)) for each in intervals], axis=0)

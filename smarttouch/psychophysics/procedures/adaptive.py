@@ -35,9 +35,6 @@ def frequency_procedures(
                 f"nothing can be faster than a standard of {standard:g} Hz within the profile's "
                 f"limit of {highest_hz:g} Hz: give lower standards",
                 about="standards",
-                problem="too large",
-                value=standard,
-                allowed=highest_hz,
             )
         order = seed + 1000 * index
         if method == "staircase":

@@ -39,9 +39,6 @@ def ratio_pairs(
         raise ExperimentError(
             f"no standard and comparison is at or below {highest:g}: give lower standards",
             about="standards",
-            problem="too large",
-            value=tuple(standards),
-            allowed=highest,
         )
     return pairs
 
@@ -67,9 +64,6 @@ class ConstantStimuli:
                 f"{len(pairs)} conditions and {repetitions} repetitions are no experiment: give at "
                 "least one of each",
                 about="repetitions" if pairs else "conditions",
-                problem="too few",
-                value=repetitions if pairs else 0,
-                allowed=1,
             )
         random = np.random.default_rng([seed, len(pairs), repetitions])
         first = _first_intervals(len(pairs), repetitions, random)
@@ -101,9 +95,7 @@ class ConstantStimuli:
     def next(self) -> Condition:
         """Return the next condition."""
         if self.done:
-            raise ExperimentError(
-                "all trials are done: there is no next one", about="trial", problem="gone"
-            )
+            raise ExperimentError("all trials are done: there is no next one", about="trial")
         return self._plan[len(self._answers)]
 
     def answer(self, success: bool | None) -> None:

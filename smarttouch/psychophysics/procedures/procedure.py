@@ -59,11 +59,7 @@ class Interleaved:
     def __init__(self, procedures: Sequence[Procedure], seed: int = 0) -> None:
         if not procedures:
             raise ExperimentError(
-                "there is no procedure to interleave: give at least one standard",
-                about="standards",
-                problem="too few",
-                value=0,
-                allowed=1,
+                "there is no procedure to interleave: give at least one standard", about="standards"
             )
         self.procedures = tuple(procedures)
         self._random = np.random.default_rng([seed, len(procedures)])
@@ -86,9 +82,7 @@ class Interleaved:
         if self._chosen is None:
             waiting = [i for i, each in enumerate(self.procedures) if not each.done]
             if not waiting:
-                raise ExperimentError(
-                    "all trials are done: there is no next one", about="trial", problem="gone"
-                )
+                raise ExperimentError("all trials are done: there is no next one", about="trial")
             self._chosen = int(self._random.choice(waiting))
         return replace(self.procedures[self._chosen].next(), index=self._chosen)
 

@@ -47,15 +47,10 @@ class QuestPlus:
                 f"stimuli from {self.lowest:g} to {self.highest:g} are no range: begin "
                 f"{'above 0, and ' if self.model.logarithmic else ''}below its end",
                 about="range",
-                problem="empty",
-                value=(self.lowest, self.highest),
             )
         if isinstance(self.model.guess, str) and self.model.guess == "free":
             raise ExperimentError(
-                "QUEST+ needs a known guess rate: 0, 0.5 or one of letters",
-                about="guess",
-                problem="unknown",
-                value=self.model.guess,
+                "QUEST+ needs a known guess rate: 0, 0.5 or one of letters", about="guess"
             )
         low, high = (float(self.model.axis(each)) for each in (self.lowest, self.highest))
         self._places = np.linspace(low, high, STIMULI)
@@ -88,9 +83,7 @@ class QuestPlus:
     def next(self) -> Condition:
         """Return the next condition."""
         if self.done:
-            raise ExperimentError(
-                "all trials are done: there is no next one", about="trial", problem="gone"
-            )
+            raise ExperimentError("all trials are done: there is no next one", about="trial")
         if self._shown is None:
             says = _entropy(self._likely @ self._posterior) - self._unsure @ self._posterior
             self._place = int(says.argmax())

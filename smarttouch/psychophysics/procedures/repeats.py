@@ -19,9 +19,6 @@ class Repeats:
             raise ExperimentError(
                 f"{repetitions} repetitions are no experiment: give at least one",
                 about="repetitions",
-                problem="too few",
-                value=repetitions,
-                allowed=1,
             )
         self._count, self._answers = repetitions, 0
 
@@ -38,9 +35,7 @@ class Repeats:
     def next(self) -> Condition:
         """Return the same condition, with the next number."""
         if self.done:
-            raise ExperimentError(
-                "all trials are done: there is no next one", about="trial", problem="gone"
-            )
+            raise ExperimentError("all trials are done: there is no next one", about="trial")
         return Condition(0.0, math.nan, 0, repetition=self._answers, index=0)
 
     def answer(self, success: bool | None) -> None:

@@ -49,24 +49,17 @@ class WeightedStaircase:
                 f"a staircase cannot begin at {self.start:g} in a range from {self.lowest:g} to "
                 f"{self.highest:g}: begin within it",
                 about="start",
-                value=self.start,
-                allowed=(self.lowest, self.highest),
             )
         if self.logarithmic and self.lowest <= 0:
             raise ExperimentError(
                 f"a staircase of ratios cannot go down to {self.lowest:g}: end it above 0",
                 about="lowest",
-                problem="too small",
-                value=self.lowest,
-                allowed=0,
             )
         if not (self.step > 0 and 0 < self.target < 1):
             raise ExperimentError(
                 f"a staircase needs a step above 0 and a target between 0 and 1, not "
                 f"{self.step:g} and {self.target:g}",
                 about="target" if self.step > 0 else "step",
-                value=self.target if self.step > 0 else self.step,
-                allowed=(0, 1) if self.step > 0 else (0, math.inf),
             )
         self._intervals = IntervalOrder(self.two_intervals, self.seed)
         self._down = math.log1p(self.step) if self.logarithmic else self.step
@@ -99,9 +92,7 @@ class WeightedStaircase:
     def next(self) -> Condition:
         """Return the next condition."""
         if self.done:
-            raise ExperimentError(
-                "the staircase is done: there is no next trial", about="trial", problem="gone"
-            )
+            raise ExperimentError("the staircase is done: there is no next trial", about="trial")
         if self._shown is None:
             comparison = self._from_scale(self._level)
             interval = self._intervals.next()

@@ -66,9 +66,6 @@ class FixedForce(ForceSource):
                 f"fixed:{text} is not a force: give newtons from 0 to {LARGEST_FIXED_N:g}, as in "
                 "fixed:0.5",
                 about="force",
-                problem="impossible",
-                value=text,
-                allowed=LARGEST_FIXED_N,
             )
         super().__init__(f"fixed {self._force_n:g} N")
 
@@ -96,9 +93,6 @@ class RecordedForce(ForceSource):
             raise SourceError(
                 f"{path}, line {line}: {force_n:g} N is more than any finger presses: give newtons",
                 about="force_n",
-                problem="too large",
-                value=force_n,
-                allowed=LARGEST_RECORDED_N,
             )
 
     def read(self, time_ns: int) -> float:

@@ -103,9 +103,9 @@ class LoadCell(Closing):
             self._news.wait_for(lambda: bool(self._collected), patience_s - seconds)
             came, self._collected = self._collected, None
         if not came:
-            raise self._mute(
+            raise SourceError(
                 f"the {self.title} sent no reading in {patience_s:g} s: check its cable and power",
-                patience_s,
+                about="port",
             )
         return np.array(came, np.float64)
 
@@ -123,19 +123,13 @@ class LoadCell(Closing):
                 f"the {self.title} sends no readings: check its speed (now {self._baud}; set "
                 "another by ?baud=N after the port) and what it sends",
                 about="port",
-                problem="malformed",
-                value=self._name,
                 remedy="?baud=",
             )
-        raise self._mute(
+        raise SourceError(
             f"the {self.title} sent no reading within {FIRST_READING_S:g} s: check that it is on "
             "and streams its readings",
-            FIRST_READING_S,
+            about="port",
         )
-
-    def _mute(self, message: str, seconds: float) -> SourceError:
-        about, value = "port", self._name
-        return SourceError(message, about=about, problem="mute", value=value, allowed=seconds)
 
     def _listen(self, port: Port | None) -> None:
         while not self._closing.is_set():
@@ -187,8 +181,6 @@ class LoadCellForce(ForceSource):
                 f"profile {profile.name} has no force.curve: run smarttouch calibrate force, or, "
                 "for a sketch that prints grams, set curve = [0, 0.00980665] in [force]",
                 about="force.curve",
-                problem="missing",
-                value=profile.name,
                 remedy="smarttouch calibrate force",
             )
         self._curve = profile.force.curve
@@ -227,17 +219,15 @@ def _parse(url: str) -> tuple[str, str, int]:
     kind, _, rest = url.partition(":")
     if kind not in _KINDS:
         kinds = " or ".join(f"{each}:PORT" for each in _KINDS)
-        message, known = f"{url!r} is not a load cell: give {kinds}", tuple(_KINDS)
-        raise SourceError(message, about="force", problem="unknown", value=url, allowed=known)
+        raise SourceError(f"{url!r} is not a load cell: give {kinds}", about="force")
     name, option, speed = rest.partition("?baud=")
     if not name:
-        message = f"{url!r} has no port: give one, as in {kind}:/dev/ttyUSB0"
-        raise SourceError(message, about="port", problem="missing", value=url)
+        raise SourceError(f"{url!r} has no port: give one, as in {kind}:/dev/ttyUSB0", about="port")
     if not option:
         return kind, name, _KINDS[kind][0]
     if not (speed.isdecimal() and 0 < int(speed) < 10**8):
         message = f"{url!r}: {speed!r} is not a line speed: give bits per second, as in 115200"
-        raise SourceError(message, about="?baud=", value=speed)
+        raise SourceError(message, about="?baud=")
     return kind, name, int(speed)
 
 

@@ -468,7 +468,7 @@ def test_a_table_with_the_same_crc_and_size_is_not_taken_for_ours():
             name="board", session=SimpleNamespace(number=5),
             ask=lambda *_, kept=kept: SimpleNamespace(payload=kept),
         )  # fmt: skip
-        with raises(KernelTableError, about="kernels", problem="another"):
+        with raises(KernelTableError, about="kernels"):
             give_kernels(line, rig.image, 1000, lambda: None)
 
 

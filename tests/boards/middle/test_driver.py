@@ -144,7 +144,7 @@ def test_a_board_that_is_lost_ends_its_session_before_the_next(world, board):
     lose(world, "to_host", Kind.ACK)
     board._send(sequence(), 1000)
     before = board._line.session.number
-    board._recover(board._line.lost("is gone", "gone"))
+    board._recover(board._line.lost("is gone"))
     assert board._line.session.number != before
     assert world.refused() == 0
     board._send(sequence(), 1)
@@ -159,12 +159,12 @@ def test_an_emergency_switch_ends_the_run_and_keeps_the_board_shut(world, board)
     slots = world.books.slots
     world.wait(protocol.ALIVE_MS + 2)
     for _ in range(2):
-        with raises(EmergencyStopError, about="board", problem="emergency"):
+        with raises(EmergencyStopError, about="board"):
             board._send(sequence(), 1)
-    with raises(EmergencyStopError, about="board", problem="emergency"):
+    with raises(EmergencyStopError, about="board"):
         world.make_board()._open()
     world.firmware.switch_open = False
     world.wait(50)
-    with raises(EmergencyStopError, about="board", problem="emergency"):
+    with raises(EmergencyStopError, about="board"):
         board._send(sequence(), 1)
     assert world.books.slots == slots

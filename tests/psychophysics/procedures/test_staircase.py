@@ -97,7 +97,7 @@ def test_ends_where_the_range_does(answer):
         procedure.answer(answer)
     assert procedure.trials < 12
     assert procedure.estimate() is None
-    with raises(ExperimentError, about="trial", problem="gone"):
+    with raises(ExperimentError, about="trial"):
         procedure.next()
 
 
@@ -141,7 +141,7 @@ def test_interleaved_mixes_them_all():
     assert procedure.estimate() is None
     assert len(procedure.estimates()) == 3
     assert procedure.total is None
-    with raises(ExperimentError, about="trial", problem="gone"):
+    with raises(ExperimentError, about="trial"):
         procedure.next()
 
 
@@ -166,7 +166,7 @@ def test_interleaved_of_one_and_of_known_length():
     assert one.total == 3
     answer_all(one, lambda _: 1.0)
     assert one.estimate() == one.estimates()[0]
-    with raises(ExperimentError, about="standards", problem="too few", value=0):
+    with raises(ExperimentError, about="standards"):
         Interleaved([])
 
 
