@@ -21,27 +21,13 @@ VARIANTS: dict[str, Design] = {
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """One kernel of a comparison.
+    """One kernel of a comparison, on the nominal finger and on the worst of the spread."""
 
-    Attributes
-    ----------
-    variant : str
-        One of `VARIANTS`.
-    site : int
-    kernel : Kernel
-        As it is on the nominal finger.
-    worst_finger : Kernel or None
-        The same weights on the worst finger of the spread; None where they
-        fail to activate their target on one.
-    seconds : float
-        Time of its design.
-    """
-
-    variant: str
+    variant: str  # one of `VARIANTS`
     site: int
     kernel: Kernel
-    worst_finger: Kernel | None
-    seconds: float
+    worst_finger: Kernel | None  # None where it does not activate its target on one finger
+    seconds: float  # time of its design
 
 
 def compare(
@@ -50,18 +36,7 @@ def compare(
     sites: Sequence[int],
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Compared]:
-    """Design every variant for every site, and evaluate each on both fingers.
-
-    Parameters
-    ----------
-    profile : Profile
-        Array, skin with its spread, electrode impedances.
-    afferent : Afferent
-        Class to fire.
-    sites : sequence of int
-    progress : callable, optional
-        Told how many kernels are designed, of how many.
-    """
+    """Design every variant for every site of a class, and evaluate each on both fingers."""
     nominal, spread = Problem(profile, afferent), Problem(profile, afferent, spread=True)
     compared = []
     for index, (variant, design) in enumerate(VARIANTS.items()):

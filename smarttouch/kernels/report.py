@@ -25,7 +25,7 @@ DESIGNS = {"robust": design_kernel, "three-state": design_three_state, "any-node
 
 @dataclass(frozen=True, eq=False)
 class SiteKernel:
-    """One kernel with what is reported of it; the last two only where kinds are compared."""
+    """One kernel of a report; the last two fields only where kinds are compared."""
 
     afferent: Afferent
     site: int
@@ -37,19 +37,10 @@ class SiteKernel:
 
 @dataclass(frozen=True)
 class WordTable:
-    """Table of words.
-
-    Attributes
-    ----------
-    title, note : str
-        Above and below.
-    heading : list of str
-        Empty where columns have no names.
-    rows : list of list of str
-    """
+    """Table of words, with its title above and a note below."""
 
     title: str
-    heading: list[str]
+    heading: list[str]  # empty where columns have no names
     rows: list[list[str]]
     note: str
 
@@ -74,7 +65,7 @@ def kernels_designed(
     robust: bool,
     progress: Advance | None,
 ) -> list[SiteKernel]:
-    """Design kernels anew: one of `DESIGNS`, or as the profile's board needs them.
+    """Return kernels designed now: one of `DESIGNS`, or as the profile's board needs them.
 
     "driving" is the latter on driving functions.
     """
@@ -99,7 +90,7 @@ def kernels_designed(
 def kernels_compared(
     profile: Profile, modes: Sequence[Afferent], sites: Sequence[int], progress: Advance | None
 ) -> list[SiteKernel]:
-    """Design kernels of all kinds, and find what they do on the worst finger."""
+    """Return kernels of all kinds, with their figures on the worst finger."""
     return [
         SiteKernel(mode, each.site, each.kernel, each.seconds, each.variant, each.worst_finger)
         for index, mode in enumerate(modes)
@@ -110,7 +101,7 @@ def kernels_compared(
 def middle_kernels(
     profile: Profile, kernels: Sequence[SiteKernel]
 ) -> tuple[int, dict[Afferent, Kernel]]:
-    """Return that of the sites which is nearest to the middle, and its kernel of each class."""
+    """Return the site nearest to the middle, and its kernel of each class."""
     sites = sorted({each.site for each in kernels})
     away_mm = np.linalg.norm(profile.electrodes.position_mm[sites], axis=1)
     site = sites[int(away_mm.argmin())]
@@ -204,14 +195,8 @@ def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
 
 
 def weight_table(profile: Profile, of: SiteKernel) -> tuple[WordTable, list[list[bool]]]:
-    """Return the weights of a kernel where they lie on the array, the largest magnitude 1.
-
-    Returns
-    -------
-    WordTable
-    list of list of bool
-        Whether a cell is the kernel's own site.
-    """
+    """Return a kernel's weights as the array lies, largest magnitude 1, and which cell is its
+    site."""
     kernel, position = of.kernel, profile.electrodes.position_mm
     weights = kernel.peak_normalized
     lines = []

@@ -24,12 +24,9 @@ _SQUARE = [
 
 
 def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
-    """Return the permutations of electrodes that leave the design problem unchanged.
+    """Return the permutations (E,) of electrodes that leave the problem unchanged, identity first.
 
-    Returns
-    -------
-    list of ndarray, (E,)
-        ``permutation[e]`` is where electrode e goes. The first is the identity.
+    Electrode e goes to ``permutation[e]``.
     """
     array = profile.electrodes
     kept = []

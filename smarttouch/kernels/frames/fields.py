@@ -29,21 +29,9 @@ _ROUND_MM = 6
 
 
 class FieldMap:
-    """AF rows of one set of nodes, applied without being stored where the array is a grid.
+    """AF rows of N places with D directions each, applied without being stored on a grid.
 
-    Parameters
-    ----------
-    profile : Profile
-        Array of E electrodes, and skin.
-    afferents : Afferents
-        N places with D directions each.
-
-    Attributes
-    ----------
-    rows_n : int
-        D·N, in the order of `af_matrix`.
-    separable : bool
-        Whether products are used.
+    Its D·N rows are in the order of `af_matrix`.
     """
 
     def __init__(self, profile: Profile, afferents: Afferents) -> None:
