@@ -37,7 +37,7 @@ class Finger:
         Array and skin. x runs to the right, y from the fingertip toward the palm, z into the
         skin.
     seed : int
-        Of everything that differs between fingers; the same seed is the same finger.
+        Seed of everything that differs between fingers; the same seed is the same finger.
     anatomy : str, Path or Anatomy
         "branched", "paper", a TOML file, or the anatomy itself.
 
@@ -112,20 +112,16 @@ class Finger:
 
     @cached_property
     def receptor_mm(self) -> Floats:
-        """Where what each afferent fires is felt, (A, 2) mm."""
+        """Places where spikes of each afferent are perceived, (A, 2) mm."""
         places = [one.receptor_mm for one in self.populations.values()]
         return np.concatenate(places).astype(np.float32)
 
     @cached_property
     def rows(self) -> tuple[Floats, NDArray[np.intp]]:
-        """Drive of the nodes that legal currents can fire, and the first node of each afferent.
+        """Drive (N, E) float32, 1/mA, of nodes that legal currents can fire, and starts (A,).
 
-        Returns
-        -------
-        ndarray, (N, E) float32, 1/mA
-            Drive for 1 mA of cathodic current and the profile's pulse: 1 is the threshold.
-        ndarray, (A,) int
-            Nodes of afferent i begin there; each has at least one, be it of zeros.
+        Drives are for 1 mA of cathodic current and the profile's pulse: 1 is the threshold. Nodes
+        of afferent i begin at ``starts[i]``; each has at least one, if only of zeros.
         """
         found, starts, count = [], [], 0
         for one in self.populations.values():
@@ -164,7 +160,7 @@ class Finger:
         return Population(afferent, middle, course, owner, factor, is_like)
 
     def _gap_mm(self, place_mm: Array) -> Array:
-        """Return how far the curved pad lies below the array beside the contact."""
+        """Return the gap between the curved pad and the array beside the contact, mm."""
         if self.anatomy.pad_radius_mm is None:
             return np.zeros(place_mm.shape[:-1])
         contact = 0.0 if self.anatomy.contact_mm2 is None else self._contact_mm
@@ -172,7 +168,7 @@ class Finger:
         return np.asarray(np.maximum(beyond, 0) / (2 * self.anatomy.pad_radius_mm))
 
     def _places(self, is_like: ClassAnatomy, random: np.random.Generator) -> Array:
-        """Return places all over the finger, (A, 2) mm, as dense as the anatomy says."""
+        """Return places all over the finger, (A, 2) mm, at the anatomy's density."""
         reach = self.reach_mm
         area_cm2 = 4 * reach.prod() / 100
         count = random.poisson(is_like.density_per_cm2 * area_cm2)
@@ -225,7 +221,7 @@ class Finger:
     def _part(
         self, one: Population, driving: DrivingFunction, part: NDArray[np.intp], corners: int
     ) -> tuple[Floats, NDArray[np.intp]]:
-        """Return the drive at nodes of some branches, up to a corner of each, and whose it is."""
+        """Return the drive at nodes of some branches, up to a corner, and their afferents."""
         spacing = driving.internode_mm
         length_mm = course_length_mm(one.course_mm[part], corners)
         nodes = int(np.ceil(length_mm.max() / spacing)) + len(driving.along) + 1
@@ -242,9 +238,9 @@ class Finger:
         return rows[can].astype(np.float32), branch[can]
 
     def _most(self, rows: Array) -> Array:
-        """Return the largest drive that currents within the profile's limits may have, (N,).
+        """Return the largest drive that currents within the profile's limits can have, (N,).
 
-        Electrodes' currents sum to zero, each is limited, and so is the sum of all anodes.
+        Currents sum to zero, each is limited, and so is the sum of all anodes.
         """
         limits = self.profile.limits
         ranked = np.sort(rows, axis=1)

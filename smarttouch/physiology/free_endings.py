@@ -23,16 +23,7 @@ _REACH, _OWN_NODES, _OWN_REACH, _NODES = 16, 8, 24, 80
 def free_ending(
     diameter_um: float, width_us: float, threshold_mv: float = THRESHOLD_MV
 ) -> DrivingFunction:
-    """Return the driving function of an unmyelinated fiber with a sealed ending.
-
-    Parameters
-    ----------
-    diameter_um : float, µm
-    width_us : float, µs
-        Pulse width.
-    threshold_mv : float, mV
-        Depolarization that fires.
-    """
+    """Return the driving function of an unmyelinated fiber with a sealed ending."""
     step_cm, farad = STEP_MM / 10, _UF_PER_CM2 * 1e-6
     coupling = diameter_um * 1e-4 / (4 * _AXOPLASM_OHM_CM * step_cm**2 * farad) / 1e6  # 1/µs
     bend = np.eye(_NODES, k=1) + np.eye(_NODES, k=-1)
