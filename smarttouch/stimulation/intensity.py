@@ -15,9 +15,8 @@ for any pulse. The gate lets 100 ms of the ramp be caught up."""
 def force_gate(force_n: float, law: ForceLaw) -> float:
     """Return the intensity at a finger force, in [0, 1].
 
-    Zero below contact, one from full force on, rising linearly or with the
-    logarithm of force in between (paper, Section IV-B). A force that is not a
-    number is no contact.
+    Zero below contact, one from full force on, rising linearly or with the logarithm of force in
+    between (paper, Section IV-B). A force of NaN is no contact.
     """
     if not force_n > law.contact_n:
         return 0.0
@@ -29,15 +28,10 @@ def force_gate(force_n: float, law: ForceLaw) -> float:
 
 
 class SoftStart:
-    """Rate limiter by which intensity rises no faster than the ramp, and falls at once.
+    """Rate limiter by which intensity rises from zero to full in `ramp_s`, and falls at once.
 
-    It goes by what is delivered: time counts only while pulses flow, as in the safety gate
-    (`Rise`), and what was reached stays for `KEPT_NS` without pulses.
-
-    Parameters
-    ----------
-    ramp_s : float, s
-        Shortest time from zero to full.
+    Time counts only while pulses flow, as in the safety gate (`Rise`), and the intensity reached is
+    kept for `KEPT_NS` without pulses.
     """
 
     _reached: float
@@ -55,14 +49,8 @@ class SoftStart:
     def follow(self, wanted: float, time_ns: int, current: bool = True) -> float:
         """Return the intensity allowed at ``time_ns``; the first is always zero.
 
-        Where time goes back, as in an edited file, intensity does not rise.
-
-        Parameters
-        ----------
-        wanted : float, in [0, 1]
-        time_ns : int
-        current : bool
-            Whether it is for currents. Where it is for vibration alone, time counts as it passes.
+        Where time goes back, as in an edited file, intensity does not rise. For vibration alone
+        (`current` false) time counts as it passes.
         """
         first, elapsed_ns = self._time_ns is None, time_ns - (self._time_ns or 0)
         self._time_ns = time_ns
@@ -85,14 +73,9 @@ class SoftStart:
         return self._asked
 
     def note(self, period_us: int, drives: bool) -> None:
-        """Enter what the last intensity is used for.
+        """Store the period of the sequence of the last intensity, and whether it has current.
 
-        Parameters
-        ----------
-        period_us : int
-            Of the sequence.
-        drives : bool
-            Whether it has current; if not, although points are active, they were too weak.
+        If it has none although points are active, they were too weak.
         """
         if drives and self._time_ns is not None:
             self._reached, self._since_ns = self._asked, self._time_ns

@@ -24,12 +24,9 @@ def rows_of_block(electrodes: int) -> int:
 
 @lru_cache(maxsize=256)
 def extent_us(data: bytes) -> tuple[int, int, int]:
-    """Return the shortest, the longest and the sum of the times of slots, µs; zeros if none.
+    """Return the shortest, longest and total time of slots, µs, of uint16 as bytes; zeros if none.
 
-    Parameters
-    ----------
-    data : bytes
-        Of the times, uint16: they hardly ever change from frame to frame, and are looked up.
+    Times hardly ever change from frame to frame, and are looked up.
     """
     times_us = np.frombuffer(data, np.uint16)
     if not len(times_us):
@@ -38,24 +35,12 @@ def extent_us(data: bytes) -> tuple[int, int, int]:
 
 
 class SlotSums(NamedTuple):
-    """Sums over the currents of S slots.
+    """Sums over the currents of S slots."""
 
-    Attributes
-    ----------
-    net_ua : ndarray, (S,) float, µA
-        Of each slot: zero where it is in balance.
-    total_ua : ndarray, (S,) float, µA
-        Of all magnitudes of each slot.
-    highest_ua : int, µA
-        Largest magnitude of all.
-    sums : ndarray, (3, E)
-        Load of the slots on each electrode, and their charge, positive cathodic.
-    """
-
-    net_ua: NDArray[np.floating]
-    total_ua: NDArray[np.floating]
-    highest_ua: int
-    sums: Sums
+    net_ua: NDArray[np.floating]  # (S,) zero where a slot is in balance
+    total_ua: NDArray[np.floating]  # (S,) sum of magnitudes
+    highest_ua: int  # largest magnitude of all
+    sums: Sums  # (3, E) load of each electrode, and its charge, positive cathodic
 
     @property
     def load(self) -> Load:
@@ -64,17 +49,14 @@ class SlotSums(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _units(width_us: int) -> NDArray[np.float64]:
-    """Return what sums of pulses, magnitudes and currents are multiplied with, (3, 1)."""
+    """Return the factors of sums of pulses, magnitudes and currents, (3, 1)."""
     return np.array([[PER_PULSE], [PER_PC * width_us], [width_us]], np.float64)
 
 
 class SlotAdder:
     """Adder of slots, block by block; not for two threads at once.
 
-    Parameters
-    ----------
-    felt_ua : ndarray, (E,) float32, µA
-        Current from which a pulse of each electrode counts as felt.
+    Currents from `felt_ua`, (E,), on make a pulse of each electrode count as felt.
     """
 
     def __init__(self, felt_ua: NDArray[np.float32]) -> None:
@@ -89,15 +71,9 @@ class SlotAdder:
         width_us: NDArray[np.uint16],
         kind: type[np.floating] = np.float32,
     ) -> SlotSums:
-        """Return the sums of slots.
+        """Return the sums of slots, currents (S, E) and widths (S,), with S > 0.
 
-        Parameters
-        ----------
-        current_ua : ndarray, (S, E) int16, µA
-            With S > 0.
-        width_us : ndarray, (S,) uint16, µs
-        kind : type
-            Of the sums: `add_up` begins anew in double precision where single is not exact.
+        They are computed again in double precision where single is not exact.
         """
         slots = len(current_ua)
         if kind not in self._scratch:
@@ -137,14 +113,10 @@ class SlotAdder:
 
 
 def round_charge_balanced(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:
-    """Return currents in whole µA that sum to zero in every slot, like the given ones.
+    """Return currents (S, E) in whole µA that sum to zero in every slot, like the given ones.
 
-    The rounding error is carried on from electrode to electrode, so that none is
-    off by a whole µA. Given to one of them, it could raise that above its limit.
-
-    Parameters
-    ----------
-    current_ua : ndarray, (S, E) µA
+    The rounding error is carried on from electrode to electrode, so that none is off by a whole µA.
+    Given to one of them, it could raise that above its limit.
     """
     carried = np.cumsum(current_ua, axis=1)
     np.rint(carried, out=carried)

@@ -33,17 +33,7 @@ class ScanTiming:
     def shortest_period_us(
         self, slots: int, electrodes: int, width_us: float, discharge_us: float
     ) -> int:
-        """Return the shortest period of a scan, µs.
-
-        Parameters
-        ----------
-        slots : int
-            Active points.
-        electrodes : int
-            Of the array.
-        width_us, discharge_us : float, µs
-            Of each slot; the mean where they differ.
-        """
+        """Return the shortest period of a scan of active points, µs; times of slots are means."""
         taken = electrodes if self.every_electrode else slots
         busy_us = taken * (width_us + discharge_us + self.slot_extra_us) + self.scan_us
         return self.possible_period_us(busy_us / self.load)
@@ -51,13 +41,8 @@ class ScanTiming:
     def possible_period_us(self, period_us: float) -> int:
         """Return the shortest period possible on the board that is not below this one, µs.
 
-        A rate of f whole hertz is a period of 1e6/f rounded up: ``round(1e6 / period)``
-        gives f back.
-
-        Raises
-        ------
-        ScheduleError
-            If a whole number of hertz would have to be below one.
+        A rate of f whole hertz is a period of 1e6/f rounded up: ``round(1e6 / period)`` gives f
+        back. A rate below one is a ScheduleError.
         """
         period = math.ceil(period_us)
         if not self.whole_hz or period <= 1:
