@@ -58,7 +58,7 @@ class Complaint(NamedTuple):
 
 
 class TableError(SmartTouchError):
-    """A file of keys and values cannot be found, read or believed.
+    """A file of keys and values cannot be found or read, or is not valid.
 
     Its own attributes are those of the first complaint; ``sentences`` is the message as a list, one
     for each complaint.
@@ -79,7 +79,7 @@ class TableError(SmartTouchError):
 
 
 class ProfileError(TableError):
-    """A profile cannot be found, read or believed."""
+    """A profile cannot be found or read, or is not valid."""
 
 
 class SourceError(SmartTouchError):
@@ -87,7 +87,7 @@ class SourceError(SmartTouchError):
 
 
 class SourceLostError(SourceError):
-    """A source is gone that was there; it may come back."""
+    """A source was lost; it may come back."""
 
 
 class PageError(SmartTouchError):
@@ -161,7 +161,7 @@ class LineLostError(BoardError):
 
 
 class OtherDeviceError(BoardError):
-    """Another device is where a board was; nothing but a question was sent to it."""
+    """Another device is where a board was; only a question was sent to it."""
 
 
 class BoardRestartedError(BoardError):

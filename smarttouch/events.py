@@ -133,8 +133,8 @@ class TrialEvent(Event):
 
 
 Emit = Callable[[Event], None]
-"""Hands an event to all who follow a run."""
+"""Sends an event to the listeners of a run."""
 
 
 def emit_nowhere(_event: Event) -> None:
-    """Drop an event: of a source that nobody runs."""
+    """Drop an event, for a source outside of a run."""

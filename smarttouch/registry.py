@@ -51,7 +51,7 @@ class Fault(NamedTuple):
 
 
 def known_names(group: str) -> list[str]:
-    """Return the names that a URL of a group can begin with, those of plug-ins too."""
+    """Return the names that a URL of a group can begin with, plug-ins included."""
     return sorted({*_OWN[group], *(point.name for point in _plug_ins(group))})
 
 
@@ -89,7 +89,7 @@ def find_opener(
 def unknown(
     kind: str, url: str, known: Sequence[str], error: type[SmartTouchError]
 ) -> SmartTouchError:
-    """Return the error of a URL that begins with none of the names that are known."""
+    """Return the error of a URL that begins with no known name."""
     names = ", ".join(f"{each}:" for each in known)
     return error(
         f"unknown {kind} {url!r}: it must begin with one of {names}",
@@ -124,7 +124,7 @@ def given_options(
 
 
 def package_of(point: EntryPoint) -> str:
-    """Return the name of the package that an entry point is of."""
+    """Return the name of an entry point's package."""
     return point.dist.name if point.dist is not None else point.module
 
 

@@ -81,9 +81,7 @@ class LouisCode:
         return self.translate(line).cells
 
     def translate(self, line: str, emphasis: Sequence[Emphasis] = ()) -> Translated:
-        """Return a line of text as cells, with the places of its characters, given their
-        emphasis.
-        """
+        """Return a line of text, with emphasis, as cells with the places of its characters."""
         return _translate(self._table, line, _DOTS_IO | _UNICODE_CELLS, emphasis=emphasis)
 
     def decode(self, cells: str) -> str:

@@ -35,8 +35,7 @@ def open_window(rest: str, *, texture: Texture | None = None) -> "WindowMotion":
 
 
 class Pointer:
-    """Position of the pointer over a picture, at first its middle; set by one thread, read by
-    another."""
+    """Position of the pointer on a picture, set by one thread and read by another."""
 
     def __init__(self, size_px: tuple[int, int], mm_per_px: float) -> None:
         self._mm_per_px = mm_per_px

@@ -25,15 +25,15 @@ def disc(profile: Profile, radius_mm: float | None = None) -> NDArray[np.intp]:
 
 
 def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the electrodes whose stimulation of a class is felt at sites, (S',).
+    """Return the electrodes whose stimulation of a class is perceived at sites, (S',).
 
-    Others than those where the profile knows that the class is felt elsewhere (paper,
-    Section III-B.4), and fewer where the array ends.
+    They differ from the sites where the profile shifts the class (paper, Section III-B.4), and are
+    fewer where the array ends.
     """
-    felt = felt_at(profile, afferent)
-    if felt is None:
+    perceived_at = felt_at(profile, afferent)
+    if perceived_at is None:
         return sites
-    there = np.flatnonzero(np.isin(felt, sites))
+    there = np.flatnonzero(np.isin(perceived_at, sites))
     return np.asarray(np.intersect1d(there, profile.driven))
 
 

@@ -98,7 +98,7 @@ def split(
 
 
 def shares(answers: Mapping[Afferent, Answer]) -> dict[Afferent, float]:
-    """Return each class's part of the mean drive of all; zeros if nothing is felt."""
+    """Return each class's part of the mean drive of all; zeros if none is driven."""
     total = sum(each.mean_drive for each in answers.values())
     return {
         afferent: each.mean_drive / total if total > 0 else 0.0
