@@ -11,7 +11,8 @@ from smarttouch.terminal import print_table
 
 if TYPE_CHECKING:
     from smarttouch.afferent import Afferent
-    from smarttouch.kernels.report import Advance, SiteKernel, WordTable
+    from smarttouch.kernels.comparison import SiteKernel
+    from smarttouch.kernels.report import Advance, WordTable
     from smarttouch.profile import Profile
 
 

@@ -20,14 +20,15 @@ VARIANTS: dict[str, Design] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Compared:
-    """One kernel of a comparison, on the nominal finger and on the worst of the spread."""
+class SiteKernel:
+    """One kernel of a report; the last two fields only where kinds are compared."""
 
-    variant: str  # one of `VARIANTS`
+    afferent: Afferent
     site: int
     kernel: Kernel
-    worst_finger: Kernel | None  # None where it does not activate its target on one finger
     seconds: float  # time of its design
+    variant: str = ""  # one of `VARIANTS`
+    worst_finger: Kernel | None = None  # None where it does not activate its target on one finger
 
 
 def compare(
@@ -35,7 +36,7 @@ def compare(
     afferent: Afferent,
     sites: Sequence[int],
     progress: Callable[[int, int], None] | None = None,
-) -> list[Compared]:
+) -> list[SiteKernel]:
     """Design every variant for every site of a class, and evaluate each on both fingers."""
     nominal, spread = Problem(profile, afferent), Problem(profile, afferent, spread=True)
     compared = []
@@ -49,5 +50,5 @@ def compare(
                 worst = spread.judge(kernel.weights, site, kind=kernel.kind)
             except DesignError:
                 worst = None
-            compared.append(Compared(variant, site, on_nominal, worst, seconds))
+            compared.append(SiteKernel(afferent, site, on_nominal, seconds, variant, worst))
     return compared

@@ -84,7 +84,7 @@ def design_kernel(
 
 
 def design_any_node(problem: Problem, site: int) -> Kernel:
-    """Return the best design over the nodes of the target's axon nearest to this site (Eq. 13 to
+    """Return the best design over the nodes of the target's axon that are nearest (Eq. 13 to
     15)."""
     problem.check_site(site)
     nodes = problem.axon_mm(site)

@@ -49,8 +49,8 @@ class FingerSample:
         return int(self.finger[-1]) + 1
 
     def drives(self, current_ma: Array) -> tuple[Floats, NDArray[np.int32]]:
-        """Return afferents' largest drives by currents (S, E) mA and their nodes from `SEEN` on,
-        (A, S)."""
+        """Return afferents' largest drives by currents (S, E) mA and nodes from `SEEN` on, (A,
+        S)."""
         columns = np.ascontiguousarray(current_ma.T, np.float32)
         highest = np.empty((len(self.starts), columns.shape[1]), np.float32)
         node = np.full(highest.shape, -1, np.int32)

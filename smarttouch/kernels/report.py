@@ -9,7 +9,7 @@ import numpy as np
 from smarttouch.afferent import Afferent
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.kernels.batch import design_sites, part_of
-from smarttouch.kernels.comparison import compare
+from smarttouch.kernels.comparison import SiteKernel, compare
 from smarttouch.kernels.design import design_any_node, design_kernel
 from smarttouch.kernels.driving_problem import DrivingProblem
 from smarttouch.kernels.finger_kernels import FingerKernels
@@ -21,18 +21,6 @@ Advance = Callable[[int, int], None]
 """Given how many sites are done, of how many."""
 DESIGNS = {"robust": design_kernel, "three-state": design_three_state, "any-node": design_any_node}
 """Designs beside that of the profile's own board."""
-
-
-@dataclass(frozen=True, eq=False)
-class SiteKernel:
-    """One kernel of a report; the last two fields only where kinds are compared."""
-
-    afferent: Afferent
-    site: int
-    kernel: Kernel
-    seconds: float
-    variant: str = ""
-    worst_finger: Kernel | None = None
 
 
 @dataclass(frozen=True)
@@ -92,7 +80,7 @@ def kernels_compared(
 ) -> list[SiteKernel]:
     """Return kernels of all kinds, with their figures on the worst finger."""
     return [
-        SiteKernel(mode, each.site, each.kernel, each.seconds, each.variant, each.worst_finger)
+        each
         for index, mode in enumerate(modes)
         for each in compare(profile, mode, sites, part_of(progress, index, len(modes)))
     ]
@@ -195,8 +183,7 @@ def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
 
 
 def weight_table(profile: Profile, of: SiteKernel) -> tuple[WordTable, list[list[bool]]]:
-    """Return a kernel's weights as the array lies, largest magnitude 1, and which cell is its
-    site."""
+    """Return a kernel's weights laid out as its array, and which cell is its own site."""
     kernel, position = of.kernel, profile.electrodes.position_mm
     weights = kernel.peak_normalized
     lines = []

@@ -105,13 +105,11 @@ class FrameJudge:
         return dict(zip(names, self.others, strict=True))
 
     def reached(self, current: Array) -> list[Single]:
-        """Return the AF, V/mm², of each other class, then of the own, for currents (E,) or (S, E)
-        mA."""
+        """Return the AF, V/mm², of each other class, then of the own, for currents ([S,] E) mA."""
         return reached([*self.others, self.own], current)
 
     def limits(self, active: NDArray[np.intp], bounds: FrameBounds, aimed: float) -> list[Bounded]:
-        """Return the bound of each field of `reached` if active points (A,) get `aimed` of a
-        wish."""
+        """Return the bound of each field of `reached` if points (A,) get `aimed` of a wish."""
         smallest = aimed * float(self.wish_af[active].min())
         others: list[Bounded] = [(field, bounds.other * smallest, None) for field in self.others]
         return [*others, (self.own, bounds.spill * smallest, self.far(active))]
