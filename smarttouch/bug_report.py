@@ -1,4 +1,4 @@
-"""Facts for a bug report, each from a list of what may be in one; nothing of participants."""
+"""Facts for a bug report, from lists of what may be in one: nothing about participants."""
 
 import platform
 import re

@@ -36,10 +36,7 @@ class NaturalDrive:
         time_ns: int,
         touching: bool,
     ) -> None:
-        """Fill the rows RA and SAI of zero activation, (3, E), from ink, (E,) in [0, 1].
-
-        A lifted finger clears the memory.
-        """
+        """Fill rows RA and SAI of zeros (3, E) from ink, (E,); without touch all ink is new."""
         if self.last_ns is None or not touching:
             self._slow[:] = 0
         change, sustained = activation[Afferent.RA], activation[Afferent.SAI]

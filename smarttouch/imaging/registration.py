@@ -68,10 +68,8 @@ def _whole(side: float) -> int:
 
 
 def _reduced_side(side: int, wanted: int) -> int:
-    """Return ``side`` over the largest whole number that leaves ``wanted`` or more.
-
-    OpenCV averages by whole factors several times faster than by others.
-    """
+    """Return ``side`` over the largest whole number, as OpenCV averages faster by these, that
+    leaves ``wanted`` or more."""
     factors = range(max(1, side // wanted), 0, -1)
     return side // next(factor for factor in factors if side % factor == 0)
 

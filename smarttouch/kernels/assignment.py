@@ -32,10 +32,8 @@ _SLACK = 1e-9
 
 
 def best_assignment(problem: Problem, site: int) -> tuple[Array, float]:
-    """Return the best pattern of one source, (E,) shares positive cathodic, and its gap.
-
-    The gap to the optimum is 0 where it is proven, else (reached − bound) / reached.
-    """
+    """Return the best pattern of one source, (E,) positive cathodic, and its gap: 0 where proven
+    optimal, else (reached − bound) / reached."""
     judge = _Judge(problem, site)
     states, gap = _best_states(judge, problem, site)
     pattern = np.zeros(problem.electrodes)

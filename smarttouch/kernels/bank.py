@@ -143,10 +143,8 @@ def problem_hash(profile: Profile) -> str:
 
 
 def load_bank(profile: Profile, progress: Progress | None = None) -> KernelBank:
-    """Return the bank of a profile: shipped, from the user's cache, or designed now.
-
-    An interrupted design resumes where it was. `progress` gets the sites done, of how many.
-    """
+    """Return the bank of a profile: shipped, from the user's cache, or designed now, where an
+    interrupted design resumes."""
     if (bank := find_bank(profile)) is not None:
         return bank
     cached = _cached_bank(profile)

@@ -29,10 +29,7 @@ _AT_ONCE = 2048
 
 
 class DrivingProblem(Problem):
-    """Drives of one class's targets, of the other classes, and of its own, in homogeneous skin.
-
-    A layered skin, and a pulse outside what is fitted, raise a DesignError.
-    """
+    """Drives of one class's targets, of the other classes, and of its own, in homogeneous skin."""
 
     def __init__(
         self,
@@ -110,10 +107,7 @@ class DrivingProblem(Problem):
 
 
 def _displacements(place_mm: Array, electrode_mm: Array) -> tuple[Array, NDArray[np.intp]] | None:
-    """Return the distinct displacements (D, 2) mm and their index for place and electrode, (N, E).
-
-    None where too few are alike, as off a grid.
-    """
+    """Return distinct displacements (D, 2) mm and their index, (N, E); None if too many differ."""
     sides, which = [], []
     for place, electrode in zip(place_mm.T, electrode_mm.T, strict=True):
         own, row = np.unique(place.round(_ROUND_MM), return_inverse=True)

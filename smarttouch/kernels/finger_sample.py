@@ -1,4 +1,4 @@
-"""Afferents of several fingers, as the design of kernels sees them."""
+"""Afferents of several fingers, for the design of kernels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -216,10 +216,8 @@ class Problem:
     def judge(
         self, weights: Array, site: int, node: int = 0, kind: Kind = "weighted", gap: float = 0.0
     ) -> Kernel:
-        """Return weights scaled to an activation of 1, with their figures on the worst skin.
-
-        Weights that do not activate the target in one of them raise a DesignError.
-        """
+        """Return weights scaled to an activation of 1, with their figures on the worst skin;
+        DesignError if they do not activate the target in one of them."""
         far = self.beyond_a_pitch(site)
         worst, spill, whose, smallest = -np.inf, 0.0, 0, np.inf
         for rows in self.rows:

@@ -53,10 +53,7 @@ def kernels_designed(
     robust: bool,
     progress: Advance | None,
 ) -> list[SiteKernel]:
-    """Return kernels designed now: one of `DESIGNS`, or as the profile's board needs them.
-
-    "driving" is the latter on driving functions.
-    """
+    """Return kernels designed now: one of `DESIGNS`, or as the board needs them, also "driving"."""
     design_one = DESIGNS[kind] if kind in DESIGNS else designer(profile)
     a_problem = DrivingProblem if kind == "driving" else Problem
     found = []
@@ -104,10 +101,7 @@ def middle_kernels(
 def as_json(
     profile: Profile, kernels: Sequence[SiteKernel], driving: bool = False
 ) -> dict[str, Any]:
-    """Return kernels as a JSON object; weights in mA per V/mm², cathodic positive.
-
-    Designed on driving functions, their weights are in mA at the target's threshold.
-    """
+    """Return kernels as a JSON object; weights in mA, positive cathodic."""
     aim = "the target's threshold" if driving else "an activating function of 1 V/mm² at the target"
     return {
         "profile": profile.name,

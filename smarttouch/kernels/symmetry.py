@@ -24,10 +24,7 @@ _SQUARE = [
 
 
 def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
-    """Return the permutations (E,) of electrodes that leave the problem unchanged, identity first.
-
-    Electrode e goes to ``permutation[e]``.
-    """
+    """Return permutations that keep the problem, identity first: e goes to ``permutation[e]``."""
     array = profile.electrodes
     kept = []
     upright = any(shape == "rectangle" and size[0] != size[1] for shape, size in array.kinds)

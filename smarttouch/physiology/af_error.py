@@ -46,10 +46,8 @@ class AfError:
 
 
 def af_error_table(profile: Profile) -> list[AfError]:
-    """Return thresholds under one electrode whose current returns far away.
-
-    Fibers lie flat or rise, with either ending; both polarities and all of `DEPTHS_MM` are there.
-    """
+    """Return thresholds of fibers flat and rising, with either ending and polarity, at all of
+    `DEPTHS_MM` under one electrode whose current returns far away."""
     found: list[tuple[str, str, float, float, float]] = []
     for name, fiber in _FIBERS.items():
         for depth_mm in DEPTHS_MM:

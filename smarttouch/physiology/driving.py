@@ -47,10 +47,7 @@ class DrivingFunction:
     block: float = np.inf
 
     def drive(self, potential_mv: Array) -> Array:
-        """Return the drive (C, M, E) at nodes that can fire, of potentials (C, N, E), ending first.
-
-        1 is the threshold.
-        """
+        """Return the drive, (C, M, E), 1 at threshold, of potentials (C, N, E), ending first."""
         return self.operator(potential_mv.shape[-2]) @ potential_mv
 
     def highest(self, potential_mv: Array) -> Array:
@@ -88,10 +85,7 @@ def passes(drive: Array, block: float) -> NDArray[np.bool_]:
 
 
 def bend_operator(end: End, nodes: int) -> Array:
-    """Return second differences along a fiber as a matrix, (B, N).
-
-    The first one of an ending is the difference to its only neighbor.
-    """
+    """Return second differences along a fiber as a matrix, (B, N), and the first at an ending."""
     bends = np.diff(np.eye(nodes), 2, axis=0)
     if end == "through":
         return bends
@@ -104,10 +98,8 @@ def _shipped() -> dict[str, Any]:
 
 
 def load_driving(fiber: str, end: End, width_us: float) -> DrivingFunction:
-    """Return the shipped driving function of one of `FIBERS`; DesignError if there is none.
-
-    Between fitted pulse widths weights are interpolated over the logarithm.
-    """
+    """Return the driving function of one of `FIBERS`, interpolated over the logarithm of pulse
+    width; DesignError if there is none."""
     offered = _shipped()
     fitted: dict[str, Any] = offered.get(fiber, {}).get(end, {})
     if not fitted:

@@ -50,10 +50,7 @@ class Feeling:
 
 
 def feel(finger: Finger, given: Any, seed: int = 1) -> Feeling:
-    """Return a finger's spikes under a Step, StepResult or ScanSequence, or several in their order.
-
-    The seed is that of the noise from pulse to pulse.
-    """
+    """Return a finger's spikes under a Step, StepResult or ScanSequence, or several in order."""
     parts = list(given) if isinstance(given, Iterable) else [given]
     steps = [getattr(each, "step", each) for each in parts]
     sequences: list[Slots] = [getattr(each, "sequence", each) for each in steps]
@@ -89,10 +86,8 @@ def fire_all(model: SpikeModel, sequences: Sequence[Slots]) -> Iterator[Spikes]:
 def distinct_slots(
     current_ua: NDArray[np.int16], width_us: NDArray[Any]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the index of the first of each distinct slot, and each slot's number among these.
-
-    Trains repeat the same few pulses, so that what follows from a pulse is computed once.
-    """
+    """Return the index of the first of each distinct slot, and each slot's number among these, as
+    trains repeat the same few pulses."""
     width = np.ascontiguousarray(width_us, np.float32).view(np.int16).reshape(-1, 2)
     rows = np.hstack([current_ua.astype(np.int16, copy=False), width])
     whole = np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))
@@ -105,10 +100,8 @@ def finger_svg(
     counts: NDArray[np.intp] | None = None,
     active: NDArray[np.bool_] | None = None,
 ) -> str:
-    """Return a finger from above: receptors by class, and electrodes, (E,) active ones filled.
-
-    With counts of spikes, (A,), receptors that fired are larger.
-    """
+    """Return a finger from above: receptors by class, larger with spikes, (A,), and electrodes,
+    (E,) active ones filled."""
     reach = finger.reach_mm
     wide, high = np.ceil(2 * reach * _PX_PER_MM).astype(int)
 

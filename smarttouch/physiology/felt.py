@@ -59,10 +59,8 @@ def over(how: Callable[[list[float]], float], values: Iterable[float]) -> float:
 def felt_map(
     finger: Finger, counts: NDArray[np.intp], places_mm: NDArray[np.float64], blur_mm: float = 1.0
 ) -> NDArray[np.float32]:
-    """Return spikes of each class around places (P, 2) mm, (3, P), by the places of receptors.
-
-    Counts are (A,). The blur is the standard deviation of a receptive field. Ours.
-    """
+    """Return spikes of each class around places (P, 2) mm, (3, P), blurred by the standard
+    deviation of a receptive field. Ours."""
     fired = counts > 0
     away = places_mm[None] - finger.receptor_mm[fired, None]
     weight = np.exp(-(away**2).sum(axis=2) / (2 * blur_mm**2)) * counts[fired, None]
@@ -71,10 +69,7 @@ def felt_map(
 
 
 def in_color(spikes: NDArray[Any], most: float) -> NDArray[np.float32]:
-    """Return spikes (3, ...) as inks on white, one for each class, (..., 3) in [0, 1].
-
-    `most` spikes of all classes together have the full color.
-    """
+    """Return spikes (3, ...) as inks on white, (..., 3), with full color at `most` in total."""
     image = np.ones((*spikes.shape[1:], 3), np.float32)
     for afferent, color in CLASS_COLORS.items():
         ink = 1 - np.array([int(color[at : at + 2], 16) for at in (1, 3, 5)]) / 255

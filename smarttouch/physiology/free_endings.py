@@ -1,10 +1,10 @@
-"""Driving functions of free endings: unmyelinated, so that a linear cable foretells what fires.
+"""Driving functions of free endings: unmyelinated, so that a linear cable predicts what fires.
 
 An unmyelinated fiber is a cable of one membrane. In the 200 µs of a pulse its potential moves by
 some hundredths of a millimeter only, and it fires where the pulse leaves it depolarized by about
 16 mV. With the membrane of Hodgkin and Huxley at 20 °C, diameters of 0.3 to 1 µm and depths of 0.3
 to 0.5 mm, under a disc or at its edge, it fires at 1.0 to 1.25 times the cathodic current so
-foretold, and at 0.65 to 0.9 times the anodic (`tests/physiology/test_free_endings.py`).
+predicted, and at 0.65 to 0.9 times the anodic (`tests/physiology/test_free_endings.py`).
 """
 
 import numpy as np

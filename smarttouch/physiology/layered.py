@@ -43,10 +43,7 @@ def spectrum(k: Array, outer_radius: float, inner_radius: float = 0.0) -> Array:
 
 
 def transfer(k: Array, depth: float, layers: Sequence[Layer]) -> tuple[Array, Array]:
-    """Return T and −(∂T/∂z)/k at a depth, mm·m/S per unit of current spectrum, for k (K,) 1/mm.
-
-    Layers are from the surface down.
-    """
+    """Return T and −(∂T/∂z)/k at a depth, mm·m/S per unit of current spectrum, for k 1/mm."""
     # Resistance seen downward from the top of each layer, as on a transmission line.
     seen = [np.full_like(k, 1 / layers[-1][1])]
     for thickness, conductivity in reversed(layers[:-1]):

@@ -274,10 +274,8 @@ def strength_duration(
 
 
 def weiss_fit(widths_us: ArrayLike, thresholds_ma: ArrayLike) -> tuple[float, float]:
-    """Return rheobase (mA) and chronaxie (µs): I·w = rheobase × (w + chronaxie) (Weiss 1901).
-
-    Each of the (W,) charges is weighted by its relative error.
-    """
+    """Return rheobase (mA) and chronaxie (µs), I·w = rheobase × (w + chronaxie) (Weiss 1901), with
+    charges weighted by their relative error."""
     widths = np.asarray(widths_us, np.float64)
     charges = widths * np.asarray(thresholds_ma, np.float64)
     rheobase, least_charge = np.polyfit(widths, charges, 1, w=1 / charges)

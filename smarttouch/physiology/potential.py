@@ -19,10 +19,7 @@ Array = NDArray[np.float64]
 
 
 class Field(NamedTuple):
-    """Potential (1/mm) and its second derivatives (1/mm³), arrays of one shape.
-
-    x and y run along the skin, z into it.
-    """
+    """Potential (1/mm) and second derivatives (1/mm³); x and y run along the skin, z into it."""
 
     potential: Array
     xx: Array
@@ -49,10 +46,8 @@ class Field(NamedTuple):
 def around_axis(
     x: Array, y: Array, potential: Array, zz: Array, around: Array, slanted: Array
 ) -> Field:
-    """Return the cathodic field of an anodic potential that is symmetric about the z axis.
-
-    It is given by Φ, ∂²Φ/∂z², (∂Φ/∂r)/r and (∂²Φ/∂r∂z)/r, the latter two finite on the axis.
-    """
+    """Return the cathodic field of an anodic potential that is symmetric about the z axis, from Φ,
+    ∂²Φ/∂z², (∂Φ/∂r)/r and (∂²Φ/∂r∂z)/r, the latter two finite on the axis."""
     r2 = x * x + y * y
     # ∂²Φ/∂r² follows from Laplace's equation; on the axis it equals (∂Φ/∂r)/r.
     stretch = np.divide(-zz - 2 * around, r2, out=np.zeros_like(r2), where=r2 > 1e-12)

@@ -121,10 +121,7 @@ def threshold_um(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
 
 
 def sensitivity(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
-    """Return the sensitivity of a class at a frequency, Hz, in [0, 1] of its best.
-
-    It is 1 at 30 Hz (RA), 250 Hz (PC) or rest (SAI).
-    """
+    """Return the sensitivity at a frequency, Hz: 1 at 30 Hz (RA), 250 Hz (PC) or rest (SAI)."""
     best = threshold_um(afferent, best_hz(afferent))
     return np.asarray(best / threshold_um(afferent, frequency_hz))
 

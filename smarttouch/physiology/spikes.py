@@ -83,10 +83,7 @@ class SpikeModel:
         return np.asarray(highest)
 
     def fire(self, slots: Slots, above: Floats | None = None) -> Spikes:
-        """Return the spikes of one sequence; the next one begins where it ends.
-
-        Its `drive` is computed unless given.
-        """
+        """Return the spikes of one sequence, by its `drive` if given; the next one follows it."""
         lasts = slots.width_us.astype(np.int64) + slots.discharge_us
         time_us = self._now_us + np.cumsum(lasts) - lasts
         if above is None:

@@ -73,10 +73,8 @@ class SoftStart:
         return self._asked
 
     def note(self, period_us: int, drives: bool) -> None:
-        """Store the period of the sequence of the last intensity, and whether it has current.
-
-        If it has none although points are active, they were too weak.
-        """
+        """Store the period of the sequence of the last intensity, and whether it has current; if
+        not although points are active, they were too weak."""
         if drives and self._time_ns is not None:
             self._reached, self._since_ns = self._asked, self._time_ns
             self._left_ns, self._first_ns = 1000 * period_us, FIRST_NS

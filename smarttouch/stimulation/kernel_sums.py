@@ -155,10 +155,8 @@ class KernelSums:
 def _parts(
     totals_ma: list[float], owners: list[int], most_ma: float
 ) -> tuple[list[list[int]], float]:
-    """Return each owner's points in groups below a total, and the largest total of a group.
-
-    Each point goes to the first group of its owner that has room.
-    """
+    """Return groups of each owner's points, each in the first with room below a total, and the
+    largest total of a group."""
     parts: list[list[int]] = []
     sums_ma: list[float] = []
     first, before = 0, -1

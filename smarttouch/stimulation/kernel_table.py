@@ -130,9 +130,6 @@ class KernelLists:
 def largest_amplitude(
     weights: NDArray[np.int16], most_ua: NDArray[np.float64]
 ) -> NDArray[np.uint16]:
-    """Return the largest amplitude of each kernel (K, E) that keeps whole limits (E,) µA.
-
-    A current within a whole limit stays so when it is rounded.
-    """
+    """Return the largest amplitude of each kernel (K, E) that keeps whole limits (E,) µA."""
     room = np.floor(most_ua) * 2.0**SHIFT / np.maximum(np.abs(weights.astype(np.float64)), 1)
     return np.asarray(np.minimum(np.floor(room.min(axis=1)), 0xFFFF), np.uint16)

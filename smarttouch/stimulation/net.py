@@ -70,10 +70,8 @@ class NetPlan:
         return newest_pc <= _MOST_PC
 
     def period_us(self, net_pc: Array, time_us: float, period_us: int, busy_us: int) -> float:
-        """Enter a sequence with net charge (E,) pC that begins now; return its shortest period.
-
-        It would have period `period_us`, and its slots take `busy_us`.
-        """
+        """Enter a sequence with net charge (E,) pC and slots of `busy_us`; return its shortest
+        period, not below `period_us`."""
         most_pc = float(np.abs(net_pc).max())
         self._enter(time_us + busy_us, most_pc, net_pc)
         count, needed_us = len(self._passes), float(period_us)

@@ -216,10 +216,8 @@ class PointSlots:
 
 
 def felt_at(profile: Profile, afferent: Afferent) -> NDArray[np.intp] | None:
-    """Return the electrode at which each electrode's point is perceived, (E,), or E if at none.
-
-    None is returned without ``perception.pc_shift_mm`` and the like (paper, Section III-B.4).
-    """
+    """Return the electrode at which each electrode's point is perceived, (E,), E if at none; None
+    without ``perception.pc_shift_mm`` and the like (paper, Section III-B.4)."""
     felt = profile.perception
     shift_mm = (felt.ra_shift_mm, felt.sai_shift_mm, felt.pc_shift_mm)[afferent]
     if not any(shift_mm):

@@ -72,10 +72,8 @@ def rates_of(
 
 
 class PulseRates:
-    """Separate time grids of several classes with full rates in Hz.
-
-    Classes due closer together than `merge_us`, the shortest period of a sequence, pulse in one.
-    """
+    """Time grids of several classes with full rates in Hz, merged where pulses are due closer
+    together than `merge_us`, the shortest period of a sequence."""
 
     def __init__(self, rates_hz: Mapping[Afferent, float], merge_us: int) -> None:
         self._rates_hz = dict(rates_hz)
@@ -85,10 +83,7 @@ class PulseRates:
     def due(
         self, time_ns: int, shares: Mapping[Afferent, float]
     ) -> tuple[tuple[Afferent, ...], int]:
-        """Return the classes that pulse now, and the time until the next is due, µs.
-
-        Shares are of each full rate, see `rate_share`.
-        """
+        """Return the classes that pulse now, by shares of full rates, and the µs to the next."""
         now, merge_ns = [], 1000 * self._merge_us
         next_ns = []
         for afferent, rate_hz in self._rates_hz.items():

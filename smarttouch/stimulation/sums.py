@@ -24,10 +24,7 @@ def rows_of_block(electrodes: int) -> int:
 
 @lru_cache(maxsize=256)
 def extent_us(data: bytes) -> tuple[int, int, int]:
-    """Return the shortest, longest and total time of slots, µs, of uint16 as bytes; zeros if none.
-
-    Times hardly ever change from frame to frame, and are looked up.
-    """
+    """Return the shortest, longest and total time of slots, µs, of uint16 as bytes; or zeros."""
     times_us = np.frombuffer(data, np.uint16)
     if not len(times_us):
         return 0, 0, 0
@@ -54,10 +51,8 @@ def _units(width_us: int) -> NDArray[np.float64]:
 
 
 class SlotAdder:
-    """Adder of slots, block by block; not for two threads at once.
-
-    Currents from `felt_ua`, (E,), on make a pulse of each electrode count as felt.
-    """
+    """Adder of slots, block by block, that counts pulses from currents `felt_ua`, (E,), on; not for
+    two threads at once."""
 
     def __init__(self, felt_ua: NDArray[np.float32]) -> None:
         self._felt_ua, self._electrodes = felt_ua, len(felt_ua)
@@ -71,10 +66,8 @@ class SlotAdder:
         width_us: NDArray[np.uint16],
         kind: type[np.floating] = np.float32,
     ) -> SlotSums:
-        """Return the sums of slots, currents (S, E) and widths (S,), with S > 0.
-
-        They are computed again in double precision where single is not exact.
-        """
+        """Return the sums of slots, currents (S, E) and widths (S,), S > 0, again in double
+        precision where single is not exact."""
         slots = len(current_ua)
         if kind not in self._scratch:
             block = np.empty((self._rows, self._electrodes), kind)

@@ -43,10 +43,7 @@ class Motion(Device, ABC):
 
     @abstractmethod
     def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return the displacement from the start, right and down, mm; None at the end.
-
-        Times rise from call to call.
-        """
+        """Return the displacement from the start, right and down, mm; None at the end."""
 
 
 def open_motion(url: str, **options: Any) -> Motion:

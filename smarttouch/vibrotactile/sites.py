@@ -13,10 +13,8 @@ from smarttouch.stimulation.points import felt_at
 
 
 def disc(profile: Profile, radius_mm: float | None = None) -> NDArray[np.intp]:
-    """Return the driven electrodes in the middle of the array, (S,), ascending.
-
-    They lie within a radius, one pitch if not given; the nearest one is always among them.
-    """
+    """Return the driven electrodes in the middle of the array, (S,), ascending: the nearest, and
+    all within a radius, by default one pitch."""
     electrodes = profile.electrodes
     off_mm = electrodes.position_mm[profile.driven] - electrodes.position_mm.mean(axis=0)
     away_mm = np.hypot(off_mm[:, 0], off_mm[:, 1])

@@ -29,10 +29,7 @@ _ROUND_MM = 6
 
 
 class FieldMap:
-    """AF rows of N places with D directions each, applied without being stored on a grid.
-
-    Its D·N rows are in the order of `af_matrix`.
-    """
+    """AF rows of N places with D directions each, in `af_matrix`'s order, not stored on a grid."""
 
     def __init__(self, profile: Profile, afferents: Afferents) -> None:
         self.directions_n, self.places_n = len(afferents.direction), len(afferents.position_mm)

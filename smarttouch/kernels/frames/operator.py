@@ -123,10 +123,7 @@ class FrameOperator(Generic[AnyJudge]):
     def bounded(
         self, level: Array, bounds: FrameBounds, total_ma: float | None = None
     ) -> tuple[Array, FrameFigures]:
-        """Return currents (E,) mA and figures for levels (E,), keeping bounds as far as possible.
-
-        The limit of all cathodes together is the profile's by default.
-        """
+        """Return currents (E,) mA and figures for levels (E,), within bounds as far as possible."""
         judge, active = self.judge, self._active(level)
         limit = judge.profile.limits.total_ma if total_ma is None else total_ma
         wish = (1 - AIM * bounds.uneven) * level[active] * judge.wish_af[active]
