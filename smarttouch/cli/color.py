@@ -56,7 +56,7 @@ def color(
     from smarttouch.monitor.progress import bank_progress
     from smarttouch.reading.window import press_n
     from smarttouch.terminal import print_table
-    from smarttouch.vibrotactile.crosstalk import pacinian_price
+    from smarttouch.vibrotactile.crosstalk import pacinian_crosstalk
     from smarttouch.vibrotactile.mix import mix
     from smarttouch.vibrotactile.picture import picture
     from smarttouch.vibrotactile.report import as_figures, mixture_rows, notes
@@ -88,13 +88,13 @@ def color(
     vibration = ColorSource(source, chosen, mixture, press_n(chosen))
     vibration.url = source
     vibration.notes += notes(mixture, answers)
-    price = None
+    crosstalk = None
     if mixture.pulses(Afferent.PC):
-        price = pacinian_price(chosen, bank, mixture.sites)
-        vibration.notes.append(str(price))
+        crosstalk = pacinian_crosstalk(chosen, bank, mixture.sites)
+        vibration.notes.append(str(crosstalk))
     run.start(vibration, chosen, config)
     if json_file is not None:
-        _add(json_file, as_figures(answers, mixture, vibration, price))
+        _add(json_file, as_figures(answers, mixture, vibration, crosstalk))
     if plot is not None:
         style.save(picture(trace, answers, mixture), plot)
     if not run.quiet:

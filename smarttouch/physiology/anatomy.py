@@ -130,7 +130,7 @@ class Anatomy(Table):
     def bystanders(self) -> dict[Bystander, ClassAnatomy]:
         """Classes that must not fire, if given."""
         given = zip(Bystander, (self.saii, self.a_delta, self.c), strict=True)
-        return {each: is_like for each, is_like in given if is_like is not None}
+        return {each: anatomy for each, anatomy in given if anatomy is not None}
 
     def contact_radius_mm(self, force_n: float) -> float:
         """Return the radius of the area of contact; infinite where all touch."""

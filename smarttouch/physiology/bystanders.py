@@ -28,7 +28,7 @@ class Bystanders(Finger):
         self.profile, self.seed = profile, seed
         self.anatomy = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
         self.populations = {
-            each: self._populate(each, is_like) for each, is_like in self.anatomy.bystanders.items()
+            each: self._populate(each, anatomy) for each, anatomy in self.anatomy.bystanders.items()
         }
 
     @cached_property

@@ -94,7 +94,7 @@ class KernelSums:
         return np.array(found, np.float32).reshape(-1, 2).T
 
     def most_ma(self, alone_ma: Array) -> Array:
-        """Return the largest sum of magnitudes at each electrode over a frame, (E,) mA, where
+        """Return an upper bound of each electrode's magnitudes summed over a frame, (E,) mA, where
         points alone have kernels (P, E) mA."""
         each_ma = np.abs(alone_ma)
         np.maximum.at(each_ma, self._points, np.abs(self.kernels_ma))
