@@ -64,13 +64,8 @@ class SharedKernels:
 
     @cached_property
     def totals_ma(self) -> Array:
-        """Total current of the kernel of each site, (A,)."""
+        """Total current of the kernel of each site, (A,); their sum bounds that of any subset."""
         return np.asarray(np.abs(self.kernels).sum(axis=1) / 2)
-
-    @cached_property
-    def total_ma(self) -> float:
-        """Upper bound of the total current over all subsets."""
-        return float(self.totals_ma.sum())
 
     @cached_property
     def electrode_ma(self) -> Array:
