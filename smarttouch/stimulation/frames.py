@@ -20,7 +20,7 @@ from smarttouch.kernels.frames.slots import plan_slots
 from smarttouch.profile import Profile
 from smarttouch.stimulation.kernel_sums import Found, KernelSums
 from smarttouch.stimulation.kernel_table import PER_UA, KernelLists, KernelTable
-from smarttouch.stimulation.points import Slots, constant_us, felt_at
+from smarttouch.stimulation.points import Slots, constant_us, perceived_at
 from smarttouch.stimulation.sequence import SelectivityReport
 from smarttouch.stimulation.sharing import unsupported_reason
 from smarttouch.stimulation.sums import round_charge_balanced
@@ -107,8 +107,8 @@ class FrameSlots:
         self._limit_ma = profile.total_ma
         # Less what rounding hardly ever adds; where it does, a slot is shown point by point.
         self._planned_ma = self._limit_ma - 0.002 * np.sqrt(len(full_ma))
-        felt = [felt_at(profile, each) for each in afferents]
-        self._felt_at = felt if any(each is not None for each in felt) else None
+        places = [perceived_at(profile, each) for each in afferents]
+        self._perceived_at = places if any(each is not None for each in places) else None
         self._faintest = profile.threshold_ma / profile.full_ma
         self._range = 1 - self._faintest
         self._none = np.empty(0, np.intp)
@@ -221,11 +221,11 @@ class FrameSlots:
 
     def _plan(self, activation: NDArray[np.float32]) -> SlotAllocation:
         asked = activation
-        if self._felt_at is not None:
+        if self._perceived_at is not None:
             asked = np.array(
                 [
-                    row if felt is None else np.append(row, np.float32(0))[felt]
-                    for row, felt in zip(activation, self._felt_at, strict=True)
+                    row if places is None else np.append(row, np.float32(0))[places]
+                    for row, places in zip(activation, self._perceived_at, strict=True)
                 ]
             )
         level = self._range * asked

@@ -90,7 +90,7 @@ class PointSlots:
         self._row_starts = count * np.arange(count)
         self._widths_all_us = constant_us(count, profile.pulse.width_us)
         self._single = bank.single
-        self._felt_at = None if bank.single else felt_at(profile, afferent)
+        self._perceived_at = None if bank.single else perceived_at(profile, afferent)
         self._pulse = profile.pulse
         self._by_width = profile.pulse.carrier == "width" and not bank.single
         self._in_index_order = timing.in_index_order
@@ -131,9 +131,9 @@ class PointSlots:
         the kernel, or is carried on from electrode to electrode where that would be above its
         limit. A masked electrode has no slot.
         """
-        if self._felt_at is not None:
+        if self._perceived_at is not None:
             # The last one stands for nowhere.
-            activation = np.append(activation, np.float32(0))[self._felt_at]
+            activation = np.append(activation, np.float32(0))[self._perceived_at]
         site = activation.nonzero()[0] if intensity > 0 else np.empty(0, np.intp)
         if not self._in_index_order:
             site = site.take(spread_order(len(site)))
@@ -141,16 +141,16 @@ class PointSlots:
         level *= self._range.take(site)
         level += self._faintest.take(site)
         level *= intensity
-        width_us = felt = None
+        width_us = kept = None
         if self._by_width:
             width_us = self._widths_us(level)
             level = np.where(width_us >= SHORTEST_PULSE_US, np.float32(1), np.float32(0))
-            felt = level > 0
+            kept = level > 0
         elif not self._always_switches:
-            felt = level >= self._weakest_level[site]
-        if felt is not None and not felt.all():
-            site, level = site[felt], level[felt]
-            width_us = None if width_us is None else width_us[felt]
+            kept = level >= self._weakest_level[site]
+        if kept is not None and not kept.all():
+            site, level = site[kept], level[kept]
+            width_us = None if width_us is None else width_us[kept]
         slots = len(site)
         if width_us is None:
             width_us = self._widths_all_us[:slots]
@@ -215,11 +215,11 @@ class PointSlots:
         return np.asarray(np.floor(width + 1e-3), np.uint16)
 
 
-def felt_at(profile: Profile, afferent: Afferent) -> NDArray[np.intp] | None:
+def perceived_at(profile: Profile, afferent: Afferent) -> NDArray[np.intp] | None:
     """Return the electrode at which each electrode's point is perceived, (E,), E if at none; None
     without ``perception.pc_shift_mm`` and the like (paper, Section III-B.4)."""
-    felt = profile.perception
-    shift_mm = (felt.ra_shift_mm, felt.sai_shift_mm, felt.pc_shift_mm)[afferent]
+    shifts = profile.perception
+    shift_mm = (shifts.ra_shift_mm, shifts.sai_shift_mm, shifts.pc_shift_mm)[afferent]
     if not any(shift_mm):
         return None
     place_mm = profile.electrodes.position_mm

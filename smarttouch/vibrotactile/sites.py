@@ -9,7 +9,7 @@ from smarttouch.afferent import Afferent
 from smarttouch.electrodes import parse_ranges
 from smarttouch.errors import ScheduleError, SmartTouchError
 from smarttouch.profile import Profile
-from smarttouch.stimulation.points import felt_at
+from smarttouch.stimulation.points import perceived_at
 
 
 def disc(profile: Profile, radius_mm: float | None = None) -> NDArray[np.intp]:
@@ -28,10 +28,10 @@ def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) ->
     They differ from the sites where the profile shifts the class (paper, Section III-B.4), and are
     fewer where the array ends.
     """
-    perceived_at = felt_at(profile, afferent)
-    if perceived_at is None:
+    places = perceived_at(profile, afferent)
+    if places is None:
         return sites
-    there = np.flatnonzero(np.isin(perceived_at, sites))
+    there = np.flatnonzero(np.isin(places, sites))
     return np.asarray(np.intersect1d(there, profile.driven))
 
 
