@@ -76,8 +76,7 @@ class ModeChanged(Event):
 class InputLost(Event):
     """The image is stale or the force unknown: there is no current."""
 
-    image: bool
-    """Whether it is the image."""
+    image: bool  # whether it is the image
 
     def __str__(self) -> str:
         what = "the image is stale" if self.image else "the force is not known"

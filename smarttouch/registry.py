@@ -44,8 +44,7 @@ _BY_POSITION = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_
 class Fault(NamedTuple):
     """One way in which a class or opener breaks the contract of its kind."""
 
-    about: str
-    """Name of the method or class."""
+    about: str  # name of the method or class
     problem: str
     sentence: str
 

@@ -45,10 +45,8 @@ class Translated(NamedTuple):
     """Cells of a line of text, and which belong to which of its characters."""
 
     cells: str
-    cell_of: list[int]
-    """Index of the first cell of each character."""
-    character_of: list[int]
-    """Index of the character of each cell: where its cursor goes."""
+    cell_of: list[int]  # index of the first cell of each character
+    character_of: list[int]  # index of the character of each cell: where its cursor goes
 
 
 class LouisCode:

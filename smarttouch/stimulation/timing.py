@@ -11,24 +11,15 @@ from smarttouch.profile import Profile
 class ScanTiming:
     """Scan timing fixed by a board; the defaults leave all to the host."""
 
-    width_us: int | None = None
-    """The only pulse width, if fixed."""
-    discharge_us: int | None = None
-    """The only discharge time, if fixed."""
-    slot_extra_us: float = 0.0
-    """Time of a slot beyond pulse and discharge."""
-    scan_us: float = 0.0
-    """Time of a scan beyond its slots."""
-    every_electrode: bool = False
-    """Whether idle electrodes take a slot too."""
-    in_index_order: bool = False
-    """Whether the board scans by electrode number."""
-    own_widths: bool = True
-    """Whether each slot may have its own pulse width."""
-    whole_hz: bool = False
-    """Whether its rate is a whole number of hertz."""
-    load: float = 1.0
-    """Share of the period that a scan may fill."""
+    width_us: int | None = None  # the only pulse width, if fixed
+    discharge_us: int | None = None  # the only discharge time, if fixed
+    slot_extra_us: float = 0.0  # time of a slot beyond pulse and discharge
+    scan_us: float = 0.0  # time of a scan beyond its slots
+    every_electrode: bool = False  # whether idle electrodes take a slot too
+    in_index_order: bool = False  # whether the board scans by electrode number
+    own_widths: bool = True  # whether each slot may have its own pulse width
+    whole_hz: bool = False  # whether its rate is a whole number of hertz
+    load: float = 1.0  # share of the period that a scan may fill
 
     def shortest_period_us(
         self, slots: int, electrodes: int, width_us: float, discharge_us: float
