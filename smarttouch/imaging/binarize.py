@@ -69,8 +69,7 @@ class Binarizer:
     def ink(self, image: NDArray[np.uint8], time_ns: int, touching: bool) -> NDArray[np.uint8]:
         """Return 255 where an image, (H, W), has ink, else 0; overwritten by the next call.
 
-        The time since the last frame bounds the fall of the white. A lifted finger may land
-        anywhere: its white is that of the frame.
+        A lifted finger may land anywhere: its white is that of the frame.
         """
         if self._inverted is not None:
             image = np.asarray(cv2.bitwise_not(image, dst=self._inverted), np.uint8)
@@ -110,11 +109,8 @@ class Binarizer:
             cv2.subtract(self._ink, wide * np.uint8(255), dst=self._ink)
 
     def _faint_ink(self, white: float) -> NDArray[np.uint8]:
-        """Return the ink of faint print: all that is darker than the paper close to it.
-
-        The paper is the patch without spots narrower than a window, so that uneven light is no ink;
-        its own unevenness is the grain.
-        """
+        """Return the ink of faint print, darker than the paper: the patch without narrow spots, so
+        that uneven light is no ink. The paper's own unevenness is its grain."""
         paper = cv2.morphologyEx(self._sample, cv2.MORPH_CLOSE, self._window)
         depths = np.bincount(cv2.subtract(paper, self._sample).reshape(-1), minlength=256).cumsum()
         grain, deep = depths.searchsorted(depths[-1] * _FAINT_RANKS, "right").tolist()

@@ -66,11 +66,8 @@ def _best_states(judge: "_Judge", problem: Problem, site: int) -> tuple[NDArray[
 
 
 def pole_shares(states: NDArray[np.int8], admittance: Array) -> Array:
-    """Return currents (P, E) mA, positive cathodic, of a source of 1 mA in each of P switch states.
-
-    States (P, E) are 1 for a cathode, −1 for an anode and 0 for insulated; admittance (E,) is
-    relative, as `Profile.admittance`.
-    """
+    """Return currents (P, E) mA, positive cathodic, of 1 mA in states (P, E): 1 cathode, −1 anode,
+    0 insulated; relative admittance (E,) divides each pole's current."""
     total = np.zeros(states.shape)
     for pole in (1, -1):
         connected = (states == pole) * admittance
@@ -80,11 +77,8 @@ def pole_shares(states: NDArray[np.int8], admittance: Array) -> Array:
 
 
 class _Judge:
-    """Objective of assignments: worst other class, or own spill where it is above `SPILL`.
-
-    The worst of the problem's skins and of all possible targets counts. Assignments have a column
-    for each of the E driven electrodes.
-    """
+    """Worst other class of assignments of driven electrodes, or own spill where above `SPILL`, on
+    the worst of the problem's skins and possible targets."""
 
     def __init__(self, problem: Problem, site: int) -> None:
         driven = problem.driven

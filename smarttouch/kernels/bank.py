@@ -70,10 +70,10 @@ class KernelBank:
         return titled(title, *(cells_svg(values, (name,)) for name, values in found.items()))
 
     def kernels(self, afferent: Afferent) -> NDArray[np.float32]:
-        """Return the kernels of a mode as fractions of full current, (E, E).
+        """Return the kernels of a mode as fractions of full current, (E, E), zero where masked.
 
-        Each has a peak magnitude of 1, or at most 1 where designed on fingers. Rows of masked sites
-        are zero. A mode that the board cannot make raises a DesignError.
+        Peaks are 1, or at most 1 where designed on fingers. A DesignError says if there is no such
+        mode.
         """
         weights = self._made(afferent)
         if self.absolute:

@@ -46,8 +46,7 @@ class FingerKernels:
     ) -> list[Timed]:
         """Return kernels, as fractions of full current, and the seconds that each took.
 
-        Finished classes are stored in the folder `keep` and read from there. `progress` gets the
-        rounds done, of how many. A site that does not exist or a layered skin raises a DesignError.
+        Finished classes are stored in the folder `keep` and read from there.
         """
         problem = self.problem(afferent)
         for site in sites:

@@ -84,11 +84,8 @@ class Rows:
 
 
 class Problem:
-    """Rows of one class on one profile, shared by all its sites.
-
-    Other classes, by default both, are not to fire (Eq. 10 has one, Eq. 16 two). With `spread`
-    kernels must hold over the profile's ``skin.spread``.
-    """
+    """Rows of one class against others, by default both (Eq. 10 has one, Eq. 16 two), shared by all
+    sites of a profile; with `spread` over the skins of ``skin.spread``."""
 
     def __init__(
         self,

@@ -90,11 +90,8 @@ def everywhere(profile: Profile, afferent: Afferent) -> Afferents:
 
 
 def along_axon(profile: Profile, afferent: Afferent, site: int) -> tuple[Afferents, ...]:
-    """Return the nodes of the axon under a site, one set for each depth.
-
-    The first node of the first set is the one under the electrode. A rising axon has its nodes
-    below the ending, a flat one on both sides.
-    """
+    """Return the nodes of the axon under a site, one set for each depth, the one under the
+    electrode first: a rising axon has its nodes below the ending, a flat one on both sides."""
     center = profile.electrodes.position_mm[site]
     skin, first = profile.skin, targets(profile, afferent)
     direction = first.direction[0]

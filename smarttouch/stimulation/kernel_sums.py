@@ -136,8 +136,7 @@ class KernelSums:
     ) -> Array:
         """Return kernels times shares, (N,) slot after slot, summed in each, (S, E) mA.
 
-        The first of all slots are added at once, then the second, and so on: a slot without more
-        gets the first kernel of all times zero. Slots begin at `start`, (S,).
+        Slots are padded to one length by the first kernel times zero, and all added at once.
         """
         place = np.arange(len(slot)) - start.take(slot)
         shape = int(place.max(initial=0)) + 1, len(start)

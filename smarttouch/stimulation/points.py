@@ -36,11 +36,7 @@ class Slots(NamedTuple):
 
 
 class PointSlots:
-    """Factory of the slots of one class, of one kernel each.
-
-    With a `table` they are sums of kernels in whole numbers. A bank that drives a masked electrode
-    raises a ScheduleError.
-    """
+    """Factory of the slots of one class, one kernel each; with a `table` in whole numbers."""
 
     def __init__(
         self,

@@ -28,11 +28,8 @@ def rate_share(pressure: float, softness: float) -> float:
 def rates_of(
     profile: Profile, afferents: tuple[Afferent, ...], rate_hz: float | None, timing: ScanTiming
 ) -> dict[Afferent, float]:
-    """Return the pulse rate of each class, Hz; none for all three: they are not due by themselves.
-
-    `rate_hz` is for one class; with several, the profile has the rate of each. An impossible rate
-    raises a ScheduleError.
-    """
+    """Return the pulse rate of each class, Hz: `rate_hz` for one, the profile's for two, none for
+    all three, which are not due by themselves."""
     pulse, limits = profile.pulse, profile.limits
     rates_hz = {afferents[0]: pulse.rate_hz if rate_hz is None else rate_hz}
     if Afferent.PC in afferents and len(afferents) > 1:

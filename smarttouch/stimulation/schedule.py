@@ -227,11 +227,7 @@ class ScanScheduler:
         return (self._first,), self._timing.possible_period_us(1e6 / slowed_hz)
 
     def _bound_exposure(self, width_us: int) -> None:
-        """Find periods that keep the pulses and the charge of any image within the exposure.
-
-        They are infinite where slots are planned, whose load is known then. Points that share no
-        slots and are too much for any period raise a ScheduleError.
-        """
+        """Find periods that keep the exposure of any image; infinite where slots are planned."""
         load = np.zeros((2, self._electrodes))
         everywhere = np.ones(self._electrodes, np.float32)
         for points in self._points.values():

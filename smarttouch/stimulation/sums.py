@@ -109,7 +109,6 @@ def round_charge_balanced(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:
     """Return currents (S, E) in whole µA that sum to zero in every slot, like the given ones.
 
     The rounding error is carried on from electrode to electrode, so that none is off by a whole µA.
-    Given to one of them, it could raise that above its limit.
     """
     carried = np.cumsum(current_ua, axis=1)
     np.rint(carried, out=carried)
