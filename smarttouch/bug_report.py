@@ -1,4 +1,4 @@
-"""Facts for a bug report, each from a list of what may be in one; nothing of participants."""
+"""Facts for a bug report, from lists of what may be in one: nothing about participants."""
 
 import platform
 import re
@@ -66,7 +66,7 @@ def bug_report(recording: Path | None = None) -> dict[str, Any]:
 
 
 def _packages() -> list[tuple[str, str]]:
-    """Return each package that this one asks for, also by an extra, with its version."""
+    """Return each package that this one requires, also by an extra, with its version."""
     try:
         wanted = requires("smarttouch") or []
     except PackageNotFoundError:
@@ -81,7 +81,7 @@ def _packages() -> list[tuple[str, str]]:
 
 
 def _others(group: str) -> list[str]:
-    """Return what other packages bring, with their versions."""
+    """Return the plug-ins of other packages, with their versions."""
     return sorted(
         f"{each.name}: of {each.dist.name} {each.dist.version}" if each.dist else each.name
         for each in entry_points(group=f"smarttouch.{group}")
@@ -126,7 +126,7 @@ def _kind(url: object, group: str) -> str | None:
 
 
 def _version(found: object) -> str | None:
-    """Return a version as programs have it; None for any other words."""
+    """Return a version as programs write it; None for any other words."""
     return found if isinstance(found, str) and _VERSION.fullmatch(found) else None
 
 

@@ -7,7 +7,7 @@ class Closing:
     """Closes itself at the end of its ``with`` block, whatever has happened in it."""
 
     def close(self) -> None:
-        """Let go of what is held open; a second time does nothing."""
+        """Release everything held open; a second call does nothing."""
 
     def __enter__(self) -> Self:
         return self

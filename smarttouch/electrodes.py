@@ -23,38 +23,22 @@ KAJIMOTO_61_ROWS = (5, 6, 7, 8, 9, 8, 7, 6, 5)
 class ElectrodeArray:
     """Electrodes on the skin.
 
-    Attributes
-    ----------
-    position_mm : ndarray, (E, 2) float64, mm
-        Center of each electrode; x to the right along the text line, y
-        **downward** along the page, as in an image. The origin is the array's
-        center.
-    cell_mm : tuple of float, mm
-        Width and height of the patch of skin that one electrode stands for:
-        its share of the array, and the aperture through which it sees the page.
-    pitch_mm : float, mm
-        Distance to the nearest neighbor.
-    shape : {"point", "disc", "annulus", "rectangle"}
-        Shape of every electrode.
-    size_mm : tuple of float, mm
-        Outer and inner diameter of an annulus, diameter and 0 of a disc, width
-        and height of a rectangle.
-    own : tuple of (shape, size_mm), optional
-        Shape and size of each electrode, where they differ; `shape` and `size_mm` are then those
-        of the first.
-
-    Raises
-    ------
-    ProfileError
-        If there are fewer than two electrodes, or two stand at the same place and neither is a
-        ring around the other.
+    x runs to the right along the text line, y **downward** as in an image; the origin is the
+    array's center. Fewer than two electrodes, or two at one place of which none is a ring around
+    the other, raise a ProfileError.
     """
 
-    position_mm: NDArray[np.float64]
+    position_mm: NDArray[np.float64]  # (E, 2) center of each
+    # Width and height of the patch of skin that one electrode stands for: its share of the array,
+    # and the aperture through which it sees the page.
     cell_mm: tuple[float, float]
-    pitch_mm: float
+    pitch_mm: float  # distance to the nearest neighbor
     shape: Shape = "disc"
+    # Outer and inner diameter of an annulus, diameter and 0 of a disc, width and height of a
+    # rectangle.
     size_mm: tuple[float, float] = (1.0, 0.0)
+    # Shape and size of each electrode, where they differ; `shape` and `size_mm` are then those of
+    # the first.
     own: tuple[tuple[Shape, tuple[float, float]], ...] | None = None
 
     def __post_init__(self) -> None:

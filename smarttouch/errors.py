@@ -39,7 +39,7 @@ class SmartTouchError(Exception):
 
 
 class TableError(SmartTouchError):
-    """A file of keys and values cannot be found, read or believed.
+    """A file of keys and values cannot be found or read, or is not valid.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class TableError(SmartTouchError):
 
 
 class ProfileError(TableError):
-    """A profile cannot be found, read or believed."""
+    """A profile cannot be found or read, or is not valid."""
 
 
 class SourceError(SmartTouchError):
@@ -63,7 +63,7 @@ class SourceError(SmartTouchError):
 
 
 class SourceLostError(SourceError):
-    """A source is gone that was there; it may come back."""
+    """A source was lost; it may come back."""
 
 
 class PageError(SmartTouchError):
@@ -141,7 +141,7 @@ class SilentBoardError(BoardError):
 
 
 class OtherDeviceError(BoardError):
-    """Another device is where a board was; nothing but a question was sent to it."""
+    """Another device is where a board was; only a question was sent to it."""
 
 
 class BoardRestartedError(BoardError):

@@ -76,8 +76,7 @@ class ModeChanged(Event):
 class InputLost(Event):
     """The image is stale or the force unknown: there is no current."""
 
-    image: bool
-    """Whether it is the image."""
+    image: bool  # whether it is the image
 
     def __str__(self) -> str:
         what = "the image is stale" if self.image else "the force is not known"
@@ -133,8 +132,8 @@ class TrialEvent(Event):
 
 
 Emit = Callable[[Event], None]
-"""Hands an event to all who follow a run."""
+"""Sends an event to the listeners of a run."""
 
 
 def emit_nowhere(_event: Event) -> None:
-    """Drop an event: of a source that nobody runs."""
+    """Drop an event, for a source outside of a run."""

@@ -37,7 +37,7 @@ class Outlet:
         self._thread.start()
 
     def put(self, number: int, data: bytes) -> None:
-        """Hand bytes over; raise what went wrong with those before."""
+        """Queue bytes; raise the error of earlier ones, if any."""
         with self._changed:
             if self._failure is not None:
                 failure, self._failure = self._failure, None
@@ -48,7 +48,7 @@ class Outlet:
                 self._changed.notify_all()
 
     def drain(self, seconds: float) -> bool:
-        """Return whether all is written within a time; raise what went wrong."""
+        """Return whether all is written within a time; raise the error of a write, if any."""
         with self._changed:
             done = self._changed.wait_for(lambda: not self._waiting and not self._writing, seconds)
             failure, self._failure = self._failure, None
@@ -57,7 +57,7 @@ class Outlet:
         return done
 
     def close(self) -> None:
-        """Write nothing any more."""
+        """Stop writing."""
         with self._changed:
             self._over = True
             self._waiting.clear()
@@ -109,9 +109,9 @@ class _Stream(io.RawIOBase):
 
 @contextmanager
 def never_waiting(stopped: Callable[[], bool]) -> Iterator[None]:
-    """Let nobody wait for what is printed in the block; only its end does.
+    """Queue all that is printed in the block, so that only its end waits.
 
-    Once ``stopped`` returns true, what a terminal does not take soon is dropped.
+    Once ``stopped`` returns true, output that a terminal does not take soon is dropped.
     """
     outlet = Outlet()
     before = sys.stdout, sys.stderr
@@ -137,7 +137,7 @@ def never_waiting(stopped: Callable[[], bool]) -> Iterator[None]:
 
 
 def _through(stream: TextIO, outlet: Outlet) -> TextIO:
-    """Return a stream to the same place that never waits; the same if it is no file."""
+    """Return a stream to the same place that never waits, or the same stream if it is no file."""
     try:
         number = stream.fileno()
         stream.flush()

@@ -37,7 +37,7 @@ class FeltPicture(Listener):
         self._pulses: Callable[[], Pulses] | None = None
 
     def prepare(self, run: RunContext) -> None:
-        """Begin the picture, and have the board keep books."""
+        """Begin the picture, and make the board log its pulses."""
         from smarttouch.physiology.anatomy import load_anatomy
 
         load_anatomy(self._anatomy)
@@ -68,7 +68,7 @@ class FeltPicture(Listener):
             self._drawing = PageDrawing(run.profile, run.bank, afferents, page)
 
     def step(self, result: StepResult) -> None:
-        """Remember where the finger was."""
+        """Store the place of the finger."""
         if self._drawing is not None:
             self._drawing.watch(result)
 
@@ -91,7 +91,7 @@ class FeltPicture(Listener):
         return finger
 
     def close(self) -> None:
-        """Remove the books."""
+        """Remove the log."""
         self._open.close()
 
 

@@ -58,9 +58,7 @@ def paced() -> Iterator[Pace]:
 
 @contextmanager
 def prioritized(level: int = LOOP) -> Iterator[bool]:
-    """Give this thread real-time priority, 1 to 99, in the block if allowed; yield whether it has
-    it.
-    """
+    """Give this thread real-time priority, 1 to 99, in the block; yield whether that is allowed."""
     before = _scheduling()
     given = before is not None and _give(level)
     try:

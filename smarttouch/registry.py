@@ -44,13 +44,12 @@ _BY_POSITION = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_
 class Fault(NamedTuple):
     """One way in which a class or opener breaks the contract of its kind."""
 
-    about: str
-    """Name of the method or class."""
+    about: str  # name of the method or class
     sentence: str
 
 
 def known_names(group: str) -> list[str]:
-    """Return the names that a URL of a group can begin with, those of plug-ins too."""
+    """Return the names that a URL of a group can begin with, plug-ins included."""
     return sorted({*_OWN[group], *(point.name for point in _plug_ins(group))})
 
 
@@ -85,7 +84,7 @@ def find_opener(
 def unknown(
     kind: str, url: str, known: Sequence[str], error: type[SmartTouchError]
 ) -> SmartTouchError:
-    """Return the error of a URL that begins with none of the names that are known."""
+    """Return the error of a URL that begins with no known name."""
     names = ", ".join(f"{each}:" for each in known)
     return error(f"unknown {kind} {url!r}: it must begin with one of {names}", about=kind)
 
@@ -111,7 +110,7 @@ def given_options(
 
 
 def package_of(point: EntryPoint) -> str:
-    """Return the name of the package that an entry point is of."""
+    """Return the name of an entry point's package."""
     return point.dist.name if point.dist is not None else point.module
 
 

@@ -51,7 +51,7 @@ class CsvTable:
         return values
 
     def wrong(self, row: int, words: str) -> SmartTouchError:
-        """Return the error that a row ends in."""
+        """Return the error of a row, with its line."""
         line = self.lines[row]
         message = f"{self.path}, line {line}: {words}"
         return self.error(message, about="line")

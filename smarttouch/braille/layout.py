@@ -34,10 +34,8 @@ def lay_out(
 
 
 def join(pages: Pages, columns: int | None = None) -> list[str]:
-    """Return the paragraphs of pages that were laid out, in lines of at most ``columns`` cells.
-
-    A line that begins with a blank cell, or follows an empty one, begins a paragraph.
-    """
+    """Return the paragraphs of laid out pages; a line begins one if it begins with a blank cell or
+    follows an empty line."""
     lines = [line for page in pages for line in page]
     columns = columns or max(map(len, lines), default=0)
     paragraphs: list[str] = []

@@ -45,10 +45,8 @@ class Translated(NamedTuple):
     """Cells of a line of text, and which belong to which of its characters."""
 
     cells: str
-    cell_of: list[int]
-    """Index of the first cell of each character."""
-    character_of: list[int]
-    """Index of the character of each cell: where its cursor goes."""
+    cell_of: list[int]  # index of the first cell of each character
+    character_of: list[int]  # index of the character of each cell: where its cursor goes
 
 
 class LouisCode:
@@ -77,9 +75,7 @@ class LouisCode:
         return self.translate(line).cells
 
     def translate(self, line: str, emphasis: Sequence[Emphasis] = ()) -> Translated:
-        """Return a line of text as cells, with the places of its characters, given their
-        emphasis.
-        """
+        """Return a line of text, with emphasis, as cells with the places of its characters."""
         return _translate(self._table, line, _DOTS_IO | _UNICODE_CELLS, emphasis=emphasis)
 
     def decode(self, cells: str) -> str:

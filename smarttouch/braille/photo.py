@@ -53,8 +53,7 @@ class _View(NamedTuple):
 
     scale: float
     turn_deg: float
-    share: float
-    """Part of the paper that is covered by cells."""
+    share: float  # part of the paper that is covered by cells
     certainty: float
 
     @property

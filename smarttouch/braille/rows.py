@@ -35,10 +35,8 @@ def slope_of(px: Points, pitch_px: float) -> float:
 
 
 def cell_lines(found: FoundCells) -> tuple[list[str], list[int]]:
-    """Return lines of cells, with blanks where there is room for them, and the indices of cells.
-
-    Print beside Braille, and cells between its lines, are left out.
-    """
+    """Return lines of cells, with blanks where there is room for them, and the indices of cells,
+    without print beside Braille and cells between its lines."""
     pitch_px = cell_pitch(found.px) or 1.0
     slope = slope_of(found.px, pitch_px)
     x, y = found.px.T

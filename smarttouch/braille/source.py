@@ -30,10 +30,7 @@ class Loaded:
 
 
 def file_of(source: str) -> Path | None:
-    """Return the file that a source is the name of; None if it is words.
-
-    What looks like the name of a file that does not exist is an error.
-    """
+    """Return the file that a source names, None if words; a missing file's name is an error."""
     if source.startswith(TEXT) or not source:
         return None
     try:

@@ -109,8 +109,7 @@ class _EnglishLouis(LouisCode):
 
 class _Known(NamedTuple):
     title: str
-    file: str | None
-    """File of liblouis; None if it is built in."""
+    file: str | None  # file of liblouis; None if it is built in
     goes_back: bool
     built_in: Callable[[], BrailleCode] | None = None
 

@@ -140,11 +140,11 @@ def _run() -> int:
 
 
 def _outcome(error: BaseException) -> int:
-    """Say in one sentence how the program ended; return its exit status."""
+    """Print in one sentence how the program ended; return its exit status."""
     if isinstance(error, KeyboardInterrupt):
         return 130
     if isinstance(error, BrokenPipeError):
-        # Whoever read our output has gone; there is nobody to tell.
+        # The reader of the output is gone, so nothing can be printed.
         return 1
     if isinstance(error, SmartTouchError):
         found = error.complaints if isinstance(error, TableError) else [("", str(error))]
@@ -181,7 +181,7 @@ def _require_files() -> None:
 
 
 def _drop_output() -> None:
-    """Let what could not be written go: the interpreter would complain of it at its end."""
+    """Drop output that cannot be written, of which the interpreter would complain at its end."""
     for stream in (sys.stdout, sys.stderr):
         try:
             stream.flush()

@@ -83,7 +83,7 @@ def braille(
 
 
 def _seen(source: str, table: str, document: DocumentOptions) -> "Loaded | None":
-    """Return what an image or a PDF shows, as cells; None for anything else."""
+    """Return the cells of an image or a PDF; None for anything else."""
     from smarttouch.braille.files import Kind, kind_of
     from smarttouch.braille.source import Loaded, file_of
     from smarttouch.reading.braille import Braille

@@ -35,14 +35,14 @@ class CalibrationOptions(OptionGroup):
         return self.profile or default_profile(board_url)
 
     def begun(self) -> str:
-        """Return what was given to start from, or the output if it is there already."""
+        """Return the profile to start from: that given, or the output if it exists."""
         from smarttouch.profile import DEFAULT_PROFILE
 
         there = self.output is not None and self.output.exists()
         return self.profile or (str(self.output) if there else DEFAULT_PROFILE)
 
     def file(self, part: str, simulated: bool, board_url: str | None = None) -> "ProfileFile":
-        """Return the profile on its way from one file to another."""
+        """Return the profile file that a calibration reads and writes."""
         from smarttouch.boards.open import default_profile
         from smarttouch.calibrate.profile_file import file_to_calibrate
         from smarttouch.profile import DEFAULT_PROFILE
@@ -56,18 +56,18 @@ class CalibrationOptions(OptionGroup):
 
 
 def missing(about: str, message: str) -> CalibrationError:
-    """Return the error that nothing is given to measure with, which a simulation can stand for."""
+    """Return the error that nothing is given to measure with but could be simulated."""
     return CalibrationError(message, about=about, remedy="simulate")
 
 
 def ask(what: str, yes: bool) -> None:
-    """Wait until something is in place."""
+    """Wait until the user has put something in place."""
     if not yes:
         _answer(f"{what} Then press Enter", "yes")
 
 
 def weights_laid(listed: Sequence[float] | None, yes: bool) -> Iterator[float]:
-    """Yield the grams that someone lays on a load cell: what is listed, or what is asked for."""
+    """Yield the grams that a user lays on a load cell: those listed, or those typed in."""
     from smarttouch.calibrate.force_curve import parse_grams
 
     for grams in listed or ():
@@ -95,7 +95,7 @@ def finish(
     simulated: bool,
     others: dict[Path, bytes] | None = None,
 ) -> None:
-    """Write the profile; say what was found, and where it is."""
+    """Write the profile; print what was found and the paths."""
     told = f"simulated: {found}" if simulated else found
     file.note(what, told)
     file.write(others)

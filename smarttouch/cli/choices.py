@@ -14,7 +14,7 @@ Choice = TypeVar("Choice", bound=str)
 
 
 def parse_mode(mode: str) -> Mode:
-    """Return a mode by its name, one that images can drive."""
+    """Return a mode by its name; only modes that images can drive."""
     offered = [each for each in Mode if each is not Mode.COLOR]
     for each in offered:
         if mode.lower() == each.value.lower():
@@ -23,7 +23,7 @@ def parse_mode(mode: str) -> Mode:
 
 
 def parse_choice(option: str, text: str, choices: Iterable[Choice]) -> Choice:
-    """Return the one of several choices that an option names; capitals do not count."""
+    """Return the choice that an option names, in capitals or not."""
     known = list(choices)
     if text.lower() not in known:
         raise not_offered(option, text, known)
@@ -46,7 +46,7 @@ def require_site(profile: "Profile", site: int) -> None:
 def require_answers(
     simulate: bool, board_url: str, boards: tuple[str, ...], error: type[SmartTouchError]
 ) -> None:
-    """Raise unless somebody can answer: a person at a keyboard, or a simulation on such boards."""
+    """Raise unless a person at a keyboard can answer, or a simulation on such boards."""
     if simulate and not board_url.startswith(boards):
         raise error(
             f"a simulation answers for nobody: no current of its flows through {board_url!r}, only "

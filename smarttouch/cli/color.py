@@ -1,13 +1,18 @@
 """``smarttouch color``: a vibration as tactile primary colors."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from smarttouch.cli.option_groups import takes_options
 from smarttouch.cli.run_options import RunOptions
 from smarttouch.monitor.driving import drives_a_board
+
+if TYPE_CHECKING:
+    from smarttouch.afferent import Afferent
+    from smarttouch.vibrotactile.split import Answer
+    from smarttouch.vibrotactile.trace import Trace
 
 
 @drives_a_board
@@ -46,15 +51,15 @@ def color(
     It lasts 2 s, or as long as its file; intensity rises in the first half second.
     """
     from smarttouch.afferent import Afferent
-    from smarttouch.files import require_folder, write_json
+    from smarttouch.files import require_folder
     from smarttouch.kernels.bank import load_bank
     from smarttouch.monitor.progress import bank_progress
     from smarttouch.reading.window import press_n
     from smarttouch.terminal import print_table
-    from smarttouch.vibrotactile.crosstalk import pacinian_price
+    from smarttouch.vibrotactile.crosstalk import pacinian_crosstalk
     from smarttouch.vibrotactile.mix import mix
     from smarttouch.vibrotactile.picture import picture
-    from smarttouch.vibrotactile.report import answer_rows, as_figures, mixture_rows, notes
+    from smarttouch.vibrotactile.report import as_figures, mixture_rows, notes
     from smarttouch.vibrotactile.sites import parse_places
     from smarttouch.vibrotactile.source import ColorSource
     from smarttouch.vibrotactile.spec import is_spec, open_trace
@@ -70,18 +75,7 @@ def color(
     chosen = run.load_profile()
     answers = split(trace, sai_full_n=chosen.force.full_n, sai_rate_hz=chosen.pulse.sai_rate_hz)
     if split_only:
-        if plot is not None:
-            style.save(picture(trace, answers), plot)
-        if json_file is not None:
-            write_json(json_file, as_figures(answers))
-        if not run.quiet:
-            print_table(
-                answer_rows(answers),
-                ("class", "drive", "peak", "fires at", "share"),
-                title=source,
-                note="Drive: from threshold (0) to full (1), mean over the trace. Fires at: its "
-                "afferents, while they do. Share: of the drive of all.",
-            )
+        _show_answers(run, trace, answers, source, plot)
         return
     with bank_progress(run.quiet) as progress:
         bank = load_bank(chosen, progress)
@@ -94,13 +88,13 @@ def color(
     vibration = ColorSource(source, chosen, mixture, press_n(chosen))
     vibration.url = source
     vibration.notes += notes(mixture, answers)
-    price = None
+    crosstalk = None
     if mixture.pulses(Afferent.PC):
-        price = pacinian_price(chosen, bank, mixture.sites)
-        vibration.notes.append(str(price))
+        crosstalk = pacinian_crosstalk(chosen, bank, mixture.sites)
+        vibration.notes.append(str(crosstalk))
     run.start(vibration, chosen, config)
     if json_file is not None:
-        _add(json_file, as_figures(answers, mixture, vibration, price))
+        _add(json_file, as_figures(answers, mixture, vibration, crosstalk))
     if plot is not None:
         style.save(picture(trace, answers, mixture), plot)
     if not run.quiet:
@@ -113,8 +107,36 @@ def color(
         )
 
 
+def _show_answers(
+    run: RunOptions,
+    trace: "Trace",
+    answers: "dict[Afferent, Answer]",
+    source: str,
+    plot: Path | None,
+) -> None:
+    """Draw, write and print the response of each class, as far as the options ask for it."""
+    from smarttouch.files import write_json
+    from smarttouch.plotting import style
+    from smarttouch.terminal import print_table
+    from smarttouch.vibrotactile.picture import picture
+    from smarttouch.vibrotactile.report import answer_rows, as_figures
+
+    if plot is not None:
+        style.save(picture(trace, answers), plot)
+    if run.json_file is not None:
+        write_json(run.json_file, as_figures(answers))
+    if not run.quiet:
+        print_table(
+            answer_rows(answers),
+            ("class", "drive", "peak", "fires at", "share"),
+            title=source,
+            note="Drive: from threshold (0) to full (1), mean over the trace. Fires at: its "
+            "afferents, while they do. Share: of the drive of all.",
+        )
+
+
 def _add(path: Path, figures: dict[str, object]) -> None:
-    """Put what is known of the colors beside the figures of the run."""
+    """Add the figures of the colors to those of the run."""
     from smarttouch.errors import SmartTouchError
     from smarttouch.files import parse_json, read_bytes, write_json
 

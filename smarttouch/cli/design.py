@@ -10,7 +10,10 @@ from smarttouch.cli.options import ArrayOption, ClusterOption
 from smarttouch.terminal import print_table
 
 if TYPE_CHECKING:
-    from smarttouch.kernels.report import WordTable
+    from smarttouch.afferent import Afferent
+    from smarttouch.kernels.comparison import SiteKernel
+    from smarttouch.kernels.report import Advance, WordTable
+    from smarttouch.profile import Profile
 
 
 def design(
@@ -46,7 +49,7 @@ def design(
     ] = None,
     bank_file: Annotated[
         Path | None,
-        typer.Option("--bank", metavar="NPZ", help="Design anew, and write the kernel bank."),
+        typer.Option("--bank", metavar="NPZ", help="Design now, and write the kernel bank."),
     ] = None,
     cluster: ClusterOption = None,
 ) -> None:
@@ -56,7 +59,6 @@ def design(
     from smarttouch.errors import DesignError, SmartTouchError
     from smarttouch.files import require_folder, write_json
     from smarttouch.kernels import report
-    from smarttouch.kernels.bank import find_bank, load_bank, make_bank
     from smarttouch.kernels.switching import possible_modes
     from smarttouch.monitor.progress import bank_progress
     from smarttouch.profile import load_profile
@@ -89,25 +91,9 @@ def design(
                 about="mode",
             )
         modes = [afferent]
-    sites = chosen.driven.tolist() if site is None else [site]
+    kind = special[0].replace("_", "-") if special else None
     with on_cluster(cluster), bank_progress(quiet=False) as progress:
-        if compare:
-            shown = report.kernels_compared(chosen, modes, sites, progress)
-        elif bank_file is not None:
-            shown = report.kernels_of_bank(
-                chosen, make_bank(bank_file, chosen, progress), modes, sites
-            )
-        elif special:
-            shown = report.kernels_designed(
-                chosen, modes, sites, special[0].replace("_", "-"), robust, progress
-            )
-        else:
-            # One site of a large array is not worth its whole bank.
-            bank = load_bank(chosen, progress) if site is None else find_bank(chosen)
-            if bank is not None:
-                shown = report.kernels_of_bank(chosen, bank, modes, sites)
-            else:
-                shown = report.kernels_designed(chosen, modes, sites, None, False, progress)
+        shown = _kernels(chosen, modes, site, kind, robust, bank_file, progress)
     if compare:
         _print(report.comparison_table(chosen, shown))
     elif site is None:
@@ -123,6 +109,33 @@ def design(
 
         middle, drawn = report.middle_kernels(chosen, shown)
         save(kernel_figure(chosen, drawn, middle), plot_file)
+
+
+def _kernels(
+    profile: "Profile",
+    modes: "Sequence[Afferent]",
+    site: int | None,
+    kind: str | None,
+    robust: bool,
+    bank_file: Path | None,
+    progress: "Advance | None",
+) -> "list[SiteKernel]":
+    """Return the kernels of modes at one site or at all, from a bank or designed now."""
+    from smarttouch.kernels import report
+    from smarttouch.kernels.bank import find_bank, load_bank, make_bank
+
+    sites = profile.driven.tolist() if site is None else [site]
+    if kind == "compare":
+        return report.kernels_compared(profile, modes, sites, progress)
+    if bank_file is not None:
+        made = make_bank(bank_file, profile, progress)
+        return report.kernels_of_bank(profile, made, modes, sites)
+    if kind is None:
+        # One site of a large array is not worth its whole bank.
+        bank = load_bank(profile, progress) if site is None else find_bank(profile)
+        if bank is not None:
+            return report.kernels_of_bank(profile, bank, modes, sites)
+    return report.kernels_designed(profile, modes, sites, kind, robust, progress)
 
 
 def _print(table: "WordTable", marked: Sequence[Sequence[bool]] = ()) -> None:

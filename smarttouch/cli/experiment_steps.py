@@ -30,7 +30,7 @@ def sit(
     config: RunConfig,
     simulate: str | None,
 ) -> None:
-    """Run an experiment to its end or until a user ends it; say how far it came."""
+    """Run an experiment to its end or until a user ends it; print how far it came."""
 
     def say(lines: Iterable[str]) -> None:
         for line in () if options.quiet else lines:
@@ -66,7 +66,7 @@ def free_run(
     knob_url: str | None,
     output: Path | None,
 ) -> None:
-    """Let a user turn amplitude, rate, mode and site until they have had enough."""
+    """Let a user change amplitude, rate, mode and site until the end of the run."""
     if not sys.stdin.isatty() and options.seconds is None:
         message = "there is no keyboard, by which this would end: use a terminal, or give seconds"
         raise ExperimentError(message, about="keyboard", remedy="seconds")

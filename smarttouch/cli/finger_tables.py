@@ -14,20 +14,7 @@ def print_comparison(
     json_file: Path | None,
     quiet: bool,
 ) -> None:
-    """Print a table of what was published beside what fingers do, and write it as JSON.
-
-    Parameters
-    ----------
-    name : {"effects", "published"}
-    letters : str, optional
-        Letters that are to be read; A to Z if not given.
-    anatomy : str
-        Name or file.
-    fingers : int
-        Number of fingers, by seeds from 1 on.
-    json_file : Path, optional
-    quiet : bool
-    """
+    """Print one of `NAMES` beside the figures of fingers with seeds from 1 on; write it to JSON."""
     from smarttouch.files import require_folder, write_json
     from smarttouch.monitor.progress import lines_progress
     from smarttouch.terminal import print_table

@@ -1,4 +1,4 @@
-"""Groups of options that several commands share, each said once in a dataclass."""
+"""Groups of options that several commands share, each defined once in a dataclass."""
 
 import functools
 import inspect
@@ -14,14 +14,10 @@ class OptionGroup:
 
 
 def takes_options(**defaults: Any) -> Callable[[Callable[..., _T]], Callable[..., _T]]:
-    """Let a command take each option of the groups among its parameters' types.
+    """Let a command take the options of the groups among its parameters' types.
 
-    It is given each group in one piece. An option that the command names itself is its own.
-
-    Parameters
-    ----------
-    **defaults
-        Of options that have another default in this command.
+    It gets each group as one object. Its own option replaces one of the same name in a group;
+    `defaults` replace those of the groups.
     """
     return functools.partial(_expanded, defaults=defaults)
 

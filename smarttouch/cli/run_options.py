@@ -1,4 +1,4 @@
-"""Options that every command takes that runs, said once; and what a run is made of by them."""
+"""Options of every command that runs, defined once, and the parts of a run made by them."""
 
 from contextlib import nullcontext
 from dataclasses import dataclass, fields
@@ -179,7 +179,7 @@ class RunOptions(OptionGroup):
         return RunConfig(**(self.settings() | {"mode": mode} | more))
 
     def settings(self, *but: str) -> dict[str, Any]:
-        """Return the settings of `RunConfig` that were given, without some."""
+        """Return the settings of `RunConfig` that were given, but for some."""
         names = (
             "scan", "seconds", "intensity", "softness", "measure", "hold", "balance", "subject",
             "note",
@@ -193,15 +193,7 @@ class RunOptions(OptionGroup):
         config: "RunConfig",
         **more: Any,
     ) -> None:
-        """Run a source in the terminal until its end.
-
-        Parameters
-        ----------
-        source, profile, config
-            See `run_in_terminal`.
-        **more
-            Other parameters of `run_in_terminal`.
-        """
+        """Run a source in the terminal until its end; `more` is for `run_in_terminal`."""
         from smarttouch.monitor.session import Outputs, run_in_terminal
         from smarttouch.sources.forces.force import open_force
 

@@ -115,7 +115,7 @@ class FormOptions(OptionGroup):
     def presentation(
         self, usual: str, lines: int = 1, language: str | None = None
     ) -> "Shapes | Braille":
-        """Return letter shapes or Braille; where no table is given, by that of the language."""
+        """Return letter shapes or Braille; without a table, that of the language."""
         from smarttouch.cli.choices import parse_choice
         from smarttouch.reading.braille import Braille, Presentation
         from smarttouch.reading.shapes import Shapes, Style

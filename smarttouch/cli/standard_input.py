@@ -21,7 +21,7 @@ _BEGINNINGS = {
 
 
 def or_standard_input(ctx: typer.Context, given: str | None) -> str | None:
-    """Return what was given to an argument; for ``-``, a file of what standard input holds.
+    """Return the value of an argument; for ``-``, a file with the content of standard input.
 
     ``page:-`` stands for the URL of such a file. It is removed when the command ends.
     """
@@ -54,7 +54,7 @@ def _file_of_standard_input() -> Iterator[Path]:
 
 
 def _ending(data: bytes) -> str:
-    """Return the ending of a file's name by how the file begins; a text if by nothing else."""
+    """Return the suffix of a file by its first bytes; that of a text if they are unknown."""
     if b"<pef" in data[:1000]:
         return ".pef"
     return next((each for start, each in _BEGINNINGS.items() if data.startswith(start)), ".txt")

@@ -37,24 +37,15 @@ _SAMPLES = 32
 
 
 class Binarizer:
-    """Separates ink from paper, frame after frame.
+    """Separates ink from paper, frame after frame of one shape.
 
-    A threshold taken from each frame by itself (Otsu's) must call something
-    ink even on blank paper. Here the white of the paper is tracked from frame
-    to frame, ink is what is darker than a fixed part of it, and two guards
-    keep the whole patch silent: the darkest part must differ from the white,
-    and most of the patch must be one or the other; print below that contrast must
-    stand out from the grain of the paper beside it. Areas wider than strokes that
-    are not black are no ink, but what a sheet lies on. Seen through a 5 mm patch,
-    1 in 100 places of a photographed page has more than 0.37 of its area in
-    between; dense noise of any grain has 0.43 and more.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Rows and columns of the images to come.
-    light_on_dark : bool
-        Take light for ink and dark for paper.
+    A threshold taken from each frame by itself (Otsu's) must call something ink even on blank
+    paper. Here the white of the paper is tracked from frame to frame, ink is what is darker than a
+    fixed part of it, and two guards keep the whole patch silent: the darkest part must differ from
+    the white, and most of the patch must be one or the other; print below that contrast must stand
+    out from the grain of the paper beside it. Areas wider than strokes that are not black are no
+    ink, but what a sheet lies on. Seen through a 5 mm patch, 1 in 100 places of a photographed page
+    has more than 0.37 of its area in between; dense noise of any grain has 0.43 and more.
     """
 
     def __init__(self, shape: tuple[int, int], light_on_dark: bool = False) -> None:
@@ -76,16 +67,9 @@ class Binarizer:
         self._time_ns = 0
 
     def ink(self, image: NDArray[np.uint8], time_ns: int, touching: bool) -> NDArray[np.uint8]:
-        """Return 255 where there is ink, 0 elsewhere; overwritten by the next call.
+        """Return 255 where an image, (H, W), has ink, else 0; overwritten by the next call.
 
-        Parameters
-        ----------
-        image : ndarray, (H, W) uint8
-            Of the shape given at the start.
-        time_ns : int
-            Time of the frame; sets how far the white may have fallen.
-        touching : bool
-            A lifted finger may land anywhere: its white is taken as it comes.
+        A lifted finger may land anywhere: its white is that of the frame.
         """
         if self._inverted is not None:
             image = np.asarray(cv2.bitwise_not(image, dst=self._inverted), np.uint8)
@@ -117,7 +101,7 @@ class Binarizer:
         return self._ink
 
     def _leave_out_areas(self, white: float) -> None:
-        """Take areas out of the ink that are wider than strokes, unless they are black."""
+        """Remove areas that are wider than strokes from the ink, unless they are black."""
         dark = (self._sample < INK_LEVEL * white).view(np.uint8)
         areas = np.asarray(cv2.dilate(cv2.erode(dark, self._area), self._around), np.uint8)
         if areas.any() and cv2.mean(self._sample, areas & dark)[0] > BLACK_AREA * self._paper:
@@ -125,11 +109,8 @@ class Binarizer:
             cv2.subtract(self._ink, wide * np.uint8(255), dst=self._ink)
 
     def _faint_ink(self, white: float) -> NDArray[np.uint8]:
-        """Return the ink of faint print: what is darker than the paper close to it.
-
-        The paper is the patch without spots narrower than a window, so that
-        uneven light is no ink; its own unevenness is the grain.
-        """
+        """Return the ink of faint print, darker than the paper: the patch without narrow spots, so
+        that uneven light is no ink. The paper's own unevenness is its grain."""
         paper = cv2.morphologyEx(self._sample, cv2.MORPH_CLOSE, self._window)
         depths = np.bincount(cv2.subtract(paper, self._sample).reshape(-1), minlength=256).cumsum()
         grain, deep = depths.searchsorted(depths[-1] * _FAINT_RANKS, "right").tolist()

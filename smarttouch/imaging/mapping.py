@@ -17,30 +17,20 @@ from smarttouch.sources.frame import Frame
 from smarttouch.tactile_image import TactileImage
 
 FAINTEST_INK = 0.15
-"""Part of a cell's ink below which it is not felt at all."""
+"""Fraction of ink in a cell below which its electrode is not active."""
 FULLEST_INK = 0.5
-"""Part of a cell's ink from which it is felt in full."""
+"""Fraction of ink in a cell from which its electrode is fully active."""
 _NOTHING, _FULL = np.zeros((), np.float32), np.ones((), np.float32)
 
 
 @dataclass(frozen=True)
 class Tone:
-    """Tone curve from ink under an electrode to activation.
+    """Tone curve from ink under an electrode to activation."""
 
-    Attributes
-    ----------
-    faintest : float, in [0, 1]
-        Part of a cell that must be ink before it is felt at all.
-    fullest : float, in [0, 1]
-        Part of a cell from which it is felt in full; where it is ``faintest``,
-        electrodes are on or off.
-    prepared : bool
-        Frames are ink on pure white already: nothing is thresholded.
-    """
-
-    faintest: float = FAINTEST_INK
+    faintest: float = FAINTEST_INK  # fraction of ink in a cell from which its electrode is active
+    # fraction from which it is fully so; if `faintest`, electrodes are on or off
     fullest: float = FULLEST_INK
-    prepared: bool = False
+    prepared: bool = False  # whether frames are ink on pure white already: nothing is thresholded
 
     @cached_property
     def _line(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -62,17 +52,7 @@ class Tone:
 
 
 class TactileMapper:
-    """Maps frames to tactile images.
-
-    Parameters
-    ----------
-    profile : Profile
-        Array and optics.
-    light_on_dark : bool
-        For light print on dark paper.
-    tone : Tone, optional
-        Tone curve from ink to activation.
-    """
+    """Maps frames to tactile images by a profile's array and optics."""
 
     def __init__(
         self, profile: Profile, light_on_dark: bool = False, tone: Tone | None = None
@@ -92,14 +72,9 @@ class TactileMapper:
     def map(self, frame: Frame, mode: Mode) -> TactileImage:
         """Return the activation of each electrode, in the rows that a mode drives.
 
-        Activation rises with the part of the electrode's cell that is ink, as
-        the tone has it: graded edges carry more of a letter's shape than cells
-        that are on or off.
-
-        Raises
-        ------
-        ScheduleError
-            If the mode is color, in which stimuli alone say what each class gets.
+        Activation rises with the part of the electrode's cell that is ink, as the tone has it:
+        graded edges carry more of a letter's shape than cells that are on or off. Color is a
+        ScheduleError, as only stimuli have the activation of each class.
         """
         if mode is Mode.COLOR:
             raise ScheduleError(

@@ -20,19 +20,9 @@ FAINTEST_CHANGE = 0.15
 class NaturalDrive:
     """Splits a tactile image into its changes and its sustained part.
 
-    Each electrode keeps a slow memory of its activation. What differs from it
-    is an edge on the move and drives RA, on arrival and on leaving; what the
-    memory agrees with drives SAI. On a finger that has just landed all is new.
-
-    Parameters
-    ----------
-    electrodes : int
-        E.
-
-    Attributes
-    ----------
-    last_ns : int, optional
-        Time of the last image; None, and the next is all new.
+    Each electrode keeps a slow memory of its activation. What differs from it is an edge on the
+    move and drives RA, on arrival and on leaving; what the memory agrees with drives SAI. After
+    `last_ns` of None, as on a finger that has just landed, all is new.
     """
 
     def __init__(self, electrodes: int) -> None:
@@ -46,19 +36,7 @@ class NaturalDrive:
         time_ns: int,
         touching: bool,
     ) -> None:
-        """Fill the rows RA and SAI of an activation.
-
-        Parameters
-        ----------
-        activation : ndarray, (3, E) float32
-            Zeros; filled.
-        ink : ndarray, (E,) float32, in [0, 1]
-            Ink under each electrode.
-        time_ns : int
-            Now.
-        touching : bool
-            A lifted finger remembers nothing.
-        """
+        """Fill rows RA and SAI of zeros (3, E) from ink, (E,); without touch all ink is new."""
         if self.last_ns is None or not touching:
             self._slow[:] = 0
         change, sustained = activation[Afferent.RA], activation[Afferent.SAI]

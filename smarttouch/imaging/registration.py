@@ -24,33 +24,12 @@ _SAMPLES = 6
 class Registration:
     """Averages the ink under each electrode's own aperture.
 
-    A cell of the array, divided by the magnification, is a rectangle on the
-    page, which a tilted camera sees as a quadrilateral. Each electrode gets the
-    area-weighted mean over that; a bare warp would sample single pixels and
-    alias.
-
-    Parameters
-    ----------
-    electrodes : ElectrodeArray
-        The E electrodes.
-    optics : Optics
-        Magnification, and the homography from page to pixels, or field of view,
-        rotation and offset.
-    frame_shape : tuple of int
-        Rows and columns of the frames that will come.
-
-    Raises
-    ------
-    ProfileError
-        If the homography cannot be that of a camera over the page.
-
-    Attributes
-    ----------
-    working_shape : tuple of int
-        Rows and columns at which the frame is binarized: never finer than
-        `PIXELS_PER_CELL` needs.
-    weights : sparse array, (E, pixels) float32
-        What each pixel of 255 adds to the mean under each electrode.
+    A cell of the array, divided by the magnification, is a rectangle on the page, which a tilted
+    camera sees as a quadrilateral. Each electrode gets the area-weighted mean over that; a bare
+    warp would sample single pixels and alias. Frames are binarized at `working_shape`, never finer
+    than `PIXELS_PER_CELL` needs; `weights`, (E, pixels), is the part of each pixel of 255 in the
+    mean under each electrode. A homography that no camera over the page can have raises a
+    ProfileError.
     """
 
     def __init__(
@@ -72,10 +51,7 @@ class Registration:
         self.weights = _aperture_matrix(electrodes, optics, self.working_shape)
 
     def reduce(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Bring a frame to the working shape by area averaging.
-
-        The result is overwritten by the next call.
-        """
+        """Return a frame averaged to the working shape, overwritten by the next call."""
         for average, kind in self._averages:
             cv2.resize(image, average.shape[::-1], dst=average, interpolation=kind)
             image = average
@@ -92,10 +68,8 @@ def _whole(side: float) -> int:
 
 
 def _reduced_side(side: int, wanted: int) -> int:
-    """Return ``side`` over the largest whole number that leaves ``wanted`` or more.
-
-    OpenCV averages by whole factors several times faster than by broken ones.
-    """
+    """Return ``side`` over the largest whole number, as OpenCV averages faster by these, that
+    leaves ``wanted`` or more."""
     factors = range(max(1, side // wanted), 0, -1)
     return side // next(factor for factor in factors if side % factor == 0)
 
@@ -149,10 +123,7 @@ def _aperture_matrix(
 def _on_frame(
     x_mm: NDArray[np.float64], y_mm: NDArray[np.float64], optics: Optics
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return places on the page as parts of a frame's width and height.
-
-    NaN for what lies behind a tilted camera.
-    """
+    """Return places on the page as parts of a frame's sides, NaN behind a tilted camera."""
     if optics.homography is None:
         turn = math.radians(optics.rotation_deg)
         cos, sin = math.cos(turn), math.sin(turn)
@@ -173,11 +144,6 @@ def _field_mm(
     """Return the width and height of a frame on the page, at one electrode's scale throughout.
 
     A tilted camera sees some electrodes coarser than others: the coarsest counts, or the finest.
-
-    Raises
-    ------
-    ProfileError
-        If the homography cannot be that of a camera over the page.
     """
     if optics.homography is None:
         return optics.field_width_mm, optics.field_height_mm

@@ -32,15 +32,8 @@ _SLACK = 1e-9
 
 
 def best_assignment(problem: Problem, site: int) -> tuple[Array, float]:
-    """Return the best pattern of one source, and its largest distance from the optimum.
-
-    Returns
-    -------
-    pattern : ndarray, (E,)
-        Shares of a unit source, positive cathodic.
-    gap : float
-        0 where it is proven, else (reached − bound) / reached.
-    """
+    """Return the best pattern of one source, (E,) positive cathodic, and its gap: 0 where proven
+    optimal, else (reached − bound) / reached."""
     judge = _Judge(problem, site)
     states, gap = _best_states(judge, problem, site)
     pattern = np.zeros(problem.electrodes)
@@ -71,15 +64,8 @@ def _best_states(judge: "_Judge", problem: Problem, site: int) -> tuple[NDArray[
 
 
 def pole_shares(states: NDArray[np.int8], admittance: Array) -> Array:
-    """Return the currents of a source of 1 mA, (P, E) mA, positive cathodic.
-
-    Parameters
-    ----------
-    states : ndarray, (P, E) int8
-        1 for a cathode, −1 for an anode, 0 for insulated.
-    admittance : ndarray, (E,)
-        Relative: `Profile.admittance`.
-    """
+    """Return currents (P, E) mA, positive cathodic, of 1 mA in states (P, E): 1 cathode, −1 anode,
+    0 insulated; relative admittance (E,) divides each pole's current."""
     total = np.zeros(states.shape)
     for pole in (1, -1):
         connected = (states == pole) * admittance
@@ -89,11 +75,8 @@ def pole_shares(states: NDArray[np.int8], admittance: Array) -> Array:
 
 
 class _Judge:
-    """Objective of assignments: worst other, or own spill where it is above `SPILL`.
-
-    Of the problem's skins and of all that the target might be, the worst counts.
-    Assignments have a column for each of the E electrodes that are driven.
-    """
+    """Worst other class of assignments of driven electrodes, or own spill where above `SPILL`, on
+    the worst of the problem's skins and possible targets."""
 
     def __init__(self, problem: Problem, site: int) -> None:
         driven = problem.driven
@@ -128,10 +111,10 @@ class _Judge:
         return found
 
     def bounds(self, states: NDArray[np.int8], reached: float) -> Array:
-        """Return the values that are below 0 in a pattern better than the best so far, (R, E).
+        """Return rows (R, E) with which a pattern better than the best so far has a negative value.
 
-        Rows of another class less `reached` times rows of the target, those that
-        are the worst ones of most assignments.
+        They are rows of another class less `reached` times rows of the target, those that are worst
+        for most assignments.
         """
         times: Counter[tuple[int, int, int]] = Counter()
         for chosen in self._split(np.arange(len(states))):
@@ -162,8 +145,8 @@ class _Judge:
     def _within_limits(self, shares: Array) -> NDArray[np.bool_]:
         """Return which patterns keep the limits at full current of their peak, (P,).
 
-        One of the poles is a single electrode: the source would drive what several share through
-        the last of them that touches the skin.
+        One pole must be a single electrode: of several, the last one that touches the skin would
+        carry all current.
         """
         total, electrode = self.limits_ma
         source_ma = self.full_ma / np.abs(shares).max(axis=1)
@@ -175,7 +158,8 @@ class _Judge:
 
 
 def _local_search(judge: _Judge, problem: Problem, site: int) -> tuple[NDArray[np.int8], float]:
-    """Start from the weighted kernel cut at every two levels, then change one or two states."""
+    """Return a good assignment and its objective: the weighted kernel cut at two levels, then
+    improved by changing one or two states at a time."""
     order = np.argsort(design_kernel(problem, site).weights[problem.driven])
     count = len(order)
     cuts = [
@@ -224,7 +208,7 @@ def _not_ruled_out(
 def _may_beat(
     states: NDArray[np.int8], row: Array, admittance: Array, undecided: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
-    """Return which branches may have a mean of a row over cathodes below that over anodes."""
+    """Return which branches may have a lower mean of a row over cathodes than over anodes."""
     rising = undecided[np.argsort(row[undecided])]
     least = -_best_mean(states == 1, -row, admittance, rising)
     most = _best_mean(states == -1, row, admittance, rising[::-1])
@@ -234,7 +218,7 @@ def _may_beat(
 def _best_mean(
     decided: NDArray[np.bool_], row: Array, admittance: Array, joining: NDArray[np.intp]
 ) -> Array:
-    """Return the largest mean of a pole if electrodes may join it, best first, (P,)."""
+    """Return the largest mean that a pole can reach if electrodes join it, best first, (P,)."""
     passed = np.r_[0.0, np.cumsum(admittance[joining])]
     summed = np.r_[0.0, np.cumsum((admittance * row)[joining])]
     total = (decided @ admittance)[:, None] + passed
@@ -244,7 +228,7 @@ def _best_mean(
 
 
 def _some(best: NDArray[np.int8]) -> NDArray[np.int8]:
-    """Return the neighbors of an assignment, and any others, (P, E)."""
+    """Return the neighbors of an assignment and 1000 random ones, (P, E)."""
     count = len(best)
     changed = np.repeat(best[None], 3 * count, axis=0)
     changed[np.arange(3 * count), np.repeat(np.arange(count), 3)] = np.tile([-1, 0, 1], count)

@@ -47,60 +47,33 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class KernelBank:
-    """Kernels of a profile, looked up by the scan.
+    """Kernels of every site of a profile, by class."""
 
-    Attributes
-    ----------
-    weights : dict of Afferent to ndarray, (E, E) float64, mA per V/mm²
-        Row s is the kernel of site s: positive cathodic, activation 1 at its
-        target, sum zero. Rows and columns of masked electrodes are zero.
-    off_target, spill : dict of Afferent to ndarray, (E,) float64
-        Selectivity of each kernel, of its target's activation.
-    worst_class : dict of Afferent to ndarray, (E,) int8
-        Class of the worst other.
-    gap : dict of Afferent to ndarray, (E,) float64
-        Largest distance of each kernel from the optimum; 0 is proven.
-    seconds : dict of Afferent to ndarray, (E,) float32
-        Time of each kernel's design.
-    receptor : dict of Afferent to ndarray, (E, E) float32, V/mm² per mA
-        Activating function at the target under electrode r for unit cathodic
-        current at electrode e.
-    absolute : bool
-        Whether weights are parts of the full current, designed on fingers. Off-target is then the
-        part of the afferents that fire which are of other classes, and spill the part of the own
-        class with receptors beyond a pitch.
-    single : bool
-        Whether each kernel is one electrode against all others, whose current is exact to the
-        microampere, at its own place, and by height.
-    """
-
-    weights: Column
-    off_target: Column
-    worst_class: Column
-    spill: Column
-    gap: Column
-    seconds: Column
-    receptor: Column
+    weights: Column  # (E, E) mA per V/mm²: row s is site s, activation 1, sum 0; 0 if masked
+    off_target: Column  # (E,) largest activation of another class, over the target's
+    worst_class: Column  # (E,) int8, the class of that activation
+    spill: Column  # (E,) largest activation of the own class beyond a pitch, over the target's
+    gap: Column  # (E,) largest distance from the optimum; 0 is proven
+    seconds: Column  # (E,) float32, time of each design
+    receptor: Column  # (E, E) float32, V/mm² per mA: AF at the target under r of electrode e
+    # Whether weights are fractions of full current, designed on fingers: off_target is then the
+    # fraction of firing afferents of other classes, spill that of own ones beyond a pitch.
     absolute: bool = False
+    # Whether each kernel is one electrode against all others, by height and exact to the µA.
     single: bool = False
 
     def _repr_html_(self) -> str:
-        """Return off-target activation of each class, site by site, as cells for notebooks."""
+        """Return the off-target activation of each class and site as cells for notebooks."""
         found = {each.name: self.off_target[each] for each in sorted(self.off_target)}
         worst = ", ".join(f"{name} {values.max():.3g}" for name, values in found.items())
         title = f"Kernels; largest activation of another class: {worst}"
         return titled(title, *(cells_svg(values, (name,)) for name, values in found.items()))
 
     def kernels(self, afferent: Afferent) -> NDArray[np.float32]:
-        """Return the kernels of a mode as parts of the full current, (E, E).
+        """Return the kernels of a mode as fractions of full current, (E, E), zero where masked.
 
-        Each has a peak magnitude of 1, at most 1 where they are designed on fingers. The row of a
-        masked site is zero.
-
-        Raises
-        ------
-        DesignError
-            If the board cannot make that mode.
+        Peaks are 1, or at most 1 where designed on fingers. A DesignError says if there is no such
+        mode.
         """
         weights = self._made(afferent)
         if self.absolute:
@@ -109,13 +82,7 @@ class KernelBank:
         return np.asarray(weights / np.where(peak > 0, peak, 1.0), np.float32)
 
     def kernel(self, afferent: Afferent, site: int, kind: "Kind") -> "Kernel":
-        """Return one kernel with its figures.
-
-        Raises
-        ------
-        DesignError
-            If the board cannot make that mode, or the site is masked.
-        """
+        """Return one kernel; DesignError if the board has no such mode or the site is masked."""
         from smarttouch.kernels.problem import Kernel, masked_site
 
         weights = self._made(afferent)[site]
@@ -173,16 +140,8 @@ def problem_hash(profile: Profile) -> str:
 
 
 def load_bank(profile: Profile, progress: Progress | None = None) -> KernelBank:
-    """Return the bank of a profile: shipped, from the user's cache, or designed now.
-
-    A design that is interrupted goes on where it was the next time.
-
-    Parameters
-    ----------
-    profile : Profile
-    progress : callable, optional
-        Told how many sites are designed, of how many, if any have to be.
-    """
+    """Return the bank of a profile: shipped, from the user's cache, or designed now, where an
+    interrupted design resumes."""
     if (bank := find_bank(profile)) is not None:
         return bank
     cached = _cached_bank(profile)
@@ -204,13 +163,7 @@ def find_bank(profile: Profile) -> KernelBank | None:
 
 
 def make_bank(path: Path, profile: Profile, progress: Progress | None = None) -> KernelBank:
-    """Design a bank and write it; if interrupted, it is resumed the next time.
-
-    Raises
-    ------
-    DesignError
-        If it cannot be written.
-    """
+    """Design a bank and write it; if interrupted, it is resumed the next time."""
     require_replaceable(path, DesignError)
     bank = design_bank(profile, progress, _parts(path, profile))
     try:
@@ -272,7 +225,7 @@ def _design_on_fingers(
 
 
 def _enter(columns: dict[str, Any], problem: "Problem", timed: "Sequence[Timed]") -> None:
-    """Enter the kernels of a class, with the seconds that each took."""
+    """Store the kernels of a class, and the seconds that each took."""
     afferent, kernels = problem.afferent, [kernel for kernel, _ in timed]
     found: dict[str, tuple[Any, Any]] = {
         "weights": ([kernel.weights for kernel in kernels], np.float64),
@@ -323,12 +276,12 @@ def _read(path: Path, profile: Profile) -> KernelBank | None:
         absolute = profile.kernels.objective == "finger"
         return _checked(KernelBank(**columns, absolute=absolute), len(profile.electrodes))
     except (DesignError, OSError, ValueError, KeyError):
-        # It is designed anew: that is slow, not wrong.
+        # It is designed again: that is slow, not wrong.
         return None
 
 
 def _checked(bank: KernelBank, electrodes: int) -> KernelBank:
-    """Return a bank; ValueError if its arrays do not fit the number of electrodes."""
+    """Return a bank; ValueError if its arrays do not match the number of electrodes."""
     for name in _IN_FILE:
         column: Column = getattr(bank, name)
         shape = (electrodes,) * (2 if name in ("weights", "receptor") else 1)

@@ -26,7 +26,7 @@ _running: set[int] = set()
 
 
 def part_of(progress: Progress | None, index: int, parts: int) -> Progress:
-    """Return what reports the progress of one of several parts."""
+    """Return the progress callback of one of several parts."""
 
     def advance(done: int, total: int) -> None:
         if progress is not None:
@@ -42,30 +42,11 @@ def design_sites(
     progress: Progress | None = None,
     keep: Path | None = None,
 ) -> list[Timed]:
-    """Design sites, with mirror images designed once.
+    """Return the kernel and seconds of design of each site, with mirror images designed once.
 
-    The work goes through `joblib.Parallel`: on threads here, as the solver runs
-    beside the interpreter, or wherever ``joblib.parallel_config`` sends it (a
-    Dask cluster, say).
-
-    Parameters
-    ----------
-    problem : Problem
-        Rows of the class and profile.
-    design : callable
-        Function that designs one site.
-    sites : sequence of int, optional
-        All that are not masked if not given.
-    progress : callable, optional
-        Told how many distinct sites are done, of how many.
-    keep : Path, optional
-        Folder in which every kernel is kept as soon as it is there, and looked
-        for first: an interrupted design goes on where it was.
-
-    Returns
-    -------
-    list of (Kernel, float)
-        One for each site, with the seconds that its design took.
+    The work goes through `joblib.Parallel`: on threads here, as the solver releases the
+    interpreter, or wherever ``joblib.parallel_config`` sends it (a Dask cluster, say). Kernels are
+    stored in the folder `keep` one by one and read from there, so an interrupted design resumes.
     """
     from joblib import Parallel, delayed
     from threadpoolctl import threadpool_limits

@@ -20,28 +20,15 @@ VARIANTS: dict[str, Design] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Compared:
-    """One kernel of a comparison.
+class SiteKernel:
+    """One kernel of a report; the last two fields only where kinds are compared."""
 
-    Attributes
-    ----------
-    variant : str
-        One of `VARIANTS`.
-    site : int
-    kernel : Kernel
-        As it is on the nominal finger.
-    worst_finger : Kernel or None
-        The same weights on the worst finger of the spread; None where they
-        fail to activate their target on one.
-    seconds : float
-        Time of its design.
-    """
-
-    variant: str
+    afferent: Afferent
     site: int
     kernel: Kernel
-    worst_finger: Kernel | None
-    seconds: float
+    seconds: float  # time of its design
+    variant: str = ""  # one of `VARIANTS`
+    worst_finger: Kernel | None = None  # None where it does not activate its target on one finger
 
 
 def compare(
@@ -49,19 +36,8 @@ def compare(
     afferent: Afferent,
     sites: Sequence[int],
     progress: Callable[[int, int], None] | None = None,
-) -> list[Compared]:
-    """Design every variant for every site, and evaluate each on both fingers.
-
-    Parameters
-    ----------
-    profile : Profile
-        Array, skin with its spread, electrode impedances.
-    afferent : Afferent
-        Class to fire.
-    sites : sequence of int
-    progress : callable, optional
-        Told how many kernels are designed, of how many.
-    """
+) -> list[SiteKernel]:
+    """Design every variant for every site of a class, and evaluate each on both fingers."""
     nominal, spread = Problem(profile, afferent), Problem(profile, afferent, spread=True)
     compared = []
     for index, (variant, design) in enumerate(VARIANTS.items()):
@@ -74,5 +50,5 @@ def compare(
                 worst = spread.judge(kernel.weights, site, kind=kernel.kind)
             except DesignError:
                 worst = None
-            compared.append(Compared(variant, site, on_nominal, worst, seconds))
+            compared.append(SiteKernel(afferent, site, on_nominal, seconds, variant, worst))
     return compared

@@ -7,7 +7,7 @@ afferent (Eq. 10 to 18)::
 
 and no node of the target's own axon above 1 (Eq. 11). Beyond the paper, rows of
 the target's own class farther than one pitch may reach at most `SPILL` of the
-target: on a grid the paper's programme alone lets neighbors of the same class
+target: on a grid the paper's program alone lets neighbors of the same class
 nearly fire. On a problem with a spread every row stands for all that it might
 be, and a kernel is as good as it is on the worst finger.
 """
@@ -34,36 +34,16 @@ def design_kernel(
     node: int = 0,
     options: Options | None = None,
 ) -> Kernel:
-    """Design the weighted kernel of one site.
+    """Design the weighted kernel of one site; DesignError if there is none within the limits.
 
-    Among equally selective kernels one with all the symmetries of its site is
-    taken, of those the one of least total current, and of those the one whose
-    currents are nearest to the site and to the array's middle, so that the
-    answer does not depend on the solver. Where electrodes stand closer than
-    afferents lie deep, the bound on spill cannot be met, or only by losing the
-    target; the larger of worst other and spill is then made as small as it
-    gets, and `Kernel.spill` says what is left. No electrode carries more
-    than a thousand times what alone would fire the target.
-
-    Parameters
-    ----------
-    problem : Problem
-        Rows of the class and profile.
-    site : int
-        Electrode over the target.
-    spill : float, optional
-        Bound on own-class activation beyond one pitch; None for the paper's
-        unconfined programme.
-    node : int
-        Activated node of the target's axon; 0 is under the electrode.
-    options : dict, optional
-        Settings for the solver.
-
-    Raises
-    ------
-    DesignError
-        If there is no such site or no such kernel, or none within the limits
-        of the profile.
+    Among equally selective kernels one with all the symmetries of its site is taken, of those the
+    one of least total current, and of those the one whose currents are nearest to the site and to
+    the array's middle, so that the answer does not depend on the solver. Where electrodes stand
+    closer than afferents lie deep, the bound `spill` on own-class activation beyond one pitch
+    cannot be met, or only by losing the target; the larger of worst other and spill is then made as
+    small as possible, and `Kernel.spill` is what is left. None is the paper's unconfined program.
+    No electrode carries more than a thousand times what alone would fire the target. Node 0 of the
+    target's axon is under the electrode.
     """
     problem.check_site(site)
     rows = _Assembled(problem, site, spill, node)
@@ -101,11 +81,8 @@ def design_kernel(
 
 
 def design_any_node(problem: Problem, site: int) -> Kernel:
-    """Try every node of the target's axon that is nearest to this site (Eq. 13 to 15).
-
-    Which node an optimal kernel fires is not known beforehand, so all are
-    tried, and the most selective kernel is taken.
-    """
+    """Return the best design over the nodes of the target's axon that are nearest (Eq. 13 to
+    15)."""
     problem.check_site(site)
     nodes = problem.axon_mm(site)
     near = np.linalg.norm(nodes - nodes[0], axis=1) <= problem.profile.electrodes.pitch_mm / 2
@@ -157,7 +134,7 @@ class _Assembled:
         return LinearProgram(self._rows, slope, bound, self._aims, size, ties, peaks, options)
 
     def limit(self, program: LinearProgram) -> bool:
-        """Bound the currents by the profile's limits, if any."""
+        """Bound the currents by the profile's limits; False if there are none."""
         reference, factors, total = self._limits()
         if np.isinf(total) and np.isinf(factors).all():
             return False
@@ -190,8 +167,7 @@ class _Assembled:
 def _peaks(problem: Problem) -> Chooser:
     """Return a function that selects broken rows that are local maxima of their lattice.
 
-    Neighboring rows are nearly alike; one of each hill says most of what all
-    its broken rows would.
+    Neighboring rows are nearly alike, so one of each hill represents its other broken rows.
     """
     blocks = [(grid, count) for _ in problem.rows for grid, count in problem.grids]
 

@@ -29,24 +29,7 @@ _AT_ONCE = 2048
 
 
 class DrivingProblem(Problem):
-    """Drives of one class's targets, of the other classes, and of its own.
-
-    Parameters
-    ----------
-    profile : Profile
-        Of homogeneous skin.
-    afferent : Afferent
-        Class to fire.
-    others : collection of Afferent, optional
-        Classes not to fire; all others if not given.
-    spread : bool
-        As of `Problem`.
-
-    Raises
-    ------
-    DesignError
-        If the skin is layered, or the profile's pulse outside what is fitted.
-    """
+    """Drives of one class's targets, of the other classes, and of its own, in homogeneous skin."""
 
     def __init__(
         self,
@@ -124,10 +107,7 @@ class DrivingProblem(Problem):
 
 
 def _displacements(place_mm: Array, electrode_mm: Array) -> tuple[Array, NDArray[np.intp]] | None:
-    """Return displacements (D, 2) mm, and which of them each place has from each electrode, (N, E).
-
-    On a grid many are alike; None where there are too few of these.
-    """
+    """Return distinct displacements (D, 2) mm and their index, (N, E); None if too many differ."""
     sides, which = [], []
     for place, electrode in zip(place_mm.T, electrode_mm.T, strict=True):
         own, row = np.unique(place.round(_ROUND_MM), return_inverse=True)
@@ -144,6 +124,6 @@ def _displacements(place_mm: Array, electrode_mm: Array) -> tuple[Array, NDArray
 def fiber_points(
     position_mm: Array, depth_mm: float, direction: Array, along_mm: NDArray[Any]
 ) -> Array:
-    """Return places along straight fibers through places at one depth, (N, K, 3) mm."""
+    """Return points along straight fibers through places at one depth, (N, K, 3) mm."""
     origin = np.column_stack([position_mm, np.full(len(position_mm), depth_mm)])
     return np.asarray(origin[:, None] + along_mm[:, None] * direction)

@@ -10,7 +10,7 @@ the choice of a node::
     such that  Σw = 0,  Σ|w| and |w| within those of the kernel designed on a node
 
 All rows of the first two that are broken are added until none is. What is to fire takes the node
-that is nearest to firing, chosen anew in each round: the answer is as good as can be for these
+that is nearest to firing, chosen again in each round: the answer is as good as can be for these
 nodes. The start is the kernel designed on a node, and no answer is worse on the sample.
 """
 
@@ -40,35 +40,27 @@ _CONSIDERED = 0.8
 
 
 class Costs(NamedTuple):
-    """Price of what is felt amiss, for each afferent and each silent point."""
+    """Cost of each afferent that fires or stays silent wrongly, and of each silent point."""
 
-    wrong: float = 1.0
-    elsewhere: float = 0.3
-    near: float = 0.3
-    silent: float = 30.0
+    wrong: float = 1.0  # another class fires
+    elsewhere: float = 0.3  # the own class fires beyond a pitch
+    near: float = 0.3  # the own class does not fire within a pitch
+    silent: float = 30.0  # nothing of a finger fires within half a pitch
 
 
 @dataclass(frozen=True, eq=False)
 class Aim:
-    """Afferents by what a site's kernel is to do with them.
+    """Which afferents the kernel of each site is to fire."""
 
-    Attributes
-    ----------
-    near : ndarray, (A, S) bool
-        Own class, receptor within a pitch of the place where the site is felt.
-    nearest : ndarray, (A, S) bool
-        The same, within half a pitch.
-    own : ndarray, (A,) bool
-    """
-
+    # (A, S), own class, receptor within a pitch of where the site is perceived
     near: NDArray[np.bool_]
-    nearest: NDArray[np.bool_]
-    own: NDArray[np.bool_]
+    nearest: NDArray[np.bool_]  # (A, S), the same within half a pitch
+    own: NDArray[np.bool_]  # (A,)
 
     @classmethod
     def of(cls, profile: Profile, afferent: Afferent, sample: FingerSample) -> "Aim":
-        felt = profile.perception
-        shift_mm = (felt.ra_shift_mm, felt.sai_shift_mm, felt.pc_shift_mm)[afferent]
+        shifts = profile.perception
+        shift_mm = (shifts.ra_shift_mm, shifts.sai_shift_mm, shifts.pc_shift_mm)[afferent]
         place_mm = profile.electrodes.position_mm + shift_mm
         away_mm = np.linalg.norm(sample.receptor_mm[:, None] - place_mm, axis=2)
         own = sample.classes == afferent
@@ -81,18 +73,9 @@ class Aim:
 class FingerDesign:
     """Design of the kernels of one class on a sample of fingers.
 
-    Parameters
-    ----------
-    profile : Profile
-    afferent : Afferent
-        Class to fire.
-    sample : FingerSample
-    start_ma : ndarray, (E, E) mA
-        Kernels at full comfort: they bound the currents, and the search starts with them.
-    mirror : ndarray, (E,), optional
-        Electrode that each electrode is mirrored onto, where mirrored fingers are as likely:
-        kernels are then designed on the mirrored sample too, and mirror one another.
-    costs : Costs
+    The kernels `start_ma`, (E, E) mA at full comfort, bound the currents and start the search.
+    Where mirrored fingers are as likely, `mirror`, (E,), gives each electrode's image: kernels are
+    then designed on the mirrored sample too, and mirror one another.
     """
 
     def __init__(
@@ -116,16 +99,10 @@ class FingerDesign:
         self._mirror = np.arange(len(start_ma)) if mirror is None else mirror
         self._pool: dict[int, dict[tuple[int, int], set[int]]] = {}
         self.rows: dict[int, int] = {}
-        """Number of rows of each site's last programme."""
+        """Number of rows of each site's last program."""
 
     def designed(self, sites: Indices, progress: Progress | None = None) -> Array:
-        """Return the kernels of some sites at full comfort, (S, E) mA.
-
-        Raises
-        ------
-        DesignError
-            If the solver gives up.
-        """
+        """Return kernels of sites at full comfort, (S, E) mA; DesignError if the solver fails."""
         from joblib import Parallel, delayed
 
         first = np.unique(np.minimum(sites, self._mirror[sites]))
@@ -153,10 +130,10 @@ class FingerDesign:
         return np.asarray(self.current_ma[sites])
 
     def figures(self, sites: Indices) -> tuple[Array, Array, NDArray[np.int8]]:
-        """Return what else fires at each site, (S,).
+        """Return selectivity on the sample at each site, (S,): others, spill, and worst class.
 
-        The part of the afferents that fire which are of other classes, the part of the own class
-        with receptors beyond a pitch, and the other class that fires most.
+        The first is the fraction of firing afferents that are of other classes, the second the
+        fraction of firing own ones with receptors beyond a pitch.
         """
         highest, _ = self.sample.drives(self.current_ma[sites])
         fires = highest >= 1
@@ -169,7 +146,7 @@ class FingerDesign:
         return wrong, 1 - right / np.maximum(own.sum(axis=0), 1), worst
 
     def _loss(self, highest: Floats, sites: Indices) -> Array:
-        """Return what is felt amiss at each site, on the whole sample, (S,)."""
+        """Return the cost at each site, summed over the whole sample, (S,)."""
         near, nearest = self._aim.near[:, sites], self._aim.nearest[:, sites]
         price = np.where(self._aim.own, self.costs.elsewhere, self.costs.wrong)[:, None]
         over = np.maximum(highest - (1 - _MARGIN), 0) * price
@@ -185,7 +162,7 @@ class FingerDesign:
     def _program(
         self, site: int, both: Indices, highest: Floats, node: NDArray[np.int32], step: float
     ) -> "_Program":
-        """Return the linear programme of a site, of its own sample and of the mirrored one."""
+        """Return the linear program of a site, on its own sample and on the mirrored one."""
         rows: list[Floats] = []
         limit: list[float] = []
         slack: list[int] = []
@@ -231,7 +208,7 @@ class FingerDesign:
 
 
 class _Program(NamedTuple):
-    """Linear programme of a site: prices·slacks, rows·w − slack ≤ limit."""
+    """Linear program of a site: minimize prices·slacks with rows·w − slack ≤ limit."""
 
     rows: Array
     limit: Array
@@ -244,7 +221,7 @@ class _Program(NamedTuple):
 
 
 def _solved(program: _Program) -> Array:
-    """Return the currents of a programme, (E,) mA."""
+    """Return the currents that solve a program, (E,) mA."""
     from scipy import optimize
     from scipy.sparse import csr_array, eye_array, hstack, vstack
 

@@ -24,7 +24,7 @@ FIRST_SEED = 10_001
 
 
 class FingerKernels:
-    """Designer of the kernels of a profile, on the fingers that its table ``kernels`` names."""
+    """Designer of a profile's kernels on the fingers that its table ``kernels`` names."""
 
     def __init__(self, profile: Profile) -> None:
         self.profile = profile
@@ -32,7 +32,7 @@ class FingerKernels:
         self._problems: dict[Afferent, Problem] = {}
 
     def problem(self, afferent: Afferent) -> Problem:
-        """Return the problem of a class at nodes."""
+        """Return the design problem of a class on nodes."""
         if afferent not in self._problems:
             self._problems[afferent] = Problem(self.profile, afferent)
         return self._problems[afferent]
@@ -44,21 +44,9 @@ class FingerKernels:
         progress: Callable[[int, int], None] | None = None,
         keep: Path | None = None,
     ) -> list[Timed]:
-        """Return kernels with the seconds that each took; weights are parts of the full current.
+        """Return kernels, as fractions of full current, and the seconds that each took.
 
-        Parameters
-        ----------
-        afferent : Afferent
-        sites : sequence of int
-        progress : callable, optional
-            Is given how many rounds are done, of how many.
-        keep : Path, optional
-            Folder in which finished classes are kept, and looked for first.
-
-        Raises
-        ------
-        DesignError
-            If there is no such site, or the skin is layered.
+        Finished classes are stored in the folder `keep` and read from there.
         """
         problem = self.problem(afferent)
         for site in sites:
@@ -106,7 +94,7 @@ class FingerKernels:
         return np.asarray(self._at_nodes.kernels(afferent) * self.profile.full_ma[:, None])
 
     def _mirror(self, problem: Problem) -> NDArray[np.intp] | None:
-        """Return the permutation of left and right, if neither array nor anatomy know them."""
+        """Return the permutation that swaps left and right, or None without that symmetry."""
         if any(self.anatomy.of(each).flat_deg % 180 != 90 for each in Afferent):
             return None
         place_mm = problem.profile.electrodes.position_mm

@@ -1,4 +1,4 @@
-"""Afferents of several fingers, as the design of kernels sees them."""
+"""Afferents of several fingers, for the design of kernels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,30 +21,19 @@ _ROWS_AT_ONCE = 16_384
 
 @dataclass(frozen=True, eq=False)
 class FingerSample:
-    """Afferents of several fingers, and those of their nodes that may fire.
+    """Afferents of several fingers, and those of their nodes that may fire."""
 
-    Attributes
-    ----------
-    rows : ndarray, (N, E) float32, 1/mA
-        Drive of each node for 1 mA at each electrode: 1 is the threshold.
-    starts : ndarray, (A,)
-        First node of each afferent.
-    classes, finger : ndarray, (A,)
-        Class of each afferent, and the number of its finger.
-    receptor_mm : ndarray, (A, 2)
-    """
-
-    rows: Floats
-    starts: Indices
-    classes: NDArray[np.int8]
-    finger: Indices
-    receptor_mm: Floats
+    rows: Floats  # (N, E) 1/mA: drive of each node per mA at each electrode; 1 is the threshold
+    starts: Indices  # (A,) first node of each afferent
+    classes: NDArray[np.int8]  # (A,)
+    finger: Indices  # (A,) number of its finger
+    receptor_mm: Floats  # (A, 2)
 
     @classmethod
     def of(
         cls, fingers: Sequence[Finger], electrode_ma: float = np.inf, total_ma: float = np.inf
     ) -> "FingerSample":
-        """Take fingers; nodes that no currents within these limits can fire are left out."""
+        """Return a sample of fingers, without nodes that no currents within limits can fire."""
         parts = [_within_reach(*each.rows, electrode_ma, total_ma) for each in fingers]
         before = np.cumsum([0, *(len(rows) for rows, _ in parts)])
         return cls(
@@ -60,13 +49,8 @@ class FingerSample:
         return int(self.finger[-1]) + 1
 
     def drives(self, current_ma: Array) -> tuple[Floats, NDArray[np.int32]]:
-        """Return the largest drive of each afferent, and its node from `SEEN` on, (A, S).
-
-        Parameters
-        ----------
-        current_ma : ndarray, (S, E), mA
-            Positive cathodic.
-        """
+        """Return afferents' largest drives by currents (S, E) mA and nodes from `SEEN` on, (A,
+        S)."""
         columns = np.ascontiguousarray(current_ma.T, np.float32)
         highest = np.empty((len(self.starts), columns.shape[1]), np.float32)
         node = np.full(highest.shape, -1, np.int32)
@@ -88,7 +72,7 @@ class FingerSample:
 def _within_reach(
     rows: Floats, starts: Indices, electrode_ma: float, total_ma: float
 ) -> tuple[Floats, Indices]:
-    """Return the nodes that balanced currents within limits may fire; each afferent keeps one."""
+    """Return the nodes that balanced currents within limits can fire; each afferent keeps one."""
     if np.isinf(electrode_ma):
         return rows, starts
     ranked = np.sort(rows, axis=1)

@@ -28,7 +28,7 @@ _OPTIONS: Options = {
     "output_flag": False,
     "threads": 1,
     "presolve": "off",
-    # Exact steepest-edge weights, made anew at every hot start, cost more than they save.
+    # Exact steepest-edge weights, recomputed at every hot start, cost more than they save.
     "simplex_dual_edge_weight_strategy": 1,
 }
 
@@ -42,7 +42,7 @@ _RESCUES: tuple[Options, ...] = (
 
 
 class _SilentHighs(highspy.Highs):
-    """Solver without a word: version 1.16 prints its name before an option can forbid it."""
+    """Solver that prints nothing: version 1.16 prints its name before an option can forbid it."""
 
     def __init__(self) -> None:
         # With types, which the library's own methods have not.
@@ -56,32 +56,17 @@ class _SilentHighs(highspy.Highs):
 class LinearProgram:
     """Minimize t such that rows·w ≤ slope·t + bound, aims·w ≥ 1, Σw = 0.
 
-    Parameters
-    ----------
-    rows : ndarray, (N, O)
-        Rows to be kept small.
-    slope, bound : ndarray, (N,)
-        1 and 0 where t is the limit, 0 and a number where that is.
-    aims : ndarray, (S, O)
-        Rows that must reach 1; a single one is exactly 1.
-    size : ndarray, (O,)
-        Number of electrodes of each unknown.
-    ties : sequence of ndarray, (O,)
-        Prices of the unknowns' magnitudes: among equally good patterns the
-        cheapest is taken, by one after the other.
-    worst : callable, optional
-        Chooses rows to add from the excess of all rows (N,); by default the
-        worst ones.
-    options : dict, optional
-        Settings for HiGHS.
+    Each of the O unknowns stands for `size` electrodes, (O,). Of equally good patterns the cheapest
+    by the first of `ties` is taken, then by the next; each is a price of every unknown's magnitude,
+    (O,). `worst` chooses rows to add from the excess of all rows, (N,); by default those broken.
     """
 
     def __init__(
         self,
-        rows: Array,
-        slope: Array,
-        bound: Array,
-        aims: Array,
+        rows: Array,  # (N, O) to be kept small
+        slope: Array,  # (N,) 1 where t is the limit, else 0
+        bound: Array,  # (N,) 0 where t is the limit
+        aims: Array,  # (S, O) to reach 1; a single row is exactly 1
         size: Array,
         ties: Sequence[Array],
         worst: Chooser | None = None,
@@ -125,16 +110,9 @@ class LinearProgram:
         return int((np.abs(prices) > _PRICE).sum()) >= self._columns
 
     def limit(self, reference: Array, factors: Array, total: float | None) -> None:
-        """Bound currents by that of a reference pattern, such as its own electrode's.
+        """Bound each magnitude by a factor, (O,), and their total, times the current reference·w.
 
-        Parameters
-        ----------
-        reference : ndarray, (O,)
-            ``reference·w`` is the current that limits are a multiple of.
-        factors : ndarray, (O,)
-            Largest magnitude of each unknown, of the reference; inf for none.
-        total : float or None
-            Largest sum of magnitudes over all electrodes, of the reference.
+        The reference, (O,), is a site's own electrode, say; an infinite factor or None is no bound.
         """
         bounded = np.flatnonzero(np.isfinite(factors))
         eye = np.eye(self._count)[bounded]

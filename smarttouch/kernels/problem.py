@@ -36,39 +36,19 @@ _ALIKE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Kernel:
-    """Current pattern that stimulates one class of afferents at one site.
+    """Current pattern that stimulates one class of afferents at one site."""
 
-    Attributes
-    ----------
-    weights : ndarray, (E,) float64, mA per V/mm²
-        Current of every electrode, positive cathodic, for an activating
-        function of 1 at the target.
-    off_target : float
-        Largest activation of any other class, of the target's.
-    off_target_class : Afferent
-        Class of the worst other activation.
-    spill : float
-        Largest activation of the own class beyond one pitch, of the target's.
-    node : int
-        Place of the activated node on its axon; 0 is under the electrode.
-    kind : {"weighted", "three-state", "one-of-n"}
-        Kind of board.
-    gap : float
-        Largest distance of the objective from the optimum, as a part of it; 0
-        is proven optimal.
-    """
-
-    weights: Array
-    off_target: float
-    off_target_class: Afferent
-    spill: float
-    node: int = 0
+    weights: Array  # (E,) mA per V/mm², positive cathodic, for an AF of 1 at the target
+    off_target: float  # largest activation of another class, over the target's
+    off_target_class: Afferent  # class of that activation
+    spill: float  # largest activation of the own class beyond one pitch, over the target's
+    node: int = 0  # index of the activated node on its axon; 0 is under the electrode
     kind: Kind = "weighted"
-    gap: float = 0.0
+    gap: float = 0.0  # largest relative distance from the optimum; 0 is proven
 
     @property
     def peak_normalized(self) -> Array:
-        """Weights as the paper draws them: the largest magnitude is 1 (Fig. 8)."""
+        """Weights with a largest magnitude of 1, as the paper draws them (Fig. 8)."""
         return np.asarray(self.weights / np.abs(self.weights).max())
 
     def _repr_html_(self) -> str:
@@ -93,38 +73,17 @@ def masked_site(site: int) -> DesignError:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """AF rows of one skin, in V/mm² per mA.
+    """AF rows of one skin, in V/mm² per mA."""
 
-    Attributes
-    ----------
-    target : ndarray, (S, E, E)
-        Row [:, s] are what the target under electrode s might be, the nominal
-        one first.
-    other : ndarray, (N, E)
-        Every node of the other classes.
-    own : ndarray, (M, E)
-        Every node of the own class.
-    """
-
+    # (S, E, E): rows [:, s] are the possible targets under electrode s, nominal first
     target: Array
-    other: Array
-    own: Array
+    other: Array  # (N, E), every node of the other classes
+    own: Array  # (M, E), every node of the own class
 
 
 class Problem:
-    """Rows of one class on one profile, shared by all its sites.
-
-    Parameters
-    ----------
-    profile : Profile
-        Array, skin and board.
-    afferent : Afferent
-        Class to fire.
-    others : collection of Afferent, optional
-        Classes not to fire; all others if not given (Eq. 10 has one, Eq. 16 two).
-    spread : bool
-        Whether the kernels are to hold over the profile's ``skin.spread``.
-    """
+    """Rows of one class against others, by default both (Eq. 10 has one, Eq. 16 two), shared by all
+    sites of a profile; with `spread` over the skins of ``skin.spread``."""
 
     def __init__(
         self,
@@ -233,10 +192,7 @@ class Problem:
         return min(moves, key=lambda pair: pair[0])
 
     def orbits(self, site: int) -> Array:
-        """Return the patterns that a site's own symmetries allow, (E, O) of 0 and 1.
-
-        A masked electrode is in none of them.
-        """
+        """Return the patterns that a site's own symmetries allow, (E, O) of 0 and 1, masked 0."""
         mirrors = np.array([move for move in self.symmetries if move[site] == site])
         _, orbit = np.unique(mirrors.min(axis=0)[self.driven], return_inverse=True)
         patterns = np.zeros((self.electrodes, orbit.max() + 1))
@@ -246,13 +202,8 @@ class Problem:
     def judge(
         self, weights: Array, site: int, node: int = 0, kind: Kind = "weighted", gap: float = 0.0
     ) -> Kernel:
-        """Return weights scaled to an activation of 1, with their true figures.
-
-        Raises
-        ------
-        DesignError
-            If they do not activate the target, whichever skin it is in.
-        """
+        """Return weights scaled to an activation of 1, with their figures on the worst skin;
+        DesignError if they do not activate the target in one of them."""
         far = self.beyond_a_pitch(site)
         worst, spill, whose, smallest = -np.inf, 0.0, 0, np.inf
         for rows in self.rows:

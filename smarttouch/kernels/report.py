@@ -9,7 +9,7 @@ import numpy as np
 from smarttouch.afferent import Afferent
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.kernels.batch import design_sites, part_of
-from smarttouch.kernels.comparison import compare
+from smarttouch.kernels.comparison import SiteKernel, compare
 from smarttouch.kernels.design import design_any_node, design_kernel
 from smarttouch.kernels.driving_problem import DrivingProblem
 from smarttouch.kernels.finger_kernels import FingerKernels
@@ -23,33 +23,12 @@ DESIGNS = {"robust": design_kernel, "three-state": design_three_state, "any-node
 """Designs beside that of the profile's own board."""
 
 
-@dataclass(frozen=True, eq=False)
-class SiteKernel:
-    """One kernel with what is reported of it; the last two only where kinds are compared."""
-
-    afferent: Afferent
-    site: int
-    kernel: Kernel
-    seconds: float
-    variant: str = ""
-    worst_finger: Kernel | None = None
-
-
 @dataclass(frozen=True)
 class WordTable:
-    """Table of words.
-
-    Attributes
-    ----------
-    title, note : str
-        Above and below.
-    heading : list of str
-        Empty where columns have no names.
-    rows : list of list of str
-    """
+    """Table of words, with its title above and a note below."""
 
     title: str
-    heading: list[str]
+    heading: list[str]  # empty where columns have no names
     rows: list[list[str]]
     note: str
 
@@ -74,10 +53,7 @@ def kernels_designed(
     robust: bool,
     progress: Advance | None,
 ) -> list[SiteKernel]:
-    """Design kernels anew: one of `DESIGNS`, or as the profile's board needs them.
-
-    "driving" is the latter on driving functions.
-    """
+    """Return kernels designed now: one of `DESIGNS`, or as the board needs them, also "driving"."""
     design_one = DESIGNS[kind] if kind in DESIGNS else designer(profile)
     a_problem = DrivingProblem if kind == "driving" else Problem
     found = []
@@ -99,9 +75,9 @@ def kernels_designed(
 def kernels_compared(
     profile: Profile, modes: Sequence[Afferent], sites: Sequence[int], progress: Advance | None
 ) -> list[SiteKernel]:
-    """Design kernels of all kinds, and find what they do on the worst finger."""
+    """Return kernels of all kinds, with their figures on the worst finger."""
     return [
-        SiteKernel(mode, each.site, each.kernel, each.seconds, each.variant, each.worst_finger)
+        each
         for index, mode in enumerate(modes)
         for each in compare(profile, mode, sites, part_of(progress, index, len(modes)))
     ]
@@ -110,7 +86,7 @@ def kernels_compared(
 def middle_kernels(
     profile: Profile, kernels: Sequence[SiteKernel]
 ) -> tuple[int, dict[Afferent, Kernel]]:
-    """Return that of the sites which is nearest to the middle, and its kernel of each class."""
+    """Return the site nearest to the middle, and its kernel of each class."""
     sites = sorted({each.site for each in kernels})
     away_mm = np.linalg.norm(profile.electrodes.position_mm[sites], axis=1)
     site = sites[int(away_mm.argmin())]
@@ -125,10 +101,7 @@ def middle_kernels(
 def as_json(
     profile: Profile, kernels: Sequence[SiteKernel], driving: bool = False
 ) -> dict[str, Any]:
-    """Return kernels as a JSON object; weights in mA per V/mm², cathodic positive.
-
-    Designed on driving functions, their weights are in mA at the target's threshold.
-    """
+    """Return kernels as a JSON object; weights in mA, positive cathodic."""
     aim = "the target's threshold" if driving else "an activating function of 1 V/mm² at the target"
     return {
         "profile": profile.name,
@@ -204,14 +177,7 @@ def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
 
 
 def weight_table(profile: Profile, of: SiteKernel) -> tuple[WordTable, list[list[bool]]]:
-    """Return the weights of a kernel where they lie on the array, the largest magnitude 1.
-
-    Returns
-    -------
-    WordTable
-    list of list of bool
-        Whether a cell is the kernel's own site.
-    """
+    """Return a kernel's weights laid out as its array, and which cell is its own site."""
     kernel, position = of.kernel, profile.electrodes.position_mm
     weights = kernel.peak_normalized
     lines = []

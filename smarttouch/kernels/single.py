@@ -10,8 +10,8 @@ from smarttouch.profile import Profile
 def single_bank(profile: Profile) -> KernelBank:
     """Return a bank in which each site's kernel is its electrode against all others.
 
-    They stand under `Afferent.RA`, whichever afferents they reach. Current through the one is
-    anodic where the profile's board can, and the others share its return equally.
+    All are stored under `Afferent.RA`, whichever afferents they reach. The one electrode is anodic
+    where the profile's board can, and the others share its return equally.
     """
     count, driven = len(profile.electrodes), profile.driven
     weights = np.zeros((count, count))

@@ -12,17 +12,14 @@ from smarttouch.profile import Profile
 
 
 def polarity(profile: Profile, afferent: Afferent) -> str:
-    """Return the pole over the target of a mode (Fig. 10).
-
-    A cathode over flat axons (SAI, PC), an anode over rising ones (RA), but a
-    cathode over those too where their ending can fire.
-    """
+    """Return the pole over the target of a mode (Fig. 10): cathodic over flat axons (SAI, PC),
+    anodic over rising ones (RA), but cathodic over those too if their ending can fire."""
     anodic = afferent is Afferent.RA and profile.skin.ra_ending == "passive"
     return "anodic" if anodic else "cathodic"
 
 
 def possible_modes(profile: Profile) -> list[Afferent]:
-    """Return the modes possible on a profile's board."""
+    """Return the modes that a profile's board can make."""
     offered = profile.output.polarities if profile.output.kind != "weighted" else ()
     return [each for each in Afferent if not offered or polarity(profile, each) in offered]
 
@@ -46,12 +43,10 @@ def designer(profile: Profile) -> Callable[[Problem, int], Kernel]:
 def design_three_state(problem: Problem, site: int) -> Kernel:
     """Choose cathode, anode or insulated for every electrode (paper, Fig. 19).
 
-    The source's current divides among the electrodes of a pole by their
-    admittance, equally unless ``output.impedance_kohm`` says otherwise. What
-    is made small is what `design_kernel` makes small: the worst other, or the
-    own-class spill where that cannot be confined. `Kernel.gap` is 0 where all
-    assignments were ruled out, else the distance to the best weighted kernel,
-    which no switched one can pass.
+    The source's current divides among the electrodes of a pole by their admittance, equally unless
+    ``output.impedance_kohm`` is given. The objective is that of `design_kernel`. `Kernel.gap` is 0
+    where all assignments were ruled out, else the distance to the best weighted kernel, which no
+    switched one can beat.
     """
     problem.check_site(site)
     share, gap = best_assignment(problem, site)
@@ -61,8 +56,7 @@ def design_three_state(problem: Problem, site: int) -> Kernel:
 def design_one_of_n(problem: Problem, site: int) -> Kernel:
     """Return the only pattern of such a board: one electrode against all others.
 
-    It connects a masked electrode too, but its share of the current is unknown:
-    it counts for nothing.
+    It connects masked electrodes too, but their share of the current is unknown and not counted.
     """
     problem.check_site(site)
     admittance = problem.profile.admittance

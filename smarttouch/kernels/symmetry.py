@@ -24,13 +24,7 @@ _SQUARE = [
 
 
 def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
-    """Return the permutations of electrodes that leave the design problem unchanged.
-
-    Returns
-    -------
-    list of ndarray, (E,)
-        ``permutation[e]`` is where electrode e goes. The first is the identity.
-    """
+    """Return permutations that keep the problem, identity first: e goes to ``permutation[e]``."""
     array = profile.electrodes
     kept = []
     upright = any(shape == "rectangle" and size[0] != size[1] for shape, size in array.kinds)

@@ -19,25 +19,10 @@ def field(
     position_mm: NDArray[np.float64],
     depth_mm: float | NDArray[np.float64],
 ) -> tuple[Field, float]:
-    """Return the field of every electrode at points of one depth, or each of its own.
+    """Return the field (N, E) of each electrode per unit cathodic current, and its factor to V/mA.
 
-    Parameters
-    ----------
-    electrodes : ElectrodeArray
-        The E electrodes.
-    skin : Skin
-        The conducting medium.
-    position_mm : ndarray, (N, 2), mm
-        Places along the skin.
-    depth_mm : float or ndarray (N, 1), mm
-        Their depth; one for all in layered skin.
-
-    Returns
-    -------
-    Field of ndarray, (N, E)
-        For unit cathodic current at each electrode.
-    float
-        Factor for volts and millimeters per milliampere.
+    Points are (N, 2) mm along the skin, of one depth or, not in layered skin, (N, 1) of their own;
+    derivatives get V/mm² by the factor.
     """
     if len(electrodes.kinds) > 1:
         return _field_of_kinds(electrodes, skin, position_mm, depth_mm)
@@ -97,25 +82,10 @@ def _field_of_kinds(
 def af_matrix(
     profile: Profile, afferents: Afferents, skin: Skin | None = None
 ) -> NDArray[np.float64]:
-    """Return the AF matrix of a set of nodes (Eq. 8 and 9).
+    """Return the AF (D·N, E), V/mm² per mA of cathodic current, at nodes, direction by direction.
 
-    At an active ending there is no curvature: what drives it is the current
-    from its only neighbor, one internode away (McNeal's end node).
-
-    Parameters
-    ----------
-    profile : Profile
-        Array and skin.
-    afferents : Afferents
-        N places with D directions each.
-    skin : Skin, optional
-        Another skin than the profile's.
-
-    Returns
-    -------
-    ndarray, (D·N, E) float64, V/mm² per mA
-        Activating function at each node for unit cathodic current at each
-        electrode, direction by direction; positive depolarizes.
+    Positive depolarizes (Eq. 8 and 9). An active ending has no curvature: it is driven by the
+    current from its only neighbor, one internode away (McNeal's end node).
     """
     skin = skin or profile.skin
     here, scale = field(profile.electrodes, skin, afferents.position_mm, afferents.depth_mm)
@@ -138,26 +108,9 @@ def af_matrix(
 def potential_mv(
     profile: Profile, points_mm: NDArray[np.float64], electrodes: ElectrodeArray | None = None
 ) -> NDArray[np.float64]:
-    """Return the potential of every electrode at points anywhere in the skin.
+    """Return the potential (..., E), mV per mA of cathodic current, at points (..., 3) mm.
 
-    Parameters
-    ----------
-    profile : Profile
-        Array and homogeneous skin.
-    points_mm : ndarray, (..., 3), mm
-        Places along the skin, and depths below it.
-    electrodes : ElectrodeArray, optional
-        Others than the profile's.
-
-    Returns
-    -------
-    ndarray, (..., E), mV per mA of cathodic current
-        Negative under a cathode.
-
-    Raises
-    ------
-    DesignError
-        If the skin is layered: its fields are known depth by depth only.
+    It is negative under a cathode. Skin must be homogeneous: layered fields have one depth each.
     """
     electrodes, skin = electrodes or profile.electrodes, profile.skin
     if skin.layers:

@@ -31,26 +31,13 @@ _FIBERS = {
 
 @dataclass(frozen=True)
 class AfError:
-    """Thresholds at one place of the table.
+    """Thresholds of one fiber at one depth: of the cable model, and as the AF predicts."""
 
-    Attributes
-    ----------
-    fiber : str
-        Orientation and ending of the fiber.
-    polarity : {"cathodic", "anodic"}
-    depth_mm : float, mm
-        Of the fiber, or of the ending of a rising one.
-    cable_ma : float, mA
-        Threshold of the cable model; NaN if it never fires.
-    af_ma : float, mA
-        Threshold that the AF predicts; infinite where it is nowhere positive.
-    """
-
-    fiber: str
+    fiber: str  # orientation and ending
     polarity: str
-    depth_mm: float
-    cable_ma: float
-    af_ma: float
+    depth_mm: float  # of the fiber, or of the ending of a rising one
+    cable_ma: float  # NaN if it never fires
+    af_ma: float  # infinite where the AF is nowhere positive
 
     @property
     def ratio(self) -> float:
@@ -59,19 +46,8 @@ class AfError:
 
 
 def af_error_table(profile: Profile) -> list[AfError]:
-    """Return predicted and modelled thresholds under one electrode of a profile.
-
-    Parameters
-    ----------
-    profile : Profile
-        Profile of the electrode and skin; its current returns far away.
-
-    Returns
-    -------
-    list of AfError
-        For fibers flat and rising with either ending, both polarities and
-        every depth of `DEPTHS_MM`.
-    """
+    """Return thresholds of fibers flat and rising, with either ending and polarity, at all of
+    `DEPTHS_MM` under one electrode whose current returns far away."""
     found: list[tuple[str, str, float, float, float]] = []
     for name, fiber in _FIBERS.items():
         for depth_mm in DEPTHS_MM:

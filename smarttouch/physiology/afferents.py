@@ -16,32 +16,14 @@ _MARGIN_PITCHES = {"plane": 2.0}
 
 @dataclass(frozen=True, eq=False)
 class Afferents:
-    """Nodes of Ranvier of one class at one depth.
-
-    Attributes
-    ----------
-    afferent : Afferent
-        Class of the afferents.
-    position_mm : ndarray, (N, 2) float64, mm
-        Places along the skin.
-    depth_mm : float, mm
-        Depth below the surface.
-    direction : ndarray, (D, 3) float64
-        Unit vectors along the axons: every place has one node in each
-        direction. z points into the skin.
-    ending : {"active", "passive"} or None
-        Of axons that end at these nodes: whether the ending itself can fire.
-        None where axons run on.
-    grid : tuple of int
-        Rows and columns, where the places form a lattice; else (N, 1).
-    """
+    """Nodes of Ranvier of one class at one depth, at N places in D directions each."""
 
     afferent: Afferent
-    position_mm: NDArray[np.float64]
-    depth_mm: float
-    direction: NDArray[np.float64]
-    ending: str | None
-    grid: tuple[int, int]
+    position_mm: NDArray[np.float64]  # (N, 2) along the skin
+    depth_mm: float  # below the surface
+    direction: NDArray[np.float64]  # (D, 3) unit vectors along the axons; z points into the skin
+    ending: str | None  # whether axons that end here can fire there; None where they run on
+    grid: tuple[int, int]  # rows and columns of a lattice of places, else (N, 1)
 
     def __post_init__(self) -> None:
         if not self.depth_mm > 0:
@@ -105,11 +87,8 @@ def everywhere(profile: Profile, afferent: Afferent) -> Afferents:
 
 
 def along_axon(profile: Profile, afferent: Afferent, site: int) -> tuple[Afferents, ...]:
-    """Return the nodes of the axon under a site, one set for each depth.
-
-    The first node of the first set is the one under the electrode. A rising
-    axon has its nodes below the ending; a flat one to both sides.
-    """
+    """Return the nodes of the axon under a site, one set for each depth, the one under the
+    electrode first: a rising axon has its nodes below the ending, a flat one on both sides."""
     center = profile.electrodes.position_mm[site]
     skin, first = profile.skin, targets(profile, afferent)
     direction = first.direction[0]
@@ -133,8 +112,7 @@ def along_axon(profile: Profile, afferent: Afferent, site: int) -> tuple[Afferen
 def variants(skin: Skin) -> Iterator[Skin]:
     """Yield the skin with every conductivity of its spread, the nominal one first.
 
-    In homogeneous skin conductivity scales all potentials alike and changes no
-    kernel; between layers its ratio counts.
+    Homogeneous conductivity scales all potentials and changes no kernel; that between layers does.
     """
     yield skin
     factor = skin.spread.conductivity_factor

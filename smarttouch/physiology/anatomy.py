@@ -128,9 +128,9 @@ class Anatomy(Table):
 
     @property
     def bystanders(self) -> dict[Bystander, ClassAnatomy]:
-        """Classes that must not fire, as far as they are given."""
+        """Classes that must not fire, if given."""
         given = zip(Bystander, (self.saii, self.a_delta, self.c), strict=True)
-        return {each: is_like for each, is_like in given if is_like is not None}
+        return {each: anatomy for each, anatomy in given if anatomy is not None}
 
     def contact_radius_mm(self, force_n: float) -> float:
         """Return the radius of the area of contact; infinite where all touch."""
@@ -145,13 +145,7 @@ def list_anatomies() -> list[str]:
 
 
 def load_anatomy(name: str | Path) -> Anatomy:
-    """Load a shipped anatomy by name, or any by its TOML file.
-
-    Raises
-    ------
-    ProfileError
-        If there is none, or it has unknown keys or impossible values.
-    """
+    """Load a shipped anatomy by name, or any by its TOML file; ProfileError if it is not valid."""
     known = list_anatomies()
     path = _SHIPPED / f"{name}.toml" if str(name) in known else Path(name)
     if not path.exists():

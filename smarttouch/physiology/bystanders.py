@@ -28,7 +28,7 @@ class Bystanders(Finger):
         self.profile, self.seed = profile, seed
         self.anatomy = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
         self.populations = {
-            each: self._populate(each, is_like) for each, is_like in self.anatomy.bystanders.items()
+            each: self._populate(each, anatomy) for each, anatomy in self.anatomy.bystanders.items()
         }
 
     @cached_property
@@ -39,30 +39,14 @@ class Bystanders(Finger):
 
 @dataclass(frozen=True)
 class Margin:
-    """How near a class comes to firing.
+    """Distance of a class from firing."""
 
-    Attributes
-    ----------
-    margin : float
-        Factor on all currents at which the first of the sample fires: above 1 none does. Infinite
-        where no legal currents can fire it.
-    fired : float
-        Part of the sample that fires in any slot.
-    """
-
-    margin: float
-    fired: float
+    margin: float  # factor on all currents from which one of the sample fires; infinite if none can
+    fired: float  # fraction of the sample that fires in any slot
 
 
 def margins(others: Bystanders, shown: Sequence[Slots]) -> dict[Bystander, Margin]:
-    """Return the margins of each class under all of some sequences.
-
-    Parameters
-    ----------
-    others : Bystanders
-    shown : sequence of Slots
-        Sequences, each as it is delivered.
-    """
+    """Return the margin of each class under all of some sequences, as they are delivered."""
     highest = np.zeros(len(others.classes), np.float32)
     for slots in shown:
         drive = others.model.drive(slots.current_ua, slots.width_us)

@@ -13,27 +13,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Population:
-    """Afferents of one class.
-
-    Attributes
-    ----------
-    afferent : Afferent or Bystander
-    receptor_mm : ndarray, (A, 2), mm
-        Middle of each afferent's endings, where what it fires is felt.
-    course_mm : ndarray, (B, P, 3), mm
-        Corners of the course of each branch, ending first; z is the depth.
-    owner : ndarray, (B,) int
-        Afferent of each branch.
-    factor : ndarray, (A,)
-        Threshold of each afferent, relative to its class's.
-    anatomy : ClassAnatomy
-    """
+    """Afferents of one class, each with one or more branches."""
 
     afferent: Afferent | Bystander
-    receptor_mm: Array
-    course_mm: Array
-    owner: NDArray[np.intp]
-    factor: Array
+    receptor_mm: Array  # (A, 2) middle of each afferent's endings, where its spikes are perceived
+    course_mm: Array  # (B, P, 3) corners of each branch, ending first; z is the depth
+    owner: NDArray[np.intp]  # (B,) afferent of each branch
+    factor: Array  # (A,) threshold relative to the class's
     anatomy: ClassAnatomy
 
 
@@ -68,7 +54,7 @@ def _along(course_mm: Array, along_mm: Array) -> Array:
 
 
 def _rounded(points_mm: Array, reach: int) -> Array:
-    """Return courses without sharp bends: means over so many nodes to either side, ends kept."""
+    """Return courses with bends rounded by running means over `reach` nodes to either side."""
     reach = min(reach, points_mm.shape[1] - 1)
     if reach < 1:
         return points_mm

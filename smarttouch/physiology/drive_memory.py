@@ -28,9 +28,9 @@ _ROWS_AT_ONCE = 8192
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """Answer to a pattern: all drives (A,), and the nodes of the afferents that may fire.
+    """Drives (A,) under a pattern, and the node rows (M, E) of the afferents that may fire.
 
-    Node rows are (M, E); those of afferent ``fires[i]`` begin at ``starts[i]``.
+    Rows of afferent ``fires[i]`` begin at ``starts[i]``.
     """
 
     drive: Floats
@@ -42,15 +42,8 @@ class _Known:
 class DriveMemory:
     """Largest drive of each afferent under any currents.
 
-    Parameters
-    ----------
-    rows : ndarray, (N, E), 1/mA
-        Drive of each node for 1 mA at each electrode.
-    starts : ndarray, (A,)
-        First node of each afferent.
-    exact_from : float
-        Drive from which answers are exact but for rounding in float32; smaller ones may be off
-        by 0.01.
+    Rows (N, E), 1/mA, are drives of nodes; `starts`, (A,), is the first node of each afferent.
+    Drives from `exact_from` on are exact but for float32; smaller ones may be off by 0.01.
     """
 
     def __init__(self, rows: Floats, starts: Indices, exact_from: float) -> None:
@@ -94,7 +87,7 @@ class DriveMemory:
         return highest
 
     def _remember(self, current_ma: Floats) -> None:
-        """Take up new patterns in place of the oldest."""
+        """Store new patterns in place of the oldest."""
         places = (self._next + np.arange(len(current_ma))) % _PATTERNS
         self._next = (self._next + len(current_ma)) % _PATTERNS
         self._patterns[places] = current_ma
@@ -117,7 +110,7 @@ class DriveMemory:
         return which, scale
 
     def _learn(self, places: Indices) -> None:
-        """Find out the answers to patterns by all nodes."""
+        """Compute the drives under patterns at all nodes."""
         if not len(places):
             return
         highest = np.empty((len(self._starts), len(places)), np.float32)

@@ -36,62 +36,30 @@ times as much cathodic as anodic current; macaque RA afferents 1.3 to 1.5 (Kaczm
 
 @dataclass(frozen=True, eq=False)
 class DrivingFunction:
-    """Weights that make a fiber's drive from potentials along it.
-
-    Attributes
-    ----------
-    internode_mm : float, mm
-    end : {"through", "active", "passive"}
-        Kind of the first node, as in `membrane.Fiber`.
-    along : ndarray, (K + 1,), 1/mV
-        Weights at a node and at its K neighbors to either side.
-    near_end : ndarray, (H, L), 1/mV
-        Weights of the first H nodes that can fire, on the first L differences; (0, 0) of a
-        fiber that runs through.
-    block : float
-        Drive of the other sign that stops a passing spike, relative to that of the node which
-        fires: anodes hold up spikes of long pulses. Infinite where they do not.
-    """
+    """Weights that make a fiber's drive from potentials along it."""
 
     internode_mm: float
-    end: End
-    along: Array
-    near_end: Array
+    end: End  # kind of the first node, as in `membrane.Fiber`
+    along: Array  # (K + 1,) 1/mV, of a node and its K neighbors to either side
+    near_end: Array  # (H, L) 1/mV, of the first H nodes that can fire; (0, 0) if it runs through
+    # Drive of opposite sign that blocks a passing spike, over that of the node that fires: anodes
+    # of long pulses do so. Infinite where none do.
     block: float = np.inf
 
     def drive(self, potential_mv: Array) -> Array:
-        """Return the drive at each node that can fire: 1 is the threshold.
-
-        Parameters
-        ----------
-        potential_mv : ndarray, (C, N, E)
-            Potential at the nodes of C fibers, ending first, for each of E currents.
-
-        Returns
-        -------
-        ndarray, (C, M, E)
-        """
+        """Return the drive, (C, M, E), 1 at threshold, of potentials (C, N, E), ending first."""
         return self.operator(potential_mv.shape[-2]) @ potential_mv
 
     def highest(self, potential_mv: Array) -> Array:
-        """Return the largest drive of a node whose spike gets out of the field.
+        """Return the largest drive (C,) of a node whose spike gets out, by potentials (C, N).
 
-        A spike that is blocked on its way toward the last node does not count; 0 if all are.
-
-        Parameters
-        ----------
-        potential_mv : ndarray, (C, N)
-            Potential at the nodes of C fibers, ending first, each for its own current.
-
-        Returns
-        -------
-        ndarray, (C,)
+        A spike blocked on its way toward the last node does not count; 0 if all are.
         """
         drive = self.drive(potential_mv[..., None])[..., 0]
         return np.asarray(np.where(passes(drive, self.block), drive, 0.0).max(axis=1))
 
     def operator(self, nodes: int) -> Array:
-        """Return the drive as a matrix on the potentials of so many nodes, (M, N) 1/mV."""
+        """Return the drive as a matrix on the potentials of a number of nodes, (M, N) 1/mV."""
         bend = bend_operator(self.end, nodes)
         first = self.end == "passive"
         size = len(bend)
@@ -117,10 +85,7 @@ def passes(drive: Array, block: float) -> NDArray[np.bool_]:
 
 
 def bend_operator(end: End, nodes: int) -> Array:
-    """Return second differences along a fiber as a matrix, (B, N).
-
-    The first one of an ending is the difference to its only neighbor.
-    """
+    """Return second differences along a fiber as a matrix, (B, N), and the first at an ending."""
     bends = np.diff(np.eye(nodes), 2, axis=0)
     if end == "through":
         return bends
@@ -133,22 +98,8 @@ def _shipped() -> dict[str, Any]:
 
 
 def load_driving(fiber: str, end: End, width_us: float) -> DrivingFunction:
-    """Return the shipped driving function of a fiber.
-
-    Parameters
-    ----------
-    fiber : str
-        One of `FIBERS`.
-    end : {"through", "active", "passive"}
-    width_us : float, µs
-        Pulse width, within what was fitted; between fitted widths weights are interpolated
-        over the logarithm.
-
-    Raises
-    ------
-    DesignError
-        If there is none of that fiber, ending or width.
-    """
+    """Return the driving function of one of `FIBERS`, interpolated over the logarithm of pulse
+    width; DesignError if there is none."""
     offered = _shipped()
     fitted: dict[str, Any] = offered.get(fiber, {}).get(end, {})
     if not fitted:

@@ -1,4 +1,4 @@
-"""Spikes of one finger under scan sequences: where they are felt, and a picture of it."""
+"""Spikes of one finger under scan sequences: where they are perceived, and a picture of them."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -21,22 +21,12 @@ _PX_PER_MM = 16
 
 @dataclass(frozen=True, eq=False)
 class Feeling:
-    """Spikes of a finger under scan sequences that follow each other.
-
-    Attributes
-    ----------
-    finger : Finger
-    spikes : tuple of Spikes
-        Of each sequence.
-    active : ndarray, (E,) bool
-        Electrodes at which something was meant to be felt.
-    wanted : tuple of Afferent
-        Classes that were meant to feel it; all where sequences came without their steps.
-    """
+    """Spikes of a finger under scan sequences that follow each other."""
 
     finger: Finger
-    spikes: tuple[Spikes, ...]
-    active: NDArray[np.bool_]
+    spikes: tuple[Spikes, ...]  # one for each sequence
+    active: NDArray[np.bool_]  # (E,) electrodes that were meant to stimulate
+    # classes that were meant to fire; all for sequences without their steps
     wanted: tuple[Afferent, ...]
 
     @cached_property
@@ -60,15 +50,7 @@ class Feeling:
 
 
 def feel(finger: Finger, given: Any, seed: int = 1) -> Feeling:
-    """Return what a finger feels of a step, a scan sequence, or several in their order.
-
-    Parameters
-    ----------
-    finger : Finger
-    given : Step, StepResult, ScanSequence, or iterable of these
-    seed : int
-        Of the noise from pulse to pulse.
-    """
+    """Return a finger's spikes under a Step, StepResult or ScanSequence, or several in order."""
     parts = list(given) if isinstance(given, Iterable) else [given]
     steps = [getattr(each, "step", each) for each in parts]
     sequences: list[Slots] = [getattr(each, "sequence", each) for each in steps]
@@ -104,10 +86,8 @@ def fire_all(model: SpikeModel, sequences: Sequence[Slots]) -> Iterator[Spikes]:
 def distinct_slots(
     current_ua: NDArray[np.int16], width_us: NDArray[Any]
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the distinct slots, by their first, and the index of the distinct one for each slot.
-
-    Trains repeat the same few pulses: what follows from a pulse need be computed once.
-    """
+    """Return the index of the first of each distinct slot, and each slot's number among these, as
+    trains repeat the same few pulses."""
     width = np.ascontiguousarray(width_us, np.float32).view(np.int16).reshape(-1, 2)
     rows = np.hstack([current_ua.astype(np.int16, copy=False), width])
     whole = np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))
@@ -120,16 +100,8 @@ def finger_svg(
     counts: NDArray[np.intp] | None = None,
     active: NDArray[np.bool_] | None = None,
 ) -> str:
-    """Return a finger from above: receptors by class, those that fired larger, and electrodes.
-
-    Parameters
-    ----------
-    finger : Finger
-    counts : ndarray, (A,), optional
-        Spikes of each afferent.
-    active : ndarray, (E,) bool, optional
-        Electrodes that are drawn filled.
-    """
+    """Return a finger from above: receptors by class, larger with spikes, (A,), and electrodes,
+    (E,) active ones filled."""
     reach = finger.reach_mm
     wide, high = np.ceil(2 * reach * _PX_PER_MM).astype(int)
 

@@ -1,4 +1,4 @@
-"""Measures of what a finger felt: silent points, spikes of other classes and elsewhere."""
+"""Measures of what a pattern fired in a finger: silent points, other classes, other places."""
 
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
@@ -14,28 +14,14 @@ from smarttouch.physiology.finger import Finger
 
 @dataclass(frozen=True)
 class Felt:
-    """Spikes and places that a finger felt of a pattern.
+    """What a pattern fired in a finger."""
 
-    Attributes
-    ----------
-    spikes : int
-        All spikes.
-    afferents : dict of Afferent to int
-        Number of afferents of each class that fired.
-    silent_points : float
-        Part of the active electrodes with no receptor of a wanted class that fired within half
-        a pitch.
-    wrong_class : float
-        Part of the spikes of other classes; NaN without a spike.
-    misplaced : float
-        Part of the spikes whose receptor is beyond a pitch of every active electrode; NaN without
-        a spike.
-    """
-
-    spikes: int
-    afferents: dict[Afferent, int]
+    spikes: int  # of all classes
+    afferents: dict[Afferent, int]  # number that fired, of each class
+    # fraction of active electrodes without a firing receptor of a wanted class within half a pitch
     silent_points: float
-    wrong_class: float
+    wrong_class: float  # fraction of spikes of other classes; NaN without a spike
+    # fraction of spikes with a receptor beyond a pitch of every active electrode; or NaN
     misplaced: float
 
 
@@ -45,18 +31,7 @@ def felt(
     active: NDArray[np.bool_],
     wanted: Collection[Afferent],
 ) -> Felt:
-    """Return what was felt of a pattern.
-
-    Parameters
-    ----------
-    finger : Finger
-    counts : ndarray, (A,)
-        Spikes of each afferent.
-    active : ndarray, (E,) bool
-        Electrodes of the pattern.
-    wanted : collection of Afferent
-        Classes that it was meant for.
-    """
+    """Return what spike counts (A,) mean for active electrodes (E,) and the classes wanted."""
     electrodes = finger.profile.electrodes
     places = electrodes.position_mm[active]
     fired = counts > 0
@@ -84,17 +59,8 @@ def over(how: Callable[[list[float]], float], values: Iterable[float]) -> float:
 def felt_map(
     finger: Finger, counts: NDArray[np.intp], places_mm: NDArray[np.float64], blur_mm: float = 1.0
 ) -> NDArray[np.float32]:
-    """Return spikes of each class around places, (3, P), put where the receptors are.
-
-    Parameters
-    ----------
-    finger : Finger
-    counts : ndarray, (A,)
-        Spikes of each afferent.
-    places_mm : ndarray, (P, 2), mm
-    blur_mm : float, mm
-        Standard deviation of a receptive field. Ours.
-    """
+    """Return spikes of each class around places (P, 2) mm, (3, P), blurred by the standard
+    deviation of a receptive field. Ours."""
     fired = counts > 0
     away = places_mm[None] - finger.receptor_mm[fired, None]
     weight = np.exp(-(away**2).sum(axis=2) / (2 * blur_mm**2)) * counts[fired, None]
@@ -103,15 +69,7 @@ def felt_map(
 
 
 def in_color(spikes: NDArray[Any], most: float) -> NDArray[np.float32]:
-    """Return spikes as inks on white, in the color of each class, (..., 3) in [0, 1].
-
-    Parameters
-    ----------
-    spikes : ndarray, (3, ...)
-        Of each class.
-    most : float
-        Spikes of all classes together that have the whole color.
-    """
+    """Return spikes (3, ...) as inks on white, (..., 3), with full color at `most` in total."""
     image = np.ones((*spikes.shape[1:], 3), np.float32)
     for afferent, color in CLASS_COLORS.items():
         ink = 1 - np.array([int(color[at : at + 2], 16) for at in (1, 3, 5)]) / 255

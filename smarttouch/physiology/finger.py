@@ -37,7 +37,7 @@ class Finger:
         Array and skin. x runs to the right, y from the fingertip toward the palm, z into the
         skin.
     seed : int
-        Of everything that differs between fingers; the same seed is the same finger.
+        Seed of everything that differs between fingers; the same seed is the same finger.
     anatomy : str, Path or Anatomy
         "branched", "paper", a TOML file, or the anatomy itself.
 
@@ -112,20 +112,16 @@ class Finger:
 
     @cached_property
     def receptor_mm(self) -> Floats:
-        """Where what each afferent fires is felt, (A, 2) mm."""
+        """Places where spikes of each afferent are perceived, (A, 2) mm."""
         places = [one.receptor_mm for one in self.populations.values()]
         return np.concatenate(places).astype(np.float32)
 
     @cached_property
     def rows(self) -> tuple[Floats, NDArray[np.intp]]:
-        """Drive of the nodes that legal currents can fire, and the first node of each afferent.
+        """Drive (N, E) float32, 1/mA, of nodes that legal currents can fire, and starts (A,).
 
-        Returns
-        -------
-        ndarray, (N, E) float32, 1/mA
-            Drive for 1 mA of cathodic current and the profile's pulse: 1 is the threshold.
-        ndarray, (A,) int
-            Nodes of afferent i begin there; each has at least one, be it of zeros.
+        Drives are for 1 mA of cathodic current and the profile's pulse: 1 is the threshold. Nodes
+        of afferent i begin at ``starts[i]``; each has at least one, if only of zeros.
         """
         found, starts, count = [], [], 0
         for one in self.populations.values():
@@ -140,111 +136,111 @@ class Finger:
             count += len(rows)
         return np.concatenate(found) * self.touching, np.concatenate(starts)
 
-    def _populate(self, afferent: Afferent | Bystander, is_like: ClassAnatomy) -> Population:
+    def _populate(self, afferent: Afferent | Bystander, anatomy: ClassAnatomy) -> Population:
         random = np.random.default_rng([self.seed, int(afferent)])
-        receptor = self._places(is_like, random)
-        count, endings = len(receptor), is_like.endings
+        receptor = self._places(anatomy, random)
+        count, endings = len(receptor), anatomy.endings
         owner = np.repeat(np.arange(count), endings)
-        spread = random.normal(0, is_like.branch_spread_mm, (count, endings, 2))
+        spread = random.normal(0, anatomy.branch_spread_mm, (count, endings, 2))
         spread[:, 0] = 0
         ending = (receptor[:, None] + spread).reshape(-1, 2)
-        if is_like.on_ridges:
+        if anatomy.on_ridges:
             ending[:, 1] = np.round(ending[:, 1] / self.anatomy.ridge_mm) * self.anatomy.ridge_mm
-        depth = is_like.depth_mm or nominal.depth_mm(self.profile.skin, Afferent(afferent))
-        depths = np.repeat(random.normal(depth, is_like.depth_spread_mm, count), endings)
+        depth = anatomy.depth_mm or nominal.depth_mm(self.profile.skin, Afferent(afferent))
+        depths = np.repeat(random.normal(depth, anatomy.depth_spread_mm, count), endings)
         depths = np.maximum(depths, _SHALLOWEST_MM)
-        turn = np.radians(random.normal(is_like.flat_deg, is_like.flat_spread_deg, count))[owner]
-        lean = np.tan(np.radians(random.normal(0, is_like.lean_deg, (count * endings, 2))))
+        turn = np.radians(random.normal(anatomy.flat_deg, anatomy.flat_spread_deg, count))[owner]
+        lean = np.tan(np.radians(random.normal(0, anatomy.lean_deg, (count * endings, 2))))
         joint = receptor[owner]
-        course = self._courses(is_like, ending, joint, depths, turn, lean)
+        course = self._courses(anatomy, ending, joint, depths, turn, lean)
         course[..., 2] += self._gap_mm(course[..., :2])
-        factor = np.exp(random.normal(0, is_like.threshold_spread, count))
-        factor *= is_like.threshold_factor
+        factor = np.exp(random.normal(0, anatomy.threshold_spread, count))
+        factor *= anatomy.threshold_factor
         middle = ending.reshape(count, endings, 2).mean(axis=1)
-        return Population(afferent, middle, course, owner, factor, is_like)
+        return Population(afferent, middle, course, owner, factor, anatomy)
 
     def _gap_mm(self, place_mm: Array) -> Array:
-        """Return how far the curved pad lies below the array beside the contact."""
+        """Return the gap between the curved pad and the array beside the contact, mm."""
         if self.anatomy.pad_radius_mm is None:
             return np.zeros(place_mm.shape[:-1])
         contact = 0.0 if self.anatomy.contact_mm2 is None else self._contact_mm
         beyond = (place_mm**2).sum(axis=-1) - contact**2
         return np.asarray(np.maximum(beyond, 0) / (2 * self.anatomy.pad_radius_mm))
 
-    def _places(self, is_like: ClassAnatomy, random: np.random.Generator) -> Array:
-        """Return places all over the finger, (A, 2) mm, as dense as the anatomy says."""
+    def _places(self, anatomy: ClassAnatomy, random: np.random.Generator) -> Array:
+        """Return places all over the finger, (A, 2) mm, at the anatomy's density."""
         reach = self.reach_mm
         area_cm2 = 4 * reach.prod() / 100
-        count = random.poisson(is_like.density_per_cm2 * area_cm2)
+        count = random.poisson(anatomy.density_per_cm2 * area_cm2)
         place = random.uniform(-reach, reach, (count, 2))
         beyond = place[:, 1] + reach[1] > self.anatomy.tip_mm
         there = ~beyond | (random.random(count) < self.anatomy.beyond_tip)
         return np.asarray(place[there])
 
     def _courses(
-        self, is_like: ClassAnatomy, ending: Array, joint: Array, depth: Array, turn: Array,
+        self, anatomy: ClassAnatomy, ending: Array, joint: Array, depth: Array, turn: Array,
         lean: Array,
     ) -> Array:  # fmt: skip
         """Return the corners of each branch: ending, foot, joint, end of the flat part, (B, P, 3).
 
         If axons descend there is one corner more, below the last.
         """
-        top = np.maximum(depth - is_like.receptor_above_mm, _SHALLOWEST_MM)
-        plexus = np.maximum(is_like.plexus_mm or 0.0, depth)
+        top = np.maximum(depth - anatomy.receptor_above_mm, _SHALLOWEST_MM)
+        plexus = np.maximum(anatomy.plexus_mm or 0.0, depth)
         upright = (plexus - top)[:, None]
         foot = ending + lean * upright
         away = np.column_stack([np.cos(turn), np.sin(turn)])
-        start = joint if is_like.endings > 1 else foot
-        flat = start + is_like.flat_mm * away
+        start = joint if anatomy.endings > 1 else foot
+        flat = start + anatomy.flat_mm * away
         corners = [(ending, top), (foot, plexus), (start, plexus), (flat, plexus)]
-        if is_like.descent_mm:
-            corners.append((flat, plexus + is_like.descent_mm))
+        if anatomy.descent_mm:
+            corners.append((flat, plexus + anatomy.descent_mm))
         return np.stack([np.column_stack(each) for each in corners], axis=1)
 
-    def _drives(self, one: Population) -> tuple[Floats, NDArray[np.intp]]:
+    def _drives(self, population: Population) -> tuple[Floats, NDArray[np.intp]]:
         """Return the drive at the nodes of each branch that can fire, and their afferents."""
-        is_like = one.anatomy
-        driving = is_like.driving(self.profile.pulse.width_us)
-        first = np.r_[True, np.diff(one.owner) > 0] if len(one.owner) else np.zeros(0, np.bool_)
+        driving = population.anatomy.driving(self.profile.pulse.width_us)
+        owner = population.owner
+        first = np.r_[True, np.diff(owner) > 0] if len(owner) else np.zeros(0, np.bool_)
         found = [np.zeros((0, len(self.profile.electrodes)), np.float32)]
         branches = [np.zeros(0, np.intp)]
         # The first branch goes on along the axon, the others end where they join it.
-        for which, corners in ((first, one.course_mm.shape[1] - 1), (~first, 2)):
+        for which, corners in ((first, population.course_mm.shape[1] - 1), (~first, 2)):
             # As many nodes are computed of each branch as of the longest beside it.
-            order = np.argsort(course_length_mm(one.course_mm, corners), kind="stable")
+            order = np.argsort(course_length_mm(population.course_mm, corners), kind="stable")
             indices = order[which[order]]
             for part in np.array_split(indices, max(1, len(indices) // _AT_ONCE)):
                 if len(part):
-                    rows, branch = self._part(one, driving, part, corners)
+                    rows, branch = self._part(population, driving, part, corners)
                     found.append(rows)
                     branches.append(branch)
         branch = np.concatenate(branches)
         order = np.argsort(branch, kind="stable")
-        return np.concatenate(found)[order], one.owner[branch[order]]
+        return np.concatenate(found)[order], owner[branch[order]]
 
     def _part(
-        self, one: Population, driving: DrivingFunction, part: NDArray[np.intp], corners: int
+        self, population: Population, driving: DrivingFunction, part: NDArray[np.intp], corners: int
     ) -> tuple[Floats, NDArray[np.intp]]:
-        """Return the drive at nodes of some branches, up to a corner of each, and whose it is."""
+        """Return the drive at nodes of some branches, up to a corner, and their afferents."""
         spacing = driving.internode_mm
-        length_mm = course_length_mm(one.course_mm[part], corners)
+        length_mm = course_length_mm(population.course_mm[part], corners)
         nodes = int(np.ceil(length_mm.max() / spacing)) + len(driving.along) + 1
-        points = course_points(one, part, max(nodes, len(driving.near_end.T) + 4), spacing)
+        points = course_points(population, part, max(nodes, len(driving.near_end.T) + 4), spacing)
         drive = driving.drive(potential_mv(self.profile, points))
-        drive /= one.factor[one.owner[part]][:, None, None]
-        longest = strength(self.profile.limits.pulse_us, one.anatomy.chronaxie_us)
-        longest /= strength(self.profile.pulse.width_us, one.anatomy.chronaxie_us)
+        drive /= population.factor[population.owner[part]][:, None, None]
+        longest = strength(self.profile.limits.pulse_us, population.anatomy.chronaxie_us)
+        longest /= strength(self.profile.pulse.width_us, population.anatomy.chronaxie_us)
         # Nodes beyond the end are there for their neighbors.
         node = np.arange(drive.shape[1]) + (driving.end != "active")
         there = node * spacing <= length_mm[:, None] + spacing
         rows, branch = drive[there], np.repeat(part, there.sum(axis=1))
-        can = self._most(rows) * max(longest, 1.0) >= 1 - 5 * one.anatomy.noise
+        can = self._most(rows) * max(longest, 1.0) >= 1 - 5 * population.anatomy.noise
         return rows[can].astype(np.float32), branch[can]
 
     def _most(self, rows: Array) -> Array:
-        """Return the largest drive that currents within the profile's limits may have, (N,).
+        """Return the largest drive that currents within the profile's limits can have, (N,).
 
-        Electrodes' currents sum to zero, each is limited, and so is the sum of all anodes.
+        Currents sum to zero, each is limited, and so is the sum of all anodes.
         """
         limits = self.profile.limits
         ranked = np.sort(rows, axis=1)

@@ -1,10 +1,10 @@
-"""Driving functions of free endings: unmyelinated, so that a linear cable foretells what fires.
+"""Driving functions of free endings: unmyelinated, so that a linear cable predicts what fires.
 
 An unmyelinated fiber is a cable of one membrane. In the 200 µs of a pulse its potential moves by
 some hundredths of a millimeter only, and it fires where the pulse leaves it depolarized by about
 16 mV. With the membrane of Hodgkin and Huxley at 20 °C, diameters of 0.3 to 1 µm and depths of 0.3
 to 0.5 mm, under a disc or at its edge, it fires at 1.0 to 1.25 times the cathodic current so
-foretold, and at 0.65 to 0.9 times the anodic (`tests/physiology/test_free_endings.py`).
+predicted, and at 0.65 to 0.9 times the anodic (`tests/physiology/test_free_endings.py`).
 """
 
 import numpy as np
@@ -23,16 +23,7 @@ _REACH, _OWN_NODES, _OWN_REACH, _NODES = 16, 8, 24, 80
 def free_ending(
     diameter_um: float, width_us: float, threshold_mv: float = THRESHOLD_MV
 ) -> DrivingFunction:
-    """Return the driving function of an unmyelinated fiber with a sealed ending.
-
-    Parameters
-    ----------
-    diameter_um : float, µm
-    width_us : float, µs
-        Pulse width.
-    threshold_mv : float, mV
-        Depolarization that fires.
-    """
+    """Return the driving function of an unmyelinated fiber with a sealed ending."""
     step_cm, farad = STEP_MM / 10, _UF_PER_CM2 * 1e-6
     coupling = diameter_um * 1e-4 / (4 * _AXOPLASM_OHM_CM * step_cm**2 * farad) / 1e6  # 1/µs
     bend = np.eye(_NODES, k=1) + np.eye(_NODES, k=-1)

@@ -43,17 +43,7 @@ def spectrum(k: Array, outer_radius: float, inner_radius: float = 0.0) -> Array:
 
 
 def transfer(k: Array, depth: float, layers: Sequence[Layer]) -> tuple[Array, Array]:
-    """Return T and −(∂T/∂z)/k at a depth, mm·m/S per unit of current spectrum.
-
-    Parameters
-    ----------
-    k : ndarray, 1/mm
-        Spatial frequencies.
-    depth : float, mm
-        Depth below the surface.
-    layers : sequence of (thickness mm, conductivity S/m)
-        From the surface down.
-    """
+    """Return T and −(∂T/∂z)/k at a depth, mm·m/S per unit of current spectrum, for k 1/mm."""
     # Resistance seen downward from the top of each layer, as on a transmission line.
     seen = [np.full_like(k, 1 / layers[-1][1])]
     for thickness, conductivity in reversed(layers[:-1]):
@@ -83,23 +73,9 @@ def round_electrode(
     inner_radius: float,
     layers: Sequence[Layer],
 ) -> Field:
-    """Return the field of a point, disc or annulus on layered skin.
+    """Return the field of a point, disc or annulus (inner radius above 0) on layered skin.
 
-    Parameters
-    ----------
-    x, y : ndarray, mm
-        Distances from the electrode's center along the surface.
-    depth : float, mm
-        Depth below the surface, the same for all.
-    outer_radius, inner_radius : float, mm
-        Of the electrode; an inner radius above 0 makes it an annulus.
-    layers : sequence of (thickness mm, conductivity S/m)
-        From the surface down.
-
-    Returns
-    -------
-    Field
-        As in `potential`, with the factor ρ taken in: per I/2π.
+    It is as in `potential`, but per I/2π, with the factor ρ included. Layers run from the surface.
     """
     r = np.hypot(x, y)
     farthest = float(r.max()) + depth
@@ -127,7 +103,7 @@ def round_electrode(
 
 
 def _abscissas(highest: float, farthest: float) -> tuple[NDArray[np.float64], Array]:
-    """Return Gauss points and weights that follow J₀ out to a radius."""
+    """Return Gauss points and weights that resolve J₀ out to a radius."""
     period = 2 * np.pi / farthest
     even = np.arange(1, int(np.ceil(highest / period)) + 2) * period
     # Thin resistive layers shape the lowest frequencies: halve the first panel a few times.

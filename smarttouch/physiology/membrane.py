@@ -43,35 +43,21 @@ _PATIENCE_US = 20_000.0  # after the pulse; an action potential passes a node in
 class Fiber:
     """Myelinated fiber whose first node is its ending in the skin.
 
-    Attributes
-    ----------
-    diameter_um : float, µm
-        Outer diameter; 3.3 ± 0.5 at the fingertip (Nolano et al. 2003).
-    internode_mm : float, mm
-        Distance between nodes; 0.079 ± 0.014 at the fingertip (the same), 100
-        outer diameters in nerve trunks (McNeal 1976).
-    axon_ratio : float
-        Axon over fiber diameter, 0.6 (Sweeney et al. 1987).
-    node_um : float, µm
-        Length of a node, 1.5 (Sweeney et al. 1987).
-    end : {"passive", "active", "through"}
-        Kind of the first node. "passive": the bare terminal of the receptor,
-        sealed, with leak and capacitance and no sodium channels. "active": a
-        sealed full node. "through": an ordinary node of a fiber that runs on,
-        so that the cut there is not felt.
-    terminal_um2 : float, µm²
-        Membrane of a passive terminal, of 1 µF/cm² and 1 mS/cm². An estimate:
-        half a millimeter of neurite 2 µm thick, coiled in a corpuscle some
-        100 µm long and 60 µm wide. It decides which polarity fires a fiber that
-        rises to its ending: with the defaults, a 200 µs pulse and 0.7 mm of
-        depth the cathode wins below about 1250 µm².
+    A first node that is "passive" is the bare terminal of the receptor, sealed, with leak and
+    capacitance and no sodium channels; "active" is a sealed full node; "through" is an ordinary
+    node of a fiber that runs on, so that the cut has no effect.
     """
 
-    diameter_um: float = 3.3
+    diameter_um: float = 3.3  # outer; 3.3 ± 0.5 at the fingertip (Nolano et al. 2003)
+    # 0.079 ± 0.014 at the fingertip (the same), 100 outer diameters in nerve trunks (McNeal 1976)
     internode_mm: float = 0.079
-    axon_ratio: float = 0.6
-    node_um: float = 1.5
+    axon_ratio: float = 0.6  # axon over fiber diameter (Sweeney et al. 1987)
+    node_um: float = 1.5  # length of a node (Sweeney et al. 1987)
     end: Literal["passive", "active", "through"] = "passive"
+    # Membrane of a passive terminal, of 1 µF/cm² and 1 mS/cm². An estimate: half a millimeter of
+    # neurite 2 µm thick, coiled in a corpuscle some 100 µm long and 60 µm wide. It decides which
+    # polarity fires a fiber that rises to its ending: with the defaults, a 200 µs pulse and 0.7 mm
+    # of depth the cathode has the lower threshold below about 1250 µm².
     terminal_um2: float = 3000.0
 
     def __post_init__(self) -> None:
@@ -91,16 +77,11 @@ class Fiber:
 class Axon:
     """Fiber in one field or in several, ready to be stepped in time under many currents at once.
 
-    A step is split (Strang): half of it for the membranes, all of it for axial
-    current, half of it for the membranes again; each part is exact, with gates
-    half a step ahead. Beyond the last node given the fiber goes on where the
-    field bends no more. Arguments are those of `threshold_ma`; potentials may be (C, N), of C
-    fields.
-
-    Attributes
-    ----------
-    push : ndarray, (P,) or (C, P), mV
-        Effect of a step of 1 mA at each of P padded nodes.
+    A step is split (Strang): half of it for the membranes, all of it for axial current, half of it
+    for the membranes again; each part is exact, with gates half a step ahead. Beyond the last node
+    given the fiber goes on where the field bends no more. Arguments are those of `threshold_ma`;
+    potentials may be (C, N), of C fields. `push`, (P,) or (C, P) mV, is the effect of a step of 1
+    mA at each of P padded nodes.
     """
 
     def __init__(self, potential_mv_per_ma: ArrayLike, fiber: Fiber, step_us: float) -> None:
@@ -166,7 +147,7 @@ class Axon:
 
 @lru_cache(maxsize=16)
 def _over_step(fiber: Fiber, count: int, step_us: float) -> Array:
-    """Return what a step makes of potentials and of field, (2P, 2P) of P padded nodes."""
+    """Return the matrix of one step on potentials and field, (2P, 2P) of P padded nodes."""
     axial = Axon.passive_parts(fiber, count)[0]
     found: Array = expm(np.vstack([axial, np.zeros_like(axial)]) * step_us)
     found.setflags(write=False)
@@ -195,32 +176,12 @@ def threshold_ma(
     cathodic: bool,
     step_us: float = 2.0,
 ) -> float:
-    """Return the smallest current of a rectangular pulse that fires a fiber.
+    """Return the smallest current, mA, of a rectangular pulse that fires a fiber, within 0.1 %.
 
-    To fire is to send an action potential out of the field: a node beyond the
-    last one given crosses 80 mV. What a pulse does near itself does not count.
-
-    Parameters
-    ----------
-    potential_mv_per_ma : array_like, (N,), mV per mA of cathodic current
-        Extracellular potential at the nodes, ending first; negative under a
-        cathode. It should have faded, or bend no more, at the last.
-    fiber : Fiber
-    width_us : float, µs
-    cathodic : bool
-        Polarity; anodic if false.
-    step_us : float, µs
-        Longest time step.
-
-    Returns
-    -------
-    float, mA
-        Magnitude of the current, at most 0.1 % above the threshold.
-
-    Raises
-    ------
-    DesignError
-        If nothing between 0.0001 and 1000 mA is a threshold.
+    Potentials (N,), mV per mA of cathodic current, are outside the nodes, ending first; they should
+    have faded, or bend no more, at the last. A fiber fires if it sends an action potential out of
+    the field: a node beyond the last one given crosses 80 mV. A threshold outside 0.0001 to 1000 mA
+    is a DesignError.
     """
     steps = max(1, int(np.ceil(width_us / step_us - 1e-9)))
     axon = Axon(potential_mv_per_ma, fiber, width_us / steps)
@@ -251,28 +212,12 @@ def thresholds_ma(
     step_us: float = 4.0,
     precision: float = 0.005,
 ) -> Array:
-    """Return the thresholds of one fiber in many fields, looked for at once.
+    """Return the thresholds (C,), mA, of one fiber in C fields, searched for at once.
 
-    The lowest current to fire is sought upward from below an estimate, in steps of a tenth,
-    and then halved in.
-
-    Parameters
-    ----------
-    potential_mv_per_ma : array_like, (C, N), mV per mA
-        As of `threshold_ma`, for each field; turn its sign for the other polarity.
-    fiber : Fiber
-    width_us : float, µs
-    near_ma : array_like, (C,), mA
-        Estimates of the thresholds; a good one saves time and changes nothing else.
-    step_us : float, µs
-        Longest time step.
-    precision : float
-        Largest excess over a threshold, relative.
-
-    Returns
-    -------
-    ndarray, (C,), mA
-        NaN where nothing fires up to a thousand times the estimate.
+    Each is found upward from below an estimate, in steps of a tenth, and then by bisection to a
+    relative precision; NaN where nothing fires up to a thousand times the estimate. A good estimate
+    saves time and changes nothing else. Potentials are as of `threshold_ma`, with their sign
+    reversed for the anodic polarity.
     """
     steps = max(1, int(np.ceil(width_us / step_us - 1e-9)))
     axon = Axon(potential_mv_per_ma, fiber, width_us / steps)
@@ -319,17 +264,15 @@ def _fires(axon: Axon, driven_mv: Array, steps: int) -> NDArray[np.bool_]:
 def strength_duration(
     potential_mv_per_ma: ArrayLike, fiber: Fiber, widths_us: Sequence[float], *, cathodic: bool
 ) -> Array:
-    """Return `threshold_ma` for each of (W,) pulse widths in µs: (W,) float64, mA."""
+    """Return `threshold_ma` for each of W pulse widths, (W,)."""
     return np.array(
         [threshold_ma(potential_mv_per_ma, fiber, each, cathodic=cathodic) for each in widths_us]
     )
 
 
 def weiss_fit(widths_us: ArrayLike, thresholds_ma: ArrayLike) -> tuple[float, float]:
-    """Return rheobase (mA) and chronaxie (µs): I·w = rheobase × (w + chronaxie) (Weiss 1901).
-
-    Each of the (W,) charges weighs by its relative error.
-    """
+    """Return rheobase (mA) and chronaxie (µs), I·w = rheobase × (w + chronaxie) (Weiss 1901), with
+    charges weighted by their relative error."""
     widths = np.asarray(widths_us, np.float64)
     charges = widths * np.asarray(thresholds_ma, np.float64)
     rheobase, least_charge = np.polyfit(widths, charges, 1, w=1 / charges)

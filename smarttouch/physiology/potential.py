@@ -19,10 +19,7 @@ Array = NDArray[np.float64]
 
 
 class Field(NamedTuple):
-    """Potential (1/mm) and its second derivatives (1/mm³), arrays of one shape.
-
-    x and y run along the skin, z into it.
-    """
+    """Potential (1/mm) and second derivatives (1/mm³); x and y run along the skin, z into it."""
 
     potential: Array
     xx: Array
@@ -49,17 +46,8 @@ class Field(NamedTuple):
 def around_axis(
     x: Array, y: Array, potential: Array, zz: Array, around: Array, slanted: Array
 ) -> Field:
-    """Return the cathodic field of an anodic potential that is round about the z axis.
-
-    Parameters
-    ----------
-    x, y : ndarray
-        Distances from the axis.
-    potential, zz : ndarray
-        Φ and ∂²Φ/∂z².
-    around, slanted : ndarray
-        (∂Φ/∂r)/r and (∂²Φ/∂r∂z)/r, both finite on the axis.
-    """
+    """Return the cathodic field of an anodic potential that is symmetric about the z axis, from Φ,
+    ∂²Φ/∂z², (∂Φ/∂r)/r and (∂²Φ/∂r∂z)/r, the latter two finite on the axis."""
     r2 = x * x + y * y
     # ∂²Φ/∂r² follows from Laplace's equation; on the axis it equals (∂Φ/∂r)/r.
     stretch = np.divide(-zz - 2 * around, r2, out=np.zeros_like(r2), where=r2 > 1e-12)
@@ -75,22 +63,10 @@ def around_axis(
 
 
 def line_in_plane(x: Array, depth: float | Array) -> Field:
-    """Return the field of a line source in the paper's two-dimensional medium.
+    """Return the field, per ρI/2πL, of a line source in the paper's two-dimensional medium.
 
-    Eq. 3 to 5: Φ = −log R, ∂²Φ/∂x² ∝ (y² − x²) / (x² + y²)² with y the depth.
-
-    Parameters
-    ----------
-    x : ndarray, mm
-        Distance along the surface.
-    depth : float, mm
-        Depth below the surface.
-
-    Returns
-    -------
-    Field
-        Per factor ρI/2πL, L the line's length; potential without unit up to a
-        constant, derivatives in 1/mm².
+    Eq. 3 to 5: Φ = −log R, ∂²Φ/∂x² ∝ (y² − x²) / (x² + y²)² with y the depth; Φ without unit up to
+    a constant, derivatives in 1/mm². L is the line's length.
     """
     r2 = x * x + depth * depth
     xx = (depth * depth - x * x) / r2**2
@@ -109,21 +85,12 @@ def point(x: Array, y: Array, depth: float | Array) -> Field:
 
 
 def disc(x: Array, y: Array, depth: float | Array, radius: float) -> Field:
-    """Return the field of a disc at one potential (Weber's disc).
+    """Return the field of a disc at one potential (Weber's disc), of radius a.
 
-    Its potential is that of point sources spread evenly along an imaginary
-    line, Φ = 1/(2a) ∫ ds / √(r² + (z + is)²) over −a..a, in closed form
-    Φ = arcsin(2a / (√((r−a)²+z²) + √((r+a)²+z²))) / a (Wiley and Webster 1982).
-    With ζ = z + ia and S = √(r² + ζ²) its derivatives close as well:
-    ∂²Φ/∂z² = −Im(ζ/S³)/a, (∂Φ/∂r)/r = Im(1/(S(ζ + S)))/a and
-    (∂²Φ/∂r∂z)/r = −Im(1/S³)/a.
-
-    Parameters
-    ----------
-    x, y : ndarray, mm
-        Distances from the disc's center along the surface.
-    depth, radius : float, mm
-        Depth below the surface; radius a of the disc.
+    Its potential is that of point sources spread evenly along an imaginary line, Φ = 1/(2a) ∫ ds /
+    √(r² + (z + is)²) over −a..a, in closed form Φ = arcsin(2a / (√((r−a)²+z²) + √((r+a)²+z²))) / a
+    (Wiley and Webster 1982). With ζ = z + ia and S = √(r² + ζ²) its derivatives close as well:
+    ∂²Φ/∂z² = −Im(ζ/S³)/a, (∂Φ/∂r)/r = Im(1/(S(ζ + S)))/a and (∂²Φ/∂r∂z)/r = −Im(1/S³)/a.
     """
     r2 = x * x + y * y
     zeta = depth + 1j * radius
@@ -160,15 +127,8 @@ def disc_potential(r: Array, depth: float | Array, radius: float) -> Array:
 def annulus_potential(r: Array, depth: float | Array, outer: float, inner: float) -> Array:
     """Return the (anodic) potential of an annulus that passes current evenly.
 
-    The mean over its rings of the potential of one, 2 K(m) / π√((r + s)² + z²) with
-    m = 4rs / ((r + s)² + z²), by Gauss's rule.
-
-    Parameters
-    ----------
-    r : ndarray, mm
-        Distances from the axis.
-    depth, outer, inner : float, mm
-        Depth below the surface; radii.
+    The mean over its rings of the potential of one, 2 K(m) / π√((r + s)² + z²) with m = 4rs / ((r +
+    s)² + z²), by Gauss's rule.
     """
     # scipy's functions are slow to import, and only rings need this one.
     from scipy.special import ellipk
@@ -182,20 +142,11 @@ def annulus_potential(r: Array, depth: float | Array, outer: float, inner: float
 
 
 def rectangle(x: Array, y: Array, depth: float | Array, width: float, height: float) -> Field:
-    """Return the field of a rectangle that passes current evenly.
+    """Return the field of a rectangle that passes current evenly, with sides along x and y.
 
-    The integral of 1/R over a rectangle is a sum over its corners of
-    u ln(v + R) + v ln(u + R) − z arctan(uv/zR); its second derivatives are
-    algebraic (Durand 1964; in gravimetry the potential of a rectangular lamina).
-
-    Parameters
-    ----------
-    x, y : ndarray, mm
-        Distances from the rectangle's center along the surface.
-    depth : float, mm
-        Depth below the surface.
-    width, height : float, mm
-        Sides along x and along y.
+    The integral of 1/R over a rectangle is a sum over its corners of u ln(v + R) + v ln(u + R) − z
+    arctan(uv/zR); its second derivatives are algebraic (Durand 1964; in gravimetry the potential of
+    a rectangular lamina).
     """
     total = [np.zeros(np.broadcast(x, y).shape) for _ in range(6)]
     z2 = depth * depth

@@ -57,7 +57,7 @@ class _Flank:
     roundness: float
 
     def rise_db(self, octaves: Array) -> Array:
-        """Return a hyperbola: flat at the best frequency, straight far from it."""
+        """Return the rise above the best: a hyperbola, flat at the best frequency."""
         w = self.roundness
         return np.asarray(self.db_per_octave * (np.hypot(octaves, w) - w))
 
@@ -106,24 +106,10 @@ _VALLEYS = _valleys()
 
 
 def threshold_um(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
-    """Return the smallest vibration of the skin to which a class responds.
+    """Return the smallest amplitude of vibration, µm, to which a class responds at a frequency, Hz.
 
-    Parameters
-    ----------
-    afferent : Afferent
-        Class of the receptors.
-    frequency_hz : array_like, Hz
-        Of a sinusoid; 0 is a static indentation, which RA and PC never answer.
-
-    Returns
-    -------
-    ndarray, µm
-        Amplitude, half of peak to peak; shaped as ``frequency_hz``.
-
-    Raises
-    ------
-    ValueError
-        If a frequency is negative.
+    The amplitude is half of peak to peak. 0 Hz is a static indentation, to which RA and PC never
+    respond; below it is a ValueError.
     """
     frequency = np.asarray(frequency_hz, np.float64)
     if np.any(frequency < 0):
@@ -135,16 +121,7 @@ def threshold_um(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
 
 
 def sensitivity(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
-    """Return the sensitivity of a class relative to its best: 1 at 30 Hz (RA), 250 Hz (PC) or rest
-    (SAI).
-
-    Parameters are those of `threshold_um`.
-
-    Returns
-    -------
-    ndarray, in [0, 1]
-        Lowest threshold over the threshold; shaped as ``frequency_hz``.
-    """
+    """Return the sensitivity at a frequency, Hz: 1 at 30 Hz (RA), 250 Hz (PC) or rest (SAI)."""
     best = threshold_um(afferent, best_hz(afferent))
     return np.asarray(best / threshold_um(afferent, frequency_hz))
 

@@ -31,18 +31,10 @@ class Slots(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Spikes:
-    """Spikes of one sequence.
+    """Spikes of one sequence."""
 
-    Attributes
-    ----------
-    fired : ndarray, (A, S) bool
-        Whether each afferent fired in each slot.
-    time_us : ndarray, (S,), µs
-        When each slot began, from the first sequence on.
-    """
-
-    fired: NDArray[np.bool_]
-    time_us: NDArray[np.int64]
+    fired: NDArray[np.bool_]  # (A, S) whether each afferent fired in each slot
+    time_us: NDArray[np.int64]  # (S,) start of each slot, from the first sequence on
 
     @property
     def counts(self) -> NDArray[np.intp]:
@@ -53,14 +45,9 @@ class Spikes:
 class SpikeModel:
     """Afferents of a finger that fire, with their thresholds, noise and refractoriness.
 
-    An afferent fires in a slot where the drive of any of its nodes reaches its threshold, unless
-    it fired a refractory time ago or less. A pulse counts by its width, by Weiss's law.
-
-    Parameters
-    ----------
-    finger : Finger
-    seed : int
-        Of the noise from pulse to pulse.
+    An afferent fires in a slot where the drive of any of its nodes reaches its threshold, unless it
+    fired a refractory time ago or less. A pulse counts by its width, by Weiss's law. The seed is
+    that of the noise from pulse to pulse.
     """
 
     def __init__(self, finger: Finger, seed: int = 1) -> None:
@@ -83,20 +70,11 @@ class SpikeModel:
         self._now_us = 0
 
     def drive(self, current_ua: NDArray[Any], width_us: NDArray[Any]) -> Floats:
-        """Return the largest drive of each afferent in each slot: 1 is its threshold.
+        """Return each afferent's largest drive by currents (S, E) µA, (A, S) float32.
 
-        Drives from 0.9 on are exact. A smaller one is at most 0.01 off where the slot's currents
-        are those of an earlier slot, scaled.
-
-        Parameters
-        ----------
-        current_ua : ndarray, (S, E), µA
-            Positive cathodic.
-        width_us : ndarray, (S,), µs
-
-        Returns
-        -------
-        ndarray, (A, S) float32
+        1 is its threshold; currents are positive cathodic, pulse widths (S,). Drives from 0.9 on
+        are exact. A smaller one is at most 0.01 off where the slot's currents are those of an
+        earlier slot, scaled.
         """
         highest = self._drives.drive(np.asarray(current_ua, np.float32) / np.float32(1000))
         width = np.asarray(width_us, np.float32)[:, None]
@@ -105,14 +83,7 @@ class SpikeModel:
         return np.asarray(highest)
 
     def fire(self, slots: Slots, above: Floats | None = None) -> Spikes:
-        """Return the spikes of one sequence; the next one begins where it ends.
-
-        Parameters
-        ----------
-        slots : Slots
-        above : ndarray, (A, S), optional
-            Its `drive`, where it is known from before.
-        """
+        """Return the spikes of one sequence, by its `drive` if given; the next one follows it."""
         lasts = slots.width_us.astype(np.int64) + slots.discharge_us
         time_us = self._now_us + np.cumsum(lasts) - lasts
         if above is None:

@@ -35,23 +35,9 @@ Hold = Literal["charge", "energy"]
 class Adaptation:
     """Estimates the impedance of every site, and adapts currents and widths to it.
 
-    Parameters
-    ----------
-    profile : Profile
-        Pulse and limits.
-    hold : {"charge", "energy"}
-        ``charge``: where the source is near its compliance, pulses become
-        weaker and as much longer. ``energy``: where impedance has risen since
-        the first observation, pulses become weaker, by its square root.
-    compliance_v : float, V
-        The most that the board's source can give.
-    timing : ScanTiming, optional
-        Scan timing fixed by the board.
-
-    Raises
-    ------
-    ScheduleError
-        If charge is to be held on a board with only one pulse width.
+    To hold ``charge``, pulses become weaker and as much longer where the source is near its
+    compliance, which a board with one pulse width cannot do. To hold ``energy``, they become weaker
+    by the square root of the rise in impedance since the first observation.
     """
 
     def __init__(
@@ -86,15 +72,7 @@ class Adaptation:
         return tuple(np.flatnonzero(self._limited).tolist())
 
     def observe(self, sequence: ScanSequence, volts: NDArray[np.float32]) -> None:
-        """Update by the voltages of a delivered sequence.
-
-        Parameters
-        ----------
-        sequence : ScanSequence
-            As it was sent.
-        volts : ndarray, (S,), V
-            Voltage of the source at the end of each slot's pulse.
-        """
+        """Update by the source's voltages at the end of each pulse, (S,), of a sequence as sent."""
         peak_ua = _peak_ua(sequence.current_ua)
         known = (peak_ua > 0) & np.isfinite(volts) & (np.asarray(volts) > 0)
         site, peak_ua = sequence.site[known].astype(np.intp), peak_ua[known]
@@ -126,11 +104,10 @@ class Adaptation:
         self._factor[site] = np.clip(wanted, FAINTEST_ENERGY, 1.0)
 
     def apply(self, sequence: ScanSequence) -> ScanSequence:
-        """Return the adapted sequence.
+        """Return the adapted sequence, in whole µA that sum to zero in every slot and whole µs.
 
-        No electrode carries more than in the given one, and no pulse more
-        charge than the limit. Currents are whole µA and sum to zero in every
-        slot; widths are whole µs. The period grows where longer pulses need it.
+        No electrode carries more than in the given one, and no pulse more charge than the limit.
+        The period grows where longer pulses need it.
         """
         site = sequence.site.astype(np.intp)
         peak_ua = _peak_ua(sequence.current_ua)

@@ -20,7 +20,7 @@ from smarttouch.kernels.frames.slots import plan_slots
 from smarttouch.profile import Profile
 from smarttouch.stimulation.kernel_sums import Found, KernelSums
 from smarttouch.stimulation.kernel_table import PER_UA, KernelLists, KernelTable
-from smarttouch.stimulation.points import Slots, constant_us, felt_at
+from smarttouch.stimulation.points import Slots, constant_us, perceived_at
 from smarttouch.stimulation.sequence import SelectivityReport
 from smarttouch.stimulation.sharing import unsupported_reason
 from smarttouch.stimulation.sums import round_charge_balanced
@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 
 
 REMEMBERED = 256
-"""Number of plans kept of frames found anew: a finger that rests, or comes back, needs no new one.
+"""Number of plans kept of computed frames: a finger that rests, or comes back, needs no new one.
 
 Where kernels are added up the last one will do: others take longer to fetch than to make."""
 
@@ -40,63 +40,28 @@ intensity. Nothing is felt below, and what breaks a bound there is shown point b
 
 @dataclass(frozen=True, eq=False)
 class SlotAllocation:
-    """Slots at full intensity: N found for the frame, then those of M points alone.
+    """Slots at full intensity: N found for the frame, then those of M points alone."""
 
-    Attributes
-    ----------
-    found : Found
-        The first N.
-    alone : ndarray, (M,) intp
-        Points that have a slot by themselves, with their own kernels.
-    alone_level : ndarray, (M,)
-        Requested level at each of them.
-    current_ma : ndarray, (N + M, E) mA
-    do : ndarray, (2, N + M) float32
-        Effects of the currents on other classes, and on their own elsewhere.
-    points, site : ndarray, (N + M,) uint16
-        Number of points of each slot, and the electrode of the strongest.
-    """
-
-    found: Found
-    alone: NDArray[np.intp]
-    alone_level: Array
-    current_ma: Array
-    do: NDArray[np.float32]
-    points: NDArray[np.uint16]
-    site: NDArray[np.uint16]
+    found: Found  # the first N
+    alone: NDArray[np.intp]  # (M,) points that have a slot by themselves, with their own kernels
+    alone_level: Array  # (M,) requested level at each of them
+    current_ma: Array  # (N + M, E)
+    do: NDArray[np.float32]  # (2, N + M) effects on other classes, and on their own elsewhere
+    points: NDArray[np.uint16]  # (N + M,) number of points of each slot
+    site: NDArray[np.uint16]  # (N + M,) electrode of the strongest point
 
 
 class FrameSlots:
     """Slots of K classes; points whose currents do not interfere share one.
 
-    Every slot keeps the profile's bounds on what it does to other classes, and to
-    its own class elsewhere, and its limits of current, by the finished currents; a
-    point that no other goes with has a slot of its own.
-
-    Parameters
-    ----------
-    profile : Profile
-        Skin, pulse, limits, bounds and thresholds.
-    bank : KernelBank
-        Kernels of single points.
-    afferents : tuple of Afferent
-        Classes to use; points of several may share slots, too.
-    planned : bool
-        See `SlotPolicy`. Points of a class of which nothing is proved are shown one by one.
-
-    Attributes
-    ----------
-    most_ua : ndarray, (E,) µA
-        What no electrode carries more of in all slots of a frame, magnitudes added up; infinite
-        if slots are planned.
-    table : KernelTable or None
-        Kernels in whole numbers; if set, slots that are not planned are sums of these.
-
-    Raises
-    ------
-    ScheduleError
-        If the board cannot give every electrode its own current, pulse width
-        carries intensity, or the profile does not limit total current.
+    Every slot keeps the profile's bounds on what it does to other classes, and to its own class
+    elsewhere, and its limits of current, by the finished currents; a point that fits with no other
+    has a slot of its own. With `planned` (see `SlotPolicy`) slots are searched for in each frame;
+    else `table`, if set, makes them sums of kernels in whole numbers, and points of a class of
+    which nothing is proved are shown one by one. `most_ua`, (E,), is the largest sum of magnitudes
+    at an electrode over a frame, infinite if planned. A board without a current of its own for
+    every electrode, or a profile where pulse width carries intensity or total current is not
+    limited, raises a ScheduleError.
     """
 
     def __init__(
@@ -140,29 +105,33 @@ class FrameSlots:
         self._limit_ma = profile.total_ma
         # Less what rounding hardly ever adds; where it does, a slot is shown point by point.
         self._planned_ma = self._limit_ma - 0.002 * np.sqrt(len(full_ma))
-        felt = [felt_at(profile, each) for each in afferents]
-        self._felt_at = felt if any(each is not None for each in felt) else None
+        places = [perceived_at(profile, each) for each in afferents]
+        self._perceived_at = places if any(each is not None for each in places) else None
         self._faintest = profile.threshold_ma / profile.full_ma
         self._range = 1 - self._faintest
         self._none = np.empty(0, np.intp)
         self._widths_us = constant_us(len(self._points_ma), profile.pulse.width_us)
         self._plans: OrderedDict[bytes, SlotAllocation] = OrderedDict()
         self._most_plans = REMEMBERED if planned else 1
-        self._sums = None
+        self._sums: KernelSums | None = None
         self._afferents = afferents
         self.table: KernelTable | None = None
         self.most_ua = np.full(len(full_ma), np.inf)
         if not planned:
-            self._sums = KernelSums(
-                [proved_sets(FrameOperator(each), self._planned_bounds) for each in judges],
-                len(self._points_ma),
-                1 - AIM * frames.uneven,
-                self._planned_ma,
-                self._bounds,
-                float(self._faintest[self._driven].min()),
-            )
+            self._sums = self._proved_sums(judges)
             # In each slot rounding adds less than a whole µA.
             self.most_ua = 1000 * self._sums.most_ma(self._points_ma) + len(self._points_ma)
+
+    def _proved_sums(self, judges: list[FrameJudge]) -> KernelSums:
+        """Return the sums of kernels of which no subset breaks a bound."""
+        return KernelSums(
+            [proved_sets(FrameOperator(each), self._planned_bounds) for each in judges],
+            len(self._points_ma),
+            1 - AIM * self._bounds.uneven,
+            self._planned_ma,
+            self._bounds,
+            float(self._faintest[self._driven].min()),
+        )
 
     def kernels(self) -> tuple[Array, NDArray[np.intp]]:
         """Return the kernels by which slots are shared, (A, E) mA, and their sites (A,)."""
@@ -171,20 +140,12 @@ class FrameSlots:
         return self._sums.kernels_ma, self._sums.sites
 
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
-        """Return the slots of the classes' rows of a tactile image, with their proof.
+        """Return slots, with proof, of the classes' rows (K, E) of a tactile image at an intensity.
 
-        An active point is activated as its own kernel would, with its threshold
-        current times intensity at the faintest activation and its strongest
-        comfortable current times intensity at full activation, but for the
-        unevenness that the profile allows. Currents are whole µA that sum to zero
-        in every slot. A masked electrode has no slot.
-
-        Parameters
-        ----------
-        activation : ndarray, (K, E) float32, in [0, 1]
-            Activation at each electrode.
-        intensity : float, in [0, 1]
-            Scale of all currents.
+        An active point is activated as its own kernel would, with its threshold current times
+        intensity at the faintest activation and its strongest comfortable current times intensity
+        at full activation, but for the unevenness that the profile allows. Currents are whole µA
+        that sum to zero in every slot. A masked electrode has no slot.
         """
         asked = activation if intensity > 0 else 0 * activation
         if (plan := self._plans.get(key := asked.tobytes())) is None:
@@ -207,8 +168,8 @@ class FrameSlots:
     ) -> tuple[NDArray[np.int16], KernelLists | None, SelectivityReport, bool]:
         """Return the currents as sent, their effects, and whether all bounds are certainly kept.
 
-        The effects of single points are those of their kernels, as designed. Nothing is certain
-        of sums in whole numbers: their weights are rounded, too.
+        The effects of single points are those of their kernels, as designed. Nothing is certain of
+        sums in whole numbers, as their weights are rounded too.
         """
         found, do = plan.found, plan.do.copy()
         sums = self._whole_sums(plan, intensity)
@@ -258,11 +219,11 @@ class FrameSlots:
 
     def _plan(self, activation: NDArray[np.float32]) -> SlotAllocation:
         asked = activation
-        if self._felt_at is not None:
+        if self._perceived_at is not None:
             asked = np.array(
                 [
-                    row if felt is None else np.append(row, np.float32(0))[felt]
-                    for row, felt in zip(activation, self._felt_at, strict=True)
+                    row if places is None else np.append(row, np.float32(0))[places]
+                    for row, places in zip(activation, self._perceived_at, strict=True)
                 ]
             )
         level = self._range * asked
@@ -307,7 +268,7 @@ class FrameSlots:
         )
 
     def _completed(self, found: Found, alone: NDArray[np.intp], level: Array) -> SlotAllocation:
-        """Return a plan with an additional slot for each of some points, by its own kernel."""
+        """Return a plan with one slot more for each of some points, by its own kernel."""
         count = len(found.level)
         points = np.ones(count + len(alone), np.uint16)
         points[:count] = found.points

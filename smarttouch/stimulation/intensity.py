@@ -20,9 +20,8 @@ be caught up."""
 def force_gate(force_n: float, law: ForceLaw) -> float:
     """Return the intensity at a finger force, in [0, 1].
 
-    Zero below contact, one from full force on, rising linearly or with the
-    logarithm of force in between (paper, Section IV-B). A force that is not a
-    number is no contact.
+    Zero below contact, one from full force on, rising linearly or with the logarithm of force in
+    between (paper, Section IV-B). A force of NaN is no contact.
     """
     if not force_n > law.contact_n:
         return 0.0
@@ -34,16 +33,10 @@ def force_gate(force_n: float, law: ForceLaw) -> float:
 
 
 class SoftStart:
-    """Rate limiter by which intensity rises no faster than the ramp, and falls at once.
+    """Rate limiter by which intensity rises from zero to full in `ramp_s`, and falls at once.
 
-    It goes by what is delivered: time counts only while pulses flow, and what was reached stays for
-    `KEPT_NS` without pulses. Strong pulses after weak ones rise from those, as in the safety gate
-    (`Rise`).
-
-    Parameters
-    ----------
-    ramp_s : float, s
-        Shortest time from zero to full.
+    Time counts only while pulses flow, as in the safety gate (`Rise`), and the intensity reached is
+    kept for `KEPT_NS` without pulses. Strong pulses after weak ones rise from those.
     """
 
     _reached: float
@@ -63,14 +56,8 @@ class SoftStart:
     def follow(self, wanted: float, time_ns: int, current: bool = True) -> float:
         """Return the intensity allowed at ``time_ns``; the first is always zero.
 
-        Where time goes back, as in an edited file, intensity does not rise.
-
-        Parameters
-        ----------
-        wanted : float, in [0, 1]
-        time_ns : int
-        current : bool
-            Whether it is for currents. Where it is for vibration alone, time counts as it passes.
+        Where time goes back, as in an edited file, intensity does not rise. For vibration alone
+        (`current` false) time counts as it passes.
         """
         first, elapsed_ns = self._time_ns is None, time_ns - (self._time_ns or 0)
         self._time_ns = time_ns
@@ -96,24 +83,15 @@ class SoftStart:
     @property
     def most_ppb(self) -> int | None:
         """Greatest strength (`SafetyLimits.strength_ppb`) with which pulses may begin now; None
-        where no less has flowed than was last returned.
-        """
+        where no less has flowed than was last returned."""
         risen_ppb = 0 if self._time_ns is None else self._rise.risen_ppb(self._time_ns)
         if parts_per_billion(self._asked) <= risen_ppb:
             return None
         return risen_ppb + self._ahead_ppb
 
     def note(self, period_us: int, intensity: float, strength_ppb: int) -> None:
-        """Enter the sequence that the last intensity is used for.
-
-        Parameters
-        ----------
-        period_us : int
-        intensity : float
-            What it claims: what was returned, or less where that was too strong.
-        strength_ppb : int
-            Its `SafetyLimits.strength_ppb`; 0 if it has no current, although points are active.
-        """
+        """Store the period of the sequence of the last intensity, what it claims (less where that
+        was too strong) and its strength; 0 if it has no current although points are active."""
         if strength_ppb and self._time_ns is not None:
             self._reached, self._since_ns = intensity, self._time_ns
             self._left_ns, self._first_ns = 1000 * period_us, FIRST_NS

@@ -16,38 +16,21 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """Slots of several points, at full intensity.
+    """Slots of several points, at full intensity."""
 
-    Attributes
-    ----------
-    level : ndarray, (S, P)
-        Requested level at each point of a slot, 0 at all others.
-    current_ma : ndarray, (S, E) mA
-    points : ndarray, (S,) intp
-        Number of points of each slot.
-    do : ndarray, (2, S) float32
-        Effects of the currents on other classes, and on their own elsewhere; of sums of kernels
-        see `KernelSums.figures`.
-    owner : ndarray, (S,) intp
-        Of which proved set the points of each slot are; empty where there are none.
-    most_ma : float, mA
-        No slot carries more in all.
-    first : ndarray, (S + 1,) intp
-        Where the kernels of each slot begin in `kernel`, and the last one's end.
-    kernel, share : ndarray, (N,) intp and float64
-        Kernels that each slot is a sum of, as rows of `KernelSums.kernels_ma`, and how much of
-        each.
-    """
-
-    level: Array
-    current_ma: Array
-    points: NDArray[np.intp]
+    level: Array  # (S, P) requested level at each point of a slot, 0 at all others
+    current_ma: Array  # (S, E)
+    points: NDArray[np.intp]  # (S,) number of points of each slot
+    # (2, S) effects on other classes, and on their own elsewhere; of sums `figures`
     do: NDArray[np.float32]
+    # proved set of each slot's points, (S,) or empty
     owner: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
-    most_ma: float = np.inf
+    most_ma: float = np.inf  # most that a slot carries in all
+    # (S + 1,) start of each slot's kernels in `kernel`, and the last one's end
     first: NDArray[np.intp] = field(default_factory=lambda: np.zeros(1, np.intp))
+    # (N,) rows of `KernelSums.kernels_ma` that slots are sums of
     kernel: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
-    share: Array = field(default_factory=lambda: np.empty(0))
+    share: Array = field(default_factory=lambda: np.empty(0))  # (N,) factor of each
 
     def without(self, broken: NDArray[np.bool_]) -> "Found":
         """Return the other slots."""
@@ -70,20 +53,8 @@ class Found:
 class KernelSums:
     """Adds up kernels of proved sets, as many at once as total current allows.
 
-    Parameters
-    ----------
-    sets : sequence of sequence of SharedKernels
-        Those of each class.
-    points : int
-        P, the sites of all classes.
-    aim : float
-        Part of their wish that targets get.
-    most_ma : float, mA
-        Largest current of all cathodes of a slot.
-    bounds : FrameBounds
-        Bounds on finished currents.
-    faintest : float, in (0, 1]
-        Lowest level of a point that is active.
+    There are sets for each class, of P sites in all. Targets get the fraction `aim` of their wish,
+    all cathodes of a slot together `most_ma`, and active points a level of `faintest` at least.
     """
 
     def __init__(
@@ -123,13 +94,8 @@ class KernelSums:
         return np.array(found, np.float32).reshape(-1, 2).T
 
     def most_ma(self, alone_ma: Array) -> Array:
-        """Return what no electrode carries more of in all slots of a frame, magnitudes, (E,) mA.
-
-        Parameters
-        ----------
-        alone_ma : ndarray, (P, E) mA
-            Kernels of points that have a slot by themselves.
-        """
+        """Return an upper bound of each electrode's magnitudes summed over a frame, (E,) mA, where
+        points alone have kernels (P, E) mA."""
         each_ma = np.abs(alone_ma)
         np.maximum.at(each_ma, self._points, np.abs(self.kernels_ma))
         return np.asarray(each_ma.sum(axis=0))
@@ -168,18 +134,9 @@ class KernelSums:
         slot: NDArray[np.intp],
         start: NDArray[np.intp],
     ) -> Array:
-        """Return shares of kernels added up in slots, (S, E) mA.
+        """Return kernels times shares, (N,) slot after slot, summed in each, (S, E) mA.
 
-        The first of all slots at once, then the second, and so on: a slot that has no more gets
-        nothing of the first kernel of all.
-
-        Parameters
-        ----------
-        kernel, share : ndarray, (N,)
-            Of one slot after the other.
-        slot : ndarray, (N,) intp
-        start : ndarray, (S,) intp
-            Where each slot begins.
+        Slots are padded to one length by the first kernel times zero, and all added at once.
         """
         place = np.arange(len(slot)) - start.take(slot)
         shape = int(place.max(initial=0)) + 1, len(start)
@@ -197,15 +154,8 @@ class KernelSums:
 def _parts(
     totals_ma: list[float], owners: list[int], most_ma: float
 ) -> tuple[list[list[int]], float]:
-    """Cut the points of one owner into groups that stay below a total.
-
-    One after the other, each into the first part of its owner that has room.
-
-    Returns
-    -------
-    list of list of int, float
-        And the largest total of one part.
-    """
+    """Return groups of each owner's points, each in the first with room below a total, and the
+    largest total of a group."""
     parts: list[list[int]] = []
     sums_ma: list[float] = []
     first, before = 0, -1

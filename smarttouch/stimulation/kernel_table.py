@@ -29,27 +29,17 @@ Shared = Mapping[Afferent, tuple[NDArray[np.float64], NDArray[np.intp]]]
 
 @dataclass(frozen=True, eq=False)
 class KernelTable:
-    """Kernels of a run in whole numbers.
+    """Kernels of a run in whole numbers."""
 
-    Attributes
-    ----------
-    weights : ndarray, (K, E) int16
-        Positive cathodic; the largest magnitude of each is `PEAK`, and each sums to zero. Rows of
-        masked sites are zero.
-    site : ndarray, (K,) uint16
-        Electrode that each is for.
-    points, shared : dict
-        Row of electrode 0 of each class, and the first row of those that share slots.
-    """
-
+    # (K, E) positive cathodic, peak `PEAK`, sum zero; rows of masked sites are zero
     weights: NDArray[np.int16]
-    site: NDArray[np.uint16]
-    points: dict[Afferent, int]
-    shared: dict[Afferent, int]
+    site: NDArray[np.uint16]  # (K,) electrode of each
+    points: dict[Afferent, int]  # row of electrode 0 of each class
+    shared: dict[Afferent, int]  # first row of the kernels of each class that share slots
 
     @cached_property
     def ua_so_far(self) -> NDArray[np.float64]:
-        """What each kernel gives electrodes 0 to each one together, (K, E) µA, at amplitude 1."""
+        """Sum of each kernel's currents from electrode 0 to each, (K, E) µA, at amplitude 1."""
         summed = np.cumsum(self.weights, axis=1, dtype=np.float64)
         # By a power of two: exact.
         summed *= 2.0**-SHIFT
@@ -58,15 +48,8 @@ class KernelTable:
 
     @classmethod
     def of(cls, weights: Mapping[Afferent, NDArray[np.float64]], shared: Shared) -> "KernelTable":
-        """Return kernels of any scale in whole numbers.
-
-        Parameters
-        ----------
-        weights : dict of Afferent to ndarray, (E, E)
-            Of each site, as in a bank.
-        shared : dict of Afferent to two ndarrays, (A, E) and (A,)
-            Kernels by which points of a class share slots, and their sites.
-        """
+        """Return a bank's kernels, (E, E), and those that share slots, (A, E), and their sites
+        (A,), of any scale, in whole numbers."""
         every = {each: (own, np.arange(len(own))) for each, own in weights.items()}
         parts: list[NDArray[np.float64]] = []
         sites: list[NDArray[np.intp]] = []
@@ -83,7 +66,7 @@ class KernelTable:
 
 
 def quantized(kernels: NDArray[np.float64]) -> NDArray[np.int16]:
-    """Return kernels (K, E) as whole numbers of which each row sums to zero; zero stays zero."""
+    """Return kernels (K, E) as whole numbers, each row with sum zero; zero stays zero."""
     peak = np.abs(kernels).max(axis=1, keepdims=True, initial=0)
     carried = np.cumsum(kernels * (PEAK / np.where(peak > 0, peak, 1)), axis=1)
     carried[:, -1:] = 0
@@ -95,23 +78,13 @@ def quantized(kernels: NDArray[np.float64]) -> NDArray[np.int16]:
 
 @dataclass(frozen=True, eq=False)
 class KernelLists:
-    """Slots as lists of kernels with amplitudes.
-
-    Attributes
-    ----------
-    table : KernelTable
-    first : ndarray, (S + 1,) intp
-        Where the list of each slot begins, and the last one ends; none is empty.
-    kernel : ndarray, (N,) uint16
-        Row in the table.
-    amplitude : ndarray, (N,) uint16
-        In quarters of a µA; those of a slot sum to at most 65,535.
-    """
+    """Slots as lists of kernels with amplitudes."""
 
     table: KernelTable
+    # (S + 1,) start of each slot's list, and the last one's end; none is empty
     first: NDArray[np.intp]
-    kernel: NDArray[np.uint16]
-    amplitude: NDArray[np.uint16]
+    kernel: NDArray[np.uint16]  # (N,) row in the table
+    amplitude: NDArray[np.uint16]  # (N,) in quarters of a µA; those of a slot sum to at most 65,535
 
     @property
     def site(self) -> NDArray[np.uint16]:
@@ -119,7 +92,7 @@ class KernelLists:
         return self.table.site[self.kernel[self.first[:-1]]]
 
     def current_ua(self) -> NDArray[np.int16]:
-        """Return what flows, (S, E) int16, µA, positive cathodic.
+        """Return the currents that flow, (S, E) µA, positive cathodic.
 
         Of weights times amplitudes, added up, the sum from electrode 0 to each one is rounded to
         whole µA, halves upward; an electrode gets the difference of two of these.
@@ -157,13 +130,6 @@ class KernelLists:
 def largest_amplitude(
     weights: NDArray[np.int16], most_ua: NDArray[np.float64]
 ) -> NDArray[np.uint16]:
-    """Return the largest amplitude of each kernel (K, E) that keeps all electrodes' limits.
-
-    Parameters
-    ----------
-    weights : ndarray, (K, E) int16
-    most_ua : ndarray, (E,) µA
-        Largest current of each electrode, whole: what is at most that stays so when it is rounded.
-    """
+    """Return the largest amplitude of each kernel (K, E) that keeps whole limits (E,) µA."""
     room = np.floor(most_ua) * 2.0**SHIFT / np.maximum(np.abs(weights.astype(np.float64)), 1)
     return np.asarray(np.minimum(np.floor(room.min(axis=1)), 0xFFFF), np.uint16)

@@ -13,19 +13,9 @@ _LOWEST = np.iinfo(np.int16).min
 class ChargeBalance:
     """Sum of the charge of all sequences, electrode by electrode.
 
-    It counts current times width of all that sources drive, recharge phases included.
-    What the short circuit after a pulse lets flow back depends on the skin, which nobody
-    has measured, and is not in it.
-
-    Parameters
-    ----------
-    electrodes : int
-        The E electrodes.
-
-    Attributes
-    ----------
-    charge_pc : ndarray, (E,) int64, pC
-        Net charge that has passed each electrode, **positive cathodic**, without rounding.
+    It counts current times width of all that sources drive, recharge phases included; the current
+    that flows back through the short circuit after a pulse is unknown and not counted. `charge_pc`,
+    (E,) int64 positive cathodic, is exact.
     """
 
     def __init__(self, electrodes: int) -> None:
@@ -48,12 +38,11 @@ class ChargeBalance:
     def balancing(self, sequence: ScanSequence) -> ScanSequence:
         """Return a sequence or its reversed twin, whichever balances the charge better.
 
-        For boards that cannot recharge (`add_recharge`). The one is taken that leaves the
-        smaller sum of squares. The twin has the same sites and the opposite currents, so it
-        keeps all limits that the sequence keeps. **It drives the other class**: what reaches
-        RA reaches SAI when reversed, and the other way round (Fig. 10). It wants a board of
-        both polarities, and what was proved of the sequence is not said of it. Nothing is
-        entered.
+        For boards that cannot recharge (`add_recharge`). The one that leaves the smaller sum of
+        squares is taken. The twin has the same sites and the opposite currents, so it keeps all
+        limits that the sequence keeps. **It drives the other class**: what reaches RA reaches SAI
+        when reversed, and vice versa (Fig. 10). It needs a board of both polarities, and has no
+        proof of selectivity. The sum stays as it is.
         """
         if self.charge_uc @ (net_charge_pc(sequence) * 1e-6) <= 0:
             return sequence

@@ -31,13 +31,8 @@ class _Pass(NamedTuple):
 class NetPlan:
     """Net charge of the last passes, by the times of their frames.
 
-    Passes of one sign come farther apart, as evenly as may be, where they have used half of a
-    second's net charge and go on at a rate that would use more than all; and after a change of the
-    picture as far as it must be.
-
-    Parameters
-    ----------
-    electrodes : int
+    Passes of one sign are spaced, as evenly as possible, once they have used half of a second's net
+    charge at a rate that would use more than all; after a change of the picture, as far as needed.
     """
 
     def __init__(self, electrodes: int) -> None:
@@ -48,17 +43,9 @@ class NetPlan:
         self._at_most_pc = self._unknown_pc = self._newest_at_most_pc = 0.0
 
     def spares(self, at_most_pc: float, time_us: float, period_us: int) -> bool:
-        """Enter a sequence of so little net charge that it need not be known, and return True.
+        """Enter a sequence by a bound of its net charge, and return True, if that is sufficient.
 
-        False, and nothing entered, where a window of them, or what is in it, might not be below
-        the limit.
-
-        Parameters
-        ----------
-        at_most_pc : float
-            Upper bound of its net charge.
-        time_us, period_us
-            As of `period_us`.
+        False where a window of such sequences, or what is in it, might not be below the limit.
         """
         self._forget(time_us)
         if (WINDOW_US // period_us + 2) * at_most_pc > GUARD_PC:
@@ -83,17 +70,8 @@ class NetPlan:
         return newest_pc <= _MOST_PC
 
     def period_us(self, net_pc: Array, time_us: float, period_us: int, busy_us: int) -> float:
-        """Enter a sequence that begins at a time, and return its shortest period, µs.
-
-        Parameters
-        ----------
-        net_pc : ndarray, (E,) pC
-        time_us : float
-        period_us : int
-            That it would have.
-        busy_us : int
-            Of its slots.
-        """
+        """Enter a sequence with net charge (E,) pC and slots of `busy_us`; return its shortest
+        period, not below `period_us`."""
         most_pc = float(np.abs(net_pc).max())
         self._enter(time_us + busy_us, most_pc, net_pc)
         count, needed_us = len(self._passes), float(period_us)
@@ -125,7 +103,7 @@ class NetPlan:
         self._sum_pc += net_pc
 
     def _forget(self, time_us: float) -> None:
-        """Leave out passes that are no longer in a window that begins before a time."""
+        """Remove passes that are no longer in a window that begins before a time."""
         passes = self._passes
         while passes and passes[0].end_us <= time_us - WINDOW_US:
             _, most_pc, net_pc = passes.popleft()
@@ -137,9 +115,9 @@ class NetPlan:
             self._newest_at_most_pc = min(self._newest_at_most_pc, self._at_most_pc)
 
     def _newest(self, net_pc: Array) -> Array:
-        """Return the largest magnitudes of the newest passes' net charge with one more, (N + 1, E).
+        """Return the largest net charges (magnitude) of the newest passes and one more, (N + 1, E).
 
-        What is not known of a pass counts on every electrode.
+        The bound of a pass of unknown charge counts on every electrode.
         """
         newest, nothing = [*reversed(self._passes)], np.zeros(self._electrodes)
         known = (nothing if each.net_pc is None else each.net_pc for each in newest)

@@ -26,47 +26,17 @@ SHORTEST_PULSE_US = 10
 
 
 class Slots(NamedTuple):
-    """Slots of one class.
+    """Slots of one class."""
 
-    Attributes
-    ----------
-    site : ndarray, (S,) uint16
-    current_ua : ndarray, (S, E) int16, µA
-    width_us : ndarray, (S,) uint16, µs
-    proof : SelectivityReport, optional
-        Selectivity of shared slots.
-    sums : KernelLists, optional
-        Kernels that the currents are sums of.
-    """
-
-    site: NDArray[np.uint16]
-    current_ua: NDArray[np.int16]
-    width_us: NDArray[np.uint16]
-    proof: SelectivityReport | None = None
-    sums: KernelLists | None = None
+    site: NDArray[np.uint16]  # (S,)
+    current_ua: NDArray[np.int16]  # (S, E)
+    width_us: NDArray[np.uint16]  # (S,)
+    proof: SelectivityReport | None = None  # of shared slots
+    sums: KernelLists | None = None  # kernels that the currents are sums of
 
 
 class PointSlots:
-    """Factory of the slots of one class.
-
-    Parameters
-    ----------
-    profile : Profile
-        Pulse, limits and thresholds.
-    bank : KernelBank
-        Kernels of the profile's array.
-    afferent : Afferent
-        Class to use.
-    timing : ScanTiming
-        Whether the order of slots is the board's.
-    table : KernelTable, optional
-        Kernels in whole numbers, where slots are to be sums of these.
-
-    Raises
-    ------
-    ScheduleError
-        If the bank drives a masked electrode.
-    """
+    """Factory of the slots of one class, one kernel each; with a `table` in whole numbers."""
 
     def __init__(
         self,
@@ -114,13 +84,13 @@ class PointSlots:
         self._row_starts = count * np.arange(count)
         self._widths_all_us = constant_us(count, profile.pulse.width_us)
         self._single = bank.single
-        self._felt_at = None if bank.single else felt_at(profile, afferent)
+        self._perceived_at = None if bank.single else perceived_at(profile, afferent)
         self._pulse = profile.pulse
         self._by_width = profile.pulse.carrier == "width" and not bank.single
         self._in_index_order = timing.in_index_order
 
     def _prove_totals(self, profile: Profile) -> None:
-        """Raise if a kernel at full strength carries more in total than any slot may."""
+        """Raise a ScheduleError if a kernel at full strength has more in total than a slot may."""
         most_ma = profile.total_ma
         total_ma = np.abs(self._kernels_ua).sum(axis=1) / 2000
         # In single precision; the gate proves what is sent in whole numbers.
@@ -143,27 +113,18 @@ class PointSlots:
         return np.asarray(1 / np.where(magnitude > 0, magnitude, np.inf).min(axis=1))
 
     def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
-        """Return the slots of one row of a tactile image.
+        """Return the slots of a row (E,) of a tactile image, in [0, 1], at an intensity in [0, 1].
 
-        An active point gets its threshold current times intensity at the
-        faintest activation and its strongest comfortable current times
-        intensity at full activation; where width is the carrier, the strongest
-        current for as short as does the same. Currents are whole µA that sum to
-        zero in every slot: what rounding leaves over goes to the strongest
-        electrode of the kernel, or is carried on from electrode to electrode where
-        that would be above its limit. A masked electrode has no slot.
-
-        Parameters
-        ----------
-        activation : ndarray, (E,) float32, in [0, 1]
-            Activation at each electrode; the electrode whose receptors lie there
-            is stimulated.
-        intensity : float, in [0, 1]
-            Scale of all currents.
+        An active point gets its threshold current times intensity at the faintest activation and
+        its strongest comfortable current times intensity at full activation; where width is the
+        carrier, the strongest current for as short as has the same effect. Currents are whole µA
+        that sum to zero in every slot: the remainder of rounding goes to the strongest electrode of
+        the kernel, or is carried on from electrode to electrode where that would be above its
+        limit. A masked electrode has no slot.
         """
-        if self._felt_at is not None:
+        if self._perceived_at is not None:
             # The last one stands for nowhere.
-            activation = np.append(activation, np.float32(0))[self._felt_at]
+            activation = np.append(activation, np.float32(0))[self._perceived_at]
         site = activation.nonzero()[0] if intensity > 0 else np.empty(0, np.intp)
         if not self._in_index_order:
             site = site.take(spread_order(len(site)))
@@ -171,16 +132,16 @@ class PointSlots:
         level *= self._range.take(site)
         level += self._faintest.take(site)
         level *= intensity
-        width_us = felt = None
+        width_us = kept = None
         if self._by_width:
             width_us = self._widths_us(level)
             level = np.where(width_us >= SHORTEST_PULSE_US, np.float32(1), np.float32(0))
-            felt = level > 0
+            kept = level > 0
         elif not self._always_switches:
-            felt = level >= self._weakest_level[site]
-        if felt is not None and not felt.all():
-            site, level = site[felt], level[felt]
-            width_us = None if width_us is None else width_us[felt]
+            kept = level >= self._weakest_level[site]
+        if kept is not None and not kept.all():
+            site, level = site[kept], level[kept]
+            width_us = None if width_us is None else width_us[kept]
         slots = len(site)
         if width_us is None:
             width_us = self._widths_all_us[:slots]
@@ -236,33 +197,20 @@ class PointSlots:
         return round_charge_balanced(exact_ua)
 
     def _widths_us(self, level: NDArray[np.float32]) -> NDArray[np.uint16]:
-        """Return the width at which the full current equals a part of it over a whole pulse, µs.
+        """Return the width at which full current equals a fraction of it over a whole pulse, µs.
 
-        By Weiss's law a pulse of width w needs a current in proportion to 1 + c/w, c the
-        chronaxie.
+        By Weiss's law a pulse of width w needs a current in proportion to 1 + c/w, c the chronaxie.
         """
         full, chronaxie = self._pulse.width_us, self._pulse.chronaxie_us
         width = chronaxie * level / (1 + chronaxie / full - level)
         return np.asarray(np.floor(width + 1e-3), np.uint16)
 
 
-def felt_at(profile: Profile, afferent: Afferent) -> NDArray[np.intp] | None:
-    """Return the electrode at which each electrode's point is felt, E if at none of them.
-
-    Parameters
-    ----------
-    profile : Profile
-        Its ``perception.pc_shift_mm`` and the like (paper, Section III-B.4).
-    afferent : Afferent
-        Class of the stimulated axons.
-
-    Returns
-    -------
-    ndarray or None, (E,)
-        None where every point is felt where it is.
-    """
-    felt = profile.perception
-    shift_mm = (felt.ra_shift_mm, felt.sai_shift_mm, felt.pc_shift_mm)[afferent]
+def perceived_at(profile: Profile, afferent: Afferent) -> NDArray[np.intp] | None:
+    """Return the electrode at which each electrode's point is perceived, (E,), E if at none; None
+    without ``perception.pc_shift_mm`` and the like (paper, Section III-B.4)."""
+    shifts = profile.perception
+    shift_mm = (shifts.ra_shift_mm, shifts.sai_shift_mm, shifts.pc_shift_mm)[afferent]
     if not any(shift_mm):
         return None
     place_mm = profile.electrodes.position_mm
@@ -285,8 +233,8 @@ def constant_us(count: int, time_us: int) -> NDArray[np.uint16]:
 def spread_order(count: int) -> NDArray[np.intp]:
     """Return an order of ``count`` points that keeps successive ones apart.
 
-    Steps through the row-by-row list by about the golden section of its
-    length, the stride whose neighbors in time are evenly far in the list.
+    It steps through the row-by-row list by about the golden section of its length, the stride whose
+    neighbors in time are evenly far in the list.
     """
     stride = round(count * 0.382)
     while stride > 1 and math.gcd(stride, count) > 1:

@@ -16,18 +16,11 @@ _SLOWEST_HZ = 0.1
 
 
 def rate_share(pressure: float, softness: float) -> float:
-    """Return the share of the full pulse rate at a finger pressure.
+    """Return the fraction of the full pulse rate at a finger pressure, in [0, 1] as `force_gate`.
 
-    SAI afferents encode pressure in their firing rate. Pressed on something
-    hard they fire faster; on something soft the rate hardly changes (paper,
-    Section III-B.2, where a constant rate under a moving finger felt soft).
-
-    Parameters
-    ----------
-    pressure : float, in [0, 1]
-        Intensity by the finger's force, see `force_gate`.
-    softness : float, in [0, 1]
-        1 leaves the rate as it is, 0 lets it follow force.
+    SAI afferents encode pressure in their firing rate. Pressed on something hard they fire faster;
+    on something soft the rate hardly changes (paper, Section III-B.2, where a constant rate under a
+    moving finger felt soft). Softness 1 leaves the rate unchanged, 0 lets it follow force.
     """
     return softness + (1 - softness) * max(SLOWEST, pressure)
 
@@ -35,23 +28,8 @@ def rate_share(pressure: float, softness: float) -> float:
 def rates_of(
     profile: Profile, afferents: tuple[Afferent, ...], rate_hz: float | None, timing: ScanTiming
 ) -> dict[Afferent, float]:
-    """Return the pulse rate of each class, Hz; none for all three, which never pulse by themselves.
-
-    Parameters
-    ----------
-    profile : Profile
-        Pulse and limits.
-    afferents : tuple of Afferent
-        Classes to use.
-    rate_hz : float, Hz, optional
-        Asked for, with one class; with several, the profile says how often each pulses.
-    timing : ScanTiming
-
-    Raises
-    ------
-    ScheduleError
-        If a rate is impossible, or the board has only one.
-    """
+    """Return the pulse rate of each class, Hz: `rate_hz` for one, the profile's for two, none for
+    all three, which are not due by themselves."""
     pulse, limits = profile.pulse, profile.limits
     rates_hz = {afferents[0]: pulse.rate_hz if rate_hz is None else rate_hz}
     if Afferent.PC in afferents and len(afferents) > 1:
@@ -83,16 +61,8 @@ def rates_of(
 
 
 class PulseRates:
-    """Separate time grids of several classes.
-
-    Parameters
-    ----------
-    rates_hz : mapping of Afferent to float, Hz
-        Full rate of each.
-    merge_us : int, µs
-        Classes that are due closer together than this pulse in one sequence:
-        the shortest period of a sequence.
-    """
+    """Time grids of several classes with full rates in Hz, merged where pulses are due closer
+    together than `merge_us`, the shortest period of a sequence."""
 
     def __init__(self, rates_hz: Mapping[Afferent, float], merge_us: int) -> None:
         self._rates_hz = dict(rates_hz)
@@ -102,15 +72,7 @@ class PulseRates:
     def due(
         self, time_ns: int, shares: Mapping[Afferent, float]
     ) -> tuple[tuple[Afferent, ...], int]:
-        """Return the classes that pulse now, and the time until the next is due, µs.
-
-        Parameters
-        ----------
-        time_ns : int
-            Now.
-        shares : mapping of Afferent to float
-            Of each full rate, see `rate_share`.
-        """
+        """Return the classes that pulse now, by shares of full rates, and the µs to the next."""
         now, merge_ns = [], 1000 * self._merge_us
         next_ns = []
         for afferent, rate_hz in self._rates_hz.items():

@@ -30,25 +30,11 @@ _PLANNED_UA = round(1000 * PLANNED * CEILING_MEAN_MA)
 
 
 def prove_recharge(sequence: ScanSequence, most_ua: NDArray[np.int64], total_ua: int) -> None:
-    """Raise unless a sequence has no recharge phase, or one that keeps its limits.
+    """Raise a SafetyError if the recharge phase of a frozen sequence breaks a limit.
 
     Checked: that it follows slots and fits the period with a short circuit after it, its width,
-    that it sums to zero, its total, and the current and charge of every electrode. That it takes
-    back charge is checked where that is added up (`Exposure`).
-
-    Parameters
-    ----------
-    sequence : ScanSequence
-        Frozen; its slots are proved elsewhere.
-    most_ua : ndarray, (E,) int64, µA
-        Of each electrode, as of `recharge_most_ua`.
-    total_ua : int, µA
-        Of all cathodes together.
-
-    Raises
-    ------
-    SafetyError
-        Naming the limit, the electrode, and by how much.
+    that it sums to zero, its total, and the current and charge of every electrode, (E,) µA as of
+    `recharge_most_ua`. That it returns charge is checked where that is added up (`Exposure`).
     """
     current_ua, width_us = sequence.recharge_ua, sequence.recharge_us
     if current_ua is None and not width_us:
@@ -108,24 +94,12 @@ def prove_recharge(sequence: ScanSequence, most_ua: NDArray[np.int64], total_ua:
 
 @dataclass(frozen=True, eq=False)
 class RechargeRules:
-    """Limits within which recharge phases are planned.
+    """Limits within which recharge phases are planned."""
 
-    Attributes
-    ----------
-    most_ua : ndarray, (E,) int64, µA
-        Largest current of each electrode.
-    total_ua : int, µA
-        Most of all cathodes together.
-    timing : ScanTiming
-        Scan timing fixed by the board.
-    duty : float
-        Largest share of the time in which current flows.
-    """
-
-    most_ua: NDArray[np.int64]
-    total_ua: int
+    most_ua: NDArray[np.int64]  # (E,) largest current of each electrode
+    total_ua: int  # largest current of all cathodes together
     timing: ScanTiming
-    duty: float = CEILING_DUTY
+    duty: float = CEILING_DUTY  # largest fraction of the time in which current flows
 
     @classmethod
     def of(cls, profile: Profile, timing: ScanTiming) -> Self:
@@ -137,20 +111,12 @@ class RechargeRules:
 def add_recharge(
     sequence: ScanSequence, carried_pc: NDArray[np.int64], rules: RechargeRules
 ) -> ScanSequence:
-    """Return a sequence with the recharge phase that brings net charge back to zero.
+    """Return a sequence with the recharge phase that brings net charge (E,) pC back to zero.
 
-    No electrode gets more than it takes back: whole µA leave a rest of up to a µA times its width
-    on each electrode, their sum on the strongest, and what the limits do not allow at once is left
-    too. The phase is as short
-    as its limits allow, and the period grows where it does not fit. Slots stay as they are.
-
-    Parameters
-    ----------
-    sequence : ScanSequence
-        Without a recharge phase; one without slots is returned as it is.
-    carried_pc : ndarray, (E,) int64, pC
-        Net charge that earlier scans have left, positive cathodic.
-    rules : RechargeRules
+    No electrode gets more than it returns: whole µA leave a rest of up to a µA times its width on
+    each electrode, their sum on the strongest, and the excess over the limits is left too. The
+    phase is as short as its limits allow, and the period grows where it does not fit. Slots stay as
+    they are; without slots so does the sequence.
     """
     wanted_pc = -(carried_pc + net_charge_pc(sequence))
     asked_pc = np.abs(wanted_pc)

@@ -1,6 +1,7 @@
 """Tactile image times kernels times intensity: the slots of one frame."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,46 +42,14 @@ _BOTH = (Afferent.RA, Afferent.SAI)
 class ScanScheduler:
     """Scheduler of one slot for each active point (paper, Section IV-A, Fig. 19), or fewer.
 
-    Parameters
-    ----------
-    profile : Profile
-        Pulse, limits and thresholds.
-    bank : KernelBank
-        Kernels of the profile's array.
-    afferents : tuple of Afferent
-        Classes to use; each of several has its own pulse rate.
-    rate_hz : float, Hz, optional
-        Sequences a second asked for, with one class; with several, the
-        profile says how often each pulses.
-    timing : ScanTiming, optional
-        Scan timing fixed by the board; none if not given.
-    softness : float, in [0, 1]
-        Softness, which reduces the effect of force on the rate of SAI pulses.
-    vibrated : bool
-        Whether mechanical vibrators do what PC is to feel, and no current.
-    sharing : SlotPolicy
-        Classes whose points share a slot where their currents leave one another alone.
-    frames : dict, optional
-        Slots by classes that other schedulers of this profile, bank and sharing have made; what
-        is missing is made and added.
-    table : KernelTable, optional
-        Kernels in whole numbers, where slots are to be sums of these.
-    net : NetPlan, optional
-        Net charge of the last sequences, which periods bound; none if not given, as where it is
-        taken back after each sequence.
-
-    Attributes
-    ----------
-    net_slowed, net_emptied : int
-        Numbers of sequences made longer, and left without slots, to keep the limit of net current.
-    asked_us : int, µs
-        Period that the last sequence would have if its slots fit.
-
-    Raises
-    ------
-    ScheduleError
-        If the rate is impossible, the board has other pulses than the profile
-        or only one rate, or the bank drives a masked electrode.
+    Each of several classes has its own pulse rate; `rate_hz` is that of a single one. Softness, in
+    [0, 1], reduces the effect of force on the rate of SAI pulses. If `vibrated`, mechanical
+    vibrators stimulate PC, without current. Slots shared by classes are taken from `frames` or
+    added to it; with a `table` slots are sums of kernels in whole numbers. `net` bounds periods by
+    net charge, unless recharge phases return it. `net_slowed` and `net_emptied` count sequences
+    made longer or left without slots for it; `asked_us` is the period of the last one if its slots
+    fit. An impossible rate, pulses that the board does not have, and a bank that drives a masked
+    electrode raise a ScheduleError.
     """
 
     def __init__(
@@ -102,23 +71,14 @@ class ScanScheduler:
         pulse, limits = profile.pulse, profile.limits
         rates_hz = rates_of(profile, afferents, rate_hz, timing)
         self._vibrated = vibrated
-        driven = [each for each in afferents if not (vibrated and each is Afferent.PC)]
-        self._driven = tuple(driven)
+        self._driven = driven = tuple(e for e in afferents if not vibrated or e is not Afferent.PC)
         self._points = {
             each: PointSlots(profile, bank, each, timing, table)
             for each in driven
             if each not in sharing.afferents
         }
-        shared: list[tuple[Afferent, ...]] = [
-            (each,) for each in driven if each in sharing.afferents
-        ]
-        if sharing.planned and {(each,) for each in _BOTH} <= set(shared):
-            shared.append(_BOTH)
         frames = {} if frames is None else frames
-        for classes in shared:
-            if classes not in frames:
-                frames[classes] = FrameSlots(profile, bank, classes, sharing.planned)
-        self._frames = {classes: frames[classes] for classes in shared}
+        self._frames = _shared_slots(profile, bank, driven, sharing, frames)
         self.asked_us = 0
         self._first = driven[0]
         self._softness = softness
@@ -165,29 +125,13 @@ class ScanScheduler:
         pressure: float = 1.0,
         most_ppb: int | None = None,
     ) -> ScanSequence:
-        """Return the sequence for one tactile image.
+        """Return the sequence of one tactile image at an intensity and a pressure in [0, 1].
 
-        Where the slots do not fit the period asked for, the period grows. At
-        intensity 0 there are none.
-
-        Parameters
-        ----------
-        image : TactileImage
-            What to feel; with a period, every active class pulses now, and not again before it
-            has passed.
-        intensity : float, in [0, 1]
-            Scale of all currents.
-        pressure : float, in [0, 1]
-            What the finger's force asks for: the rate of SAI pulses follows it.
-        most_ppb : int, optional
-            Greatest strength (`SafetyLimits.strength_ppb`) of its pulses; the intensity is lowered
-            to it.
-
-        Raises
-        ------
-        ScheduleError
-            If a period is given that the profile's limits forbid, or a class is active that
-            cannot be driven.
+        Where the slots do not fit the period asked for, the period grows. At intensity 0 there are
+        none. The rate of SAI pulses follows pressure. Intensity is lowered until strength
+        (`SafetyLimits.strength_ppb`) is at most `most_ppb`, if given. If the image has a period,
+        every active class pulses now, and not again before it has passed. One that the profile's
+        limits forbid, or a class that cannot be driven, raises a ScheduleError.
         """
         if image.period_us is not None:
             due, asked_us = self._active(image.activation, image.period_us), image.period_us
@@ -241,7 +185,7 @@ class ScanScheduler:
         )
 
     def _makers_of(self, classes: tuple[Afferent, ...]) -> list[_Maker]:
-        """Return what makes the slots of each class, or of two together; found once."""
+        """Return the makers of slots of each class, or of two together; cached."""
         groups: list[tuple[Afferent, ...]] = [(each,) for each in classes]
         if _BOTH in self._frames and set(_BOTH) <= set(classes):
             groups = [_BOTH, *(each for each in groups if each[0] not in _BOTH)]
@@ -284,15 +228,7 @@ class ScanScheduler:
         return (self._first,), self._timing.possible_period_us(1e6 / slowed_hz)
 
     def _bound_exposure(self, width_us: int) -> None:
-        """Find periods that keep the pulses and the charge of any image within the exposure.
-
-        Infinite where slots are planned: what these carry is known then.
-
-        Raises
-        ------
-        ScheduleError
-            If points that share no slots are too much for any period.
-        """
+        """Find periods that keep the exposure of any image; infinite where slots are planned."""
         load = np.zeros((2, self._electrodes))
         everywhere = np.ones(self._electrodes, np.float32)
         for points in self._points.values():
@@ -363,3 +299,22 @@ def _slots_of(makers: list[_Maker], activation: NDArray[np.float32], intensity: 
     if others:
         made = joined([made, *(one.slots(activation[of], intensity) for one, of in others)])
     return made
+
+
+def _shared_slots(
+    profile: Profile,
+    bank: KernelBank,
+    afferents: Sequence[Afferent],
+    sharing: SlotPolicy,
+    frames: dict[tuple[Afferent, ...], FrameSlots],
+) -> dict[tuple[Afferent, ...], FrameSlots]:
+    """Return the shared slots of classes, alone and together, from `frames` or added to it."""
+    shared: list[tuple[Afferent, ...]] = [
+        (each,) for each in afferents if each in sharing.afferents
+    ]
+    if sharing.planned and {(each,) for each in _BOTH} <= set(shared):
+        shared.append(_BOTH)
+    for classes in shared:
+        if classes not in frames:
+            frames[classes] = FrameSlots(profile, bank, classes, sharing.planned)
+    return {classes: frames[classes] for classes in shared}

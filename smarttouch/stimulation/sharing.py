@@ -7,17 +7,11 @@ from smarttouch.profile import Profile
 
 
 class SlotPolicy(NamedTuple):
-    """Policy of sharing slots between points.
-
-    Attributes
-    ----------
-    afferents : tuple of Afferent
-    planned : bool
-        Whether each frame's currents are found anew, for as few slots as can be, which takes
-        milliseconds; else kernels are added up of which no subset breaks a bound.
-    """
+    """Policy of sharing slots between points."""
 
     afferents: tuple[Afferent, ...] = ()
+    # Whether each frame's currents are searched for, for as few slots as possible, which takes
+    # milliseconds; else kernels are summed of which no subset breaks a bound.
     planned: bool = True
 
 
@@ -25,13 +19,7 @@ NO_SHARING = SlotPolicy()
 
 
 def unsupported_reason(profile: Profile) -> tuple[str, str] | None:
-    """Return why a profile's board can show points only one by one; None if it can do more.
-
-    Returns
-    -------
-    key, reason : str
-        The profile's key that keeps it from sharing slots, and why.
-    """
+    """Return a profile's key and the reason why its board shows only single points, or None."""
     if (kind := profile.output.kind) != "weighted":
         return "output.kind", f"the board is {kind}, with one source for all electrodes"
     if profile.kernels.objective == "finger":

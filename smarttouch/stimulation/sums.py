@@ -24,13 +24,7 @@ def rows_of_block(electrodes: int) -> int:
 
 @lru_cache(maxsize=256)
 def extent_us(data: bytes) -> tuple[int, int, int]:
-    """Return the shortest, the longest and the sum of the times of slots, µs; zeros if none.
-
-    Parameters
-    ----------
-    data : bytes
-        Of the times, uint16: they hardly ever change from frame to frame, and are looked up.
-    """
+    """Return the shortest, longest and total time of slots, µs, of uint16 as bytes; or zeros."""
     times_us = np.frombuffer(data, np.uint16)
     if not len(times_us):
         return 0, 0, 0
@@ -38,24 +32,12 @@ def extent_us(data: bytes) -> tuple[int, int, int]:
 
 
 class SlotSums(NamedTuple):
-    """Sums over the currents of S slots.
+    """Sums over the currents of S slots."""
 
-    Attributes
-    ----------
-    net_ua : ndarray, (S,) float, µA
-        Of each slot: zero where it is in balance.
-    total_ua : ndarray, (S,) float, µA
-        Of all magnitudes of each slot.
-    highest_ua : int, µA
-        Largest magnitude of all.
-    sums : ndarray, (3, E)
-        Load of the slots on each electrode, and their charge, positive cathodic.
-    """
-
-    net_ua: NDArray[np.floating]
-    total_ua: NDArray[np.floating]
-    highest_ua: int
-    sums: Sums
+    net_ua: NDArray[np.floating]  # (S,) zero where a slot is in balance
+    total_ua: NDArray[np.floating]  # (S,) sum of magnitudes
+    highest_ua: int  # largest magnitude of all
+    sums: Sums  # (3, E) load of each electrode, and its charge, positive cathodic
 
     @property
     def load(self) -> Load:
@@ -64,18 +46,13 @@ class SlotSums(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _units(width_us: int) -> NDArray[np.float64]:
-    """Return what sums of pulses, magnitudes and currents are multiplied with, (3, 1)."""
+    """Return the factors of sums of pulses, magnitudes and currents, (3, 1)."""
     return np.array([[PER_PULSE], [PER_PC * width_us], [width_us]], np.float64)
 
 
 class SlotAdder:
-    """Adder of slots, block by block; not for two threads at once.
-
-    Parameters
-    ----------
-    felt_ua : ndarray, (E,) float32, µA
-        Current from which a pulse of each electrode counts as felt.
-    """
+    """Adder of slots, block by block, that counts pulses from currents `felt_ua`, (E,), on; not for
+    two threads at once."""
 
     def __init__(self, felt_ua: NDArray[np.float32]) -> None:
         self._felt_ua, self._electrodes = felt_ua, len(felt_ua)
@@ -89,16 +66,8 @@ class SlotAdder:
         width_us: NDArray[np.uint16],
         kind: type[np.floating] = np.float32,
     ) -> SlotSums:
-        """Return the sums of slots.
-
-        Parameters
-        ----------
-        current_ua : ndarray, (S, E) int16, µA
-            With S > 0.
-        width_us : ndarray, (S,) uint16, µs
-        kind : type
-            Of the sums: `add_up` begins anew in double precision where single is not exact.
-        """
+        """Return the sums of slots, currents (S, E) and widths (S,), S > 0, again in double
+        precision where single is not exact."""
         slots = len(current_ua)
         if kind not in self._scratch:
             block = np.empty((self._rows, self._electrodes), kind)
@@ -137,14 +106,9 @@ class SlotAdder:
 
 
 def round_charge_balanced(current_ua: NDArray[np.float64]) -> NDArray[np.int16]:
-    """Return currents in whole µA that sum to zero in every slot, like the given ones.
+    """Return currents (S, E) in whole µA that sum to zero in every slot, like the given ones.
 
-    The rounding error is carried on from electrode to electrode, so that none is
-    off by a whole µA. Given to one of them, it could raise that above its limit.
-
-    Parameters
-    ----------
-    current_ua : ndarray, (S, E) µA
+    The rounding error is carried on from electrode to electrode, so that none is off by a whole µA.
     """
     carried = np.cumsum(current_ua, axis=1)
     np.rint(carried, out=carried)

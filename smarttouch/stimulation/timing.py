@@ -11,39 +11,20 @@ from smarttouch.profile import Profile
 class ScanTiming:
     """Scan timing fixed by a board; the defaults leave all to the host."""
 
-    width_us: int | None = None
-    """The only pulse width, if fixed."""
-    discharge_us: int | None = None
-    """The only discharge time, if fixed."""
-    slot_extra_us: float = 0.0
-    """Time of a slot beyond pulse and discharge."""
-    scan_us: float = 0.0
-    """Time of a scan beyond its slots."""
-    every_electrode: bool = False
-    """Whether idle electrodes take a slot too."""
-    in_index_order: bool = False
-    """Whether the board scans by electrode number."""
-    own_widths: bool = True
-    """Whether each slot may have its own pulse width."""
-    whole_hz: bool = False
-    """Whether its rate is a whole number of hertz."""
-    load: float = 1.0
-    """Share of the period that a scan may fill."""
+    width_us: int | None = None  # the only pulse width, if fixed
+    discharge_us: int | None = None  # the only discharge time, if fixed
+    slot_extra_us: float = 0.0  # time of a slot beyond pulse and discharge
+    scan_us: float = 0.0  # time of a scan beyond its slots
+    every_electrode: bool = False  # whether idle electrodes take a slot too
+    in_index_order: bool = False  # whether the board scans by electrode number
+    own_widths: bool = True  # whether each slot may have its own pulse width
+    whole_hz: bool = False  # whether its rate is a whole number of hertz
+    load: float = 1.0  # share of the period that a scan may fill
 
     def shortest_period_us(
         self, slots: int, electrodes: int, width_us: float, discharge_us: float
     ) -> int:
-        """Return the shortest period of a scan, µs.
-
-        Parameters
-        ----------
-        slots : int
-            Active points.
-        electrodes : int
-            Of the array.
-        width_us, discharge_us : float, µs
-            Of each slot; the mean where they differ.
-        """
+        """Return the shortest period of a scan of active points, µs; times of slots are means."""
         taken = electrodes if self.every_electrode else slots
         busy_us = taken * (width_us + discharge_us + self.slot_extra_us) + self.scan_us
         return self.possible_period_us(busy_us / self.load)
@@ -51,13 +32,8 @@ class ScanTiming:
     def possible_period_us(self, period_us: float) -> int:
         """Return the shortest period possible on the board that is not below this one, µs.
 
-        A rate of f whole hertz is a period of 1e6/f rounded up: ``round(1e6 / period)``
-        gives f back.
-
-        Raises
-        ------
-        ScheduleError
-            If a whole number of hertz would have to be below one.
+        A rate of f whole hertz is a period of 1e6/f rounded up, so that ``round(1e6 / period)`` is
+        f.
         """
         period = math.ceil(period_us)
         if not self.whole_hz or period <= 1:

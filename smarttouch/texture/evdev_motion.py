@@ -29,8 +29,7 @@ def open_evdev(rest: str, *, cpi: float = USUAL_CPI, grab: bool = False) -> "Evd
 
 
 class EvdevMotion(Motion):
-    """Adds up the counts of a mouse on a thread of its own; `grab` keeps them from other
-    programs."""
+    """Sum of a mouse's counts, read on a thread; `grab` keeps them from other programs."""
 
     def __init__(self, device: "InputDevice[str]", cpi: float, grab: bool = False) -> None:
         super().__init__(f"{device.name} at {cpi:g} counts per inch")

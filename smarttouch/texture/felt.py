@@ -26,13 +26,13 @@ class TextureDrawing(FeltDrawing):
         self._least, self._most = np.full(2, np.inf), np.full(2, -np.inf)
 
     def watch(self, sent: StepResult) -> None:
-        """Remember the pose of a step, and how far the hand came."""
+        """Store the pose of a step and the extent of the hand's motion."""
         super().watch(sent)
         place = (sent.input.pose.x_mm, sent.input.pose.y_mm)
         self._least, self._most = np.minimum(self._least, place), np.maximum(self._most, place)
 
     def under(self) -> Under:
-        """Return the part of the texture that the array came over."""
+        """Return the part of the texture that the array passed over."""
         if not np.isfinite(self._least).all():
             raise SmartTouchError("the hand felt nothing: there is nothing to draw", about="felt")
         half = np.abs(self._position_mm).max(axis=0) + np.array(self._cell_mm)

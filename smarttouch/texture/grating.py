@@ -16,8 +16,7 @@ _WAVE = np.asarray(
 
 
 class Grating(Texture):
-    """Ridges at one pitch, unbounded, turned clockwise from upright; one runs through the
-    origin."""
+    """Unbounded ridges at one pitch, turned clockwise from upright; one is at the origin."""
 
     def __init__(self, pitch_mm: float, angle_deg: float = 0.0) -> None:
         words = f"a grating of {pitch_mm:g} mm"
@@ -47,8 +46,7 @@ class Grating(Texture):
 
 
 class GratingFeeler:
-    """Sampler of a grating: each electrode, (E, 2) mm, has a phase; a ridge passes at each whole
-    number.
+    """Sampler of a grating: a ridge passes an electrode, (E, 2) mm, at whole numbers of its phase.
 
     The phase is the spatial frequency, (2,) cycles/mm, times the place in the world, so that an
     electrode pulses spatial frequency times speed times a second (paper, Section IV-C), at places

@@ -43,16 +43,13 @@ class Motion(Device, ABC):
 
     @abstractmethod
     def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return the displacement from the start, right and down, mm; None at the end. `time_ns`
-        rises."""
+        """Return the displacement from the start, right and down, mm; None at the end."""
 
 
 def open_motion(url: str, **options: Any) -> Motion:
-    """Open ``sweep:``, ``evdev:DEVICE``, ``window:``, ``path:CSV``, or any source that knows its
-    pose.
+    """Open ``sweep:``, ``evdev:DEVICE``, ``window:``, ``path:CSV``, or any source with a pose.
 
-    Options may stand in the URL, as in ``sweep:?speed_mm_s=20``; those that are None were not
-    given.
+    Options may stand in the URL, as in ``sweep:?speed_mm_s=20``; None is an option not given.
     """
     kind, colon, rest = url.partition(":")
     sources = known_names("smarttouch.sources")

@@ -6,7 +6,7 @@ high ground**. High is what exceeds its surroundings; its depth is the distance 
 it ends, at most half a grain. An electrode pulses where the depth along its way is
 greatest: in the middle of a ridge narrower than a grain, half a grain inside the edge of
 an area, and from there on after each grain of way. Where a pitch dominates, ridges are
-silent along themselves, as a grating's are; strokes of shapes are felt along, too.
+silent along themselves, as a grating's are; strokes of shapes pulse along themselves, too.
 """
 
 import cv2
@@ -17,7 +17,7 @@ from smarttouch.texture.relief import Relief
 from smarttouch.texture.texture import RidgeCrossing
 
 _STROKE = 0.15
-"""Depth of the thinnest stroke that is felt along itself, in grains."""
+"""Depth of the thinnest stroke that pulses along itself, in grains."""
 _STEP = 1.25
 """Distance of samples along the way, in pixels of the map."""
 _MOST_SAMPLES = 64
@@ -50,7 +50,7 @@ class ReliefFeeler:
         self.place(0.0, 0.0)
 
     def place(self, x_mm: float, y_mm: float) -> None:
-        """Place the middle of the array: an area under it is felt after one grain of motion."""
+        """Place the middle of the array; an area under it pulses after one grain of motion."""
         self._place = complex(x_mm, y_mm)
         x, y = self._on_map(np.array([self._place]))
         self._before = np.repeat(self._depth(x, y), 2, axis=0)
@@ -80,9 +80,9 @@ class ReliefFeeler:
             self._lowest = depth[-1]
             self._entered = np.full(len(self._all), self._place)
             return self._nothing
-        return self._felt(places, depth, abs(step), (x, y))
+        return self._crossing(places, depth, abs(step), (x, y))
 
-    def _felt(
+    def _crossing(
         self,
         places: NDArray[np.complex128],
         depth: NDArray[np.float32],
@@ -92,11 +92,11 @@ class ReliefFeeler:
         lowest = np.minimum.accumulate(np.minimum(depth, self._lowest), axis=0)
         found, last, merged = self._crests(depth, lowest, step_mm)
         inside = self._inside(places, depth) & ~found
-        felt = found | inside
-        if not felt.any():
+        pulsed = found | inside
+        if not pulsed.any():
             self._lowest = lowest[-1]
             return self._nothing
-        self._lowest = np.where(felt, depth[-1], lowest[-1])
+        self._lowest = np.where(pulsed, depth[-1], lowest[-1])
         # Frames come later than whole grains: what is over counts for the next.
         gone, grain_mm = places[-1] - self._pulsed, self._relief.grain_mm
         gone_mm = np.maximum(np.abs(gone), grain_mm)
@@ -106,7 +106,7 @@ class ReliefFeeler:
         row = np.where(found, last, len(places) - 1)
         x, y = (each[row, self._all][None] for each in on_map)
         height = self._sample(self._relief.height, x, y)[0]
-        return RidgeCrossing(np.asarray(height * felt, np.float32), merged)
+        return RidgeCrossing(np.asarray(height * pulsed, np.float32), merged)
 
     def _crests(
         self,
@@ -114,9 +114,7 @@ class ReliefFeeler:
         lowest: NDArray[np.float32],
         step_mm: float,
     ) -> tuple[NDArray[np.bool_], NDArray[np.intp], int]:
-        """Return which electrodes passed a crest, the sample of the last one, and the number of
-        others.
-        """
+        """Return which electrodes passed a crest, the sample of the last, and how many more."""
         middle = depth[1:-1]
         # Level ground is no crest before it falls: what is as wide pulses by its way.
         crest = (middle >= depth[:-2]) & (middle > depth[2:]) & (middle > self._least_mm)

@@ -34,11 +34,9 @@ class Heights(NamedTuple):
     """Heights of a relief before its grain is known."""
 
     title: str
-    height: NDArray[np.float32]
-    """(H, W) in [0, 1]."""
+    height: NDArray[np.float32]  # (H, W) in [0, 1]
     mm_per_pixel: float
-    photo: bool = True
-    """Whether it may show a texture that has a pitch; print has none."""
+    photo: bool = True  # whether it may show a texture that has a pitch; print has none
 
 
 def load_heights(path: Path, dpi: float | None = None, width_mm: float | None = None) -> Heights:

@@ -34,8 +34,7 @@ _EARLY = 1e-3
 
 
 class PulseLimit:
-    """Limit of each electrode's pulse rate to what a finger can resolve; it counts the pulses left
-    out."""
+    """Limit of each electrode's pulse rate to a finger's resolution; counts the pulses left out."""
 
     def __init__(self, electrodes: int, fastest_hz: float) -> None:
         self._shortest_ns = int((1 - _EARLY) * 1e9 / fastest_hz)
@@ -55,7 +54,7 @@ class MouseSource(StimulusSource):
     """Source of a pulse at each electrode under which a ridge of the texture passes.
 
     So each electrode pulses spatial frequency times speed times a second, the pattern stays where
-    it is in the world, and a hand at rest feels nothing (paper, Section IV-C). The pose of a
+    it is in the world, and a hand at rest gets no pulses (paper, Section IV-C). The pose of a
     stimulus is the middle of the array on the texture, its image what lies under the array.
     """
 
@@ -117,8 +116,8 @@ class MouseSource(StimulusSource):
         place = (self._origin[0] + self._scale * x, self._origin[1] + self._scale * y)
         activation = np.zeros((len(Afferent), self._electrodes), np.float32)
         if place != self._place:
-            activation[self._afferent] = self._feel(place, time_ns)
-            self._look(place)
+            activation[self._afferent] = self._pulses(place, time_ns)
+            self._draw_image(place)
         force_n = self.motion.force_n if self.motion.knows_force else self._press_n
         return Stimulus(
             activation,
@@ -131,7 +130,7 @@ class MouseSource(StimulusSource):
         )
 
     def drawing(self, profile: Profile, bank: KernelBank) -> TextureDrawing:
-        """Return what draws the pulses of a run: the mouse's are too few to be averaged."""
+        """Return the drawing of a run's pulses, which are too few to average."""
         return TextureDrawing(profile, bank, (self._afferent,), self.texture)
 
     def close(self) -> None:
@@ -141,7 +140,7 @@ class MouseSource(StimulusSource):
         for note in [*self.texture.notes, *self.motion.notes]:
             self._said.put(note, note)
 
-    def _feel(self, place: tuple[float, float], time_ns: int) -> NDArray[np.float32]:
+    def _pulses(self, place: tuple[float, float], time_ns: int) -> NDArray[np.float32]:
         before, self._place = self._place, place
         # Also the first place: it is no distance from nowhere.
         if not math.dist(place, before) <= JUMP_MM:
@@ -161,7 +160,7 @@ class MouseSource(StimulusSource):
             )
         return kept
 
-    def _look(self, place: tuple[float, float]) -> None:
+    def _draw_image(self, place: tuple[float, float]) -> None:
         rows, columns = self._shape
         left = place[0] - columns * self._pixel_mm / 2
         top = place[1] - rows * self._pixel_mm / 2

@@ -45,8 +45,7 @@ def open_sweep(
 
 
 def strokes_over(size_mm: tuple[float, float], array_mm: tuple[float, float]) -> dict[str, Any]:
-    """Return the options of strokes that take every electrode over all of a texture; sizes are
-    width and height."""
+    """Return options of strokes that take every electrode over a texture, width by height."""
     (width, height), (across, down) = size_mm, array_mm
     return {
         "span_mm": (width + across, height),

@@ -34,8 +34,7 @@ def open_window(rest: str, *, texture: Texture | None = None) -> "WindowMotion":
 
 
 class Pointer:
-    """Position of the pointer over a picture, at first its middle; set by one thread, read by
-    another."""
+    """Position of the pointer on a picture, set by one thread and read by another."""
 
     def __init__(self, size_px: tuple[int, int], mm_per_px: float) -> None:
         self._mm_per_px = mm_per_px
@@ -153,10 +152,8 @@ class WindowMotion(Motion):
 def fit(
     size_mm: tuple[float, float], mm_per_px: float, screen_px: tuple[int, int]
 ) -> tuple[tuple[int, int], float]:
-    """Return the size in pixels of a picture on the screen, and its scale in mm per pixel.
-
-    It is shown as large as it is, or smaller where the screen is too small.
-    """
+    """Return the size in pixels of a picture on the screen, at true size or smaller to fit, and its
+    scale in mm per pixel."""
     room = [_SHARE * side * mm_per_px for side in screen_px]
     smaller = max(1.0, *(side / most for side, most in zip(size_mm, room, strict=True)))
     mm_per_px *= smaller

@@ -38,7 +38,7 @@ class PacinianCrosstalk:
         )
 
 
-def pacinian_price(
+def pacinian_crosstalk(
     profile: Profile, bank: KernelBank, sites: NDArray[np.intp]
 ) -> PacinianCrosstalk | None:
     """Return the crosstalk of PC stimulation at sites, (S,); None where it cannot be driven."""

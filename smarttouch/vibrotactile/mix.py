@@ -48,14 +48,14 @@ class Mixture:
 
     @property
     def mode(self) -> Mode:
-        """In which its stimuli are to be processed: of one class alone, where it is one."""
+        """Mode in which its stimuli are processed: of the class, where it is a single one."""
         if len(self.ideal_us) == 1 and not self.vibrated:
             return Mode[next(iter(self.ideal_us)).name]
         return Mode.COLOR
 
     @property
     def stimuli(self) -> list[Stimulus]:
-        """All of them, of unknown force; each lasts until the next one."""
+        """All stimuli, of unknown force; each lasts until the next one."""
         periods = np.diff(self.time_us, append=self.end_us)
         return [
             Stimulus(self.at_sites(drive), 1000 * int(time), math.nan, int(period))

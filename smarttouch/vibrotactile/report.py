@@ -116,7 +116,7 @@ def as_figures(
     answers: Mapping[Afferent, Answer],
     mixture: Mixture | None = None,
     source: ColorSource | None = None,
-    price: PacinianCrosstalk | None = None,
+    crosstalk: PacinianCrosstalk | None = None,
 ) -> dict[str, object]:
     """Return the whole report for a JSON file."""
     classes: dict[str, dict[str, object]] = {
@@ -132,10 +132,10 @@ def as_figures(
             "left_out": [each.name for each in mixture.left_out],
             "shortest_sequence_us": mixture.least_us,
         }
-    if price is not None:
+    if crosstalk is not None:
         figures["pc_also_reaches"] = {
-            "classes": sorted({each.name for each in price.worst}),
-            "mean_times": price.mean,
-            "worst_times": float(price.times.max()),
+            "classes": sorted({each.name for each in crosstalk.worst}),
+            "mean_times": crosstalk.mean,
+            "worst_times": float(crosstalk.times.max()),
         }
     return figures

@@ -9,14 +9,12 @@ from smarttouch.afferent import Afferent
 from smarttouch.electrodes import parse_ranges
 from smarttouch.errors import ScheduleError, SmartTouchError
 from smarttouch.profile import Profile
-from smarttouch.stimulation.points import felt_at
+from smarttouch.stimulation.points import perceived_at
 
 
 def disc(profile: Profile, radius_mm: float | None = None) -> NDArray[np.intp]:
-    """Return the driven electrodes in the middle of the array, (S,), ascending.
-
-    They lie within a radius, one pitch if not given; the nearest one is always among them.
-    """
+    """Return the driven electrodes in the middle of the array, (S,), ascending: the nearest, and
+    all within a radius, by default one pitch."""
     electrodes = profile.electrodes
     off_mm = electrodes.position_mm[profile.driven] - electrodes.position_mm.mean(axis=0)
     away_mm = np.hypot(off_mm[:, 0], off_mm[:, 1])
@@ -25,15 +23,15 @@ def disc(profile: Profile, radius_mm: float | None = None) -> NDArray[np.intp]:
 
 
 def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the electrodes whose stimulation of a class is felt at sites, (S',).
+    """Return the electrodes whose stimulation of a class is perceived at sites, (S',).
 
-    Others than those where the profile knows that the class is felt elsewhere (paper,
-    Section III-B.4), and fewer where the array ends.
+    They differ from the sites where the profile shifts the class (paper, Section III-B.4), and are
+    fewer where the array ends.
     """
-    felt = felt_at(profile, afferent)
-    if felt is None:
+    places = perceived_at(profile, afferent)
+    if places is None:
         return sites
-    there = np.flatnonzero(np.isin(felt, sites))
+    there = np.flatnonzero(np.isin(places, sites))
     return np.asarray(np.intersect1d(there, profile.driven))
 
 

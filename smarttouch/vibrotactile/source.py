@@ -16,14 +16,13 @@ from smarttouch.vibrotactile.mix import Mixture
 from smarttouch.vibrotactile.train import Times
 
 LONGEST_US = 20_000
-"""So often stimuli come where no pulse is due: a finger that is lifted is not overlooked."""
+"""Longest time between stimuli without a pulse, so that a lifted finger is noticed."""
 
 
 class ColorSource(StimulusSource, Listener):
-    """Source of the pulses of a mixture as time goes.
+    """Source of the pulses of a mixture in the course of time.
 
-    If sequences take longer than was foreseen, pulses wait, and those of several stimuli go out
-    together.
+    Pulses wait if sequences take longer than foreseen, and those of several stimuli go together.
     """
 
     ended = "the end of the trace"

@@ -95,7 +95,7 @@ def split(
 
 
 def shares(answers: Mapping[Afferent, Answer]) -> dict[Afferent, float]:
-    """Return each class's part of the mean drive of all; zeros if nothing is felt."""
+    """Return each class's part of the mean drive of all; zeros if none is driven."""
     total = sum(each.mean_drive for each in answers.values())
     return {
         afferent: each.mean_drive / total if total > 0 else 0.0
@@ -155,10 +155,8 @@ def _padded(row: Array, sample_hz: float) -> tuple[Array, int, Array]:
 
 
 def _upward(turning: NDArray[np.complex128], driven: NDArray[np.bool_], gap: int) -> Array:
-    """Return the samples at which the real part rises through zero while driven, once per cycle.
-
-    Turns are counted on through silences no longer than ``gap`` samples.
-    """
+    """Return the samples of upward zero crossings of the real part while driven, once per cycle,
+    counted on through silences of up to ``gap`` samples."""
     turns = (np.unwrap(np.angle(turning)) + math.pi / 2) / (2 * math.pi)
     whole = np.floor(turns).astype(np.int64)
     on = np.flatnonzero(driven)

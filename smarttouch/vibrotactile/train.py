@@ -22,10 +22,7 @@ def shortest_us(profile: Profile, slots: int, timing: ScanTiming) -> int:
 
 
 def thinned(time_us: Times, least_us: int) -> Times:
-    """Return as many of ascending times as possible, each at least an interval after the last.
-
-    Of a regular train it leaves every k-th.
-    """
+    """Return as many of ascending times as possible that are at least an interval apart."""
     kept, free_us = [], -math.inf
     for each in time_us.tolist():
         # Times are whole microseconds: a regular train may tremble by one.

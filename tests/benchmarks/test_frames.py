@@ -251,7 +251,7 @@ def test_what_color_classes_cannot_break(row, quick, profile, afferent):
                 "slots": len(classes),
                 "other": f"{max(each.off_target for each in classes):.2f}",
                 "spill": f"{max(each.spill for each in classes):.2f}",
-                "total, mA": f"{max(each.total_ma for each in classes):.1f}",
+                "total, mA": f"{max(each.totals_ma.sum() for each in classes):.1f}",
                 "electrode, mA": f"{max(each.electrode_ma.max() for each in classes):.2f}",
             },
         )

@@ -20,7 +20,7 @@ from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.sources.source import StimulusSource
 from smarttouch.sources.stimulus import Stimulus
-from smarttouch.stimulation.points import felt_at
+from smarttouch.stimulation.points import perceived_at
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 
 from ..raising import raises
@@ -153,7 +153,7 @@ def test_a_sensation_is_placed_at_the_receptor(profile, bank, changed):
 def test_every_point_is_felt_within_half_a_cell_of_where_it_should_be(
     profile, changed, shift, afferent
 ):
-    felt = felt_at(
+    felt = perceived_at(
         changed(profile, {f"perception.{afferent.name.lower()}_shift_mm": shift}), afferent
     )
     if felt is None:

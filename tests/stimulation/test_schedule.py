@@ -13,7 +13,7 @@ from smarttouch.afferent import Afferent
 from smarttouch.errors import ScheduleError
 from smarttouch.kernels.bank import design_bank, load_bank
 from smarttouch.profile import list_profiles, load_profile
-from smarttouch.stimulation.points import felt_at, spread_order
+from smarttouch.stimulation.points import perceived_at, spread_order
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.stimulation.schedule import ScanScheduler
 from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
@@ -62,7 +62,7 @@ def test_every_sequence_of_every_profile_is_safe(name, data):
     sequence = scan.schedule(tactile(activation, afferent=afferent), intensity)
     started(profile, bank).prove(sequence)
     assert not sequence.current_ua.sum(axis=1).any()
-    felt = felt_at(profile, afferent)
+    felt = perceived_at(profile, afferent)
     places = sequence.site if felt is None else felt[sequence.site]
     assert set(places) <= set(np.flatnonzero(activation))
 

@@ -6,7 +6,7 @@ import pytest
 from smarttouch.afferent import Afferent
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
-from smarttouch.vibrotactile.crosstalk import pacinian_price
+from smarttouch.vibrotactile.crosstalk import pacinian_crosstalk
 from smarttouch.vibrotactile.mix import mix_colors
 from smarttouch.vibrotactile.report import as_figures, notes
 from smarttouch.vibrotactile.source import LONGEST_US, ColorSource
@@ -86,24 +86,24 @@ def test_whose_word_on_force_counts(profile, make_source):
 
 def test_the_price_of_pc_is_that_of_its_kernels(profile, bank, make_source):
     _, mixture = make_source("tone:250Hz,1.5um")
-    price = pacinian_price(profile, bank, mixture.sites)
+    crosstalk = pacinian_crosstalk(profile, bank, mixture.sites)
     # Felt at 27, 28, 35 and 36, stimulated a pitch below.
-    assert price.mean == pytest.approx(bank.off_target[Afferent.PC][[35, 36, 43, 44]].mean())
-    assert price.worst[0] is Afferent.RA
-    assert "RA" in str(price)
-    assert numbers_in(str(price))[0] == pytest.approx(price.mean, abs=0.05)
+    assert crosstalk.mean == pytest.approx(bank.off_target[Afferent.PC][[35, 36, 43, 44]].mean())
+    assert crosstalk.worst[0] is Afferent.RA
+    assert "RA" in str(crosstalk)
+    assert numbers_in(str(crosstalk))[0] == pytest.approx(crosstalk.mean, abs=0.05)
     # Not only by the bank's word: the kernel's own activation of RA nodes is beyond PC's.
     kernel = bank.weights[Afferent.PC][35]
     reached = bank.receptor[Afferent.RA] @ kernel
     own = bank.receptor[Afferent.PC][35] @ kernel
     assert own == pytest.approx(1, rel=1e-5)
-    assert 1 < reached.max() <= price.times[0] * 1.001
+    assert 1 < reached.max() <= crosstalk.times[0] * 1.001
 
 
 def test_where_pc_cannot_be_driven_it_has_no_price(profile, bank):
     without = load_profile("kajimoto-61")
-    assert pacinian_price(without, load_bank(without), np.arange(3)) is None
-    assert pacinian_price(profile, bank, np.array([60])) is None  # nothing lies below
+    assert pacinian_crosstalk(without, load_bank(without), np.arange(3)) is None
+    assert pacinian_crosstalk(profile, bank, np.array([60])) is None  # nothing lies below
 
 
 def test_figures_and_notes_say_what_went_out(profile, bank, make_source):

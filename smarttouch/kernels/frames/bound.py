@@ -29,20 +29,14 @@ _HALF_UA_MA = 0.0005
 
 @dataclass(frozen=True, eq=False)
 class SharedKernels:
-    """Kernels of sites that may be on together, in any combination.
-
-    Attributes
-    ----------
-    sites : ndarray, (A,) intp
-    kernels : ndarray, (A, E) mA
-        Row i gives site i its wish, and the others of the set nothing.
-    """
+    """Kernels of sites that may be on together, in any combination."""
 
     operator: FrameOperator[FrameJudge]
-    sites: NDArray[np.intp]
+    sites: NDArray[np.intp]  # (A,)
 
     @cached_property
     def kernels(self) -> Array:
+        """Kernels (A, E) mA: row i gives site i its wish, and the others of the set nothing."""
         return np.asarray(self.operator.independent(self.sites) * self._wish[:, None])
 
     @property
@@ -60,8 +54,7 @@ class SharedKernels:
     def spill(self) -> float:
         """Upper bound of `FrameFigures.spill` over all subsets.
 
-        A node counts only where every active site is more than a pitch away:
-        sites within a pitch of it add nothing.
+        A node counts only if every active site is more than a pitch away: nearer ones add nothing.
         """
         judge = self.operator.judge
         own = np.maximum(judge.own(self.kernels), 0)
@@ -71,13 +64,8 @@ class SharedKernels:
 
     @cached_property
     def totals_ma(self) -> Array:
-        """Total current of the kernel of each site, (A,)."""
+        """Total current of the kernel of each site, (A,); their sum bounds that of any subset."""
         return np.asarray(np.abs(self.kernels).sum(axis=1) / 2)
-
-    @cached_property
-    def total_ma(self) -> float:
-        """Upper bound of the total current over all subsets."""
-        return float(self.totals_ma.sum())
 
     @cached_property
     def electrode_ma(self) -> Array:
@@ -87,10 +75,9 @@ class SharedKernels:
 
     @cached_property
     def weakest(self) -> float:
-        """Lower bound of an active target's part of its requested activation, over all subsets.
+        """Lower bound of an active target's fraction of its requested activation, over all subsets.
 
-        Below 1 where there are as many wishes as electrodes: currents that sum
-        to zero cannot keep them all.
+        It is below 1 with as many wishes as electrodes: zero-sum currents cannot meet them all.
         """
         return float((self._reached / self._wish).min())
 
@@ -112,25 +99,20 @@ class SharedKernels:
 
 @dataclass(frozen=True)
 class Certainty:
-    """Bounds over all subsets of a set, after currents are rounded to whole µA.
+    """Bounds over all subsets of a set, in V/mm², after currents are rounded to whole µA."""
 
-    All in V/mm²: what other nodes get is at most ``reached`` times intensity and ``rounding``,
-    of other classes and of the own one; what the weakest target gets, scaled to level 1, is at
-    least ``target`` times intensity less ``lost``.
-    """
-
+    # most that nodes of other classes and of the own get, per intensity
     reached: tuple[float, float]
-    rounding: tuple[float, float]
-    target: float
-    lost: float
+    rounding: tuple[float, float]  # most that rounding adds to it
+    target: float  # least that the weakest target gets, scaled to level 1, per intensity
+    lost: float  # most that rounding takes from it
 
     @classmethod
     def of(cls, kernels: SharedKernels, aim: float, faintest: float) -> "Certainty":
         """Return the bounds for levels from ``faintest`` to 1 and targets at ``aim`` of theirs.
 
-        Rounding as `round_charge_balanced` does it: what all electrodes up to one carry together
-        is off by half a µA at most, so that each row of a field is off by no more than half of
-        what it differs from electrode to electrode, added up.
+        `round_charge_balanced` leaves the running sum of currents off by half a µA at most, so each
+        row of a field is off by at most half the sum of its steps from electrode to electrode.
         """
         judge = kernels.operator.judge
         rows = judge.target[kernels.sites]
@@ -174,13 +156,7 @@ class Certainty:
 
 
 def color_classes(operator: FrameOperator[FrameJudge], step: int) -> list[SharedKernels]:
-    """Return the sites of a grid in classes by rows and columns modulo a step.
-
-    Raises
-    ------
-    DesignError
-        If the array is no grid.
-    """
+    """Return a grid's sites by rows and columns modulo a step; DesignError if it is no grid."""
     array, driven = operator.judge.profile.electrodes, operator.judge.profile.driven
     x, column = np.unique(array.position_mm[:, 0].round(6), return_inverse=True)
     y, row = np.unique(array.position_mm[:, 1].round(6), return_inverse=True)
@@ -195,8 +171,8 @@ def color_classes(operator: FrameOperator[FrameJudge], step: int) -> list[Shared
 def proved_sets(operator: FrameOperator[FrameJudge], bounds: FrameBounds) -> list[SharedKernels]:
     """Return few sets of sites whose subsets all keep the bounds with targets aimed at `AIM`.
 
-    Limits of single electrodes are kept by any subset, too; what all carry together is not
-    looked at. There are none where the array is no grid or large, or nothing could be proved.
+    Limits of single electrodes are kept too, the total current is not checked. None are returned
+    where the array is no grid or large, or nothing could be proved.
     """
     judge, aim = operator.judge, 1 - AIM * bounds.uneven
     if judge.profile.array.layout != "grid" or len(judge.full_ma) > MOST_PROVED:

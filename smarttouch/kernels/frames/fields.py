@@ -29,22 +29,7 @@ _ROUND_MM = 6
 
 
 class FieldMap:
-    """AF rows of one set of nodes, applied without being stored where the array is a grid.
-
-    Parameters
-    ----------
-    profile : Profile
-        Array of E electrodes, and skin.
-    afferents : Afferents
-        N places with D directions each.
-
-    Attributes
-    ----------
-    rows_n : int
-        D·N, in the order of `af_matrix`.
-    separable : bool
-        Whether products are used.
-    """
+    """AF rows of N places with D directions each, in `af_matrix`'s order, not stored on a grid."""
 
     def __init__(self, profile: Profile, afferents: Afferents) -> None:
         self.directions_n, self.places_n = len(afferents.direction), len(afferents.position_mm)

@@ -16,26 +16,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FrameFigures:
-    """Figures of one slot; AF as ratios to the weakest target's, scaled to level 1.
+    """Figures of one slot; activations are relative to the weakest target's, scaled to level 1."""
 
-    Attributes
-    ----------
-    off_target : float
-        Largest activation of any other class.
-    spill : float
-        Largest activation of the own class more than a pitch from every target.
-    weakest, strongest : float
-        Activation of the targets, of what was wished there.
-    total_ma, electrode_ma : float, mA
-        Current of all cathodes together, and of the strongest electrode.
-    """
-
-    off_target: float
-    spill: float
-    weakest: float
-    strongest: float
-    total_ma: float
-    electrode_ma: float
+    off_target: float  # largest activation of any other class
+    spill: float  # largest activation of the own class more than a pitch from every target
+    weakest: float  # least activation of a target, over its wish
+    strongest: float  # most activation of a target, over its wish
+    total_ma: float  # of all cathodes together
+    electrode_ma: float  # of the strongest electrode
 
     @property
     def error(self) -> float:
@@ -45,26 +33,15 @@ class FrameFigures:
 
 @dataclass(frozen=True)
 class FrameBounds:
-    """Bounds on the side effects of a slot.
+    """Bounds on the side effects of a slot; impossible ones raise a DesignError.
 
-    Attributes
-    ----------
-    other, spill : float
-        Of `FrameFigures.off_target` and `spill`. 0.30 is what the paper's
-        own single SAI point reaches on its line array (Fig. 8).
-    uneven : float
-        Largest deviation of targets from their wish, of it. All may be as much weaker
-        together, which saves current.
-
-    Raises
-    ------
-    DesignError
-        If one of them is not above zero, or unevenness not below 1.
+    0.30 is what the paper's own single SAI point reaches on its line array (Fig. 8). All targets
+    may be weaker together by `uneven`, which saves current.
     """
 
-    other: float = 0.30
-    spill: float = 0.30
-    uneven: float = 0.05
+    other: float = 0.30  # of `FrameFigures.off_target`
+    spill: float = 0.30  # of `FrameFigures.spill`
+    uneven: float = 0.05  # largest relative deviation of a target from its wish
 
     def __post_init__(self) -> None:
         for name, value in (("other", self.other), ("spill", self.spill), ("uneven", self.uneven)):
@@ -112,13 +89,7 @@ class SlotJudge(Protocol):
 
 
 def judge_all(judge: SlotJudge, current: Array, level: Array) -> list[FrameFigures]:
-    """Return the figures of many slots, with their fields computed together.
-
-    Parameters
-    ----------
-    current : ndarray, (S, E) mA
-    level : ndarray, (S, P)
-    """
+    """Return the figures of slots with currents (S, E) mA and levels (S, P), computed together."""
     if not len(current):
         return []
     fields = judge.reached(current)

@@ -22,20 +22,8 @@ _SAME_MM = 1e-9
 class FrameJudge:
     """Judge of currents that are to fire one class, on the nodes of one skin.
 
-    Parameters
-    ----------
-    profile : Profile
-        Array of E electrodes, and skin.
-    afferent : Afferent
-        Class that is to fire.
-    wish_af : ndarray, (E,) V/mm²
-        Activation at each target that a level of 1 wishes for.
-    skin : Skin, optional
-        Another skin than the profile's: depths, conductivities.
-    vary : callable, optional
-        Returns what a set of nodes is to be instead: other directions, say.
-    others : list of FieldMap, optional
-        Of the other classes, where another judge has them already.
+    A level of 1 requests activation `wish_af`, (E,) V/mm², at each target. `vary` replaces sets of
+    nodes, by other directions say; `others` are fields of the other classes computed already.
     """
 
     def __init__(
@@ -71,10 +59,7 @@ class FrameJudge:
 
     @cached_property
     def full_ma(self) -> Array:
-        """Largest current of each electrode at intensity 1, (E,) mA, 0 where masked.
-
-        Whole µA, as boards have them.
-        """
+        """Largest current of each electrode at intensity 1, (E,) mA in whole µA, 0 where masked."""
         limits = self.profile.limits
         most = np.minimum(np.asarray(self.profile.full_ma, np.float64), limits.current_ma)
         if limits.electrode_ma is not None:
@@ -84,7 +69,7 @@ class FrameJudge:
 
     @cached_property
     def uneven_af(self) -> tuple[float, float]:
-        """Most that a row differs from electrode to electrode, added up: of others, of the own."""
+        """Largest sum of a row's steps between electrodes: of other classes, of the own."""
         count = len(self.wish_af)
         steps = np.eye(count - 1, count) - np.eye(count - 1, count, 1)
         other = max(float(np.abs(field(steps)).sum(axis=0).max()) for field in self.others)
@@ -97,7 +82,7 @@ class FrameJudge:
         return np.tile(mask[:-1], self.own.directions_n)
 
     def strongest_far(self, own: Single, active: NDArray[np.intp]) -> float:
-        """Return the largest of a field of the own class far from all active targets."""
+        """Return the largest activation of the own class far from all active targets."""
         away = np.empty(self.own.places_n + 1, own.dtype)
         np.maximum.reduce(own.reshape(self.own.directions_n, -1), axis=0, out=away[:-1])
         # The last one is nowhere, as is what is near.
@@ -106,9 +91,7 @@ class FrameJudge:
         return float(away.max())
 
     def reference(self, current: Array, level: Array) -> tuple[float, Array]:
-        """Return the weakest target's activation scaled to level 1, and as a part of its wish,
-        (A,).
-        """
+        """Return the weakest target's activation scaled to level 1, and all over wishes, (A,)."""
         active = np.flatnonzero(level)
         reached = self.target[active] @ current / level[active]
         return float(reached.min()), reached / self.wish_af[active]
@@ -120,30 +103,11 @@ class FrameJudge:
         return dict(zip(names, self.others, strict=True))
 
     def reached(self, current: Array) -> list[Single]:
-        """Return the activating function of currents: of each other class, then the own.
-
-        Parameters
-        ----------
-        current : ndarray, (E,) or (S, E) mA
-
-        Returns
-        -------
-        list of ndarray
-            Each (D·N,) or (S, D·N) V/mm².
-        """
+        """Return the AF, V/mm², of each other class, then of the own, for currents ([S,] E) mA."""
         return reached([*self.others, self.own], current)
 
     def limits(self, active: NDArray[np.intp], bounds: FrameBounds, aimed: float) -> list[Bounded]:
-        """Return the bound of each field of `reached`.
-
-        Parameters
-        ----------
-        active : ndarray, (A,)
-            Points of the slot.
-        bounds : FrameBounds
-        aimed : float
-            Part of the wish that targets will get.
-        """
+        """Return the bound of each field of `reached` if points (A,) get `aimed` of a wish."""
         smallest = aimed * float(self.wish_af[active].min())
         others: list[Bounded] = [(field, bounds.other * smallest, None) for field in self.others]
         return [*others, (self.own, bounds.spill * smallest, self.far(active))]
@@ -153,17 +117,8 @@ class FrameJudge:
     ) -> FrameFigures:
         """Return the figures of currents (E,) mA that are to activate sites with level (E,) > 0.
 
-        Where a target is not activated at all the ratios are infinite.
-
-        Parameters
-        ----------
-        reached : list of ndarray, optional
-            What `reached` returned for the currents, where it is known.
-
-        Raises
-        ------
-        DesignError
-            If no site is active.
+        Ratios are infinite if a target is not activated at all. No active site is a DesignError.
+        What `reached` returned for the currents is used if given.
         """
         active = np.flatnonzero(level)
         if not len(active):
@@ -188,15 +143,8 @@ def reached(fields: Sequence[FieldMap], current: Array) -> list[Single]:
 
 
 def full_wish(profile: Profile, kernels: Array, receptor: Array) -> Array:
-    """Return the activation of single kernels at full comfortable current, (E,) V/mm².
-
-    Parameters
-    ----------
-    kernels : ndarray, (E, E)
-        `KernelBank.kernels` of the class: peaks of 1, rows of masked sites zero.
-    receptor : ndarray, (E, E), V/mm² per mA
-        `KernelBank.receptor` of the class.
-    """
+    """Return the activation of single kernels at full comfortable current, (E,) V/mm², from
+    `KernelBank.kernels` and `KernelBank.receptor` of the class, (E, E)."""
     return np.asarray(profile.full_ma * (receptor * kernels).sum(axis=1), np.float64)
 
 

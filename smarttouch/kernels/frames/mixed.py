@@ -20,22 +20,11 @@ Array = NDArray[np.float64]
 
 
 class MixedJudge:
-    """Judge of currents that are to fire several classes at once.
+    """Judge of currents that are to fire K different classes at once, from a judge of each.
 
-    A point is a site of a class: points 0 to E − 1 are the sites of the first
-    judge's class, the next E those of the second one's. To each class whose
-    points are active all that other classes get far from their own points is
-    `FrameFigures.off_target`, of its own weakest target.
-
-    Parameters
-    ----------
-    judges : sequence of FrameJudge
-        One for each of K classes, of the same profile.
-
-    Raises
-    ------
-    DesignError
-        If the judges are not of different classes.
+    A point is a site of a class: points 0 to E − 1 are the sites of the first judge's class, the
+    next E those of the second one's. For each class with active points, whatever other classes get
+    far from their own points is `FrameFigures.off_target`, relative to its own weakest target.
     """
 
     def __init__(self, judges: Sequence[FrameJudge]) -> None:
@@ -84,13 +73,7 @@ class MixedJudge:
     def judge(
         self, current: Array, level: Array, reached: Sequence[Single] | None = None
     ) -> FrameFigures:
-        """Return the figures of currents (E,) mA that are to activate points with level (K·E,) > 0.
-
-        Raises
-        ------
-        DesignError
-            If no point is active.
-        """
+        """Return the figures of currents (E,) mA for points with level (K·E,) > 0."""
         if not level.any():
             raise no_active_site()
         count = len(self.judges)

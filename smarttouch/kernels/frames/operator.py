@@ -57,19 +57,11 @@ _INSIDE = 0.985
 
 @dataclass(frozen=True)
 class Weights:
-    """Weights of the quadratic form; each class relative to its own mean.
+    """Weights of the quadratic form; each class relative to its own mean."""
 
-    Attributes
-    ----------
-    other, own : float
-        Nodes of the other classes, and of the class that is to fire.
-    current : float
-        Squared currents.
-    """
-
-    other: float
-    own: float
-    current: float
+    other: float  # nodes of the other classes
+    own: float  # nodes of the class that is to fire
+    current: float  # squared currents
 
 
 CHOSEN = Weights(other=0.0, own=1.0, current=1.0)
@@ -87,15 +79,7 @@ AnyJudge = TypeVar("AnyJudge", bound=SlotJudge)
 
 
 class FrameOperator(Generic[AnyJudge]):
-    """Solver for the currents of one slot.
-
-    Parameters
-    ----------
-    judge : SlotJudge
-        Rows, wishes and limits; points P are the array's sites, of each class that is to fire.
-    weights : Weights, optional
-        Of the quadratic form.
-    """
+    """Solver for the currents of one slot; its P points are the judge's sites, of each class."""
 
     def __init__(self, judge: AnyJudge, weights: Weights = CHOSEN) -> None:
         self.judge = judge
@@ -120,8 +104,7 @@ class FrameOperator(Generic[AnyJudge]):
     def matrix(self) -> Array:
         """Matrix that serves all frames, (E, E) mA per V/mm²: every site has a request.
 
-        An inactive site wishes for 0, which costs selectivity; w = matrix @ y is
-        a single product.
+        An inactive site requests 0, which costs selectivity; w = matrix @ y is a single product.
         """
         count = len(self._response)
         system = self._response + self._soft * np.eye(count)
@@ -140,15 +123,7 @@ class FrameOperator(Generic[AnyJudge]):
     def bounded(
         self, level: Array, bounds: FrameBounds, total_ma: float | None = None
     ) -> tuple[Array, FrameFigures]:
-        """Return currents that keep the bounds as far as possible, and their figures.
-
-        Parameters
-        ----------
-        level : ndarray, (E,)
-        bounds : FrameBounds
-        total_ma : float, optional
-            Limit of all cathodes together; by default the profile's.
-        """
+        """Return currents (E,) mA and figures for levels (E,), within bounds as far as possible."""
         judge, active = self.judge, self._active(level)
         limit = judge.profile.limits.total_ma if total_ma is None else total_ma
         wish = (1 - AIM * bounds.uneven) * level[active] * judge.wish_af[active]

@@ -20,25 +20,13 @@ _ROOM = 0.8
 
 @dataclass(frozen=True, eq=False)
 class FrameSlot:
-    """One slot and its figures.
+    """One slot and its figures."""
 
-    Attributes
-    ----------
-    sites : ndarray, (A,) intp
-        Points that it activates; of a `MixedJudge` sites of the second class come E later.
-    current : ndarray, (E,) mA
-        Finished currents at intensity 1, positive cathodic.
-    figures : FrameFigures
-        Figures of the currents.
-    kept : bool
-        Whether the bounds hold. They may not for a single point that cannot be
-        selected any better; no slot of several points breaks one.
-    """
-
+    # (A,) points that it activates; of a `MixedJudge` E is added for the second class
     sites: NDArray[np.intp]
-    current: Array
+    current: Array  # (E,) mA at intensity 1, positive cathodic
     figures: FrameFigures
-    kept: bool
+    kept: bool  # whether the bounds hold: always with several points, not always with one
 
 
 def plan_slots(
@@ -48,26 +36,14 @@ def plan_slots(
     total_ma: float | None = None,
     points_ma: Array | None = None,
 ) -> list[FrameSlot]:
-    """Return few slots that together activate every site with a level above zero.
+    """Return few slots that together activate every point with a level above zero, (P,) in [0, 1].
 
-    As many slots are tried first as total current asks for; points are dealt out
-    so that those of one slot lie far apart. Points of slots that break a bound are
-    dealt anew to one slot more, down to single points, as long as it is current
-    that is short, or no slot keeps its bounds. Where some do, and selectivity is
-    short, each of the others' points joins a slot that then still keeps them, the
-    farthest first, or has one of its own.
-
-    Parameters
-    ----------
-    operator : FrameOperator
-    level : ndarray, (P,) in [0, 1]
-        Requested level at each point: each site, of each class of the judge.
-    bounds : FrameBounds
-    total_ma : float, optional
-        Limit of all cathodes together; by default the profile's.
-    points_ma : ndarray, (P, E), optional
-        Currents of each point alone at level 1 (rows), for points that break a
-        bound even so: the profile's own kernels at full current.
+    The total current gives the number of slots to try first; points are dealt out so that those of
+    one slot lie far apart. Points of slots that break a bound are dealt again to one slot more,
+    down to single points, as long as it is current that is short, or no slot keeps its bounds.
+    Where some do, and selectivity is short, each of the others' points joins a slot that then still
+    keeps them, the farthest first, or has one of its own. A single point that breaks a bound even
+    so takes its row of `points_ma`, (P, E) at level 1: the profile's own kernels at full current.
     """
     judge = operator.judge
     limit = judge.profile.limits.total_ma if total_ma is None else total_ma
@@ -126,8 +102,8 @@ def likely_slots(
 ) -> int:
     """Return the approximate number of slots by total current, with which a plan begins.
 
-    Each point is taken to need what its own electrode alone would, weakened as
-    far as the bounds allow. Returns cost a little more, neighbors save a little.
+    Each point is taken to need what its own electrode alone would, weakened as far as the bounds
+    allow. Returns cost a little more, neighbors save a little.
     """
     sites = np.flatnonzero(level)
     if not len(sites) or total_ma is None:
@@ -164,7 +140,7 @@ def _slot(
 
 
 def _dealt(position_mm: Array, sites: NDArray[np.intp], many: int) -> list[NDArray[np.intp]]:
-    """Distribute sites over a number of groups, each group's sites far apart from one another."""
+    """Return sites in a number of groups, each group's sites far apart from one another."""
     many = min(many, len(sites))
     place, kind = position_mm[sites % len(position_mm)], sites // len(position_mm)
     apart = np.hypot(*(place[:, None] - place[None]).transpose(2, 0, 1))
