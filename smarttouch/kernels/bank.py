@@ -72,8 +72,7 @@ class KernelBank:
     def kernels(self, afferent: Afferent) -> NDArray[np.float32]:
         """Return the kernels of a mode as fractions of full current, (E, E), zero where masked.
 
-        Peaks are 1, or at most 1 where designed on fingers. A DesignError says if there is no such
-        mode.
+        Peaks are 1, or at most 1 where designed on fingers; an impossible mode is a DesignError.
         """
         weights = self._made(afferent)
         if self.absolute:

@@ -32,8 +32,7 @@ class ScanTiming:
     def possible_period_us(self, period_us: float) -> int:
         """Return the shortest period possible on the board that is not below this one, µs.
 
-        A rate of f whole hertz is a period of 1e6/f rounded up, so that ``round(1e6 / period)`` is
-        f.
+        A rate of f whole hertz is a period of 1e6/f rounded up: ``round(1e6 / period)`` gives f.
         """
         period = math.ceil(period_us)
         if not self.whole_hz or period <= 1:
