@@ -71,9 +71,10 @@ class StopRequest:
                 call()
 
     def always_tell(self, tell: Callable[[], None]) -> None:
-        """Call a function whenever the end is requested, from now on."""
+        """Call a function whenever the end is requested, from now on, before those so far: a run
+        knows of its end when its board refuses."""
         with self._lock:
-            self._on_stop.append(tell)
+            self._on_stop.insert(0, tell)
 
     @contextmanager
     def telling(self, tell: Callable[[], None]) -> Iterator[None]:
