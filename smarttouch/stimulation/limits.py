@@ -301,6 +301,11 @@ class SafetyLimits:
         """Charge of a full pulse."""
         return self.full_ua * self.width_whole_us
 
+    @cached_property
+    def _full_pc_ratio(self) -> tuple[int, int]:
+        """Parts per billion of a full pulse in a picocoulomb, as a ratio."""
+        return PPB * self.full_pc.denominator, self.full_pc.numerator
+
     def strength_ppb(self, ppb: int, peak_pc: int) -> int:
         """Return the intensity that a sequence counts for by its strongest pulse.
 
@@ -314,8 +319,8 @@ class SafetyLimits:
         peak_pc : int, pC
             Largest charge of a pulse of one electrode.
         """
-        full = self.full_pc
-        share = -(-peak_pc * PPB * full.denominator // full.numerator)
+        part, whole = self._full_pc_ratio
+        share = -(-peak_pc * part // whole)
         return min(PPB, max(share, min(ppb, STRENGTH * share)))
 
     def strength_of(self, sequence: ScanSequence) -> int:
