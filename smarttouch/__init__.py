@@ -103,13 +103,15 @@ _WHERE = {
 _MODULE = {name: f"smarttouch.{module}" for module, names in _WHERE.items() for name in names}
 
 
-def __getattr__(name: str) -> Any:
-    """Import a public name when it is used first."""
-    if name not in _MODULE:
-        raise AttributeError(f"module 'smarttouch' has no attribute {name!r}")
-    value = getattr(import_module(_MODULE[name]), name)
-    globals()[name] = value
-    return value
+if not TYPE_CHECKING:  # else any name would be one to a type checker
+
+    def __getattr__(name: str) -> Any:
+        """Import a public name when it is used first."""
+        if name not in _MODULE:
+            raise AttributeError(f"module 'smarttouch' has no attribute {name!r}")
+        value = getattr(import_module(_MODULE[name]), name)
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Unpack
 
 from smarttouch.afferent import Afferent, Mode
 from smarttouch.kernels.bank import KernelBank, load_bank
@@ -16,37 +16,40 @@ from smarttouch.profile import Profile
 from smarttouch.recording.controls import RecordedControls
 from smarttouch.recording.reader import Recording
 from smarttouch.recording.source import RecordingSource
-from smarttouch.running.config import RunConfig
-from smarttouch.running.display import Display
+from smarttouch.running.config import RunConfig, RunSettings
+from smarttouch.running.display import Display, open_display
 from smarttouch.running.listener import Listener
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.runner import Runner
 from smarttouch.running.statistics import RunStatistics
 from smarttouch.running.step import Step, StepResult
+from smarttouch.sources.input_checks import checked_input
 from smarttouch.sources.forces.force import ForceSource
-from smarttouch.sources.source import Source
+from smarttouch.sources.given_sources import Given, source_of
 from smarttouch.stopping import StopRequest
 
 Listeners = Iterable[Listener | Callable[[StepResult], object]]
 
 
 def run(
-    source: Source,
-    display: Display,
+    source: Given,
+    display: Display | str,
     *,
     mode: Mode | str = Mode.RA,
     listeners: Listeners = (),
     force: ForceSource | str | None = None,
     stop: StopRequest | None = None,
-    **settings: Any,
+    **settings: Unpack[RunSettings],
 ) -> RunStatistics:
     """Run a source on a display until the source ends, or `Display.stop` ends the run.
 
     Parameters
     ----------
-    source : Source
-        Closed at the end.
-    display : Display
+    source : Source, str, Path, ndarray or iterable
+        A source, closed at the end; or its URL; the path of an image, document, video or recording;
+        images (N, H, W) uint8; or an iterable of images, one for each sequence.
+    display : Display or str
+        A display, or the URL of its board.
     mode : Mode or str
         Which afferents are driven: RA, SAI, PC or natural.
     listeners : iterable of Listener or callable
@@ -72,30 +75,29 @@ def run(
     Examples
     --------
     >>> import smarttouch as st
-    >>> profile = st.load_profile("electric-mouse")
-    >>> display = st.open_display("simulated:", profile)
-    >>> statistics = st.run(st.open_source("text:a", profile), display, seconds=0.5)
-    >>> statistics.frames
+    >>> st.run("text:a", "simulated:", seconds=0.5).frames
     25
     """
     config = RunConfig(mode=mode, **settings)
-    return Runner(source, display, config, force=force, listeners=listeners, stop=stop).run()
+    display = open_display(display) if isinstance(display, str) else display
+    opened = source_of(source, display.profile, light_on_dark=config.light_on_dark)
+    return Runner(opened, display, config, force=force, listeners=listeners, stop=stop).run()
 
 
 def steps(
-    source: Source,
+    source: Given,
     profile: Profile,
     *,
     mode: Mode | str = Mode.RA,
     kernels: KernelBank | None = None,
-    **settings: Any,
+    **settings: Unpack[RunSettings],
 ) -> Iterator[Step]:
     """Yield each frame of a source with its tactile image and sequence: no board, no clock.
 
     Parameters
     ----------
-    source : Source
-        Closed at the end.
+    source : Source, str, Path, ndarray or iterable
+        See `run`.
     profile : Profile
         Device and finger.
     mode : Mode or str
@@ -118,8 +120,10 @@ def steps(
     pipeline = Pipeline(profile, kernels or load_bank(profile), config)
     most_ns = float("inf") if config.seconds is None else config.seconds * 1e9
     elapsed_ns = 0
-    with source:
-        while elapsed_ns < most_ns and (frame := source.read(elapsed_ns)) is not None:
+    with source_of(source, profile, light_on_dark=config.light_on_dark) as opened:
+        who = opened.url or opened.title
+        while elapsed_ns < most_ns and (given := opened.read(elapsed_ns)) is not None:
+            frame = checked_input(given, who, pipeline.electrodes)
             if frame.stale:
                 frame = replace(frame, force_n=0.0)
             step = pipeline.process(frame, level)
@@ -134,7 +138,7 @@ def replay(
     listeners: Listeners = (),
     force: ForceSource | str | None = None,
     stop: StopRequest | None = None,
-    **settings: Any,
+    **settings: Unpack[RunSettings],
 ) -> RunStatistics:
     """Run what a recording holds on a display once more, with its modes and levels.
 
@@ -178,10 +182,10 @@ def replay(
     ).run()
 
 
-def recording_config(recording: Recording, **settings: Any) -> RunConfig:
+def recording_config(recording: Recording, **settings: Unpack[RunSettings]) -> RunConfig:
     """Return the configuration of a recorded run, changed by settings of `RunConfig`."""
     was = recording.run
-    recorded = {
+    recorded: dict[str, Any] = {
         "mode": was.mode,
         "rate_hz": was.rate_hz,
         "light_on_dark": was.light_on_dark,
@@ -189,7 +193,8 @@ def recording_config(recording: Recording, **settings: Any) -> RunConfig:
         "scan": was.sharing,
         "tone": was.tone,
     }
-    return RunConfig(**(recorded | settings))
+    recorded.update(settings)
+    return RunConfig(**recorded)
 
 
 def load_kernels(profile: Profile) -> KernelBank:

@@ -1,7 +1,7 @@
 """Run configuration shared by all commands and by programs."""
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, TypedDict
 
 from smarttouch.afferent import Afferent, Mode
 from smarttouch.errors import SmartTouchError
@@ -11,6 +11,24 @@ from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy, unsupported_r
 
 SCANS = ("auto", "points", "frame")
 HOLDS = ("charge", "energy")
+
+
+class RunSettings(TypedDict, total=False):
+    """Settings of `RunConfig` by keyword, but for the mode."""
+
+    scan: str | SlotPolicy
+    rate_hz: float | None
+    seconds: float | None
+    intensity: float | None
+    softness: float | None
+    light_on_dark: bool
+    tone: Tone | None
+    measure: bool
+    hold: str | None
+    balance: bool
+    seed: int
+    subject: str
+    note: str
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,6 +17,7 @@ from smarttouch.events import (
 from smarttouch.running.controls import Controls, ControlState
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.statistics import RunStatistics
+from smarttouch.sources.input_checks import checked_input
 from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.source import Source
 from smarttouch.sources.stimulus import Input
@@ -50,9 +51,11 @@ class Inputs:
 
         ``time_ns`` is of the run, ``now_ns`` of the loop's clock. None at the end of the source.
         """
-        given = self.source.read(time_ns)
+        source = self.source
+        given = source.read(time_ns)
         if given is None:
             return None
+        given = checked_input(given, source.url or source.title, self.pipeline.electrodes)
         self.statistics.seen += given.number != self._last_seen
         self._last_seen = given.number
         force_n = self._force_n(given, time_ns)

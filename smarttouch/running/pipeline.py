@@ -71,6 +71,10 @@ class Pipeline:
             frames.table = table
         return table
 
+    @property
+    def electrodes(self) -> int:
+        return len(self._profile.electrodes)
+
     def change_mode(self, mode: Mode) -> None:
         """Drive other afferents from the next input on; intensity begins at zero.
 
