@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from smarttouch.boards.board import Board
     from smarttouch.errors import (
         BoardError,
+        LevelNotReachedError,
         ProfileError,
         SafetyError,
         SmartTouchError,
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from smarttouch.running.config import RunConfig
     from smarttouch.running.display import Display, open_display
     from smarttouch.running.listener import Listener
+    from smarttouch.running.session import Session, Shown, show_together
     from smarttouch.running.statistics import RunStatistics
     from smarttouch.running.step import StepResult
     from smarttouch.sources import open_source
@@ -53,6 +55,7 @@ __all__ = [
     "Display",
     "Finger",
     "Frame",
+    "LevelNotReachedError",
     "Listener",
     "OpticalSource",
     "Profile",
@@ -63,6 +66,8 @@ __all__ = [
     "SafetyError",
     "SafetyLimits",
     "ScanSequence",
+    "Session",
+    "Shown",
     "SmartTouchError",
     "SourceError",
     "StepResult",
@@ -77,12 +82,20 @@ __all__ = [
     "open_source",
     "replay",
     "run",
+    "show_together",
     "steps",
 ]
 
 _WHERE = {
     "boards.board": ("Board",),
-    "errors": ("BoardError", "ProfileError", "SafetyError", "SourceError", "SmartTouchError"),
+    "errors": (
+        "BoardError",
+        "LevelNotReachedError",
+        "ProfileError",
+        "SafetyError",
+        "SourceError",
+        "SmartTouchError",
+    ),
     "front": ("design_kernel", "load_kernels", "replay", "run", "steps"),
     "tactile_image": ("TactileImage",),
     "physiology.finger": ("Finger",),
@@ -92,6 +105,7 @@ _WHERE = {
     "running.config": ("RunConfig",),
     "running.display": ("Display", "open_display"),
     "running.listener": ("Listener",),
+    "running.session": ("Session", "Shown", "show_together"),
     "running.statistics": ("RunStatistics",),
     "running.step": ("StepResult",),
     "sources": ("open_source",),

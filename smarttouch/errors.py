@@ -86,6 +86,10 @@ class ExperimentError(SmartTouchError):
     """An experiment cannot be run as asked, or its answers cannot be read."""
 
 
+class LevelNotReachedError(SmartTouchError):
+    """A level of intensity could not be opened, or was lost while a pattern was shown."""
+
+
 class CalibrationError(SmartTouchError):
     """A calibration cannot be done, or what it measured makes no sense."""
 

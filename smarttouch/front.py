@@ -23,9 +23,9 @@ from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.runner import Runner
 from smarttouch.running.statistics import RunStatistics
 from smarttouch.running.step import Step, StepResult
-from smarttouch.sources.input_checks import checked_input
 from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.given_sources import Given, source_of
+from smarttouch.sources.input_checks import checked_input
 from smarttouch.stopping import StopRequest
 
 Listeners = Iterable[Listener | Callable[[StepResult], object]]

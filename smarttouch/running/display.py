@@ -1,9 +1,10 @@
 """A display: a board with its safety gate, and the finger that is on it."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any, Unpack
 
+from smarttouch.afferent import Mode
 from smarttouch.boards.board import Board
 from smarttouch.boards.open import default_profile, make_board, require_gate
 from smarttouch.closing import Closing
@@ -11,6 +12,13 @@ from smarttouch.errors import SmartTouchError
 from smarttouch.profile import Profile, load_profile
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
+
+if TYPE_CHECKING:
+    from smarttouch.running.config import RunSettings
+    from smarttouch.running.listener import Listener
+    from smarttouch.running.session import Session
+    from smarttouch.running.step import StepResult
+    from smarttouch.sources.forces.force import ForceSource
 
 
 class Display(Closing):
@@ -99,6 +107,26 @@ class Display(Closing):
         """Open the board for a block; a stop puts it at zero at once, also while it opens."""
         with stop.telling(self.board.halt), self.board:
             yield self.board
+
+    def session(
+        self,
+        *,
+        mode: Mode | str = Mode.RA,
+        listeners: "Iterable[Listener | Callable[[StepResult], object]]" = (),
+        force: "ForceSource | str | None" = None,
+        **settings: "Unpack[RunSettings]",
+    ) -> "Session":
+        """Return a session, in whose ``with`` block patterns are shown as a program asks.
+
+        Parameters
+        ----------
+        mode, listeners, force, **settings
+            As for `smarttouch.run`.
+        """
+        from smarttouch.running.config import RunConfig
+        from smarttouch.running.session import Session
+
+        return Session(self, RunConfig(mode=mode, **settings), listeners, force)
 
     def close(self) -> None:
         """Put all electrodes at zero and let go of the board; a second time does nothing."""

@@ -17,8 +17,8 @@ from smarttouch.events import (
 from smarttouch.running.controls import Controls, ControlState
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.statistics import RunStatistics
-from smarttouch.sources.input_checks import checked_input
 from smarttouch.sources.forces.force import ForceSource
+from smarttouch.sources.input_checks import checked_input
 from smarttouch.sources.source import Source
 from smarttouch.sources.stimulus import Input
 

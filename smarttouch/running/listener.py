@@ -22,7 +22,8 @@ class RunContext:
     """Parts of a run that its listeners may look at, and must not change.
 
     ``profile`` is without the electrodes that were found broken; ``settings`` is all that sequences
-    depend on and where it came from, ready for JSON.
+    depend on and where it came from, ready for JSON. ``open_level`` returns the intensity that
+    pulses may begin with at a time of the run, in ns.
     """
 
     source: "Source"
@@ -33,6 +34,7 @@ class RunContext:
     controls: "Controls"
     statistics: "RunStatistics"
     settings: dict[str, Any]
+    open_level: Callable[[int], float]
 
 
 class Listener:

@@ -105,11 +105,20 @@ class _Loop:
     def run(self, seconds: float | None) -> None:
         statistics, clock, stop = self.inputs.statistics, self.clock, self.stop
         board = self.inputs.board
+        source = self.inputs.source
+        news = None if board.simulated_time else source.news
         own_time = not board.simulated_time and clock is not board.clock
         start_ns = clock.now_ns()
         while not stop.event.is_set():
             deadline_ns = start_ns + self.elapsed_ns + self._shift_ns
             clock.wait_until(deadline_ns, stop.event)
+            if news is not None and (waits_ns := source.patience_ns(self.elapsed_ns)) > 0:
+                # Nothing is to be shown: time goes on.
+                news.wait(waits_ns / 1e9)
+                waited_ns = max(0, clock.now_ns() - deadline_ns)
+                self.elapsed_ns += waited_ns
+                deadline_ns += waited_ns
+                self._expected_ns, self._over_ns = None, 0
             if stop.event.is_set():
                 break
             # In this order: a pause of the computer between the two makes the frame late.

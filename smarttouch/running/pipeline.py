@@ -146,6 +146,10 @@ class Pipeline:
         restarted, self._restarted = self._restarted, False
         return Step(given, tactile, sequence, self.mode, level, restarted, scan.asked_us)
 
+    def open_level(self, time_ns: int) -> float:
+        """Return the intensity, in [0, 1], that pulses of any strength may begin with."""
+        return self._soft_start.open_level(time_ns)
+
     def restart_softly(self) -> None:
         """Let intensity rise from zero again, after a time without current."""
         self._soft_start.restart()

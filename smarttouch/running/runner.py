@@ -145,8 +145,9 @@ class Runner:
         controls = self._controls(state, (state.mode,) if chosen else pipeline.offered())
         controls.most = self._most
         context = RunContext(
-            source, board, profile, bank, config, controls, self.statistics, self._settings(profile)
-        )
+            source, board, profile, bank, config, controls, self.statistics,
+            self._settings(profile), pipeline.open_level,
+        )  # fmt: skip
         source.emit = self._emit
         for listener in self._listeners:
             listener.prepare(context)

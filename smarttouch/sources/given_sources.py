@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from smarttouch.errors import SourceError
 from smarttouch.profile import Profile
 from smarttouch.sources import open_source
-from smarttouch.sources.input_checks import gray_image
 from smarttouch.sources.frame import Frame
+from smarttouch.sources.input_checks import gray_image
 from smarttouch.sources.source import OpticalSource, Source
 
 Given = Source | str | Path | NDArray[np.uint8] | Iterable[Any]

@@ -1,5 +1,6 @@
 """Contract of a source: optical ones give frames, stimulus sources give stimuli."""
 
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Protocol
@@ -49,6 +50,13 @@ class Source(Device, ABC):
     """Frames or stimuli that arrived but were never read."""
     keys_help: ClassVar[str] = ""
     """Help text for its keys."""
+
+    news: threading.Event | None = None
+    """Set when it has something new, for sources that `patience_ns` lets the loop wait for."""
+
+    def patience_ns(self, time_ns: int) -> int:
+        """Return how long the next read may wait for `news`, ns."""
+        return 0
 
     def narrowed(self, profile: Profile) -> Profile:
         """Return the profile used to plan this source's stimulation; never with wider limits."""

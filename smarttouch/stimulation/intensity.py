@@ -89,6 +89,12 @@ class SoftStart:
             return None
         return risen_ppb + self._ahead_ppb
 
+    def open_level(self, time_ns: int) -> float:
+        """Return the intensity that pulses of any strength may begin with, in [0, 1]."""
+        if self._time_ns is None or time_ns - self._since_ns > self._left_ns + KEPT_NS:
+            return 0.0
+        return min(self._reached, self._rise.risen_ppb(time_ns) / PPB)
+
     def note(self, period_us: int, intensity: float, strength_ppb: int) -> None:
         """Store the period of the sequence of the last intensity, what it claims (less where that
         was too strong) and its strength; 0 if it has no current although points are active."""

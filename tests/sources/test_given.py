@@ -13,9 +13,9 @@ from hypothesis.extra import numpy as arrays
 import smarttouch
 from smarttouch.errors import SourceError
 from smarttouch.running.config import RunConfig, RunSettings
-from smarttouch.sources.input_checks import checked_activation, checked_input, gray_image
 from smarttouch.sources.frame import Frame
 from smarttouch.sources.given_sources import source_of
+from smarttouch.sources.input_checks import checked_activation, checked_input, gray_image
 from smarttouch.sources.source import OpticalSource
 
 from ..raising import raises

@@ -1,0 +1,282 @@
+"""Sessions: patterns when a program asks for them, at the level asked, and zero at the end."""
+
+import asyncio
+import itertools
+import os
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import smarttouch as st
+from smarttouch.errors import BoardError, SmartTouchError
+from smarttouch.recording.check import assert_replays
+from smarttouch.recording.reader import Recording
+from smarttouch.running import session as module
+
+from ..raising import raises
+
+RING = np.zeros(64, np.float32)
+RING[[18, 19, 20, 26, 28, 34, 35, 36]] = 1
+LETTER = st.open_source("text:AAAAA", st.load_profile("electric-mouse")).read(9 * 10**8).image
+URLS = ["memory:", "simulated:", "emulator:"]
+ROUNDS = int(os.environ.get("SMARTTOUCH_SESSION_ROUNDS", "10"))
+
+
+def session(url="memory:", profile="electric-mouse", mode="RA", intensity=0.6, **given):
+    results = []
+    display = st.open_display(url, profile)
+    touch = display.session(
+        mode=mode, intensity=intensity, listeners=[results.append, *given.pop("listeners", ())],
+        **given,
+    )  # fmt: skip
+    return touch, results
+
+
+def shown_by(results, began_ns, seconds):
+    return [each for each in results if began_ns <= each.input.time_ns < began_ns + seconds * 10**9]
+
+
+@pytest.mark.parametrize("url", URLS)
+def test_after_a_rise_a_pattern_is_at_its_level_from_its_first_pulse(url):
+    touch, results = session(url)
+    with touch:
+        assert touch.rise() > 0
+        assert touch.rise() == 0
+        found = [touch.show(RING, 0.5) for _ in range(2)]
+    for shown in found:
+        assert (shown.sequences, shown.intensity, shown.ramped_s) == (25, 0.6, 0)
+        own = shown_by(results, shown.time_ns, 0.5)
+        assert len(own) == 25
+        for each in own:
+            assert each.sequence.intensity == 0.6
+            np.testing.assert_array_equal(each.tactile.activation[st.Afferent.RA], RING)
+        assert shown.pulses == sum(each.sequence.slots for each in own)
+    assert found[0].clock_ns < found[1].clock_ns <= time.monotonic_ns()
+    assert touch.statistics.ended == "the session is over"
+
+
+def test_a_level_that_is_not_open_is_opened_first_and_that_is_said():
+    touch, results = session()
+    events = []
+    with touch:
+        touch._feed.emit = events.append
+        shown = touch.show(RING, 0.1)
+    assert shown.ramped_s > 0.2
+    assert (shown.sequences, shown.intensity) == (5, 0.6)
+    weak = [each for each in results if each.input.time_ns < shown.time_ns and each.sequence.slots]
+    # At threshold, where the pattern is.
+    assert 0 < max(abs(each.sequence.current_ua).max() for each in weak) < 0.6 * 1.3 * 1200
+    assert all((each.tactile.activation[:, RING == 0] == 0).all() for each in weak)
+    assert [str(each) for each in events if "waited" in str(each)]
+
+
+@pytest.mark.parametrize(
+    ("mode", "pattern"),
+    [
+        ("SAI", RING > 0),
+        ("natural", np.stack([RING, RING, 0 * RING])),
+        ("COLOR", np.stack([RING, 0 * RING, RING])),
+        ("RA", LETTER),
+        ("natural", st.Frame(LETTER, 0)),
+        ("RA", st.TactileImage(np.stack([RING, 0 * RING, 0 * RING]), 0, 0.9)),
+    ],
+)
+def test_patterns_of_every_kind(mode, pattern):
+    touch, _ = session("simulated:", mode=mode)
+    with touch:
+        shown = touch.show(pattern, 0.2)
+    assert shown.pulses > 0
+    assert shown.intensity == 0.6
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [RING[:5], np.full(64, np.nan), 2 * RING, "RING", np.zeros((2, 3, 4), np.uint8)],
+)
+def test_what_is_no_pattern_is_refused_and_the_session_goes_on(pattern):
+    touch, _ = session()
+    with touch:
+        with raises(SmartTouchError):
+            touch.show(pattern, 0.1)
+        assert touch.show(RING, 0.1).sequences == 5
+
+
+@pytest.mark.parametrize(
+    ("about", "call"),
+    [
+        ("seconds", lambda touch: touch.show(RING, 0)),
+        ("level", lambda touch: touch.show(RING, 0.1, level=1.1)),
+        ("level", lambda touch: touch.rise(0)),
+        ("mode", lambda touch: setattr(touch, "mode", "XYZ")),
+    ],
+)
+def test_numbers_that_are_none_are_refused(about, call):
+    touch, _ = session()
+    with touch, raises(SmartTouchError, about=about):
+        call(touch)
+
+
+def test_without_force_no_level_is_reached(monkeypatch):
+    monkeypatch.setattr(module, "_PATIENCE_S", 0.3)
+    touch, results = session(force="fixed:0")
+    with touch, raises(st.LevelNotReachedError, about="level"):
+        touch.show(RING, 0.1)
+    assert not any(each.sequence.slots for each in results)
+
+
+def test_a_pause_within_a_pattern_is_an_error_and_not_a_weak_pattern():
+    touch, _ = session()
+    with touch:
+        touch.rise()
+        threading.Timer(0.2, touch.pause).start()
+        with raises(st.LevelNotReachedError):
+            touch.show(RING, 5.0)
+        touch.resume()
+        assert touch.show(RING, 0.1).intensity == 0.6
+        touch.level = 0.3
+        touch.mode = "SAI"
+        assert (touch.level, touch.mode) == (0.3, "SAI")
+        assert touch.show(RING, 0.1).intensity == 0.3
+
+
+@pytest.mark.parametrize("url", ["memory:", "emulator:"])
+def test_the_newest_pattern_wins_and_a_stale_one_is_zero(url):
+    touch, results = session(url)
+    other = np.roll(RING, 1)
+    with touch:
+        touch.rise()
+        for pattern in (RING, other) * 10:
+            touch.put(pattern, stale_s=0.3)
+            time.sleep(0.02)
+        time.sleep(0.6)
+    put = [each for each in results if each.tactile.activation[st.Afferent.RA].max() == 1]
+    for before, after in itertools.pairwise(put):
+        assert before.input.number <= after.input.number
+    numbers = {each.input.number for each in put}
+    np.testing.assert_array_equal(put[-1].tactile.activation[st.Afferent.RA], other)
+    assert max(numbers) - min(numbers) <= 19
+    assert all(each.sequence.intensity == 0.6 for each in put)
+    # Once it was stale: silence.
+    end_ns = put[-1].input.time_ns
+    after = [each.sequence.slots for each in results if each.input.time_ns > end_ns]
+    assert set(after) == {0}
+    assert any(each.input.stale for each in results)
+
+
+def test_a_program_awaits_patterns_while_others_go_on():
+    touch, _ = session("simulated:")
+
+    async def main():
+        ticks = 0
+
+        async def tick():
+            nonlocal ticks
+            while True:
+                ticks += 1
+                await asyncio.sleep(0)
+
+        ticking = asyncio.create_task(tick())
+        await touch.rise_async()
+        shown = await touch.show_async(RING, 0.5)
+        ticking.cancel()
+        return shown, ticks
+
+    with touch:
+        shown, ticks = asyncio.run(main())
+    assert shown.sequences == 25
+    assert ticks > 1
+
+
+def test_two_displays_begin_together():
+    one, _ = session("memory:")
+    other, _ = session("memory:", profile="smarttouch-4x4")
+    with one, other:
+        shown = st.show_together({one: RING, other: RING[:16]}, 0.2)
+    assert {each.sequences for each in shown.values()} == {10}
+    assert {each.ramped_s for each in shown.values()} == {0}
+
+
+def test_what_ends_the_block_ends_at_zero():
+    touch, _ = session("emulator:")
+
+    def fails():
+        with touch:
+            touch.rise()
+            touch.put(RING, stale_s=60)
+            time.sleep(0.1)
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        fails()
+    assert "ZeroDivisionError" in touch.statistics.ended
+    assert touch.statistics.figures["emulator_violations"] == 0
+    for call in (lambda: touch.show(RING, 0.1), lambda: touch.put(RING), touch.rise):
+        with raises(SmartTouchError, about="session"):
+            call()
+
+
+def test_nothing_is_shown_outside_the_block():
+    touch, _ = session()
+    with raises(SmartTouchError, about="session"):
+        touch.show(RING, 0.1)
+    with raises(SmartTouchError), session("emulator:", profile="line-8", force="nothing:")[0]:
+        pass
+
+
+@pytest.mark.parametrize("ending", ["session", "display"])
+def test_a_stop_meanwhile_ends_what_waits(ending):
+    touch, results = session("emulator:")
+    with touch:
+        touch.rise()
+        threading.Timer(0.3, touch.stop if ending == "session" else touch._display.stop).start()
+        with pytest.raises((st.LevelNotReachedError, SmartTouchError)):
+            touch.show(RING, 30.0)
+        with raises(SmartTouchError):
+            touch.show(RING, 0.1)
+    sent = len(results)
+    with raises(BoardError):
+        touch._display.board.send(results[-1].sequence)
+    assert len(results) == sent
+
+
+def test_a_recording_of_a_session_can_be_checked(tmp_path):
+    path = tmp_path / "session.mcap"
+    touch, results = session("simulated:", listeners=[st.Recorder(path)])
+    with touch:
+        touch.show(RING, 0.3)
+    assert len([*Recording(path).steps()]) == len(results)
+    assert_replays(path)
+
+
+def putting(touch, ended):
+    """Put patterns until the session has ended."""
+    while not ended.is_set():
+        try:
+            touch.put(RING)
+        except SmartTouchError:
+            return
+        time.sleep(0.001)
+
+
+@pytest.mark.parametrize("url", ["memory:", "emulator:"])
+def test_many_threads_put_until_another_stops(url, tmp_path):
+    """No deadlock, zero at the end, and the recording whole; more rounds by the environment."""
+    for round_ in range(ROUNDS if url == "memory:" else max(1, ROUNDS // 10)):
+        path = tmp_path / f"{round_}.mcap"
+        touch, results = session(url, listeners=[st.Recorder(path)])
+        ended = threading.Event()
+        threads = [threading.Thread(target=putting, args=(touch, ended)) for _ in range(4)]
+        with touch:
+            for each in threads:
+                each.start()
+            time.sleep(0.05)
+            threads.append(threading.Thread(target=touch.stop))
+            threads[-1].start()
+            for each in reversed(threads):
+                each.join(20)
+                assert not each.is_alive()
+                ended.set()
+        assert touch.statistics.ended == "the session was stopped"
+        assert len([*Recording(path).steps()]) == len(results)
