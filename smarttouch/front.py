@@ -16,7 +16,7 @@ from smarttouch.profile import Profile
 from smarttouch.recording.controls import RecordedControls
 from smarttouch.recording.reader import Recording
 from smarttouch.recording.source import RecordingSource
-from smarttouch.running.config import RunConfig, RunSettings
+from smarttouch.running.config import RunConfig, RunOptions
 from smarttouch.running.display import Display, open_display
 from smarttouch.running.listener import Listener
 from smarttouch.running.pipeline import Pipeline
@@ -26,6 +26,7 @@ from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.forces.force import ForceSource
 from smarttouch.sources.given_sources import Given, source_of
 from smarttouch.sources.input_checks import checked_input
+from smarttouch.sources.own_imaging import Imaging, OwnImaging
 from smarttouch.stopping import StopRequest
 
 Listeners = Iterable[Listener | Callable[[StepResult], object]]
@@ -38,8 +39,9 @@ def run(
     mode: Mode | str = Mode.RA,
     listeners: Listeners = (),
     force: ForceSource | str | None = None,
+    imaging: Imaging | None = None,
     stop: StopRequest | None = None,
-    **settings: Unpack[RunSettings],
+    **settings: Unpack[RunOptions],
 ) -> RunStatistics:
     """Run a source on a display until the source ends, or `Display.stop` ends the run.
 
@@ -58,6 +60,9 @@ def run(
         Finger force, or its URL. On boards that a finger may be on, it must be measured by the
         source, the board or this, or be stated (``"fixed:0.9"``, also as the profile's
         ``force.source``); elsewhere that of the source or board if not given.
+    imaging : callable, optional
+        Function of a `Frame` and the electrodes that returns the activation of RA, SAI and PC at
+        each, (3, E) in [0, 1], in place of binarization.
     stop : StopRequest, optional
         Ends the run from elsewhere; so does `Display.stop`.
     **settings
@@ -81,6 +86,8 @@ def run(
     config = RunConfig(mode=mode, **settings)
     display = open_display(display) if isinstance(display, str) else display
     opened = source_of(source, display.profile, light_on_dark=config.light_on_dark)
+    if imaging is not None:
+        opened = OwnImaging(opened, imaging, display.profile)
     return Runner(opened, display, config, force=force, listeners=listeners, stop=stop).run()
 
 
@@ -90,7 +97,7 @@ def steps(
     *,
     mode: Mode | str = Mode.RA,
     kernels: KernelBank | None = None,
-    **settings: Unpack[RunSettings],
+    **settings: Unpack[RunOptions],
 ) -> Iterator[Step]:
     """Yield each frame of a source with its tactile image and sequence: no board, no clock.
 
@@ -138,7 +145,7 @@ def replay(
     listeners: Listeners = (),
     force: ForceSource | str | None = None,
     stop: StopRequest | None = None,
-    **settings: Unpack[RunSettings],
+    **settings: Unpack[RunOptions],
 ) -> RunStatistics:
     """Run what a recording holds on a display once more, with its modes and levels.
 
@@ -182,7 +189,7 @@ def replay(
     ).run()
 
 
-def recording_config(recording: Recording, **settings: Unpack[RunSettings]) -> RunConfig:
+def recording_config(recording: Recording, **settings: Unpack[RunOptions]) -> RunConfig:
     """Return the configuration of a recorded run, changed by settings of `RunConfig`."""
     was = recording.run
     recorded: dict[str, Any] = {

@@ -13,7 +13,7 @@ SCANS = ("auto", "points", "frame")
 HOLDS = ("charge", "energy")
 
 
-class RunSettings(TypedDict, total=False):
+class RunOptions(TypedDict, total=False):
     """Settings of `RunConfig` by keyword, but for the mode."""
 
     scan: str | SlotPolicy

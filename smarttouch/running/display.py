@@ -14,7 +14,7 @@ from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
 
 if TYPE_CHECKING:
-    from smarttouch.running.config import RunSettings
+    from smarttouch.running.config import RunOptions
     from smarttouch.running.listener import Listener
     from smarttouch.running.session import Session
     from smarttouch.running.step import StepResult
@@ -114,7 +114,7 @@ class Display(Closing):
         mode: Mode | str = Mode.RA,
         listeners: "Iterable[Listener | Callable[[StepResult], object]]" = (),
         force: "ForceSource | str | None" = None,
-        **settings: "Unpack[RunSettings]",
+        **settings: "Unpack[RunOptions]",
     ) -> "Session":
         """Return a session, in whose ``with`` block patterns are shown as a program asks.
 

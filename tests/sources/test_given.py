@@ -12,11 +12,13 @@ from hypothesis.extra import numpy as arrays
 
 import smarttouch
 from smarttouch.errors import SourceError
-from smarttouch.running.config import RunConfig, RunSettings
+from smarttouch.recording.check import assert_replays
+from smarttouch.running.config import RunConfig, RunOptions
 from smarttouch.sources.frame import Frame
 from smarttouch.sources.given_sources import source_of
 from smarttouch.sources.input_checks import checked_activation, checked_input, gray_image
 from smarttouch.sources.source import OpticalSource
+from smarttouch.sources.stimulus import Stimulus
 
 from ..raising import raises
 
@@ -151,6 +153,45 @@ def test_what_is_no_source_is_one_sentence(given, profile):
 
 def test_settings_by_keyword_are_those_of_a_run():
     fields = {each.name for each in dataclasses.fields(RunConfig)}
-    assert set(get_type_hints(RunSettings)) == fields - {"mode"}
+    assert set(get_type_hints(RunOptions)) == fields - {"mode"}
     hints = get_type_hints(RunConfig)
-    assert all(hints[name] == kind for name, kind in get_type_hints(RunSettings).items())
+    assert all(hints[name] == kind for name, kind in get_type_hints(RunOptions).items())
+
+
+class Halves:
+    """Left half of the image to RA, the right one to SAI."""
+
+    def __call__(self, frame, electrodes):
+        columns = electrodes.position_mm[:, 0]
+        left = columns < columns.mean()
+        dark = np.array([1 - frame.image[:, :4].mean() / 255, 1 - frame.image[:, 4:].mean() / 255])
+        return np.stack([dark[0] * left, dark[1] * ~left, 0 * left])
+
+
+def test_imaging_of_ones_own_and_its_recording(tmp_path):
+    path, found = tmp_path / "own.mcap", []
+    images = [np.full((8, 8), 255 - 10 * step, np.uint8) for step in range(20)]
+    smarttouch.run(
+        images, "simulated:", imaging=Halves(), mode="natural",
+        listeners=[smarttouch.Recorder(path), found.append],
+    )  # fmt: skip
+    assert len(found) == 20
+    last = found[-1].tactile.activation
+    for row in last[:2]:
+        np.testing.assert_allclose(np.unique(row), [0, 190 / 255], atol=1e-6)
+    assert not last[2].any()
+    np.testing.assert_array_equal(found[-1].input.image, images[-1])
+    assert_replays(path)
+
+
+@pytest.mark.parametrize(
+    ("source", "imaging", "about"),
+    [
+        ([GRAY], lambda frame, electrodes: frame.image, "activation"),
+        ([GRAY], lambda frame, electrodes: np.full((3, len(electrodes)), 2.0), "activation"),
+        (Mine(Stimulus(np.zeros((3, 64), np.float32), 0, 0.9)), Halves(), "imaging"),
+    ],
+)
+def test_imaging_that_makes_no_activation_is_refused(source, imaging, about):
+    with raises(SourceError, about=about):
+        smarttouch.run(source, "memory:", imaging=imaging)
