@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import ProfileError, SmartTouchError
+from smarttouch.one_line import one_line
 
 Shape = Literal["point", "disc", "annulus", "rectangle"]
 
@@ -27,6 +28,8 @@ class ElectrodeArray:
     array's center. Fewer than two electrodes, or two at one place of which none is a ring around
     the other, raise a ProfileError.
     """
+
+    __repr__ = one_line
 
     position_mm: NDArray[np.float64]  # (E, 2) center of each
     # Width and height of the patch of skin that one electrode stands for: its share of the array,

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.one_line import one_line
+
 
 @dataclass(frozen=True, eq=False)
 class TactileImage:
@@ -24,6 +26,8 @@ class TactileImage:
     level : float, in [0, 1]
         Of the strongest comfortable current, on top of what the user wishes.
     """
+
+    __repr__ = one_line
 
     activation: NDArray[np.float32]
     time_ns: int

@@ -103,3 +103,25 @@ def test_errors_are_public():
         st.open_display("nothing:", profile)
     with raises(st.SourceError, about="source"):
         st.open_source("nothing:", profile)
+
+
+def test_objects_show_themselves_in_a_line():
+    profile, results = st.load_profile("electric-mouse"), []
+    display = st.open_display("simulated:", profile)
+    source = st.open_source("text:a", profile)
+    statistics = st.run(source, display, seconds=0.1, listeners=[results.append])
+    result = results[-1]
+    with display.session() as touch:
+        shown = touch.show(np.eye(64, dtype=np.float32)[27], 0.1)
+    for each in (
+        profile, profile.electrodes, st.load_kernels(profile), st.design_kernel(profile, "RA", 3),
+        display, display.board, source, statistics, result, result.step, result.sequence,
+        result.tactile, result.input, touch, shown, st.SafetyLimits.of(profile), st.RunConfig(),
+    ):  # fmt: skip
+        text = repr(each)
+        assert type(each).__name__ in text
+        assert len(text) < 320
+        assert "\n" not in text
+        assert " at 0x" not in text
+    plain = (str, int, float, bool, type(None), list, dict)
+    assert all(type(each) in plain for each in statistics.figures.values())

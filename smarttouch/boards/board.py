@@ -159,6 +159,10 @@ class Board(Timely, ABC):
             self.close()
             self._go_on_unless_stopped()
 
+    def __repr__(self) -> str:
+        electrodes, state = self._gate.limits.electrodes, "open" if self._opened else "closed"
+        return f"{type(self).__name__}({electrodes} electrodes, {state})"
+
     @final
     def send(self, sequence: ScanSequence, times: int = 1, due_ns: int | None = None) -> int:
         """Validate a sequence by the safety gate, then send it.

@@ -49,6 +49,10 @@ Progress = Callable[[int, int], None]
 class KernelBank:
     """Kernels of every site of a profile, by class."""
 
+    def __repr__(self) -> str:
+        kinds = ", ".join(f"{each.name} {own.shape}" for each, own in self.weights.items())
+        return f"KernelBank({kinds})"
+
     weights: Column  # (E, E) mA per V/mm²: row s is site s, activation 1, sum 0; 0 if masked
     off_target: Column  # (E,) largest activation of another class, over the target's
     worst_class: Column  # (E,) int8, the class of that activation

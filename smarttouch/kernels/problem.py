@@ -16,6 +16,7 @@ from smarttouch.afferent import Afferent
 from smarttouch.cells import cells_svg, titled
 from smarttouch.errors import DesignError
 from smarttouch.kernels.symmetry import symmetries
+from smarttouch.one_line import one_line
 from smarttouch.physiology.activation import af_matrix
 from smarttouch.physiology.afferents import (
     Afferents,
@@ -37,6 +38,8 @@ _ALIKE = 1e-6
 @dataclass(frozen=True, eq=False)
 class Kernel:
     """Current pattern that stimulates one class of afferents at one site."""
+
+    __repr__ = one_line
 
     weights: Array  # (E,) mA per V/mm², positive cathodic, for an AF of 1 at the target
     off_target: float  # largest activation of another class, over the target's

@@ -50,6 +50,10 @@ class Profile(Table):
     defaults: CommandDefaults = CommandDefaults()
     calibrated: dict[str, Calibrated] = Field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        kind = self.output.kind
+        return f"Profile({self.name or self.title!r}, {len(self.electrodes)} electrodes, {kind})"
+
     @cached_property
     def electrodes(self) -> ElectrodeArray:
         return self.array.build()

@@ -88,6 +88,9 @@ class Display(Closing):
         self.notes_reported = 0
         """Number of the board's notes that earlier runs have reported."""
 
+    def __repr__(self) -> str:
+        return f"Display({self.url!r}, {self.profile!r})"
+
     @property
     def on_a_finger(self) -> bool:
         """Whether there may be a finger on it."""

@@ -99,6 +99,10 @@ class Session:
         self._thread = threading.Thread(target=self._run, name="session", daemon=True)
         self._one_at_a_time = threading.Lock()
 
+    def __repr__(self) -> str:
+        state = "open" if self._thread.is_alive() else "closed"
+        return f"Session({self._display!r}, {state})"
+
     def __enter__(self) -> Self:
         self._thread.start()
         self._feed.began.wait()

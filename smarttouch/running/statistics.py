@@ -55,6 +55,12 @@ class RunStatistics:
     See `smarttouch.run`; ``statistics.figures`` has all of them by name.
     """
 
+    def __repr__(self) -> str:
+        return (
+            f"RunStatistics(frames={self.frames}, slots={self.slots}, seconds={self.seconds:g}, "
+            f"late={self.late}, restarts={self.restarts}, ended={self.ended!r})"
+        )
+
     frames: int = 0
     """Sequences sent; each from one input."""
     seen: int = 0
@@ -116,7 +122,7 @@ class RunStatistics:
         self.scan_us += sequence.period_us
         self.lowest_rate_hz = min(self.lowest_rate_hz, 1e6 / sequence.period_us)
         activation = step.tactile.activation
-        self.active += np.count_nonzero(activation.any(axis=0)) / activation.shape[1]
+        self.active += int(np.count_nonzero(activation.any(axis=0))) / activation.shape[1]
         took = [
             (self.latency, result.latency_us),
             (self.motion_to_bytes, result.latency_us + step.input.age_ns / 1000),

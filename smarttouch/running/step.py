@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from smarttouch.afferent import Afferent, Mode
 from smarttouch.cells import cells_svg, titled
+from smarttouch.one_line import one_line
 from smarttouch.sources.stimulus import Input
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.tactile_image import TactileImage
@@ -23,6 +24,8 @@ class Step:
     for, [0, 1]; ``restarted`` says that intensity began at zero here, ``asked_us`` the period that
     was wanted, ``observed`` what the board had measured until then.
     """
+
+    __repr__ = one_line
 
     input: Input
     tactile: TactileImage
@@ -78,6 +81,8 @@ class StepResult:
     >>> [result.number for result in results]
     [1, 2, 3, 4, 5]
     """
+
+    __repr__ = one_line
 
     step: Step
     number: int | None

@@ -23,3 +23,6 @@ class Device(Closing):
         self.title = title
         self.url = ""
         self.notes: list[str] = []
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.url or self.title!r})"

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.one_line import one_line
+
 
 @dataclass(frozen=True)
 class Pose:
@@ -41,6 +43,8 @@ class Frame:
     stale : bool
         Whether the source has gone silent and the image may be outdated.
     """
+
+    __repr__ = one_line
 
     image: NDArray[np.uint8]
     time_ns: int

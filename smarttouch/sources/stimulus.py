@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.one_line import one_line
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.tactile_image import TactileImage
 
@@ -33,6 +34,8 @@ class Stimulus(TactileImage):
     image : ndarray, (H, W) uint8, optional
         Grey levels under the finger, for display.
     """
+
+    __repr__ = one_line
 
     pose: Pose = _ORIGIN
     number: int = 0

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.errors import SafetyError
+from smarttouch.one_line import one_line
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import (
     CEILING_AREA_MM2,
@@ -87,6 +88,8 @@ class SafetyLimits:
     SafetyError
         If one of them is no positive number, or above the project's own ceilings.
     """
+
+    __repr__ = one_line
 
     electrodes: int
     current_ma: float

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.one_line import one_line
 from smarttouch.stimulation.kernel_table import KernelLists
 
 
@@ -86,6 +87,8 @@ class ScanSequence:
         Kernels that the currents are sums of. No more than a hint: the currents are what is
         proved and delivered.
     """
+
+    __repr__ = one_line
 
     current_ua: NDArray[np.int16]
     width_us: NDArray[np.uint16]
