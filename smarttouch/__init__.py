@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from smarttouch.front import design_kernel, load_kernels, replay, run, steps
     from smarttouch.physiology.finger import Finger
     from smarttouch.profile import Profile, list_profiles, load_profile
+    from smarttouch.recording.recorded_run import RecordedRun, load_recording
     from smarttouch.recording.recorder import Recorder
     from smarttouch.running.config import RunConfig
     from smarttouch.running.display import Display, open_display
@@ -60,6 +61,7 @@ __all__ = [
     "OpticalSource",
     "Profile",
     "ProfileError",
+    "RecordedRun",
     "Recorder",
     "RunConfig",
     "RunStatistics",
@@ -78,6 +80,7 @@ __all__ = [
     "list_profiles",
     "load_kernels",
     "load_profile",
+    "load_recording",
     "open_display",
     "open_source",
     "replay",
@@ -101,6 +104,7 @@ _WHERE = {
     "physiology.finger": ("Finger",),
     "afferent": ("Afferent",),
     "profile": ("Profile", "list_profiles", "load_profile"),
+    "recording.recorded_run": ("RecordedRun", "load_recording"),
     "recording.recorder": ("Recorder",),
     "running.config": ("RunConfig",),
     "running.display": ("Display", "open_display"),

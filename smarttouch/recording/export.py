@@ -14,6 +14,7 @@ from smarttouch.errors import RecordingError
 from smarttouch.files import make_folder, owner_only, unwritable, write_bytes
 from smarttouch.recording.decoder import RecordedStep
 from smarttouch.recording.reader import Recording
+from smarttouch.recording.recorded_run import ArrayCollector
 
 TABLES = {
     "finger": ("step", "time_ns", "image", "x_mm", "y_mm", "angle_rad", "force_n", "age_ns",
@@ -29,11 +30,7 @@ def export(path: Path, folder: Path) -> list[Path]:
     """Write a recording into an empty or new folder; return the files, the folder of images first.
 
     ``frames/`` gets one PNG for each different image; ``finger.csv`` says at which steps it was
-    there. ``run.npz`` holds ``time_ns`` (N,), ``activation`` (N, 3, E), and of all slots one after
-    another ``current_ua`` (S, E), positive cathodic, ``width_us``, ``discharge_us`` and ``site``
-    (S,); those of step n are ``first_slot[n]`` to ``first_slot[n + 1]``. Recharge phases are
-    ``recharge_us`` (N,) and ``recharge_ua`` (N, E), zero where there is none. Measured voltages are
-    ``volts``, one for each slot of the steps in ``volts_step``.
+    there. ``run.npz`` holds `RunArrays`, by their names.
     """
     recording = Recording(path)
     try:
@@ -48,7 +45,8 @@ def export(path: Path, folder: Path) -> list[Path]:
 
 
 def _export(recording: Recording, folder: Path) -> list[Path]:
-    images, arrays = _Images(folder / "frames"), _Arrays()
+    images = _Images(folder / "frames")
+    arrays = ArrayCollector(len(recording.profile.electrodes))
     with ExitStack() as stack:
         tables = {}
         for name, columns in TABLES.items():
@@ -65,7 +63,8 @@ def _export(recording: Recording, folder: Path) -> list[Path]:
         writer = csv.writer(file)
         writer.writerow(("time_ns", "words"))
         writer.writerows(recording.events())
-    arrays.save(folder / "run.npz")
+    with open(folder / "run.npz", "xb", opener=owner_only) as packed:
+        np.savez_compressed(packed, **vars(arrays.arrays()))
     written = [folder / f"{name}.csv" for name in (*TABLES, "events")]
     return [images.folder, *written, folder / "run.npz"]
 
@@ -114,47 +113,3 @@ class _Images:
 
     def _name(self) -> str:
         return f"{self._count - 1:06d}.png"
-
-
-class _Arrays:
-    """Collector of the arrays of one NPZ file."""
-
-    def __init__(self) -> None:
-        self._columns: dict[str, list[Any]] = {
-            name: []
-            for name in (
-                "step", "time_ns", "activation", "current_ua", "width_us", "discharge_us", "site",
-                "slots", "volts", "volts_step", "recharge_us", "recharge_ua",
-            )
-        }  # fmt: skip
-        self._step_at: dict[int, int] = {}
-
-    def add(self, recorded: RecordedStep) -> None:
-        sequence, columns = recorded.step.sequence, self._columns
-        columns["step"].append(recorded.index)
-        columns["time_ns"].append(recorded.step.input.time_ns)
-        columns["activation"].append(recorded.step.tactile.activation)
-        columns["slots"].append(sequence.slots)
-        for name in ("current_ua", "width_us", "discharge_us", "site"):
-            columns[name].append(getattr(sequence, name))
-        none = np.zeros(sequence.electrodes, np.int16)
-        columns["recharge_us"].append(sequence.recharge_us)
-        columns["recharge_ua"].append(
-            none if sequence.recharge_ua is None else sequence.recharge_ua
-        )
-        self._step_at[sequence.time_ns] = recorded.index
-        for measured, volts in recorded.step.observed:
-            columns["volts"].append(volts)
-            columns["volts_step"].append(self._step_at.get(measured.time_ns, -1))
-
-    def save(self, path: Path) -> None:
-        columns = self._columns
-        joined = ("current_ua", "width_us", "discharge_us", "site", "volts")
-        arrays: dict[str, Any] = {
-            name: np.concatenate(columns[name]) if columns[name] else np.empty(0) for name in joined
-        }
-        for name in ("step", "time_ns", "activation", "volts_step", "recharge_us", "recharge_ua"):
-            arrays[name] = np.array(columns[name])
-        arrays["first_slot"] = np.concatenate([[0], np.cumsum(columns["slots"], dtype=np.int64)])
-        with open(path, "xb", opener=owner_only) as file:
-            np.savez_compressed(file, **arrays)
