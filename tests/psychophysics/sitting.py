@@ -47,8 +47,6 @@ class Sat:
 
     source: ExperimentSource
     session: Session
-    tally: RunStatistics
-    pulses: list
     told: list
     report: object
 
@@ -64,19 +62,16 @@ def sit(
     experiment="frequency-RA",
     course=None,
     watch=None,
-    overwrite=False,
     controls=None,
-    mode=Mode.RA,
-    seed=0,
 ):
     """Run an experiment; stop it before the answer of a trial is written if asked to."""
-    stop, tally, told = StopRequest(), RunStatistics(), []
-    about = About(experiment, made.method, "p1", "s1", seed)
-    with RowFile(path, about, overwrite) as file:
+    stop, told = StopRequest(), []
+    about = About(experiment, made.method, "p1", "s1", 0)
+    with RowFile(path, about) as file:
         session = Session(made.task, made.procedure, file, DATE)
         source = ExperimentSource(session, profile, course or TrialTiming(), press_n(profile))
-        pipeline = Pipeline(profile, bank, RunConfig(mode=mode, scan="points"))
-        controls = controls or Controls(ControlState(mode))
+        pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points"))
+        controls = controls or Controls(ControlState(Mode.RA))
         with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
             subject = Subject(source, observer)
             subject.attend(board)
@@ -93,7 +88,7 @@ def sit(
                 pipeline,
                 board,
                 stop=stop,
-                statistics=tally,
+                statistics=RunStatistics(),
                 listeners=[
                     *as_listeners([observe]),
                     OnEvent(lambda event: told.append((event.time_ns, str(event)))),
@@ -101,6 +96,5 @@ def sit(
                 controls=controls,
                 clock=SimulatedClock(),
             )
-            pulses = board.take_pulses()
             report = board.report()
-    return Sat(source, session, tally, pulses, told, report)
+    return Sat(source, session, told, report)

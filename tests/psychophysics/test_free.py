@@ -36,11 +36,11 @@ def line():
 def play(line, tmp_path):
     """Return a runner: keys and levels by the second, to steps, rows and the board's report."""
 
-    def run_it(seconds, does, knob=None, level=0.0):
+    def run_it(seconds, does, knob=None):
         steps, waiting = [], sorted(does.items())
         log = FreeLog(tmp_path / "free.csv")
         source = FreeSource(line, ALL, log, press_n=1.0)
-        controls = HandControls(ControlState(Mode.COLOR, level), knob=knob)
+        controls = HandControls(ControlState(Mode.COLOR, 0.0), knob=knob)
 
         def watch(sent):
             steps.append(sent.step)
@@ -56,13 +56,9 @@ def play(line, tmp_path):
                 source,
                 Pipeline(line, load_bank(line), RunConfig(mode=Mode.COLOR, scan="points")),
                 board,
-                stop=StopRequest(),
-                statistics=RunStatistics(),
-                seconds=seconds,
-                listeners=as_listeners([watch]),
-                controls=controls,
-                clock=SimulatedClock(),
-            )
+                stop=StopRequest(), statistics=RunStatistics(), seconds=seconds,
+                listeners=as_listeners([watch]), controls=controls, clock=SimulatedClock(),
+            )  # fmt: skip
             report = board.report()
         log.close()
         text = (tmp_path / "free.csv").read_text(encoding="utf-8-sig")

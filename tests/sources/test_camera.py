@@ -27,6 +27,7 @@ from smarttouch.sources.camera import (
 
 from ..raising import raises
 from ..said import numbers_in
+from ..waiting import until
 
 without_a_camera = pytest.mark.skipif(
     Path("/dev/video0").exists() or sys.platform == "darwin",
@@ -107,13 +108,6 @@ def device(monkeypatch):
     monkeypatch.setattr(capture, "RETRY_S", 0.001)
     monkeypatch.setattr(camera, "_PAUSE_S", 0.0)
     return device
-
-
-def until(condition):
-    deadline = time.monotonic() + 60
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.001)
 
 
 def test_frames_are_grey_and_the_books_exact(profile, device):

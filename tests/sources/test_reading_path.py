@@ -159,6 +159,7 @@ def test_recorded_path(tmp_path):
 @pytest.mark.parametrize(
     ("text", "about", "value"),
     [
+        (None, "file", "path.csv"),
         ("", "columns", ()),
         ("a,b\n", "columns", ("a", "b")),
         (HEADER, "rows", 0),
@@ -171,16 +172,11 @@ def test_recorded_path(tmp_path):
 )
 def test_bad_recorded_paths(tmp_path, text, about, value):
     file = tmp_path / "path.csv"
-    file.write_text(text)
+    if text is not None:
+        file.write_text(text)
     with raises(SourceError, about=about, value=value) as caught:
         RecordedPath(file)
     assert str(file) in str(caught.value)
-
-
-def test_missing_path(tmp_path):
-    path = tmp_path / "none.csv"
-    with raises(SourceError, about="file", value=path):
-        RecordedPath(path)
 
 
 @given(st.one_of(st.text(max_size=200), st.text(max_size=200).map(lambda tail: HEADER + tail)))
