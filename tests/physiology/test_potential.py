@@ -39,7 +39,7 @@ def rectangle_potential(width, height):
 
 
 CLOSED = [
-    (lambda x, y, z: point(x, y, z), point_potential),
+    (point, point_potential),
     (lambda x, y, z: disc(x, y, z, 0.25), disc_potential(0.25)),
     (lambda x, y, z: disc(x, y, z, 0.5), disc_potential(0.5)),
     (lambda x, y, z: disc(x, y, z, 0.8), disc_potential(0.8)),

@@ -6,7 +6,6 @@ import numpy as np
 
 from smarttouch.afferent import Mode
 from smarttouch.boards.emulator.simulated import SimulatedBoard
-from smarttouch.clock import SimulatedClock
 from smarttouch.psychophysics.rows import About, RowFile
 from smarttouch.psychophysics.session import Session
 from smarttouch.psychophysics.source import ExperimentSource
@@ -15,12 +14,12 @@ from smarttouch.psychophysics.timing import TrialTiming
 from smarttouch.reading.window import press_n
 from smarttouch.running.config import RunConfig
 from smarttouch.running.controls import Controls, ControlState
-from smarttouch.running.listener import OnEvent, as_listeners
-from smarttouch.running.loop import run_loop
+from smarttouch.running.listener import OnEvent
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.statistics import RunStatistics
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
+
+from ..looping import loop_through
 
 DATE = "2026-01-01T00:00:00+00:00"
 
@@ -83,18 +82,7 @@ def sit(
                 if stop_after is not None and session.done >= stop_after and source.playing:
                     stop.ask("killed")
 
-            run_loop(
-                source,
-                pipeline,
-                board,
-                stop=stop,
-                statistics=RunStatistics(),
-                listeners=[
-                    *as_listeners([observe]),
-                    OnEvent(lambda event: told.append((event.time_ns, str(event)))),
-                ],
-                controls=controls,
-                clock=SimulatedClock(),
-            )
+            events = OnEvent(lambda event: told.append((event.time_ns, str(event))))
+            loop_through(source, pipeline, board, observe, events, stop=stop, controls=controls)
             report = board.report()
     return Sat(source, session, told, report)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skimage import data
 
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.printed_text import print_text
@@ -32,26 +31,6 @@ def test_printed_lines_are_all_found(count):
         top, bottom = (round(edge / page.mm_per_pixel) for edge in (line.top_mm, line.bottom_mm))
         rows = np.flatnonzero((page.grey[top:bottom] < 128).any(axis=1))
         assert 2.5 < (rows[-1] - rows[0] + 1) * page.mm_per_pixel < 5.2
-
-
-def test_lines_of_a_photographed_page():
-    lines = find_lines(Page(data.page(), 110 / 384))
-    assert 7 <= len(lines) <= 9
-    for above, below in itertools.pairwise(lines):
-        # They slope, and are not equally long: what counts is where both are.
-        shared = np.array([max(above.left_mm, below.left_mm), min(above.right_mm, below.right_mm)])
-        lower = above.baseline_mm(shared) + above.descent_mm
-        assert (lower <= below.baseline_mm(shared) - below.ascent_mm).all()
-
-
-def test_light_on_dark_lines():
-    page = print_text("one\ntwo")
-    assert len(find_lines(Page(255 - page.grey, page.mm_per_pixel), light_on_dark=True)) == 2
-
-
-@pytest.mark.parametrize("grey", [255, 128, 0])
-def test_blank_pages_have_no_lines(grey):
-    assert find_lines(Page(np.full((300, 400), grey, np.uint8), 0.2)) == []
 
 
 def test_a_blank_page_is_read_in_strips(profile):
