@@ -27,7 +27,7 @@ OPENED_NS = 700_000_000
 
 @dataclass(frozen=True, eq=False)
 class FeltPulses:
-    """Pulses that were felt, (N,), as delivered: sequence, electrode, place on the texture, answer."""
+    """Pulses that were felt, as delivered: of which sequence, electrode and place, how strong."""
 
     number: NDArray[np.int64]
     electrode: NDArray[np.intp]
