@@ -80,14 +80,6 @@ def test_layers_of_one_conductivity_are_the_half_space(profile, layered):
         np.testing.assert_allclose(other, one, rtol=1e-4, atol=1e-6 * np.abs(one).max())
 
 
-def test_an_active_ending_answers_the_cathode(profile, changed):
-    active = changed(profile, {"skin.ra_ending": "active"})
-    nodes = targets(active, Afferent.RA)
-    assert nodes.ending == "active"
-    assert np.all(np.diag(af_matrix(active, nodes)) > 0)
-    assert np.all(np.diag(af_matrix(profile, targets(profile, Afferent.RA))) < 0)
-
-
 def test_an_active_ending_is_mcneal_s_end_node(profile, changed):
     active = changed(profile, {"skin.ra_ending": "active"})
     nodes, step = targets(active, Afferent.RA), active.skin.internode_mm

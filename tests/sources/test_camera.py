@@ -125,15 +125,10 @@ def test_frames_are_grey_and_the_books_exact(profile, device):
 
 
 @pytest.mark.parametrize(("rest", "place"), [("3", 3), ("/dev/video2", "/dev/video2")])
-def test_by_number_or_device(profile, device, rest, place):
-    open_source(f"camera:{rest}", profile).close()
-    assert [opened[0] for opened in device.opened] == [place]
-
-
-def test_a_camera_is_never_taken_for_a_file(profile, device, monkeypatch):
+def test_by_number_or_device_and_never_as_a_file(profile, device, monkeypatch, rest, place):
     monkeypatch.setattr("sys.platform", "linux")
-    open_source("camera:/dev/video2", profile).close()
-    assert device.opened == [("/dev/video2", cv2.CAP_V4L2)]
+    open_source(f"camera:{rest}", profile).close()
+    assert device.opened == [(place, cv2.CAP_V4L2)]
 
 
 def test_what_the_camera_takes_is_set_without_a_word(profile, device):

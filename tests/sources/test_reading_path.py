@@ -75,13 +75,6 @@ def test_the_finger_presses_until_just_before_the_end(profile, speed):
     assert path.at(path.duration_s - 0.01)[1] < 0.5 * full_n
 
 
-def test_line_centers_are_followed(profile):
-    page = print_text("one")
-    line = find_lines(page)[0]
-    pose, _ = ReadingPath(page, profile, 40).at(1.0)
-    assert pose.y_mm == pytest.approx((line.top_mm + line.bottom_mm) / 2)
-
-
 @pytest.mark.parametrize("skew_deg", [-3, 3])
 def test_a_tilted_line_is_followed_by_hand_and_patch(profile, skew_deg):
     page = print_text("many fingers read on\nand on they read")

@@ -132,12 +132,6 @@ def test_a_load_cell_on_the_same_line_and_a_name(line, source):
     assert source.notes == []
 
 
-def test_silence_gives_no_image(line, source):
-    line.send(frame(0))
-    assert source.grab(60) is not None
-    assert source.grab(0.01) is None
-
-
 def test_a_port_that_is_gone(line, source):
     line.send(frame(0))
     assert source.grab(60) is not None
