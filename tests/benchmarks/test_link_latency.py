@@ -62,9 +62,25 @@ def make(electrodes, step, slots, period_us, intensity=1.0):
     )  # fmt: skip
 
 
+class Waits:
+    """A clock that is moved on by waiting: a level opens in the time of the board."""
+
+    _time_ns = 0
+
+    @property
+    def time_ns(self):
+        return self._time_ns
+
+    @time_ns.setter
+    def time_ns(self, time_ns):
+        time.sleep((time_ns - self._time_ns) / 1e9)
+        self._time_ns = time_ns
+
+
 def raised(board, electrodes):
     """Open any intensity by the least current; return the next step."""
-    open_level(board.send, make(electrodes, 0, 1, 20_000), limits_of(electrodes))
+    like, limits = make(electrodes, 0, 1, 20_000), limits_of(electrodes)
+    open_level(board.send, like, limits, clock=Waits())
     board.drain(5.0)
     return 2
 
