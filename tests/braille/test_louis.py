@@ -65,6 +65,12 @@ def test_no_such_table(table, capfd):
 
 
 @needs_liblouis
+def test_what_a_table_says_of_itself():
+    assert not LouisCode("de-g2.ctb").goes_back
+    assert LouisCode("fr-bfu-g2.ctb").goes_back
+
+
+@needs_liblouis
 def test_many_threads_at_once():
     tables = {"en-ueb-g2.ctb": "The child", "de-g1.ctb": "schön", "fr-bfu-comp6.utb": "été"}
     expected = {table: LouisCode(table).encode(text) for table, text in tables.items()}
