@@ -229,34 +229,24 @@ def test_bad_files(tmp_path, content):
         open_document(path)
 
 
+SIZES = {"about": "size_mm", "allowed": (2, 2000), "remedy": "page_width_mm"}
+
+
 @pytest.mark.parametrize(
-    ("size", "size_mm"), [((14400, 14400), (5080, 5080)), ((144, 1), (50.8, 0.35278))]
+    ("content", "dpi", "attributes"),
+    [
+        (one_page(size=(14400, 14400)), None, SIZES | {"value": pytest.approx((5080, 5080))}),
+        (one_page(size=(144, 1)), None, SIZES | {"value": pytest.approx((50.8, 0.35278))}),
+        (one_page().replace(b"Kids[3 0 R]", b"Kids[9 0 R]"), None, {"about": "page", "value": 1}),
+        (one_page(), 2, {"about": "pixels", "value": (4, 8), "allowed": (8, 8)}),
+    ],
+    ids=["large", "flat", "damaged", "coarse"],
 )
-def test_pages_of_impossible_sizes(put, size, size_mm):
-    path = put(one_page(size=size))
-    found, remedy = pytest.approx(size_mm, rel=1e-4), "page_width_mm"
-    with (
-        open_document(path) as document,
-        raises(PageError, about="size_mm", value=found, allowed=(2, 2000), remedy=remedy),
-    ):
-        document.page(0)
-
-
-def test_a_page_that_is_damaged(put):
-    path = put(one_page().replace(b"Kids[3 0 R]", b"Kids[9 0 R]"))
-    damaged = raises(PageError, about="page", value=1)
-    with open_document(path) as document, damaged as caught:
+def test_pages_that_cannot_be(put, content, dpi, attributes):
+    path = put(content)
+    with open_document(path, dpi=dpi) as document, raises(PageError, **attributes) as caught:
         document.page(0)
     assert str(path) in str(caught.value)
-
-
-def test_a_resolution_that_leaves_no_pixels(put):
-    path = put(one_page())
-    with (
-        open_document(path, dpi=2) as document,
-        raises(PageError, about="pixels", value=(4, 8), allowed=(8, 8)),
-    ):
-        document.page(0)
 
 
 def outcome(path, **options):

@@ -166,13 +166,7 @@ def test_bad_scales(picture, tmp_path, options, about, value):
     picture.save(path)
     with raises(PageError, about=about, value=value):
         load_page(path, **options)
-
-
-def test_without_a_scale(picture, tmp_path):
-    path = tmp_path / "page.png"
-    picture.save(path)
-    remedy = "dpi or page_width_mm"
-    with raises(PageError, about="size_mm", value=path, remedy=remedy):
+    with raises(PageError, about="size_mm", value=path, remedy="dpi or page_width_mm"):
         load_page(path)
 
 

@@ -162,17 +162,13 @@ def test_one_of_n_is_one_against_all_others(small):
 
 
 @pytest.mark.parametrize("design", [design_kernel, design_one_of_n, design_three_state])
-def test_a_masked_site_has_no_kernel(small, design):
-    masked = {"value": 2, "remedy": "output.masked", "electrode": 2}
-    with raises(DesignError, about="site", **masked):
-        design(Problem(small(**{"output.masked": [2]}), Afferent.RA), 2)
-
-
-@pytest.mark.parametrize("site", [-1, 6])
-def test_site_out_of_range(small, site):
-    for design in (design_one_of_n, design_three_state):
+def test_sites_that_have_no_kernel(small, design):
+    problem = Problem(small(**{"output.masked": [2]}), Afferent.RA)
+    with raises(DesignError, about="site", value=2, remedy="output.masked", electrode=2):
+        design(problem, 2)
+    for site in (-1, 6):
         with raises(DesignError, about="site", value=site, allowed=(0, 5)):
-            design(Problem(small(), Afferent.RA), site)
+            design(problem, site)
 
 
 def test_polarity_follows_the_ending(changed):

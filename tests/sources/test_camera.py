@@ -163,33 +163,20 @@ def test_images_are_compressed_only_where_more_come(profile, device, compressed_
         assert [numbers_in(note) for note in sensor.notes] == ([] if coded else [[0, 30, 90]])
 
 
-@pytest.mark.parametrize("rest", ["", "-1", "1e3", "99999", "http://x/y"])
-def test_what_is_no_camera(profile, device, rest):
-    with raises(SourceError, about="camera", value=rest):
-        open_source(f"camera:{rest}", profile)
-    assert device.opened == []
-
-
 @pytest.mark.parametrize(
-    ("option", "value"),
+    ("rest", "options", "about", "value"),
     [
-        ("size", (0, 480)),
-        ("size", (10**6, 10**6)),
-        ("fps", math.nan),
-        ("fps", -5.0),
-        ("exposure", math.nan),
+        *((rest, {}, "camera", rest) for rest in ("", "-1", "1e3", "99999", "http://x/y")),
+        *(("0", {"size": size}, "size", size) for size in ((0, 480), (10**6, 10**6))),
+        *(("0", {"fps": fps}, "fps", fps) for fps in (math.nan, -5.0)),
+        ("0", {"exposure": math.nan}, "exposure", math.nan),
+        # An option of other sensors is not taken.
+        ("0", {"baud": 9600}, "baud", ("size", "exposure", "fps")),
     ],
 )
-def test_what_cannot_be(profile, device, option, value):
-    with raises(SourceError, about=option, value=value):
-        open_source("camera:0", profile, **{option: value})
-    assert device.opened == []
-
-
-def test_an_option_of_other_sensors_is_not_taken(profile, device):
-    allowed = ("size", "exposure", "fps")
-    with raises(SourceError, about="baud", allowed=allowed):
-        open_source("camera:0", profile, baud=9600)
+def test_what_cannot_be(profile, device, rest, options, about, value):
+    with raises(SourceError, about=about, value=value):
+        open_source(f"camera:{rest}", profile, **options)
     assert device.opened == []
 
 
