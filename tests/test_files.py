@@ -54,19 +54,8 @@ def test_what_is_no_file_is_not_opened(tmp_path, pipe, monkeypatch):
         raise AssertionError("opened")
 
     monkeypatch.setattr(os, "open", refuse)
-    places = (
-        pipe,
-        tmp_path,
-        tmp_path / "socket",
-        tmp_path / "loop",
-        tmp_path / "none",
-        Path("/dev/zero"),
-        Path("/dev/full"),
-        tmp_path / "nul\0",
-        tmp_path / ("long" * 100),
-        tmp_path / "none" / "x",
-    )
-    for path in places:
+    names = ("socket", "loop", "none", "nul\0", "long" * 100, "none/x", "/dev/zero", "/dev/full")
+    for path in (pipe, tmp_path, *(tmp_path / name for name in names)):
         with raises(ProfileError, about="file", value=path):
             read_bytes(path, ProfileError)
     listening.close()
@@ -273,6 +262,9 @@ def test_a_file_is_one_program_s_alone_until_it_ends(tmp_path, hold, killed):
     assert str(path) in second.stderr.read()
     with raises(PageError, about="file", value=tmp_path / "b.json"):
         open_alone(path, PageError, tmp_path / "b.json")
+    for other in (tmp_path / "none" / "a", tmp_path):
+        with raises(PageError, about="file", value=other):
+            open_alone(other, PageError)
     if killed:
         first.kill()
         first.wait()
@@ -300,12 +292,6 @@ def test_a_lock_on_a_file_that_was_removed_keeps_nobody_out(tmp_path, hold, monk
         assert file.read() == b""
         assert os.path.samestat(os.fstat(file.fileno()), path.stat())
         assert hold(path)[1] == ""
-
-
-def test_what_cannot_be_opened_alone(tmp_path):
-    for path in (tmp_path / "none" / "a", tmp_path):
-        with raises(PageError, about="file", value=path):
-            open_alone(path, PageError)
 
 
 def test_a_file_system_without_locks_lets_everybody_in(tmp_path, monkeypatch):

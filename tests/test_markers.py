@@ -2,6 +2,7 @@
 
 import sys
 import types
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,16 +14,13 @@ from smarttouch.errors import MarkersError
 from smarttouch.events import Note
 from smarttouch.markers import FRAMES, PULSES, Markers
 from smarttouch.running.config import RunConfig
-from smarttouch.running.listener import as_listeners
-from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.statistics import RunStatistics
 from smarttouch.running.step import StepResult
 from smarttouch.sources.frame import Frame, Pose
 from smarttouch.sources.source import OpticalSource
 from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stopping import StopRequest
 
+from .looping import loop_through
 from .raising import raises
 
 
@@ -84,15 +82,8 @@ def felt(profile, bank):
         with MemoryBoard("", SafetyLimits.of(profile), profile.output) as board:
             # Nothing is late, however busy the machine is.
             board._clock = SimulatedClock()
-            run_loop(
-                Bars(most),
-                Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points")),
-                board,
-                stop=StopRequest(),
-                statistics=RunStatistics(),
-                listeners=[markers, *as_listeners([steps.append])],
-                clock=SimulatedClock(),
-            )
+            pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points"))
+            loop_through(Bars(most), pipeline, board, markers, steps.append)
         return steps
 
     return felt
@@ -143,8 +134,6 @@ class TestWhatIsTold:
 
 class TestTime:
     def step(self, felt, markers, time_ns):
-        from dataclasses import replace
-
         step = self.first = getattr(self, "first", None) or felt(markers, 1)[0].step
         return StepResult(replace(step, input=replace(step.input, time_ns=time_ns)), 1, 500.0)
 

@@ -63,16 +63,23 @@ def test_the_end_of_a_run_that_was_stopped_waits_for_nobody(pipe, printing):
     assert sys.stdout is own
 
 
-def test_the_end_of_a_run_that_was_not_waits_until_it_is_stopped(pipe, printing):
-    printing(pipe[1])
-    stop, over = threading.Event(), threading.Event()
+def printed(text, stopped):
+    """Print in a thread; return an event that is set when all of it has gone, or is given up."""
+    over = threading.Event()
 
     def run():
-        with never_waiting(stop.is_set):
-            print("last")
+        with never_waiting(stopped):
+            print(text)
         over.set()
 
     threading.Thread(target=run, daemon=True).start()
+    return over
+
+
+def test_the_end_of_a_run_that_was_not_waits_until_it_is_stopped(pipe, printing):
+    printing(pipe[1])
+    stop = threading.Event()
+    over = printed("last", stop.is_set)
     assert not over.wait(0.3)
     stop.set()
     assert over.wait(PATIENCE_S)
@@ -80,14 +87,7 @@ def test_the_end_of_a_run_that_was_not_waits_until_it_is_stopped(pipe, printing)
 
 def test_the_end_waits_until_all_is_read(pipe, printing):
     printing(pipe[1])
-    over = threading.Event()
-
-    def run():
-        with never_waiting(lambda: False):
-            print("x" * 70_000 + "last")
-        over.set()
-
-    threading.Thread(target=run, daemon=True).start()
+    over = printed("x" * 70_000 + "last", lambda: False)
     assert len(emptied(pipe[0])) >= 70_004
     assert over.wait(PATIENCE_S)
 

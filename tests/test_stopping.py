@@ -10,14 +10,9 @@ import pytest
 from smarttouch.errors import BoardError
 from smarttouch.stopping import RunStopped, SignalWatch, StopRequest, thread_states
 
+from .waiting import until
+
 PATIENCE_S = 20
-
-
-def wait_for(condition):
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.005)
 
 
 @pytest.fixture
@@ -70,7 +65,7 @@ def test_a_signal_ends_in_order_and_then_by_force(forced, number, name):
             assert stop.event.wait(PATIENCE_S)
             assert told.wait(PATIENCE_S)
     assert (stop.reason, watch.number) == (name, number)
-    wait_for(lambda: forced == [number])
+    until(lambda: forced == [number])
     assert [
         signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     ] == before
@@ -91,7 +86,7 @@ def test_a_signal_before_there_is_anything_to_end_in_order_raises_once(forced):
         start()
     assert unwound == [True]
     assert caught.value.number == signal.SIGHUP
-    wait_for(lambda: forced == [signal.SIGHUP])
+    until(lambda: forced == [signal.SIGHUP])
 
 
 def test_a_signal_while_the_main_thread_holds_the_lock_that_is_waited_for(forced):
@@ -115,7 +110,7 @@ def test_a_board_that_is_not_at_zero_yet_is_waited_for(forced):
             time.sleep(0.1)
             assert forced == []
             at_zero.set()
-            wait_for(lambda: forced == [signal.SIGTERM])
+            until(lambda: forced == [signal.SIGTERM])
 
 
 def test_without_a_signal_nothing_is_left_behind(forced):
@@ -141,7 +136,7 @@ def test_a_thread_that_works_and_one_that_waits_are_told_apart():
     threads = [threading.Thread(target=each, daemon=True) for each in (work, wait)]
     for thread in threads:
         thread.start()
-    wait_for(lambda: len(numbers) == 2)
+    until(lambda: len(numbers) == 2)
     seen = set()
 
     def told_apart():
@@ -149,7 +144,7 @@ def test_a_thread_that_works_and_one_that_waits_are_told_apart():
         seen.update((name, states[number]) for name, number in numbers.items())
         return {("work", "R"), ("wait", "S")} <= seen
 
-    wait_for(told_apart)
+    until(told_apart)
     over.set()
     for thread in threads:
         thread.join(PATIENCE_S)
@@ -168,6 +163,6 @@ def test_who_is_slow_is_waited_for_and_who_waits_is_not(monkeypatch, forced):
         watch.patience_s = 0.0
         with watch.ending_in_order():
             os.kill(os.getpid(), signal.SIGTERM)
-            wait_for(lambda: forced == [signal.SIGTERM])
+            until(lambda: forced == [signal.SIGTERM])
     assert looks[:4] == states[:4]
     assert len(looks) >= 8

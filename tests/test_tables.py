@@ -65,7 +65,4 @@ def test_a_quote_that_is_left_open_is_refused_where_asked(tmp_path):
 @pytest.mark.parametrize("text", ["", "x", "nan", "-inf", "1,5"])
 def test_what_is_no_finite_number(text):
     assert math.isnan(finite(text))
-
-
-def test_a_finite_number():
     assert finite(" -1.5 ") == -1.5

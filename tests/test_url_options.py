@@ -77,12 +77,10 @@ def test_an_opener_without_options_reads_its_own():
 def test_options_that_are_none(url, about, value):
     with raises(SourceError, about=about, value=value):
         read_options(opener, url, SourceError, but=("light_on_dark",))
-
-
-def test_an_unknown_option_lists_what_there_is():
-    offered = "events, fps, light_on_dark, path, seed, size, unpaced"
-    with raises(SourceError, about="?speed", allowed=offered):
-        read_options(opener, "a?speed=1", SourceError)
+    if value == "speed":
+        offered = "events, fps, light_on_dark, path, seed, size, unpaced"
+        with raises(SourceError, about=about, allowed=offered):
+            read_options(opener, url, SourceError)
 
 
 def test_pages_by_url(tmp_path, monkeypatch):
@@ -118,10 +116,8 @@ def test_sizes_that_are_none(text):
 
 
 def test_a_motion_with_its_options():
-    told, given = (
-        open_motion("sweep:2?speed_mm_s=20&seed=3"),
-        open_motion("sweep:2", speed_mm_s=20.0, seed=3),
-    )
+    told = open_motion("sweep:2?speed_mm_s=20&seed=3")
+    given = open_motion("sweep:2", speed_mm_s=20.0, seed=3)
     for time_ns in (0, 100_000_000, 1_000_000_000):
         assert told.read(time_ns) == given.read(time_ns)
     with raises(SourceError, about="speed_mm_s", value="speed_mm_s=20"):

@@ -8,21 +8,18 @@ import pytest
 
 from smarttouch.afferent import Afferent, Mode
 from smarttouch.boards.emulator.simulated import SimulatedBoard
-from smarttouch.clock import SimulatedClock
 from smarttouch.kernels.problem import Problem
 from smarttouch.running.config import RunConfig
-from smarttouch.running.listener import as_listeners
-from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulator import Regulator
-from smarttouch.running.statistics import RunStatistics
 from smarttouch.sources import open_source
 from smarttouch.stimulation.ledger import ChargeBalance
 from smarttouch.stimulation.recharge import RechargeRules
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
 from smarttouch.stimulation.timing import ScanTiming
-from smarttouch.stopping import StopRequest
+
+from ..looping import loop_through
 
 TEXT = "text:the quick brown fox"
 WAYS = ("without", "reversing", "recharging")
@@ -55,7 +52,7 @@ def answer_of_phase(sequence, profile, bank):
 def test_letters(row, quick, profile, bank, mode, scan):
     rows = Problem(profile, mode.afferents[0]).rows[0]
     for way in WAYS:
-        regulator, tally, answers = regulator_of(way, profile), RunStatistics(), [0.0]
+        regulator, answers = regulator_of(way, profile), [0.0]
 
         def watch(sent, answers=answers):
             if sent.step.sequence.recharge_us:
@@ -66,10 +63,7 @@ def test_letters(row, quick, profile, bank, mode, scan):
         )
         board = SimulatedBoard("", SafetyLimits.of(profile), profile.output)
         with board, open_source("text:the" if quick else TEXT, profile) as sensor:
-            run_loop(
-                sensor, pipeline, board, stop=StopRequest(), statistics=tally, regulator=regulator,
-                clock=SimulatedClock(), listeners=as_listeners([watch]),
-            )  # fmt: skip
+            tally = loop_through(sensor, pipeline, board, watch, regulator=regulator)
             books, skin = board._firmware.books, board._firmware._skin
             _, _, current_ua = board.take_pulses()
         full = current_ua[np.abs(current_ua).max(axis=1) > 600].astype(np.float64)

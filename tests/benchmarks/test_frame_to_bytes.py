@@ -44,12 +44,6 @@ SCANS = {
 }
 
 
-@pytest.fixture
-def quick(request):
-    """True if a short form will do."""
-    return request.config.getoption("--quick", default=False)
-
-
 def grid_profile(side):
     """The default profile with side x side of its electrodes, which see the same print."""
     profile = load_profile("electric-mouse")

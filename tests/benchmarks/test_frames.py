@@ -14,12 +14,11 @@ from smarttouch.kernels.frames.bound import color_classes
 from smarttouch.kernels.frames.figures import FrameBounds
 from smarttouch.kernels.frames.operator import FrameOperator, Weights, keeps
 from smarttouch.kernels.frames.slots import likely_slots, plan_slots
-from smarttouch.profile import load_profile
 from smarttouch.stimulation.frames import FrameSlots
 
 from ..reference.joint_programme import joint_programme
 from ..reference.spread import Worst, spread_judges, uneven_levels, with_gain_error
-from .frame_sets import LETTERS, drawn, judge_of, scattered
+from .frame_sets import LETTERS, array_named, drawn, judge_of, scattered
 
 FREE_MA = 50.0
 SHOWN = [Afferent.RA, Afferent.SAI]
@@ -137,15 +136,8 @@ def test_gap_within_limits(row, quick, profile, afferent):
 @pytest.mark.parametrize("afferent", SHOWN)
 @pytest.mark.parametrize("name", ["electric-mouse", "optacon-24x6", "16x16", "32x32"])
 def test_slots_per_frame(row, quick, changed, name, afferent):
-    if name[0].isdigit():
-        if quick:
-            name = "8x8"
-        rows, columns = map(int, name.split("x"))
-        keys = {"array.rows": rows, "array.columns": columns, "name": name}
-        profile = changed(load_profile("electric-mouse"), keys)
-    else:
-        profile = load_profile(name)
-        rows, columns = profile.array.rows, profile.array.columns
+    profile = array_named(name, quick, changed)
+    name, rows, columns = profile.name, profile.array.rows, profile.array.columns
     judge, sites = judge_of(profile, afferent), rows * columns
     start = time.perf_counter()
     operator = FrameOperator(judge)

@@ -34,7 +34,13 @@ from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stimulation.kernel_table import KernelLists, KernelTable, quantized
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
-from tests.benchmarks.test_link_latency import Bare, acknowledged_s, limits_of, raised
+from tests.benchmarks.test_link_latency import (
+    Bare,
+    acknowledged_s,
+    beside,
+    limits_of,
+    raised,
+)
 from tests.firmware.build import built, host, library
 from tests.firmware.rig import Core, Talk
 from tests.firmware.scenes import random_lists, random_table, sequence_of
@@ -164,10 +170,7 @@ def test_acknowledged_over_a_pseudo_terminal(row, quick, electrodes, board):
         {
             "board": board,
             "electrodes": electrodes,
-            "bytes": length,
-            "acknowledged after, µs": f"{1e6 * statistics.median(ours):.0f}",
-            "bare, µs": f"{1e6 * statistics.median(plain):.0f}",
-            "ratio": f"{statistics.median(a / b for a, b in zip(ours, plain, strict=True)):.1f}",
+            **beside(length, ours, plain),
             # What a busy machine adds comes on top of these.
             "least": f"{1e6 * min(ours):.0f}",
             "least from the payload on": f"{1e6 * min(wire):.0f}",

@@ -14,7 +14,6 @@ from smarttouch.imaging.mapping import TactileMapper
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.kernels.frames.figures import FrameBounds
 from smarttouch.kernels.frames.operator import FrameOperator
-from smarttouch.profile import load_profile
 from smarttouch.resources import data_folder
 from smarttouch.sources import open_source
 from smarttouch.stimulation.safety import SafetyLimits
@@ -23,7 +22,7 @@ from smarttouch.stimulation.sharing import SlotPolicy
 from smarttouch.tactile_image import TactileImage
 from tests.rising import open_level
 
-from .frame_sets import LETTERS, drawn, judge_of, scattered
+from .frame_sets import LETTERS, array_named, drawn, judge_of, scattered
 
 DENSITIES = (0.05, 0.10, 0.20, 0.40, 0.60)
 
@@ -91,22 +90,14 @@ def delivered(profile, bank, afferent, frames, activations):
 @pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
 @pytest.mark.parametrize("name", ["electric-mouse", "16x16", "optacon-24x6", "32x32"])
 def test_refresh_against_point_scan(row, quick, changed, name, afferent):
+    profile = array_named(name, quick, changed)
+    rows, columns = profile.array.rows, profile.array.columns
     if name[0].isdigit():
-        large = name == "32x32"
-        if quick:
-            name = "8x8"
-        rows, columns = map(int, name.split("x"))
-        keys = {"array.rows": rows, "array.columns": columns, "name": name}
         # A printed line fills the rows, as on 8 x 8.
-        keys |= {"optics.sensor_rows": 8 * rows, "optics.sensor_columns": 8 * columns}
-        keys["optics.magnification"] = 0.4 * rows
-        profile = changed(load_profile("electric-mouse"), keys)
-        bank = bank_by_operator(profile, afferent) if large else load_bank(profile)
-    else:
-        profile = load_profile(name)
-        rows, columns = profile.array.rows, profile.array.columns
-        bank = load_bank(profile)
-    sites = rows * columns
+        keys = {"optics.sensor_rows": 8 * rows, "optics.sensor_columns": 8 * columns}
+        profile = changed(profile, keys | {"optics.magnification": 0.4 * rows})
+    bank = bank_by_operator(profile, afferent) if name == "32x32" else load_bank(profile)
+    name, sites = profile.name, rows * columns
     sets = {"letters": [drawn(each, rows, columns) for each in ("T" if quick else LETTERS)]}
     for density in DENSITIES[:1] if quick else DENSITIES:
         points = round(density * sites)

@@ -18,9 +18,9 @@ STUDY = Study(
 
 
 @pytest.mark.parametrize("workers", [1, 2, 4])
-def test_rows_are_the_same_on_any_number_of_workers(benchmark, request, tmp_path, workers):
+def test_rows_are_the_same_on_any_number_of_workers(benchmark, quick, tmp_path, workers):
     distributed = pytest.importorskip("distributed")
-    if request.config.getoption("quick") and workers != 2:
+    if quick and workers != 2:
         pytest.skip("quick: two workers stand for all")
     with joblib.parallel_config("threading", n_jobs=1):
         here = run_study(STUDY, Path(), tmp_path / "here")
@@ -39,8 +39,8 @@ def test_rows_are_the_same_on_any_number_of_workers(benchmark, request, tmp_path
 
 
 @pytest.mark.parametrize("anatomy", ["paper", "branched"])
-def test_a_finger_with_26_letters_and_three_scans(benchmark, request, anatomy):
-    letters = "LT" if request.config.getoption("quick") else Study(title="all").letters
+def test_a_finger_with_26_letters_and_three_scans(benchmark, quick, anatomy):
+    letters = "LT" if quick else Study(title="all").letters
     study = Study(title="scans", scans=("points", "auto", "frame"), letters=letters)
     grid = Grid(study, Path())
     (name,) = study.profiles

@@ -1,7 +1,6 @@
 """A photograph of embossed Braille, from a height map and a lamp at its side."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import cv2
@@ -9,8 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.documents.page_image import Page
-
-Mapping = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 DOT_HEIGHT_MM = 0.48
 DOT_RADIUS_MM = 0.75
@@ -56,28 +53,11 @@ def emboss(
 ) -> Embossed:
     """Render lines of cells as they look in a photograph.
 
-    Parameters
-    ----------
-    light_deg : float, °
-        Where the light comes from: 0 is the right, 90 the top of the picture.
-    noise : float, grey levels
-        Of the camera.
-    shading : float, in [0, 1]
-        How much of the light is lost towards the corner that is darkest.
-    texture : float
-        Roughness of the paper, of that of ordinary Braille paper.
-    perspective : float
-        How much smaller the page's far edge is than its near one, as a part.
-    dent : float
-        Depth of a dot seen from behind, of its height.
-    curl_mm : float, mm
-        How far the middle of each line is bent down.
-    back_side : list of str, optional
-        Cells embossed from the other side; they lie between the front's dots.
-    uneven : float
-        Spread of the dots' heights, as a part; half of it, in mm, of their places.
-    lost : float, in [0, 1]
-        Share of the dots that are worn flat.
+    Light comes from the right at 0°, from the top at 90; ``shading`` is the part of it that the
+    darkest corner lacks. ``noise`` is in grey levels, ``texture`` the roughness of ordinary
+    Braille paper, ``perspective`` how much smaller the far edge is, ``dent`` the depth of a dot
+    seen from behind, of its height, ``uneven`` the spread of heights, and half of it, in mm, that
+    of places; ``lost`` is the share of dots that are worn flat. Each line is bent by ``curl_mm``.
     """
     rng = np.random.default_rng(seed)
     columns = max(len(line) for line in (*lines, *(back_side or [])))
@@ -122,9 +102,7 @@ def printed(embossed: Embossed, radius_px: float, light_on_dark: bool = False) -
     return Page(255 - grey if light_on_dark else grey, 0.1)
 
 
-def random_lines(
-    rows: int, columns: int, seed: int, blank: float = 0.15, density: float = 0.45
-) -> list[str]:
+def random_lines(rows, columns, seed, blank=0.15, density=0.45):
     """Return lines of random cells, none of them with a blank end."""
     rng = np.random.default_rng(seed)
     dots = rng.random((rows, columns, 6)) < density
@@ -135,9 +113,7 @@ def random_lines(
     return ["".join(map(chr, line)) for line in codes.tolist()]
 
 
-def _dots_mm(
-    lines: list[str], dot_mm: float, cell_mm: float, line_mm: float
-) -> NDArray[np.float64]:
+def _dots_mm(lines, dot_mm, cell_mm, line_mm):
     """Return where dots are, (N, 2) mm from the first dot of the first cell."""
     places = [
         (column * cell_mm + (dot // 3) * dot_mm, row * line_mm + (dot % 3) * dot_mm)
@@ -149,17 +125,11 @@ def _dots_mm(
     return np.array(places, np.float64).reshape(-1, 2)
 
 
-def _camera(
-    size_mm: NDArray[np.float64],
-    px_per_mm: float,
-    skew_deg: float,
-    perspective: float,
-    curl_mm: float,
-) -> tuple[Mapping, tuple[int, int]]:
+def _camera(size_mm, px_per_mm, skew_deg, perspective, curl_mm):
     """Return the map from the page to the picture, and the picture's size, px."""
     cos, sin = math.cos(math.radians(skew_deg)), math.sin(math.radians(skew_deg))
 
-    def to_px(place_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_px(place_mm):
         x, y = (place_mm - size_mm / 2).T
         y = y + curl_mm * ((2 * x / size_mm[0]) ** 2 - 1)
         x, y = cos * x + sin * y, cos * y - sin * x
@@ -175,12 +145,7 @@ def _camera(
     return to_px, (width, height)
 
 
-def _stamp(
-    height_px: NDArray[np.float32],
-    dots_px: NDArray[np.float64],
-    px_per_mm: float,
-    raised: NDArray[np.float64],
-) -> None:
+def _stamp(height_px, dots_px, px_per_mm, raised):
     """Raise caps of spheres from the paper by so much of their height, or sink them into it."""
     radius, top = DOT_RADIUS_MM * px_per_mm, DOT_HEIGHT_MM * px_per_mm
     sphere = (radius**2 + top**2) / (2 * top)
@@ -195,9 +160,7 @@ def _stamp(
         )
 
 
-def _fibers(
-    shape: tuple[int, ...], px_per_mm: float, texture: float, rng: np.random.Generator
-) -> NDArray[np.float32]:
+def _fibers(shape, px_per_mm, texture, rng):
     """Return the relief of paper: fibers in many directions, and slow waves, in pixels."""
     relief = np.zeros(shape, np.float32)
     for angle in range(0, 180, 45):
@@ -214,7 +177,7 @@ def _fibers(
     return relief + 0.05 * px_per_mm * texture * waves
 
 
-def _lit(height_px: NDArray[np.float32], azimuth: float) -> NDArray[np.float32]:
+def _lit(height_px, azimuth):
     """Return the light that paper (Lambert's) sends back, 1 where it is flat."""
     elevation = math.radians(LAMP_ELEVATION_DEG)
     toward = np.array([math.cos(azimuth), -math.sin(azimuth)])
@@ -236,7 +199,7 @@ def _lit(height_px: NDArray[np.float32], azimuth: float) -> NDArray[np.float32]:
     return np.asarray(AMBIENT + (1 - AMBIENT) * direct * (1 - shadow), np.float32)
 
 
-def _falloff(shape: tuple[int, ...], shading: float, azimuth: float) -> NDArray[np.float32]:
+def _falloff(shape, shading, azimuth):
     """Return uneven light: a lamp that is near, and a lens that darkens the corners."""
     y, x = np.mgrid[-1 : 1 : shape[0] * 1j, -1 : 1 : shape[1] * 1j].astype(np.float32)
     toward = x * math.cos(azimuth) - y * math.sin(azimuth)

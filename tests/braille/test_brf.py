@@ -6,7 +6,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from smarttouch.braille.brf import format_brf, parse_brf, read_brf, write_brf
+from smarttouch.braille.brf import format_brf, parse_brf
 from smarttouch.errors import BrailleError
 
 from ..raising import raises
@@ -37,12 +37,6 @@ def test_what_is_written_is_read(pages):
 @pytest.mark.parametrize("data", [b"A\nB\fC", b"A\r\nB\r\n\fC\r\n\f", b"A\r\nB\r\n\fC\r\n\x1a"])
 def test_files_of_others(data):
     assert parse_brf(data) == [["⠁", "⠃"], ["⠉"]]
-
-
-def test_files(tmp_path):
-    path = tmp_path / "a.brf"
-    write_brf(path, [["⠁"]])
-    assert read_brf(path) == [["⠁"]]
 
 
 def test_bad_codes_are_found():

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from smarttouch.braille import louis
 from smarttouch.braille.cells import is_cell
 from smarttouch.braille.grade1 import Grade1
 from smarttouch.braille.louis import LouisCode
+
+from .liblouis import needs_liblouis
 
 ENGLISH = Grade1()
 
@@ -103,7 +104,7 @@ TOKENS = st.one_of(
 )  # fmt: skip
 
 
-@pytest.mark.skipif(louis.version() is None, reason=f"needs liblouis: {louis.INSTALL}")
+@needs_liblouis
 @settings(deadline=None)
 @given(st.lists(TOKENS, min_size=1, max_size=8).map(" ".join))
 def test_ordinary_text_is_as_liblouis_has_it(text):

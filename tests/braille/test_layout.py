@@ -45,11 +45,6 @@ def test_two_blanks_in_a_line_stay():
     assert lay_out(["⠁⠁⠁⠀⠀⠃"], 5, indent=0) == [["⠁⠁⠁", "⠃"]]
 
 
-def test_nothing_is_no_page():
-    assert lay_out([]) == []
-    assert join([]) == []
-
-
 def test_lines_of_others_join():
     pages = [["⠀⠀⠁", "⠃"], ["⠉", "", "⠙", "⠑", "⠀⠀⠋"]]
     assert join(pages) == ["⠁⠀⠃⠀⠉", "", "⠙⠀⠑", "⠋"]

@@ -2,17 +2,14 @@
 
 import pytest
 
-from smarttouch.braille import louis
 from smarttouch.braille.grade1 import Grade1
 from smarttouch.braille.tables import BrailleTable, open_table
 
+from .liblouis import needs_liblouis
 from .sentences import make_sentences
 
 SAME = str.maketrans(
     {"“": '"', "”": '"', "„": '"', "«": '"', "»": '"', "’": "'", "—": "-", "–": "-"}
-)
-needs_liblouis = pytest.mark.skipif(
-    louis.version() is None, reason=f"needs liblouis: {louis.INSTALL}"
 )
 
 

@@ -106,6 +106,7 @@ def test_what_is_left_out_is_noted(load, table):
     ("name", "data", "attributes"),
     [
         ("none.brf", None, {"about": "file"}),
+        ("folder.brf", "folder", {"about": "file", "value": "folder.brf"}),
         ("bad.txt", b"ab\xff", {"about": "file"}),
         ("empty.txt", b"\n \n", {"about": "text"}),
         ("empty.brf", b"", {"about": "text"}),
@@ -114,7 +115,9 @@ def test_what_is_left_out_is_noted(load, table):
     ],
 )
 def test_bad_files(load, tmp_path, name, data, attributes):
-    if data is not None:
+    if data == "folder":
+        (tmp_path / name).mkdir()
+    elif data is not None:
         (tmp_path / name).write_bytes(data)
     with raises(BrailleError, **attributes):
         load(tmp_path / name)
@@ -124,12 +127,6 @@ def test_bad_files(load, tmp_path, name, data, attributes):
 def test_nothing_to_read(load, text):
     with raises(BrailleError, about="text"):
         load(text)
-
-
-def test_a_folder(load, tmp_path):
-    (tmp_path / "a.brf").mkdir()
-    with raises(BrailleError, about="file", value=tmp_path / "a.brf"):
-        load(tmp_path / "a.brf")
 
 
 def test_files_that_cannot_be_written(tmp_path):

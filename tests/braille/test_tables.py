@@ -10,15 +10,9 @@ from smarttouch.braille.tables import MISSING_NOTE, known_tables, open_table
 from smarttouch.errors import BrailleError
 
 from ..raising import raises
+from .liblouis import needs_liblouis
 
-needs_liblouis = pytest.mark.skipif(
-    louis.version() is None, reason=f"needs liblouis: {louis.INSTALL}"
-)
-
-
-@pytest.fixture
-def no_liblouis(monkeypatch):
-    monkeypatch.setattr(louis, "_library", lambda: None)
+TABLES = ["en-1", "ja", *(["en-2", "de-1", "fr-1"] if louis.version() else [])]
 
 
 @needs_liblouis
@@ -39,9 +33,8 @@ def test_without_liblouis_there_is_grade_1(no_liblouis):
     assert table.note == MISSING_NOTE
     assert table.to_text(table.to_cells("Hello")) == "Hello"
     assert open_table("ja").note is None
-    with raises(
-        BrailleError, about="liblouis", value="en-2", remedy="apt install liblouis20 liblouis-data"
-    ):
+    remedy = "apt install liblouis20 liblouis-data"
+    with raises(BrailleError, about="liblouis", value="en-2", remedy=remedy):
         open_table("en-2")
     with raises(BrailleError, about="table", value="es-g1.ctb"):
         open_table("es-g1.ctb")
@@ -129,9 +122,7 @@ def test_some_tables_cannot_go_back():
         open_table("de-2").to_text("⠁")
 
 
-@pytest.mark.parametrize(
-    "name", ["en-1", "ja", *(["en-2", "de-1", "fr-1"] if louis.version() else [])]
-)
+@pytest.mark.parametrize("name", TABLES)
 @settings(deadline=None)
 @given(text=st.text())
 def test_any_text_becomes_cells(name, text):
@@ -139,9 +130,7 @@ def test_any_text_becomes_cells(name, text):
     assert all(0x2800 <= ord(each) <= 0x28FF or each == "\n" for each in cells)
 
 
-@pytest.mark.parametrize(
-    "name", ["en-1", "ja", *(["en-2", "de-1", "fr-1"] if louis.version() else [])]
-)
+@pytest.mark.parametrize("name", TABLES)
 @settings(deadline=None)
 @given(cells=st.text(st.characters(min_codepoint=0x2800, max_codepoint=0x28FF), max_size=40))
 def test_any_cells_become_text(name, cells):

@@ -36,24 +36,21 @@ def test_what_is_no_address(text):
 
 @pytest.mark.parametrize("cells", [0, 256])
 def test_impossible_widths(cells):
-    with pytest.raises(SourceError) as caught:
+    with raises(SourceError, about="cells"):
         BrlttyConnection(Address("127.0.0.1", 1, False), cells)
-    assert caught.value.about == "cells"
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "a..b"])
 def test_nobody_there(host):
-    with pytest.raises(SourceError) as caught:
+    with raises(SourceError, about="address"):
         BrlttyConnection(Address(host, free_port(), False), 20).open()
-    assert caught.value.about == "address"
 
 
 def test_a_port_that_is_taken():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
-        with pytest.raises(SourceError) as caught:
+        with raises(SourceError, about="address"):
             BrlttyConnection(Address("127.0.0.1", port, True), 20).open()
-        assert caught.value.about == "address"
 
 
 @pytest.fixture

@@ -11,23 +11,10 @@ from scipy.special import ndtr
 class SimulatedSubject:
     """Simulated responses at one electrode.
 
-    Attributes
-    ----------
-    threshold_ma : float, mA
-        Felt at every second look.
-    comfort_ma : float, mA
-        Called enough at every second look.
-    slope : float
-        Standard deviation of both, in natural logarithms of current.
-    guess, lapse : float
-        Rates of false detections and of misses.
-    look_s : float, s
-        Between looks at a rising current.
-    reaction_s : float, s
-        From a look to the key, on average; single ones vary by a quarter.
-    drift : float
-        Part by which both rise in a minute of stimulation.
-    seed : int
+    Threshold and comfort are found at every second look; ``slope`` is the standard deviation of
+    both in natural logarithms, ``guess`` the rate of false detections and ``lapse`` that of
+    misses, ``reaction_s`` from a look to the key, of which single ones vary by a quarter, and
+    ``drift`` the part by which both rise in a minute of stimulation.
     """
 
     threshold_ma: float

@@ -90,13 +90,8 @@ class Listed:
 
 @pytest.mark.parametrize("readings", [[], [1, 2], [np.nan] * 9, [1, 2, 3, 4, 5] + [np.nan] * 6])
 def test_readings_that_are_none(readings):
-    with raises(
-        CalibrationError,
-        about="readings",
-        value=np.isfinite(readings).sum(),
-        allowed=5,
-        remedy="seconds",
-    ):
+    count = np.isfinite(readings).sum()
+    with raises(CalibrationError, about="readings", value=count, allowed=5, remedy="seconds"):
         weigh(Listed(readings), 20, 1.0)
 
 

@@ -46,12 +46,8 @@ def test_paper_that_moved_is_refused():
     scene[:, ::2] = 0.8
     white = patch.see(scene, 8) + patch.see(scene[:, ::-1], 8)
     alternating = [each for pair in zip(white[:8], white[8:], strict=True) for each in pair]
-    with raises(
-        CalibrationError,
-        about="unevenness",
-        value=lambda uneven: uneven > MOST_UNEVEN,
-        allowed=MOST_UNEVEN,
-    ):
+    moved = {"value": lambda uneven: uneven > MOST_UNEVEN, "allowed": MOST_UNEVEN}
+    with raises(CalibrationError, about="unevenness", **moved):
         measure_optics(patch.images(16, light=False), alternating)
 
 

@@ -58,26 +58,6 @@ def test_any_numbers_and_words_are_read_back(tmp_path_factory, values, found):
     assert profile.calibrated["contact"].found == found
 
 
-def test_one_calibration_after_the_other_in_one_file(tmp_path):
-    mine = tmp_path / "mine.toml"
-    first = ProfileFile("electric-mouse", mine)
-    first.set("force.curve", [0.0, 1e-6])
-    first.note("force", "one")
-    first.write()
-    for found in ("two", "three"):
-        again = ProfileFile(str(mine), mine, overwrite=True)
-        again.set("output.masked", [3])
-        again.note("contact", found)
-        again.write()
-    profile = load_profile(mine)
-    assert profile.force.curve == (0.0, 1e-6)
-    assert profile.output.masked == (3,)
-    assert {key: each.found for key, each in profile.calibrated.items()} == {
-        "force": "one",
-        "contact": "three",
-    }
-
-
 def test_nothing_is_overwritten_without_being_told_to(tmp_path):
     mine = tmp_path / "mine.toml"
     mine.write_text("what was there")
@@ -178,6 +158,8 @@ def test_a_part_again_needs_overwrite_and_keeps_the_rest(tmp_path):
     profile = calibrated("force", "force.curve", [0.5, 1e-6], mine, overwrite=True)
     assert profile.force.curve == (0.5, 1e-6)
     assert profile.output.masked == (3,)
+    found = {key: each.found for key, each in profile.calibrated.items()}
+    assert found == {"force": "force [0.5, 1e-06]", "contact": "contact [3]"}
 
 
 def test_a_simulation_does_not_mix_with_what_was_measured(tmp_path):

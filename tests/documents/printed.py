@@ -31,17 +31,7 @@ WORDS = _PROSE.split()
 
 @dataclass(frozen=True, eq=False)
 class PrintedLine:
-    """A line as it was printed.
-
-    Attributes
-    ----------
-    text : str
-        What it says.
-    baseline_mm : ndarray, (N, 2)
-        Points x, y along its baseline from its first letter to its last.
-    x_height_mm : float, mm
-        Height of its x.
-    """
+    """A line as it was printed; its baseline is (N, 2) points from first letter to last."""
 
     text: str
     baseline_mm: np.ndarray
@@ -128,28 +118,11 @@ def degrade(
 ) -> Printed:
     """Return a page as a bad scan or a photograph shows it, with the truth moved along.
 
-    Parameters
-    ----------
-    printed : Printed
-        The page as it came from the printer.
-    skew_deg : float
-        By how much it lies turned, clockwise.
-    uneven : float, 0 to 1
-        How much of the light is missing in the darkest corner and under a shadow.
-    noise : float
-        Standard deviation, in grey levels.
-    blur_px : float
-        Standard deviation, in pixels.
-    perspective : float
-        How much narrower the far edge of the sheet is; above 0 it lies on a dark table.
-    curvature : float, mm
-        How far the lines of an open book bend at the bottom of the page; a third of it at the top.
-    inverted : bool
-        Print light letters on dark paper.
-    jpeg : int, optional
-        Quality of compression.
-    seed : int
-        Of the noise.
+    It is turned clockwise; ``uneven`` is the part of the light that the darkest corner and a
+    shadow lack, ``noise`` a standard deviation in grey levels, ``perspective`` how much narrower
+    the far edge of the sheet is, which then lies on a dark table, ``curvature`` how far, in mm,
+    lines of an open book bend at the bottom of the page, a third of it at the top, and ``jpeg``
+    the quality of compression.
     """
     grey = printed.page.grey
     if inverted:
@@ -233,15 +206,8 @@ def _bent(grey, most_px, paper):
 
     x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
     source = (y - fall(x) / 3) / (1 + fall(x) * 2 / 3 / height)
-    bent = cv2.remap(
-        grey,
-        x,
-        source.astype(np.float32),
-        cv2.INTER_CUBIC,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=paper,
-    )
-    return bent, forth
+    edge = {"borderMode": cv2.BORDER_CONSTANT, "borderValue": paper}
+    return cv2.remap(grey, x, source.astype(np.float32), cv2.INTER_CUBIC, **edge), forth
 
 
 def _laid_on_a_table(grey, narrower):

@@ -75,6 +75,22 @@ def one_page(content=b"", size=(144, 288), page=b"", catalog=b"", more=(), trail
     )
 
 
+@pytest.fixture
+def put(tmp_path):
+    """Return a writer of a file, to its path."""
+
+    def write(content, name="page.pdf"):
+        (tmp_path / name).write_bytes(content)
+        return tmp_path / name
+
+    return write
+
+
+def first_page(path, **options):
+    with open_document(path, **options) as document:
+        return document.page(0)
+
+
 def rc4(key, data):
     state, j = list(range(256)), 0
     for i in range(256):
@@ -133,8 +149,7 @@ def test_nothing_of_a_pdf_is_left_to_the_collector(tmp_path):
 def test_a_pdf_under_another_name(tmp_path):
     path = save(tmp_path / "page.pdf", sheets(1))
     other = path.rename(tmp_path / "page.jpg")
-    with open_document(other) as document:
-        assert squares(document.page(0)) == 1
+    assert squares(first_page(other)) == 1
 
 
 @pytest.mark.parametrize(
@@ -145,11 +160,9 @@ def test_a_pdf_under_another_name(tmp_path):
         ({"page_width_mm": 25.4}, (600, 300), 25.4),
     ],
 )
-def test_the_scale_of_a_pdf(tmp_path, options, shape, width_mm):
-    path = tmp_path / "page.pdf"
-    path.write_bytes(one_page(b"0 144 72 144 re f"))
-    with open_document(path, **options) as document:
-        page = document.page(0)
+def test_the_scale_of_a_pdf(put, options, shape, width_mm):
+    path = put(one_page(b"0 144 72 144 re f"))
+    page = first_page(path, **options)
     assert page.grey.shape == shape
     assert page.size_mm[0] == pytest.approx(width_mm)
     upper_left = page.grey[: shape[0] // 2, : shape[1] // 2]
@@ -157,9 +170,8 @@ def test_the_scale_of_a_pdf(tmp_path, options, shape, width_mm):
     assert page.grey.mean() == pytest.approx(255 * 3 / 4, abs=2)
 
 
-def test_a_poster_is_rendered_coarser_and_this_is_said(tmp_path):
-    path = tmp_path / "poster.pdf"
-    path.write_bytes(one_page(size=(3600, 3600)))
+def test_a_poster_is_rendered_coarser_and_this_is_said(put):
+    path = put(one_page(size=(3600, 3600)), "poster.pdf")
     with open_document(path) as document:
         page = document.page(0)
         (note,) = document.notes
@@ -168,38 +180,31 @@ def test_a_poster_is_rendered_coarser_and_this_is_said(tmp_path):
     assert page.size_mm == pytest.approx((1270, 1270))
 
 
-def test_what_is_filled_into_a_form_is_seen(tmp_path):
+def test_what_is_filled_into_a_form_is_seen(put):
     ink = stream(b"0 0 72 72 re f", b"/Type/XObject/Subtype/Form/BBox[0 0 72 72]")
     field = (
         b"<</Type/Annot/Subtype/Widget/FT/Tx/T(name)/V(x)/F 4/P 3 0 R"
         b"/Rect[0 0 72 72]/AP<</N 6 0 R>>>>"
     )
-    path = tmp_path / "form.pdf"
-    path.write_bytes(
-        one_page(page=b"/Annots[5 0 R]", catalog=b"/AcroForm<</Fields[5 0 R]>>", more=[field, ink])
-    )
-    with open_document(path) as document:
-        page = document.page(0)
+    form = {"page": b"/Annots[5 0 R]", "catalog": b"/AcroForm<</Fields[5 0 R]>>"}
+    path = put(one_page(**form, more=[field, ink]))
+    page = first_page(path)
     assert page.grey[950:1150, 50:250].max() < 20
 
 
-def test_an_encrypted_pdf_opens_with_its_password_alone(tmp_path):
-    path = tmp_path / "secret.pdf"
-    path.write_bytes(encrypted(b"0 144 144 144 re f", "tulip"))
+def test_an_encrypted_pdf_opens_with_its_password_alone(put):
+    path = put(encrypted(b"0 144 144 144 re f", "tulip"), "secret.pdf")
     with raises(PageError, about="password", value=path):
         open_document(path)
     with raises(PageError, about="password", value=path) as caught:
         open_document(path, password="rose")
     assert "rose" not in str(caught.value)
-    with open_document(path, password="tulip") as document:
-        assert document.page(0).grey.mean() == pytest.approx(127, abs=2)
+    assert first_page(path, password="tulip").grey.mean() == pytest.approx(127, abs=2)
 
 
-def test_without_a_user_password_none_is_asked_for(tmp_path):
-    path = tmp_path / "open.pdf"
-    path.write_bytes(encrypted(b"0 144 144 144 re f", ""))
-    with open_document(path) as document:
-        assert document.page(0).grey.mean() == pytest.approx(127, abs=2)
+def test_without_a_user_password_none_is_asked_for(put):
+    path = put(encrypted(b"0 144 144 144 re f", ""), "open.pdf")
+    assert first_page(path).grey.mean() == pytest.approx(127, abs=2)
 
 
 @pytest.mark.parametrize(
@@ -211,52 +216,37 @@ def test_without_a_user_password_none_is_asked_for(tmp_path):
         b"",
         b"a plain text",
         None,
+        "folder",
     ],
 )
 def test_bad_files(tmp_path, content):
     path = tmp_path / "page.pdf"
-    if content is not None:
+    if content == "folder":
+        path.mkdir()
+    elif content is not None:
         path.write_bytes(content)
     with raises(PageError, about="file", value=path):
         open_document(path)
 
 
-def test_a_folder(tmp_path):
-    with raises(PageError, about="file", value=tmp_path):
-        open_document(tmp_path)
+SIZES = {"about": "size_mm", "allowed": (2, 2000), "remedy": "page_width_mm"}
 
 
 @pytest.mark.parametrize(
-    ("size", "size_mm"), [((14400, 14400), (5080, 5080)), ((144, 1), (50.8, 0.35278))]
+    ("content", "dpi", "attributes"),
+    [
+        (one_page(size=(14400, 14400)), None, SIZES | {"value": pytest.approx((5080, 5080))}),
+        (one_page(size=(144, 1)), None, SIZES | {"value": pytest.approx((50.8, 0.35278))}),
+        (one_page().replace(b"Kids[3 0 R]", b"Kids[9 0 R]"), None, {"about": "page", "value": 1}),
+        (one_page(), 2, {"about": "pixels", "value": (4, 8), "allowed": (8, 8)}),
+    ],
+    ids=["large", "flat", "damaged", "coarse"],
 )
-def test_pages_of_impossible_sizes(tmp_path, size, size_mm):
-    path = tmp_path / "page.pdf"
-    path.write_bytes(one_page(size=size))
-    found, remedy = pytest.approx(size_mm, rel=1e-4), "page_width_mm"
-    with (
-        open_document(path) as document,
-        raises(PageError, about="size_mm", value=found, allowed=(2, 2000), remedy=remedy),
-    ):
-        document.page(0)
-
-
-def test_a_page_that_is_damaged(tmp_path):
-    path = tmp_path / "page.pdf"
-    path.write_bytes(one_page().replace(b"Kids[3 0 R]", b"Kids[9 0 R]"))
-    damaged = raises(PageError, about="page", value=1)
-    with open_document(path) as document, damaged as caught:
+def test_pages_that_cannot_be(put, content, dpi, attributes):
+    path = put(content)
+    with open_document(path, dpi=dpi) as document, raises(PageError, **attributes) as caught:
         document.page(0)
     assert str(path) in str(caught.value)
-
-
-def test_a_resolution_that_leaves_no_pixels(tmp_path):
-    path = tmp_path / "page.pdf"
-    path.write_bytes(one_page())
-    with (
-        open_document(path, dpi=2) as document,
-        raises(PageError, about="pixels", value=(4, 8), allowed=(8, 8)),
-    ):
-        document.page(0)
 
 
 def outcome(path, **options):
@@ -325,8 +315,7 @@ def test_a_fax_that_lies_on_its_side(tmp_path):
     turned[274] = 6
     path = tmp_path / "fax.tif"
     sheets(1, (400, 600))[0].save(path, dpi=(204, 98), tiffinfo=turned)
-    with open_document(path) as document:
-        page = document.page(0)
+    page = first_page(path)
     assert page.grey.shape == (400, round(600 * 204 / 98))
 
 
@@ -352,8 +341,7 @@ def test_an_image_without_a_scale_opens_all_the_same(tmp_path, size, width_mm):
 @pytest.mark.parametrize("options", [{"dpi": 127}, {"page_width_mm": 60}])
 def test_a_given_scale_of_an_image(tmp_path, options):
     path = save(tmp_path / "page.png", sheets(1), dpi=(300, 300))
-    with open_document(path, **options) as document:
-        assert document.page(0).mm_per_pixel == pytest.approx(0.2)
+    assert first_page(path, **options).mm_per_pixel == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize(
@@ -398,23 +386,19 @@ def test_pages_asked_for(text, indexes):
 
 
 @pytest.mark.parametrize(
-    ("text", "part"),
-    [("", ""), ("1,,2", ""), ("one", "one"), ("-3", "-3"), ("²", "²"), ("1" * 5000, "1" * 5000)],
+    ("text", "value", "more"),
+    [
+        *((each, each, {}) for each in ("", "one", "-3", "²", "1" * 5000)),
+        ("1,,2", "", {}),
+        ("0", 0, {"allowed": 12}),
+        ("1,13", 13, {"allowed": 12}),
+        ("3-999999999", 999_999_999, {"allowed": 12}),
+        ("5-3", (5, 3), {"remedy": "3-5"}),
+    ],
 )
-def test_what_is_no_page(text, part):
-    with raises(PageError, about="pages", value=part):
+def test_what_is_no_page(text, value, more):
+    with raises(PageError, about="pages", value=value, **more):
         parse_pages(text, 12)
-
-
-@pytest.mark.parametrize(("text", "number"), [("0", 0), ("1,13", 13), ("3-999999999", 999_999_999)])
-def test_numbers_of_no_page(text, number):
-    with raises(PageError, about="pages", value=number, allowed=12):
-        parse_pages(text, 12)
-
-
-def test_pages_from_behind():
-    with raises(PageError, about="pages", value=(5, 3), remedy="3-5"):
-        parse_pages("5-3", 12)
 
 
 @given(st.lists(st.integers(1, 500), min_size=1, max_size=20))

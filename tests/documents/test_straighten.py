@@ -73,13 +73,9 @@ def test_pictures_are_left_alone(name):
 
 @pytest.mark.parametrize(
     ("perspective", "light"),
-    [
-        (0.05, {}),
-        (0.2, {"uneven": 0.6, "noise": 5}),
-        (0.05, {"uneven": 0.9}),
-        (0.2, {"uneven": 0.9}),
-    ],
-)
+    [(0.05, {}), (0.2, {"uneven": 0.6, "noise": 5}), (0.05, {"uneven": 0.9}),
+     (0.2, {"uneven": 0.9})],
+)  # fmt: skip
 def test_a_sheet_on_a_table_is_laid_flat(printed, perspective, light):
     photo = degrade(printed, perspective=perspective, skew_deg=2, **light)
     page, notes = straighten(photo.page)

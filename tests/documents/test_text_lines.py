@@ -1,6 +1,7 @@
 """Lines are found, in order and where they are, on pages as scanners and cameras see them."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -153,6 +154,11 @@ def test_a_photographed_page_of_a_book():
     assert 7 <= len(lines) <= 9
     first_six = [line.bottom_mm for line in lines[:6]]
     assert first_six == sorted(first_six)
+    for above, below in pairwise(lines):
+        # They slope, and are not equally long: what counts is where both are.
+        shared = np.array([max(above.left_mm, below.left_mm), min(above.right_mm, below.right_mm)])
+        lower = above.baseline_mm(shared) + above.descent_mm
+        assert (lower <= below.baseline_mm(shared) - below.ascent_mm).all()
 
 
 @pytest.mark.parametrize(
@@ -166,7 +172,8 @@ def test_pictures_have_no_lines(name):
 
 @pytest.mark.parametrize("grey", [255, 128, 0])
 def test_blank_pages_have_no_lines(grey):
-    assert find_lines(Page(np.full((300, 400), grey, np.uint8), 0.2), None) == []
+    for light_on_dark in (None, False):
+        assert find_lines(Page(np.full((300, 400), grey, np.uint8), 0.2), light_on_dark) == []
 
 
 @pytest.mark.parametrize("part", [0.02, 0.2, 0.5])

@@ -3,17 +3,14 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from smarttouch.kernels.driving_problem import DrivingProblem, fiber_points
+from smarttouch.kernels.driving_problem import fiber_points
 from smarttouch.physiology.activation import potential_mv
-from smarttouch.physiology.afferents import Afferents, everywhere, targets
+from smarttouch.physiology.afferents import everywhere, targets
 from smarttouch.physiology.driving import FIBERS
 from smarttouch.physiology.membrane import thresholds_ma
 
 from ..fit_fibers import fiber_cases
-
-Array = NDArray[np.float64]
 
 _APART_MM = 0.5
 _EARLY = 0.6
@@ -21,34 +18,21 @@ _EARLY = 0.6
 
 @dataclass(frozen=True)
 class CableJudgement:
-    """Judgement of one kernel by the cable model.
+    """Thresholds of one kernel by the cable model.
 
-    Attributes
-    ----------
-    target : float
-        Threshold of the target's fiber, of what the driving function predicts.
-    off_target : float
-        Threshold of the target over the lowest of another class's fibers; 0 if none fires.
+    That of the target's fiber, of what the driving function predicts, and over the lowest of
+    another class's fibers; 0 if none fires.
     """
 
     target: float
     off_target: float
 
 
-def judge_by_cable(
-    problem: DrivingProblem, weights: Array, site: int, count: int = 8
-) -> CableJudgement:
-    """Return the thresholds of fibers under a kernel, by the cable model.
+def judge_by_cable(problem, weights, site, count=8):
+    """Return the thresholds of fibers under a kernel, (E,) mA, of a problem without a spread.
 
-    Parameters
-    ----------
-    problem : DrivingProblem
-        Without a spread.
-    weights : ndarray, (E,), mA
-    site : int
-    count : int
-        Fibers of each set of the other classes: where the driving function is largest, half a
-        millimeter or more apart.
+    Of each set of the other classes so many fibers are judged: where the driving function is
+    largest, half a millimeter or more apart.
     """
     aim = targets(problem.profile, problem.afferent)
     place = aim.position_mm[[site]]
@@ -63,21 +47,16 @@ def judge_by_cable(
         layers = drive.reshape(len(nodes.direction), -1, len(nodes.position_mm)).max(axis=1)
         for direction, along in zip(nodes.direction, layers, strict=True):
             places = _highest(nodes.position_mm, along, count)
-            found = _thresholds(
-                problem,
-                nodes,
-                nodes.position_mm[places],
-                np.tile(direction, (len(places), 1)),
-                weights / aimed,
-                along[places],
-            )
+            toward = np.tile(direction, (len(places), 1))
+            placed = nodes.position_mm[places]
+            found = _thresholds(problem, nodes, placed, toward, weights / aimed, along[places])
             best = min(best, float(np.nanmin(found, initial=np.inf)))
     return CableJudgement(float(own), float(own / best))
 
 
-def _highest(position_mm: Array, drive: Array, count: int) -> NDArray[np.intp]:
+def _highest(position_mm, drive, count):
     """Return places of the highest drives, apart from one another and above zero."""
-    chosen: list[int] = []
+    chosen = []
     left = np.flatnonzero(drive > 0)
     while len(left) and len(chosen) < count:
         chosen.append(int(left[drive[left].argmax()]))
@@ -86,14 +65,7 @@ def _highest(position_mm: Array, drive: Array, count: int) -> NDArray[np.intp]:
     return np.array(chosen, np.intp)
 
 
-def _thresholds(
-    problem: DrivingProblem,
-    nodes: Afferents,
-    position_mm: Array,
-    direction: Array,
-    current_ma: Array,
-    drive: Array,
-) -> Array:
+def _thresholds(problem, nodes, position_mm, direction, current_ma, drive):
     """Return thresholds of straight fibers, of the currents given."""
     if not len(position_mm):
         return np.zeros(0)

@@ -33,12 +33,6 @@ def test_symmetries_leave_the_targets_and_the_rows_alone(name, afferent):
         assert_close(after, before)
 
 
-def test_a_free_array_has_no_symmetry_but_none(profile, changed):
-    array = {"layout": "free", "positions_mm": [[0, 0], [2, 0], [1, 1.7], [3.1, 2.4]]}
-    problem = Problem(changed(profile, {"array": array}), Afferent.RA)
-    assert len(problem.symmetries) == 1
-
-
 @pytest.mark.parametrize(
     "keys",
     [
@@ -58,27 +52,25 @@ def test_an_electrode_of_its_own_kind_has_no_mirror_image(changed, keys):
     assert len(Problem(mine, Afferent.RA).symmetries) < 8
 
 
-def test_masked_electrodes_have_no_mirror_image(profile, changed):
-    mine = changed(profile, {"output.masked": [27]})
-    assert len(Problem(mine, Afferent.RA).symmetries) == 2, "the diagonal through it is left"
+FREE = {"layout": "free", "positions_mm": [[0, 0], [2, 0], [1, 1.7], [3.1, 2.4]]}
+SQUARE = {"layout": "free", "positions_mm": [[0, 0], [2, 0], [0, 2], [2, 2]], "shape": "rectangle"}
 
 
-def test_thresholds_alone_do_not_change_kernels(changed):
-    mine = changed(load_profile("smarttouch-4x4"), {"perception.threshold_ma": [1.2] * 15 + [1.1]})
-    assert len(Problem(mine, Afferent.RA).symmetries) == 8
-
-
-def test_a_rectangle_does_not_turn(profile, changed):
-    array = {
-        "layout": "free",
-        "positions_mm": [[0, 0], [2, 0], [0, 2], [2, 2]],
-        "shape": "rectangle",
-        "size_mm": [0.5, 1.5],
-    }
-    upright = Problem(changed(profile, {"array": array}), Afferent.RA)
-    square = Problem(changed(profile, {"array": array | {"size_mm": [1.0, 1.0]}}), Afferent.RA)
-    assert len(upright.symmetries) == 4
-    assert len(square.symmetries) == 8
+@pytest.mark.parametrize(
+    ("name", "keys", "count"),
+    [
+        ("electric-mouse", {"array": FREE}, 1),
+        ("electric-mouse", {"array": SQUARE | {"size_mm": [0.5, 1.5]}}, 4),
+        ("electric-mouse", {"array": SQUARE | {"size_mm": [1.0, 1.0]}}, 8),
+        # The diagonal through it is left.
+        ("electric-mouse", {"output.masked": [27]}, 2),
+        # Thresholds alone do not change kernels.
+        ("smarttouch-4x4", {"perception.threshold_ma": [1.2] * 15 + [1.1]}, 8),
+    ],
+    ids=["free", "upright", "square", "masked", "thresholds"],
+)
+def test_how_many_symmetries_there_are(changed, name, keys, count):
+    assert len(Problem(changed(load_profile(name), keys), Afferent.RA).symmetries) == count
 
 
 def test_judging_says_what_weights_do(profile):
@@ -122,21 +114,8 @@ def test_a_spread_has_rows_for_every_depth_and_direction(profile):
     assert spread.target == pytest.approx(nominal.target)
 
 
-def test_a_spread_of_layers_has_rows_for_every_conductivity(profile, changed):
-    layers = [
-        {"thickness_mm": 0.3, "conductivity_s_per_m": 0.02},
-        {"conductivity_s_per_m": 0.4},
-    ]
-    mine = changed(
-        profile,
-        {
-            "array.rows": 2,
-            "array.columns": 2,
-            "skin.medium": "layered",
-            "skin.layers": layers,
-            "skin.conductivity_s_per_m": None,
-        },
-    )
+def test_a_spread_of_layers_has_rows_for_every_conductivity(profile, layered):
+    mine = layered(profile, **{"array.rows": 2, "array.columns": 2})
     assert len(Problem(mine, Afferent.RA, spread=True).rows) == 5
 
 

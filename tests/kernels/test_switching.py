@@ -61,17 +61,23 @@ def by_trying_all(problem, site):
 IMPEDANCES = [1.0, [1.0, 3.0, 0.5, 2.0, 1.0, 0.7]]
 
 
-@pytest.mark.parametrize("impedance_kohm", IMPEDANCES, ids=["equal", "measured"])
+@pytest.mark.parametrize(
+    ("impedance_kohm", "masked"),
+    [(IMPEDANCES[0], []), (IMPEDANCES[1], []), (IMPEDANCES[1], [2])],
+    ids=["equal", "measured", "masked"],
+)
 @pytest.mark.parametrize("site", [0, 1])
 @pytest.mark.parametrize("afferent", list(Afferent))
-def test_no_assignment_is_better(small, afferent, site, impedance_kohm):
-    problem = Problem(small(impedance_kohm), afferent)
+def test_no_assignment_is_better(small, afferent, site, impedance_kohm, masked):
+    problem = Problem(small(impedance_kohm, **{"output.masked": masked}), afferent)
     kernel = design_three_state(problem, site)
     assert kernel.gap == 0
     assert kernel.kind == "three-state"
     objective = max(kernel.off_target, kernel.spill if kernel.spill > 0.2 else 0)
     assert objective == pytest.approx(by_trying_all(problem, site), rel=1e-9)
     assert objective >= design_kernel(problem, site).off_target - 1e-9
+    if masked:
+        assert kernel.weights[2] == 0
 
 
 @pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
@@ -150,37 +156,19 @@ def test_one_of_n_is_one_against_all_others(small):
     kernel = design_one_of_n(problem, 4)
     assert kernel.peak_normalized == pytest.approx([0.2, 0.2, 0.2, 0.2, -1, 0.2])
     assert design_one_of_n(Problem(small(), Afferent.SAI), 4).peak_normalized[4] == 1
-
-
-@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
-def test_no_assignment_around_a_masked_electrode_is_better(small, afferent):
-    problem = Problem(small(IMPEDANCES[1], **{"output.masked": [2]}), afferent)
-    kernel = design_three_state(problem, 1)
-    assert kernel.gap == 0
-    assert kernel.weights[2] == 0
-    objective = max(kernel.off_target, kernel.spill if kernel.spill > 0.2 else 0)
-    assert objective == pytest.approx(by_trying_all(problem, 1), rel=1e-9)
-
-
-def test_one_of_n_counts_on_no_masked_electrode(small):
-    problem = Problem(small(**{"output.masked": [0]}), Afferent.RA)
-    assert design_one_of_n(problem, 4).peak_normalized == pytest.approx(
-        [0, 0.25, 0.25, 0.25, -1, 0.25]
-    )
+    masked = Problem(small(**{"output.masked": [0]}), Afferent.RA)
+    left = [0, 0.25, 0.25, 0.25, -1, 0.25]
+    assert design_one_of_n(masked, 4).peak_normalized == pytest.approx(left)
 
 
 @pytest.mark.parametrize("design", [design_kernel, design_one_of_n, design_three_state])
-def test_a_masked_site_has_no_kernel(small, design):
-    masked = {"value": 2, "remedy": "output.masked", "electrode": 2}
-    with raises(DesignError, about="site", **masked):
-        design(Problem(small(**{"output.masked": [2]}), Afferent.RA), 2)
-
-
-@pytest.mark.parametrize("site", [-1, 6])
-def test_site_out_of_range(small, site):
-    for design in (design_one_of_n, design_three_state):
+def test_sites_that_have_no_kernel(small, design):
+    problem = Problem(small(**{"output.masked": [2]}), Afferent.RA)
+    with raises(DesignError, about="site", value=2, remedy="output.masked", electrode=2):
+        design(problem, 2)
+    for site in (-1, 6):
         with raises(DesignError, about="site", value=site, allowed=(0, 5)):
-            design(Problem(small(), Afferent.RA), site)
+            design(problem, site)
 
 
 def test_polarity_follows_the_ending(changed):

@@ -61,19 +61,11 @@ def test_a_fiber_outside_the_skin_is_refused(profile):
             )
 
 
-def test_homogeneous_skin_has_no_variants(profile, changed):
+def test_homogeneous_skin_has_no_variants(profile, layered):
     assert list(variants(profile.skin)) == [profile.skin]
-    layers = [
-        {"thickness_mm": 0.3, "conductivity_s_per_m": 0.02},
-        {"conductivity_s_per_m": 0.4},
-    ]
-    layered = changed(
-        profile,
-        {"skin.medium": "layered", "skin.layers": layers, "skin.conductivity_s_per_m": None},
-    )
     found = [
         tuple(layer.conductivity_s_per_m for layer in skin.layers)
-        for skin in variants(layered.skin)
+        for skin in variants(layered(profile).skin)
     ]
     expected = [(0.02, 0.4), (0.02 / 1.5, 0.4), (0.03, 0.4), (0.02, 0.4 / 1.5), (0.02, 0.6)]
     assert found == [pytest.approx(each) for each in expected]

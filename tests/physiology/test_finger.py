@@ -153,14 +153,9 @@ def test_what_is_wrong_with_an_anatomy(tmp_path, small):
         Finger(small, 1, path)
 
 
-def test_layered_skin_is_not_offered(small, changed):
-    layers = [{"thickness_mm": 0.3, "conductivity_s_per_m": 0.02}, {"conductivity_s_per_m": 0.4}]
-    layered = changed(
-        small,
-        {"skin.medium": "layered", "skin.layers": layers, "skin.conductivity_s_per_m": None},
-    )
+def test_layered_skin_is_not_offered(small, layered):
     with raises(DesignError, about="skin.medium", value="layered"):
-        _ = Finger(layered, 1, "paper").rows
+        _ = Finger(layered(small), 1, "paper").rows
 
 
 def test_a_curved_pad_lies_deeper_off_the_axis(small):

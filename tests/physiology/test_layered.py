@@ -138,13 +138,6 @@ def test_an_annulus_is_rings_of_points():
             assert mine[index] == pytest.approx(expected, rel=1e-4, abs=1e-6)
 
 
-def test_equal_layers_are_one():
-    x, y = axis(0.0, 0.7, 3.0)
-    split = round_electrode(x, y, 0.9, 0.5, 0.0, [(0.3, 0.5), (1.0, 0.5), (np.inf, 0.5)])
-    whole = disc(x, y, 0.9, 0.5)
-    np.testing.assert_allclose(split.zz, whole.zz / 0.5, rtol=1e-6)
-
-
 def test_insulating_fat_holds_the_current_in_the_skin():
     x, y = axis(0.0, 2.0, 4.0)
     open_, held = (

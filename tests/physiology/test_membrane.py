@@ -60,22 +60,12 @@ def fires_by_integration(potential, current_ma, width_us):
         inside = v + drive
         axial = axial_us * np.diff(np.diff(inside, prepend=inside[0], append=inside[-1]))
         ionic = 1.445 / 2.5 * m**2 * h * (v - 115) + 0.128 / 2.5 * (v + 0.01)
-        return np.concatenate(
-            [
-                axial - ionic,
-                opening_m * (1 - m) - closing_m * m,
-                opening_h * (1 - h) - closing_h * h,
-            ]
-        )
+        change_m = opening_m * (1 - m) - closing_m * m
+        return np.concatenate([axial - ionic, change_m, opening_h * (1 - h) - closing_h * h])
 
     opening_m, closing_m, opening_h, closing_h = rates(np.zeros(nodes))
-    state = np.concatenate(
-        [
-            np.zeros(nodes),
-            opening_m / (opening_m + closing_m),
-            opening_h / (opening_h + closing_h),
-        ]
-    )
+    gates = opening_m / (opening_m + closing_m), opening_h / (opening_h + closing_h)
+    state = np.concatenate([np.zeros(nodes), *gates])
     highest = 0.0
     for span_us, drive in ((width_us, current_ma * potential), (700.0, 0 * potential)):
         run = solve_ivp(slopes, (0, span_us), state, "LSODA", args=(drive,), rtol=1e-5, atol=1e-5)
@@ -142,10 +132,7 @@ def test_weiss_fit_recovers_an_exact_curve():
     assert weiss_fit(widths_us, 0.7 * (1 + 55 / widths_us)) == pytest.approx((0.7, 55.0))
 
 
-@pytest.mark.parametrize(
-    ("depth_mm", "source"),
-    [(0.7, disc_mv_per_ma), (1.4, point_mv_per_ma)],
-)
+@pytest.mark.parametrize(("depth_mm", "source"), [(0.7, disc_mv_per_ma), (1.4, point_mv_per_ma)])
 def test_flat_fiber_prefers_the_cathode(depth_mm, source):
     cathodic, anodic = polarities(flat(depth_mm, source, 131), Fiber(end="through"))
     assert 3 < anodic / cathodic < 6

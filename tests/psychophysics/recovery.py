@@ -23,18 +23,10 @@ TASKS = ("discrimination", "detection")
 
 @dataclass(frozen=True)
 class Recovery:
-    """Results of subjects.
+    """Results of subjects, on average.
 
-    Attributes
-    ----------
-    fitted, own : ndarray
-        Natural logarithms of estimate over truth: by maximum likelihood, by the procedure itself.
-    without : int
-        Subjects of whom no threshold was reported.
-    trials : float
-        On average.
-    covered : float
-        Share of intervals that hold the truth.
+    Natural logarithms of estimate over truth, by maximum likelihood and by the procedure itself;
+    subjects without a threshold, trials, and the share of intervals that hold the truth.
     """
 
     fitted: np.ndarray

@@ -6,7 +6,6 @@ import numpy as np
 
 from smarttouch.afferent import Mode
 from smarttouch.boards.emulator.simulated import SimulatedBoard
-from smarttouch.clock import SimulatedClock
 from smarttouch.psychophysics.rows import About, RowFile
 from smarttouch.psychophysics.session import Session
 from smarttouch.psychophysics.source import ExperimentSource
@@ -15,12 +14,12 @@ from smarttouch.psychophysics.timing import TrialTiming
 from smarttouch.reading.window import press_n
 from smarttouch.running.config import RunConfig
 from smarttouch.running.controls import Controls, ControlState
-from smarttouch.running.listener import OnEvent, as_listeners
-from smarttouch.running.loop import run_loop
+from smarttouch.running.listener import OnEvent
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.statistics import RunStatistics
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stopping import StopRequest
+
+from ..looping import loop_through
 
 DATE = "2026-01-01T00:00:00+00:00"
 
@@ -47,8 +46,6 @@ class Sat:
 
     source: ExperimentSource
     session: Session
-    tally: RunStatistics
-    pulses: list
     told: list
     report: object
 
@@ -64,19 +61,16 @@ def sit(
     experiment="frequency-RA",
     course=None,
     watch=None,
-    overwrite=False,
     controls=None,
-    mode=Mode.RA,
-    seed=0,
 ):
     """Run an experiment; stop it before the answer of a trial is written if asked to."""
-    stop, tally, told = StopRequest(), RunStatistics(), []
-    about = About(experiment, made.method, "p1", "s1", seed)
-    with RowFile(path, about, overwrite) as file:
+    stop, told = StopRequest(), []
+    about = About(experiment, made.method, "p1", "s1", 0)
+    with RowFile(path, about) as file:
         session = Session(made.task, made.procedure, file, DATE)
         source = ExperimentSource(session, profile, course or TrialTiming(), press_n(profile))
-        pipeline = Pipeline(profile, bank, RunConfig(mode=mode, scan="points"))
-        controls = controls or Controls(ControlState(mode))
+        pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points"))
+        controls = controls or Controls(ControlState(Mode.RA))
         with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
             subject = Subject(source, observer)
             subject.attend(board)
@@ -88,19 +82,7 @@ def sit(
                 if stop_after is not None and session.done >= stop_after and source.playing:
                     stop.ask("killed")
 
-            run_loop(
-                source,
-                pipeline,
-                board,
-                stop=stop,
-                statistics=tally,
-                listeners=[
-                    *as_listeners([observe]),
-                    OnEvent(lambda event: told.append((event.time_ns, str(event)))),
-                ],
-                controls=controls,
-                clock=SimulatedClock(),
-            )
-            pulses = board.take_pulses()
+            events = OnEvent(lambda event: told.append((event.time_ns, str(event))))
+            loop_through(source, pipeline, board, observe, events, stop=stop, controls=controls)
             report = board.report()
-    return Sat(source, session, tally, pulses, told, report)
+    return Sat(source, session, told, report)

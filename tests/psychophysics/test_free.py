@@ -8,20 +8,16 @@ import pytest
 
 from smarttouch.afferent import Afferent, Mode
 from smarttouch.boards.emulator.simulated import SimulatedBoard
-from smarttouch.clock import SimulatedClock
 from smarttouch.errors import ExperimentError
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.psychophysics.free import FreeLog, FreeSource, HandControls, up_to_the_ceiling
 from smarttouch.running.config import RunConfig
 from smarttouch.running.controls import ControlState
-from smarttouch.running.listener import as_listeners
-from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.statistics import RunStatistics
 from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stopping import StopRequest
 
+from ..looping import loop_through
 from ..raising import raises
 
 ALL = tuple(Afferent)
@@ -36,11 +32,11 @@ def line():
 def play(line, tmp_path):
     """Return a runner: keys and levels by the second, to steps, rows and the board's report."""
 
-    def run_it(seconds, does, knob=None, level=0.0):
+    def run_it(seconds, does, knob=None):
         steps, waiting = [], sorted(does.items())
         log = FreeLog(tmp_path / "free.csv")
         source = FreeSource(line, ALL, log, press_n=1.0)
-        controls = HandControls(ControlState(Mode.COLOR, level), knob=knob)
+        controls = HandControls(ControlState(Mode.COLOR, 0.0), knob=knob)
 
         def watch(sent):
             steps.append(sent.step)
@@ -52,17 +48,8 @@ def play(line, tmp_path):
                     controls.change_level(act)
 
         with SimulatedBoard("", SafetyLimits.of(line), line.output) as board:
-            run_loop(
-                source,
-                Pipeline(line, load_bank(line), RunConfig(mode=Mode.COLOR, scan="points")),
-                board,
-                stop=StopRequest(),
-                statistics=RunStatistics(),
-                seconds=seconds,
-                listeners=as_listeners([watch]),
-                controls=controls,
-                clock=SimulatedClock(),
-            )
+            pipeline = Pipeline(line, load_bank(line), RunConfig(mode=Mode.COLOR, scan="points"))
+            loop_through(source, pipeline, board, watch, seconds=seconds, controls=controls)
             report = board.report()
         log.close()
         text = (tmp_path / "free.csv").read_text(encoding="utf-8-sig")

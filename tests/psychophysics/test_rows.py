@@ -96,23 +96,25 @@ def test_each_row_is_on_disk_before_append_returns(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "about",
+    ("name", "wanted"),
     [
-        dataclasses.replace(ABOUT, experiment="detection"),
-        dataclasses.replace(ABOUT, procedure="staircase"),
-        dataclasses.replace(ABOUT, participant="p2"),
-        dataclasses.replace(ABOUT, session="2"),
-        dataclasses.replace(ABOUT, seed=8),
+        ("experiment", "detection"),
+        ("procedure", "staircase"),
+        ("participant", "p2"),
+        ("session", "2"),
+        ("seed", 8),
     ],
 )
-def test_no_other_session_goes_on(tmp_path, about):
+def test_no_other_session_goes_on(tmp_path, name, wanted):
     path = written(tmp_path / "a.csv", [ROW])
     before = path.read_bytes()
-    (name,) = (each for each in vars(about) if getattr(about, each) != getattr(ABOUT, each))
-    has, wanted = getattr(ABOUT, name), getattr(about, name)
+    about, has = dataclasses.replace(ABOUT, **{name: wanted}), getattr(ABOUT, name)
     with raises(ExperimentError, about=name, value=has, allowed=wanted):
         RowFile(path, about)
     assert path.read_bytes() == before
+    # Whoever is refused leaves the file free.
+    with RowFile(path, ABOUT) as file:
+        assert file.rows == [ROW]
     with RowFile(path, about, overwrite=True) as file:
         assert file.rows == []
         with raises(ExperimentError, about=name, value=has, allowed=wanted):
@@ -145,15 +147,11 @@ def test_what_is_no_such_file(tmp_path, data, about):
 
 
 def test_where_there_is_no_file_and_none_can_be(tmp_path):
-    path = tmp_path / "none.csv"
-    with raises(ExperimentError, about="file", value=path):
-        read_rows(path)
-    path = tmp_path / "a.txt"
-    with raises(ExperimentError, about="file", value=path):
-        RowFile(path, ABOUT)
-    path = tmp_path / "none" / "a.csv"
-    with raises(ExperimentError, about="file", value=path):
-        RowFile(path, ABOUT)
+    with raises(ExperimentError, about="file", value=tmp_path / "none.csv"):
+        read_rows(tmp_path / "none.csv")
+    for path in (tmp_path / "a.txt", tmp_path / "none" / "a.csv"):
+        with raises(ExperimentError, about="file", value=path):
+            RowFile(path, ABOUT)
 
 
 @pytest.mark.parametrize("change", [{"level": float("nan")}, {"target": "a\nb"}])
@@ -227,11 +225,3 @@ def test_two_programs_do_not_write_one_file(tmp_path, start_writer):
     print(4, file=third.stdin, flush=True)
     third.communicate()
     assert [row.number for row in read_rows(path)] == [3, 1, 2, 4]
-
-
-def test_who_is_refused_leaves_the_file_free(tmp_path):
-    path = written(tmp_path / "a.csv", [ROW])
-    with raises(ExperimentError, about="seed", value=7, allowed=8):
-        RowFile(path, dataclasses.replace(ABOUT, seed=8))
-    with RowFile(path, ABOUT) as file:
-        assert file.rows == [ROW]

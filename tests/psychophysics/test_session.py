@@ -112,24 +112,17 @@ def test_rows_say_what_was_shown_and_answered(profile, bank, tmp_path):
     assert all(each in answered for each in (row.response, "0.00 s"))
 
 
-def test_another_experiment_s_answers_are_not_gone_on_with(tmp_path):
+@pytest.mark.parametrize("more", [False, True])
+def test_another_experiment_s_answers_are_not_gone_on_with(tmp_path, more):
+    """Trials of another standard, or more answers than there are trials."""
     path = tmp_path / "rows.csv"
     respond(path, ["1"], seed=3)
-    made = design("frequency", MOUSE, ExperimentOptions(standards=(45.0,), seed=3))
-    file = RowFile(path, About("f", "constant", "p", "s", 3))
-    with file, raises(ExperimentError, about="trial", value=1):
-        Session(made.task, made.procedure, file, DATE)
-
-
-def test_more_answers_than_trials_are_another_experiment_s(tmp_path):
-    path = tmp_path / "rows.csv"
-    respond(path, ["1"])
-    one = ExperimentOptions(standards=(30.0, 60.0), repetitions=1)
-    made = design("frequency", MOUSE, one)
-    for _ in range(3):
+    standards = (30.0, 60.0) if more else (45.0,)
+    made = design("frequency", MOUSE, ExperimentOptions(standards=standards, repetitions=1, seed=3))
+    for _ in range(3 if more else 0):
         made.procedure.next()
         made.procedure.answer(True)
-    file = RowFile(path, About("f", "constant", "p", "s", 0))
+    file = RowFile(path, About("f", "constant", "p", "s", 3))
     with file, raises(ExperimentError, about="trial", value=1):
         Session(made.task, made.procedure, file, DATE)
 

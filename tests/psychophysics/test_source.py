@@ -7,26 +7,41 @@ import pytest
 
 from smarttouch.afferent import Mode
 from smarttouch.errors import ExperimentError
+from smarttouch.kernels.bank import load_bank
 from smarttouch.psychophysics.catalog import ExperimentOptions, design
 from smarttouch.psychophysics.observers.observer import SilentObserver
 from smarttouch.psychophysics.rows import read_rows
 from smarttouch.psychophysics.source import AGAIN, ExperimentSource
 from smarttouch.psychophysics.timing import TrialTiming
+from smarttouch.running.config import RunConfig
 from smarttouch.running.controls import Controls, ControlState
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.step import StepResult
 
 from ..raising import raises
 from .sitting import Perfect, sit
 
 FEW = ExperimentOptions(repetitions=1, standards=(30.0,), train_s=0.15)
+DETECTION = ExperimentOptions(repetitions=1, train_s=0.1)
 
 
-def test_trains_have_the_asked_frequency_to_the_microsecond(profile, bank, tmp_path):
+@pytest.fixture
+def take(profile, bank, tmp_path):
+    """Return a runner of an experiment, to what came of it and its rows."""
+
+    def run_it(observer, wanted=FEW, name="frequency", **how):
+        path = tmp_path / "rows.csv"
+        sat = sit(design(name, profile, wanted), profile, bank, path, observer, **how)
+        return sat, read_rows(path)
+
+    return run_it
+
+
+def test_trains_have_the_asked_frequency_to_the_microsecond(profile, take):
     """Two standards, ten comparisons each; times and pulses by the board's account."""
     observer = Perfect()
     wanted = ExperimentOptions(repetitions=1, standards=(20.0, 60.0), train_s=0.27)
-    made = design("frequency", profile, wanted)
-    sat = sit(made, profile, bank, tmp_path / "rows.csv", observer)
-    rows = read_rows(tmp_path / "rows.csv")
+    sat, rows = take(observer, wanted)
     assert len(rows) == len(observer.felt) == 20
     for row, (_, intervals) in zip(rows, observer.felt, strict=True):
         order = (row.comparison, row.standard)
@@ -44,13 +59,9 @@ def test_trains_have_the_asked_frequency_to_the_microsecond(profile, bank, tmp_p
     assert sat.source.spoiled == 0
 
 
-def test_between_the_intervals_there_is_silence_as_long_as_asked(profile, bank, tmp_path):
+def test_between_the_intervals_there_is_silence_as_long_as_asked(take):
     steps = []
-    sit(
-        design("frequency", profile, FEW),
-        profile,
-        bank,
-        tmp_path / "rows.csv",
+    take(
         Perfect(),
         course=TrialTiming(gap_s=0.333),
         watch=lambda sent, source, _: steps.append((source.playing, sent.step.sequence)),
@@ -68,16 +79,16 @@ def test_between_the_intervals_there_is_silence_as_long_as_asked(profile, bank, 
         assert (second[0].time_ns - over_ns) / 1e9 == pytest.approx(0.333, abs=1e-6)
 
 
-def test_before_a_trial_intensity_is_there(profile, bank, tmp_path):
+def test_before_a_trial_intensity_is_there(profile, take):
     """The level is opened by pulses of threshold; those of trials come at full intensity."""
     steps, of_trials = [], []
-    sit(
-        design("frequency", profile, FEW), profile, bank, tmp_path / "rows.csv", Perfect(),
+    take(
+        Perfect(),
         watch=lambda sent, source, _: (
             steps.append(sent.step.sequence),
             of_trials.append(source.playing is not None),
         ),
-    )  # fmt: skip
+    )
     assert steps[0].intensity == 0
     felt = [each for each, playing in zip(steps, of_trials, strict=True) if playing and each.slots]
     assert felt[0].time_ns >= 1e9
@@ -88,7 +99,7 @@ def test_before_a_trial_intensity_is_there(profile, bank, tmp_path):
 
 
 @pytest.mark.parametrize("how", ["pause", "silence"])
-def test_a_trial_whose_current_was_lost_is_presented_again(profile, bank, tmp_path, how):
+def test_a_trial_whose_current_was_lost_is_presented_again(take, how):
     done = []
 
     def watch(sent, source, controls):
@@ -99,11 +110,7 @@ def test_a_trial_whose_current_was_lost_is_presented_again(profile, bank, tmp_pa
             controls.toggle_pause() if how == "pause" else controls.change_level(1)
 
     observer = Perfect()
-    sat = sit(
-        design("frequency", profile, FEW), profile, bank, tmp_path / "rows.csv", observer,
-        watch=watch, controls=Controls(ControlState(Mode.RA)),
-    )  # fmt: skip
-    rows = read_rows(tmp_path / "rows.csv")
+    sat, rows = take(observer, watch=watch, controls=Controls(ControlState(Mode.RA)))
     assert sat.source.spoiled == 1
     assert len(rows) == len(observer.felt) == 10
     assert all(row.response == row.target for row in rows)
@@ -113,24 +120,21 @@ def test_a_trial_whose_current_was_lost_is_presented_again(profile, bank, tmp_pa
     ]  # fmt: skip
 
 
-def test_the_user_regulates_the_amplitude_and_rows_tell(profile, bank, tmp_path):
+def test_the_user_regulates_the_amplitude_and_rows_tell(profile, take):
     def watch(_, source, controls):
         if source.playing == (5, 0):
             controls.change_level(-0.01)
 
     observer = Perfect()
-    sit(
-        design("frequency", profile, FEW), profile, bank, tmp_path / "rows.csv", observer,
-        watch=watch, controls=Controls(ControlState(Mode.RA)),
-    )  # fmt: skip
-    levels = [row.level for row in read_rows(tmp_path / "rows.csv")]
+    _, rows = take(observer, watch=watch, controls=Controls(ControlState(Mode.RA)))
+    levels = [row.level for row in rows]
     assert levels[:4] == [1.0] * 4
     assert levels[4] == levels[-1] < 1
     last = np.abs(observer.felt[-1][1][0].current_ua).max() / 1000
     assert last == pytest.approx(levels[-1] * profile.full_ma[27], abs=0.005)
 
 
-def test_currents_that_count_wait_for_full_intensity(profile, bank, tmp_path):
+def test_currents_that_count_wait_for_full_intensity(profile, take):
     """Detection at half the user's own level would be another current."""
     titles = []
 
@@ -143,52 +147,43 @@ def test_currents_that_count_wait_for_full_intensity(profile, bank, tmp_path):
 
     before = []
     observer = Perfect()
-    made = design("detection", profile, ExperimentOptions(repetitions=1, train_s=0.1))
-    sit(
-        made, profile, bank, tmp_path / "rows.csv", observer, watch=watch,
-        controls=Controls(ControlState(Mode.RA, 0.5)),
-    )  # fmt: skip
+    controls = Controls(ControlState(Mode.RA, 0.5))
+    _, rows = take(observer, DETECTION, "detection", watch=watch, controls=controls)
     # The key that raises intensity is shown as long as it is missing.
     assert any("+" in title for title in titles)
     assert "+" not in titles[-1]
-    for row, (_, (felt,)) in zip(read_rows(tmp_path / "rows.csv"), observer.felt, strict=True):
+    for row, (_, (felt,)) in zip(rows, observer.felt, strict=True):
         strongest_ma = np.abs(felt.current_ua).max(initial=0) / 1000
         # Whole microamperes of 64 electrodes are balanced by the strongest.
         assert strongest_ma == pytest.approx(row.comparison, abs=0.02)
         assert row.success == (row.comparison > 0)
 
 
-def test_where_currents_count_no_key_changes_one_unnoticed(profile, bank, tmp_path):
+def test_where_currents_count_no_key_changes_one_unnoticed(take):
     def watch(_, source, controls):
         if source.playing == (4, 0):
             controls.change_level(-0.05)
         elif source.playing is None and source.spoiled:
             controls.change_level(1)
 
-    made = design("detection", profile, ExperimentOptions(repetitions=1, train_s=0.1))
-    sat = sit(
-        made, profile, bank, tmp_path / "rows.csv", Perfect(), watch=watch,
-        controls=Controls(ControlState(Mode.RA)),
-    )  # fmt: skip
+    controls = Controls(ControlState(Mode.RA))
+    sat, rows = take(Perfect(), DETECTION, "detection", watch=watch, controls=controls)
     assert sat.source.spoiled == 1
-    assert {row.level for row in read_rows(tmp_path / "rows.csv")} == {1.0}
+    assert {row.level for row in rows} == {1.0}
 
 
-def test_a_trial_that_cannot_begin_is_not_waited_for_where_nobody_is(profile, bank, tmp_path):
+def test_a_trial_that_cannot_begin_is_not_waited_for_where_nobody_is(take):
     with raises(ExperimentError, about="trial", value=3, remedy="intensity or force"):
-        sit(
-            design("frequency", profile, FEW), profile, bank, tmp_path / "rows.csv", Perfect(),
-            controls=Controls(ControlState(Mode.RA, 0.0)), course=TrialTiming(patience_s=3),
-        )  # fmt: skip
+        take(
+            Perfect(),
+            controls=Controls(ControlState(Mode.RA, 0.0)),
+            course=TrialTiming(patience_s=3),
+        )
 
 
-def test_nobody_answers(profile, bank, tmp_path):
+def test_nobody_answers(take):
     """Every trial comes again once, at the end."""
-    sat = sit(
-        design("frequency", profile, FEW), profile, bank, tmp_path / "rows.csv", SilentObserver(),
-        course=TrialTiming(answer_s=0.2),
-    )  # fmt: skip
-    rows = read_rows(tmp_path / "rows.csv")
+    sat, rows = take(SilentObserver(), course=TrialTiming(answer_s=0.2))
     assert len(rows) == 20
     assert {(row.response, row.success, row.rt) for row in rows} == {("", None, None)}
     assert [words for _, words in sat.told if words.startswith("response 2:")] == [
@@ -221,8 +216,6 @@ class Loop:
         self.frames = []
 
     def step(self):
-        from smarttouch.running.step import StepResult
-
         frame = self.source.read(self.time_ns)
         if frame is None:
             return False
@@ -238,17 +231,20 @@ class Loop:
 
 
 @pytest.fixture
-def loop(profile, bank):
-    from smarttouch.running.config import RunConfig
-    from smarttouch.running.pipeline import Pipeline
+def begin(profile, bank):
+    """Return a maker of loops over one trial."""
 
-    trials = OneTrial(profile)
-    source = ExperimentSource(trials, profile, TrialTiming(answer_s=5.0), press_n=1.0)
-    return Loop(source, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points"))), trials
+    def begin_it(name="frequency", train_s=0.1, clock=None, **timing):
+        trials = OneTrial(profile, name, train_s)
+        source = ExperimentSource(trials, profile, TrialTiming(**timing), press_n=1.0, clock=clock)
+        pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points"))
+        return Loop(source, pipeline), trials
+
+    return begin_it
 
 
-def test_keys_before_the_question_do_not_count(loop):
-    loop, trials = loop
+def test_keys_before_the_question_do_not_count(begin):
+    loop, trials = begin(answer_s=5.0)
     loop.until(lambda: loop.source.playing == (1, 1))
     loop.source.keys["1"]()
     loop.until(lambda: loop.source.asking)
@@ -268,8 +264,8 @@ def test_keys_before_the_question_do_not_count(loop):
     assert not loop.step()
 
 
-def test_a_trial_is_felt_again_on_request(loop):
-    loop, trials = loop
+def test_a_trial_is_felt_again_on_request(begin):
+    loop, trials = begin(answer_s=5.0)
     loop.until(lambda: loop.source.asking)
     pulses = sum(each.activation.max() == 1 for each in loop.frames)
     loop.source.keys["r"]()
@@ -282,13 +278,9 @@ def test_a_trial_is_felt_again_on_request(loop):
     assert trials.answers[0].response == "1"
 
 
-def test_an_experiment_may_forbid_to_feel_again(profile, bank):
-    from smarttouch.running.config import RunConfig
-    from smarttouch.running.pipeline import Pipeline
-
-    trials = OneTrial(profile)
-    source = ExperimentSource(trials, profile, TrialTiming(again=False), press_n=1.0)
-    loop = Loop(source, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points")))
+def test_an_experiment_may_forbid_to_feel_again(begin):
+    loop, trials = begin(again=False)
+    source = loop.source
     loop.until(lambda: source.asking)
     source.keys["r"]()
     for _ in range(20):
@@ -298,40 +290,31 @@ def test_an_experiment_may_forbid_to_feel_again(profile, bank):
     assert source.title.endswith(trials.trial.question)
 
 
-def test_reaction_times_are_of_the_key_and_not_of_the_next_frame(profile, bank):
-    from smarttouch.running.config import RunConfig
-    from smarttouch.running.pipeline import Pipeline
-
+def test_reaction_times_are_of_the_key_and_not_of_the_next_frame(begin):
     class Clock:
         ns = 0
 
         def now_ns(self):
             return self.ns
 
-    trials, clock = OneTrial(profile), Clock()
-    source = ExperimentSource(trials, profile, TrialTiming(), press_n=1.0, clock=clock)
-    loop = Loop(source, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points")))
-    loop.until(lambda: source.asking)
+    clock = Clock()
+    loop, trials = begin(clock=clock)
+    loop.until(lambda: loop.source.asking)
     clock.ns += 7_000_000
-    source.press("1")
+    loop.source.press("1")
     clock.ns += 13_000_000
     loop.until(lambda: trials.answers)
     assert trials.answers[0].rt_s == pytest.approx(0.007)
 
 
-def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, bank):
-    from smarttouch.running.config import RunConfig
-    from smarttouch.running.pipeline import Pipeline
-
-    trials = OneTrial(profile, "discomfort", 2.0)
-    source = ExperimentSource(trials, profile, TrialTiming(), press_n=1.0)
-    loop = Loop(source, Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points")))
-    loop.until(lambda: source.playing)
+def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, begin):
+    loop, trials = begin("discomfort", 2.0)
+    loop.until(lambda: loop.source.playing)
     for _ in range(20):
         loop.step()
     level = loop.frames[-1].level
     assert 0 < level < 1
-    source.keys["\n"]()
+    loop.source.keys["\n"]()
     loop.step()
     (answer,) = trials.answers
     assert (answer.response, answer.rt_s, answer.level) == ("y", None, 1.0)
@@ -339,18 +322,17 @@ def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, bank)
     assert answer.reached == pytest.approx(level * profile.full_ma[27], abs=0.02)
 
 
-def test_a_current_that_is_never_enough_stops_at_the_ceiling(profile, bank, tmp_path):
-    made = design("discomfort", profile, ExperimentOptions(repetitions=2, train_s=1.0))
-    sat = sit(made, profile, bank, tmp_path / "rows.csv", SilentObserver(), experiment="d")
-    rows = read_rows(tmp_path / "rows.csv")
+def test_a_current_that_is_never_enough_stops_at_the_ceiling(profile, take):
+    wanted = ExperimentOptions(repetitions=2, train_s=1.0)
+    sat, rows = take(SilentObserver(), wanted, "discomfort", experiment="d")
     full_ma = profile.full_ma[27]
     assert [row.response for row in rows] == ["n", "n"]
     assert [row.comparison for row in rows] == pytest.approx([full_ma] * 2, abs=0.005)
     assert sat.report.max_current_ma == pytest.approx(full_ma, abs=0.01)
 
 
-def test_every_stimulus_is_numbered_and_none_has_an_image(loop):
-    loop, _ = loop
+def test_every_stimulus_is_numbered_and_none_has_an_image(begin):
+    loop, _ = begin()
     loop.until(lambda: loop.source.asking)
     assert [each.number for each in loop.frames] == list(range(loop.source.frames))
     assert {each.image for each in loop.frames} == {None}
@@ -370,8 +352,6 @@ def test_courses_that_cannot_be(arguments):
 
 def test_a_board_that_cannot_keep_a_frequency_is_noted(profile, changed, tmp_path):
     """A profile whose slots take longer than the period asked for."""
-    from smarttouch.kernels.bank import load_bank
-
     slow = changed(profile, {"pulse.discharge_us": 5000})
     made = design("letters", slow, ExperimentOptions(letters="EF", repetitions=1, train_s=0.1))
     sat = sit(made, slow, load_bank(slow), tmp_path / "rows.csv", Perfect(), experiment="l",

@@ -71,12 +71,7 @@ def test_trains_that_cannot_be(stimuli, rate_hz, attributes):
 
 @pytest.mark.parametrize("train_s", [0, -1, float("nan"), 1e9])
 def test_lengths_that_cannot_be(profile, train_s):
-    with raises(
-        ExperimentError,
-        about="train_s",
-        value=pytest.approx(train_s, nan_ok=True),
-        allowed=(0, 60),
-    ):
+    with raises(ExperimentError, about="train_s", value=train_s, allowed=(0, 60)):
         Stimuli(profile, Afferent.RA, train_s)
 
 

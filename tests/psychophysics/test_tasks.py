@@ -99,12 +99,8 @@ def test_detection_in_two_intervals_has_a_blank_of_the_same_level(profile):
 
 def test_no_level_is_above_the_strongest(profile, changed):
     tight = changed(profile, {"perception.comfort_ratio": 1.05})
-    for wanted in (
-        ExperimentOptions(),
-        ExperimentOptions(procedure="staircase"),
-        ExperimentOptions(procedure="questplus"),
-    ):
-        made = design("detection", tight, wanted)
+    for method in ("constant", "staircase", "questplus"):
+        made = design("detection", tight, ExperimentOptions(procedure=method))
         for each in conditions(made)[:20]:
             assert each.comparison <= tight.full_ma.max() + 1e-6
             assert all(train.level <= 1 for train in made.task.trial(each).intervals)
@@ -170,41 +166,21 @@ def test_every_experiment_has_a_question_and_answers(profile):
 
 
 @pytest.mark.parametrize(
-    ("name", "wanted", "attributes"),
+    ("name", "options", "about", "value", "allowed"),
     [
-        (
-            "hearing",
-            ExperimentOptions(),
-            {"about": "experiment", "value": "hearing", "allowed": tuple(CATALOG)},
-        ),
-        (
-            "letters",
-            ExperimentOptions(procedure="staircase"),
-            {"about": "procedure", "value": "staircase", "allowed": ("constant",)},
-        ),
-        ("frequency", ExperimentOptions(site=64), {"about": "site", "value": 64}),
-        (
-            "frequency",
-            ExperimentOptions(standards=(300.0,)),
-            {"about": "standards", "allowed": 200},
-        ),
-        (
-            "frequency",
-            ExperimentOptions(standards=(200.0,), procedure="staircase"),
-            {"about": "standards", "value": 200, "allowed": 200},
-        ),
-        ("localization", ExperimentOptions(site=0), {"about": "site", "value": 0}),
-        (
-            "discomfort",
-            ExperimentOptions(train_s=0.9),
-            {"about": "train_s", "value": 0.9, "allowed": 1},
-        ),
-        ("letters", ExperimentOptions(letters="7"), {"about": "letters", "value": "7"}),
+        ("hearing", {}, "experiment", "hearing", tuple(CATALOG)),
+        ("letters", {"procedure": "staircase"}, "procedure", "staircase", ("constant",)),
+        ("frequency", {"site": 64}, "site", 64, None),
+        ("frequency", {"standards": (300.0,)}, "standards", None, 200),
+        ("frequency", {"standards": (200.0,), "procedure": "staircase"}, "standards", 200, 200),
+        ("localization", {"site": 0}, "site", 0, None),
+        ("discomfort", {"train_s": 0.9}, "train_s", 0.9, 1),
+        ("letters", {"letters": "7"}, "letters", "7", None),
     ],
 )
-def test_what_cannot_be_asked_for(profile, name, wanted, attributes):
-    with raises(ExperimentError, **attributes):
-        design(name, profile, wanted)
+def test_what_cannot_be_asked_for(profile, name, options, about, value, allowed):
+    with raises(ExperimentError, about=about, value=value, allowed=allowed):
+        design(name, profile, ExperimentOptions(**options))
 
 
 @pytest.mark.parametrize("name", ["detection", "discomfort"])

@@ -66,14 +66,17 @@ def test_of_a_book_only_what_lies_near_is_prepared_and_kept(make_line):
     assert feed.wait_for_end(10)
 
 
-def test_closed_it_prepares_no_more(make_line):
-    made, go_on = [], threading.Event()
+def test_closed_it_prepares_no_more_and_lets_go_of_where_lines_come_from(make_line):
+    made, let_go, go_on = [], [], threading.Event()
 
     def endless():
-        while True:
-            made.append(make_line())
-            yield made[-1]
-            go_on.wait(60)
+        try:
+            while True:
+                made.append(make_line())
+                yield made[-1]
+                go_on.wait(60)
+        finally:
+            let_go.append(True)
 
     feed = LineFeed(endless()).start()
     feed.wait_for(0, 10)
@@ -81,21 +84,6 @@ def test_closed_it_prepares_no_more(make_line):
     go_on.set()
     assert feed.wait_for_end(10)
     assert len(made) <= 2
-
-
-def test_closed_it_lets_go_of_where_the_lines_come_from(make_line):
-    let_go = []
-
-    def document():
-        try:
-            while True:
-                yield make_line()
-        finally:
-            let_go.append(True)
-
-    feed = LineFeed(document()).start()
-    feed.wait_for(0, 10)
-    feed.close()
     assert let_go
 
 

@@ -149,26 +149,21 @@ def test_blank_images_have_no_text_and_need_no_program_to_run(program, image):
 
 
 @pytest.mark.parametrize(
-    ("script", "attributes", "ending"),
+    ("script", "about", "value", "ending"),
     [
-        (
-            "echo first >&2; echo too bad >&2; exit 3",
-            {"about": "tesseract", "value": 3},
-            ": too bad",
-        ),
-        ("kill -9 $$", {"about": "tesseract", "value": -9}, ""),
-        ("exec sleep 20", {"about": "tesseract", "value": 0.3}, ""),
+        ("echo first >&2; echo too bad >&2; exit 3", "tesseract", 3, ": too bad"),
+        ("kill -9 $$", "tesseract", -9, ""),
+        ("exec sleep 20", "tesseract", 0.3, ""),
         (
             "echo \"Failed loading language 'chi_sim'\" >&2; cat TABLE",
-            {"about": "languages", "value": "chi_sim"},
-            "apt install tesseract-ocr-chi-sim",
+            "languages", "chi_sim", "apt install tesseract-ocr-chi-sim",
         ),
     ],
-)
-def test_failures(program, spotted, script, attributes, ending):
+)  # fmt: skip
+def test_failures(program, spotted, script, about, value, ending):
     """The message has the program's own words and the package to install."""
     program(script)
-    with raises(ReadingError, **attributes) as caught:
+    with raises(ReadingError, about=about, value=value) as caught:
         recognize(spotted, timeout_s=0.3)
     assert str(caught.value).endswith(ending)
 

@@ -115,11 +115,8 @@ def test_a_page_is_turned_as_it_should_be(monkeypatch, notes, turn_deg):
 @pytest.mark.parametrize("matters", [False, True])
 def test_a_guessed_size_is_told_of_where_it_matters(tmp_path, notes, matters):
     Image.fromarray(print_text("words").grey).save(tmp_path / "page.png")
-    list(
-        document_pages(
-            tmp_path / "page.png", RecognitionOptions(scale_matters=matters), notes.append
-        )
-    )
+    options = RecognitionOptions(scale_matters=matters)
+    list(document_pages(tmp_path / "page.png", options, notes.append))
     assert [("210 mm" in note) for note in notes] == [True] * matters
 
 
@@ -156,15 +153,31 @@ def at(left_mm, y_mm, x_height_mm=2.0, length_mm=80.0):
     )
 
 
-def test_headings_indents_and_gaps_begin_paragraphs():
-    lines = [at(10, 20, 3.0), at(10, 28), at(10, 32), at(13, 36), at(10, 40), at(10, 50)]
-    texts = ["Of pages", "one", "two", "three", "four", "five"]
-    assert paragraphs(lines, texts) == ["Of pages", "one two", "three four", "five"]
-
-
-def test_a_column_goes_on_at_the_top_of_the_next():
-    lines = [at(10, 20), at(10, 24), at(100, 20), at(100, 24)]
-    assert paragraphs(lines, ["one", "two", "three", "four"]) == ["one two three four"]
+@pytest.mark.parametrize(
+    ("lines", "texts", "found"),
+    [
+        # Headings, indents and gaps begin paragraphs.
+        (
+            [at(10, 20, 3.0), at(10, 28), at(10, 32), at(13, 36), at(10, 40), at(10, 50)],
+            ["Of pages", "one", "two", "three", "four", "five"],
+            ["Of pages", "one two", "three four", "five"],
+        ),
+        # A column goes on at the top of the next.
+        (
+            [at(10, 20), at(10, 24), at(100, 20), at(100, 24)],
+            ["one", "two", "three", "four"],
+            ["one two three four"],
+        ),
+        # A hyphen stays where the page has the word with it.
+        (
+            [at(10, 20), at(10, 24), at(10, 28)],
+            ["add one-half cup and one-", "half more as it is writ-", "ten"],
+            ["add one-half cup and one-half more as it is written"],
+        ),
+    ],
+)
+def test_where_paragraphs_begin(lines, texts, found):
+    assert paragraphs(lines, texts) == found
 
 
 def test_running_heads_and_numbers_are_left_out_unless_wanted():
@@ -173,12 +186,6 @@ def test_running_heads_and_numbers_are_left_out_unless_wanted():
     texts = ["248 A BOOK OF COOKS", "Take 2 eggs", "and 3", "of salt", "and 1", "17"]
     assert paragraphs(lines, texts) == ["Take 2 eggs and 3 of salt and 1"]
     assert len(paragraphs(lines, texts, keep_headers=True)) == 3
-
-
-def test_a_hyphen_stays_where_the_page_has_the_word_with_it():
-    lines = [at(10, 20), at(10, 24), at(10, 28)]
-    texts = ["add one-half cup and one-", "half more as it is writ-", "ten"]
-    assert paragraphs(lines, texts) == ["add one-half cup and one-half more as it is written"]
 
 
 def test_dots_that_lead_to_a_number_are_left_out():

@@ -30,6 +30,20 @@ def goldens():
 
 
 @pytest.fixture(scope="session")
+def golden(goldens):
+    """Return a finder of goldens by their names."""
+    return {path.stem: path for path in goldens}.__getitem__
+
+
+@pytest.fixture
+def cut(recording, tmp_path):
+    """The short recording without its end."""
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(recording.read_bytes()[:-3000])
+    return path
+
+
+@pytest.fixture(scope="session")
 def settings():
     """Settings of a plain run."""
     return {

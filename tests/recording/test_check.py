@@ -96,8 +96,8 @@ def test_one_weight_changed_by_a_thousandth_is_told_with_its_place(goldens):
         assert all(each in line for each in (*numbers, *named, first.what))
 
 
-def test_another_profile_is_told(goldens, changed):
-    path = next(path for path in goldens if path.stem == "ra")
+def test_another_profile_is_told(golden, changed):
+    path = golden("ra")
     profile = changed(Recording(path).profile, {"limits.ramp_s": 0.9})
     report = check_recording(path, profile=profile)
     assert not report.exact
@@ -108,15 +108,15 @@ def test_another_profile_is_told(goldens, changed):
         assert_replays(path, profile=profile)
 
 
-def test_another_bound_on_slots_that_are_shared_is_told(goldens, changed):
-    path = next(path for path in goldens if path.stem == "frame")
+def test_another_bound_on_slots_that_are_shared_is_told(golden, changed):
+    path = golden("frame")
     profile = changed(Recording(path).profile, {"frames.other": 0.1})
     report = check_recording(path, profile=profile)
     assert {each.what for each in report.differences} >= {"slots", "current"}
 
 
-def test_a_sequence_without_its_slots_is_one_difference(goldens, changed):
-    path = next(path for path in goldens if path.stem == "ra")
+def test_a_sequence_without_its_slots_is_one_difference(golden, changed):
+    path = golden("ra")
     pressed = {"force.contact_n": 50.0, "force.full_n": 60.0}
     report = check_recording(path, profile=changed(Recording(path).profile, pressed))
     assert {each.what for each in report.differences} == {"slots", "intensity"}
@@ -135,10 +135,8 @@ def test_what_follows_a_gap_is_not_compared(damaged, tmp_path):
     assert report.left_out in report.describe()
 
 
-def test_a_cut_one_is_compared_as_far_as_it_goes(recording, tmp_path):
-    path = tmp_path / "cut.mcap"
-    path.write_bytes(recording.read_bytes()[:-3000])
-    report, whole = check_recording(path), check_recording(recording)
+def test_a_cut_one_is_compared_as_far_as_it_goes(recording, cut):
+    report, whole = check_recording(cut), check_recording(recording)
     assert report.exact
     assert report.left_out
     assert report.left_out in report.describe()
@@ -168,12 +166,11 @@ def test_settings_that_do_not_say_how(tmp_path, record, about, settings, steps, 
         check_recording(path)
 
 
-def test_the_fixture_for_users(goldens, tmp_path, recording):
-    good = next(path for path in goldens if path.stem == "ra")
+def test_the_fixture_for_users(golden, tmp_path):
     empty = tmp_path / "empty.mcap"
     empty.write_bytes(b"")
     (tmp_path / "test_mine.py").write_text(
-        f"def test_same(replays):\n    replays({str(good)!r})\n\n\n"
+        f"def test_same(replays):\n    replays({str(golden('ra'))!r})\n\n\n"
         f"def test_not(replays):\n    replays({str(empty)!r})\n"
     )
     # As it is installed, or by its name where the installation is older than the plugin.

@@ -1,7 +1,5 @@
 """A recorded user's wishes come again, and today's user can only lower them."""
 
-from pathlib import Path
-
 import pytest
 
 from smarttouch.afferent import Mode
@@ -12,12 +10,10 @@ from smarttouch.running.controls import ControlState
 
 from ..raising import raises
 
-GOLDENS = Path(__file__).with_name("goldens")
-
 
 @pytest.fixture(params=["sai-levels", "natural"])
-def recording(request):
-    return Recording(GOLDENS / f"{request.param}.mcap")
+def recording(request, golden):
+    return Recording(golden(request.param))
 
 
 def test_every_wish_comes_at_its_time(recording):
@@ -41,6 +37,6 @@ def test_today_s_user_lowers_and_pauses(recording):
     assert controls.state(step.input.time_ns).mode is step.mode
 
 
-def test_a_board_without_the_recorded_mode_is_refused():
+def test_a_board_without_the_recorded_mode_is_refused(golden):
     with raises(RecordingError, about="mode", value="natural"):
-        RecordedControls(Recording(GOLDENS / "natural.mcap"), ControlState(Mode.RA), (Mode.RA,))
+        RecordedControls(Recording(golden("natural")), ControlState(Mode.RA), (Mode.RA,))

@@ -18,11 +18,11 @@ def table(path):
         return list(csv.DictReader(file))
 
 
-def test_all_is_written(tmp_path, goldens):
-    golden = next(path for path in goldens if path.stem == "regulated")
-    steps = list(Recording(golden).steps())
+def test_all_is_written(tmp_path, golden):
+    path = golden("regulated")
+    steps = list(Recording(path).steps())
     folder = tmp_path / "out" / "run"
-    written = export(golden, folder)
+    written = export(path, folder)
     assert {each.name for each in written} == {each.name for each in folder.iterdir()}
     finger, sequence, board, events = (
         table(folder / f"{name}.csv") for name in ("finger", "sequence", "board", "events")
@@ -34,7 +34,7 @@ def test_all_is_written(tmp_path, goldens):
         assert np.array_equal(image, recorded.step.input.image)
     assert len(list((folder / "frames").iterdir())) == len({row["image"] for row in finger})
     assert [row["sent"] for row in board].count("") == 1
-    words = [words for _, words in Recording(golden).events()]
+    words = [words for _, words in Recording(path).events()]
     assert words
     assert [row["words"] for row in events] == words
     with np.load(folder / "run.npz") as arrays:

@@ -132,18 +132,14 @@ def test_no_bytes_crash_the_reader(broken_path, data):
         Recording(broken_path)
 
 
-@pytest.mark.parametrize("content", [b"", b"\x89MCAP", b"precious", b"\x89MCAP0\r\n"])
-def test_what_is_none_of_ours(broken_path, content):
-    broken_path.write_bytes(content)
-    with raises(RecordingError, about="file", value=broken_path):
-        Recording(broken_path)
-
-
-def test_what_is_not_there(tmp_path):
-    with raises(RecordingError, about="file", value=tmp_path / "none.mcap"):
-        Recording(tmp_path / "none.mcap")
-    with raises(RecordingError, about="file", value=tmp_path):
-        Recording(tmp_path)
+def test_what_is_none_of_ours(broken_path, tmp_path):
+    for content in (b"", b"\x89MCAP", b"precious", b"\x89MCAP0\r\n"):
+        broken_path.write_bytes(content)
+        with raises(RecordingError, about="file", value=broken_path):
+            Recording(broken_path)
+    for path in (tmp_path / "none.mcap", tmp_path):
+        with raises(RecordingError, about="file", value=path):
+            Recording(path)
 
 
 def written(path, metadata):

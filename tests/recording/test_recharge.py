@@ -1,6 +1,7 @@
 """Recharge phases in recordings: kept, computed again, and told where they differ."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,7 +26,14 @@ def balance(profile, bank, make_steps):
     """Return a maker of the usual steps, balanced by recharge phases from a carried charge on."""
 
     def make(carried_pc=0):
-        return _balanced(profile, bank, make_steps(40), carried_pc)
+        pipeline = Pipeline(profile, bank, RunConfig(scan="points", balance=True))
+        regulator = Regulator(None, ChargeBalance(64), RechargeRules.of(profile, ScanTiming()))
+        regulator.ledger.charge_pc[:] = carried_pc
+        mute, made = SimpleNamespace(take_volts=lambda: []), []
+        for sent in make_steps(40):
+            step = pipeline.process(sent.step.input)
+            made.append(StepResult(regulator.regulate(step, mute), sent.number, 99.5, 12.25))
+        return made
 
     return make
 
@@ -33,22 +41,6 @@ def balance(profile, bank, make_steps):
 @pytest.fixture(scope="module")
 def balanced(balance):
     return balance()
-
-
-def _balanced(profile, bank, steps, carried_pc):
-    pipeline = Pipeline(profile, bank, RunConfig(scan="points", balance=True))
-    regulator = Regulator(None, ChargeBalance(64), RechargeRules.of(profile, ScanTiming()))
-    regulator.ledger.charge_pc[:] = carried_pc
-    made = []
-    for sent in steps:
-        step = pipeline.process(sent.step.input)
-        made.append(StepResult(regulator.regulate(step, _Mute()), sent.number, 99.5, 12.25))
-    return made
-
-
-class _Mute:
-    def take_volts(self):
-        return []
 
 
 @pytest.fixture
@@ -114,9 +106,9 @@ def test_they_are_exported(write, balanced, tmp_path):
             assert np.array_equal(row, np.zeros(64) if was is None else was)
 
 
-def test_those_of_before_have_none(goldens, tmp_path):
-    golden = next(path for path in goldens if path.stem == "regulated")
-    assert {each.step.sequence.recharge_us for each in Recording(golden).steps()} == {0}
-    export(golden, tmp_path / "out")
+def test_those_of_before_have_none(golden, tmp_path):
+    path = golden("regulated")
+    assert {each.step.sequence.recharge_us for each in Recording(path).steps()} == {0}
+    export(path, tmp_path / "out")
     with np.load(tmp_path / "out" / "run.npz") as arrays:
         assert not arrays["recharge_ua"].any()

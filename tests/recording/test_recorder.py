@@ -7,7 +7,6 @@ import json
 import os
 import queue
 import threading
-import time
 from pathlib import Path
 
 import pytest
@@ -22,6 +21,7 @@ from smarttouch.recording.schemas import SCHEMAS
 from smarttouch.recording.writer import RecordingWriter, new_writer
 
 from ..raising import raises
+from ..waiting import until
 
 STARTED_NS = 1_700_000_000 * 10**9
 
@@ -36,14 +36,6 @@ def recorder(tmp_path, about):
 
 def full(*_, **__):
     raise OSError(28, "No space left on device")
-
-
-def until(true, within_s=60.0):
-    """Wait for something; the deadline is for a test that would fail anyway."""
-    deadline = time.monotonic() + within_s
-    while not true():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 def test_the_plain_reader_reads_it(recording, steps):
@@ -72,18 +64,13 @@ def test_the_plain_reader_reads_it(recording, steps):
     assert found["/board"][-1][1]["sent"] == steps[-1].number
 
 
-def test_an_existing_file_is_kept(tmp_path, about):
-    path = tmp_path / "run.mcap"
-    path.write_text("precious")
-    with raises(RecordingError, about="file", value=path):
-        RecordingWriter(path, about, 0)
-    assert path.read_text() == "precious"
-
-
-def test_a_folder_that_is_not_there(tmp_path, about):
-    path = tmp_path / "none" / "run.mcap"
-    with raises(RecordingError, about="file", value=path):
-        RecordingWriter(path, about, 0)
+def test_where_no_recording_can_be(tmp_path, about):
+    precious = tmp_path / "run.mcap"
+    precious.write_text("precious")
+    for path in (precious, tmp_path / "none" / "run.mcap"):
+        with raises(RecordingError, about="file", value=path):
+            RecordingWriter(path, about, 0)
+    assert precious.read_text() == "precious"
 
 
 def test_what_was_handed_over_is_on_the_disk_soon(recorder, tmp_path, steps):
@@ -109,23 +96,26 @@ def test_a_failure_is_told_at_the_next_step_and_once(recorder, tmp_path, steps, 
     assert len(list(Recording(tmp_path / "run.mcap").steps())) == 1
 
 
-def test_a_failure_that_nobody_heard_of_is_told_at_the_end(recorder, steps, monkeypatch):
-    monkeypatch.setattr(recorder._writer, "finish", full)
-    recorder.record(steps[0])
-    with raises(RecordingError, about="file"):
-        recorder.close()
-    recorder.close()
+@pytest.mark.parametrize(
+    ("place", "error", "words"),
+    [
+        (("_writer", "finish"), OSError(28, "full"), "full"),
+        (("_encoder", "messages"), ValueError("this cannot be written"), "this cannot be written"),
+    ],
+)
+def test_a_failure_that_nobody_heard_of_is_told_at_the_end(
+    recorder, steps, monkeypatch, place, error, words
+):
+    def fail(*_):
+        raise error
 
-
-def test_whatever_goes_wrong_is_told(recorder, steps, monkeypatch):
-    def broken(*_):
-        raise ValueError("this cannot be written")
-
-    monkeypatch.setattr(recorder._encoder, "messages", broken)
+    inner, name = place
+    monkeypatch.setattr(getattr(recorder, inner), name, fail)
     recorder.record(steps[0])
     with raises(RecordingError, about="file") as caught:
         recorder.close()
-    assert "this cannot be written" in str(caught.value)
+    assert words in str(caught.value)
+    recorder.close()
 
 
 def test_a_disk_that_is_too_slow_ends_the_run(recorder, steps, monkeypatch):
@@ -133,12 +123,8 @@ def test_a_disk_that_is_too_slow_ends_the_run(recorder, steps, monkeypatch):
     monkeypatch.setattr(recorder, "_write", lambda _: goes_on.wait(20))
     monkeypatch.setattr(module, "MOST_WAITING", 3)
 
-    def run():
-        for sent in steps:
-            recorder.record(sent)
-
     with raises(RecordingError, about="file") as caught:
-        run()
+        [recorder.record(sent) for sent in steps]
     assert "3 " in str(caught.value)
     goes_on.set()
 
@@ -199,9 +185,19 @@ class ToldQueue:
         return item
 
 
-def recorded_by_told_clock(monkeypatch, path, about, handed, takes_s=0.0):
+@contextlib.contextmanager
+def told_clock(handed):
+    """Patch the writer's queue and clock by those that are told; see `ToldQueue`."""
+    told = ToldQueue(handed)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module.queue, "SimpleQueue", lambda: told)
+        patch.setattr(module.time, "monotonic", told.monotonic)
+        yield told, patch
+
+
+def recorded_by_told_clock(path, about, handed, takes_s=0.0):
     """Record what comes at its times; return when the disk had how much, from the first on."""
-    told, synced, fsync = ToldQueue(handed), [], os.fsync
+    synced, fsync = [], os.fsync
 
     def waited_for(number):
         fsync(number)
@@ -209,20 +205,18 @@ def recorded_by_told_clock(monkeypatch, path, about, handed, takes_s=0.0):
             told.now_s += takes_s
             synced.append((told.now_s, os.fstat(number).st_size))
 
-    with monkeypatch.context() as patch:
-        patch.setattr(module.queue, "SimpleQueue", lambda: told)
-        patch.setattr(module.time, "monotonic", told.monotonic)
+    with told_clock(handed) as (told, patch):
         patch.setattr(module.os, "fsync", waited_for)
         RecordingWriter(path, about, STARTED_NS).close()
     return synced
 
 
-def test_nothing_waits_for_the_disk_longer_than_a_second(monkeypatch, tmp_path, about, steps):
+def test_nothing_waits_for_the_disk_longer_than_a_second(tmp_path, about, steps):
     """Twenty steps a second, then a pause, a single one, and the end an hour later."""
     at_s = [0.05 * index for index in range(60)] + [10.0, 3600.0]
     handed = [(due_s, sent) for due_s, sent in zip(at_s, itertools.cycle(steps), strict=False)]
     path = tmp_path / "run.mcap"
-    first, *synced = recorded_by_told_clock(monkeypatch, path, about, handed)
+    first, *synced = recorded_by_told_clock(path, about, handed)
     assert first[0] == 0.0, "the settings, before anything is recorded"
     times = [time_s for time_s, _ in synced]
     assert times[:3] == pytest.approx([1.0, 2.05, 3.1], abs=0.051)
@@ -235,19 +229,16 @@ def test_nothing_waits_for_the_disk_longer_than_a_second(monkeypatch, tmp_path, 
         assert after - due_s <= module.SYNC_S + 1e-6, number
 
 
-def test_nothing_waits_for_the_system_longer_than_a_moment(monkeypatch, tmp_path, about, steps):
+def test_nothing_waits_for_the_system_longer_than_a_moment(tmp_path, about, steps):
     """A killed program loses little: all is given to the system within `FLUSH_S`."""
     at_s = [0.01 * index for index in range(50)] + [5.0]
-    told, given = ToldQueue([(due_s, steps[0]) for due_s in at_s]), []
-    flush = RecordingWriter._flush
+    given, flush = [], RecordingWriter._flush
 
     def flush_and_tell(recorder):
         flush(recorder)
         given.append((told.now_s, recorder._index))
 
-    with monkeypatch.context() as patch:
-        patch.setattr(module.queue, "SimpleQueue", lambda: told)
-        patch.setattr(module.time, "monotonic", told.monotonic)
+    with told_clock([(due_s, steps[0]) for due_s in at_s]) as (told, patch):
         patch.setattr(RecordingWriter, "_flush", flush_and_tell)
         RecordingWriter(tmp_path / "run.mcap", about, STARTED_NS).close()
     assert len(given) < 20, "several steps share a chunk"
@@ -257,20 +248,20 @@ def test_nothing_waits_for_the_system_longer_than_a_moment(monkeypatch, tmp_path
         assert after - due_s <= module.FLUSH_S + 0.011
 
 
-def test_a_slow_disk_is_waited_for_once_a_second_at_most(monkeypatch, tmp_path, about, steps):
+def test_a_slow_disk_is_waited_for_once_a_second_at_most(tmp_path, about, steps):
     handed = [(0.05 * index, steps[index % 40]) for index in range(100)]
-    synced = recorded_by_told_clock(monkeypatch, tmp_path / "run.mcap", about, handed, takes_s=0.4)
+    synced = recorded_by_told_clock(tmp_path / "run.mcap", about, handed, takes_s=0.4)
     times = [time_s for time_s, _ in synced]
     assert all(after - before >= 1.3 for before, after in itertools.pairwise(times[1:-1]))
     assert len(times) in (5, 6)
 
 
-def test_what_the_disk_had_is_readable_after_a_power_cut(monkeypatch, tmp_path, about, steps):
+def test_what_the_disk_had_is_readable_after_a_power_cut(tmp_path, about, steps):
     """The file cut where it ended when the disk was last waited for: nothing before is lost."""
     handed = [(0.07 * index, sent) for index, sent in enumerate(steps)]
     handed += [(3.0, (5_000_000, "paused"))]
     path = tmp_path / "run.mcap"
-    synced = recorded_by_told_clock(monkeypatch, path, about, handed)
+    synced = recorded_by_told_clock(path, about, handed)
     whole, found = path.read_bytes(), []
     for number, (time_s, size) in enumerate(synced[:-1]):
         cut = tmp_path / f"cut{number}.mcap"

@@ -1,5 +1,7 @@
 """A recording plays what was seen, and counts what it passes over."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -61,26 +63,21 @@ def test_unpaced_gives_the_next_at_each_look(recording, profile):
     assert (source.frames, source.dropped_frames) == (20, 0)
 
 
-def test_what_was_stale_stays_stale(tmp_path, record, steps, profile, make_frame):
+def test_what_was_stale_stays_stale(tmp_path, record, steps, profile):
     """So that nothing is felt of it, as when it was recorded."""
-    from dataclasses import replace
-
     step = steps[0].step
     stale = replace(step, input=replace(step.input, stale=True, force_n=0.0))
-    with open_recording(
-        str(record(tmp_path / "a.mcap", [StepResult(stale, 1, 0.0)])), profile
-    ) as source:
+    path = record(tmp_path / "a.mcap", [StepResult(stale, 1, 0.0)])
+    with open_recording(str(path), profile) as source:
         frame = source.read(0)
     assert (frame.stale, frame.force_n) == (True, 0.0)
 
 
-def test_a_cut_one_is_played_as_far_as_it_goes(tmp_path, recording, profile):
-    path = tmp_path / "cut.mcap"
-    path.write_bytes(recording.read_bytes()[:-3000])
-    with open_recording(str(path), profile) as source:
+def test_a_cut_one_is_played_as_far_as_it_goes(cut, profile):
+    with open_recording(str(cut), profile) as source:
         assert source.read(0).number == 0
         (note,) = source.notes
-        assert str(path) in note
+        assert str(cut) in note
 
 
 def test_what_cannot_be_played(tmp_path, record, profile):
@@ -94,10 +91,9 @@ def test_what_cannot_be_played(tmp_path, record, profile):
 
 @pytest.mark.parametrize(("name", "other"), [("color", "kajimoto-61"), ("kajimoto", None)])
 def test_on_a_finger_the_profile_is_narrowed_and_stimuli_stay_on_their_array(
-    goldens, profile, name, other
+    golden, profile, name, other
 ):
-    path = next(each for each in goldens if each.stem == name)
-    with open_recording(str(path), profile) as source:
+    with open_recording(str(golden(name)), profile) as source:
         if other is None:
             # Frames go to any array.
             assert source.narrowed(profile).full_ma.max() <= profile.full_ma.max()

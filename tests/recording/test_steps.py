@@ -185,9 +185,6 @@ def test_an_image_is_written_once(steps):
 
 def test_another_image_of_the_same_number_is_not_lost(make_frame, profile, bank):
     """A sensor that numbers its images wrongly is recorded as it was."""
-    from smarttouch.running.config import RunConfig
-    from smarttouch.running.pipeline import Pipeline
-
     pipeline = Pipeline(profile, bank, RunConfig(scan="points"))
     images = [np.full((64, 64), grey, np.uint8) for grey in (10, 10, 200)]
     steps = [

@@ -27,6 +27,7 @@ from smarttouch.sources.camera import (
 
 from ..raising import raises
 from ..said import numbers_in
+from ..waiting import until
 
 without_a_camera = pytest.mark.skipif(
     Path("/dev/video0").exists() or sys.platform == "darwin",
@@ -109,13 +110,6 @@ def device(monkeypatch):
     return device
 
 
-def until(condition):
-    deadline = time.monotonic() + 60
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.001)
-
-
 def test_frames_are_grey_and_the_books_exact(profile, device):
     with open_source("camera:0", profile) as sensor:
         assert sensor.title == "camera 0"
@@ -131,15 +125,10 @@ def test_frames_are_grey_and_the_books_exact(profile, device):
 
 
 @pytest.mark.parametrize(("rest", "place"), [("3", 3), ("/dev/video2", "/dev/video2")])
-def test_by_number_or_device(profile, device, rest, place):
-    open_source(f"camera:{rest}", profile).close()
-    assert [opened[0] for opened in device.opened] == [place]
-
-
-def test_a_camera_is_never_taken_for_a_file(profile, device, monkeypatch):
+def test_by_number_or_device_and_never_as_a_file(profile, device, monkeypatch, rest, place):
     monkeypatch.setattr("sys.platform", "linux")
-    open_source("camera:/dev/video2", profile).close()
-    assert device.opened == [("/dev/video2", cv2.CAP_V4L2)]
+    open_source(f"camera:{rest}", profile).close()
+    assert device.opened == [(place, cv2.CAP_V4L2)]
 
 
 def test_what_the_camera_takes_is_set_without_a_word(profile, device):
@@ -174,33 +163,20 @@ def test_images_are_compressed_only_where_more_come(profile, device, compressed_
         assert [numbers_in(note) for note in sensor.notes] == ([] if coded else [[0, 30, 90]])
 
 
-@pytest.mark.parametrize("rest", ["", "-1", "1e3", "99999", "http://x/y"])
-def test_what_is_no_camera(profile, device, rest):
-    with raises(SourceError, about="camera", value=rest):
-        open_source(f"camera:{rest}", profile)
-    assert device.opened == []
-
-
 @pytest.mark.parametrize(
-    ("option", "value"),
+    ("rest", "options", "about", "value"),
     [
-        ("size", (0, 480)),
-        ("size", (10**6, 10**6)),
-        ("fps", math.nan),
-        ("fps", -5.0),
-        ("exposure", math.nan),
+        *((rest, {}, "camera", rest) for rest in ("", "-1", "1e3", "99999", "http://x/y")),
+        *(("0", {"size": size}, "size", size) for size in ((0, 480), (10**6, 10**6))),
+        *(("0", {"fps": fps}, "fps", fps) for fps in (math.nan, -5.0)),
+        ("0", {"exposure": math.nan}, "exposure", math.nan),
+        # An option of other sensors is not taken.
+        ("0", {"baud": 9600}, "baud", ("size", "exposure", "fps")),
     ],
 )
-def test_what_cannot_be(profile, device, option, value):
-    with raises(SourceError, about=option, value=value):
-        open_source("camera:0", profile, **{option: value})
-    assert device.opened == []
-
-
-def test_an_option_of_other_sensors_is_not_taken(profile, device):
-    allowed = ("size", "exposure", "fps")
-    with raises(SourceError, about="baud", allowed=allowed):
-        open_source("camera:0", profile, baud=9600)
+def test_what_cannot_be(profile, device, rest, options, about, value):
+    with raises(SourceError, about=about, value=value):
+        open_source(f"camera:{rest}", profile, **options)
     assert device.opened == []
 
 

@@ -20,6 +20,7 @@ from smarttouch.sources.image_device import ImageDevice, Shot, SourceEndedError
 
 from ..raising import raises
 from ..said import numbers_in
+from ..waiting import until
 
 SECOND = 1_000_000_000
 ODD = ZeroDivisionError("by zero")
@@ -58,9 +59,9 @@ class Handed(ImageDevice):
 
     title = "by hand"
 
-    def __init__(self):
+    def __init__(self, *events):
         self.condition = threading.Condition()
-        self.waiting = []
+        self.waiting = list(events)
 
     def open(self):
         pass
@@ -104,13 +105,6 @@ def page_patch():
 
 def shot(value=0, taken_ns=0, missed=0):
     return Shot(np.full((8, 8), value, np.uint8), taken_ns, missed)
-
-
-def until(condition):
-    deadline = time.monotonic() + 60
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.001)
 
 
 def read_to_the_end(sensor):
@@ -161,8 +155,7 @@ def test_nothing_is_lost_where_the_reader_waits_for_the_end(profile):
 
 
 def test_the_newest_wins_and_may_be_read_again(profile):
-    source = Handed()
-    source.hand(shot(0))
+    source = Handed(shot(0))
     with LiveSource(source, profile) as sensor:
         assert sensor.read(0).number == 0
         for value in (1, 2, 3):
@@ -181,8 +174,7 @@ def test_the_newest_wins_and_may_be_read_again(profile):
 
 
 def test_the_last_unread_image_is_read_once(profile):
-    source = Handed()
-    source.hand(shot(0))
+    source = Handed(shot(0))
     with LiveSource(source, profile) as sensor:
         sensor.read(0)
         source.hand(shot(1))
@@ -197,8 +189,7 @@ def test_the_last_unread_image_is_read_once(profile):
 
 def test_age_and_staleness(profile):
     now = [10 * SECOND]
-    source = Handed()
-    source.hand(shot(taken_ns=10 * SECOND - 5_000_000))
+    source = Handed(shot(taken_ns=10 * SECOND - 5_000_000))
     with LiveSource(source, profile, now_ns=lambda: now[0]) as sensor:
         frame = sensor.read(0)
         assert (frame.age_ns, frame.stale) == (5_000_000, False)
@@ -253,8 +244,7 @@ def test_errors_of_the_thread_reach_the_reader(profile, error, attributes):
 
 
 def test_an_error_that_nobody_read_becomes_a_note(profile):
-    source = Handed()
-    source.hand(shot())
+    source = Handed(shot())
     with LiveSource(source, profile) as sensor:
         sensor.read(0)
         source.hand(ValueError("odd"))
@@ -274,15 +264,8 @@ def test_unplugged_and_plugged_in_again(profile):
         raise SourceLostError("gone again")
 
     lost = SourceLostError("gone")
-    source = Script(
-        shot(0),
-        lost,
-        later,
-        None,
-        later,
-        shot(1),
-        opens=[None, SourceError("not yet"), None],
-    )
+    opens = [None, SourceError("not yet"), None]
+    source = Script(shot(0), lost, later, None, later, shot(1), opens=opens)
     with LiveSource(source, profile, now_ns=lambda: now[0]) as sensor:
         numbers = read_to_the_end(sensor)
     (note,) = sensor.notes
@@ -304,8 +287,7 @@ def test_not_plugged_in_again(profile):
 
 def test_closing_while_it_is_gone(profile, monkeypatch):
     monkeypatch.setattr(capture, "RETRY_S", 60.0)
-    source = Handed()
-    source.hand(shot())
+    source = Handed(shot())
     with LiveSource(source, profile) as sensor:
         sensor.read(0)
         source.hand(SourceLostError("gone"))
@@ -337,8 +319,7 @@ def test_a_driver_that_hangs_is_left_behind(profile, monkeypatch):
 
 
 def test_motion_is_summed_over_images_that_nobody_reads(profile, page_patch):
-    source = Handed()
-    source.hand(Shot(page_patch(0), 0))
+    source = Handed(Shot(page_patch(0), 0))
     with LiveSource(source, profile) as sensor:
         assert sensor.read(0).pose.x_mm == 0
         for step in range(1, 11):
@@ -350,8 +331,7 @@ def test_motion_is_summed_over_images_that_nobody_reads(profile, page_patch):
 
 
 def test_what_happened_during_a_loss_is_no_motion(profile, page_patch):
-    source = Handed()
-    source.hand(Shot(page_patch(0), 0))
+    source = Handed(Shot(page_patch(0), 0))
     with LiveSource(source, profile) as sensor:
         sensor.read(0)
         source.hand(SourceLostError("gone"))

@@ -1,10 +1,8 @@
 """The contract of sources, run over the kinds that there are."""
 
-import threading
 import time
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -12,7 +10,8 @@ from PIL import Image
 from smarttouch.sources import open_source
 from smarttouch.sources.sensor_protocol import encode_frame
 from smarttouch.testing.sources import SourceContract
-from smarttouch.wire.pty_line import PtyLine
+
+from .test_video import write_clip
 
 GOLDENS = Path(__file__).parents[1] / "recording" / "goldens"
 
@@ -71,12 +70,8 @@ class TestUnpacedVideo(Contract):
 
     @pytest.fixture(autouse=True)
     def _video(self, tmp_path):
-        path = tmp_path / "clip.avi"
-        writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 200.0, (64, 48))
-        for number in range(40):
-            writer.write(np.full((48, 64, 3), 5 * number, np.uint8))
-        writer.release()
-        self.url = f"video:{path}"
+        images = [np.full((48, 64), 5 * number) for number in range(40)]
+        self.url = f"video:{write_clip(tmp_path / 'clip.avi', images)}"
 
 
 class TestPacedVideo(TestUnpacedVideo):
@@ -91,22 +86,11 @@ class TestSerialArray(Contract):
     nowhere = "serial-array:/dev/nothing"
 
     @pytest.fixture(autouse=True)
-    def _device(self):
-        line, over = PtyLine(), threading.Event()
-
-        def stream():
-            number = 0
-            while not over.wait(0.005):
-                line.write(encode_frame(number, 0, np.full((8, 8), number % 256, np.uint8)))
-                number += 1
-
-        device = threading.Thread(target=stream)
-        device.start()
-        self.url = f"serial-array:{line.name}"
-        yield
-        over.set()
-        device.join()
-        line.close()
+    def _device(self, make_device):
+        device = make_device(
+            lambda number: encode_frame(number, 0, np.full((8, 8), number % 256, np.uint8))
+        )
+        self.url = f"serial-array:{device.line.name}"
 
     def pause(self):
         time.sleep(0.005)

@@ -74,19 +74,8 @@ def test_another_shape(field):
         field.correct(np.zeros((64, 48), np.uint8))
 
 
-def test_saved_and_loaded(field, tmp_path):
-    field.save(tmp_path / "a.npz")
-    again = FlatField.load(tmp_path / "a.npz")
-    assert (again.dark == field.dark).all()
-    assert (again.gain == field.gain).all()
-
-
 @settings(max_examples=40, deadline=None)
-@given(
-    rows=st.integers(1, 12),
-    columns=st.integers(1, 12),
-    seed=st.integers(0, 2**32 - 1),
-)
+@given(rows=st.integers(1, 12), columns=st.integers(1, 12), seed=st.integers(0, 2**32 - 1))
 def test_any_field_is_read_back_as_it_was_written(tmp_path_factory, rows, columns, seed):
     random = np.random.default_rng(seed)
     dark = random.uniform(0, 60, (rows, columns)).astype(np.float32)

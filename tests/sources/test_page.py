@@ -96,14 +96,6 @@ def test_another_seed_another_noise(profile):
     assert not np.array_equal(opened(profile, 3).read(0).image, opened(profile, 4).read(0).image)
 
 
-def test_frames_do_not_share_memory(profile):
-    sensor = opened(profile, 0)
-    first = sensor.read(0)
-    before = first.image.copy()
-    sensor.read(900_000_000)
-    assert np.array_equal(first.image, before)
-
-
 def test_the_end(profile):
     with opened(profile, 0) as sensor:
         assert isinstance(sensor, Source)

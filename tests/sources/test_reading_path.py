@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from skimage import data
 
 from smarttouch.documents.page_image import Page
 from smarttouch.documents.printed_text import print_text
@@ -32,26 +31,6 @@ def test_printed_lines_are_all_found(count):
         top, bottom = (round(edge / page.mm_per_pixel) for edge in (line.top_mm, line.bottom_mm))
         rows = np.flatnonzero((page.grey[top:bottom] < 128).any(axis=1))
         assert 2.5 < (rows[-1] - rows[0] + 1) * page.mm_per_pixel < 5.2
-
-
-def test_lines_of_a_photographed_page():
-    lines = find_lines(Page(data.page(), 110 / 384))
-    assert 7 <= len(lines) <= 9
-    for above, below in itertools.pairwise(lines):
-        # They slope, and are not equally long: what counts is where both are.
-        shared = np.array([max(above.left_mm, below.left_mm), min(above.right_mm, below.right_mm)])
-        lower = above.baseline_mm(shared) + above.descent_mm
-        assert (lower <= below.baseline_mm(shared) - below.ascent_mm).all()
-
-
-def test_light_on_dark_lines():
-    page = print_text("one\ntwo")
-    assert len(find_lines(Page(255 - page.grey, page.mm_per_pixel), light_on_dark=True)) == 2
-
-
-@pytest.mark.parametrize("grey", [255, 128, 0])
-def test_blank_pages_have_no_lines(grey):
-    assert find_lines(Page(np.full((300, 400), grey, np.uint8), 0.2)) == []
 
 
 def test_a_blank_page_is_read_in_strips(profile):
@@ -94,13 +73,6 @@ def test_the_finger_presses_until_just_before_the_end(profile, speed):
     full_n = profile.force.full_n
     assert path.at(path.duration_s - 0.06)[1] > full_n
     assert path.at(path.duration_s - 0.01)[1] < 0.5 * full_n
-
-
-def test_line_centers_are_followed(profile):
-    page = print_text("one")
-    line = find_lines(page)[0]
-    pose, _ = ReadingPath(page, profile, 40).at(1.0)
-    assert pose.y_mm == pytest.approx((line.top_mm + line.bottom_mm) / 2)
 
 
 @pytest.mark.parametrize("skew_deg", [-3, 3])
@@ -159,6 +131,7 @@ def test_recorded_path(tmp_path):
 @pytest.mark.parametrize(
     ("text", "about", "value"),
     [
+        (None, "file", "path.csv"),
         ("", "columns", ()),
         ("a,b\n", "columns", ("a", "b")),
         (HEADER, "rows", 0),
@@ -171,16 +144,11 @@ def test_recorded_path(tmp_path):
 )
 def test_bad_recorded_paths(tmp_path, text, about, value):
     file = tmp_path / "path.csv"
-    file.write_text(text)
+    if text is not None:
+        file.write_text(text)
     with raises(SourceError, about=about, value=value) as caught:
         RecordedPath(file)
     assert str(file) in str(caught.value)
-
-
-def test_missing_path(tmp_path):
-    path = tmp_path / "none.csv"
-    with raises(SourceError, about="file", value=path):
-        RecordedPath(path)
 
 
 @given(st.one_of(st.text(max_size=200), st.text(max_size=200).map(lambda tail: HEADER + tail)))

@@ -24,6 +24,18 @@ from ..said import numbers_in
 SECOND = 1_000_000_000
 
 
+def write_clip(path, images, rate_hz=200.0, codec="MJPG"):
+    """Write a video of grey images, of 48 x 64 pixels where there is none."""
+    rows, columns = images[0].shape if images else (48, 64)
+    fourcc = cv2.VideoWriter.fourcc(*codec)
+    writer = cv2.VideoWriter(str(path), fourcc, rate_hz, (columns, rows))
+    assert writer.isOpened()
+    for image in images:
+        writer.write(cv2.cvtColor(image.astype(np.uint8), cv2.COLOR_GRAY2BGR))
+    writer.release()
+    return path
+
+
 class Levels(Clip):
     """Images whose grey level is their number; each takes its time to decode."""
 
@@ -87,15 +99,8 @@ def write_video(tmp_path):
     page = np.clip(6 * (cv2.GaussianBlur(255 * random, (0, 0), 2.5) - 100), 0, 255)
 
     def write(name="clip.avi", frames=40, rate_hz=200.0, codec="MJPG"):
-        path = tmp_path / name
-        fourcc = cv2.VideoWriter.fourcc(*codec)
-        writer = cv2.VideoWriter(str(path), fourcc, rate_hz, (64, 48))
-        assert writer.isOpened()
-        for number in range(frames):
-            grey = page[:, 2 * number : 2 * number + 64].astype(np.uint8)
-            writer.write(cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
-        writer.release()
-        return path
+        images = [page[:, 2 * number : 2 * number + 64] for number in range(frames)]
+        return write_clip(tmp_path / name, images, rate_hz, codec)
 
     return write
 
@@ -170,10 +175,7 @@ def test_a_video_that_breaks_off_ends_there(profile, write_video, capfd, unpaced
 @given(st.data())
 def test_no_damage_crashes(profile, tmp_path_factory, data):
     path = tmp_path_factory.mktemp("damage") / "clip.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 100, (32, 32))
-    for number in range(6):
-        writer.write(np.full((32, 32, 3), 40 * number, np.uint8))
-    writer.release()
+    write_clip(path, [np.full((32, 32), 40 * number) for number in range(6)], 100)
     content = bytearray(path.read_bytes())
     for _ in range(data.draw(st.integers(1, 5))):
         place = data.draw(st.integers(0, len(content) - 1))
@@ -188,42 +190,23 @@ def test_no_damage_crashes(profile, tmp_path_factory, data):
 
 
 @pytest.mark.parametrize(
-    "content", [None, b"", bytes(range(256)) * 20, b"hello, I am a text\n" * 20]
+    "content", [None, b"", bytes(range(256)) * 20, b"hello, I am a text\n" * 20, []]
 )
 @pytest.mark.parametrize("unpaced", [True, False])
 def test_what_is_no_video(profile, tmp_path, capfd, content, unpaced):
     path = tmp_path / "clip.avi"
-    if content is not None:
+    if content == []:
+        write_clip(path, content)
+    elif content is not None:
         path.write_bytes(content)
     with raises(SourceError, about="file", value=path):
         open_source(f"video:{path}", profile, unpaced=unpaced)
     assert capfd.readouterr().err == ""
 
 
-def test_a_video_without_frames(profile, write_video):
-    path = write_video(frames=0)
-    with raises(SourceError, about="file", value=path):
-        open_source(f"video:{path}", profile)
-
-
-def test_folders_and_files_are_told_apart(profile, folder):
-    remedy = f"frames:{folder}"
-    with raises(SourceError, about="file", value=folder, remedy=remedy):
-        open_source(f"video:{folder}", profile)
-    file = folder / "notes.txt"
-    with raises(SourceError, about="folder", value=file, remedy=f"video:{file}"):
-        open_source(f"frames:{file}", profile)
-
-
 def test_a_folder_in_natural_order(profile, folder):
-    assert levels(open_source(f"frames:{folder}", profile, unpaced=True)) == [
-        0,
-        10,
-        20,
-        30,
-        40,
-        50,
-    ]
+    found = levels(open_source(f"frames:{folder}", profile, unpaced=True))
+    assert found == list(range(0, 60, 10))
 
 
 def test_a_folder_at_its_pace(profile, folder):
@@ -254,33 +237,30 @@ def test_rates_that_cannot_be(profile, folder, fps):
         open_source(f"frames:{folder}", profile, fps=fps)
 
 
-def test_missing_and_empty_folders(profile, tmp_path):
-    nowhere = tmp_path / "nowhere"
-    with raises(SourceError, about="folder", value=nowhere):
-        open_source(f"frames:{nowhere}", profile)
-    with raises(SourceError, about="folder", value=tmp_path):
-        open_source(f"frames:{tmp_path}", profile)
+def tiny(path, width):
+    Image.fromarray(np.zeros((6, width), np.uint8)).save(path)
 
 
-def test_an_image_of_another_size_is_named(profile, folder):
-    path = folder / "b11.png"
-    Image.fromarray(np.zeros((6, 9), np.uint8)).save(path)
-    with raises(SourceError, about="file", value=path, allowed=(8, 6)):
-        open_source(f"frames:{folder}", profile)
-
-
-def test_an_image_too_small(profile, tmp_path):
-    path = tmp_path / "a.png"
-    Image.fromarray(np.zeros((6, 1), np.uint8)).save(path)
-    with raises(SourceError, about="file", value=path):
-        open_source(f"frames:{tmp_path}", profile)
-
-
-def test_a_file_that_is_no_image_is_named(profile, folder):
-    path = folder / "20.png"
-    path.write_bytes(b"hello")
-    with raises(SourceError, about="file", value=path):
-        open_source(f"frames:{folder}", profile)
+@pytest.mark.parametrize(
+    ("url", "kind", "place", "make", "attributes"),
+    [
+        ("video:", "file", "", None, {"remedy": "frames:"}),
+        ("frames:notes.txt", "folder", "notes.txt", None, {"remedy": "video:"}),
+        ("frames:nowhere", "folder", "nowhere", None, {}),
+        ("frames:empty", "folder", "empty", Path.mkdir, {}),
+        ("frames:", "file", "b11.png", lambda path: tiny(path, 9), {"allowed": (8, 6)}),
+        ("frames:", "file", "1.png", lambda path: tiny(path, 1), {}),
+        ("frames:", "file", "20.png", lambda path: path.write_bytes(b"hello"), {}),
+    ],
+)
+def test_what_is_neither_a_video_nor_a_folder(profile, folder, url, kind, place, make, attributes):
+    if make is not None:
+        make(folder / place)
+    scheme, _, opened = url.partition(":")
+    if "remedy" in attributes:
+        attributes = {"remedy": f"{attributes['remedy']}{folder / opened}"}
+    with raises(SourceError, about=kind, value=folder / place, **attributes):
+        open_source(f"{scheme}:{folder / opened}", profile)
 
 
 @pytest.mark.parametrize("unpaced", [True, False])

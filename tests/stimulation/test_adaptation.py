@@ -14,12 +14,13 @@ from smarttouch.profile import Profile, load_profile
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 from smarttouch.stimulation.schedule import ScanScheduler
-from smarttouch.stimulation.sequence import ScanSequence, SelectivityReport
+from smarttouch.stimulation.sequence import SelectivityReport
 from smarttouch.stimulation.timing import ScanTiming
 from smarttouch.tactile_image import TactileImage
 
 from ..raising import raises
 from ..rising import open_level
+from ..scans import sequence
 
 COMPLIANCE_V = 300.0
 KOHM = 50.0
@@ -65,9 +66,9 @@ class Finger:
         return asked, sent, delivered_uc, volts
 
 
-def charges_uc(sequence):
+def charges_uc(scan):
     """Charge of the strongest electrode of each slot, (S,) µC."""
-    return np.abs(sequence.current_ua.astype(float)).max(axis=1) * sequence.width_us / 1e6
+    return np.abs(scan.current_ua.astype(float)).max(axis=1) * scan.width_us / 1e6
 
 
 @pytest.mark.parametrize("profile", [MOUSE, SWITCHED], ids=lambda profile: profile.name)
@@ -196,15 +197,7 @@ def test_rounding_adds_no_charge_to_a_pulse_at_its_limit(peak_ua, volts):
     table["perception"]["threshold_ma"] = peak_ua / 2000
     table["limits"]["charge_uc"] = peak_ua * 80 / 1e6 * (1 + 1e-6)
     adaptation = Adaptation(Profile.model_validate(table), "charge", COMPLIANCE_V)
-    asked = ScanSequence(
-        current_ua=np.array([[peak_ua, -peak_ua] + [0] * 62], np.int16),
-        width_us=np.full(1, 80, np.uint16),
-        discharge_us=np.full(1, 100, np.uint16),
-        site=np.zeros(1, np.uint16),
-        period_us=20_000,
-        intensity=1.0,
-        time_ns=0,
-    )
+    asked = sequence([peak_ua, -peak_ua] + [0] * 62, 80, electrodes=64)
     adaptation.observe(asked, np.array([volts], np.float32))
     sent = adaptation.apply(asked)
     assert 0.98 * charges_uc(asked) <= charges_uc(sent) <= charges_uc(asked)
@@ -257,9 +250,8 @@ def test_a_changed_sequence_has_no_proof():
 def test_whatever_is_measured_the_result_is_safe(profile, hold, seed, density):
     rng, count = np.random.default_rng(seed), len(profile.electrodes)
     adaptation, gate = (
-        Adaptation(profile, hold, COMPLIANCE_V),
-        SafetyGate(SafetyLimits.of(profile)),
-    )
+        Adaptation(profile, hold, COMPLIANCE_V), SafetyGate(SafetyLimits.of(profile)),
+    )  # fmt: skip
     bank = SAFE_BANKS[profile.name]
     scan = ScanScheduler(profile, bank, (Afferent.RA,), profile.pulse.rate_hz)
     nothing = TactileImage(np.zeros((3, count), np.float32), 0, 1.0)

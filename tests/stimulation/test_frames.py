@@ -25,6 +25,7 @@ from ..raising import raises
 _DRAWN = np.zeros((8, 8), np.bool_)
 _DRAWN[1, 1:7] = _DRAWN[2:, 3] = True
 LETTER_T = np.flatnonzero(_DRAWN)
+LETTER = _DRAWN.astype(np.float32).reshape(1, 64)
 
 
 @pytest.fixture(scope="module")
@@ -125,15 +126,9 @@ def test_each_class_is_felt_where_its_own_shift_says(profile, bank, changed, pro
 
 
 def test_limits_of_electrodes_that_are_no_whole_microamperes(profile, changed):
-    limited = changed(
-        profile,
-        {
-            "frames.other": 0.01,
-            "limits.electrode_ma": (1.23456,) * 64,
-            "perception.threshold_ma": 0.6,
-            "perception.comfort_ma": (1.2345,) * 64,
-        },
-    )
+    keys = {"frames.other": 0.01, "limits.electrode_ma": (1.23456,) * 64}
+    keys |= {"perception.threshold_ma": 0.6, "perception.comfort_ma": (1.2345,) * 64}
+    limited = changed(profile, keys)
     bank = load_bank(profile)
     gate = SafetyGate(SafetyLimits.of(limited))
     for afferent in (Afferent.RA, Afferent.SAI):
@@ -147,9 +142,7 @@ def test_limits_of_electrodes_that_are_no_whole_microamperes(profile, changed):
 
 
 def test_what_rounding_breaks_is_shown_point_by_point(profile, made):
-    activation = np.zeros(64, np.float32)
-    activation[LETTER_T] = 1
-    loud, faint = (made[Afferent.SAI, True].slots(activation[None], each) for each in (0.5, 0.01))
+    loud, faint = (made[Afferent.SAI, True].slots(LETTER, each) for each in (0.5, 0.01))
     assert len(loud.site) < len(faint.site) <= len(LETTER_T)
     assert faint.proof.points.sum() == len(LETTER_T)
     kept = faint.proof.points > 1
@@ -251,40 +244,32 @@ def test_where_nothing_is_proved_points_are_shown_one_by_one(profile, bank, made
 
 
 def test_a_letter_takes_a_few_slots_and_an_empty_frame_none(slots, bank, profile):
-    activation = np.zeros(64, np.float32)
-    assert len(slots.slots(activation[None], 1.0)[0]) == 0
-    activation[LETTER_T] = 1
-    site, _, width_us, *_ = slots.slots(activation[None], 1.0)
+    assert len(slots.slots(0 * LETTER, 1.0)[0]) == 0
+    site, _, width_us, *_ = slots.slots(LETTER, 1.0)
     assert len(site) == 3
     assert set(site) <= set(LETTER_T)
     assert (width_us == 200).all()
-    assert len(slots.slots(activation[None], 0.0)[0]) == 0
+    assert len(slots.slots(LETTER, 0.0)[0]) == 0
 
 
 def test_fainter_points_take_fewer_slots(profile, bank, changed):
-    activation = np.zeros(64, np.float32)
-    activation[LETTER_T] = 1
     # A sixth of the current leaves room for six times as many points.
     faint = changed(profile, {"perception.threshold_ma": 0.2})
-    assert len(FrameSlots(faint, bank, (Afferent.RA,)).slots(activation[None], 1.0)[0]) == 1
+    assert len(FrameSlots(faint, bank, (Afferent.RA,)).slots(LETTER, 1.0)[0]) == 1
 
 
 def test_a_bound_of_the_profile_counts(profile, bank, changed):
-    activation = np.zeros(64, np.float32)
-    activation[LETTER_T] = 1
     strict = changed(profile, {"perception.threshold_ma": 0.24, "frames.other": 0.12})
-    assert len(FrameSlots(strict, bank, (Afferent.RA,)).slots(activation[None], 1.0)[0]) > 1
+    assert len(FrameSlots(strict, bank, (Afferent.RA,)).slots(LETTER, 1.0)[0]) > 1
 
 
 def test_a_frame_that_comes_again_is_not_planned_again(profile, bank, monkeypatch):
     slots = FrameSlots(profile, bank, (Afferent.RA,))
-    activation = np.zeros(64, np.float32)
-    activation[LETTER_T] = 1
-    first = slots.slots(activation[None], 0.5)
+    first = slots.slots(LETTER, 0.5)
     monkeypatch.setattr(module, "plan_slots", None)
-    again = slots.slots(activation.copy()[None], 0.5)
+    again = slots.slots(LETTER.copy(), 0.5)
     assert all(np.array_equal(*pair) for pair in zip(first[:3], again[:3], strict=True))
-    assert np.abs(slots.slots(activation[None], 1.0)[1]).max() > 1.9 * np.abs(first[1]).max()
+    assert np.abs(slots.slots(LETTER, 1.0)[1]).max() > 1.9 * np.abs(first[1]).max()
 
 
 def test_masked_electrodes_carry_nothing(profile, changed):
@@ -302,21 +287,18 @@ def test_boards_that_cannot_are_refused(profile, bank, changed):
     board = load_profile("kajimoto-61")
     with raises(ScheduleError, about="output.kind"):
         FrameSlots(board, load_bank(board), (Afferent.RA,))
-    with raises(ScheduleError, about="pulse.carrier"):
-        FrameSlots(changed(profile, {"pulse.carrier": "width"}), bank, (Afferent.RA,))
-    with raises(ScheduleError, about="frames.share"):
-        FrameSlots(changed(profile, {"frames.share": False}), bank, (Afferent.RA,))
-    # As profiles were before they had that key.
-    with raises(ScheduleError, about="frames.share"):
-        FrameSlots(
-            changed(profile, {"limits.total_ma": None, "frames.share": None}), bank, (Afferent.RA,)
-        )
+    for about, keys in (
+        ("pulse.carrier", {"pulse.carrier": "width"}),
+        ("frames.share", {"frames.share": False}),
+        # As profiles were before they had that key.
+        ("frames.share", {"limits.total_ma": None, "frames.share": None}),
+    ):
+        with raises(ScheduleError, about=about):
+            FrameSlots(changed(profile, keys), bank, (Afferent.RA,))
 
 
 def test_the_faintest_points_are_at_their_threshold(profile, bank, slots, rows):
-    activation = np.zeros(64, np.float32)
-    activation[LETTER_T] = 1e-6
-    _, current_ua, *_ = slots.slots(activation[None], 1.0)
+    _, current_ua, *_ = slots.slots(np.float32(1e-6) * LETTER, 1.0)
     kernels = bank.kernels(Afferent.RA)
     threshold = (rows.target[0] * kernels).sum(axis=1) * profile.threshold_ma
     reached = (current_ua / 1000 @ rows.target[0].T / threshold).max(axis=0)
@@ -325,12 +307,8 @@ def test_the_faintest_points_are_at_their_threshold(profile, bank, slots, rows):
 
 def test_points_that_go_with_no_other_are_rounded_within_their_limit(profile, bank, changed):
     """Bounds that nothing keeps: every point alone, at a current that is just the limit."""
-    keys = {
-        "frames.other": 0.01,
-        "limits.current_ma": 2.35,
-        "perception.comfort_ma": (2.35,) * 64,
-    }
-    alone = changed(profile, keys)
+    keys = {"frames.other": 0.01, "limits.current_ma": 2.35}
+    alone = changed(profile, keys | {"perception.comfort_ma": (2.35,) * 64})
     activation = np.zeros(64, np.float32)
     activation[[0, 9, 20, 27, 38, 45]] = 1
     scan = ScanScheduler(alone, bank, (Afferent.RA,), 10.0, sharing=SlotPolicy((Afferent.RA,)))

@@ -16,12 +16,9 @@ LINEAR = ForceLaw(law="linear", contact_n=0.2, full_n=1.0)
 LOGARITHMIC = ForceLaw(law="logarithmic", contact_n=0.2, full_n=1.0)
 
 
-def test_linear_law():
-    assert force_gate(0.6, LINEAR) == pytest.approx(0.5)
-
-
-def test_logarithmic_law_rises_faster_at_first():
-    assert force_gate(math.sqrt(0.2), LOGARITHMIC) == pytest.approx(0.5)
+@pytest.mark.parametrize(("law", "half_n"), [(LINEAR, 0.6), (LOGARITHMIC, math.sqrt(0.2))])
+def test_half_of_full_intensity(law, half_n):
+    assert force_gate(half_n, law) == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("law", [LINEAR, LOGARITHMIC])

@@ -1,7 +1,5 @@
 """Net charge: what every electrode has passed, and how polarity keeps it down."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,23 +8,10 @@ from hypothesis import strategies as st
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.ledger import ChargeBalance
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
-from smarttouch.stimulation.sequence import ScanSequence, SelectivityReport
+from smarttouch.stimulation.sequence import SelectivityReport
 
 from ..rising import open_level
-
-
-def sequence(currents, widths=200, time_ns=10**9, electrodes=16, intensity=1.0):
-    currents = np.asarray(currents, np.int16).reshape(-1, electrodes)
-    slots = len(currents)
-    return ScanSequence(
-        current_ua=currents,
-        width_us=np.full(slots, widths, np.uint16),
-        discharge_us=np.full(slots, 100, np.uint16),
-        site=np.arange(slots).astype(np.uint16),
-        period_us=20_000,
-        intensity=intensity,
-        time_ns=time_ns,
-    )
+from ..scans import sequence
 
 
 @st.composite
@@ -38,20 +23,16 @@ def balanced(draw):
         shares = rng.integers(-100, 101, 16)
         shares[rng.integers(16)] -= shares.sum()
         slots.append(shares)
-    return sequence(slots, rng.integers(10, 201, len(slots)))
+    return sequence(slots, rng.integers(10, 201, len(slots)), electrodes=16)
 
 
 def test_charge_is_current_times_width():
     ledger = ChargeBalance(4)
-    ledger.add(sequence([[1000, -600, -400, 0], [0, 0, -2000, 2000]], [200, 100], electrodes=4), 3)
+    ledger.add(sequence([]))
+    assert ledger.worst_uc == 0
+    ledger.add(sequence([[1000, -600, -400, 0], [0, 0, -2000, 2000]], [200, 100]), 3)
     assert ledger.charge_uc == pytest.approx(3 * np.array([0.2, -0.12, -0.28, 0.2]))
     assert ledger.worst_uc == pytest.approx(0.84)
-
-
-def test_a_new_ledger_is_empty():
-    ledger = ChargeBalance(4)
-    ledger.add(sequence([], electrodes=4))
-    assert ledger.worst_uc == 0
 
 
 @given(balanced(), st.integers(1, 40))
@@ -74,7 +55,7 @@ def test_the_choice_is_the_better_one(run):
         for sign in (1, -1):
             tried = ChargeBalance(16)
             tried.charge_pc = ledger.charge_pc.copy()
-            tried.add(sequence(sign * one.current_ua, one.width_us))
+            tried.add(sequence(sign * one.current_ua, one.width_us, electrodes=16))
             found.append((tried.charge_uc**2).sum())
         ledger.add(chosen)
         assert (ledger.charge_uc**2).sum() == pytest.approx(min(found))
@@ -94,16 +75,16 @@ def test_the_reversed_twin_passes_the_same_gate(one):
 
 
 def test_what_has_no_twin_stays_as_it_is():
-    ledger, extreme = ChargeBalance(4), sequence([[-32768, 32767, 1, 0]], 10, electrodes=4)
+    ledger, extreme = ChargeBalance(4), sequence([[-32768, 32767, 1, 0]], 10)
     ledger.add(extreme)
     assert ledger.balancing(extreme) is extreme
-    turned = sequence([[-32767, 32767, 0, 0]], 10, electrodes=4)
+    turned = sequence([[-32767, 32767, 0, 0]], 10)
     assert ledger.balancing(turned).current_ua.tolist() == [[32767, -32767, 0, 0]]
 
 
 def test_a_turned_scan_has_no_proof():
-    proved = replace(sequence([[100, -100] + [0] * 14]), proof=SelectivityReport.of_nothing(1))
-    ledger = ChargeBalance(16)
+    proved = sequence([[100, -100, 0, 0]], proof=SelectivityReport.of_nothing(1))
+    ledger = ChargeBalance(4)
     assert ledger.balancing(proved) is proved
     ledger.add(proved)
     assert ledger.balancing(proved).proof is None

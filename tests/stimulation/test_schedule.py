@@ -68,20 +68,15 @@ def test_every_sequence_of_every_profile_is_safe(name, data):
 
 
 def test_full_activation_gets_the_comfortable_current_and_faint_the_threshold(profile, bank):
+    """And RA is anodic at its point."""
     activation = np.zeros(64)
     activation[[9, 50]] = 1.0, 1e-6
     sequence = ScanScheduler(profile, bank, (Afferent.RA,), 50).schedule(tactile(activation), 1.0)
-    peak = dict(zip(sequence.site.tolist(), np.abs(sequence.current_ua).max(axis=1), strict=True))
-    assert peak[9] == pytest.approx(2400, abs=32)
-    assert peak[50] == pytest.approx(1200, abs=32)
-
-
-def test_ra_is_anodic_at_its_point(profile, bank):
-    activation = np.zeros(64)
-    activation[27] = 1.0
-    sequence = ScanScheduler(profile, bank, (Afferent.RA,), 50).schedule(tactile(activation), 1.0)
-    assert sequence.current_ua[0, 27] == sequence.current_ua[0].min() < 0
-    assert sequence.state[0, 27] == -1
+    found = dict(zip(sequence.site.tolist(), sequence.current_ua.tolist(), strict=True))
+    for site, peak_ua in ((9, 2400), (50, 1200)):
+        assert max(map(abs, found[site])) == pytest.approx(peak_ua, abs=32)
+        assert found[site][site] == min(found[site]) < 0
+    assert (sequence.state[np.arange(2), sequence.site] == -1).all()
 
 
 def test_no_intensity_no_slots(profile, bank):
@@ -176,10 +171,17 @@ def test_successive_points_are_apart(count):
     assert steps.min() >= count // 4
 
 
-def natural_image(every=3):
+def assert_joined(joined, parts):
+    """Check that slots are those of several sequences, one after the other."""
+    for name in ("site", "current_ua", "width_us", "discharge_us"):
+        alone = np.concatenate([getattr(each, name) for each in parts])
+        assert getattr(joined, name).tolist() == alone.tolist(), name
+
+
+def natural_image():
     """RA and SAI here and there, each point as strong as no other: no slot is another's."""
     rows = np.zeros((3, 64), np.float32)
-    rows[Afferent.RA, ::every] = np.linspace(1, 0.3, len(rows[0, ::every]))
+    rows[Afferent.RA, ::3] = np.linspace(1, 0.3, 22)
     rows[Afferent.SAI, 1::5] = np.linspace(0.2, 0.9, len(rows[1, 1::5]))
     return TactileImage(rows, 10**9, 1.0)
 
@@ -194,9 +196,7 @@ def test_classes_that_are_due_together_follow_one_another(profile, bank, changed
         ScanScheduler(profile, bank, (each,), 10.0).schedule(natural_image(), 0.7) for each in both
     )
     assert (first.slots, second.slots) == (22, 13)
-    for name in ("site", "current_ua", "width_us", "discharge_us"):
-        alone = [getattr(each, name) for each in (first, second)]
-        assert getattr(joined, name).tolist() == np.concatenate(alone).tolist(), name
+    assert_joined(joined, (first, second))
     assert len(set(joined.width_us.tolist())) > 30 or carrier == "height"
     assert joined.proof is None
     started(profile, bank).prove_measurement(joined)
@@ -219,9 +219,7 @@ def test_proofs_stay_with_their_slots_where_classes_are_joined(profile, bank, sh
     ]
     assert [each.proof is not None for each in parts] == list(proved)
     assert joined.slots == sum(each.slots for each in parts)
-    for name in ("site", "current_ua", "width_us"):
-        alone = [getattr(each, name) for each in parts]
-        assert getattr(joined, name).tolist() == np.concatenate(alone).tolist(), name
+    assert_joined(joined, parts)
     slot = 0
     for part in parts:
         mine = slice(slot, slot := slot + part.slots)
@@ -255,6 +253,4 @@ def test_three_classes_are_joined_as_two_are(profile, bank):
             )
             for group in groups
         ]
-        for name in ("site", "current_ua"):
-            alone = [getattr(each, name) for each in parts]
-            assert getattr(joined, name).tolist() == np.concatenate(alone).tolist(), name
+        assert_joined(joined, parts)

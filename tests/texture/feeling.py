@@ -6,13 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards.emulator.simulated import SimulatedBoard
-from smarttouch.clock import SimulatedClock
-from smarttouch.kernels.bank import KernelBank
-from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.controls import Controls, ControlState
-from smarttouch.running.listener import as_listeners
-from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulator import Regulator
 from smarttouch.running.statistics import RunStatistics
@@ -21,9 +16,10 @@ from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stimulation.ledger import ChargeBalance
 from smarttouch.stimulation.recharge import RechargeRules
 from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stopping import StopRequest
 from smarttouch.texture.felt import TextureDrawing
 from smarttouch.texture.source import MouseSource
+
+from ..looping import loop_through
 
 OPENED_NS = 700_000_000
 """So long the hand rests, and a point here and there opens the level."""
@@ -31,17 +27,7 @@ OPENED_NS = 700_000_000
 
 @dataclass(frozen=True, eq=False)
 class FeltPulses:
-    """Pulses that were felt, in the order in which they were delivered.
-
-    Attributes
-    ----------
-    number : ndarray, (N,)
-        Of the sequence.
-    electrode : ndarray, (N,)
-    place_mm : ndarray, (N, 2)
-        On the texture.
-    answer : ndarray, (N,) in [0, 1]
-    """
+    """Pulses that were felt, as delivered: of which sequence, electrode and place, how strong."""
 
     number: NDArray[np.int64]
     electrode: NDArray[np.intp]
@@ -65,19 +51,7 @@ def pulses_of(drawing: TextureDrawing) -> FeltPulses:
 
 @dataclass(frozen=True, eq=False)
 class SimulationResult:
-    """Result of a simulation.
-
-    Attributes
-    ----------
-    drawing : TextureDrawing
-    felt : FeltPulses
-        Every delivered pulse, in the world.
-    times_ns : dict of int to int, ns
-        When each sequence began, by its number.
-    poses_mm : dict of int to tuple of float, mm
-        Where the hand was then.
-    tally : RunStatistics
-    """
+    """Pulses felt, and by the number of each sequence when it began and where the hand was."""
 
     drawing: TextureDrawing
     felt: FeltPulses
@@ -86,36 +60,17 @@ class SimulationResult:
     tally: RunStatistics
 
 
-def feel(
-    sensor: MouseSource,
-    profile: Profile,
-    bank: KernelBank,
-    seconds: float | None = None,
-) -> SimulationResult:
+def feel(sensor: MouseSource, profile, bank, seconds: float | None = None) -> SimulationResult:
     """Let a finger feel a texture until the hand stops; frames, kernels, safety are a live run's.
 
     The level is open before the hand moves, and nothing of that is part of the result. Charge is
     balanced, without which net current slows a texture under all electrodes.
 
-    Parameters
-    ----------
-    sensor : MouseSource
-        Closed at the end.
-    profile : Profile
-        As `profile_for_reading` returns it.
-    bank : KernelBank
-    seconds : float, optional
-        Longest run.
-
-    Raises
-    ------
-    SmartTouchError
-        Whatever would end such a run.
+    The sensor is closed at the end; the profile is as `profile_for_reading` returns it.
     """
     drawing = sensor.drawing(profile, bank)
     times_ns: dict[int, int] = {}
     poses_mm: dict[int, tuple[float, float]] = {}
-    tally = RunStatistics()
 
     def opening(time_ns: int) -> Stimulus | None:
         given = read(time_ns)
@@ -138,20 +93,14 @@ def feel(
 
     limits = SafetyLimits.of(profile)
     with sensor, SimulatedBoard("", limits, profile.output) as board:
-        run_loop(
-            sensor,
-            Pipeline(profile, bank, RunConfig(mode=sensor.mode, scan="points", balance=True)),
-            board,
-            stop=StopRequest(),
-            statistics=tally,
-            seconds=seconds,
-            listeners=as_listeners([watch]),
+        config = RunConfig(mode=sensor.mode, scan="points", balance=True)
+        tally = loop_through(
+            sensor, Pipeline(profile, bank, config), board, watch, seconds=seconds,
             controls=Controls(ControlState(sensor.mode)),
             regulator=Regulator(
                 ledger=ChargeBalance(len(profile.electrodes)),
                 recharge=RechargeRules.of(profile, board.timing),
             ),
-            clock=SimulatedClock(),
-        )
+        )  # fmt: skip
         drawing.deliver(*board.take_pulses())
     return SimulationResult(drawing, pulses_of(drawing), times_ns, poses_mm, tally)

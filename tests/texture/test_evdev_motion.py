@@ -2,7 +2,6 @@
 
 import os
 import sys
-import time
 from types import ModuleType, SimpleNamespace
 
 import pytest
@@ -11,6 +10,7 @@ from smarttouch.errors import SourceError, SourceLostError
 from smarttouch.texture.motion import open_motion
 
 from ..raising import raises
+from ..waiting import until
 
 CODES = SimpleNamespace(EV_SYN=0, EV_REL=2, REL_X=0, REL_Y=1, REL_WHEEL=8, SYN_DROPPED=3)
 
@@ -73,10 +73,7 @@ def device(monkeypatch, tmp_path):
 
 
 def await_mm(motion, wanted):
-    until = time.monotonic() + 60
-    while motion.read(0) != pytest.approx(wanted) and time.monotonic() < until:
-        time.sleep(0.002)
-    assert motion.read(0) == pytest.approx(wanted)
+    until(lambda: motion.read(0) == pytest.approx(wanted))
 
 
 def test_counts_become_millimeters(device):
@@ -92,9 +89,7 @@ def test_counts_become_millimeters(device):
 def test_what_moved_before_the_first_look_does_not_count(device):
     with open_motion(f"evdev:{device.place}") as motion:
         device.latest.play((2, 0, 400))
-        until = time.monotonic() + 60
-        while motion._counts != [400, 0] and time.monotonic() < until:
-            time.sleep(0.002)
+        until(lambda: motion._counts == [400, 0])
         assert motion.read(0) == (0, 0)
         device.latest.play((2, 0, -800))
         await_mm(motion, (-25.4, 0))

@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from smarttouch.afferent import Afferent
 from smarttouch.errors import SmartTouchError
+from smarttouch.texture.felt import TextureDrawing
 from smarttouch.texture.sweep_motion import SweepMotion, strokes_over
 from smarttouch.texture.textures import open_texture
 
@@ -55,9 +57,6 @@ def test_the_sheet_shows_both(cross, tmp_path):
 
 
 def test_nothing_felt_is_said(mouse, mouse_bank, tmp_path):
-    from smarttouch.afferent import Afferent
-    from smarttouch.texture.felt import TextureDrawing
-
     empty = TextureDrawing(mouse, mouse_bank, (Afferent.RA,), open_texture("grating:4mm"))
     empty.deliver(np.zeros(0, np.uint32), np.zeros(0, np.float32), np.zeros((0, 64), np.int16))
     assert (empty.picture((0.0, 0.0), (20, 20), 1.0) == 255).all()

@@ -1,7 +1,6 @@
 """The pointer over a window: what can be known of it without a display."""
 
 import sys
-import time
 from types import ModuleType
 
 import pytest
@@ -12,6 +11,7 @@ from smarttouch.texture.motion import open_motion
 from smarttouch.texture.window_motion import PAD_MM, Pointer, fit
 
 from ..raising import raises
+from ..waiting import until
 
 
 def test_what_is_shown_is_as_large_as_it_is_or_smaller():
@@ -112,22 +112,14 @@ def test_the_pointer_is_the_hand(display):
 def test_a_closed_window_ends_the_motion(display):
     display.script = [lambda: setattr(display, "gone", True)]
     with open_motion("window:") as motion:
-        until = time.monotonic() + 60
-        while motion._open and time.monotonic() < until:
-            time.sleep(0.002)
+        until(lambda: not motion._open)
         assert motion.read(0) is None
 
 
-def test_without_a_display_it_says_so(display):
-    FakeTk.missing = True
-    try:
-        with raises(SourceError, about="display", remedy="evdev:"):
-            open_motion("window:")
-    finally:
-        FakeTk.missing = False
-
-
-def test_without_tk_it_says_so(monkeypatch):
+def test_without_a_display_or_tk_it_says_so(display, monkeypatch):
+    display.missing = True
+    with raises(SourceError, about="display", remedy="evdev:"):
+        open_motion("window:")
     monkeypatch.setitem(sys.modules, "tkinter", None)
     with raises(SourceError, about="tkinter", remedy="evdev:"):
         open_motion("window:")

@@ -1,7 +1,6 @@
 """Runs with a window, in a thread of this process, on a board that keeps what it is sent."""
 
 import threading
-import time
 from contextlib import contextmanager
 
 import numpy as np
@@ -14,19 +13,11 @@ from smarttouch.sources.stimulus import Stimulus
 from smarttouch.stopping import StopRequest
 from smarttouch.window.live import Window
 
+from ..waiting import until
 from .browser import chromium
 
 WAIT_S = 60
 CATHODIC, ANODIC, BASE = (179, 88, 6), (84, 39, 136), (236, 238, 241)
-
-
-def wait_for(holds):
-    """Wait until something holds; return what it gives."""
-    over_s = time.monotonic() + WAIT_S
-    while not (found := holds()):
-        assert time.monotonic() < over_s, "it never came"
-        time.sleep(0.01)
-    return found
 
 
 class Spots(StimulusSource):
@@ -111,7 +102,7 @@ def running(profile, monkeypatch):
         made = Run(getattr(given, "profile", profile), given, board, **options)
         made.thread.start()
         try:
-            wait_for(lambda: made.results)
+            until(lambda: made.results)
             yield made
         finally:
             made.stop.ask("the test")

@@ -8,8 +8,8 @@ import pytest
 from smarttouch.boards.emulator.delivery_log import read_delivered
 from smarttouch.drawing.source import DrawSource
 
+from ..waiting import until
 from .browser import opened, violations
-from .conftest import wait_for
 
 pytestmark = pytest.mark.realtime
 
@@ -47,7 +47,7 @@ def test_a_letter_drawn_by_hand_comes_out_of_the_emulator(browser, running, prof
         with opened(browser, run.address) as page:
             page.wait_for_selector("#draw-card:not([hidden])")
             stroke(page, (1, 2), (6, 2), (6, 5))
-            wait_for(lambda: len(numbers_of(run, letter)) > 10)
+            until(lambda: len(numbers_of(run, letter)) > 10)
             page.click("#stop")
             run.ended()
         numbers, _, current_ua = read_delivered(tmp_path)
@@ -65,7 +65,7 @@ def test_lists_letters_and_keys(browser, running, profile, tmp_path, monkeypatch
     with running(source, rate_hz=20) as run, opened(browser, run.address) as page:
         page.wait_for_selector("#draw-card:not([hidden])")
         page.fill("#letter", "T")
-        wait_for(lambda: source.message()["changes"] > 1)
+        until(lambda: source.message()["changes"] > 1)
         drawn = source.read(0).activation[0]
         assert drawn.any()
         page.click("#keep")
@@ -73,18 +73,18 @@ def test_lists_letters_and_keys(browser, running, profile, tmp_path, monkeypatch
         page.select_option("#library", "sweep right")
         page.wait_for_selector("#patterns li:nth-child(9)")
         page.click("#draw-clear")
-        wait_for(lambda: not source.read(0).activation.any())
+        until(lambda: not source.read(0).activation.any())
         page.focus("#sketch")
         for key in ("ArrowUp", "ArrowLeft", "Enter"):
             page.keyboard.press(key)
-        wait_for(lambda: source.read(0).activation[0].sum() == 1)
+        until(lambda: source.read(0).activation[0].sum() == 1)
         page.click("#loop")
         page.wait_for_selector("#patterns li.now")
         page.click("#loop")
-        wait_for(lambda: source.message()["playing"] is None)
+        until(lambda: source.message()["playing"] is None)
         page.click("#save-json")
         # The file is there before it is whole; the page says when it is.
-        wait_for(lambda: "drawing-1.json" in page.text_content("#draw-said"))
+        until(lambda: "drawing-1.json" in page.text_content("#draw-said"))
         assert len(json.loads((tmp_path / "drawing-1.json").read_text())["steps"]) == 9
         assert not run.stop.event.is_set()
         assert violations(page) == []
@@ -113,8 +113,8 @@ def test_what_is_felt_while_pressed_ends_with_the_stroke(browser, running, profi
         page.mouse.down(button="right")
         page.mouse.up(button="right")
         page.mouse.down()
-        wait_for(lambda: source.read(0).activation.any())
+        until(lambda: source.read(0).activation.any())
         page.mouse.up()
-        wait_for(lambda: not source.read(0).activation.any())
+        until(lambda: not source.read(0).activation.any())
         # One stroke, and its end: the other button drew nothing.
         assert source.message()["changes"] == 3

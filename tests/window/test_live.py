@@ -20,7 +20,8 @@ from smarttouch.window.server import MOST_MESSAGE_BYTES
 from smarttouch.window.steering import LOST_S
 
 from ..raising import raises
-from .conftest import Spots, wait_for
+from ..waiting import until
+from .conftest import Spots
 
 pytestmark = pytest.mark.realtime
 
@@ -119,9 +120,9 @@ def test_what_is_no_message_ends_a_page_and_nothing_else(running):
         with connect(run) as socket, suppress(ConnectionClosed):
             while True:
                 socket.send("seen")
-        wait_for(lambda: run.window.pages == 0)
+        until(lambda: run.window.pages == 0)
         count = len(run.results)
-        wait_for(lambda: len(run.results) > count)
+        until(lambda: len(run.results) > count)
         assert run.state() == before
 
 
@@ -173,15 +174,15 @@ def test_a_second_page_steers_when_the_first_is_gone(running):
         with connect(run) as first:
             receive(first, "hello")
             first.send("do less")
-            wait_for(lambda: run.state().level < 1)
+            until(lambda: run.state().level < 1)
             second.send("do more")
             # Killed: without a word.
             first.socket.shutdown(SHUT_RDWR)
-        wait_for(lambda: run.state().paused)
+        until(lambda: run.state().paused)
         assert run.state().level < 1
         receive(second, "update")
         second.send("do resume")
-        wait_for(lambda: not run.state().paused)
+        until(lambda: not run.state().paused)
         assert run.window.steering.page is not None
 
 
@@ -191,7 +192,7 @@ def test_current_is_zero_when_the_page_that_steers_hangs(running, monkeypatch):
         receive(socket, "hello")
         socket.send("steer")
         # It is open, and answers nothing any more.
-        last = wait_for(
+        last = until(
             lambda: next((each for each in [*run.results.values()] if not each.step.level), None)
         )
         assert not last.sequence.current_ua.any()
@@ -203,8 +204,8 @@ def test_with_a_keyboard_a_page_may_leave(running):
         with connect(run) as socket:
             receive(socket, "hello")
             socket.send("do less")
-            wait_for(lambda: run.state().level < 1)
-        wait_for(lambda: run.window.pages == 0)
+            until(lambda: run.state().level < 1)
+        until(lambda: run.window.pages == 0)
         assert run.window.steering.page is None
         assert not run.state().paused
 
@@ -231,7 +232,7 @@ def test_a_hundred_pages_come_and_go(running):
                 receive(stack.enter_context(connect(run)), "hello")
             with pytest.raises(ConnectionClosed):
                 receive(stack.enter_context(connect(run)), "hello")
-        wait_for(lambda: run.window.pages == 0)
+        until(lambda: run.window.pages == 0)
         assert not run.state().paused
     assert run.runner.statistics.ended == "the test"
 
@@ -240,7 +241,7 @@ def test_keys_of_the_source_are_pressed(running):
     with running() as run, connect(run) as socket:
         assert receive(socket, "hello")["keys"] == ["x"]
         socket.send("do key:x")
-        wait_for(lambda: run.source.pressed)
+        until(lambda: run.source.pressed)
 
 
 def test_what_would_tell_the_answer_is_not_sent(running):

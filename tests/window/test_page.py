@@ -12,8 +12,9 @@ import pytest
 
 from smarttouch.window import server
 
+from ..waiting import until
 from .browser import opened, violations
-from .conftest import colors, drawn, strongest, wait_for
+from .conftest import colors, drawn, strongest
 
 pytestmark = pytest.mark.realtime
 
@@ -43,9 +44,9 @@ def test_pixels_are_the_delivered_sequence(on_page, profile):
         return (found, sequence) if sequence.slots else None
 
     with on_page() as (run, page):
-        wait_for(lambda: len(run.results) > 25)
+        until(lambda: len(run.results) > 25)
         for _ in range(3):
-            found, sequence = wait_for(driven)
+            found, sequence = until(driven)
             expected = colors(strongest(sequence), profile)
             assert np.array_equal(found["colors"], expected)
             page.wait_for_timeout(100)
@@ -83,18 +84,18 @@ def test_stop_is_always_there(on_page, how):
 def test_a_keyboard_is_enough(on_page):
     with on_page() as (run, page):
         page.keyboard.press("-")
-        wait_for(lambda: run.state().level < 1)
+        until(lambda: run.state().level < 1)
         page.wait_for_selector("#steer[aria-pressed=true]")
         page.keyboard.press("p")
-        wait_for(lambda: run.state().paused)
+        until(lambda: run.state().paused)
         page.wait_for_selector("#pause[aria-pressed=true]")
         page.focus("#pause")
         page.keyboard.press("Enter")
-        wait_for(lambda: not run.state().paused)
+        until(lambda: not run.state().paused)
         page.keyboard.press("x")
-        wait_for(lambda: run.source.pressed)
+        until(lambda: run.source.pressed)
         page.keyboard.press("0")
-        wait_for(lambda: not run.state().level)
+        until(lambda: not run.state().level)
         reached = set()
         for _ in range(40):
             page.keyboard.press("Tab")
@@ -111,12 +112,12 @@ def test_a_second_page_takes_over_when_the_first_is_closed(on_page, browser):
         with opened(browser, run.address) as first:
             first.wait_for_selector("#status.runs")
             first.keyboard.press("-")
-            wait_for(lambda: run.state().level < 1)
+            until(lambda: run.state().level < 1)
             page.wait_for_selector("#more:disabled")
-        wait_for(lambda: run.state().paused)
+        until(lambda: run.state().paused)
         page.wait_for_selector("#pause[aria-pressed=true]:enabled")
         page.click("#pause")
-        wait_for(lambda: not run.state().paused)
+        until(lambda: not run.state().paused)
         page.wait_for_selector("#steer[aria-pressed=true]")
 
 
@@ -174,4 +175,4 @@ def test_the_browser_is_led_to_the_page_by_a_private_file(browser, running, monk
         page.wait_for_selector("#electrodes[data-number]")
         page.close()
         read.set()
-        wait_for(lambda: not path.parent.exists())
+        until(lambda: not path.parent.exists())

@@ -20,9 +20,6 @@ from smarttouch.profile import load_profile
 from smarttouch.stimulation.sums import round_charge_balanced
 
 from ...raising import raises
-from .test_operator import make_operator
-
-__all__ = ["make_operator"]
 
 
 @settings(max_examples=40, deadline=None)

@@ -55,22 +55,9 @@ def test_electrodes_in_another_order_are_where_they_are(profile, changed):
     assert there.rows(np.array([7])) == pytest.approx(af_matrix(shuffled, nodes)[[7]], abs=1e-4)
 
 
-def test_layers_and_ending_are_the_skin_s(profile, changed):
-    layers = [
-        {"thickness_mm": 0.3, "conductivity_s_per_m": 0.02},
-        {"conductivity_s_per_m": 0.4},
-    ]
-    mine = changed(
-        profile,
-        {
-            "array.rows": 3,
-            "array.columns": 4,
-            "skin.medium": "layered",
-            "skin.layers": layers,
-            "skin.conductivity_s_per_m": None,
-            "skin.ra_ending": "active",
-        },
-    )
+def test_layers_and_ending_are_the_skin_s(profile, layered):
+    keys = {"array.rows": 3, "array.columns": 4, "skin.ra_ending": "active"}
+    mine = layered(profile, **keys)
     nodes = everywhere(mine, Afferent.RA)
     current = random_currents(mine)
     whole = current @ af_matrix(mine, nodes).T

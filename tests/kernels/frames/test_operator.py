@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from smarttouch.afferent import Afferent
 from smarttouch.errors import DesignError
 from smarttouch.kernels.frames.figures import FrameBounds
-from smarttouch.kernels.frames.judge import FrameJudge, full_wish
+from smarttouch.kernels.frames.judge import FrameJudge
 from smarttouch.kernels.frames.operator import FrameOperator, Weights, keeps
 from smarttouch.physiology.activation import af_matrix
 from smarttouch.physiology.afferents import everywhere
@@ -19,19 +19,6 @@ from smarttouch.profile import load_profile
 from ...raising import raises
 
 LETTER_T = "........ .#####.. ...#.... ...#.... ...#.... ...#.... ...#.... ...#...."
-
-
-@pytest.fixture(scope="module")
-def make_operator(profile, bank):
-    made = {}
-
-    def make(afferent):
-        if afferent not in made:
-            wish = full_wish(profile, bank.kernels(afferent), bank.receptor[afferent])
-            made[afferent] = FrameOperator(FrameJudge(profile, afferent, wish))
-        return made[afferent]
-
-    return make
 
 
 def drawn(picture):

@@ -16,9 +16,7 @@ from smarttouch.kernels.frames.operator import FrameOperator, keeps
 from smarttouch.kernels.frames.slots import FrameSlot, likely_slots, plan_slots
 from smarttouch.profile import load_profile
 
-from .test_operator import LETTER_T, drawn, make_operator, scattered
-
-__all__ = ["make_operator"]
+from .test_operator import LETTER_T, drawn, scattered
 
 
 @settings(max_examples=25, deadline=None)

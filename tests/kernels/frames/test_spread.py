@@ -7,9 +7,7 @@ from smarttouch.afferent import Afferent
 from smarttouch.kernels.problem import Problem
 
 from ...reference.spread import Worst, spread_judges, uneven_levels, with_gain_error
-from .test_operator import make_operator, scattered
-
-__all__ = ["make_operator"]
+from .test_operator import scattered
 
 
 @pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])

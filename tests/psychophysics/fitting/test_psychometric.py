@@ -30,6 +30,10 @@ MODELS = [
 ]
 
 
+def parameters_of(*values):
+    return Parameters(*(np.array([each]) for each in values))
+
+
 def counts_of(stimulus, n, k):
     return Counts(*(np.asarray(each, float) for each in (stimulus, n, k)))
 
@@ -101,9 +105,7 @@ def test_weibull_is_weibull():
     """1 - exp(-(x / scale)^power), put through its median."""
     scale, power = 3.0, 2.5
     median = scale * math.log(2) ** (1 / power)
-    parameters = Parameters(
-        *(np.array([each]) for each in (math.log(median), -math.log(power), 0.0, 0.0))
-    )
+    parameters = parameters_of(math.log(median), -math.log(power), 0.0, 0.0)
     x = np.array([0.5, 2.0, 3.0, 5.0])
     model = Model(Shape.WEIBULL, guess=0.0)
     likely = model.probability(model.axis(x), parameters)[0]
@@ -112,12 +114,9 @@ def test_weibull_is_weibull():
 
 @settings(deadline=None)
 @given(
-    st.sampled_from(MODELS),
-    st.floats(-1, 1),
-    st.floats(-2, 1),
-    st.floats(0, 0.1),
+    st.sampled_from(MODELS), st.floats(-1, 1), st.floats(-2, 1), st.floats(0, 0.1),
     st.floats(0, 0.4),
-)
+)  # fmt: skip
 def test_slopes_are_derivatives(model, threshold, log_spread, lapse, guess):
     guess = lapse if model.guess == "equal" else guess
     at = np.array([threshold, log_spread, lapse, guess])
@@ -138,7 +137,7 @@ def test_slopes_are_derivatives(model, threshold, log_spread, lapse, guess):
 
 @pytest.mark.parametrize("model", MODELS)
 def test_threshold_is_where_it_says(model):
-    parameters = Parameters(*(np.array([each]) for each in (0.7, -0.5, 0.0, 0.0)))
+    parameters = parameters_of(0.7, -0.5, 0.0, 0.0)
     if not isinstance(model.guess, str):
         parameters = parameters._replace(guess=np.array([model.guess]))
     share = model.probability(np.array([0.7]), parameters)[0, 0]
@@ -152,7 +151,7 @@ def test_threshold_is_where_it_says(model):
 def test_nothing_at_all_is_guessed():
     model = Model(guess="free")
     x = model.axis([0.0, 1.0])
-    parameters = Parameters(*(np.array([each]) for each in (0.0, 0.0, 0.02, 0.13)))
+    parameters = parameters_of(0.0, 0.0, 0.02, 0.13)
     likely, slopes = model.slopes(x, parameters)
     assert likely[0, 0] == 0.13
     assert slopes[0, :, 0].tolist() == [0, 0, 0, 1]
@@ -190,7 +189,7 @@ def test_no_general_optimizer_finds_better(model):
 @pytest.mark.parametrize("shape", Shape)
 def test_large_samples_give_the_truth(shape):
     model = Model(shape, guess=0.25)
-    truth = Parameters(*(np.array([each]) for each in (math.log(20), math.log(0.3), 0.03, 0.25)))
+    truth = parameters_of(math.log(20), math.log(0.3), 0.03, 0.25)
     stimulus = np.geomspace(5, 80, 15)
     n = np.full(15, 100_000.0)
     k = n * model.probability(model.axis(stimulus), truth)[0]

@@ -12,8 +12,8 @@ from ...raising import raises
 from ..test_rows import ROW, written
 
 
-def file(tmp_path, text, name="own.csv"):
-    path = tmp_path / name
+def file(tmp_path, text):
+    path = tmp_path / "own.csv"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
 

@@ -63,47 +63,34 @@ def test_at_random(seed):
     assert found.beyond == 0
 
 
-def test_always_the_same_interval():
-    first = verdict(session(lambda each, n: each.comparison_interval == 1))
-    assert first.reason == "one interval"
-    assert "first" in first.verdict
-    assert "100 of 100" in first.verdict
-    second = verdict(session(lambda each, n: each.comparison_interval == 2 or n == 3))
-    assert second.reason == "one interval"
-    assert "second" in second.verdict
-    assert "99 of 100" in second.verdict
+NO_THRESHOLD = {
+    "first": (lambda each, n: each.comparison_interval == 1, "one interval", ["first", 100, 100]),
+    "second, but once": (
+        lambda each, n: each.comparison_interval == 2 or n == 3, "one interval", ["second", 99, 100]
+    ),
+    "in turn": (lambda each, n: (n % 2 == 0) == (each.comparison_interval == 1), "flat", []),
+    "all felt": (of_counts([1, 2, 3], [10] * 3, [10] * 3), "always", [30, 1], -1),
+    "none felt": (of_counts([1, 2, 3], [10] * 3, [0] * 3), "never", [30, 3], 1),
+    "few answers": (
+        lambda each, n: None if n % 5 else each.comparison > 30, "unanswered", [20, 100]
+    ),
+    "no answers": (lambda each, n: None, "unanswered", [0, 100]),
+    "few trials": (
+        session(lambda each, n: each.comparison > 30, repetitions=1), "too few", [10, 15]
+    ),
+    "one comparison": (of_counts([3], [40], [17]), "one comparison", [42, 40, 3]),
+}  # fmt: skip
 
 
-def test_in_turn():
-    turn = verdict(session(lambda each, n: (n % 2 == 0) == (each.comparison_interval == 1)))
-    assert turn.reason == "flat"
-
-
-def test_always_the_same_answer():
-    felt = of_counts([1, 2, 3], [10] * 3, [10] * 3)
-    assert (verdict(felt).reason, verdict(felt).beyond) == ("always", -1)
-    assert numbers(verdict(felt).verdict) == [30, 1]
-    never = of_counts([1, 2, 3], [10] * 3, [0] * 3)
-    assert (verdict(never).reason, verdict(never).beyond) == ("never", 1)
-    assert numbers(verdict(never).verdict) == [30, 3]
-
-
-def test_hardly_any_answers():
-    few = session(lambda each, n: None if n % 5 else each.comparison > 30)
-    assert verdict(few).reason == "unanswered"
-    assert numbers(verdict(few).verdict) == [20, 100]
-    none = session(lambda each, n: None)
-    assert verdict(none).reason == "unanswered"
-    assert numbers(verdict(none).verdict) == [0, 100]
-
-
-def test_too_few_trials():
-    short = session(lambda each, n: each.comparison > 30, repetitions=1)
-    assert verdict(short).reason == "too few"
-    assert numbers(verdict(short).verdict) == [10, 15]
-    one = of_counts([3], [40], [17])
-    assert verdict(one).reason == "one comparison"
-    assert numbers(verdict(one).verdict) == [42, 40, 3]
+@pytest.mark.parametrize("name", NO_THRESHOLD)
+def test_no_threshold(name):
+    answers, reason, said, *beyond = NO_THRESHOLD[name]
+    found = verdict(session(answers) if callable(answers) else answers)
+    assert found.reason == reason
+    words = [each for each in said if isinstance(each, str)]
+    assert all(each in found.verdict for each in words)
+    assert not said or numbers(found.verdict) == said[len(words) :]
+    assert not beyond or beyond == [found.beyond]
 
 
 def test_upside_down():

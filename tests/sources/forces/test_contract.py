@@ -1,12 +1,9 @@
 """The contract of sources of force, run over the kinds that there are."""
 
-import threading
-
 import pytest
 
 from smarttouch.sources.forces.force import open_force
 from smarttouch.testing.forces import ForceContract
-from smarttouch.wire.pty_line import PtyLine
 
 
 class Contract(ForceContract):
@@ -44,19 +41,6 @@ class TestLoadCell(Contract):
         return changed(profile, {"force.curve": (0.0, 0.00980665)})
 
     @pytest.fixture(autouse=True)
-    def _cell(self):
-        line, over = PtyLine(), threading.Event()
-
-        def stream():
-            number = 0
-            while not over.wait(0.005):
-                line.write(b"Reading: %d g\r\n" % (50 + number % 2))
-                number += 1
-
-        cell = threading.Thread(target=stream)
-        cell.start()
-        self.url = f"hx711:{line.name}?baud=115200"
-        yield
-        over.set()
-        cell.join()
-        line.close()
+    def _cell(self, make_device):
+        cell = make_device(lambda number: b"Reading: %d g\r\n" % (50 + number % 2))
+        self.url = f"hx711:{cell.line.name}?baud=115200"

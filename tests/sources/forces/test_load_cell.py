@@ -1,9 +1,7 @@
 """Load cells: what their bytes say, what a reading is worth, and newtons by the curve."""
 
 import math
-import os
 import threading
-import time
 
 import numpy as np
 import pytest
@@ -23,10 +21,10 @@ from smarttouch.sources.forces.readings import (
 )
 from smarttouch.sources.notes import DeviceWarnings, OutageTracker
 from smarttouch.sources.sensor_protocol import encode_force, encode_info
-from smarttouch.wire.pty_line import PtyLine
 
 from ...raising import raises
 from ...said import numbers_in
+from ...waiting import until
 
 SECOND = 10**9
 GRAMS = (0.0, 0.00980665)
@@ -97,23 +95,24 @@ def test_lines_in_any_pieces(values, size):
     assert readings.garbled == 0
 
 
-def test_the_first_line_may_have_lost_its_start():
+@pytest.mark.parametrize(
+    ("text", "came", "garbled", "last"),
+    [
+        # The first line may have lost its start.
+        (b"345\n12345\n", [12345], 0, ""),
+        # Labels are no garbage, but words are.
+        (b"\nHX711 reading:\n5\n\nHX711 not found.\n6\n", [5, 6], 1, "'HX711 not found.'"),
+        # A number between garbage is not believed.
+        (b"\n\xfe\x01\n7\n\x80\n8\n\x90\n1\n2\n3\n", [2, 3], 3, None),
+    ],
+)
+def test_what_is_read_of_a_text(text, came, garbled, last):
     readings = TextReadings()
-    assert readings.feed(b"345\n12345\n") == [12345]
+    assert readings.feed(text) == came
+    assert readings.garbled == garbled
+    assert last is None or readings.last_garbled == last
     readings.restart()
     assert readings.feed(b"345\n") == []
-
-
-def test_labels_are_no_garbage_but_words_are():
-    readings = TextReadings()
-    assert readings.feed(b"\nHX711 reading:\n5\n\nHX711 not found.\n6\n") == [5, 6]
-    assert (readings.garbled, readings.last_garbled) == (1, "'HX711 not found.'")
-
-
-def test_a_number_between_garbage_is_not_believed():
-    readings = TextReadings()
-    assert readings.feed(b"\n\xfe\x01\n7\n\x80\n8\n\x90\n1\n2\n3\n") == [2, 3]
-    assert readings.garbled == 3
 
 
 def test_a_line_without_end_is_forgotten():
@@ -216,15 +215,12 @@ class TestWatch:
         watch.take([150.0], now_ns + SECOND // 3)
         assert math.isnan(watch.reading(now_ns + SECOND // 3))
 
-    def test_standing_still_at_rest_is_no_fault(self, watch, notes):
+    def test_neither_rest_nor_noise_is_frozen(self, watch, notes):
         now_ns = self.stand_still(watch, 0.0, 10)
         assert watch.reading(now_ns) == 0
-        assert notes == []
-
-    def test_noise_is_never_frozen(self, watch, notes):
         for k in range(400):
-            watch.take([150.0 + k % 2], k * SECOND // 80)
-        assert watch.reading(5 * SECOND) == 151
+            watch.take([150.0 + k % 2], now_ns + k * SECOND // 80)
+        assert watch.reading(now_ns + 5 * SECOND) == 151
         assert notes == []
 
     def test_gone_and_back(self, watch, notes):
@@ -265,53 +261,9 @@ def test_what_never_was_is_never_noted():
     assert notes == []
 
 
-class Cell(threading.Thread):
-    """A load cell at the far end of a port: sends what `data` returns, 100 times a second."""
-
-    def __init__(self, data):
-        super().__init__()
-        self.line = PtyLine()
-        self.data = data
-        self._ended = threading.Event()
-        self.start()
-
-    def run(self):
-        number = 0
-        while not self._ended.wait(0.01):
-            # Whoever listens later must not hear what was sent before.
-            if self.line.read(0) is not None:
-                self.line.write(self.data(number))
-                number += 1
-
-    def close(self):
-        self._ended.set()
-        self.join()
-        os.close(self.line._master)
-
-
-@pytest.fixture
-def make_cell():
-    cells = []
-
-    def make(data):
-        cells.append(Cell(data))
-        return cells[-1]
-
-    yield make
-    for cell in cells:
-        cell.close()
-
-
 @pytest.fixture
 def in_grams(profile, changed):
     return changed(profile, {"force.curve": GRAMS})
-
-
-def until(condition):
-    deadline = time.monotonic() + 60
-    while not condition():
-        assert time.monotonic() < deadline, "it never came true"
-        time.sleep(0.01)
 
 
 @pytest.mark.parametrize(
@@ -321,8 +273,8 @@ def until(condition):
         ("loadcell", lambda number: encode_force(number, 0, 50 + number % 2)),
     ],
 )
-def test_newtons_and_raw_readings_from_a_port(make_cell, in_grams, kind, data):
-    cell = make_cell(data)
+def test_newtons_and_raw_readings_from_a_port(make_device, in_grams, kind, data):
+    cell = make_device(data)
     url = f"{kind}:{cell.line.name}"
     with open_force(url, in_grams) as force:
         assert cell.line.name in force.title
@@ -340,23 +292,20 @@ def test_newtons_and_raw_readings_from_a_port(make_cell, in_grams, kind, data):
             [raw.collect(0.05) for _ in range(3)]
 
 
-def test_unplugged_and_back(make_cell, in_grams, tmp_path):
-    first = make_cell(lambda number: b"Reading: %d g\r\n" % (50 + number % 2))
+def test_unplugged_and_back(make_device, in_grams, tmp_path):
+    first = make_device(lambda number: b"Reading: %d g\r\n" % (50 + number % 2))
     name = tmp_path / "port"
     name.symlink_to(first.line.name)
     with open_force(f"hx711:{name}?baud=115200", in_grams) as force:
         assert force.read(0) > 0
         name.unlink()
-        first._ended.set()
-        first.join()
-        os.close(first.line._master)
+        first.close()
         until(lambda: math.isnan(force.read(0)))
-        second = make_cell(lambda number: b"Reading: %d g\r\n" % (100 + number % 2))
+        second = make_device(lambda number: b"Reading: %d g\r\n" % (100 + number % 2))
         name.symlink_to(second.line.name)
         until(lambda: force.read(0) == pytest.approx(1, abs=0.02))
         (note,) = force.notes
         assert f"HX711 at {name}" in note
-    first.line._master = os.open(os.devnull, os.O_RDONLY)
 
 
 @pytest.mark.parametrize(
@@ -370,8 +319,8 @@ def test_unplugged_and_back(make_cell, in_grams, tmp_path):
         ((0.0, 0.0, 0.0, 0.0, 0.0, -1e300), 1e6, math.nan),
     ],
 )
-def test_the_curve(make_cell, profile, changed, curve, reading, force_n):
-    cell = make_cell(lambda number: b"%d\r\n" % reading)
+def test_the_curve(make_device, profile, changed, curve, reading, force_n):
+    cell = make_device(lambda number: b"%d\r\n" % reading)
     with open_force(f"hx711:{cell.line.name}", changed(profile, {"force.curve": curve})) as force:
         assert force.read(0) == pytest.approx(force_n, nan_ok=True)
         force.read(0)
@@ -404,10 +353,10 @@ def test_what_cannot_be_opened(url, about, value):
 @pytest.mark.parametrize(
     ("data", "attributes"), [(b"", {"allowed": 0.3}), (b"\x81\x92\xf0", {"remedy": "?baud="})]
 )
-def test_a_cell_from_which_nothing_comes(make_cell, monkeypatch, data, attributes):
+def test_a_cell_from_which_nothing_comes(make_device, monkeypatch, data, attributes):
     monkeypatch.setattr(load_cell, "FIRST_READING_S", 0.3)
     threads = threading.active_count()
-    cell = make_cell(lambda number: data)
+    cell = make_device(lambda number: data)
     with raises(SourceError, about="port", value=cell.line.name, **attributes):
         open_cell(f"hx711:{cell.line.name}")
     assert threading.active_count() == threads + 1
