@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal, Unpack
 
 from smarttouch.afferent import Afferent, Mode
-from smarttouch.kernels.bank import KernelBank, load_bank
+from smarttouch.kernels.bank import KernelBank, kernels_at_nodes, load_bank
 from smarttouch.kernels.driving_problem import DrivingProblem
 from smarttouch.kernels.finger_kernels import FingerKernels
 from smarttouch.kernels.problem import Kernel, Problem
@@ -252,6 +252,6 @@ def design_kernel(
     """
     afferent = afferent if isinstance(afferent, Afferent) else Afferent[afferent]
     if profile.kernels.objective == "finger" and model == "activating":
-        return FingerKernels(profile).kernels(afferent, [site])[0][0]
+        return FingerKernels(profile, kernels_at_nodes(profile)).kernels(afferent, [site])[0][0]
     problem = (DrivingProblem if model == "driving" else Problem)(profile, afferent)
     return designer(profile)(problem, site)

@@ -1,6 +1,5 @@
 """Paths of the data that ships with the package."""
 
-from importlib.resources import files
 from pathlib import Path
 
 
@@ -9,6 +8,8 @@ def data_folder(name: str) -> Path:
 
     A wheel has the folders inside the package; in a checkout they lie beside it.
     """
+    from importlib.resources import files
+
     package = Path(str(files("smarttouch"))).resolve()
     inside = package / name
     return inside if inside.is_dir() else package.parent / name

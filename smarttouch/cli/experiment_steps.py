@@ -5,32 +5,31 @@ import sys
 from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
-from smarttouch.afferent import Afferent, Mode
 from smarttouch.cli.run_options import RunOptions
 from smarttouch.errors import ExperimentError
-from smarttouch.kernels.bank import load_bank
-from smarttouch.monitor.blind_screen import BlindScreen
-from smarttouch.monitor.progress import bank_progress
-from smarttouch.profile import Profile
-from smarttouch.psychophysics.free import FreeLog, FreeSource, HandControls, up_to_the_ceiling
-from smarttouch.psychophysics.sitting import ExperimentSession, numbered
-from smarttouch.reading.window import press_n
-from smarttouch.running.config import RunConfig
-from smarttouch.texture.motion import open_motion
+
+if TYPE_CHECKING:
+    from smarttouch.afferent import Afferent
+    from smarttouch.profile import Profile
+    from smarttouch.psychophysics.sitting import ExperimentSession
+    from smarttouch.running.config import RunConfig
 
 _SIMULATED = "simulated:"
 
 
 def sit(
-    sitting: ExperimentSession,
+    sitting: "ExperimentSession",
     options: RunOptions,
-    config: RunConfig,
+    config: "RunConfig",
     simulate: str | None,
 ) -> None:
     """Run an experiment to its end or until a user ends it; print how far it came."""
+    from smarttouch.monitor.blind_screen import BlindScreen
+    from smarttouch.reading.window import press_n
 
     def say(lines: Iterable[str]) -> None:
         for line in () if options.quiet else lines:
@@ -59,14 +58,22 @@ def sit(
 
 def free_run(
     options: RunOptions,
-    profile: Profile,
-    afferent: Afferent,
+    profile: "Profile",
+    afferent: "Afferent",
     site: int | None,
     rate_hz: float,
     knob_url: str | None,
     output: Path | None,
 ) -> None:
     """Let a user change amplitude, rate, mode and site until the end of the run."""
+    from smarttouch.afferent import Mode
+    from smarttouch.kernels.bank import load_bank
+    from smarttouch.monitor.progress import bank_progress
+    from smarttouch.psychophysics.free import FreeLog, FreeSource, HandControls, up_to_the_ceiling
+    from smarttouch.psychophysics.sitting import numbered
+    from smarttouch.reading.window import press_n
+    from smarttouch.texture.motion import open_motion
+
     if not sys.stdin.isatty() and options.seconds is None:
         message = "there is no keyboard, by which this would end: use a terminal, or give seconds"
         raise ExperimentError(message, about="keyboard", remedy="seconds")

@@ -1,6 +1,7 @@
 """Bank of the kernels of every site and mode of a profile, designed once and stored."""
 
 import contextlib
+import functools
 import hashlib
 import json
 import os
@@ -26,6 +27,7 @@ from smarttouch.files import (
     unwritable,
 )
 from smarttouch.profile import Profile, list_profiles
+from smarttouch.profile.kernels import Kernels
 from smarttouch.resources import data_folder
 
 if TYPE_CHECKING:
@@ -165,6 +167,13 @@ def find_bank(profile: Profile) -> KernelBank | None:
     return next((bank for bank in banks if bank is not None), None)
 
 
+def kernels_at_nodes(profile: Profile) -> Callable[[Afferent], NDArray[np.float32]]:
+    """Return a lookup of kernels designed at nodes, by class; it loads their bank at first use."""
+    at_nodes = profile.model_copy(update={"kernels": Kernels()})
+    bank = functools.cache(lambda: load_bank(at_nodes))
+    return lambda afferent: bank().kernels(afferent)
+
+
 def make_bank(path: Path, profile: Profile, progress: Progress | None = None) -> KernelBank:
     """Design a bank and write it; if interrupted, it is resumed the next time."""
     require_replaceable(path, DesignError)
@@ -219,7 +228,7 @@ def _design_on_fingers(
     from smarttouch.kernels.finger_kernels import FingerKernels
 
     columns: dict[str, Any] = {name: {} for name in _IN_FILE}
-    design = FingerKernels(profile)
+    design = FingerKernels(profile, kernels_at_nodes(profile))
     for index, afferent in enumerate(Afferent):
         advance = part_of(progress, index, len(Afferent))
         timed = design.kernels(afferent, profile.driven.tolist(), advance, keep)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.afferent import Afferent
-from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.kernels.batch import Timed, keep_kernel, kept_kernel
 from smarttouch.kernels.finger_design import FingerDesign
 from smarttouch.kernels.finger_sample import FingerSample
@@ -17,17 +16,22 @@ from smarttouch.kernels.problem import Kernel, Problem
 from smarttouch.physiology.anatomy import load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.profile import Profile
-from smarttouch.profile.kernels import Kernels
 
 FIRST_SEED = 10_001
 """Seed of the first finger of a design: those from 1 on are left to judge it."""
 
 
 class FingerKernels:
-    """Designer of a profile's kernels on the fingers that its table ``kernels`` names."""
+    """Designer of a profile's kernels on the fingers that its table ``kernels`` names.
 
-    def __init__(self, profile: Profile) -> None:
-        self.profile = profile
+    ``at_nodes`` returns the kernels of a class with which it begins, designed at nodes: (E, E)
+    parts of the full current.
+    """
+
+    def __init__(
+        self, profile: Profile, at_nodes: Callable[[Afferent], NDArray[np.float32]]
+    ) -> None:
+        self.profile, self._at_nodes = profile, at_nodes
         self.anatomy = load_anatomy(profile.kernels.anatomy)
         self._problems: dict[Afferent, Problem] = {}
 
@@ -86,12 +90,8 @@ class FingerKernels:
         most_ma = max(np.abs(self._start_ma(each)).sum(axis=1).max() for each in Afferent) / 2
         return FingerSample.of(fingers, float(self.profile.full_ma.max()), float(most_ma))
 
-    @cached_property
-    def _at_nodes(self) -> KernelBank:
-        return load_bank(self.profile.model_copy(update={"kernels": Kernels()}))
-
     def _start_ma(self, afferent: Afferent) -> NDArray[np.float64]:
-        return np.asarray(self._at_nodes.kernels(afferent) * self.profile.full_ma[:, None])
+        return np.asarray(self._at_nodes(afferent) * self.profile.full_ma[:, None])
 
     def _mirror(self, problem: Problem) -> NDArray[np.intp] | None:
         """Return the permutation that swaps left and right, or None without that symmetry."""

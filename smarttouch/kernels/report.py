@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from smarttouch.afferent import Afferent
-from smarttouch.kernels.bank import KernelBank
+from smarttouch.kernels.bank import KernelBank, kernels_at_nodes
 from smarttouch.kernels.batch import design_sites, part_of
 from smarttouch.kernels.comparison import SiteKernel, compare
 from smarttouch.kernels.design import design_any_node, design_kernel
@@ -58,7 +58,7 @@ def kernels_designed(
     a_problem = DrivingProblem if kind == "driving" else Problem
     found = []
     if kind is None and profile.kernels.objective == "finger":
-        on_fingers = FingerKernels(profile)
+        on_fingers = FingerKernels(profile, kernels_at_nodes(profile))
         for index, mode in enumerate(modes):
             timed = on_fingers.kernels(mode, sites, part_of(progress, index, len(modes)))
             found += [

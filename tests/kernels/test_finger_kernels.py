@@ -5,7 +5,7 @@ import pytest
 
 from smarttouch.afferent import Afferent
 from smarttouch.errors import ProfileError, ScheduleError
-from smarttouch.kernels.bank import KernelBank, load_bank, problem_hash
+from smarttouch.kernels.bank import KernelBank, kernels_at_nodes, load_bank, problem_hash
 from smarttouch.kernels.finger_design import FingerDesign
 from smarttouch.kernels.finger_kernels import FIRST_SEED, FingerKernels
 from smarttouch.kernels.finger_sample import SEEN, FingerSample
@@ -30,7 +30,7 @@ def on_fingers(profile):
 
 @pytest.fixture(scope="module")
 def designed(on_fingers):
-    design = FingerKernels(on_fingers)
+    design = FingerKernels(on_fingers, kernels_at_nodes(on_fingers))
     return design, design.kernels(Afferent.SAI, [SITE, MIRRORED])
 
 
