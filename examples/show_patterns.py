@@ -1,0 +1,67 @@
+"""
+Show patterns, and look at what was sent
+========================================
+
+A session is a board that is open: a program opens a level once, and shows patterns when it wants
+to. Its recording is arrays.
+"""
+
+from pathlib import Path
+from tempfile import mkdtemp
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+import smarttouch as st
+
+path = Path(mkdtemp()) / "session.mcap"
+display = st.open_display("simulated:", "electric-mouse")
+place_mm = display.profile.electrodes.position_mm
+
+# %%
+# A bar, turned by 0, 45 and 90 degrees, half a second each.
+
+
+def bar(angle_deg: float) -> np.ndarray:
+    """Return activation of a bar through the middle."""
+    across = (np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg)))
+    return np.float32(np.abs((place_mm - place_mm.mean(axis=0)) @ across) < 1.1)
+
+
+def show_bars(touch: st.Session) -> list[st.Shown]:
+    """Show three bars one after another."""
+    return [touch.show(bar(angle_deg), seconds=0.5) for angle_deg in (0, 45, 90)]
+
+
+with display.session(mode="RA", intensity=0.6, listeners=[st.Recorder(path)]) as touch:
+    print(f"the level was open after {touch.rise():.2f} s")
+    for shown in show_bars(touch):
+        print(f"{shown.sequences} sequences, {shown.pulses} pulses at {shown.intensity:g}")
+
+# %%
+# Where nobody presses, no level is reached, and a pattern is not shown weakly: it is an error.
+with display.session(mode="RA", intensity=0.6, force="fixed:0") as touch:
+    try:
+        touch.show(bar(0), seconds=0.5)
+    except st.LevelNotReachedError as error:
+        print(error)
+
+# %%
+# Two displays begin at the same time.
+other = st.open_display("simulated:", "electric-mouse")
+with display.session(mode="RA") as left, other.session(mode="RA") as right:
+    together = st.show_together({left: bar(0), right: bar(90)}, seconds=0.2)
+print([each.sequences for each in together.values()])
+
+# %%
+# The strongest current of each sequence. The weak ones before the bars open the level.
+recorded: st.RecordedRun = st.load_recording(path)
+run = recorded.arrays
+of_slot = np.abs(run.current_ua.astype(int)).max(axis=1)
+strongest = np.zeros(len(run.step))
+np.maximum.at(strongest, np.repeat(run.step, np.diff(run.first_slot)), of_slot)
+
+figure, axis = plt.subplots(figsize=(6, 2.4), layout="constrained")
+axis.plot(run.time_ns / 1e9, strongest / 1000, ".", markersize=3)
+axis.set(xlabel="time (s)", ylabel="strongest current (mA)")
+plt.show()
