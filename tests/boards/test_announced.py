@@ -7,12 +7,7 @@ import time
 import pytest
 
 from smarttouch.boards import announced as module
-from smarttouch.boards.announced import (
-    leave_mark,
-    refuse_if_stopped,
-    running,
-    started_ns,
-)
+from smarttouch.boards.announced import leave_mark, refuse_if_stopped, running, started_ns
 from smarttouch.boards.stoppable import announced
 from smarttouch.clock import now_ns
 from smarttouch.errors import SmartTouchError

@@ -79,10 +79,9 @@ def test_wiring_puts_each_electrode_on_its_output(codec):
     payload = codec.payload(anodic(1000), np.array([5, 3, 0, 1]), SCALE, LIMITS)
     assert (
         payload
-        == {
-            ModeCodec: heights(0, 0, 0, 100, 0, 0),
-            HeightCodec: b"\0\0\0\x01\0\0\x64\0",
-        }[type(codec)]
+        == {ModeCodec: heights(0, 0, 0, 100, 0, 0), HeightCodec: b"\0\0\0\x01\0\0\x64\0"}[
+            type(codec)
+        ]
     )
 
 

@@ -25,9 +25,7 @@ from .payloads import sequence_payload
 
 u16 = st.integers(0, 65535)
 currents = hnp.arrays(
-    np.int16,
-    st.tuples(st.integers(0, 6), st.integers(1, 11)),
-    elements=st.integers(-5000, 5000),
+    np.int16, st.tuples(st.integers(0, 6), st.integers(1, 11)), elements=st.integers(-5000, 5000)
 )
 
 
