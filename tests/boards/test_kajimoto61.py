@@ -79,18 +79,13 @@ def test_rounding_never_passes_the_limit(script):
         board.drain()
 
 
-@pytest.mark.parametrize(
-    ("sequence", "attributes"),
-    [
-        (anodic({3: 1000}, sign=1), {"about": "current_ua", "slot": 0}),
-        (anodic({3: 1000}, width=100), {"about": "width_us", "value": (100, 150)}),
-        (anodic({3: 1000}, discharge=200), {"about": "width_us", "value": (50, 200)}),
-        (
-            anodic(dict.fromkeys(range(61), 1000), period_us=13_000),
-            {"about": "period_us", "value": 13_000},
-        ),
-    ],
-)
+@pytest.mark.parametrize(("sequence", "attributes"), [
+    (anodic({3: 1000}, sign=1), {"about": "current_ua", "slot": 0}),
+    (anodic({3: 1000}, width=100), {"about": "width_us", "value": (100, 150)}),
+    (anodic({3: 1000}, discharge=200), {"about": "width_us", "value": (50, 200)}),
+    (anodic(dict.fromkeys(range(61), 1000), period_us=13_000),
+     {"about": "period_us", "value": 13_000}),
+])  # fmt: skip
 def test_what_it_cannot_do_is_refused_and_never_sent(script, sequence, attributes):
     script(*OPEN, (packet(), b""), *OPEN)
     with Kajimoto61Board("x", LIMITS) as board:

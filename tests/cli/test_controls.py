@@ -111,23 +111,16 @@ def test_nobody_knows_the_force(program_here, tmp_path):
     says(SourceError, about="force", remedy="force")(refused(done))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "wrong"),
-    [
-        (
-            ("--mode", "color"),
-            says(about="mode", value="color", allowed=("RA", "SAI", "PC", "natural")),
-        ),
-        (("--intensity", "1.2"), says(about="intensity", value=1.2, allowed=(0, 1))),
-        (("--softness", "nan"), says(about="softness", value=math.nan, allowed=(0, 1))),
-        (("--source", "camera:0?size=640"), says(SourceError, "size", "640x480")),
-        (("--source", "text:a?exposure=3"), says(SourceError, " exposure:", "speed_mm_s")),
-        (
-            ("--mode", "natural", "--rate", "50"),
-            says(ScheduleError, " 50 Hz", "pulse.ra_rate_hz", "pulse.sai_rate_hz"),
-        ),
-        (("--force", "cell:"), says(SourceError, about="force", value="cell:")),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "wrong"), [
+    (("--mode", "color"),
+     says(about="mode", value="color", allowed=("RA", "SAI", "PC", "natural"))),
+    (("--intensity", "1.2"), says(about="intensity", value=1.2, allowed=(0, 1))),
+    (("--softness", "nan"), says(about="softness", value=math.nan, allowed=(0, 1))),
+    (("--source", "camera:0?size=640"), says(SourceError, "size", "640x480")),
+    (("--source", "text:a?exposure=3"), says(SourceError, " exposure:", "speed_mm_s")),
+    (("--mode", "natural", "--rate", "50"),
+     says(ScheduleError, " 50 Hz", "pulse.ra_rate_hz", "pulse.sai_rate_hz")),
+    (("--force", "cell:"), says(SourceError, about="force", value="cell:")),
+])  # fmt: skip
 def test_what_cannot_be_asked_for(program_here, arguments, wrong):
     wrong(refused(program_here("live", *arguments)))

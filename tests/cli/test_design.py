@@ -161,21 +161,16 @@ def test_an_array_and_a_skin_of_one_s_own(designed, tmp_path):
     assert all(0 < kernel["worst_other"] < 1 for kernel in weighted)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "wrong"),
-    [
-        (["--profile=line-7", "--site=7"], says(about="site", value=7, allowed=(0, 6))),
-        (["--site=-1"], says(about="site", value=-1, allowed=(0, 63))),
-        (["--mode=PA"], says(about="mode", value="PA", allowed=("RA", "SAI", "PC"))),
-        (
-            ["--profile=kajimoto-61", "--mode=SAI"],
-            says(DesignError, about="mode", value="SAI", allowed=("RA",)),
-        ),
-        (["--any-node", "--three-state"], says(value=("three_state", "any_node"))),
-        (["--plot=k.jpg", "--profile=line-7"], says(SmartTouchError, "k.jpg", "*.png")),
-        (["--plot=no/k.png"], says(about="file", value=Path("no/k.png"))),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "wrong"), [
+    (["--profile=line-7", "--site=7"], says(about="site", value=7, allowed=(0, 6))),
+    (["--site=-1"], says(about="site", value=-1, allowed=(0, 63))),
+    (["--mode=PA"], says(about="mode", value="PA", allowed=("RA", "SAI", "PC"))),
+    (["--profile=kajimoto-61", "--mode=SAI"],
+     says(DesignError, about="mode", value="SAI", allowed=("RA",))),
+    (["--any-node", "--three-state"], says(value=("three_state", "any_node"))),
+    (["--plot=k.jpg", "--profile=line-7"], says(SmartTouchError, "k.jpg", "*.png")),
+    (["--plot=no/k.png"], says(about="file", value=Path("no/k.png"))),
+])  # fmt: skip
 def test_nonsense_is_one_sentence(program_here, arguments, wrong):
     wrong(refused(program_here("design", *arguments)))
 

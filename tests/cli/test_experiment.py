@@ -200,45 +200,26 @@ def test_free_stimulation_for_some_seconds(program_here, tmp_path):
     assert "free-2.csv" in program_here(*free).stdout
 
 
-@pytest.mark.parametrize(
-    ("arguments", "check"),
-    [
-        (("run", "frequency"), wrong(about="keyboard", remedy="simulate")),
-        (
-            ("run", "frequency", "--simulate", "model", "--board", "memory:"),
-            wrong(about="board", value="memory:", allowed=("simulated:",)),
-        ),
-        (
-            ("run", "frequency", "--simulate", "me"),
-            says(about="simulate", value="me", allowed=("model", "random", "first", "silent")),
-        ),
-        (("run", "sight", "--simulate", "model"), wrong("'sight'", "frequency", "letters")),
-        (
-            (*SIMULATED[1:], "--subject", "a/b"),
-            says(about="participant", value="a/b"),
-        ),
-        (
-            (*SIMULATED[1:], "--standards", "30,x"),
-            says(about="standards", value="30,x"),
-        ),
-        ((*SIMULATED[1:], "--seed", "-1"), says(about="seed", value=-1, allowed=0)),
-        ((*SIMULATED[1:], "--gap-s", "-1"), wrong(about="gap_s", value=-1, allowed=(0, 60))),
-        (
-            (*SIMULATED[1:], "--mode", "natural"),
-            says(about="mode", value="natural", allowed=("RA", "SAI", "PC")),
-        ),
-        ((*SIMULATED[1:], "--output", "a.txt"), wrong("a.txt", ".csv")),
-        (("free",), wrong(about="keyboard", remedy="seconds")),
-        (
-            ("free", "--seconds", "1", "--rate", "500"),
-            wrong(about="rate_hz", value=500, allowed=(10, 200)),
-        ),
-        (
-            ("free", "--seconds", "1", "--mode", "warm"),
-            says(about="mode", value="warm", allowed=("RA", "SAI", "PC")),
-        ),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("arguments", "check"), [
+    (("run", "frequency"), wrong(about="keyboard", remedy="simulate")),
+    (("run", "frequency", "--simulate", "model", "--board", "memory:"),
+     wrong(about="board", value="memory:", allowed=("simulated:",))),
+    (("run", "frequency", "--simulate", "me"),
+     says(about="simulate", value="me", allowed=("model", "random", "first", "silent"))),
+    (("run", "sight", "--simulate", "model"), wrong("'sight'", "frequency", "letters")),
+    ((*SIMULATED[1:], "--subject", "a/b"), says(about="participant", value="a/b")),
+    ((*SIMULATED[1:], "--standards", "30,x"), says(about="standards", value="30,x")),
+    ((*SIMULATED[1:], "--seed", "-1"), says(about="seed", value=-1, allowed=0)),
+    ((*SIMULATED[1:], "--gap-s", "-1"), wrong(about="gap_s", value=-1, allowed=(0, 60))),
+    ((*SIMULATED[1:], "--mode", "natural"),
+     says(about="mode", value="natural", allowed=("RA", "SAI", "PC"))),
+    ((*SIMULATED[1:], "--output", "a.txt"), wrong("a.txt", ".csv")),
+    (("free",), wrong(about="keyboard", remedy="seconds")),
+    (("free", "--seconds", "1", "--rate", "500"),
+     wrong(about="rate_hz", value=500, allowed=(10, 200))),
+    (("free", "--seconds", "1", "--mode", "warm"),
+     says(about="mode", value="warm", allowed=("RA", "SAI", "PC"))),
+])  # fmt: skip
 def test_what_cannot_be_asked_for(program_here, arguments, check):
     check(refused(program_here("experiment", *arguments)))
 

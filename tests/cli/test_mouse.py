@@ -102,30 +102,20 @@ def test_what_was_felt_replays_to_the_bit(program_here, tmp_path):
     assert done.returncode == 0, done.stdout
 
 
-@pytest.mark.parametrize(
-    ("arguments", "wrong"),
-    [
-        (["--texture", "none.png"], says(PageError, about="file", value=Path("none.png"))),
-        (["--texture", "grating:x"], says(PageError, "'grating:x'", "grating:4mm,30deg")),
-        (["--motion", "wheel:"], says(SourceError, "'wheel:'", "evdev:", "sweep:", "window:")),
-        (
-            ["--motion", "evdev:/dev/null"],
-            says(SourceError, "/dev/null" if find_spec("evdev") else "smarttouch[mouse]"),
-        ),
-        (["--motion", "sweep:?cpi=400"], says(SourceError, "cpi", "speed_mm_s")),
-        (
-            ["--motion", "sweep:?speed_mm_s=0"],
-            says(SourceError, " 1000", about="speed_mm_s", value=0),
-        ),
-        (["--rate", "300"], says(SourceError, about="rate_hz", value=300, allowed=(10, 200))),
-        (
-            ["--mode", "natural"],
-            says(SourceError, about="mode", value="natural", allowed=("RA", "SAI", "PC")),
-        ),
-        (["--mode", "XY"], says(about="mode", value="XY")),
-        (["--seconds", "0"], says(about="seconds", value=0, allowed=0)),
-        (["--felt", "felt.png", "--board", "memory:"], says(about="felt")),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "wrong"), [
+    (["--texture", "none.png"], says(PageError, about="file", value=Path("none.png"))),
+    (["--texture", "grating:x"], says(PageError, "'grating:x'", "grating:4mm,30deg")),
+    (["--motion", "wheel:"], says(SourceError, "'wheel:'", "evdev:", "sweep:", "window:")),
+    (["--motion", "evdev:/dev/null"],
+     says(SourceError, "/dev/null" if find_spec("evdev") else "smarttouch[mouse]")),
+    (["--motion", "sweep:?cpi=400"], says(SourceError, "cpi", "speed_mm_s")),
+    (["--motion", "sweep:?speed_mm_s=0"], says(SourceError, " 1000", about="speed_mm_s", value=0)),
+    (["--rate", "300"], says(SourceError, about="rate_hz", value=300, allowed=(10, 200))),
+    (["--mode", "natural"],
+     says(SourceError, about="mode", value="natural", allowed=("RA", "SAI", "PC"))),
+    (["--mode", "XY"], says(about="mode", value="XY")),
+    (["--seconds", "0"], says(about="seconds", value=0, allowed=0)),
+    (["--felt", "felt.png", "--board", "memory:"], says(about="felt")),
+])  # fmt: skip
 def test_bad_input_is_one_sentence(program_here, arguments, wrong):
     wrong(refused(program_here("mouse", *SIMULATED, *arguments)))

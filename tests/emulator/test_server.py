@@ -160,18 +160,12 @@ def test_events(text, fault):
     assert parse_fault(text) == fault
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        *((text, "is none") for text in ("", "2", "nan", "2 dance")),
-        *((text, "has no number") for text in ("x nan", "2 nan x")),
-        *(
-            (text, "negative or not finite")
-            for text in ("-1 nan", "inf nan", "2 nan -1", "2 nan inf")
-        ),
-        ("2 nan 1 1", "has 2 values"),
-    ],
-)
+@pytest.mark.parametrize(("text", "words"), [
+    *((text, "is none") for text in ("", "2", "nan", "2 dance")),
+    *((text, "has no number") for text in ("x nan", "2 nan x")),
+    *((text, "negative or not finite") for text in ("-1 nan", "inf nan", "2 nan -1", "2 nan inf")),
+    ("2 nan 1 1", "has 2 values"),
+])  # fmt: skip
 def test_what_is_no_event(text, words):
     with raises(SourceError, about="event", value=(text, words)):
         parse_fault(text)
