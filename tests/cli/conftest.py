@@ -2,8 +2,10 @@
 
 import contextlib
 import io
+import json
 import os
 import pty
+import shlex
 import subprocess
 import sys
 import termios
@@ -36,6 +38,25 @@ def says(kind=SmartTouchError, *names, **attributes):
         assert [name for name in names if name not in str(error)] == [], error
 
     return check
+
+
+class Done(SimpleNamespace):
+    """How a run in this process ended: `returncode`, `stdout`, `stderr`, the `error` it told of."""
+
+    def fine(self):
+        """Check that it ended well; return it."""
+        assert self.returncode == 0, self.stderr
+        return self
+
+    def flawless(self):
+        """Check that it ended well and warned of nothing; return it."""
+        assert self.fine().stderr == ""
+        return self
+
+    @property
+    def figures(self):
+        """What it wrote to the file that ``--json`` names."""
+        return json.loads(self.json_path.read_text())
 
 
 def refused(done):
@@ -86,30 +107,40 @@ def program(tmp_path):
 
 @pytest.fixture
 def program_here(tmp_path, monkeypatch):
-    """Return a runner of the program in this process, which is much sooner.
+    """Return a runner of the program in this process, which is much sooner: see `Done`.
 
-    What it gives has the error, too, that the program told of; None if it told of none.
+    Its first argument may be several, as a shell splits them.
     """
     tell = cli._outcome
 
     def run(*arguments):
         out, err, code = io.StringIO(), io.StringIO(), 0
         errors = [None]
+        arguments = [*shlex.split(arguments[0]), *map(str, arguments[1:])]
         with monkeypatch.context() as patch:
             patch.chdir(tmp_path)
             patch.setattr(cli, "_outcome", lambda error: errors.append(error) or tell(error))
-            patch.setattr(sys, "argv", ["smarttouch", *map(str, arguments)])
+            patch.setattr(sys, "argv", ["smarttouch", *arguments])
             patch.setattr(sys, "stdin", io.StringIO())
             with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
                 try:
                     cli.main()
                 except SystemExit as ended:
                     code = ended.code or 0
-        return SimpleNamespace(
-            returncode=code, stdout=out.getvalue(), stderr=err.getvalue(), error=errors[-1]
-        )
+        words = " ".join(arguments).replace("--json=", "--json ").split()
+        path = tmp_path / words[words.index("--json") + 1] if "--json" in words else None
+        return Done(
+            returncode=code, stdout=out.getvalue(), stderr=err.getvalue(), error=errors[-1],
+            json_path=path,
+        )  # fmt: skip
 
     return run
+
+
+@pytest.fixture
+def figures_of(program_here):
+    """Return a runner of a command that gives its figures."""
+    return lambda words: program_here(f"{words} --json f.json").fine().figures
 
 
 @pytest.fixture

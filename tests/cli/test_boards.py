@@ -56,8 +56,7 @@ def test_live_end_to_end_ends_in_zero(program_here, tmp_path, kit):
     url, books = kit
     done = program_here(
         "live", "--board", url, *PRESSED, "--intensity", 1, "--seconds", 1.7, "--json", "run.json"
-    )
-    assert done.returncode == 0, done.stderr
+    ).fine()
     # That one goes on by itself if its line breaks, and who runs it is warned.
     assert done.stderr.count("\n") == url.startswith("etactilekit")
     figures = json.loads((tmp_path / "run.json").read_text())
@@ -82,9 +81,8 @@ def test_packets_that_come_twice_are_told_of(program_here, monkeypatch, tmp_path
 
     monkeypatch.setattr(HostSession, "encode", twice)
     live = ("live", "--board", kit[0], *PRESSED, "--intensity", 0, "--seconds", 1)
-    done = program_here(*live, "--json", "run.json")
-    assert done.returncode == 0, done.stderr
-    figures = json.loads((tmp_path / "run.json").read_text())
+    done = program_here(*live, "--json", "run.json").fine()
+    figures = done.figures
     assert figures["packets_refused_by_host"] == 0
     assert figures["packets_refused_by_board"] >= figures["acknowledged"] > 10
     assert f" {figures['packets_refused_by_board']} packets " in done.stdout
@@ -129,8 +127,7 @@ def test_info_of_the_newest_kit_tells_how_long_it_goes_on(program_here, start_em
     _, port, _ = start_emulator(32, "etactilekit", "--firmware=newest")
     # On a busy computer it may pass for the one before it: then once more.
     for _ in range(10):
-        done = program_here("board", "info", f"etactilekit:{port}")
-        assert done.returncode == 0, done.stderr
+        done = program_here("board", "info", f"etactilekit:{port}").fine()
         if "newest" in done.stdout:
             break
     assert "newest" in done.stdout
@@ -139,8 +136,7 @@ def test_info_of_the_newest_kit_tells_how_long_it_goes_on(program_here, start_em
 
 @on("kajimoto61", "etactilekit", "link")
 def test_info(program_here, kit):
-    done = program_here("board", "info", kit[0])
-    assert done.returncode == 0, done.stderr
+    done = program_here("board", "info", kit[0]).fine()
     told = {line[:14].strip(): line[14:].split() for line in done.stdout.splitlines()}
     electrodes, profile = {
         "kajimoto61": ("61,", "kajimoto-61:"),
@@ -160,15 +156,15 @@ def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(
     events = ("--event=0 open 5", "--event=0 short 9")
     _, port, books = start_emulator(32, "etactilekit", *events)
     url = f"etactilekit:{port}"
-    done = program_here("board", "measure", url, "--json", "found.json")
-    assert done.returncode == 0, done.stderr
-    found = json.loads((tmp_path / "found.json").read_text())
+    done = program_here("board", "measure", url, "--json", "found.json").fine()
+    found = done.figures
     assert found["masked"] == [5, 9]
     assert "masked = [5, 9]" in done.stdout
     assert found["impedance_kohm"][5] is None
     text = ("--source", "text:oooo")
-    done = program_here("live", "--board", url, *PRESSED, "--intensity", 1, "--measure", *text)
-    assert done.returncode == 0, done.stderr
+    done = program_here(
+        "live", "--board", url, *PRESSED, "--intensity", 1, "--measure", *text
+    ).fine()
     assert "30 of 32" in done.stderr
     assert "[5, 9]" in done.stderr
     fresh_state(books)
@@ -185,9 +181,7 @@ def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(
 def test_measuring_without_a_finger_says_so(program_here, start_emulator, tmp_path):
     _, port, _ = start_emulator(16, "link", "--output=three-state", "--event=0 lift")
     small = (f"link:{port}", "--profile", "smarttouch-4x4")
-    done = program_here("board", "measure", *small, "--json", "found.json")
-    assert done.returncode == 0, done.stderr
-    found = json.loads((tmp_path / "found.json").read_text())
+    found = program_here("board", "measure", *small, "--json", "found.json").fine().figures
     assert found["condition"] == ["open"] * 16
     assert found["impedance_kohm"] == [None] * 16
     done = program_here("live", "--board", *small, *PRESSED, "--measure", "--intensity", 1)
@@ -197,8 +191,9 @@ def test_measuring_without_a_finger_says_so(program_here, start_emulator, tmp_pa
 @on("etactilekit")
 def test_a_walk_through_the_electrodes(program_here, kit):
     url, books = kit
-    done = program_here("board", "test", url, *PRESSED, "--seconds", 0.08, "--current-ma", 0.3)
-    assert done.returncode == 0, done.stderr
+    done = program_here(
+        "board", "test", url, *PRESSED, "--seconds", 0.08, "--current-ma", 0.3
+    ).fine()
     assert "32 of 32 electrodes" in done.stdout
     state = state_of(books)
     assert (state["state"], state["unsafe"]) == ("shorted", 0)
@@ -236,16 +231,14 @@ def test_a_voltage_is_asked_for_while_it_pulses(program):
 
 @on("etactilekit")
 def test_stop(program_here, kit):
-    done = program_here("board", "stop", kit[0])
-    assert done.returncode == 0, done.stderr
+    program_here("board", "stop", kit[0]).fine()
     state = state_of(kit[1])
     assert (state["state"], state["slots"]) == ("shorted", 0)
 
 
 @on("kajimoto61")
 def test_the_scale_from_a_resistor(program_here, kit):
-    done = program_here("board", "calibrate-scale", kit[0], "--volts", 1.1, "--ohm", 1000)
-    assert done.returncode == 0, done.stderr
+    done = program_here("board", "calibrate-scale", kit[0], "--volts", 1.1, "--ohm", 1000).fine()
     assert "1.100 mA" in done.stdout
     assert "ua_per_count = 2.686" in done.stdout
     assert fresh_state(kit[1])["slots"] == 0
@@ -261,14 +254,12 @@ def test_a_scale_is_not_measured_out_of_its_band_step_by_step(program_here, tmp_
     done = program_here(*measure, 1.2)
     assert done.stdout == ""
     says(BoardError, "ua_per_count = 3.6")(refused(done))
-    done = program_here(*measure, 0.9)
-    assert done.returncode == 0, done.stderr
+    done = program_here(*measure, 0.9).fine()
     assert "ua_per_count = 2.7" in done.stdout
 
 
 def test_what_is_there_is_listed_and_nothing_is_opened(program_here):
-    done = program_here("boards", "--no-network")
-    assert done.returncode == 0, done.stderr
+    done = program_here("boards", "--no-network").fine()
     assert "kajimoto61:" in done.stdout
 
 
@@ -284,8 +275,7 @@ def test_an_emulator_is_played_until_it_is_ended(program_here, start_program, tm
     lines = [playing.stdout.readline() for _ in range(3)]
     url = lines[2].split()[-1]
     assert url.startswith(f"{name}:/dev/")
-    done = program_here("board", "info", url)
-    assert done.returncode == 0, done.stderr
+    program_here("board", "info", url).fine()
     playing.send_signal(how)
     assert playing.wait(60) == 0
     state = state_of(books)

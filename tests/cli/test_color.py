@@ -105,18 +105,17 @@ def test_what_is_left_out_is_said(run_color):
 
 
 @pytest.mark.parametrize(("arguments", "wrong"), [
-    (("tone:250Hz,2um", "--profile", "kajimoto-61"),
-     says(ScheduleError, "PC", "kajimoto-61", " RA ")),
-    (("tone:30Hz,2um", "--sites", "a-b"), says(about="sites", value="a-b")),
-    (("tone:30Hz,2um", "--sites", "64"), says(ScheduleError, "site 64 ", " 0 to 63")),
-    (("tone:30", "--split-only"), says(SmartTouchError, "'tone:30'", "tone:30Hz,8um")),
-    (("tone:30Hz,9um", "--json", "no/f.json"), says(about="file", value=Path("no/f.json"))),
-    (("tone:30Hz,9um", "--intensity", "2"), says(about="intensity", value=2, allowed=(0, 1))),
-    (("none.csv",), says(SmartTouchError, "'none.csv'", "tone:30Hz,8um")),
+    ("tone:250Hz,2um --profile kajimoto-61", says(ScheduleError, "PC", "kajimoto-61", " RA ")),
+    ("tone:30Hz,2um --sites a-b", says(about="sites", value="a-b")),
+    ("tone:30Hz,2um --sites 64", says(ScheduleError, "site 64 ", " 0 to 63")),
+    ("tone:30 --split-only", says(SmartTouchError, "'tone:30'", "tone:30Hz,8um")),
+    ("tone:30Hz,9um --json no/f.json", says(about="file", value=Path("no/f.json"))),
+    ("tone:30Hz,9um --intensity 2", says(about="intensity", value=2, allowed=(0, 1))),
+    ("none.csv", says(SmartTouchError, "'none.csv'", "tone:30Hz,8um")),
 ])  # fmt: skip
 def test_what_cannot_be_done_is_one_sentence(run_color, arguments, wrong):
     with pytest.raises(SmartTouchError) as caught:
-        run_color(*arguments, "--board", "simulated:")
+        run_color(*arguments.split(), "--board", "simulated:")
     wrong(caught.value)
 
 

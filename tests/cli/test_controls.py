@@ -83,12 +83,10 @@ def test_another_process_stops_all_runs(start_at_a_terminal, program_here, tmp_p
     first, _ = start_at_a_terminal(*RUN)
     wait_for_the_run(first)
     (tmp_path / "state" / "left behind").mkdir()
-    stopped = program_here("stop")
-    assert stopped.returncode == 0, stopped.stderr
+    stopped = program_here("stop").fine()
     assert stopped.stdout.split()[0] == "1"
     assert ended(first, tmp_path)["ended"] == "SIGTERM"
-    again = program_here("stop")
-    assert again.returncode == 0
+    again = program_here("stop").fine()
     assert not re.search(r"\d", again.stdout)
 
 
@@ -97,8 +95,7 @@ def test_a_run_that_was_killed_is_no_run(start_at_a_terminal, program_here, tmp_
     process.kill()
     process.wait()
     assert list((tmp_path / "state").rglob("*.run"))
-    stopped = program_here("stop")
-    assert stopped.returncode == 0
+    stopped = program_here("stop").fine()
     assert not re.search(r"\d", stopped.stdout)
     assert not list((tmp_path / "state").rglob("*.run"))
 
@@ -112,15 +109,13 @@ def test_nobody_knows_the_force(program_here, tmp_path):
 
 
 @pytest.mark.parametrize(("arguments", "wrong"), [
-    (("--mode", "color"),
-     says(about="mode", value="color", allowed=("RA", "SAI", "PC", "natural"))),
-    (("--intensity", "1.2"), says(about="intensity", value=1.2, allowed=(0, 1))),
-    (("--softness", "nan"), says(about="softness", value=math.nan, allowed=(0, 1))),
-    (("--source", "camera:0?size=640"), says(SourceError, "size", "640x480")),
-    (("--source", "text:a?exposure=3"), says(SourceError, " exposure:", "speed_mm_s")),
-    (("--mode", "natural", "--rate", "50"),
+    ("--intensity 1.2", says(about="intensity", value=1.2, allowed=(0, 1))),
+    ("--softness nan", says(about="softness", value=math.nan, allowed=(0, 1))),
+    ("--source camera:0?size=640", says(SourceError, "size", "640x480")),
+    ("--source text:a?exposure=3", says(SourceError, " exposure:", "speed_mm_s")),
+    ("--mode natural --rate 50",
      says(ScheduleError, " 50 Hz", "pulse.ra_rate_hz", "pulse.sai_rate_hz")),
-    (("--force", "cell:"), says(SourceError, about="force", value="cell:")),
+    ("--force cell:", says(SourceError, about="force", value="cell:")),
 ])  # fmt: skip
 def test_what_cannot_be_asked_for(program_here, arguments, wrong):
-    wrong(refused(program_here("live", *arguments)))
+    wrong(refused(program_here("live", *arguments.split())))

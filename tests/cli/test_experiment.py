@@ -47,8 +47,7 @@ def test_the_list_names_every_experiment(program_here):
 
 def test_a_simulated_session_is_kept_and_gone_on_with(program_here, tmp_path):
     one = (*SIMULATED, "--repetitions", "1", "--subject", "ann", "--session", "2")
-    first = program_here(*one, "--json", "run.json")
-    assert (first.returncode, first.stderr) == (0, "")
+    first = program_here(*one, "--json", "run.json").flawless()
     assert "10 of 10 " in first.stdout
     assert "smarttouch experiment fit ann-2-frequency-RA.csv" in first.stdout
     path = tmp_path / "ann-2-frequency-RA.csv"

@@ -121,25 +121,23 @@ def test_others_answers(program, tmp_path):
 
 
 @pytest.mark.parametrize(("options", "wrong"), [
-    (("none.csv",), says(ExperimentError, about="file", value=Path("none.csv"))),
-    (("a.csv", "--x", "hz"),
+    ("none.csv", says(ExperimentError, about="file", value=Path("none.csv"))),
+    ("a.csv --x hz",
      says(ExperimentError, "a.csv", "comparison or success", about="x", value="hz")),
-    (("a.csv", "--guess", "half"), says(ExperimentError, about="guess", value="half")),
-    (("a.csv", "--guess", "1"), says(ExperimentError, "guess", " 1 ")),
-    (("a.csv", "--function", "cubic"),
+    ("a.csv --guess half", says(ExperimentError, about="guess", value="half")),
+    ("a.csv --guess 1", says(ExperimentError, "guess", " 1 ")),
+    ("a.csv --function cubic",
      says(about="function", value="cubic", allowed=("normal", "logistic", "weibull"))),
-    (("a.csv", "--samples", "3"),
-     says(ExperimentError, about="samples", value=3, allowed=(100, 100_000))),
-    (("a.csv", "--seed", "-1"), says(ExperimentError, about="seed", value=-1, allowed=0)),
-    (("a.csv", "--function", "weibull", "--linear"),
-     says(ExperimentError, "Weibull", "normal", "logistic")),
-    (("a.csv", "--plot", "a.doc"), says(SmartTouchError, "a.doc", "*.png")),
-    (("a.csv", "--plot", "none/a.png"), says(about="file", value=Path("none/a.png"))),
+    ("a.csv --samples 3", says(ExperimentError, about="samples", value=3, allowed=(100, 100_000))),
+    ("a.csv --seed -1", says(ExperimentError, about="seed", value=-1, allowed=0)),
+    ("a.csv --function weibull --linear", says(ExperimentError, "Weibull", "normal", "logistic")),
+    ("a.csv --plot a.doc", says(SmartTouchError, "a.doc", "*.png")),
+    ("a.csv --plot none/a.png", says(about="file", value=Path("none/a.png"))),
 ])  # fmt: skip
 def test_what_a_user_can_do_wrong(program, tmp_path, options, wrong):
     (tmp_path / "a.csv").write_text("comparison,success\n1,0\n2,1\n")
     with pytest.raises(SmartTouchError) as caught:
-        program(*options, "--quiet")
+        program(*options.split(), "--quiet")
     wrong(caught.value)
 
 

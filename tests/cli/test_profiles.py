@@ -19,8 +19,7 @@ def one_sentence(done):
 
 
 def test_all_are_listed(program_here):
-    done = program_here("profiles")
-    assert done.returncode == 0
+    done = program_here("profiles").fine()
     for name in list_profiles():
         assert name in done.stdout
     assert "electric-mouse (default)" in done.stdout
@@ -39,16 +38,14 @@ def test_a_copy_is_the_file_with_its_comments(program_here, tmp_path):
 
 @pytest.mark.parametrize("name", ["electric-mouse", "kajimoto-61"])
 def test_what_is_shown_is_a_profile(program_here, tmp_path, name):
-    done = program_here("profiles", "show", name)
-    assert done.returncode == 0
+    done = program_here("profiles", "show", name).fine()
     (tmp_path / f"{name}.toml").write_text(done.stdout)
     assert load_profile(tmp_path / f"{name}.toml") == load_profile(name)
 
 
 def test_what_was_calibrated_is_shown_with_its_day(program_here):
     for what in ("force", "registration"):
-        done = program_here("calibrate", what, "--simulate", "--output", "mine.toml")
-        assert done.returncode == 0, done.stderr
+        program_here("calibrate", what, "--simulate", "--output", "mine.toml").fine()
     shown = program_here("profiles", "show", "mine.toml").stdout
     assert {"force", "registration"} == tomllib.loads(shown)["calibrated"].keys()
     (curve,) = [line for line in shown.splitlines() if line.startswith("curve = ")]

@@ -138,8 +138,7 @@ def test_a_recording_brings_to_a_finger_neither_limits_nor_force(
     _, port, books = start_emulator(64, "link", *events)
     board = ("--board", f"link:{port}", "--intensity", 1)
     for command in (("replay", "a.mcap"), ("live", "--source", "recording:a.mcap")):
-        done = program_here(*command, *board)
-        assert done.returncode == 0, done.stderr
+        program_here(*command, *board).fine()
     state = fresh_state(books)
     assert (state["unsafe"], state["violations"]) == (0, 0)
     assert 0.5 * most_ma <= state["max_current_ma"] <= most_ma * 1.02

@@ -23,8 +23,7 @@ def record(path, words="Annabel", **settings):
 
 
 def report(program_here, tmp_path, *arguments):
-    done = program_here("report", *arguments, "--output", tmp_path / "report.json")
-    assert (done.returncode, done.stderr) == (0, "")
+    program_here("report", *arguments, "--output", tmp_path / "report.json").flawless()
     return (tmp_path / "report.json").read_text("utf-8")
 
 

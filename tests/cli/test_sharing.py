@@ -8,11 +8,10 @@ import pytest
 
 
 def test_a_replay_shares_slots_only_where_the_board_can(program_here, tmp_path):
-    recorded = ("live", "--source", "text:on?speed_mm_s=200", "--board", "simulated:", "--quiet")
+    recorded = "live --source text:on?speed_mm_s=200 --board simulated: --quiet"
     assert program_here(*recorded, "--record", "run.mcap").returncode == 0
     other = ("--profile", "kajimoto-61", "--board", "simulated:", "--json", "run.json")
-    done = program_here("replay", "run.mcap", *other)
-    assert done.returncode == 0, done.stderr
+    program_here("replay", "run.mcap", *other).fine()
     figures = json.loads((tmp_path / "run.json").read_text())
     assert figures["slots"] > 0
     assert figures["worst_other"] is figures["worst_spill"] is None
