@@ -58,15 +58,9 @@ def make_limits():
 
     def make(electrodes=8):
         return SafetyLimits(
-            electrodes=electrodes,
-            current_ma=3.0,
-            pulse_us=200,
-            charge_uc=0.5,
-            rate_hz=100,
-            duty=0.6,
-            ramp_s=0.5,
-            full_ma=2.4,
-        )
+            electrodes=electrodes, current_ma=3.0, pulse_us=200, charge_uc=0.5, rate_hz=100,
+            duty=0.6, ramp_s=0.5, full_ma=2.4,
+        )  # fmt: skip
 
     return make
 
@@ -107,18 +101,13 @@ def start_emulator():
         arguments = ("--ramp-ms=0", *arguments) if protocol == "link" else arguments
         process = Forked(
             [
-                *EMULATOR,
-                "board",
-                protocol,
-                "--port-only",
-                f"--electrodes={electrodes}",
-                f"--output={output}",
-                *("--linger=2", *arguments),
+                *EMULATOR, "board", protocol, "--port-only", f"--electrodes={electrodes}",
+                f"--output={output}", *("--linger=2", *arguments),
             ],
             stdout=subprocess.PIPE,
             text=True,
             start_new_session=True,
-        )
+        )  # fmt: skip
         started.append(process)
         assert select.select([process.stdout], [], [], 60)[0], "the emulator prints no port"
         return process, process.stdout.readline().strip()

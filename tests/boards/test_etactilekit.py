@@ -102,18 +102,9 @@ def test_a_run_to_the_byte(script, make):
     # tells of its pulse.
     seen = readings(0, 2000, 0, 0)
     script(
-        *OPEN,
-        *settings(),
-        load(heights(0, 220, 0, 0)),
-        go(),
-        ask(NOTHING),
-        ask(seen),
-        stop(seen),
-        load(heights(0, 110, 110, 0)),
-        go(seen),
-        stop(readings(0, 1000, 1000, 0)),
-        *ZERO,
-    )
+        *OPEN, *settings(), load(heights(0, 220, 0, 0)), go(), ask(NOTHING), ask(seen), stop(seen),
+        load(heights(0, 110, 110, 0)), go(seen), stop(readings(0, 1000, 1000, 0)), *ZERO,
+    )  # fmt: skip
     with make() as board:
         send(board, anodic(0, 0), anodic(2200), anodic(1100, 2, (1, 2)))
         (sequence, volts), (_, more) = board.take_volts()
@@ -129,16 +120,9 @@ def test_a_pattern_that_is_there_is_not_sent_again(script, make):
     seen = readings(0, 2000, 0, 0)
     again = [go(seen), stop(seen)]
     script(
-        *OPEN,
-        *settings(),
-        load(heights(0, 220, 0, 0)),
-        go(),
-        ask(seen),
-        stop(seen),
-        *again,
-        *again,
-        *ZERO,
-    )
+        *OPEN, *settings(), load(heights(0, 220, 0, 0)), go(), ask(seen), stop(seen), *again,
+        *again, *ZERO,
+    )  # fmt: skip
     with make() as board:
         send(board, anodic(0, 0), *(anodic(2200, step) for step in (1, 2, 3)))
         assert board.report().slots == 3
@@ -159,16 +143,9 @@ def test_a_lost_echo_brings_no_current_and_the_next_frame_goes_on(script, make):
     seen = readings(0, 900, 0, 0)
     fresh = [ZEROS, (QUIET + bytes(4) + PING, b"\x04")]
     script(
-        *OPEN,
-        *settings(),
-        (load(heights(0, 100, 0, 0))[0], b""),
-        *fresh,
-        load(heights(0, 101, 0, 0)),
-        go(),
-        ask(seen),
-        stop(seen),
-        *ZERO,
-    )
+        *OPEN, *settings(), (load(heights(0, 100, 0, 0))[0], b""), *fresh,
+        load(heights(0, 101, 0, 0)), go(), ask(seen), stop(seen), *ZERO,
+    )  # fmt: skip
     with make() as board:
         send(board, anodic(0, 0), anodic(1000), anodic(1010, 2))
         assert (board.acknowledged, board.refused) == (2, 1)
@@ -179,13 +156,9 @@ def test_a_board_that_never_echoes_again_is_told_of(script, make):
     ping = (QUIET + bytes(4) + PING, b"")
     silent = [ZEROS, ping, ping]
     script(
-        *OPEN,
-        *settings(),
-        (load(heights(0, 100, 0, 0))[0], b""),
+        *OPEN, *settings(), (load(heights(0, 100, 0, 0))[0], b""), *silent, (stop()[0], b""),
         *silent,
-        (stop()[0], b""),
-        *silent,
-    )
+    )  # fmt: skip
     board = make()
     board.open()
     send(board, anodic(0, 0), anodic(1000))

@@ -153,13 +153,9 @@ def start_program(tmp_path):
 
     def start(*arguments, real=False):
         process = (subprocess.Popen if real else Forked)(
-            [PROGRAM, *map(str, arguments)],
-            cwd=tmp_path,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "PYTHONUNBUFFERED": "1"},
-        )
+            [PROGRAM, *map(str, arguments)], cwd=tmp_path, stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        )  # fmt: skip
         running.append(process)
         return process
 
@@ -177,13 +173,9 @@ def start_at_a_terminal(tmp_path):
     def start(*arguments):
         keys, terminal = pty.openpty()
         process = Forked(
-            [PROGRAM, *map(str, arguments)],
-            cwd=tmp_path,
-            stdin=terminal,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+            [PROGRAM, *map(str, arguments)], cwd=tmp_path, stdin=terminal, stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
         os.close(terminal)
         running.append((process, keys))
         while process.poll() is None and termios.tcgetattr(keys)[3] & termios.ICANON:
@@ -208,18 +200,12 @@ def start_emulator(tmp_path):
         books.mkdir()
         process = Forked(
             [
-                *EMULATOR,
-                "board",
-                protocol,
-                "--port-only",
-                f"--electrodes={electrodes}",
-                f"--books={books}",
-                "--linger=30",
-                *more,
+                *EMULATOR, "board", protocol, "--port-only", f"--electrodes={electrodes}",
+                f"--books={books}", "--linger=30", *more,
             ],
             stdout=subprocess.PIPE,
             text=True,
-        )
+        )  # fmt: skip
         running.append(process)
         return process, process.stdout.readline().strip(), books
 

@@ -2,17 +2,14 @@
 
 import importlib
 import inspect
-import json
 
 import pytest
 
 
-def test_a_replay_shares_slots_only_where_the_board_can(program_here, tmp_path):
+def test_a_replay_shares_slots_only_where_the_board_can(program_here, figures_of):
     recorded = "live --source text:on?speed_mm_s=200 --board simulated: --quiet"
-    assert program_here(*recorded, "--record", "run.mcap").returncode == 0
-    other = ("--profile", "kajimoto-61", "--board", "simulated:", "--json", "run.json")
-    program_here("replay", "run.mcap", *other).fine()
-    figures = json.loads((tmp_path / "run.json").read_text())
+    program_here(f"{recorded} --record run.mcap").fine()
+    figures = figures_of("replay run.mcap --profile kajimoto-61 --board simulated:")
     assert figures["slots"] > 0
     assert figures["worst_other"] is figures["worst_spill"] is None
 

@@ -32,14 +32,9 @@ def shell(tmp_path):
     def run(line, **environment):
         line = f'smarttouch() {{ {shlex.quote(str(PROGRAM))} "$@"; }}; {line}'
         return subprocess.run(
-            ["bash", "-c", line],
-            cwd=tmp_path,
-            capture_output=True,
-            stdin=subprocess.DEVNULL,
-            timeout=100,
-            check=False,
-            env={**os.environ, **environment},
-        )
+            ["bash", "-c", line], cwd=tmp_path, capture_output=True, stdin=subprocess.DEVNULL,
+            timeout=100, check=False, env={**os.environ, **environment},
+        )  # fmt: skip
 
     return run
 
