@@ -10,53 +10,24 @@ from smarttouch.boards.emulator.delivery_log import (
     read_recharges,
     read_slots,
 )
-from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.skin import Delivered
 from smarttouch.boards.link_protocol import Feature, Kind, Refusal, Rule
 from smarttouch.boards.link_sequence import decode_volts
-from smarttouch.boards.link_session import HostSession
-from smarttouch.wire.framing import Deframer
-from tests.boards.payloads import limits_payload, sequence_payload
 
-MS = 1_000_000
+from .rig import LinkRig
+
 SLOTS = [[300, -100, -100, -100], [-100, 300, -100, -100]]
 """Two pulses of 100 µs, 50 µs apart: 20, 20, −20 and −20 nC."""
 BACK = [-20, -20, 20, 20]
 """In 1,000 µs."""
 
 
-class Rig:
-    """A board, and a session begun at time zero."""
-
-    def __init__(self, folder=None, output="weighted"):
-        self.books = DeliveryLog(4, folder)
-        self.output = output
-        self.board = LinkFirmware(4, output, self.books, ramp_ms=0)
-        self.host = HostSession()
-        self.can = self.say(0, Kind.HELLO)[0]
-        self.say(0, Kind.BEGIN)
-        self.say(0, Kind.LIMITS, payload=limits_payload(4))
-
-    def say(self, now_ms, kind, about=0, payload=b""):
-        data = self.host.encode(kind, about, payload)
-        return self.packets(self.board.feed(data, int(now_ms * MS)))
-
-    def send(self, now_ms, recharge=BACK, recharge_us=1000, *, slots=SLOTS, period=10_000, **more):
-        current = np.asarray(slots, np.int16).reshape(-1, 4)
-        column = np.ones(len(current), np.uint16)
-        payload = sequence_payload(
-            self.output, period, column * 100, column * 50, column, current,
-            more.get("times", 1), more.get("measure", False), np.asarray(recharge, np.int16),
-            recharge_us,
-        )  # fmt: skip
-        return self.say(now_ms, Kind.SEQUENCE, 1, payload)
-
-    def advance(self, now_ms):
-        return self.packets(self.board.advance(int(now_ms * MS)))
-
-    def packets(self, data):
-        taken = [self.host.take(each) for each in Deframer().feed(data)]
-        return [each for each in taken if each.kind != Kind.ALIVE]
+class Rig(LinkRig):
+    def send(self, now_ms, recharge=BACK, recharge_us=1000, *, slots=SLOTS, **more):
+        slots = np.reshape(slots, (-1, 4))
+        return super().send(
+            now_ms, slots, recharge=np.int16(recharge), recharge_us=recharge_us, **more
+        )
 
 
 @pytest.mark.parametrize("output", ["weighted", "three-state", "one-against-all"])
@@ -66,7 +37,7 @@ def test_only_a_board_with_a_source_for_each_electrode_says_it_can(output):
 
 
 def test_it_takes_back_what_the_slots_have_passed(tmp_path):
-    rig = Rig(tmp_path)
+    rig = Rig(folder=tmp_path)
     assert rig.send(0)[0].kind == Kind.ACK
     rig.advance(5)
     np.testing.assert_allclose(rig.books.passed_uc, [0.02, 0.02, -0.02, -0.02])

@@ -12,19 +12,18 @@ import pytest
 from smarttouch.afferent import Afferent
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
-from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.link_kernels import KernelImage, digest_of
 from smarttouch.boards.link_lists import encode_limits, encode_lists
 from smarttouch.boards.link_protocol import NOTHING, Kind, Refusal, Rule
-from smarttouch.boards.link_session import HostSession, decode
+from smarttouch.boards.link_session import HostSession
 from smarttouch.boards.link_setup import give_kernels
 from smarttouch.errors import KernelTableError
 from smarttouch.stimulation.kernel_table import KernelLists, KernelTable
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
-from smarttouch.wire.framing import Deframer
 
 from ...raising import raises
+from .rig import LinkRig
 
 E = 6
 NOBODY, FIVE = bytes(16), bytes([5] * 16)
@@ -46,31 +45,17 @@ class KeptBooks(DeliveryLog):
         self.kept.append(np.rint(current_ua).astype(int).tolist())
 
 
-class Rig:
-    """A board with limits and kernels, and a session begun at time zero."""
+class Rig(LinkRig):
+    """A board of six electrodes, and kernels for it; its ramp is that of any board."""
 
-    def __init__(self, output="weighted", limits=LIMITS, kernel_bytes=10_000, **given):
-        self.books = KeptBooks(E)
+    def __init__(self, output="weighted", limits=LIMITS, kernel_bytes=10_000, ramp_ms=None):
+        super().__init__(
+            E, output, books=KeptBooks, limits=limits and encode_limits(limits),
+            kernel_bytes=kernel_bytes, ramp_ms=ramp_ms,
+        )  # fmt: skip
         self.books.kept = []
-        self.output = output
-        self.board = LinkFirmware(E, output, self.books, kernel_bytes=kernel_bytes, **given)
-        self.begin()
-        self.limits = limits
-        if limits is not None:
-            (answer,) = self.say(0, Kind.LIMITS, payload=encode_limits(limits))
-            assert (answer.kind, answer.payload) == (Kind.LIMITED, b"\1")
         self.table = made_table()
         self.image = KernelImage.of(self.table, kernel_bytes, 100)
-
-    def begin(self, now_ms=0):
-        self.host = HostSession()
-        assert [each.kind for each in self.say(now_ms, Kind.HELLO)] == [Kind.CAPABILITIES]
-        assert [each.kind for each in self.say(now_ms, Kind.BEGIN)] == [Kind.BEGUN]
-
-    def say(self, now_ms, kind, about=0, payload=b""):
-        data = self.board.feed(self.host.encode(kind, about, payload), int(now_ms * MS))
-        packets = [self.host.take(packet) for packet in Deframer().feed(data)]
-        return [each for each in packets if each.kind != Kind.ALIVE]
 
     def give(self, data, offset=0, identity=None, size=None, now_ms=0):
         identity = self.image.identity if identity is None else identity
@@ -80,13 +65,25 @@ class Rig:
         *kept, self.proof = protocol.KEPT.unpack(answer.payload)
         return tuple(kept)
 
-    def send(self, sequence, now_ms=0, number=1, image=None):
-        payload = encode_lists(sequence, 1, False, self.output != "weighted", image, 10**6)
+    def send(self, sequence, now_ms=0, number=1, image=None, times=1):
+        payload = encode_lists(sequence, times, False, self.output != "weighted", image, 10**6)
         return self.refused(self.say(now_ms, Kind.SEQUENCE, number, payload))
 
     def refused(self, answers):
         found = [each.payload for each in answers if each.kind == Kind.NAK]
         return protocol.NAK.unpack(found[0]) if found else None
+
+    def flowed(self):
+        """Return what flowed once all was executed."""
+        self.advance(9)
+        return self.books.kept
+
+
+def furnished():
+    """Return a rig whose board has the kernels."""
+    rig = Rig(ramp_ms=0)
+    rig.give(rig.image.data)
+    return rig
 
 
 def listed(table, amplitudes, **fields):
@@ -119,8 +116,7 @@ def test_kernels_are_kept_and_added_up():
     payload = encode_lists(sequence, 1, False, False, rig.image, 10**6)
     assert len(payload) == 10 + 4 + 4 + 2 * 4 + 4 + 3 * 4
     assert rig.send(sequence, image=rig.image) is None
-    rig.board.advance(9 * MS)
-    assert rig.books.kept == sequence.current_ua.tolist()
+    assert rig.flowed() == sequence.current_ua.tolist()
     assert rig.books.kept[1] == [500, -500, 0, 0, 0, 0]
 
 
@@ -140,8 +136,7 @@ def test_what_is_kept_outlives_a_session_and_is_resumed():
 
 
 def test_another_table_takes_its_place_but_not_while_a_sequence_executes():
-    rig = Rig(ramp_ms=0)
-    rig.give(rig.image.data)
+    rig = furnished()
     assert rig.send(listed(rig.table, [[(0, 4000)]]), image=rig.image) is None
     assert rig.give(b"", identity=FIVE, size=9, now_ms=1)[0] == rig.image.identity
     assert rig.give(b"", identity=FIVE, size=9, now_ms=11) == (FIVE, 0, 0)
@@ -169,14 +164,12 @@ def test_more_than_there_is_room_for_is_left_out():
 
 
 def test_a_table_that_is_changed_after_it_was_sent_is_no_reference():
-    rig = Rig(ramp_ms=0)
-    rig.give(rig.image.data)
+    rig = furnished()
     rig.table.weights[0] = np.roll(rig.table.weights[0], 1)
     sequence = listed(rig.table, [[(0, 4000)]])
     assert rig.send(sequence, image=rig.image) is None
-    rig.board.advance(9 * MS)
     # As currents: the board's kernel would make others.
-    assert rig.books.kept == sequence.current_ua.tolist()
+    assert rig.flowed() == sequence.current_ua.tolist()
 
 
 @pytest.mark.parametrize(
@@ -191,27 +184,23 @@ def test_a_table_that_is_changed_after_it_was_sent_is_no_reference():
     ],
 )
 def test_lists_that_the_wire_would_change_go_as_currents(first, kernel, amplitude):
-    rig = Rig(ramp_ms=0)
-    rig.give(rig.image.data)
+    rig = furnished()
     sequence = listed(rig.table, [[(0, 4000)]])
     sums = KernelLists(rig.table, np.array(first), kernel, amplitude)
     current_ua = sums.current_ua() if amplitude[0] < 0 else sequence.current_ua
     sequence = listed(rig.table, [[(0, 4000)]], current_ua=current_ua, sums=sums)
     assert rig.send(sequence, image=rig.image) is None
-    rig.board.advance(9 * MS)
-    assert rig.books.kept == sequence.current_ua.tolist()
+    assert rig.flowed() == sequence.current_ua.tolist()
 
 
 def test_currents_that_are_no_sum_go_as_they_are():
-    rig = Rig(ramp_ms=0)
-    rig.give(rig.image.data)
+    rig = furnished()
     sequence = listed(rig.table, [[(0, 4000)]])
     changed = sequence.current_ua.copy()
     changed[0, :2] += [1, -1]
     sequence = listed(rig.table, [[(0, 4000)]], current_ua=changed)
     assert rig.send(sequence, image=rig.image) is None
-    rig.board.advance(9 * MS)
-    assert rig.books.kept == changed.tolist()
+    assert rig.flowed() == changed.tolist()
 
 
 GOOD = [500, -500, 0, 0, 0, 0]
@@ -365,7 +354,7 @@ def repeated(rig, sequence, count, step_ms=10, number=1):
         found = rig.send(sequence, step_ms * index, number=number + index)
         if found is not None:
             return found, index
-        rig.board.advance(int((step_ms * index + step_ms / 2) * MS))
+        rig.advance(step_ms * index + step_ms / 2)
     return None, count
 
 
@@ -384,7 +373,6 @@ def test_what_a_second_brings_is_bounded():
         taken += 1
         rig.say(taken, Kind.STOP)
         rig.begin(taken)
-        rig.say(taken, Kind.LIMITS, payload=encode_limits(LIMITS))
         found = rig.send(plain([]), taken)
     assert (found[:2], found[4:], taken) == ((Refusal.UNSAFE, Rule.OFTEN), (202, 201), 201)
 
@@ -392,8 +380,7 @@ def test_what_a_second_brings_is_bounded():
 def test_repetitions_are_judged_before_the_first_begins():
     rig = Rig(ramp_ms=0)
     net = plain([[2400, -2400, 0, 0, 0, 0]], width_us=np.array([200], np.uint16))
-    payload = encode_lists(replace(net, period_us=9000), 112, False, False, None, 10**6)
-    found = rig.refused(rig.say(0, Kind.SEQUENCE, 1, payload))
+    found = rig.send(replace(net, period_us=9000), times=112)
     assert found[:2] == (Refusal.UNSAFE, Rule.NET_IN_SECOND)
     assert rig.books.slots == 0
 
@@ -405,33 +392,32 @@ def test_a_session_ends():
     found, taken = repeated(rig, both, 100)
     assert (found[1], found[4:], taken) == (Rule.SESSION_CHARGE, (5, 4), 20)
     rig = Rig(limits=limits, ramp_ms=0)
-    payload = encode_lists(plain([WEAK]), 201, False, False, None, 10**6)
-    found = rig.refused(rig.say(0, Kind.SEQUENCE, 1, payload))
+    found = rig.send(plain([WEAK]), times=201)
     assert (found[1], found[4:]) == (Rule.SESSION_TIME, (3, 2))
-
-
-def test_what_limits_ask_for_is_capped_and_what_is_left_out_is_safe():
-    full = plain([[2600, -2600, 0, 0, 0, 0]], width_us=np.array([20], np.uint16), intensity=0.1)
-    for name, value in (("full", 65_535), ("rounding", 5000), ("ramp", 0), ("usual", 0)):
-        rig = Rig(limits=None, ramp_ms=500 if value == 0 else 0)
-        fields = dict(zip(NAMES, protocol.LIMITS.unpack_from(encode_limits(LIMITS)), strict=True))
-        head = protocol.LIMITS.pack(*(fields | {name: value}).values())
-        rig.say(0, Kind.LIMITS, payload=head + encode_limits(LIMITS)[protocol.LIMITS.size :])
-        if value == 0:
-            # A ramp that is left out is the longest; and any pulse is more than one of no width.
-            assert rig.send(of(0.1))[1] == Rule.RISE
-        else:
-            assert rig.send(full)[1] == Rule.INTENSITY, name
-    for name in ("total", "width", "full", "session_s", "session_uc", "duty"):
-        rig = Rig(limits=None, ramp_ms=0)
-        fields = dict(zip(NAMES, protocol.LIMITS.unpack_from(encode_limits(LIMITS)), strict=True))
-        head = protocol.LIMITS.pack(*(fields | {name: 0}).values())
-        rig.say(0, Kind.LIMITS, payload=head + encode_limits(LIMITS)[protocol.LIMITS.size :])
-        assert rig.send(plain([GOOD]))[0] == Refusal.UNSAFE, name
 
 
 NAMES = ("period", "total", "width", "full", "rounding", "full_us", "ramp", "session_s",
          "session_uc", "duty", "nothing", "usual")  # fmt: skip
+
+
+def limited(name, value, **given):
+    """Return a rig whose limits have another value in one field."""
+    usual, rig = encode_limits(LIMITS), Rig(limits=None, **given)
+    fields = dict(zip(NAMES, protocol.LIMITS.unpack_from(usual), strict=True))
+    head = protocol.LIMITS.pack(*(fields | {name: value}).values())
+    rig.say(0, Kind.LIMITS, payload=head + usual[protocol.LIMITS.size :])
+    return rig
+
+
+def test_what_limits_ask_for_is_capped_and_what_is_left_out_is_safe():
+    full = plain([[2600, -2600, 0, 0, 0, 0]], width_us=np.array([20], np.uint16), intensity=0.1)
+    for name, value in (("full", 65_535), ("rounding", 5000)):
+        assert limited(name, value, ramp_ms=0).send(full)[1] == Rule.INTENSITY, name
+    for name in ("ramp", "usual"):
+        # A ramp that is left out is the longest; and any pulse is more than one of no width.
+        assert limited(name, 0, ramp_ms=500).send(of(0.1))[1] == Rule.RISE
+    for name in ("total", "width", "full", "session_s", "session_uc", "duty"):
+        assert limited(name, 0, ramp_ms=0).send(plain([GOOD]))[0] == Refusal.UNSAFE, name
 
 
 def test_one_source_counts_as_one_electrode():
@@ -444,8 +430,7 @@ def test_one_source_counts_as_one_electrode():
 
 
 def test_a_proof_is_of_the_table_and_the_session():
-    rig = Rig(ramp_ms=0)
-    rig.give(rig.image.data)
+    rig = furnished()
     assert rig.proof == rig.image.proof(rig.host.number) != NOBODY
     before = rig.proof
     rig.say(1, Kind.STOP)
@@ -496,23 +481,21 @@ def with_crc(data, crc):
 def test_an_emergency_switch_ends_a_session_at_once():
     rig = Rig(ramp_ms=0)
     assert rig.send(plain([GOOD] * 30)) is None
-    rig.board.advance(2 * MS)
+    rig.advance(2)
     flowed = rig.books.slots
     rig.board.switch_open = True
-    answers = [rig.host.take(each) for each in Deframer().feed(rig.board.advance(3 * MS))]
+    answers = rig.advance(3)
     told = [each for each in answers if each.kind == Kind.NAK]
     assert [protocol.NAK.unpack(each.payload)[0] for each in told] == [Refusal.EMERGENCY]
     assert all(each.state == protocol.SWITCH_OPEN for each in answers)
     assert (rig.books.state, rig.books.reason) == ("shorted", "emergency")
     assert rig.send(plain([GOOD]), 4, number=2)[0] == Refusal.EMERGENCY
-    host = HostSession()
-    data = rig.board.feed(host.encode(Kind.HELLO), 5 * MS)
-    host.take(*Deframer().feed(data))
-    data = rig.board.feed(host.encode(Kind.BEGIN), 5 * MS)
-    (answer,) = [each for each in map(decode, Deframer().feed(data)) if each.kind == Kind.NAK]
-    assert protocol.NAK.unpack(answer.payload)[0] == Refusal.EMERGENCY
+    own, rig.host = rig.host, HostSession()
+    rig.say(5, Kind.HELLO)
+    assert rig.refused(rig.say(5, Kind.BEGIN))[0] == Refusal.EMERGENCY
+    rig.host = own
     rig.board.switch_open = False
-    rig.board.advance(6 * MS)
+    rig.advance(6)
     assert rig.send(plain([GOOD]), 7, number=3)[0] == Refusal.EMERGENCY, "until BEGIN"
     rig.say(8, Kind.STOP)
     assert rig.send(plain([GOOD]), 8, number=4)[0] == Refusal.STOPPED
@@ -520,7 +503,7 @@ def test_an_emergency_switch_ends_a_session_at_once():
     assert rig.send(plain([GOOD]), 9, number=5)[0] == Refusal.EMERGENCY, "while it is open"
     rig.board.switch_open = False
     rig.begin(9)
-    rig.board.advance(20 * MS)
+    rig.advance(20)
     assert rig.books.slots == flowed
 
 
@@ -528,16 +511,14 @@ def test_an_emergency_switch_ends_a_session_at_once():
 def test_switched_boards_take_states(output):
     rig = Rig(output, ramp_ms=0)
     assert rig.send(plain([[500, -100, -100, -100, -100, -100]])) is None
-    rig.board.advance(9 * MS)
-    (kept,) = rig.books.kept
+    (kept,) = rig.flowed()
     assert kept[0] > 0 > max(kept[1:])
     found = rig.send(plain([[0, 0, 0, 0, 0, 0]]), 12, number=2)
     assert found[:3] == (Refusal.UNSAFE, Rule.STATES, 0)
 
 
 def test_every_cut_of_a_payload_is_malformed():
-    rig = Rig(ramp_ms=0)
-    rig.give(rig.image.data)
+    rig = furnished()
     sequence = listed(rig.table, [[(0, 4000)], [(1, 2001), (2, 400)]])
     payload = encode_lists(sequence, 1, False, False, rig.image, 10**6)
     # Cut between two groups it is whole.
