@@ -12,6 +12,7 @@ from smarttouch.boards.probe import one_each
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
+from tests.boards.fresh import deliver
 from tests.boards.told import MS, ToldClock, ToldKit
 
 from ..raising import raises
@@ -91,12 +92,6 @@ def make(monkeypatch):
     return make
 
 
-def send(board, *sequences):
-    for sequence in sequences:
-        board.send(sequence)
-        board.drain()
-
-
 def test_a_run_to_the_byte(script, make):
     # 220 counts at 9.99 µA, as in the board's own example. The second look at the readings
     # tells of its pulse.
@@ -106,7 +101,7 @@ def test_a_run_to_the_byte(script, make):
         load(heights(0, 110, 110, 0)), go(seen), stop(readings(0, 1000, 1000, 0)), *ZERO,
     )  # fmt: skip
     with make() as board:
-        send(board, anodic(0, 0), anodic(2200), anodic(1100, 2, (1, 2)))
+        deliver(board, anodic(0, 0), anodic(2200), anodic(1100, 2, (1, 2)))
         (sequence, volts), (_, more) = board.take_volts()
         assert sequence.site.tolist() == [1]
         assert volts == pytest.approx([2000 * 0.0893])
@@ -124,7 +119,7 @@ def test_a_pattern_that_is_there_is_not_sent_again(script, make):
         *again, *ZERO,
     )  # fmt: skip
     with make() as board:
-        send(board, anodic(0, 0), *(anodic(2200, step) for step in (1, 2, 3)))
+        deliver(board, anodic(0, 0), *(anodic(2200, step) for step in (1, 2, 3)))
         assert board.report().slots == 3
 
 
@@ -147,7 +142,7 @@ def test_a_lost_echo_brings_no_current_and_the_next_frame_goes_on(script, make):
         load(heights(0, 101, 0, 0)), go(), ask(seen), stop(seen), *ZERO,
     )  # fmt: skip
     with make() as board:
-        send(board, anodic(0, 0), anodic(1000), anodic(1010, 2))
+        deliver(board, anodic(0, 0), anodic(1000), anodic(1010, 2))
         assert (board.acknowledged, board.refused) == (2, 1)
         assert board.report().slots == 1
 
@@ -161,7 +156,7 @@ def test_a_board_that_never_echoes_again_is_told_of(script, make):
     )  # fmt: skip
     board = make()
     board.open()
-    send(board, anodic(0, 0), anodic(1000))
+    deliver(board, anodic(0, 0), anodic(1000))
     # Even if nothing is sent any more: its last pattern may still be running.
     with raises(LineLostError, about="board", remedy="switch it off"):
         board.close()
@@ -190,7 +185,7 @@ def test_settings_that_were_not_confirmed_are_set_again(script, make):
         *ZERO,
     )
     with make() as board:
-        send(board, anodic(0, 0), anodic(1000), anodic(1000, 2, cathodic=True), anodic(1010, 3))
+        deliver(board, anodic(0, 0), anodic(1000), anodic(1000, 2, cathodic=True), anodic(1010, 3))
         assert (board.acknowledged, board.refused) == (3, 1)
 
 

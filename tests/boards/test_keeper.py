@@ -10,9 +10,7 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 import tty
-from pathlib import Path
 
 import pytest
 import serial
@@ -24,6 +22,7 @@ from smarttouch.errors import BoardError
 from smarttouch.wire.port import open_port
 
 from ..raising import raises
+from .fresh import alive, until
 
 pytestmark = [pytest.mark.realtime, pytest.mark.silence]
 
@@ -134,15 +133,6 @@ def host(board):
         host.kill()
 
 
-def runs(process_id):
-    try:
-        stat = Path(f"/proc/{process_id}/stat").read_text()
-    except FileNotFoundError:
-        return False
-    # Where nobody reaps orphans, a dead one stays listed.
-    return stat.rpartition(")")[2].split()[0] != "Z"
-
-
 @pytest.mark.parametrize("whom", ["it", "its group"])
 def test_a_host_that_is_killed_leaves_zero_and_no_process(board, host, whom):
     process, kept_by = host
@@ -150,10 +140,7 @@ def test_a_host_that_is_killed_leaves_zero_and_no_process(board, host, whom):
     kill = os.kill if whom == "it" else os.killpg
     kill(process.pid, signal.SIGKILL)
     assert board.read() == TWICE
-    deadline = time.monotonic() + 20
-    while runs(kept_by):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    until(lambda: not alive(kept_by))
     open_port(board.name).close()
 
 

@@ -24,6 +24,7 @@ from smarttouch.stimulation.sequence import ScanSequence
 
 from ..raising import raises
 from . import test_contract
+from .fresh import deliver
 
 MS = 1_000_000
 SECOND = 1000 * MS
@@ -138,14 +139,6 @@ class TestTheFile:
         assert not ((loud > 250) & (loud < 5000)).any()
         assert 5000 < loud[loud > 250].min() < 5050
         assert len(samples) == 5000 + 200 + round(GLIDE_S * rate_hz) + 1
-
-    def test_a_newer_sequence_ends_a_repetition(self, make, wav):
-        with opened(make("?grid=1x1")) as board:
-            board.send(shaken(1.0), times=50)
-            board.send(shaken(0.0, 300 * MS))
-        samples, rate_hz = wav()
-        loud = np.flatnonzero(np.abs(samples[:, 0]) > 0.5)
-        assert loud.max() / rate_hz == pytest.approx(0.3, abs=0.005)
 
     def test_a_stop_ends_it_within_a_period(self, make, wav):
         with opened(make("?grid=1x1")) as board:
@@ -420,9 +413,7 @@ class TestContract(test_contract.Contract):
 
     def test_what_is_sent_is_delivered(self, make_board):
         with make_board() as board:
-            for step in range(5):
-                board.send(self.sequence(step))
-                board.drain()
+            deliver(board, *map(self.sequence, range(5)))
             report = board.report()
             assert (board.acknowledged, board.refused, board.replaced) == (5, 0, 0)
         assert (report.sequences, report.slots, report.max_current_ma) == (5, 0, 0)

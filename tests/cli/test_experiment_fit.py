@@ -87,26 +87,29 @@ def test_others_answers(program, tmp_path):
     """Detection of somebody else's: no standard, columns with names of their own."""
     random = np.random.default_rng(2)
     subject = Subject(0.8, 0.3, 0.5, 0.01, guess=0.1)
-    lines = ["mA;ok"]
-    for level in (0.0, 0.3, 0.5, 0.7, 0.9, 1.2, 1.6):
-        for _ in range(25):
-            lines.append(
-                f"{level};{'yes' if random.random() < subject.probability(level) else 'no'}"
-            )
-    (tmp_path / "a.csv").write_text("\n".join(lines))
-    program("a.csv", "--x", "mA", "--y", "ok", "--json", "a.json", "--plot", "a.svg", *FAST)
-    (found,) = json.loads((tmp_path / "a.json").read_text())["a"]
+    felt = [
+        f"{level};{'yes' if random.random() < subject.probability(level) else 'no'}"
+        for level in (0.0, 0.3, 0.5, 0.7, 0.9, 1.2, 1.6)
+        for _ in range(25)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join(["mA;ok", *felt]))
+
+    def fitted(options):
+        program(*f"a.csv --x mA --y ok --json a.json {options}".split(), *FAST)
+        (found,) = json.loads((tmp_path / "a.json").read_text())["a"]
+        return found
+
+    found = fitted("--plot a.svg")
     assert found["standard"] is found["weber"] is None
     assert found["at"] == 0.5
     assert 0 < found["guess"] < 0.3
     assert found["threshold"]["value"] == pytest.approx(0.8, rel=0.2)
     for options, at in (
-        (("--guess", "0.1", "--function", "weibull"), 0.55),
-        (("--guess", "equal", "--function", "logistic", "--linear", "--at", "0.6"), 0.6),
-        (("--guess", "free", "--lapse", "0.02"), 0.5),
+        ("--guess 0.1 --function weibull", 0.55),
+        ("--guess equal --function logistic --linear --at 0.6", 0.6),
+        ("--guess free --lapse 0.02", 0.5),
     ):
-        program("a.csv", "--x", "mA", "--y", "ok", "--json", "a.json", *FAST, *options)
-        (found,) = json.loads((tmp_path / "a.json").read_text())["a"]
+        found = fitted(options)
         assert found["at"] == pytest.approx(at)
         assert found["threshold"]["value"] == pytest.approx(0.8, rel=0.3)
 

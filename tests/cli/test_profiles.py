@@ -108,15 +108,12 @@ def test_all_that_is_wrong_stands_in_a_line_of_its_own(program_here, tmp_path):
     assert "limits.duty" in lines[1]
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("show", "nobody"),
-        ("copy", "nobody", "mine.toml"),
-        ("copy", "line-7", "mine.txt"),
-        ("copy", "line-7", "none/mine.toml"),
-    ],
-)
+@pytest.mark.parametrize("arguments", [
+    ("show", "nobody"),
+    ("copy", "nobody", "mine.toml"),
+    ("copy", "line-7", "mine.txt"),
+    ("copy", "line-7", "none/mine.toml"),
+])  # fmt: skip
 def test_what_cannot_be_is_one_sentence(program_here, tmp_path, arguments):
     one_sentence(program_here("profiles", *arguments))
     assert list(tmp_path.iterdir()) == []

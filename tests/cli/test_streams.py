@@ -61,12 +61,9 @@ def test_errors_are_told_where_that_stream_is_open(shell, closed):
     assert b"Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        "profiles", "--help", f"replay --check {GOLDEN}", SHORT, "experiment list", "braille hello",
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("command", [
+    "profiles", "--help", f"replay --check {GOLDEN}", SHORT, "experiment list", "braille hello",
+])  # fmt: skip
 def test_a_full_disk_behind_standard_output(tmp_path, command):
     # One of them is really started: how it ends is the interpreter's too.
     start = subprocess.Popen if command == "profiles" else Forked
@@ -159,14 +156,11 @@ def test_no_name_title_or_note_is_obeyed(program_here, tmp_path):
     assert "[bold]:smile:[/" in told
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        "board info simulated: --profile {}.toml", "design --site 1 --profile {}.toml",
-        "sensor show frames:{}", "live --board {}:x", "live --profile {}", "live --{}", "{}",
-        "read {}", "replay {}", "live --source page:{}.toml", "experiment fit {}.toml",
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("command", [
+    "board info simulated: --profile {}.toml", "design --site 1 --profile {}.toml",
+    "sensor show frames:{}", "live --board {}:x", "live --profile {}", "live --{}", "{}", "read {}",
+    "replay {}", "live --source page:{}.toml", "experiment fit {}.toml",
+])  # fmt: skip
 def test_what_is_said_of_names_is_not_obeyed(program_here, tmp_path, command):
     evil_profile(tmp_path, EVIL + ".toml")
     text = shown(program_here(*(each.format(EVIL) for each in command.split(" "))))

@@ -148,14 +148,11 @@ def test_orders(capsys):
     assert "garbage, nan, freeze, silent, unplug" in dance
 
 
-@pytest.mark.parametrize(
-    ("text", "fault"),
-    [
-        ("2 garbage 0.5", Event(2, "garbage", values=(0.5,))),
-        ("3 nan", Event(3, "nan")),
-        (" 0.5  unplug  1 ", Event(0.5, "unplug", values=(1,))),
-    ],
-)
+@pytest.mark.parametrize(("text", "fault"), [
+    ("2 garbage 0.5", Event(2, "garbage", values=(0.5,))),
+    ("3 nan", Event(3, "nan")),
+    (" 0.5  unplug  1 ", Event(0.5, "unplug", values=(1,))),
+])  # fmt: skip
 def test_events(text, fault):
     assert parse_fault(text) == fault
 
