@@ -1,9 +1,13 @@
 """Waiting for what an emulator's process does, for as long as a busy machine takes."""
 
+import contextlib
+import subprocess
 import time
 from pathlib import Path
 
 from smarttouch.boards.emulator.delivery_log import STATE_FILE, read_state
+
+from ..forks import Forked
 
 HANGS_S = 60.0
 """Only what never comes takes that long."""
@@ -33,6 +37,22 @@ def deliver(board, *sequences, times=1):
     for sequence in sequences:
         board.send(sequence, times)
         board.drain()
+
+
+@contextlib.contextmanager
+def starter():
+    """Give a starter of processes, forks if nothing else is said; in the end they are killed."""
+    started = []
+
+    def start(command, kind=Forked, **options):
+        process = kind(command, **{"stdout": subprocess.PIPE, "text": True} | options)
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
 
 
 def fresh_state(folder):

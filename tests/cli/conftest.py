@@ -8,8 +8,10 @@ import pty
 import shlex
 import subprocess
 import sys
+import tempfile
 import termios
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,6 +21,7 @@ from PIL import Image
 from smarttouch import cli
 from smarttouch.errors import SmartTouchError
 
+from ..boards.fresh import starter
 from ..forks import EMULATOR, PROGRAM, Forked
 from ..raising import assert_says
 
@@ -145,24 +148,13 @@ def figures_of(program_here):
 
 @pytest.fixture
 def start_program(tmp_path):
-    """Return a starter of the program; what still runs at the end is killed.
-
-    It is a fork, if it is not to be a real start.
-    """
-    running = []
-
-    def start(*arguments, real=False):
-        process = (subprocess.Popen if real else Forked)(
-            [PROGRAM, *map(str, arguments)], cwd=tmp_path, stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    """Return a starter of the program: of a fork, if it is not to be a real start."""
+    streams = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
+    with starter() as start:
+        yield lambda *arguments, real=False: start(
+            [PROGRAM, *map(str, arguments)], subprocess.Popen if real else Forked, cwd=tmp_path,
+            env={**os.environ, "PYTHONUNBUFFERED": "1"}, **streams,
         )  # fmt: skip
-        running.append(process)
-        return process
-
-    yield start
-    for process in running:
-        process.kill()
-        process.communicate()
 
 
 @pytest.fixture
@@ -193,26 +185,17 @@ def start_at_a_terminal(tmp_path):
 @pytest.fixture
 def start_emulator(tmp_path):
     """Return a starter of board emulators: their process, port and books."""
-    running = []
+    with starter() as start:
 
-    def start(electrodes=64, protocol="link", *more):
-        books = tmp_path / f"books{len(running)}"
-        books.mkdir()
-        process = Forked(
-            [
+        def start_one(electrodes=64, protocol="link", *more):
+            books = tempfile.mkdtemp(prefix="books", dir=tmp_path)
+            process = start([
                 *EMULATOR, "board", protocol, "--port-only", f"--electrodes={electrodes}",
                 f"--books={books}", "--linger=30", *more,
-            ],
-            stdout=subprocess.PIPE,
-            text=True,
-        )  # fmt: skip
-        running.append(process)
-        return process, process.stdout.readline().strip(), books
+            ])  # fmt: skip
+            return process, process.stdout.readline().strip(), Path(books)
 
-    yield start
-    for process in running:
-        process.kill()
-        process.communicate()
+        yield start_one
 
 
 @pytest.fixture

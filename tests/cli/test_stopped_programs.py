@@ -13,8 +13,7 @@ import pytest
 from smarttouch.boards.emulator.delivery_log import read_state
 from smarttouch.recording.reader import Recording
 
-from ..boards.fresh import until
-from ..forks import Forked
+from ..boards.fresh import starter, until
 
 pytestmark = pytest.mark.realtime
 
@@ -27,21 +26,14 @@ REFUSED = dict.fromkeys(("again", "another", "another run"), "BoardStoppedError"
 @pytest.fixture
 def start(start_emulator, tmp_path):
     """Return a starter of programs, each with a board of its own: the process and its books."""
-    started = []
+    with starter() as start:
 
-    def start_one(kind, url=None):
-        _, port, books = start_emulator(64, "link")
-        process = Forked(
-            [sys.executable, str(SOURCE), kind, url or f"link:{port}"],
-            cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
-        started.append(process)
-        return process, books
+        def start_one(kind, url=None):
+            _, port, books = start_emulator(64, "link")
+            command = [sys.executable, str(SOURCE), kind, url or f"link:{port}"]
+            return start(command, cwd=tmp_path, stderr=subprocess.PIPE), books
 
-    yield start_one
-    for process in started:
-        process.kill()
-        process.communicate()
+        yield start_one
 
 
 def told(process):

@@ -49,9 +49,7 @@ def test_without_the_extra_it_says_which(program_here, monkeypatch, library):
 
 
 def test_recordings_are_shown_until_ctrl_c(start_program, program_here, tmp_path):
-    program_here(
-        "live", "--board", "simulated:", "--source", "text:a", "--record", "run.mcap", "--quiet"
-    ).fine()
+    program_here("live --board simulated: --source text:a --record run.mcap --quiet").fine()
     done = program_here("recordings", "view", "run.mcap", "--save", "a.svg", "--step", 5)
     assert (done.returncode, done.stdout) == (0, "a.svg\n")
     assert (tmp_path / "a.svg").read_text().count("<circle") == 64

@@ -21,7 +21,7 @@ from smarttouch.sources import open_source
 from smarttouch.sources.forces.force import open_force
 from smarttouch.sources.forces.load_cell import open_cell
 
-from ..boards.fresh import until
+from ..boards.fresh import starter, until
 from ..forks import EMULATOR, Forked
 
 ZERO = b"\xff" + bytes(61)
@@ -30,20 +30,16 @@ ZERO = b"\xff" + bytes(61)
 @pytest.fixture
 def start():
     """Return a starter of emulators: the process, a fork or its own, and the name of its port."""
-    started = []
+    with starter() as begin:
 
-    def run(*arguments, program=Forked):
-        command = [*EMULATOR, *arguments, "--port-only"]
-        command += [] if "--linger" in str(arguments) else ["--linger=2"]
-        process = program(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        started.append(process)
-        assert select.select([process.stdout], [], [], 60)[0], "the emulator prints no port"
-        return process, process.stdout.readline().strip()
+        def run(*arguments, program=Forked):
+            command = [*EMULATOR, *arguments, "--port-only"]
+            command += [] if "--linger" in str(arguments) else ["--linger=2"]
+            process = begin(command, program, stdin=subprocess.PIPE)
+            assert select.select([process.stdout], [], [], 60)[0], "the emulator prints no port"
+            return process, process.stdout.readline().strip()
 
-    yield run
-    for process in started:
-        process.kill()
-        process.communicate()
+        yield run
 
 
 @pytest.fixture

@@ -29,18 +29,21 @@ class Rig(LinkRig):
         return [(answer.kind, answer.about) for answer in self.advance(now_ms)]
 
 
+@pytest.fixture
+def rig():
+    return Rig()
+
+
 GOOD = [[300, -100, -100, -100], [-100, 300, -100, -100]]
 
 
-def test_what_has_begun_is_acknowledged_once():
-    rig = Rig()
+def test_what_has_begun_is_acknowledged_once(rig):
     (answer,) = rig.send(0, GOOD, number=7)
     assert (answer.kind, answer.about) == (Kind.ACK, 7)
     assert rig.told(5) == rig.told(11) == []
 
 
-def test_slots_come_one_after_another():
-    rig = Rig()
+def test_slots_come_one_after_another(rig):
     assert rig.reason(0, GOOD) is None
     for now_ms, slots in ((0.149, 1), (0.151, 2), (9, 2)):
         rig.advance(now_ms)
@@ -52,8 +55,7 @@ def test_slots_come_one_after_another():
     assert rig.books.max_charge_uc == pytest.approx(0.03)
 
 
-def test_one_executes_one_waits_a_third_is_busy():
-    rig = Rig()
+def test_one_executes_one_waits_a_third_is_busy(rig):
     assert rig.reason(0, GOOD, number=1) is None
     assert rig.reason(1, GOOD, number=2) is None
     assert rig.reason(2, GOOD, number=3) is Refusal.BUSY
@@ -64,8 +66,7 @@ def test_one_executes_one_waits_a_third_is_busy():
     assert rig.reason(10.5, GOOD, number=4) is None
 
 
-def test_stop_is_at_once_and_lasts_until_begin():
-    rig = Rig()
+def test_stop_is_at_once_and_lasts_until_begin(rig):
     rig.send(0, GOOD)
     rig.send(0, GOOD)
     (answer,) = rig.say(0.1, Kind.STOP)
@@ -77,8 +78,7 @@ def test_stop_is_at_once_and_lasts_until_begin():
     assert rig.reason(92, GOOD) is None
 
 
-def test_begin_ends_what_a_host_before_left():
-    rig = Rig()
+def test_begin_ends_what_a_host_before_left(rig):
     rig.send(0, GOOD)
     rig.send(0, GOOD, number=2)
     rig.board.hang_up(int(0.1 * MS))
@@ -87,8 +87,7 @@ def test_begin_ends_what_a_host_before_left():
     assert (rig.books.state, rig.books.slots) == ("shorted", 1)
 
 
-def test_silence_shorts_everything():
-    rig = Rig()
+def test_silence_shorts_everything(rig):
     long = np.tile(GOOD, (500, 1))
     rig.send(0, long, period=200_000)
     rig.send(1, GOOD, number=2)
@@ -104,8 +103,7 @@ def test_silence_shorts_everything():
     assert rig.books.slots == delivered
 
 
-def test_after_a_silence_only_begin_helps():
-    rig = Rig()
+def test_after_a_silence_only_begin_helps(rig):
     rig.advance(101)
     assert rig.reason(102, GOOD) is Refusal.SILENCE
     assert rig.reason(103, GOOD) is Refusal.SILENCE
@@ -113,8 +111,7 @@ def test_after_a_silence_only_begin_helps():
     assert rig.reason(105, GOOD) is None
 
 
-def test_heartbeats_keep_it_alive_and_it_speaks_by_itself():
-    rig = Rig()
+def test_heartbeats_keep_it_alive_and_it_speaks_by_itself(rig):
     rig.send(0, np.tile(GOOD, (500, 1)), period=200_000)
     for now_ms in range(5, 201, 5):
         assert rig.told(now_ms) == []
@@ -125,8 +122,7 @@ def test_heartbeats_keep_it_alive_and_it_speaks_by_itself():
     assert ALIVE.unpack(rig.alive[-1].payload) == (round(1000 * Finger(4).force_n),)
 
 
-def test_a_sequence_is_repeated_as_often_as_asked():
-    rig = Rig()
+def test_a_sequence_is_repeated_as_often_as_asked(rig):
     rig.send(0, GOOD, times=3)
     assert rig.told(29.9) == []
     assert rig.books.slots == 6
@@ -135,8 +131,7 @@ def test_a_sequence_is_repeated_as_often_as_asked():
     assert (rig.books.state, rig.books.reason) == ("shorted", "end")
 
 
-def test_a_new_table_waits_for_the_end_of_the_scan_and_ends_the_repetition():
-    rig = Rig()
+def test_a_new_table_waits_for_the_end_of_the_scan_and_ends_the_repetition(rig):
     rig.send(0, GOOD, times=100)
     assert rig.reason(10.1, GOOD[:1], number=2) is None
     assert rig.books.slots == 3
@@ -149,8 +144,7 @@ def test_a_new_table_waits_for_the_end_of_the_scan_and_ends_the_repetition():
     assert rig.books.slots == 5
 
 
-def test_the_same_number_is_the_same_sequence():
-    rig = Rig()
+def test_the_same_number_is_the_same_sequence(rig):
     rig.send(0, GOOD, number=7)
     (again,) = rig.send(1, GOOD, number=7)
     assert (again.kind, again.about) == (Kind.ACK, 7)
@@ -167,8 +161,7 @@ def test_the_same_number_is_the_same_sequence():
     assert rig.books.slots == 5
 
 
-def test_what_is_garbled_is_told_of():
-    rig = Rig()
+def test_what_is_garbled_is_told_of(rig):
     (answer,) = rig.feed(1, b"\x05abcd\0")
     assert (answer.kind, answer.about, answer.payload[0]) == (Kind.NAK, 0, Refusal.GARBLED)
 

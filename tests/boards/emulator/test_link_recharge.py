@@ -30,6 +30,11 @@ class Rig(LinkRig):
         )
 
 
+@pytest.fixture
+def rig():
+    return Rig()
+
+
 @pytest.mark.parametrize("output", ["weighted", "three-state", "one-against-all"])
 def test_only_a_board_with_a_source_for_each_electrode_says_it_can(output):
     features = protocol.CAPABILITIES.unpack_from(Rig(output=output).can.payload)[2]
@@ -56,8 +61,7 @@ def test_it_takes_back_what_the_slots_have_passed(tmp_path):
     assert read_delivered(tmp_path)[2].tolist() == SLOTS
 
 
-def test_it_comes_once_a_repetition_and_its_voltage_is_not_a_slots():
-    rig = Rig()
+def test_it_comes_once_a_repetition_and_its_voltage_is_not_a_slots(rig):
     rig.send(0, times=3, measure=True)
     volts = [each for each in rig.advance(30) if each.kind == Kind.VOLTAGES]
     assert [len(decode_volts(each.payload)) for each in volts] == [2, 2, 2]
@@ -66,8 +70,7 @@ def test_it_comes_once_a_repetition_and_its_voltage_is_not_a_slots():
 
 
 @pytest.mark.parametrize(("at_ms", "share"), [(0.2, 0), (0.3, 0), (0.55, 0.25), (1.3, 1), (9, 1)])
-def test_a_stop_cuts_it_off(at_ms, share):
-    rig = Rig()
+def test_a_stop_cuts_it_off(rig, at_ms, share):
     rig.send(0)
     rig.say(at_ms, Kind.STOP)
     rig.advance(50)

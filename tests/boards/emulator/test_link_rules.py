@@ -86,6 +86,11 @@ def furnished():
     return rig
 
 
+@pytest.fixture
+def rig():
+    return Rig(ramp_ms=0)
+
+
 def listed(table, amplitudes, **fields):
     """Return a sequence of one slot for each list of (kernel, amplitude)."""
     first = np.cumsum([0, *map(len, amplitudes)])
@@ -109,8 +114,7 @@ def plain(current, **fields):
     return ScanSequence(**(values | fields))
 
 
-def test_kernels_are_kept_and_added_up():
-    rig = Rig(ramp_ms=0)
+def test_kernels_are_kept_and_added_up(rig):
     assert rig.give(rig.image.data) == (rig.image.identity, len(rig.image.data), 1)
     sequence = listed(rig.table, [[(0, 4000)], [(1, 2001)], [(2, 1500), (3, 777), (0, 31)]])
     payload = encode_lists(sequence, 1, False, False, rig.image, 10**6)
@@ -120,8 +124,7 @@ def test_kernels_are_kept_and_added_up():
     assert rig.books.kept[1] == [500, -500, 0, 0, 0, 0]
 
 
-def test_what_is_kept_outlives_a_session_and_is_resumed():
-    rig = Rig(ramp_ms=0)
+def test_what_is_kept_outlives_a_session_and_is_resumed(rig):
     data, identity = rig.image.data, rig.image.identity
     assert rig.give(b"") == (identity, 0, 0)
     assert rig.give(data[:7]) == (identity, 7, 0)
@@ -246,8 +249,7 @@ SLOT = Rule.NONE, NOTHING, NOTHING
         ),
     ],
 )  # fmt: skip
-def test_rules_are_told_in_numbers(sequence, wanted):
-    rig = Rig(ramp_ms=0)
+def test_rules_are_told_in_numbers(rig, sequence, wanted):
     assert rig.send(sequence) == (None if wanted is None else (Refusal.UNSAFE, *wanted))
     assert rig.books.violations == (wanted is not None)
 
@@ -337,8 +339,7 @@ def test_a_level_is_opened_by_current_and_closed_by_a_long_silence(silent_ms, ke
     assert (found is None) == kept
 
 
-def test_recharge_phases_are_checked():
-    rig = Rig(ramp_ms=0)
+def test_recharge_phases_are_checked(rig):
     back = np.array([-100, 100, 0, 0, 0, 0], np.int16)
     assert rig.send(plain([GOOD], recharge_ua=back, recharge_us=500)) is None
     over = 6 * back
@@ -377,8 +378,7 @@ def test_what_a_second_brings_is_bounded():
     assert (found[:2], found[4:], taken) == ((Refusal.UNSAFE, Rule.OFTEN), (202, 201), 201)
 
 
-def test_repetitions_are_judged_before_the_first_begins():
-    rig = Rig(ramp_ms=0)
+def test_repetitions_are_judged_before_the_first_begins(rig):
     net = plain([[2400, -2400, 0, 0, 0, 0]], width_us=np.array([200], np.uint16))
     found = rig.send(replace(net, period_us=9000), times=112)
     assert found[:2] == (Refusal.UNSAFE, Rule.NET_IN_SECOND)
@@ -439,9 +439,8 @@ def test_a_proof_is_of_the_table_and_the_session():
     assert rig.proof == rig.image.proof(rig.host.number) != before
 
 
-def test_a_table_with_the_same_crc_and_size_is_not_taken_for_ours():
+def test_a_table_with_the_same_crc_and_size_is_not_taken_for_ours(rig):
     """Four bytes make any CRC-32; the board compares the identity, the host the proof."""
-    rig = Rig(ramp_ms=0)
     ours = rig.image.data
     forged = with_crc(KernelImage.of(made_table(seed=1), 10_000, 100).data, zlib.crc32(ours))
     assert (len(forged), zlib.crc32(forged)) == (len(ours), zlib.crc32(ours))
@@ -478,8 +477,7 @@ def with_crc(data, crc):
     return head + chosen.to_bytes(4, "little")
 
 
-def test_an_emergency_switch_ends_a_session_at_once():
-    rig = Rig(ramp_ms=0)
+def test_an_emergency_switch_ends_a_session_at_once(rig):
     assert rig.send(plain([GOOD] * 30)) is None
     rig.advance(2)
     flowed = rig.books.slots

@@ -50,6 +50,11 @@ class Rig(LinkRig):
         return self.books.old_packets, self.books.foreign_packets
 
 
+@pytest.fixture
+def rig():
+    return Rig()
+
+
 def reasons(answers):
     return [(each.kind, each.about, each.payload[:1]) for each in answers]
 
@@ -58,8 +63,7 @@ OLD = [(Kind.NAK, 0, bytes([Refusal.OLD]))]
 FOREIGN = [(Kind.NAK, 0, bytes([Refusal.FOREIGN]))]
 
 
-def test_a_sequence_that_comes_again_byte_by_byte_is_old():
-    rig = Rig()
+def test_a_sequence_that_comes_again_byte_by_byte_is_old(rig):
     assert [each.kind for each in rig.tell(Kind.SEQUENCE, 1, payload())] == [Kind.ACK]
     rig.wait(20)
     assert reasons(rig.hear(rig.sent[3])) == OLD
@@ -67,8 +71,7 @@ def test_a_sequence_that_comes_again_byte_by_byte_is_old():
     assert (rig.books.slots, rig.counted) == (1, (1, 0))
 
 
-def test_a_sequence_that_is_sent_again_is_acknowledged_again_and_not_delivered():
-    rig = Rig()
+def test_a_sequence_that_is_sent_again_is_acknowledged_again_and_not_delivered(rig):
     for _ in range(3):
         (answer,) = rig.tell(Kind.SEQUENCE, 1, payload())
         assert (answer.kind, answer.about) == (Kind.ACK, 1)
@@ -76,8 +79,7 @@ def test_a_sequence_that_is_sent_again_is_acknowledged_again_and_not_delivered()
     assert (rig.books.slots, rig.counted) == (1, (0, 0))
 
 
-def test_a_sequence_with_a_smaller_number_is_old():
-    rig = Rig()
+def test_a_sequence_with_a_smaller_number_is_old(rig):
     rig.tell(Kind.SEQUENCE, 5, payload())
     rig.wait(20)
     assert reasons(rig.tell(Kind.SEQUENCE, 4, payload())) == OLD
@@ -85,16 +87,14 @@ def test_a_sequence_with_a_smaller_number_is_old():
     assert (rig.books.slots, rig.counted) == (1, (1, 0))
 
 
-def test_what_a_later_packet_has_overtaken_is_old():
-    rig = Rig()
+def test_what_a_later_packet_has_overtaken_is_old(rig):
     held = rig.host.encode(Kind.SEQUENCE, 1, payload())
     rig.tell(Kind.HEARTBEAT)
     assert reasons(rig.hear(held)) == OLD
     assert (rig.books.slots, rig.counted) == (0, (1, 0))
 
 
-def test_a_stop_played_again_is_harmless_and_counted():
-    rig = Rig()
+def test_a_stop_played_again_is_harmless_and_counted(rig):
     rig.tell(Kind.STOP)
     stop = rig.sent[-1]
     assert rig.hear(stop) == []
@@ -105,8 +105,7 @@ def test_a_stop_played_again_is_harmless_and_counted():
     assert (rig.books.slots, rig.counted) == (1, (1, 1))
 
 
-def test_the_session_before_cannot_be_played_again():
-    rig = Rig()
+def test_the_session_before_cannot_be_played_again(rig):
     rig.tell(Kind.SEQUENCE, 1, payload())
     rig.wait(40)
     rig.tell(Kind.STOP)
@@ -127,8 +126,7 @@ def test_the_session_before_cannot_be_played_again():
     assert answer.kind == Kind.ACK
 
 
-def test_another_host_cannot_take_a_live_session_over():
-    rig = Rig()
+def test_another_host_cannot_take_a_live_session_over(rig):
     rig.tell(Kind.SEQUENCE, 1, payload(1000))
     mine, other = rig.host, HostSession()
     assert reasons(rig.hear(other.encode(Kind.HELLO))) == FOREIGN
@@ -181,9 +179,8 @@ NOISES += ["half a sequence", "half a stop", "half anew"]
 
 
 @pytest.mark.parametrize("noise", NOISES)
-def test_what_is_no_sign_of_life(noise):
+def test_what_is_no_sign_of_life(rig, noise):
     """The host dies, and something on the line goes on."""
-    rig = Rig()
     rig.tell(Kind.SEQUENCE, 1, payload(10_000))
     rig.tell(Kind.HEARTBEAT)
     rig.wait(50)
@@ -206,8 +203,7 @@ def test_what_is_no_sign_of_life(noise):
     assert rig.books.slots <= (50 + fresh_ms + protocol.SILENCE_MS) / 10 + 1
 
 
-def test_a_long_packet_on_its_way_is_a_sign_of_life_for_a_while():
-    rig = Rig()
+def test_a_long_packet_on_its_way_is_a_sign_of_life_for_a_while(rig):
     rig.tell(Kind.SEQUENCE, 1, payload(10_000))
     rig.wait(30)
     packet = rig.host.encode(Kind.SEQUENCE, 2, bytes(range(1, 251)) * 12)
@@ -222,8 +218,7 @@ def test_a_long_packet_on_its_way_is_a_sign_of_life_for_a_while():
     assert (rig.books.state, rig.books.reason) == ("shorted", "silence")
 
 
-def test_a_packet_of_a_host_that_has_heard_nothing_for_long_is_old():
-    rig = Rig()
+def test_a_packet_of_a_host_that_has_heard_nothing_for_long_is_old(rig):
     rig.tell(Kind.SEQUENCE, 1, payload(10_000))
     rig.wait(40)
     kept_back = [rig.host.encode(Kind.HEARTBEAT) for _ in range(20)]
@@ -236,8 +231,7 @@ def test_a_packet_of_a_host_that_has_heard_nothing_for_long_is_old():
     assert rig.counted[0] >= 14
 
 
-def test_a_stop_is_never_too_late(monkeypatch):
-    rig = Rig()
+def test_a_stop_is_never_too_late(rig, monkeypatch):
     rig.tell(Kind.SEQUENCE, 1, payload(10_000))
     # From here on its host hears nothing.
     monkeypatch.setattr(rig.host, "take", lambda packet: None)
@@ -248,8 +242,7 @@ def test_a_stop_is_never_too_late(monkeypatch):
     assert (rig.books.state, rig.books.reason) == ("shorted", "stop")
 
 
-def test_a_report_tells_what_was_refused():
-    rig = Rig()
+def test_a_report_tells_what_was_refused(rig):
     rig.hear(rig.sent[0])
     rig.hear(rig.sent[1])
     (report,) = rig.tell(Kind.STATUS)
