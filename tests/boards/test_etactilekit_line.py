@@ -152,16 +152,11 @@ class Deaf(ETactileKitFirmware):
         return b""
 
 
-@pytest.mark.parametrize(
-    ("firmware", "option", "is_one"),
-    [
-        ("71adee2", "?firmware=71adee2", True),
-        ("newest", "?firmware=newest", True),
-        ("936c6c0", "?slow&firmware=936c6c0", True),
-        ("71adee2", "?firmware=936c6c0", False),
-        ("936c6c0", "?firmware=newest", False),
-    ],
-)
+@pytest.mark.parametrize(("firmware", "option", "is_one"), [
+    ("71adee2", "?firmware=71adee2", True), ("newest", "?firmware=newest", True),
+    ("936c6c0", "?slow&firmware=936c6c0", True), ("71adee2", "?firmware=936c6c0", False),
+    ("936c6c0", "?firmware=newest", False),
+])  # fmt: skip
 def test_a_user_may_say_which_it_is(meet, firmware, option, is_one):
     meeting = meet(firmware, option)
     if not is_one:

@@ -65,6 +65,15 @@ def line(board):
     line.close()
 
 
+@pytest.fixture
+def promised(line):
+    """The line, once it has answered: its handlers are in place, and it knows what zero is."""
+    line.promise_zero(ZERO)
+    line.timeout = 20
+    line.reset_input_buffer()
+    return line
+
+
 def exit_code(line):
     return line._process.wait(20)
 
@@ -156,16 +165,12 @@ def test_a_host_that_is_stopped_is_taken_for_gone(board, host):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
-def test_what_a_terminal_sends_does_not_end_it(board, line, number):
-    line.promise_zero(ZERO)
-    line.timeout = 20
-    # Its handlers are in place when it has answered.
-    line.reset_input_buffer()
-    os.kill(line.process_id, number)
+def test_what_a_terminal_sends_does_not_end_it(board, promised, number):
+    os.kill(promised.process_id, number)
     for _ in range(3):
-        line.write(b"x")
+        promised.write(b"x")
         assert board.read(1) == b"x"
-    assert os.getsid(line.process_id) == line.process_id
+    assert os.getsid(promised.process_id) == promised.process_id
 
 
 def why(line):
@@ -175,39 +180,30 @@ def why(line):
     return str(error.value)
 
 
-def test_sigterm_ends_it_at_zero(board, line):
-    line.promise_zero(ZERO)
-    line.reset_input_buffer()
-    os.kill(line.process_id, signal.SIGTERM)
+def test_sigterm_ends_it_at_zero(board, promised):
+    os.kill(promised.process_id, signal.SIGTERM)
     assert board.read(len(TWICE)) == TWICE
-    assert exit_code(line) == keeper.ENDED
-    assert line.at_zero
-    line.timeout = 20
-    assert why(line) == kept_line._WHY[keeper.ENDED]
+    assert exit_code(promised) == keeper.ENDED
+    assert promised.at_zero
+    assert why(promised) == kept_line._WHY[keeper.ENDED]
 
 
-def test_where_it_is_killed_this_program_writes_zero(board, line):
-    line.promise_zero(ZERO)
-    line.reset_input_buffer()
-    os.kill(line.process_id, signal.SIGKILL)
+def test_where_it_is_killed_this_program_writes_zero(board, promised):
+    os.kill(promised.process_id, signal.SIGKILL)
     # Without a call: the heartbeat finds out.
     assert board.read(len(ZERO)) == ZERO
-    assert not line.at_zero
-    line.timeout = 20
-    assert why(line) not in kept_line._WHY.values()
-    assert exit_code(line) == -signal.SIGKILL
+    assert not promised.at_zero
+    assert why(promised) not in kept_line._WHY.values()
+    assert exit_code(promised) == -signal.SIGKILL
 
 
-def test_a_line_that_breaks_is_told_of(board, line):
-    line.promise_zero(ZERO)
-    line.reset_input_buffer()
+def test_a_line_that_breaks_is_told_of(board, promised):
     end = board.end
     board.end = os.open("/dev/null", os.O_RDONLY)
     os.close(end)
-    assert exit_code(line) == keeper.LINE_LOST
-    assert not line.at_zero
-    line.timeout = 20
-    assert why(line) == kept_line._WHY[keeper.LINE_LOST]
+    assert exit_code(promised) == keeper.LINE_LOST
+    assert not promised.at_zero
+    assert why(promised) == kept_line._WHY[keeper.LINE_LOST]
 
 
 def test_no_process_to_be_had_is_one_sentence_and_the_port_is_free(board, monkeypatch):

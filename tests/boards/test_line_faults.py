@@ -112,11 +112,9 @@ def test_bytes_lost_or_doubled_on_the_way_to_the_board(hosted, change):
     hosted.assert_zero()
 
 
-@pytest.mark.parametrize(
-    "hosted",
-    ["link", "link C", "etactilekit", "etactilekit 936c6c0", "etactilekit newest", FIRMWARES[1]],
-    indirect=True,
-)
+@pytest.mark.parametrize("hosted", [
+    "link", "link C", "etactilekit", "etactilekit 936c6c0", "etactilekit newest", FIRMWARES[1],
+], indirect=True)  # fmt: skip
 @pytest.mark.parametrize("change", [double_one, cut_short])
 def test_a_reply_that_is_not_whole(hosted, change):
     with hosted.board:

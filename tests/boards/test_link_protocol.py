@@ -74,13 +74,10 @@ def test_a_source_beyond_the_wire_is_refused_and_never_wraps():
         sequence_payload("three-state", 9000, *columns(current), current)
 
 
-@pytest.mark.parametrize(
-    ("slots", "electrodes", "attributes"),
-    [
-        (600, 1024, {"about": "packet", "allowed": 1 << 20}),
-        (70_000, 1, {"about": "slots", "value": 70_000, "allowed": 65_535}),
-    ],
-)
+@pytest.mark.parametrize(("slots", "electrodes", "attributes"), [
+    (600, 1024, {"about": "packet", "allowed": 1 << 20}),
+    (70_000, 1, {"about": "slots", "value": 70_000, "allowed": 65_535}),
+])  # fmt: skip
 def test_a_packet_beyond_the_limit_is_refused(slots, electrodes, attributes):
     current = np.zeros((slots, electrodes), np.int16)
     column = np.full(slots, 100, np.uint16)

@@ -73,12 +73,8 @@ class Context:
 
 
 @pytest.mark.parametrize(("data", "ending"), [
-    (b"%PDF-1.7", ".pdf"),
-    (b"\x89PNG\r\n", ".png"),
-    (b"\xff\xd8\xff\xe0", ".jpg"),
-    (b"II*\0", ".tif"),
-    (b'<?xml version="1.0"?><pef>', ".pef"),
-    ("Ünd".encode(), ".txt"),
+    (b"%PDF-1.7", ".pdf"), (b"\x89PNG\r\n", ".png"), (b"\xff\xd8\xff\xe0", ".jpg"),
+    (b"II*\0", ".tif"), (b'<?xml version="1.0"?><pef>', ".pef"), ("Ünd".encode(), ".txt"),
 ])  # fmt: skip
 def test_what_standard_input_holds_is_found_out(monkeypatch, data, ending):
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))

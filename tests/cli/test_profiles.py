@@ -109,9 +109,7 @@ def test_all_that_is_wrong_stands_in_a_line_of_its_own(program_here, tmp_path):
 
 
 @pytest.mark.parametrize("arguments", [
-    ("show", "nobody"),
-    ("copy", "nobody", "mine.toml"),
-    ("copy", "line-7", "mine.txt"),
+    ("show", "nobody"), ("copy", "nobody", "mine.toml"), ("copy", "line-7", "mine.txt"),
     ("copy", "line-7", "none/mine.toml"),
 ])  # fmt: skip
 def test_what_cannot_be_is_one_sentence(program_here, tmp_path, arguments):

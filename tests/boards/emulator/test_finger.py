@@ -84,26 +84,23 @@ def test_a_change_leaves_the_voltage_on_an_electrode():
     np.testing.assert_allclose(skin.residual_uc / skin.capacitance_f, volts)
 
 
-@pytest.mark.parametrize(
-    ("text", "allowed"),
-    [
-        ("", tuple(FORMS)),
-        ("lift", tuple(FORMS)),
-        ("1 jump", tuple(FORMS)),
-        ("soon lift", "TIME lift"),
-        ("1 lift 3", "TIME lift"),
-        ("1 drift 3 4", "TIME drift ELECTRODE FACTOR SECONDS"),
-        ("1 drift", "TIME drift ELECTRODE FACTOR SECONDS"),
-        ("1 open 1.5", "TIME open ELECTRODE"),
-        ("1 force", "TIME force NEWTON"),
-        ("-1 lift", None),
-        ("inf lift", None),
-        ("1 force nan", None),
-        ("1 open -1", None),
-        ("1 drift 3 0 5", "above 0"),
-        ("1 peel 3 1.5", "above 0 and at most 1"),
-    ],
-)
+@pytest.mark.parametrize(("text", "allowed"), [
+    ("", tuple(FORMS)),
+    ("lift", tuple(FORMS)),
+    ("1 jump", tuple(FORMS)),
+    ("soon lift", "TIME lift"),
+    ("1 lift 3", "TIME lift"),
+    ("1 drift 3 4", "TIME drift ELECTRODE FACTOR SECONDS"),
+    ("1 drift", "TIME drift ELECTRODE FACTOR SECONDS"),
+    ("1 open 1.5", "TIME open ELECTRODE"),
+    ("1 force", "TIME force NEWTON"),
+    ("-1 lift", None),
+    ("inf lift", None),
+    ("1 force nan", None),
+    ("1 open -1", None),
+    ("1 drift 3 0 5", "above 0"),
+    ("1 peel 3 1.5", "above 0 and at most 1"),
+])  # fmt: skip
 def test_bad_text_is_one_clear_sentence(text, allowed):
     with raises(BoardError, about="event", value=text, allowed=allowed):
         Finger(16, [text])

@@ -193,25 +193,22 @@ def test_an_open_electrode_needs_all_the_voltage_there_is():
     assert decode_volts(told.payload)[0] < 60
 
 
-@pytest.mark.parametrize(
-    ("output", "current", "options"),
-    [
-        ("weighted", [[300, -100, -100, -99]], {}),
-        ("weighted", [[5001, -5001, 0, 0]], {"width": 20}),
-        ("weighted", [[-32768, 32767, 1, 0]], {"width": 1}),
-        ("weighted", [[100, -100, 0, 0]], {"width": 201}),
-        ("weighted", [[100, -100, 0, 0]], {"width": 0}),
-        ("weighted", [[5000, -5000, 0, 0]], {"width": 101}),
-        ("weighted", GOOD, {"period": 299}),
-        ("weighted", GOOD, {"period": 0}),
-        ("three-state", [[100, 0, 0, 0]], {}),
-        ("three-state", [[-100, 0, 0, 0]], {}),
-        ("three-state", [[0, 0, 0, 0]], {}),
-        ("three-state", [[5001, -2500, -2501, 0]], {"width": 20}),
-        ("one-against-all", [[100, -100, 0, 0]], {}),
-        ("one-against-all", [[100, 100, -100, -100]], {}),
-    ],
-)
+@pytest.mark.parametrize(("output", "current", "options"), [
+    ("weighted", [[300, -100, -100, -99]], {}),
+    ("weighted", [[5001, -5001, 0, 0]], {"width": 20}),
+    ("weighted", [[-32768, 32767, 1, 0]], {"width": 1}),
+    ("weighted", [[100, -100, 0, 0]], {"width": 201}),
+    ("weighted", [[100, -100, 0, 0]], {"width": 0}),
+    ("weighted", [[5000, -5000, 0, 0]], {"width": 101}),
+    ("weighted", GOOD, {"period": 299}),
+    ("weighted", GOOD, {"period": 0}),
+    ("three-state", [[100, 0, 0, 0]], {}),
+    ("three-state", [[-100, 0, 0, 0]], {}),
+    ("three-state", [[0, 0, 0, 0]], {}),
+    ("three-state", [[5001, -2500, -2501, 0]], {"width": 20}),
+    ("one-against-all", [[100, -100, 0, 0]], {}),
+    ("one-against-all", [[100, 100, -100, -100]], {}),
+])  # fmt: skip
 def test_unsafe_is_refused_counted_and_never_executed(output, current, options):
     rig = Rig(output=output)
     assert rig.reason(0, current, **options) is Refusal.UNSAFE

@@ -175,17 +175,14 @@ def test_a_table_that_is_changed_after_it_was_sent_is_no_reference():
     assert rig.flowed() == sequence.current_ua.tolist()
 
 
-@pytest.mark.parametrize(
-    ("first", "kernel", "amplitude"),
-    [
-        ([0, 1], np.array([0], np.uint16), np.array([-4000])),
-        ([0, 1], np.array([0], np.uint16), np.array([4000 + 65_536])),
-        ([0, 1], np.array([-5]), np.array([4000], np.uint16)),
-        ([0, 1], np.array([99], np.uint16), np.array([4000], np.uint16)),
-        ([0, 1], np.array([0, 0], np.uint16), np.array([3000, 1000], np.uint16)),
-        ([1, 2], np.array([1, 0], np.uint16), np.array([9, 4000], np.uint16)),
-    ],
-)
+@pytest.mark.parametrize(("first", "kernel", "amplitude"), [
+    ([0, 1], np.array([0], np.uint16), np.array([-4000])),
+    ([0, 1], np.array([0], np.uint16), np.array([4000 + 65_536])),
+    ([0, 1], np.array([-5]), np.array([4000], np.uint16)),
+    ([0, 1], np.array([99], np.uint16), np.array([4000], np.uint16)),
+    ([0, 1], np.array([0, 0], np.uint16), np.array([3000, 1000], np.uint16)),
+    ([1, 2], np.array([1, 0], np.uint16), np.array([9, 4000], np.uint16)),
+])  # fmt: skip
 def test_lists_that_the_wire_would_change_go_as_currents(first, kernel, amplitude):
     rig = furnished()
     sequence = listed(rig.table, [[(0, 4000)]])
