@@ -55,6 +55,11 @@ def stop(now=NOTHING):
     return (b"\xff" + QUIET + PING, now + b"\x04")
 
 
+def shown(seen, *counts):
+    """A pattern that is loaded, let through and seen."""
+    return [load(heights(*counts)), go(), ask(seen), stop(seen)]
+
+
 ZERO = [stop(), load(NOTHING)]
 OPEN = [*HELLO, *ZERO, *[(PING, b"\x04")] * 3]
 
@@ -115,7 +120,7 @@ def test_a_pattern_that_is_there_is_not_sent_again(script, make):
     seen = readings(0, 2000, 0, 0)
     again = [go(seen), stop(seen)]
     script(
-        *OPEN, *settings(), load(heights(0, 220, 0, 0)), go(), ask(seen), stop(seen), *again,
+        *OPEN, *settings(), *shown(seen, 0, 220, 0, 0), *again,
         *again, *ZERO,
     )  # fmt: skip
     with make() as board:
@@ -139,7 +144,7 @@ def test_a_lost_echo_brings_no_current_and_the_next_frame_goes_on(script, make):
     fresh = [ZEROS, (QUIET + bytes(4) + PING, b"\x04")]
     script(
         *OPEN, *settings(), (load(heights(0, 100, 0, 0))[0], b""), *fresh,
-        load(heights(0, 101, 0, 0)), go(), ask(seen), stop(seen), *ZERO,
+        *shown(seen, 0, 101, 0, 0), *ZERO,
     )  # fmt: skip
     with make() as board:
         deliver(board, anodic(0, 0), anodic(1000), anodic(1010, 2))
@@ -165,24 +170,11 @@ def test_a_board_that_never_echoes_again_is_told_of(script, make):
 def test_settings_that_were_not_confirmed_are_set_again(script, make):
     seen = readings(0, 900, 0, 0)
     first, second = settings(anodic=0, between=50)
+    fresh = [ZEROS, (QUIET + bytes(4) + PING, b"\x04")]
+    # What of the cathodic ones has arrived, nobody knows: the anodic ones go out again.
+    again = [first, (second[0], b""), *fresh, *settings()]
     script(
-        *OPEN,
-        *settings(),
-        load(heights(0, 100, 0, 0)),
-        go(),
-        ask(seen),
-        stop(seen),
-        first,
-        (second[0], b""),
-        ZEROS,
-        (QUIET + bytes(4) + PING, b"\x04"),
-        # What of the cathodic ones has arrived, nobody knows: the anodic ones go out again.
-        *settings(),
-        load(heights(0, 101, 0, 0)),
-        go(),
-        ask(seen),
-        stop(seen),
-        *ZERO,
+        *OPEN, *settings(), *shown(seen, 0, 100, 0, 0), *again, *shown(seen, 0, 101, 0, 0), *ZERO
     )
     with make() as board:
         deliver(board, anodic(0, 0), anodic(1000), anodic(1000, 2, cathodic=True), anodic(1010, 3))

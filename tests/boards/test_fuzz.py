@@ -36,15 +36,13 @@ LISTS = bytes.fromhex("88130000 0100 ffff 00 01 64003200 01 00 0200 00007800 010
 KERNELS = bytes.fromhex("04000200 00000100 00000200 ff7f0180 01000200 00000100 0100 02000100 ffff")
 SEEDS = {
     "link": [
-        encode(Kind.HELLO, HALF, 1),
-        encode(Kind.BEGIN, SESSION, 2),
-        encode(Kind.STATUS, SESSION, 3),
-        encode(Kind.LIMITS, SESSION, 4, payload=limits_payload(4)),
+        encode(Kind.HELLO, HALF, 1), encode(Kind.BEGIN, SESSION, 2),
+        encode(Kind.STATUS, SESSION, 3), encode(Kind.LIMITS, SESSION, 4, payload=limits_payload(4)),
         encode(Kind.SEQUENCE, SESSION, 5, about=1, payload=PAYLOAD),
     ],
     "kajimoto61": [b"\xff" + bytes(61), b"\xff" + bytes([100] * 61), b"\xfe"],
     "etactilekit": [b"\xf5\xfc\x04\xf4", b"\xfa\x64\x00\xf7\x32\xf6\x3c\x00", b"\xfe" + bytes(8)],
-}
+}  # fmt: skip
 
 
 def pieces(seed, whole):

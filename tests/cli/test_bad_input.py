@@ -145,13 +145,13 @@ def test_usage(program_here, arguments):
 def test_busy_port(program_here, start_emulator):
     _, port, _ = start_emulator()
     with make_board(f"link:{port}", SafetyLimits.of(load_profile("electric-mouse"))):
-        done = program_here("live", "--board", f"link:{port}", "--intensity", "1")
+        done = program_here("live --board", f"link:{port}", "--intensity", "1")
     says(BoardError, port)(refused(done))
 
 
 def test_the_profile_of_another_board(program_here, start_emulator):
     _, port, _ = start_emulator(electrodes=16)
-    done = program_here("live", "--board", f"link:{port}", "--intensity", "1")
+    done = program_here("live --board", f"link:{port}", "--intensity", "1")
     says(BoardError, port, "16 electrodes", "profile 64")(refused(done))
 
 

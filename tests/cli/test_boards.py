@@ -125,7 +125,7 @@ def test_info_of_the_newest_kit_tells_how_long_it_goes_on(program_here, start_em
     _, port, _ = start_emulator(32, "etactilekit", "--firmware=newest")
     # On a busy computer it may pass for the one before it: then once more.
     for _ in range(10):
-        done = program_here("board", "info", f"etactilekit:{port}").fine()
+        done = program_here("board info", f"etactilekit:{port}").fine()
         if "newest" in done.stdout:
             break
     assert "newest" in done.stdout
@@ -134,7 +134,7 @@ def test_info_of_the_newest_kit_tells_how_long_it_goes_on(program_here, start_em
 
 @on("kajimoto61", "etactilekit", "link")
 def test_info(program_here, kit):
-    done = program_here("board", "info", kit[0]).fine()
+    done = program_here("board info", kit[0]).fine()
     told = {line[:14].strip(): line[14:].split() for line in done.stdout.splitlines()}
     electrodes, profile = {
         "kajimoto61": ("61,", "kajimoto-61:"),
@@ -222,14 +222,14 @@ def test_a_voltage_is_asked_for_while_it_pulses(program):
 
 @on("etactilekit")
 def test_stop(program_here, kit):
-    program_here("board", "stop", kit[0]).fine()
+    program_here("board stop", kit[0]).fine()
     state = state_of(kit[1])
     assert (state["state"], state["slots"]) == ("shorted", 0)
 
 
 @on("kajimoto61")
 def test_the_scale_from_a_resistor(program_here, kit):
-    done = program_here("board", "calibrate-scale", kit[0], "--volts", 1.1, "--ohm", 1000).fine()
+    done = program_here("board calibrate-scale", kit[0], "--volts", 1.1, "--ohm", 1000).fine()
     assert "1.100 mA" in done.stdout
     assert "ua_per_count = 2.686" in done.stdout
     assert fresh_state(kit[1])["slots"] == 0
@@ -250,7 +250,7 @@ def test_a_scale_is_not_measured_out_of_its_band_step_by_step(program_here, tmp_
 
 
 def test_what_is_there_is_listed_and_nothing_is_opened(program_here):
-    done = program_here("boards", "--no-network").fine()
+    done = program_here("boards --no-network").fine()
     assert "kajimoto61:" in done.stdout
 
 
@@ -266,7 +266,7 @@ def test_an_emulator_is_played_until_it_is_ended(program_here, start_program, tm
     lines = [playing.stdout.readline() for _ in range(3)]
     url = lines[2].split()[-1]
     assert url.startswith(f"{name}:/dev/")
-    program_here("board", "info", url).fine()
+    program_here("board info", url).fine()
     playing.send_signal(how)
     assert playing.wait(60) == 0
     state = state_of(books)

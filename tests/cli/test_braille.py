@@ -68,17 +68,17 @@ def test_a_language_names_the_table(braille, language):
 
 
 def test_left_out(program_here):
-    done = program_here("braille", "a中", "--leave-out")
+    done = program_here("braille a中 --leave-out")
     assert done.stdout == "⠁\n"
     assert all(name in done.stderr for name in ("en-1", "中"))
 
 
 def test_without_liblouis(program_here, monkeypatch):
     monkeypatch.setattr(louis, "_library", lambda: None)
-    done = program_here("braille", "hello")
+    done = program_here("braille hello")
     assert done.stdout == "⠓⠑⠇⠇⠕\n"
     assert "liblouis" in done.stderr
-    last = program_here("braille", "--tables").stdout.splitlines()[-1]
+    last = program_here("braille --tables").stdout.splitlines()[-1]
     assert [name for name in known_tables() if name in re.findall(r"[\w-]+", last)] == [
         "en-1",
         "ja",

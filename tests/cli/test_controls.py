@@ -52,17 +52,9 @@ def test_keys_turn_intensity_and_end_the_run(start_at_a_terminal, tmp_path):
     assert words.pop().startswith("dose ")
     assert words.pop().startswith("by the board's account")
     assert words == [
-        "intensity 0.10",
-        "mode RA",
-        "intensity 0.15",
-        "intensity 0.20",
-        "intensity 0.15",
-        "paused",
-        "goes on",
-        "mode SAI",
-        "intensity 0.00",
-        "key q",
-    ]
+        "intensity 0.10", "mode RA", "intensity 0.15", "intensity 0.20", "intensity 0.15", "paused",
+        "goes on", "mode SAI", "intensity 0.00", "key q",
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("end", ["Esc", "terminal", "SIGHUP"])
@@ -104,7 +96,7 @@ def test_nobody_knows_the_force(program_here, tmp_path):
     (tmp_path / "frames").mkdir()
 
     Image.new("L", (64, 64), 255).save(tmp_path / "frames" / "1.png")
-    done = program_here("live", "--source", "frames:frames", "--board", "memory:")
+    done = program_here("live --source frames:frames --board memory:")
     says(SourceError, about="force", remedy="force")(refused(done))
 
 

@@ -23,7 +23,7 @@ def designed(program_here, tmp_path):
     """Return a runner of ``design`` that gives what it printed and its kernels."""
 
     def run(*arguments):
-        done = program_here("design", "--json=k.json", *arguments).fine()
+        done = program_here("design --json=k.json", *arguments).fine()
         table = done.figures
         for kernel in table["kernels"]:
             assert kernel.keys() >= KEYS
@@ -99,7 +99,7 @@ def test_kinds_compared(designed):
 
 
 def test_a_bank_is_made_anew(program_here, tmp_path):
-    program_here("design", "--profile=line-7", "--bank=bank.npz").fine()
+    program_here("design --profile=line-7 --bank=bank.npz").fine()
     with np.load(tmp_path / "bank.npz") as bank:
         assert bank["weights_RA"].shape == (7, 7)
 

@@ -39,7 +39,7 @@ def shown(path):
 
 
 def test_the_list_names_every_experiment(program_here):
-    listed = program_here("experiment", "list").stdout
+    listed = program_here("experiment list").stdout
     for name in ("frequency", "detection", "discomfort", "two-point", "localization", "letters"):
         assert f"\n{name} " in f"\n{listed}"
     assert "staircase" in listed
@@ -228,11 +228,9 @@ def test_the_seed_of_another_session_is_not_gone_on_with(program_here):
 def test_a_participant_s_screen_does_not_tell_the_answer(profile, make_frame):
     run = SimpleNamespace(
         source=SimpleNamespace(title="frequency-RA, trial 3 of 50: which was faster? 1 or 2"),
-        profile=profile,
-        controls=Controls(ControlState(Mode.RA, 0.5)),
-        board=None,
+        profile=profile, controls=Controls(ControlState(Mode.RA, 0.5)), board=None,
         statistics=RunStatistics(),
-    )
+    )  # fmt: skip
     screen = BlindScreen("emulator:", quiet=True)
     screen.prepare(run)
     frame = make_frame([[0]], force_n=0.45)

@@ -76,7 +76,7 @@ def test_a_format_that_is_none_is_refused(plan, tmp_path):
 
 def test_it_ends_with_one_sentence(program_here, tmp_path):
     (tmp_path / "plan.toml").write_text("fingers = 3")
-    error = refused(program_here("study", "plan.toml", "--output", "out"))
+    error = refused(program_here("study plan.toml --output out"))
     assert type(error) is ProfileError
     assert_says(error, about="title")
     (tmp_path / "plan.toml").write_text(PLAN)

@@ -151,7 +151,7 @@ def test_no_name_title_or_note_is_obeyed(program_here, tmp_path):
     files = ("--record", f"{EVIL}.mcap", "--felt", f"{EVIL}.png", "--anatomy", "paper")
     assert f" {SHOWN}.mcap" in shown(program_here(*SHORT.split(), *names, *files, "--json=f.json"))
     assert json.loads((tmp_path / "f.json").read_text())["ended"]
-    told = shown(program_here("recordings", "info", f"{EVIL}.mcap"))
+    told = shown(program_here("recordings info", f"{EVIL}.mcap"))
     assert told.count("␛]0;owned") >= 3
     assert "[bold]:smile:[/" in told
 

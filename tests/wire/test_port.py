@@ -172,10 +172,8 @@ def test_a_port_without_a_descriptor_is_written_to_in_time(monkeypatch, pipe):
         raise OSError("no descriptor")
 
     monkeypatch.setattr(pipe, "fileno", none)
-    assert [write_before(pipe, b"packet", 5, lambda now=now: now) for now in (5, 6)] == [
-        True,
-        False,
-    ]
+    in_time = [write_before(pipe, b"packet", 5, lambda now=now: now) for now in (5, 6)]
+    assert in_time == [True, False]
     assert pipe.rest == b"packet"
 
 

@@ -95,39 +95,25 @@ def test_silence_cuts_it_off_at_its_own_time():
     assert rig.books.passed_uc[0] == pytest.approx(300 * 0.02 - 2e-6 * 10_000)
 
 
-@pytest.mark.parametrize(
-    ("bad", "good", "rule"),
-    [
-        ({"recharge": [-20, -20, 20, 19]}, {"recharge": [-20, -20, 20, 20]}, Rule.BALANCE),
-        ({"recharge": [-501, 501, 0, 0]}, {"recharge": [-500, 500, 0, 0]}, Rule.CURRENT),
-        ({"recharge": [-32768, 32767, 1, 0]}, {"recharge": [-500, 499, 1, 0]}, Rule.CURRENT),
-        ({"recharge_us": 0}, {"recharge_us": 1}, Rule.RECHARGE),
-        (
-            {"recharge_us": 20_001, "period": 50_000},
-            {"recharge_us": 20_000, "period": 50_000},
-            Rule.RECHARGE,
-        ),
-        (
-            {"recharge": [-500, 0, 500, 0], "recharge_us": 4001},
-            {"recharge": [-500, 0, 500, 0], "recharge_us": 4000},
-            Rule.CURRENT,
-        ),
-        (
-            {"recharge_us": 15_700, "period": 16_019},
-            {"recharge_us": 12_600, "period": 16_020},
-            Rule.FIT,
-        ),
-        ({"recharge_us": 7_801}, {"recharge_us": 7_800}, Rule.DUTY),
-        ({"slots": []}, {}, Rule.RECHARGE),
-        ({"recharge": [-20, 20, 0, 0, 0]}, {"recharge": [-20, 20, 0, 0]}, Rule.NONE),
-        # More is taken back than the largest phase brings, to a larger charge than before.
-        (
-            {"recharge": [100, 0, -100, 0], "recharge_us": 20_000, "period": 50_000},
-            {"recharge": [-100, 0, 100, 0], "recharge_us": 20_000, "period": 50_000},
-            Rule.RECHARGE,
-        ),
-    ],
-)
+FAR = {"recharge_us": 20_000, "period": 50_000}
+
+
+@pytest.mark.parametrize(("bad", "good", "rule"), [
+    ({"recharge": [-20, -20, 20, 19]}, {"recharge": [-20, -20, 20, 20]}, Rule.BALANCE),
+    ({"recharge": [-501, 501, 0, 0]}, {"recharge": [-500, 500, 0, 0]}, Rule.CURRENT),
+    ({"recharge": [-32768, 32767, 1, 0]}, {"recharge": [-500, 499, 1, 0]}, Rule.CURRENT),
+    ({"recharge_us": 0}, {"recharge_us": 1}, Rule.RECHARGE),
+    (FAR | {"recharge_us": 20_001}, FAR, Rule.RECHARGE),
+    ({"recharge": [-500, 0, 500, 0], "recharge_us": 4001},
+     {"recharge": [-500, 0, 500, 0], "recharge_us": 4000}, Rule.CURRENT),
+    ({"recharge_us": 15_700, "period": 16_019}, {"recharge_us": 12_600, "period": 16_020},
+     Rule.FIT),
+    ({"recharge_us": 7_801}, {"recharge_us": 7_800}, Rule.DUTY),
+    ({"slots": []}, {}, Rule.RECHARGE),
+    ({"recharge": [-20, 20, 0, 0, 0]}, {"recharge": [-20, 20, 0, 0]}, Rule.NONE),
+    # More is taken back than the largest phase brings, to a larger charge than before.
+    (FAR | {"recharge": [100, 0, -100, 0]}, FAR | {"recharge": [-100, 0, 100, 0]}, Rule.RECHARGE),
+])  # fmt: skip
 def test_what_breaks_the_boards_own_limits_is_refused(bad, good, rule):
     """By itself: what keeps the limit by one is taken."""
     (answer,) = Rig().send(0, **good)

@@ -104,12 +104,12 @@ def listed(table, amplitudes, **fields):
     return ScanSequence(**(values | fields))
 
 
-def plain(current, **fields):
+def plain(current, width_us=100, discharge_us=50, **fields):
     column = np.ones(len(current), np.uint16)
     values = {
-        "current_ua": np.array(current, np.int16).reshape(-1, E), "width_us": 100 * column,
-        "discharge_us": 50 * column, "site": 0 * column, "period_us": 10_000, "intensity": 1.0,
-        "time_ns": 0,
+        "current_ua": np.array(current, np.int16).reshape(-1, E), "site": 0 * column,
+        "width_us": column * np.uint16(width_us), "discharge_us": column * np.uint16(discharge_us),
+        "period_us": 10_000, "intensity": 1.0, "time_ns": 0,
     }  # fmt: skip
     return ScanSequence(**(values | fields))
 
@@ -207,45 +207,21 @@ GOOD = [500, -500, 0, 0, 0, 0]
 SLOT = Rule.NONE, NOTHING, NOTHING
 
 
-@pytest.mark.parametrize(
-    ("sequence", "wanted"),
-    [
-        (plain([GOOD], period_us=4999), (Rule.PERIOD, NOTHING, NOTHING, 4999, 5000)),
-        (
-            plain([GOOD] * 2, width_us=np.array([100, 201], np.uint16)),
-            (Rule.WIDTH, 1, NOTHING, 201, 200),
-        ),
-        (
-            plain([GOOD], discharge_us=np.array([19], np.uint16)),
-            (Rule.DISCHARGE, 0, NOTHING, 19, 20),
-        ),
-        (plain([GOOD] * 67), (Rule.FIT, NOTHING, NOTHING, 10_050, 10_000)),
-        (
-            plain([GOOD] * 50, width_us=np.full(50, 170, np.uint16),
-                  discharge_us=np.full(50, 20, np.uint16)),
-            (Rule.DUTY, NOTHING, NOTHING, 8500, 8000),
-        ),
-        (plain([GOOD, [500, -499, 0, 0, 0, 0]]), (Rule.BALANCE, 1, NOTHING, 1, 0)),
-        (plain([[0, 3001, -3001, 0, 0, 0]]), (Rule.CURRENT, 0, 1, 3001, 3000)),
-        (
-            plain([[0, 2600, -2600, 0, 0, 0]], width_us=np.array([200], np.uint16)),
-            (Rule.CHARGE, 0, 1, 520_000, 500_000),
-        ),
-        (plain([[0, 2404, -2404, 0, 0, 0]]), None),
-        (
-            plain([[0, 2405, -2405, 0, 0, 0]]),
-            (Rule.INTENSITY, NOTHING, NOTHING, 2405, 2404),
-        ),
-        (
-            plain([[0, 1205, -1205, 0, 0, 0]], intensity=0.5),
-            (Rule.INTENSITY, NOTHING, NOTHING, 1205, 1204),
-        ),
-        (
-            plain([[0, 2000, -2000, 0, 0, 0]] * 26),
-            (Rule.MEAN, NOTHING, 1, 5_200_000, 5_000_000),
-        ),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("sequence", "wanted"), [
+    (plain([GOOD], period_us=4999), (Rule.PERIOD, NOTHING, NOTHING, 4999, 5000)),
+    (plain([GOOD] * 2, width_us=[100, 201]), (Rule.WIDTH, 1, NOTHING, 201, 200)),
+    (plain([GOOD], discharge_us=19), (Rule.DISCHARGE, 0, NOTHING, 19, 20)),
+    (plain([GOOD] * 67), (Rule.FIT, NOTHING, NOTHING, 10_050, 10_000)),
+    (plain([GOOD] * 50, width_us=170, discharge_us=20), (Rule.DUTY, NOTHING, NOTHING, 8500, 8000)),
+    (plain([GOOD, [500, -499, 0, 0, 0, 0]]), (Rule.BALANCE, 1, NOTHING, 1, 0)),
+    (plain([[0, 3001, -3001, 0, 0, 0]]), (Rule.CURRENT, 0, 1, 3001, 3000)),
+    (plain([[0, 2600, -2600, 0, 0, 0]], width_us=200), (Rule.CHARGE, 0, 1, 520_000, 500_000)),
+    (plain([[0, 2404, -2404, 0, 0, 0]]), None),
+    (plain([[0, 2405, -2405, 0, 0, 0]]), (Rule.INTENSITY, NOTHING, NOTHING, 2405, 2404)),
+    (plain([[0, 1205, -1205, 0, 0, 0]], intensity=0.5),
+     (Rule.INTENSITY, NOTHING, NOTHING, 1205, 1204)),
+    (plain([[0, 2000, -2000, 0, 0, 0]] * 26), (Rule.MEAN, NOTHING, 1, 5_200_000, 5_000_000)),
+])  # fmt: skip
 def test_rules_are_told_in_numbers(rig, sequence, wanted):
     assert rig.send(sequence) == (None if wanted is None else (Refusal.UNSAFE, *wanted))
     assert rig.books.violations == (wanted is not None)
@@ -360,7 +336,7 @@ def test_what_a_second_brings_is_bounded():
     """Each is within the bounds of its own period."""
     strong = plain([[1000, -1000, 0, 0, 0, 0]] * 3 + [[-1000, 1000, 0, 0, 0, 0]] * 3)
     assert repeated(Rig(ramp_ms=0), strong, 200) == (None, 200)
-    net = plain([[2400, -2400, 0, 0, 0, 0]], width_us=np.array([200], np.uint16))
+    net = plain([[2400, -2400, 0, 0, 0, 0]], width_us=200)
     found, taken = repeated(Rig(ramp_ms=0), net, 200)
     assert (found[1], found[3], taken) == (Rule.NET_IN_SECOND, 0, 104)
     often = plain([[1300, -1300, 0, 0, 0, 0], [-1300, 1300, 0, 0, 0, 0]] * 27, period_us=40_000)
@@ -376,7 +352,7 @@ def test_what_a_second_brings_is_bounded():
 
 
 def test_repetitions_are_judged_before_the_first_begins(rig):
-    net = plain([[2400, -2400, 0, 0, 0, 0]], width_us=np.array([200], np.uint16))
+    net = plain([[2400, -2400, 0, 0, 0, 0]], width_us=200)
     found = rig.send(replace(net, period_us=9000), times=112)
     assert found[:2] == (Refusal.UNSAFE, Rule.NET_IN_SECOND)
     assert rig.books.slots == 0
@@ -407,7 +383,7 @@ def limited(name, value, **given):
 
 
 def test_what_limits_ask_for_is_capped_and_what_is_left_out_is_safe():
-    full = plain([[2600, -2600, 0, 0, 0, 0]], width_us=np.array([20], np.uint16), intensity=0.1)
+    full = plain([[2600, -2600, 0, 0, 0, 0]], width_us=20, intensity=0.1)
     for name, value in (("full", 65_535), ("rounding", 5000)):
         assert limited(name, value, ramp_ms=0).send(full)[1] == Rule.INTENSITY, name
     for name in ("ramp", "usual"):
@@ -420,7 +396,7 @@ def test_what_limits_ask_for_is_capped_and_what_is_left_out_is_safe():
 def test_one_source_counts_as_one_electrode():
     shared = plain([[3000, -750, -750, -750, -750, 0]])
     rig = Rig("three-state", ramp_ms=0)
-    split = plain([[1500, 1500, -3000, 0, 0, 0]], width_us=np.array([170], np.uint16))
+    split = plain([[1500, 1500, -3000, 0, 0, 0]], width_us=170)
     assert rig.send(shared)[1] in (Rule.CURRENT, Rule.INTENSITY)
     found = rig.send(split, number=2)
     assert found[:2] == (Refusal.UNSAFE, Rule.CHARGE)
