@@ -74,40 +74,36 @@ def make_server(device=None, line=None, faults=(), count=None, orders=()):
     return server, line
 
 
-def step(server, now_ms, present=True):
+def step(server, *times_ms, present=True):
     """Let a server do what is due, with or without a host."""
-    server.step(b"" if present else None, now_ms * MS)
+    for now_ms in times_ms:
+        server.step(b"" if present else None, now_ms * MS)
 
 
 def test_one_packet_at_each_deadline_and_none_without_a_host():
     server, line = make_server()
-    step(server, 5, False)
+    step(server, 5, present=False)
     assert line.taken == b""
-    for now_ms in range(100, 151):
-        step(server, now_ms)
+    step(server, *range(100, 151))
     assert line.taken == b"000;001;002;003;004;005;"
     assert (server.statistics.sent, server.statistics.dropped) == (6, 0)
 
 
 def test_a_late_tick_moves_no_deadline_but_a_long_one_is_not_made_up_for():
     server, _ = make_server()
-    for now_ms in (0, 17, 20, 26, 30):
-        step(server, now_ms)
+    step(server, 0, 17, 20, 26, 30)
     assert server.statistics.sent == 4
-    for now_ms in range(1000, 1010):
-        step(server, now_ms)
+    step(server, *range(1000, 1010))
     assert server.statistics.sent == 5
 
 
 def test_what_the_host_does_not_take_is_dropped_and_never_queued():
     server, line = make_server(line=FakeLine(room=6))
-    for now_ms in range(0, 50):
-        step(server, now_ms)
+    step(server, *range(0, 50))
     assert line.taken == b"000;00"
     assert (server.statistics.sent, server.statistics.dropped) == (1, 3)
     line.room = 100
-    for now_ms in range(50, 61):
-        step(server, now_ms)
+    step(server, *range(50, 61))
     assert line.taken == b"000;001;005;006;"
     assert (server.statistics.sent, server.statistics.dropped) == (4, 3)
 
@@ -115,7 +111,7 @@ def test_what_the_host_does_not_take_is_dropped_and_never_queued():
 def test_a_host_that_goes_takes_its_half_packet_along():
     server, line = make_server(line=FakeLine(room=2))
     step(server, 0)
-    step(server, 1, False)
+    step(server, 1, present=False)
     line.room = 100
     step(server, 20)
     assert line.taken == b"00001;"
@@ -124,8 +120,7 @@ def test_a_host_that_goes_takes_its_half_packet_along():
 
 def test_after_the_count_it_is_silent():
     server, line = make_server(count=3)
-    for now_ms in range(0, 100):
-        step(server, now_ms)
+    step(server, *range(0, 100))
     assert line.taken == b"000;001;002;"
 
 
@@ -133,7 +128,7 @@ def test_faults_of_the_line():
     server, line = make_server(faults=["0.0625 silent 0.0625", "0.25 unplug 0.125"])
     present = []
     for now_ms in range(0, 400):
-        step(server, now_ms, line.plugged_in)
+        step(server, now_ms, present=line.plugged_in)
         present.append((len(line.taken), line.plugged_in))
     assert present[62][0] == present[124][0] == 4 * 7
     assert present[190][0] > 4 * 7
@@ -146,8 +141,7 @@ def test_orders(capsys):
     cell = LoadCell(press(0.0, None, None), counts_per_n=1000, zero=0, noise=0)
     orders = ("weight 100", "force x", "silent 0.02", "unplug", "dance")
     server, line = make_server(cell, orders=orders)
-    for now_ms in range(0, 60):
-        step(server, now_ms)
+    step(server, *range(0, 60))
     assert line.taken == b"HX711 reading: 981\r\n" * server.statistics.sent
     assert server.statistics.sent == 4
     number, unplugged, dance = capsys.readouterr().err.splitlines()
@@ -199,8 +193,7 @@ def test_garbage_is_nothing_and_ends_as_what_it_stands_for():
     cell = LoadCell(press(1.0, None, None), framed=True, rate_hz=100.0)
     for device in (array, cell):
         server, line = make_server(device, faults=["0 garbage 0.05"])
-        for now_ms in range(0, 50):
-            step(server, now_ms)
+        step(server, *range(0, 50))
         assert (server.statistics.sent, server.statistics.garbage) == (0, 5)
         stream = MessageStream()
         assert stream.feed(line.taken) == []
