@@ -13,7 +13,6 @@ import pytest
 from smarttouch.boards.discovery import parse_answer
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
-from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.lists import Keep, decode_lists
@@ -21,7 +20,6 @@ from smarttouch.boards.emulator.session import BoardSession
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.link_sequence import decode_volts
 from smarttouch.boards.link_session import decode, encode
-from smarttouch.errors import SmartTouchError
 from smarttouch.wire.framing import Deframer
 
 from .payloads import limits_payload, sequence_payload
@@ -93,14 +91,6 @@ def test_the_deframer_and_what_it_finds():
                 decode_sequences(decode(packet).payload)
     assert found > 10
     assert deframer.errors > 10
-
-
-def test_events():
-    letters = np.array(list("0123456789. liftouchdrpenskajb-"))
-    random = np.random.default_rng(3)
-    for _ in range(BYTES // 100):
-        with contextlib.suppress(SmartTouchError):
-            Finger(4, ["".join(random.choice(letters, 12))])
 
 
 def firmware(name):

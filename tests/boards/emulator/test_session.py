@@ -79,21 +79,6 @@ def test_a_sequence_that_is_sent_again_is_acknowledged_again_and_not_delivered(r
     assert (rig.books.slots, rig.counted) == (1, (0, 0))
 
 
-def test_a_sequence_with_a_smaller_number_is_old(rig):
-    rig.tell(Kind.SEQUENCE, 5, payload())
-    rig.wait(20)
-    assert reasons(rig.tell(Kind.SEQUENCE, 4, payload())) == OLD
-    rig.wait(20)
-    assert (rig.books.slots, rig.counted) == (1, (1, 0))
-
-
-def test_what_a_later_packet_has_overtaken_is_old(rig):
-    held = rig.host.encode(Kind.SEQUENCE, 1, payload())
-    rig.tell(Kind.HEARTBEAT)
-    assert reasons(rig.hear(held)) == OLD
-    assert (rig.books.slots, rig.counted) == (0, (1, 0))
-
-
 def test_a_stop_played_again_is_harmless_and_counted(rig):
     rig.tell(Kind.STOP)
     stop = rig.sent[-1]
