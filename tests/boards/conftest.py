@@ -4,7 +4,6 @@ import contextlib
 import os
 import select
 import socket
-import subprocess
 import threading
 import time
 import tty
@@ -21,11 +20,11 @@ from smarttouch.realtime import prioritized
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 from smarttouch.testing.boards import BoardContract
-from tests.boards.fresh import fresh_state
+from tests.boards.fresh import fresh_state, starter
 from tests.firmware.build import WHOLE
 from tests.firmware.conftest import start_cortex_m3, start_firmware
 
-from ..forks import EMULATOR, Forked
+from ..forks import EMULATOR
 from ..safety.bounds import WHOLE as WHOLE_RISE
 from ..safety.bounds import Bounds
 
@@ -58,15 +57,9 @@ def make_limits():
 
     def make(electrodes=8):
         return SafetyLimits(
-            electrodes=electrodes,
-            current_ma=3.0,
-            pulse_us=200,
-            charge_uc=0.5,
-            rate_hz=100,
-            duty=0.6,
-            ramp_s=0.5,
-            full_ma=2.4,
-        )
+            electrodes=electrodes, current_ma=3.0, pulse_us=200, charge_uc=0.5, rate_hz=100,
+            duty=0.6, ramp_s=0.5, full_ma=2.4,
+        )  # fmt: skip
 
     return make
 
@@ -100,34 +93,19 @@ def make_sequence():
 @pytest.fixture
 def start_emulator():
     """Return a starter of emulator processes by hand: the process and its port."""
-    started = []
+    with starter() as start:
 
-    def start(*arguments, electrodes=8, output="weighted", protocol="link"):
-        # Time is what sequences claim, see above: of a board, too.
-        arguments = ("--ramp-ms=0", *arguments) if protocol == "link" else arguments
-        process = Forked(
-            [
-                *EMULATOR,
-                "board",
-                protocol,
-                "--port-only",
-                f"--electrodes={electrodes}",
-                f"--output={output}",
-                *("--linger=2", *arguments),
-            ],
-            stdout=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-        started.append(process)
-        assert select.select([process.stdout], [], [], 60)[0], "the emulator prints no port"
-        return process, process.stdout.readline().strip()
+        def start_one(*arguments, electrodes=8, output="weighted", protocol="link"):
+            # Time is what sequences claim, see above: of a board, too.
+            arguments = ("--ramp-ms=0", *arguments) if protocol == "link" else arguments
+            process = start([
+                *EMULATOR, "board", protocol, "--port-only", f"--electrodes={electrodes}",
+                f"--output={output}", "--linger=2", *arguments,
+            ], start_new_session=True)  # fmt: skip
+            assert select.select([process.stdout], [], [], 60)[0], "the emulator prints no port"
+            return process, process.stdout.readline().strip()
 
-    yield start
-    for process in started:
-        process.kill()
-        process.wait()
-        process.stdout.close()
+        yield start_one
 
 
 class ScriptedPort:

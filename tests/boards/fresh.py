@@ -1,8 +1,13 @@
 """Waiting for what an emulator's process does, for as long as a busy machine takes."""
 
+import contextlib
+import subprocess
 import time
+from pathlib import Path
 
 from smarttouch.boards.emulator.delivery_log import STATE_FILE, read_state
+
+from ..forks import Forked
 
 HANGS_S = 60.0
 """Only what never comes takes that long."""
@@ -16,6 +21,38 @@ def until(condition, timeout_s=HANGS_S):
     while not condition():
         assert time.monotonic() < deadline, "it never came true"
         time.sleep(0.01)
+
+
+def alive(process_id):
+    """Return whether a process runs; where nobody reaps orphans, a dead one stays listed."""
+    try:
+        stat = Path(f"/proc/{process_id}/stat").read_text()
+    except FileNotFoundError:
+        return False
+    return stat.rpartition(")")[2].split()[0] != "Z"
+
+
+def deliver(board, *sequences, times=1):
+    """Send sequences, each once the board has done with the one before."""
+    for sequence in sequences:
+        board.send(sequence, times)
+        board.drain()
+
+
+@contextlib.contextmanager
+def starter():
+    """Give a starter of processes, forks if nothing else is said; in the end they are killed."""
+    started = []
+
+    def start(command, kind=Forked, **options):
+        process = kind(command, **{"stdout": subprocess.PIPE, "text": True} | options)
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
 
 
 def fresh_state(folder):

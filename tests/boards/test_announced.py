@@ -7,18 +7,14 @@ import time
 import pytest
 
 from smarttouch.boards import announced as module
-from smarttouch.boards.announced import (
-    leave_mark,
-    refuse_if_stopped,
-    running,
-    started_ns,
-)
+from smarttouch.boards.announced import leave_mark, refuse_if_stopped, running, started_ns
 from smarttouch.boards.stoppable import announced
 from smarttouch.clock import now_ns
 from smarttouch.errors import SmartTouchError
 from smarttouch.stopping import RunStopped
 
 from ..raising import raises
+from .test_stoppable import in_child
 
 
 @pytest.fixture(autouse=True)
@@ -102,23 +98,19 @@ def test_a_process_older_than_the_mark_does_not_begin(folder):
 def test_a_process_younger_than_the_mark_begins(folder):
     leave_mark()
     time.sleep(0.03)
-    child = os.fork()
-    if child == 0:
-        try:
-            refuse_if_stopped()
-            os._exit(0)
-        finally:
-            os._exit(1)
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    with in_child(lambda say: refuse_if_stopped() or say()) as child:
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
 def test_the_start_of_this_process_is_never_told_too_late():
     before = now_ns()
-    child = os.fork()
-    if child == 0:
-        began = started_ns()
-        os._exit(not (before - 20_000_000 < began <= now_ns()))
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+    def work(say):
+        assert before - 20_000_000 < started_ns() <= now_ns()
+        say()
+
+    with in_child(work) as child:
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
     assert started_ns() < before
 
 

@@ -18,7 +18,7 @@ from smarttouch.profile.device import Output
 from smarttouch.realtime import prioritized
 from smarttouch.testing.boards import BoardContract
 from smarttouch.testing.pulses import Pulse, planned_pulses
-from tests.boards.fresh import fresh_state, until
+from tests.boards.fresh import deliver, fresh_state, until
 from tests.boards.sent import SentBytes, pulses_in_books
 
 from ..raising import raises
@@ -89,9 +89,7 @@ class Contract(BoardContract):
     def test_what_is_sent_is_delivered(self, make_board):
         for kind in self.kinds:
             with make_board(kind) as board:
-                for step in range(5):
-                    board.send(self.sequence(step))
-                    board.drain()
+                deliver(board, *map(self.sequence, range(5)))
                 report = board.report()
                 assert (board.acknowledged, board.refused, board.replaced) == (5, 0, 0)
             assert (report.sequences, report.pulses) == (5, report.slots * self.electrodes)
@@ -117,8 +115,7 @@ class Contract(BoardContract):
 
     def test_a_sequence_is_repeated(self, make_board):
         with make_board() as board:
-            board.send(self.sequence(0))
-            board.drain()
+            deliver(board, self.sequence(0))
             board.send(self.sequence(1), times=5)
             until(lambda: read_state(self.folder)["slots"] >= 20)
             until(lambda: read_state(self.folder)["state"] == "shorted")
@@ -128,8 +125,7 @@ class Contract(BoardContract):
 
     def test_a_newer_sequence_ends_a_repetition(self, make_board):
         with make_board() as board:
-            board.send(self.sequence(0))
-            board.drain()
+            deliver(board, self.sequence(0))
             board.send(self.sequence(1), times=1000)
             until(lambda: read_state(self.folder)["slots"] >= 4)
             board.send(self.sequence(2, sites=[5]))

@@ -11,19 +11,17 @@ from collections import deque
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.delivery_log import DeliveryLog, read_slots
+from smarttouch.boards.emulator.delivery_log import read_slots
 from smarttouch.boards.emulator.finger import Finger
-from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.skin import COMPLIANCE_V
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.link_sequence import decode_volts
-from smarttouch.boards.link_session import HostSession
 from smarttouch.boards.probe import one_each
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
-from smarttouch.wire.framing import Deframer
-from tests.boards.payloads import limits_payload, sequence_payload
+from tests.boards.emulator.rig import LinkRig
+from tests.boards.payloads import sequence_payload
 
 SECONDS = float(os.environ.get("SMARTTOUCH_DRIFT_SECONDS", "1.2"))
 DRIFTING, STEADY = 6, 9
@@ -32,42 +30,28 @@ LATE = 2
 """Sequences that have been sent before the voltages of one are back: one runs, one waits."""
 
 
-class ToldLink:
+class ToldLink(LinkRig):
     """A link board that measures, one thread with its host: a sequence takes the time it says."""
 
     def __init__(self, limits, kind, folder, events):
-        self.books = DeliveryLog(limits.electrodes, folder)
         finger = Finger(limits.electrodes, events)
-        self._firmware = LinkFirmware(limits.electrodes, kind, self.books, finger, ramp_ms=0)
-        self._gate, self._kind = SafetyGate(limits), kind
-        self._session, self._deframer = HostSession(), Deframer()
-        self._now_ns = self._number = 0
-        self._say(Kind.HELLO)
-        self._say(Kind.BEGIN)
-        self._say(Kind.LIMITS, payload=limits_payload(limits.electrodes))
+        super().__init__(limits.electrodes, kind, folder=folder, finger=finger)
+        self.gate, self.now_ms, self.number = SafetyGate(limits), 0, 0
 
-    def send(self, sequence):
+    def deliver(self, sequence):
         """Deliver a sequence; return what each of its slots needed, V."""
-        sequence = self._gate.prove(sequence)
-        self._number += 1
+        sequence = self.gate.prove(sequence)
+        self.number += 1
         payload = sequence_payload(
-            self._kind, sequence.period_us, sequence.width_us, sequence.discharge_us,
+            self.output, sequence.period_us, sequence.width_us, sequence.discharge_us,
             sequence.site, sequence.current_ua, measure=True,
         )  # fmt: skip
-        heard = self._say(Kind.SEQUENCE, self._number, payload)
-        self._now_ns += 1000 * sequence.period_us
-        heard += self._hear(self._firmware.advance(self._now_ns))
+        heard = self.say(self.now_ms, Kind.SEQUENCE, self.number, payload)
+        self.now_ms += sequence.period_us / 1000
+        heard += self.advance(self.now_ms)
         assert [each.kind for each in heard if each.kind in (Kind.ACK, Kind.NAK)] == [Kind.ACK]
         (volts,) = (each.payload for each in heard if each.kind == Kind.VOLTAGES)
         return decode_volts(volts)
-
-    def _say(self, kind, about=0, payload=b""):
-        packet = self._session.encode(kind, about, payload)
-        return self._hear(self._firmware.feed(packet, self._now_ns))
-
-    def _hear(self, answers):
-        heard = [self._session.take(each) for each in self._deframer.feed(answers)]
-        return [each for each in heard if each is not None]
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +82,7 @@ def _run(tmp_path_factory, watch, kind, hold):
             if len(measured) > LATE:
                 adaptation.observe(*measured.popleft())
             sequence = adaptation.apply(sequence)
-        measured.append((sequence, board.send(sequence)))
+        measured.append((sequence, board.deliver(sequence)))
     assert board.books.violations == 0
     board.books.write()
     watch.judge_books(folder, profile, period_us=int(PERIOD_S * 1e6))

@@ -12,6 +12,7 @@ from smarttouch.boards.probe import one_each
 from smarttouch.errors import BoardError, LineLostError
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
+from tests.boards.fresh import deliver
 from tests.boards.told import MS, ToldClock, ToldKit
 
 from ..raising import raises
@@ -54,6 +55,11 @@ def stop(now=NOTHING):
     return (b"\xff" + QUIET + PING, now + b"\x04")
 
 
+def shown(seen, *counts):
+    """A pattern that is loaded, let through and seen."""
+    return [load(heights(*counts)), go(), ask(seen), stop(seen)]
+
+
 ZERO = [stop(), load(NOTHING)]
 OPEN = [*HELLO, *ZERO, *[(PING, b"\x04")] * 3]
 
@@ -91,31 +97,16 @@ def make(monkeypatch):
     return make
 
 
-def send(board, *sequences):
-    for sequence in sequences:
-        board.send(sequence)
-        board.drain()
-
-
 def test_a_run_to_the_byte(script, make):
     # 220 counts at 9.99 µA, as in the board's own example. The second look at the readings
     # tells of its pulse.
     seen = readings(0, 2000, 0, 0)
     script(
-        *OPEN,
-        *settings(),
-        load(heights(0, 220, 0, 0)),
-        go(),
-        ask(NOTHING),
-        ask(seen),
-        stop(seen),
-        load(heights(0, 110, 110, 0)),
-        go(seen),
-        stop(readings(0, 1000, 1000, 0)),
-        *ZERO,
-    )
+        *OPEN, *settings(), load(heights(0, 220, 0, 0)), go(), ask(NOTHING), ask(seen), stop(seen),
+        load(heights(0, 110, 110, 0)), go(seen), stop(readings(0, 1000, 1000, 0)), *ZERO,
+    )  # fmt: skip
     with make() as board:
-        send(board, anodic(0, 0), anodic(2200), anodic(1100, 2, (1, 2)))
+        deliver(board, anodic(0, 0), anodic(2200), anodic(1100, 2, (1, 2)))
         (sequence, volts), (_, more) = board.take_volts()
         assert sequence.site.tolist() == [1]
         assert volts == pytest.approx([2000 * 0.0893])
@@ -129,18 +120,11 @@ def test_a_pattern_that_is_there_is_not_sent_again(script, make):
     seen = readings(0, 2000, 0, 0)
     again = [go(seen), stop(seen)]
     script(
-        *OPEN,
-        *settings(),
-        load(heights(0, 220, 0, 0)),
-        go(),
-        ask(seen),
-        stop(seen),
-        *again,
-        *again,
-        *ZERO,
-    )
+        *OPEN, *settings(), *shown(seen, 0, 220, 0, 0), *again,
+        *again, *ZERO,
+    )  # fmt: skip
     with make() as board:
-        send(board, anodic(0, 0), *(anodic(2200, step) for step in (1, 2, 3)))
+        deliver(board, anodic(0, 0), *(anodic(2200, step) for step in (1, 2, 3)))
         assert board.report().slots == 3
 
 
@@ -159,18 +143,11 @@ def test_a_lost_echo_brings_no_current_and_the_next_frame_goes_on(script, make):
     seen = readings(0, 900, 0, 0)
     fresh = [ZEROS, (QUIET + bytes(4) + PING, b"\x04")]
     script(
-        *OPEN,
-        *settings(),
-        (load(heights(0, 100, 0, 0))[0], b""),
-        *fresh,
-        load(heights(0, 101, 0, 0)),
-        go(),
-        ask(seen),
-        stop(seen),
-        *ZERO,
-    )
+        *OPEN, *settings(), (load(heights(0, 100, 0, 0))[0], b""), *fresh,
+        *shown(seen, 0, 101, 0, 0), *ZERO,
+    )  # fmt: skip
     with make() as board:
-        send(board, anodic(0, 0), anodic(1000), anodic(1010, 2))
+        deliver(board, anodic(0, 0), anodic(1000), anodic(1010, 2))
         assert (board.acknowledged, board.refused) == (2, 1)
         assert board.report().slots == 1
 
@@ -179,16 +156,12 @@ def test_a_board_that_never_echoes_again_is_told_of(script, make):
     ping = (QUIET + bytes(4) + PING, b"")
     silent = [ZEROS, ping, ping]
     script(
-        *OPEN,
-        *settings(),
-        (load(heights(0, 100, 0, 0))[0], b""),
+        *OPEN, *settings(), (load(heights(0, 100, 0, 0))[0], b""), *silent, (stop()[0], b""),
         *silent,
-        (stop()[0], b""),
-        *silent,
-    )
+    )  # fmt: skip
     board = make()
     board.open()
-    send(board, anodic(0, 0), anodic(1000))
+    deliver(board, anodic(0, 0), anodic(1000))
     # Even if nothing is sent any more: its last pattern may still be running.
     with raises(LineLostError, about="board", remedy="switch it off"):
         board.close()
@@ -197,27 +170,14 @@ def test_a_board_that_never_echoes_again_is_told_of(script, make):
 def test_settings_that_were_not_confirmed_are_set_again(script, make):
     seen = readings(0, 900, 0, 0)
     first, second = settings(anodic=0, between=50)
+    fresh = [ZEROS, (QUIET + bytes(4) + PING, b"\x04")]
+    # What of the cathodic ones has arrived, nobody knows: the anodic ones go out again.
+    again = [first, (second[0], b""), *fresh, *settings()]
     script(
-        *OPEN,
-        *settings(),
-        load(heights(0, 100, 0, 0)),
-        go(),
-        ask(seen),
-        stop(seen),
-        first,
-        (second[0], b""),
-        ZEROS,
-        (QUIET + bytes(4) + PING, b"\x04"),
-        # What of the cathodic ones has arrived, nobody knows: the anodic ones go out again.
-        *settings(),
-        load(heights(0, 101, 0, 0)),
-        go(),
-        ask(seen),
-        stop(seen),
-        *ZERO,
+        *OPEN, *settings(), *shown(seen, 0, 100, 0, 0), *again, *shown(seen, 0, 101, 0, 0), *ZERO
     )
     with make() as board:
-        send(board, anodic(0, 0), anodic(1000), anodic(1000, 2, cathodic=True), anodic(1010, 3))
+        deliver(board, anodic(0, 0), anodic(1000), anodic(1000, 2, cathodic=True), anodic(1010, 3))
         assert (board.acknowledged, board.refused) == (3, 1)
 
 

@@ -55,6 +55,13 @@ class Meeting:
         self.clock.time_ns += 100_000_000
         self.board.advance(self.clock.time_ns)
 
+    def slots_at_rest(self):
+        """Check that nothing flows for three seconds; return how many slots have."""
+        slots = self.books.slots
+        self.board.advance(self.clock.time_ns + 3_000_000_000)
+        assert self.books.slots == slots
+        return slots
+
 
 @pytest.fixture
 def meet(monkeypatch):
@@ -80,9 +87,7 @@ def test_a_board_that_pulses_is_at_zero_and_its_parser_found(meet, firmware, hal
     assert pulsed > 0
     meeting.driver._greet()
     assert firmware in meeting.driver.capabilities.firmware
-    slots = meeting.books.slots
-    meeting.board.advance(meeting.clock.time_ns + 3_000_000_000)
-    assert meeting.books.slots == slots
+    slots = meeting.slots_at_rest()
     assert meeting.books.state == "shorted"
     # At most the scan that was under way, and one with what zeros made of half a command.
     assert slots - pulsed <= 24
@@ -96,9 +101,7 @@ def test_the_first_firmware_is_put_at_zero_and_refused(meet, half):
     meeting.leave(PULSING["v1.0"] + SENSE + half)
     with raises(BoardError, about="firmware", value="v1.0"):
         meeting.driver._greet()
-    slots = meeting.books.slots
-    meeting.board.advance(meeting.clock.time_ns + 3_000_000_000)
-    assert meeting.books.slots == slots
+    meeting.slots_at_rest()
 
 
 @settings(max_examples=100, deadline=None)
@@ -152,16 +155,11 @@ class Deaf(ETactileKitFirmware):
         return b""
 
 
-@pytest.mark.parametrize(
-    ("firmware", "option", "is_one"),
-    [
-        ("71adee2", "?firmware=71adee2", True),
-        ("newest", "?firmware=newest", True),
-        ("936c6c0", "?slow&firmware=936c6c0", True),
-        ("71adee2", "?firmware=936c6c0", False),
-        ("936c6c0", "?firmware=newest", False),
-    ],
-)
+@pytest.mark.parametrize(("firmware", "option", "is_one"), [
+    ("71adee2", "?firmware=71adee2", True), ("newest", "?firmware=newest", True),
+    ("936c6c0", "?slow&firmware=936c6c0", True), ("71adee2", "?firmware=936c6c0", False),
+    ("936c6c0", "?firmware=newest", False),
+])  # fmt: skip
 def test_a_user_may_say_which_it_is(meet, firmware, option, is_one):
     meeting = meet(firmware, option)
     if not is_one:

@@ -1,4 +1,4 @@
-"""To the byte: what goes to an eTactileKit of each generation."""
+"""To the byte: what goes to an eTactileKit of each generation, and what always means zero."""
 
 from dataclasses import replace
 
@@ -79,10 +79,9 @@ def test_wiring_puts_each_electrode_on_its_output(codec):
     payload = codec.payload(anodic(1000), np.array([5, 3, 0, 1]), SCALE, LIMITS)
     assert (
         payload
-        == {
-            ModeCodec: heights(0, 0, 0, 100, 0, 0),
-            HeightCodec: b"\0\0\0\x01\0\0\x64\0",
-        }[type(codec)]
+        == {ModeCodec: heights(0, 0, 0, 100, 0, 0), HeightCodec: b"\0\0\0\x01\0\0\x64\0"}[
+            type(codec)
+        ]
     )
 
 
@@ -121,15 +120,12 @@ def test_settings_of_a_sequence():
     assert Settings(100, 50, 60, True).scan_us(32, 10) == 5120
 
 
-@pytest.mark.parametrize(
-    ("wrong", "attributes"),
-    [
-        ("polarity", {"about": "current_ua"}),
-        ("width", {"about": "width_us"}),
-        ("short", {"about": "width_us", "value": 6, "allowed": 7}),
-        ("discharge", {"about": "discharge_us", "value": 244}),
-    ],
-)
+@pytest.mark.parametrize(("wrong", "attributes"), [
+    ("polarity", {"about": "current_ua"}),
+    ("width", {"about": "width_us"}),
+    ("short", {"about": "width_us", "value": 6, "allowed": 7}),
+    ("discharge", {"about": "discharge_us", "value": 244}),
+])  # fmt: skip
 def test_what_it_has_only_one_of_or_not_at_all_is_refused(wrong, attributes):
     sequence = anodic(1000, sites=(1, 2))
     if wrong == "polarity":
@@ -179,3 +175,62 @@ def test_a_lost_byte_never_brings_more_current_than_was_asked_for(codec, firmwar
     board.advance(now_ns + 500_000_000)
     assert books.max_current_ma <= 2.2
     assert books.max_charge_uc <= 0.221
+
+
+OUTPUTS = 4
+SETTINGS = Settings(100, 50, 100, anodic=True)
+
+
+class Kit:
+    """One generation, pulsing, and what means zero for it."""
+
+    def __init__(self, firmware, codec):
+        self.firmware, self.codec = firmware, codec(OUTPUTS)
+        if codec is HeightCodec:
+            payload = bytes([1] * OUTPUTS + [200, 0])
+        else:
+            payload = bytes([200, 0] * OUTPUTS)
+        self.zero = self.codec.zero_anywhere
+        self.commands = (
+            self.codec.settings(SETTINGS, 10) + self.codec.load(payload) + self.codec.go(payload)
+        )
+        self.running = bytes([0xFC, OUTPUTS]) + self.commands
+
+    def drives_after(self, *parts):
+        """Return whether it pulses on after bytes that come a scan apart."""
+        books = DeliveryLog(OUTPUTS)
+        board = ETactileKitFirmware(books, firmware=self.firmware)
+        now_ns = 0
+        for part in parts:
+            board.feed(part, now_ns)
+            # Some parsers stand still while a scan goes on.
+            now_ns += 10**8
+            board.advance(now_ns)
+        before = books.slots
+        # Scans come at 10 or 100 Hz, and the newest firmware bears so long without a host.
+        board.advance(now_ns + 25 * 10**7)
+        return books.slots > before
+
+
+@pytest.fixture(params=[("71adee2", ModeCodec), ("newest", ModeCodec), ("936c6c0", HeightCodec)])
+def kit(request):
+    return Kit(*request.param)
+
+
+def test_zero_ends_every_half_command(kit):
+    assert kit.drives_after(kit.running)
+    for cut in range(len(kit.commands) + 1):
+        assert not kit.drives_after(kit.running, kit.commands[:cut] + kit.zero)
+
+
+@pytest.mark.parametrize("run", [1, 2, 3])
+def test_zero_written_twice_survives_a_loss_anywhere(kit, run):
+    zero = kit.zero
+    for first in range(len(zero)):
+        assert not kit.drives_after(kit.running, zero[:first] + zero[first + run :] + zero)
+
+
+def test_one_byte_lost_of_a_single_zero_is_survived(kit):
+    zero = kit.zero
+    for lost in range(len(zero)):
+        assert not kit.drives_after(kit.running, zero[:lost] + zero[lost + 1 :])

@@ -7,7 +7,6 @@ import sys
 import textwrap
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
@@ -18,7 +17,7 @@ from smarttouch.boards.link_line import SILENCE_S
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.errors import BoardError, LineLostError, SilentBoardError
 from smarttouch.profile.device import Output
-from tests.boards.fresh import until
+from tests.boards.fresh import alive, deliver, until
 
 from ..raising import assert_says, raises
 
@@ -72,20 +71,9 @@ def test_a_killed_host_leaves_all_electrodes_shorted(tmp_path):
     until(lambda: not alive(emulator))
 
 
-def alive(process_id):
-    try:
-        os.kill(process_id, 0)
-    except ProcessLookupError:
-        return False
-    # Where nobody reaps orphans, a dead one stays listed.
-    stat = Path(f"/proc/{process_id}/stat")
-    return not (stat.exists() and stat.read_text().rpartition(")")[2].split()[0] == "Z")
-
-
 def test_a_killed_board_is_told_of_at_the_next_send(make_limits, make_sequence):
     with EmulatorBoard("", make_limits()) as board:
-        board.send(make_sequence(0))
-        board.drain()
+        deliver(board, make_sequence(0))
         os.kill(board.process_id, signal.SIGKILL)
         with raises(BoardError, about="board", value="/dev/") as error:
             send_on(board, make_sequence)
@@ -103,8 +91,7 @@ def test_a_board_that_hangs_is_told_of(make_limits, make_sequence):
     with EmulatorBoard("", make_limits()) as board:
         board._line.silence_s = SILENCE_S
         board._line.answer_s = 1.0
-        board.send(make_sequence(0))
-        board.drain()
+        deliver(board, make_sequence(0))
         os.kill(board.process_id, signal.SIGSTOP)
         try:
             with raises(LineLostError, about="board"):
@@ -137,14 +124,10 @@ def test_a_busy_port_is_named(make_limits, start_emulator):
         LinkBoard(port, make_limits()).open()
 
 
-def test_a_missing_port_is_named(make_limits):
-    with raises(BoardError, about="port", value="/dev/nowhere"):
-        LinkBoard("/dev/nowhere", make_limits()).open()
-
-
-def test_a_link_needs_a_port(make_limits):
-    with raises(BoardError, about="port", value=None):
-        LinkBoard("", make_limits()).open()
+@pytest.mark.parametrize(("port", "value"), [("/dev/nowhere", "/dev/nowhere"), ("", None)])
+def test_a_missing_port_is_named(make_limits, port, value):
+    with raises(BoardError, about="port", value=value):
+        LinkBoard(port, make_limits()).open()
 
 
 def test_another_board_than_the_profiles_is_refused(make_limits, start_emulator):
@@ -182,8 +165,7 @@ def test_stopping_before_opening_is_fine(make_limits):
 def test_a_stop_overtakes_a_long_packet(make_limits, make_sequence, monkeypatch):
     """From another thread, while a send is halfway through its bytes."""
     with EmulatorBoard("", make_limits()) as board:
-        board.send(make_sequence(0))
-        board.drain()
+        deliver(board, make_sequence(0))
         write, halfway, raised = board._line._port.write, threading.Event(), []
 
         def slowly(data):
@@ -210,8 +192,7 @@ def test_a_stop_overtakes_a_long_packet(make_limits, make_sequence, monkeypatch)
 
 def test_a_stop_in_the_middle_of_a_send(make_limits, make_sequence, monkeypatch):
     with EmulatorBoard("", make_limits()) as board:
-        board.send(make_sequence(0))
-        board.drain()
+        deliver(board, make_sequence(0))
         write, calls = board._line._port.write, []
 
         def interrupted(data):
@@ -231,6 +212,5 @@ def test_heartbeats_keep_an_idle_board(make_limits, make_sequence):
     """Longer without a sequence than either end bears silence."""
     with EmulatorBoard("", make_limits()) as board:
         time.sleep(0.8)
-        board.send(make_sequence(0))
-        board.drain()
+        deliver(board, make_sequence(0))
         assert board.report().sequences == 1

@@ -14,7 +14,7 @@ from smarttouch.boards.open import make_board
 from smarttouch.errors import BoardRestartedError
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.kernel_table import KernelLists
-from tests.boards.fresh import fresh_state, until
+from tests.boards.fresh import deliver, fresh_state, until
 from tests.boards.test_contract import Contract
 from tests.firmware.build import WHOLE
 from tests.firmware.scenes import random_table, sequence_of
@@ -55,8 +55,7 @@ class TestFirmware(Contract):
                 return send(kind, *rest, **more)
 
             board._line.send = told
-            board.send(self.sequence(0))
-            board.drain()
+            deliver(board, self.sequence(0))
             sequence = sequence_of(self.lists(table, 30), time_ns=10**9, intensity=self.intensity)
             board.send(sequence)
             board.drain(30)
@@ -94,8 +93,7 @@ def test_a_sudden_rise_is_refused(start_firmware, tmp_path, make_limits, make_se
     """By a board with a ramp of its own: what the gate was made to overlook the board does not."""
     port = start_firmware(f"--books={tmp_path}")[1]
     with make_board(f"link:{port}", make_limits(), Output(kind="weighted")) as board:
-        board.send(make_sequence(0))
-        board.drain()
+        deliver(board, make_sequence(0))
         board.send(make_sequence(1))
         until(lambda: board.refused == 1)
         with raises(BoardRestartedError, about="board"):
@@ -112,8 +110,7 @@ def test_a_host_that_is_killed_leaves_zero(start_firmware, tmp_path, make_limits
     kept = os.open(port, os.O_RDWR | os.O_NOCTTY)
     board = make_board(f"link:{port}", make_limits(), Output(kind="weighted"))
     with board:
-        board.send(make_sequence(0))
-        board.drain()
+        deliver(board, make_sequence(0))
         board.send(make_sequence(1, intensity=0.1, level_ua=200), times=1000)
         until(lambda: read_state(tmp_path)["slots"] > 4)
         board._line.overtaken = True

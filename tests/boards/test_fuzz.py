@@ -13,7 +13,6 @@ import pytest
 from smarttouch.boards.discovery import parse_answer
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
 from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
-from smarttouch.boards.emulator.finger import Finger
 from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
 from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.lists import Keep, decode_lists
@@ -21,7 +20,6 @@ from smarttouch.boards.emulator.session import BoardSession
 from smarttouch.boards.link_protocol import Kind
 from smarttouch.boards.link_sequence import decode_volts
 from smarttouch.boards.link_session import decode, encode
-from smarttouch.errors import SmartTouchError
 from smarttouch.wire.framing import Deframer
 
 from .payloads import limits_payload, sequence_payload
@@ -36,15 +34,13 @@ LISTS = bytes.fromhex("88130000 0100 ffff 00 01 64003200 01 00 0200 00007800 010
 KERNELS = bytes.fromhex("04000200 00000100 00000200 ff7f0180 01000200 00000100 0100 02000100 ffff")
 SEEDS = {
     "link": [
-        encode(Kind.HELLO, HALF, 1),
-        encode(Kind.BEGIN, SESSION, 2),
-        encode(Kind.STATUS, SESSION, 3),
-        encode(Kind.LIMITS, SESSION, 4, payload=limits_payload(4)),
+        encode(Kind.HELLO, HALF, 1), encode(Kind.BEGIN, SESSION, 2),
+        encode(Kind.STATUS, SESSION, 3), encode(Kind.LIMITS, SESSION, 4, payload=limits_payload(4)),
         encode(Kind.SEQUENCE, SESSION, 5, about=1, payload=PAYLOAD),
     ],
     "kajimoto61": [b"\xff" + bytes(61), b"\xff" + bytes([100] * 61), b"\xfe"],
     "etactilekit": [b"\xf5\xfc\x04\xf4", b"\xfa\x64\x00\xf7\x32\xf6\x3c\x00", b"\xfe" + bytes(8)],
-}
+}  # fmt: skip
 
 
 def pieces(seed, whole):
@@ -95,14 +91,6 @@ def test_the_deframer_and_what_it_finds():
                 decode_sequences(decode(packet).payload)
     assert found > 10
     assert deframer.errors > 10
-
-
-def test_events():
-    letters = np.array(list("0123456789. liftouchdrpenskajb-"))
-    random = np.random.default_rng(3)
-    for _ in range(BYTES // 100):
-        with contextlib.suppress(SmartTouchError):
-            Finger(4, ["".join(random.choice(letters, 12))])
 
 
 def firmware(name):

@@ -142,20 +142,14 @@ class Vibrated(test_contract.Contract):
         # They were at rest as soon as the electrodes were lost.
         assert not samples[round(1.02 * rate_hz) : 5 * rate_hz].any()
 
-    def test_vibrators_that_cannot_be_opened_leave_the_electrodes_closed(self, make_board):
+    @pytest.mark.parametrize("fails", ["open", "close"])
+    def test_vibrators_that_fail_leave_the_electrodes_closed(self, make_board, fails):
         board = make_board()
-        self.shaking._open = fail_with(BoardError("no sound", about="sound device"))
-        with raises(BoardError, about="sound device"):
+        if fails == "close":
             board.open()
-        with raises(BoardClosedError, about="board"):
-            self.board.send(self.sequence(0))
-
-    def test_the_electrodes_close_whatever_the_vibrators_do(self, make_board):
-        board = make_board()
-        board.open()
-        self.shaking._close = fail_with(BoardError("no sound", about="sound device"))
+        setattr(self.shaking, f"_{fails}", fail_with(BoardError("gone", about="sound device")))
         with raises(BoardError, about="sound device"):
-            board.close()
+            getattr(board, fails)()
         with raises(BoardClosedError, about="board"):
             self.board.send(self.sequence(0))
 

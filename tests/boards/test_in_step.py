@@ -5,7 +5,6 @@
 
 import os
 import random
-import time
 
 import numpy as np
 import pytest
@@ -15,26 +14,34 @@ from smarttouch.boards.etactilekit import ETactileKitBoard
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe import one_each
 from smarttouch.stimulation.safety import SafetyLimits
+from tests.boards.fresh import until
 from tests.boards.told import MS, ToldKit
 
 PATTERNS = int(os.environ.get("SMARTTOUCH_PATTERNS", "150"))
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
 PERIOD_US = 20_000
+FIRMWARES = pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
 
 
-def patterns(count, seed=1, period_us=PERIOD_US):
+def patterns(count, seed=1):
     """Return sequences, each another set of electrodes or another height than that before."""
     rng = random.Random(seed)
     found = []
     for step in range(count):
         sites = sorted(rng.sample(range(8), rng.randint(1, 4)))
-        found.append(
-            one_each(
-                LIMITS, 500 + 10 * (step % 150), 100, 0.5, step * 10**9, cathodic=False,
-                sites=sites, discharge_us=50, period_us=period_us,
-            )
-        )  # fmt: skip
+        found.append(pulses(500 + 10 * (step % 150), sites, step))
     return found
+
+
+def pulses(level_ua, sites, step=0, limits=LIMITS, width_us=100, intensity=0.5, **more):
+    """Return a sequence of anodic pulses on some electrodes."""
+    given = {"cathodic": False, "discharge_us": 50, "period_us": PERIOD_US} | more
+    return one_each(limits, level_ua, width_us, intensity, step * 10**9, sites=sites, **given)
+
+
+def unlike(scans):
+    """Return the scans that differ from the one before."""
+    return [scan for i, scan in enumerate(scans) if not i or scan != scans[i - 1]]
 
 
 def wanted(sequence):
@@ -44,7 +51,7 @@ def wanted(sequence):
     return frozenset(zip(sequence.site.tolist(), counts.tolist(), strict=True))
 
 
-@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+@FIRMWARES
 @pytest.mark.parametrize(
     ("phase_us", "drift"), [(0, 100e-6), (4_900, -100e-6), (11_300, 0.0), (19_500, 100e-6)]
 )
@@ -63,7 +70,7 @@ def test_every_pattern_is_scanned_once(monkeypatch, firmware, phase_us, drift):
     assert took < 1.05
 
 
-@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+@FIRMWARES
 @pytest.mark.parametrize("width_us", [100, 200])
 def test_long_scans_leave_enough_time_between_them(monkeypatch, firmware, width_us):
     """48 electrodes fill 39 % of the period, or 64 %."""
@@ -71,12 +78,8 @@ def test_long_scans_leave_enough_time_between_them(monkeypatch, firmware, width_
     kit = ToldKit(monkeypatch, limits, firmware, phase_ns=3 * MS, drift=70e-6)
     rng, start = random.Random(1), kit.clock.time_ns
     sequences = [
-        one_each(
-            limits, 900, width_us, 0.5, step, cathodic=False, sites=rng.sample(range(48), 2),
-            discharge_us=50, period_us=PERIOD_US,
-        )
-        for step in range(60)
-    ]  # fmt: skip
+        pulses(900, rng.sample(range(48), 2), step, limits, width_us) for step in range(60)
+    ]
     report = kit.run([(start + 20 * MS * i, each, 1) for i, each in enumerate(sequences)])
     assert kit.scans() == [wanted(each) for each in sequences]
     assert (report.pulses, report.most_pulses) == (48 * 120, 48 * 120)
@@ -84,7 +87,7 @@ def test_long_scans_leave_enough_time_between_them(monkeypatch, firmware, width_
     assert not kit.board._stuck
 
 
-@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+@FIRMWARES
 @pytest.mark.parametrize("seed", range(4))
 def test_what_a_busy_host_cannot_know_it_says(monkeypatch, firmware, seed):
     """Waits of milliseconds too long, and frames that come when they like: none unscanned."""
@@ -97,13 +100,13 @@ def test_what_a_busy_host_cannot_know_it_says(monkeypatch, firmware, seed):
         jobs.append((time_ns, each, rng.choice([1, 1, 1, 5])))
         time_ns += int(rng.uniform(5, 45) * MS)
     report = kit.run(jobs)
-    shown = [scan for i, scan in enumerate(kit.scans()) if not i or scan != kit.scans()[i - 1]]
+    shown = unlike(kit.scans())
     assert shown == [wanted(each) for each in sequences]
     assert report.pulses <= kit.books.pulses <= report.most_pulses
     assert report.most_pulses <= 2 * report.pulses
 
 
-@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+@FIRMWARES
 @pytest.mark.parametrize("times", [1, 7])
 def test_the_same_pattern_again_is_scanned_again(monkeypatch, firmware, times):
     kit = ToldKit(monkeypatch, LIMITS, firmware, phase_ns=3 * MS, drift=60e-6)
@@ -117,10 +120,7 @@ def test_the_same_pattern_again_is_scanned_again(monkeypatch, firmware, times):
 @pytest.mark.parametrize("times", [1, 3])
 def test_each_height_has_a_scan_of_its_own_where_there_is_one_for_all(monkeypatch, times):
     kit = ToldKit(monkeypatch, LIMITS, "936c6c0", phase_ns=3 * MS)
-    sequence = one_each(
-        LIMITS, 1200, 100, 0.5, 0, cathodic=False, sites=[1, 3, 4, 6], discharge_us=50,
-        period_us=PERIOD_US,
-    )  # fmt: skip
+    sequence = pulses(1200, [1, 3, 4, 6])
     sequence.current_ua[1] //= 2
     sequence.current_ua[2] //= 3
     start = kit.clock.time_ns
@@ -134,54 +134,44 @@ def test_each_height_has_a_scan_of_its_own_where_there_is_one_for_all(monkeypatc
 
 def test_what_is_too_weak_to_be_measured_is_scanned_and_a_range_told(monkeypatch):
     kit = ToldKit(monkeypatch, LIMITS, phase_ns=3 * MS)
-    weak = [
-        one_each(
-            LIMITS, 10, 100, 0.1, step * 10**9, cathodic=False, sites=[step % 8],
-            discharge_us=50, period_us=PERIOD_US,
-        )
-        for step in range(60)
-    ]  # fmt: skip
+    weak = [pulses(10, [step % 8], step, intensity=0.1) for step in range(60)]
     start = kit.clock.time_ns
     report = kit.run([(start + i * 20 * MS, each, 1) for i, each in enumerate(weak)])
-    shown = [scan for i, scan in enumerate(kit.scans()) if not i or scan != kit.scans()[i - 1]]
+    shown = unlike(kit.scans())
     assert shown == [wanted(each) for each in weak]
     assert report.pulses <= kit.books.slots * 8 <= report.most_pulses
     assert report.slots >= 60
 
 
-@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+@FIRMWARES
 def test_slow_writing_scans_each_pattern_once_too(monkeypatch, firmware):
     kit = ToldKit(monkeypatch, LIMITS, firmware, phase_ns=5 * MS, drift=-80e-6)
     kit.driver._slow = True
     sequences = patterns(60)
     start = kit.clock.time_ns
     report = kit.run([(start + 20 * MS * i, each, 1) for i, each in enumerate(sequences)])
-    shown = [scan for i, scan in enumerate(kit.scans()) if not i or scan != kit.scans()[i - 1]]
+    shown = unlike(kit.scans())
     assert shown == [wanted(each) for each in sequences]
     assert report.pulses <= kit.books.pulses <= report.most_pulses
 
 
-@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+@FIRMWARES
 def test_another_polarity_and_rate_are_set_in_between(monkeypatch, firmware):
     kit = ToldKit(monkeypatch, LIMITS, firmware, phase_ns=5 * MS)
-    sequences = []
-    for step in range(40):
-        sequences.append(
-            one_each(
-                LIMITS, 800 + 20 * step, 100, 0.5, step * 10**9, cathodic=step % 4 > 1,
-                sites=[step % 8], discharge_us=50, period_us=[20_000, 10_000][step // 8 % 2],
-            )
-        )  # fmt: skip
+    sequences = [
+        pulses(800 + 20 * step, [step % 8], step, cathodic=step % 4 > 1, period_us=period_us)
+        for step, period_us in enumerate(([20_000] * 8 + [10_000] * 8) * 2 + [20_000] * 8)
+    ]
     start = kit.clock.time_ns
     report = kit.run([(start, each, 1) for each in sequences])
-    shown = [scan for i, scan in enumerate(kit.scans()) if not i or scan != kit.scans()[i - 1]]
+    shown = unlike(kit.scans())
     assert shown == [wanted(each) for each in sequences]
     assert report.pulses <= kit.books.pulses <= report.most_pulses
     assert kit.books.sequences < 50
 
 
 @pytest.mark.realtime
-@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+@FIRMWARES
 def test_over_a_line_too_none_is_left_out(start_emulator, tmp_path, monkeypatch, firmware):
     monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
     # On a machine that stands still what waits would give way to what is newer.
@@ -190,14 +180,10 @@ def test_over_a_line_too_none_is_left_out(start_emulator, tmp_path, monkeypatch,
         f"--books={tmp_path}", f"--firmware={firmware}", protocol="etactilekit"
     )
     # Neighbors drive different electrodes, so that each scan tells which pattern it was of.
-    sequences = [
-        one_each(
-            LIMITS, 900, 50, float(step > 0), step * 10**9, cathodic=False,
-            sites=[step % 8, (step + 3) % 8] if step else [], discharge_us=50,
-            period_us=PERIOD_US,
-        )
-        for step in range(60)
-    ]  # fmt: skip
+    sequences = [pulses(900, [], intensity=0.0, width_us=50)] + [
+        pulses(900, [step % 8, (step + 3) % 8], step, width_us=50, intensity=1.0)
+        for step in range(1, 60)
+    ]
     with make_board(f"etactilekit:{port}?firmware={firmware}", LIMITS) as board:
         for each in sequences:
             board.send(each)
@@ -205,17 +191,13 @@ def test_over_a_line_too_none_is_left_out(start_emulator, tmp_path, monkeypatch,
         report = board.report()
         assert (board.acknowledged, board.refused, board.replaced) == (60, 0, 0)
     # The process writes its books a while after the event.
-    deadline = time.monotonic() + 60
-    while (shown := scanned(tmp_path)) != [set(each.site.tolist()) for each in sequences[1:]]:
-        assert time.monotonic() < deadline, shown
-        time.sleep(0.05)
+    sites = [set(each.site.tolist()) for each in sequences[1:]]
+    until(lambda: scanned(tmp_path) == sites)
     assert 8 * len(read_slots(tmp_path)) <= report.most_pulses
 
 
 def scanned(folder):
     """Return the electrodes of each scan that differs from the one before."""
     slots = read_slots(folder)
-    scans = [
-        set(slots["site"][slots["number"] == each].tolist()) for each in np.unique(slots["number"])
-    ]
-    return [scan for i, scan in enumerate(scans) if not i or scan != scans[i - 1]]
+    numbers = np.unique(slots["number"])
+    return unlike([set(slots["site"][slots["number"] == each].tolist()) for each in numbers])

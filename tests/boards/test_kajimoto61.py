@@ -14,6 +14,7 @@ from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
 
 from ..raising import raises
+from .fresh import deliver
 
 ZERO = bytes([0xFF]) + bytes(61)
 RECOVERY = bytes(61), ZERO
@@ -47,11 +48,8 @@ def packet(**intensities):
 def test_zero_first_scans_between_zero_last(script):
     script(*OPEN, (packet(), b""), (packet(e0=26, e60=100), b""), *OPEN)
     with Kajimoto61Board("x", LIMITS) as board:
-        board.send(anodic({}, 0))
-        board.drain()
         # 39.0625 µA to a byte: 1,020 µA are 26.1, 3,900 are 99.84.
-        board.send(anodic({0: 1020, 60: 3900}))
-        board.drain()
+        deliver(board, anodic({}, 0), anodic({0: 1020, 60: 3900}))
         report = board.report()
     assert (report.sequences, report.slots, report.by) == (2, 2, "host")
     assert report.max_current_ma == pytest.approx(3.9)
@@ -62,40 +60,28 @@ def test_the_scale_of_the_profile_counts(script):
     output = Output(kind="one-against-all", polarities=("anodic",), ua_per_count=2.5)
     script(*OPEN, (packet(), b""), (packet(e3=51), b""), *OPEN)
     with Kajimoto61Board("x", LIMITS, output) as board:
-        board.send(anodic({}, 0))
-        board.drain()
-        board.send(anodic({3: 2040}))
-        board.drain()
+        deliver(board, anodic({}, 0), anodic({3: 2040}))
 
 
 def test_rounding_never_passes_the_limit(script):
     limits = SafetyLimits(61, 3.9, 200, 0.5, 200, 0.8, 0.5, 3.9)
     script(*OPEN, (packet(), b""), (packet(e3=99), b""), *OPEN)
     with Kajimoto61Board("x", limits) as board:
-        board.send(anodic({}, 0))
-        board.drain()
         # 99.84 steps of 39.0625 µA: the nearest, 100, are 3.906 mA and above the limit.
-        board.send(anodic({3: 3900}))
-        board.drain()
+        deliver(board, anodic({}, 0), anodic({3: 3900}))
 
 
-@pytest.mark.parametrize(
-    ("sequence", "attributes"),
-    [
-        (anodic({3: 1000}, sign=1), {"about": "current_ua", "slot": 0}),
-        (anodic({3: 1000}, width=100), {"about": "width_us", "value": (100, 150)}),
-        (anodic({3: 1000}, discharge=200), {"about": "width_us", "value": (50, 200)}),
-        (
-            anodic(dict.fromkeys(range(61), 1000), period_us=13_000),
-            {"about": "period_us", "value": 13_000},
-        ),
-    ],
-)
+@pytest.mark.parametrize(("sequence", "attributes"), [
+    (anodic({3: 1000}, sign=1), {"about": "current_ua", "slot": 0}),
+    (anodic({3: 1000}, width=100), {"about": "width_us", "value": (100, 150)}),
+    (anodic({3: 1000}, discharge=200), {"about": "width_us", "value": (50, 200)}),
+    (anodic(dict.fromkeys(range(61), 1000), period_us=13_000),
+     {"about": "period_us", "value": 13_000}),
+])  # fmt: skip
 def test_what_it_cannot_do_is_refused_and_never_sent(script, sequence, attributes):
     script(*OPEN, (packet(), b""), *OPEN)
     with Kajimoto61Board("x", LIMITS) as board:
-        board.send(anodic({}, 0))
-        board.drain()
+        deliver(board, anodic({}, 0))
         with raises(BoardError, **attributes):
             board.send(sequence)
 
@@ -106,8 +92,7 @@ def test_two_against_all_others_is_refused(script):
     one = np.ones(1, np.uint16)
     script(*OPEN, (packet(), b""), *OPEN)
     with Kajimoto61Board("x", LIMITS) as board:
-        board.send(anodic({}, 0))
-        board.drain()
+        deliver(board, anodic({}, 0))
         with raises(BoardError, about="current_ua", slot=0):
             board.send(ScanSequence(current, one * 50, one * 150, one, 20_000, 1.0, 10**9))
 
@@ -229,8 +214,7 @@ def test_a_packet_that_left_late_is_not_made_up_for(script):
     with board:
         for _ in range(5):
             clock.gate.release()
-        board.send(anodic({}, 0), times=5)
-        board.drain()
+        deliver(board, anodic({}, 0), times=5)
     assert np.diff(sent[:5]).tolist() == [29_000_000, 19_000_000, 20_000_000, 20_000_000]
 
 

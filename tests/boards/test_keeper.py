@@ -10,9 +10,7 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 import tty
-from pathlib import Path
 
 import pytest
 import serial
@@ -24,6 +22,7 @@ from smarttouch.errors import BoardError
 from smarttouch.wire.port import open_port
 
 from ..raising import raises
+from .fresh import alive, until
 
 pytestmark = [pytest.mark.realtime, pytest.mark.silence]
 
@@ -64,6 +63,15 @@ def line(board):
     line = KeptLine(open_port(board.name))
     yield line
     line.close()
+
+
+@pytest.fixture
+def promised(line):
+    """The line, once it has answered: its handlers are in place, and it knows what zero is."""
+    line.promise_zero(ZERO)
+    line.timeout = 20
+    line.reset_input_buffer()
+    return line
 
 
 def exit_code(line):
@@ -134,15 +142,6 @@ def host(board):
         host.kill()
 
 
-def runs(process_id):
-    try:
-        stat = Path(f"/proc/{process_id}/stat").read_text()
-    except FileNotFoundError:
-        return False
-    # Where nobody reaps orphans, a dead one stays listed.
-    return stat.rpartition(")")[2].split()[0] != "Z"
-
-
 @pytest.mark.parametrize("whom", ["it", "its group"])
 def test_a_host_that_is_killed_leaves_zero_and_no_process(board, host, whom):
     process, kept_by = host
@@ -150,10 +149,7 @@ def test_a_host_that_is_killed_leaves_zero_and_no_process(board, host, whom):
     kill = os.kill if whom == "it" else os.killpg
     kill(process.pid, signal.SIGKILL)
     assert board.read() == TWICE
-    deadline = time.monotonic() + 20
-    while runs(kept_by):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    until(lambda: not alive(kept_by))
     open_port(board.name).close()
 
 
@@ -169,16 +165,12 @@ def test_a_host_that_is_stopped_is_taken_for_gone(board, host):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
-def test_what_a_terminal_sends_does_not_end_it(board, line, number):
-    line.promise_zero(ZERO)
-    line.timeout = 20
-    # Its handlers are in place when it has answered.
-    line.reset_input_buffer()
-    os.kill(line.process_id, number)
+def test_what_a_terminal_sends_does_not_end_it(board, promised, number):
+    os.kill(promised.process_id, number)
     for _ in range(3):
-        line.write(b"x")
+        promised.write(b"x")
         assert board.read(1) == b"x"
-    assert os.getsid(line.process_id) == line.process_id
+    assert os.getsid(promised.process_id) == promised.process_id
 
 
 def why(line):
@@ -188,39 +180,30 @@ def why(line):
     return str(error.value)
 
 
-def test_sigterm_ends_it_at_zero(board, line):
-    line.promise_zero(ZERO)
-    line.reset_input_buffer()
-    os.kill(line.process_id, signal.SIGTERM)
+def test_sigterm_ends_it_at_zero(board, promised):
+    os.kill(promised.process_id, signal.SIGTERM)
     assert board.read(len(TWICE)) == TWICE
-    assert exit_code(line) == keeper.ENDED
-    assert line.at_zero
-    line.timeout = 20
-    assert why(line) == kept_line._WHY[keeper.ENDED]
+    assert exit_code(promised) == keeper.ENDED
+    assert promised.at_zero
+    assert why(promised) == kept_line._WHY[keeper.ENDED]
 
 
-def test_where_it_is_killed_this_program_writes_zero(board, line):
-    line.promise_zero(ZERO)
-    line.reset_input_buffer()
-    os.kill(line.process_id, signal.SIGKILL)
+def test_where_it_is_killed_this_program_writes_zero(board, promised):
+    os.kill(promised.process_id, signal.SIGKILL)
     # Without a call: the heartbeat finds out.
     assert board.read(len(ZERO)) == ZERO
-    assert not line.at_zero
-    line.timeout = 20
-    assert why(line) not in kept_line._WHY.values()
-    assert exit_code(line) == -signal.SIGKILL
+    assert not promised.at_zero
+    assert why(promised) not in kept_line._WHY.values()
+    assert exit_code(promised) == -signal.SIGKILL
 
 
-def test_a_line_that_breaks_is_told_of(board, line):
-    line.promise_zero(ZERO)
-    line.reset_input_buffer()
+def test_a_line_that_breaks_is_told_of(board, promised):
     end = board.end
     board.end = os.open("/dev/null", os.O_RDONLY)
     os.close(end)
-    assert exit_code(line) == keeper.LINE_LOST
-    assert not line.at_zero
-    line.timeout = 20
-    assert why(line) == kept_line._WHY[keeper.LINE_LOST]
+    assert exit_code(promised) == keeper.LINE_LOST
+    assert not promised.at_zero
+    assert why(promised) == kept_line._WHY[keeper.LINE_LOST]
 
 
 def test_no_process_to_be_had_is_one_sentence_and_the_port_is_free(board, monkeypatch):

@@ -13,7 +13,8 @@ from smarttouch.boards.link import LinkBoard
 from smarttouch.errors import BoardError, BoardFaultError, BoardLatchedError
 from smarttouch.profile.device import Output
 
-from ..forks import PROGRAM, Forked
+from ..forks import PROGRAM
+from .fresh import starter
 
 FAULTY = str(Path(__file__).with_name("faulty_board.py"))
 
@@ -26,21 +27,17 @@ def own_state(monkeypatch, tmp_path):
 @pytest.fixture
 def start_faulty():
     """Return a starter of boards with a fault; it returns their port."""
-    started = []
+    with starter() as start:
 
-    def start(fault, protocol, electrodes):
-        arguments = ["board", protocol, "--port-only", f"--electrodes={electrodes}", "--linger=5"]
-        arguments += ["--ramp-ms=0"] if protocol == "link" else []
-        command = [sys.executable, FAULTY, fault, *arguments]
-        process = Forked(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
-        started.append(process)
-        return process.stdout.readline().strip()
+        def start_one(fault, protocol, electrodes):
+            ramp = ["--ramp-ms=0"] if protocol == "link" else []
+            process = start([
+                sys.executable, FAULTY, fault, "board", protocol, "--port-only",
+                f"--electrodes={electrodes}", "--linger=5", *ramp,
+            ], start_new_session=True)  # fmt: skip
+            return process.stdout.readline().strip()
 
-    yield start
-    for process in started:
-        process.kill()
-        process.wait()
-        process.stdout.close()
+        yield start_one
 
 
 def deliver(board, make_sequence, count=4, **fields):

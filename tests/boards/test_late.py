@@ -13,6 +13,7 @@ from smarttouch.clock import LATE_NS
 from smarttouch.errors import SafetyError, SequenceLateError
 from smarttouch.stimulation.safety import Rise, SafetyLimits
 
+from .fresh import deliver
 from .told import ToldKit
 
 pytestmark = pytest.mark.lateness
@@ -121,17 +122,14 @@ def test_a_packet_whose_time_has_passed_is_not_written(script, times):
     board = Kajimoto61Board("x", limits(61))
     board._clock = PausesBeforeTheSecondPacket()
     with board:
-        board.send(pulses(61, 0))
-        board.drain()
-        board.send(pulses(61, 1), times)
-        board.drain()
+        deliver(board, pulses(61, 0))
+        deliver(board, pulses(61, 1), times=times)
         assert (board.acknowledged, board.dropped_late) == (1, 1)
         with pytest.raises(SequenceLateError):
             board.send(pulses(61, 2))
         with pytest.raises(SafetyError):
             board.send(pulses(61, 3))
-        board.send(one_each(limits(61), 0, 50, 0.0, 4 * 10**9, cathodic=False))
-        board.drain()
+        deliver(board, one_each(limits(61), 0, 50, 0.0, 4 * 10**9, cathodic=False))
         assert board.acknowledged == 2
     assert board.report().pulses == 0
 
@@ -184,10 +182,7 @@ def test_the_rise_is_counted_from_what_was_written(script, rise_of_the_line, ahe
     packets = [(board._encode(rising(61, part, 1)), b"")] * sent
     script(*KAJIMOTO_OPEN, (KAJIMOTO_ZERO, b""), *packets, *KAJIMOTO_OPEN)
     with board:
-        board.send(pulses(61, 0))
-        board.drain()
-        board.send(rising(61, part, 1))
-        board.drain()
+        deliver(board, pulses(61, 0), rising(61, part, 1))
         assert (board.acknowledged, board.dropped_late) == (1 + sent, 1 - sent)
 
 
@@ -196,13 +191,11 @@ def test_a_link_board_rises_from_what_was_written(rise_of_the_line, ahead_ms, se
     with EmulatorBoard("", limits(8)) as board:
         board._clock = ToldClock()
         rise_of_the_line(board, limits(8).ramp_ns)
-        board.send(pulses(8, 0))
-        board.drain()
+        deliver(board, pulses(8, 0))
         # Nor does it matter how late the first went.
         fast = rising(8, ahead_ms / 1000 / limits(8).ramp_s, 1)
         if sent:
-            board.send(fast)
-            board.drain()
+            deliver(board, fast)
         else:
             with pytest.raises(SequenceLateError):
                 board.send(fast)
@@ -239,8 +232,7 @@ class PausesAfter(ToldClock):
 def test_a_link_board_gets_no_byte_of_what_is_late(looks):
     """Whenever the pause comes: the last look is directly before the bytes."""
     with EmulatorBoard("", limits(8)) as board:
-        board.send(pulses(8, 0))
-        board.drain()
+        deliver(board, pulses(8, 0))
         due_ns = board.clock.now_ns()
         board._clock = PausesAfter(looks)
         board.clock.time_ns = due_ns
@@ -248,8 +240,7 @@ def test_a_link_board_gets_no_byte_of_what_is_late(looks):
             board.send(pulses(8, 1), due_ns=due_ns)
         assert board.dropped_late == 1
         board._clock = ToldClock()
-        board.send(one_each(limits(8), 0, 50, 0.0, 4 * 10**9, cathodic=False))
-        board.drain()
+        deliver(board, one_each(limits(8), 0, 50, 0.0, 4 * 10**9, cathodic=False))
         report = board.report()
     assert (report.sequences, report.pulses) == (2, 0)
     assert np.isfinite(report.max_charge_uc)

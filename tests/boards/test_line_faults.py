@@ -6,7 +6,15 @@ from types import SimpleNamespace
 
 import pytest
 
-from smarttouch.errors import BoardError, BoardRestartedError
+from smarttouch.boards.recovery import TIMES, start_anew
+from smarttouch.errors import (
+    BoardError,
+    BoardRestartedError,
+    BoardStoppedError,
+    LineLostError,
+    OtherDeviceError,
+    SilentBoardError,
+)
 
 from ..raising import raises
 from .conftest import FIRMWARES
@@ -104,11 +112,9 @@ def test_bytes_lost_or_doubled_on_the_way_to_the_board(hosted, change):
     hosted.assert_zero()
 
 
-@pytest.mark.parametrize(
-    "hosted",
-    ["link", "link C", "etactilekit", "etactilekit 936c6c0", "etactilekit newest", FIRMWARES[1]],
-    indirect=True,
-)
+@pytest.mark.parametrize("hosted", [
+    "link", "link C", "etactilekit", "etactilekit 936c6c0", "etactilekit newest", FIRMWARES[1],
+], indirect=True)  # fmt: skip
 @pytest.mark.parametrize("change", [double_one, cut_short])
 def test_a_reply_that_is_not_whole(hosted, change):
     with hosted.board:
@@ -190,3 +196,41 @@ def test_a_board_that_is_back_gets_zero_first(hosted, known_by_usb, known):
             send_on(hosted, 30)
         first = b"" if known else b"\xf5"
         assert b"".join(heard).startswith(first + board._codec.zero_anywhere)
+
+
+LOST = LineLostError("the line broke")
+
+
+def failing(*errors):
+    """Return a start that fails so, one after another, and then does not."""
+    left = list(errors)
+
+    def start():
+        if left:
+            raise left.pop(0)
+
+    return start, left
+
+
+@pytest.mark.parametrize("kind", [LineLostError, SilentBoardError])
+@pytest.mark.parametrize("again", range(TIMES))
+def test_what_is_lost_again_meanwhile_is_begun_again(kind, again):
+    start, left = failing(*[kind("again")] * again)
+    start_anew(start, LOST)
+    assert left == []
+
+
+def test_the_first_loss_is_told_of_where_it_does_not_come_back():
+    start, left = failing(*[LineLostError("again")] * (TIMES + 1))
+    with pytest.raises(LineLostError) as error:
+        start_anew(start, LOST)
+    assert (error.value, len(left)) == (LOST, 1)
+
+
+@pytest.mark.parametrize("kind", [BoardError, OtherDeviceError, BoardStoppedError])
+def test_what_trying_again_does_not_mend_is_tried_once(kind):
+    start, left = failing(kind("no"), kind("no"))
+    with pytest.raises(BoardError) as error:
+        start_anew(start, LOST)
+    assert len(left) == 1
+    assert isinstance(error.value, BoardStoppedError) == (kind is BoardStoppedError)

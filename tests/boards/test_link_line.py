@@ -11,6 +11,7 @@ from smarttouch.boards.link_session import encode
 from smarttouch.errors import LineLostError
 
 from ..raising import raises
+from .fresh import until
 
 pytestmark = pytest.mark.realtime
 
@@ -65,10 +66,7 @@ def test_our_own_absence_is_not_the_boards_silence(listen):
 @pytest.mark.parametrize("noise", [b"", b"nothing whole"])
 def test_a_board_that_says_nothing_is_gone(listen, noise):
     line = listen(ALIVE, noise)
-    deadline = time.monotonic() + 60
-    while line.fault is None:
-        assert time.monotonic() < deadline, "nobody noticed"
-        time.sleep(0.01)
+    until(lambda: line.fault is not None)
     with raises(LineLostError, about="board", value="here"):
         line.raise_fault()
 

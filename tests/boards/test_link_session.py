@@ -42,6 +42,11 @@ class Talk:
         return self
 
 
+@pytest.fixture
+def talk():
+    return Talk().begin()
+
+
 def test_hello_bears_the_hosts_half_and_begin_both():
     talk = Talk()
     hello = message(talk.session.encode(Kind.HELLO))
@@ -55,8 +60,7 @@ def test_hello_bears_the_hosts_half_and_begin_both():
     assert talk.session.refused == 0
 
 
-def test_numbers_rise_and_tell_what_was_heard():
-    talk = Talk().begin()
+def test_numbers_rise_and_tell_what_was_heard(talk):
     talk.hear(Kind.ALIVE)
     sent = [message(talk.session.encode(Kind.HEARTBEAT)) for _ in range(3)]
     assert [each.number for each in sent] == [3, 4, 5]
@@ -66,8 +70,7 @@ def test_numbers_rise_and_tell_what_was_heard():
     assert (again.number, again.about, again.payload) == (6, 7, b"same")
 
 
-def test_what_is_old_is_refused_and_counted():
-    talk = Talk().begin()
+def test_what_is_old_is_refused_and_counted(talk):
     assert talk.hear(Kind.ALIVE, number=5) is not None
     for count, number in enumerate((5, 4, 1, 0), start=1):
         assert talk.hear(Kind.ALIVE, number=number) is None
@@ -76,8 +79,7 @@ def test_what_is_old_is_refused_and_counted():
 
 
 @pytest.mark.parametrize("session", [0, 1, LOWER, UPPER << 32, SESSION + 1, SESSION ^ 1 << 63])
-def test_what_is_of_another_session_is_refused_and_counted(session):
-    talk = Talk().begin()
+def test_what_is_of_another_session_is_refused_and_counted(talk, session):
     for kind in (Kind.ACK, Kind.ALIVE, Kind.VOLTAGES, Kind.STOPPED, Kind.BEGUN, Kind.CAPABILITIES):
         assert talk.hear(kind, 1, session) is None
     assert talk.session.refused == 6
@@ -102,8 +104,7 @@ def test_capabilities_for_another_host_are_not_taken():
     assert talk.hear(Kind.CAPABILITIES, hello, number=0) is not None
 
 
-def test_an_answer_is_taken_once_and_only_if_asked():
-    talk = Talk().begin()
+def test_an_answer_is_taken_once_and_only_if_asked(talk):
     first, second = talk.ask(Kind.STATUS), talk.ask(Kind.STATUS)
     assert talk.hear(Kind.REPORT, second) is not None
     assert talk.hear(Kind.REPORT, second) is None

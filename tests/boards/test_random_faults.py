@@ -50,11 +50,9 @@ class Weather:
         }[kind]
 
 
-@pytest.mark.parametrize(
-    "hosted",
-    ["link", "link C", "kajimoto61", "etactilekit", "etactilekit 936c6c0", FIRMWARES[1]],
-    indirect=True,
-)
+@pytest.mark.parametrize("hosted", [
+    "link", "link C", "kajimoto61", "etactilekit", "etactilekit 936c6c0", FIRMWARES[1],
+], indirect=True)  # fmt: skip
 def test_nothing_unsafe_flows(hosted):
     # USB and TCP lose bytes only by whole pieces or at their end; they never double one.
     weather = Weather(1, doubles=hosted.kind != "etactilekit", replays=hosted.kind == "link")

@@ -11,6 +11,7 @@ from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.recharge import RechargeRules, add_recharge
 from smarttouch.stimulation.timing import ScanTiming
+from tests.boards.fresh import deliver
 
 RULES = RechargeRules(np.full(8, 119, np.int64), 10_000, ScanTiming())
 BOARDS = ("memory:", "simulated:", "emulator:")
@@ -32,9 +33,7 @@ def test_a_board_of_weighted_outputs_makes_them(url, make_limits, recharged, tmp
     options = {"books": tmp_path} if url == "emulator:" else {}
     with make_board(url, make_limits(), Output(kind="weighted"), **options) as board:
         assert board.capabilities.recharges
-        for step in range(4):
-            board.send(recharged(step))
-            board.drain()
+        deliver(board, *map(recharged, range(4)))
         report = board.report()
     assert (report.sequences, report.slots, report.violations) == (4, 9, 0)
     assert report.max_charge_uc == pytest.approx(0.07, rel=0.01)
@@ -44,9 +43,7 @@ def test_a_board_of_weighted_outputs_makes_them(url, make_limits, recharged, tmp
 
 def test_the_emulators_books_show_what_flowed(make_limits, recharged, tmp_path):
     with make_board("emulator:", make_limits(), Output(kind="weighted"), books=tmp_path) as board:
-        for step in range(4):
-            board.send(recharged(step))
-            board.drain()
+        deliver(board, *map(recharged, range(4)))
     state, phases = read_state(tmp_path), read_recharges(tmp_path)
     planned = recharged()
     assert phases["current_ua"].tolist() == [planned.recharge_ua.tolist()] * 3

@@ -35,21 +35,12 @@ def board_of(kind, ua_per_count, **changes):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(
-    ("factor", "mistake"),
-    [
-        (0.001, "mA where µA"),
-        (1000, "nA where µA"),
-        (0.5, "measure it again"),
-        (2.0, "measure it again"),
-        (4.09, "measure it again"),
-        (1 / 4.09, "measure it again"),
-        (1 - BAND - 0.001, "measure it again"),
-        (1 + BAND + 0.001, "measure it again"),
-        (1e-6, "measure it again"),
-        (1e6, "measure it again"),
-    ],
-)
+@pytest.mark.parametrize(("factor", "mistake"), [
+    (0.001, "mA where µA"), (1000, "nA where µA"), (0.5, "measure it again"),
+    (2.0, "measure it again"), (4.09, "measure it again"), (1 / 4.09, "measure it again"),
+    (1 - BAND - 0.001, "measure it again"), (1 + BAND + 0.001, "measure it again"),
+    (1e-6, "measure it again"), (1e6, "measure it again"),
+])  # fmt: skip
 def test_a_scale_beyond_the_band_is_refused_before_anything_is_opened(kind, factor, mistake):
     if (kind, factor) in (("kajimoto61", 4.09), ("etactilekit", 1 / 4.09)):
         mistake = "the scale of a"
@@ -113,27 +104,14 @@ def test_the_more_careful_scale_is_the_larger():
     assert scale_of("kajimoto61", None).measured_ua == pytest.approx(2.44, rel=0.01)
 
 
-@pytest.mark.parametrize(
-    ("volts", "ohm", "current_ma", "about"),
-    [
-        (0.0, 1000, 1, "volts"),
-        (-1.0, 1000, 1, "volts"),
-        (math.nan, 1000, 1, "volts"),
-        (math.inf, 1000, 1, "volts"),
-        (1.0, math.nan, 1, "ohm"),
-        (1.0, math.inf, 1, "ohm"),
-        (1.0, 0, 1, "ohm"),
-        (1.0, 1000, math.nan, "current_ma"),
-        (1.0, 1000, -1, "current_ma"),
-        (1000.0, 1000, 1, "volts"),
-        (1.0, 1, 1, "volts"),
-        (0.001, 1000, 1, "volts"),
-        (1.0, 1000, 1000, "volts"),
-        (2.0, 1000, 1, "volts"),
-        (1e-320, 1e308, 1, "volts"),
-        (1.31, 1000, 1, "volts"),
-    ],
-)
+@pytest.mark.parametrize(("volts", "ohm", "current_ma", "about"), [
+    (0.0, 1000, 1, "volts"), (-1.0, 1000, 1, "volts"), (math.nan, 1000, 1, "volts"),
+    (math.inf, 1000, 1, "volts"), (1.0, math.nan, 1, "ohm"), (1.0, math.inf, 1, "ohm"),
+    (1.0, 0, 1, "ohm"), (1.0, 1000, math.nan, "current_ma"), (1.0, 1000, -1, "current_ma"),
+    (1000.0, 1000, 1, "volts"), (1.0, 1, 1, "volts"), (0.001, 1000, 1, "volts"),
+    (1.0, 1000, 1000, "volts"), (2.0, 1000, 1, "volts"), (1e-320, 1e308, 1, "volts"),
+    (1.31, 1000, 1, "volts"),
+])  # fmt: skip
 def test_impossible_readings_are_refused(volts, ohm, current_ma, about):
     with raises(BoardError, about=about):
         check_reading(volts, ohm, current_ma)

@@ -11,16 +11,19 @@ from smarttouch.boards.scan_lock import ScanLock, Span
 T = 20_000_000
 
 
-def test_without_a_bracket_only_ranges_are_known():
-    lock = ScanLock(T)
+@pytest.fixture
+def lock():
+    return ScanLock(T)
+
+
+def test_without_a_bracket_only_ranges_are_known(lock):
     assert not lock.locked
     assert lock.starts(Span(0, 0), Span(T // 2, T // 2)) == (0, 1)
     assert lock.starts(Span(0, 0), Span(5 * T, 5 * T)) == (4, 6)
     assert lock.starts(Span(0, T), Span(3 * T + T // 2, 4 * T)) == (2, 5)
 
 
-def test_one_bracket_tells_of_all_scans_around_it():
-    lock = ScanLock(T)
+def test_one_bracket_tells_of_all_scans_around_it(lock):
     lock.learn(Span(0, 1_000_000))
     assert lock.locked
     assert lock.scan(0) == Span(0, 1_000_000)
@@ -34,22 +37,19 @@ def test_one_bracket_tells_of_all_scans_around_it():
     assert lock.starts(Span(2_000_000, 3_000_000), Span(20_500_000, 20_600_000)) == (0, 1)
 
 
-def test_wide_brackets_do_not_lock():
-    lock = ScanLock(T)
+def test_wide_brackets_do_not_lock(lock):
     lock.learn(Span(0, T // 4 + 5000))
     assert not lock.locked
 
 
-def test_a_contradiction_ends_all_knowledge():
-    lock = ScanLock(T)
+def test_a_contradiction_ends_all_knowledge(lock):
     lock.learn(Span(0, 1_000_000))
     lock.learn(Span(8_000_000, 9_000_000))
     assert not lock.locked
     assert lock.period_ns == pytest.approx((T * 0.9998, T * 1.0002))
 
 
-def test_what_is_not_renewed_is_forgotten():
-    lock = ScanLock(T)
+def test_what_is_not_renewed_is_forgotten(lock):
     lock.learn(Span(0, 1_000_000))
     lock.check(400 * T)
     assert lock.locked

@@ -21,6 +21,7 @@ from smarttouch.profile.ceilings import CEILING_TOTAL_MA, CEILING_USER_MA
 from smarttouch.stimulation.safety import SafetyLimits
 
 from ..raising import raises
+from .fresh import until
 
 PATIENCE_S = 20
 LIMITS = SafetyLimits(
@@ -90,13 +91,6 @@ def waiting(*boards):
         signal.pause()
 
     return work
-
-
-def wait_for(condition):
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.005)
 
 
 def test_a_board_is_announced_while_it_is_open():
@@ -220,8 +214,8 @@ def test_a_stop_is_for_good_in_a_process_that_goes_on():
         board = Plain()
         board.open()
         say()
-        wait_for(lambda: board._halted)
-        wait_for(lambda: not running())
+        until(lambda: board._halted)
+        until(lambda: not running())
         for each in (board, Plain()):
             board.close()
             with pytest.raises(BoardStoppedError):
@@ -274,7 +268,7 @@ def test_a_signal_ends_a_process_whatever_its_event_loop_does(loop_starts):
             try:
                 time.sleep(PATIENCE_S)
             finally:
-                wait_for(lambda: board._halted)
+                until(lambda: board._halted)
 
     with in_child(_ending(work)) as child:
         os.kill(child, signal.SIGTERM)

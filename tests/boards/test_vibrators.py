@@ -24,6 +24,7 @@ from smarttouch.stimulation.sequence import ScanSequence
 
 from ..raising import raises
 from . import test_contract
+from .fresh import deliver
 
 MS = 1_000_000
 SECOND = 1000 * MS
@@ -139,14 +140,6 @@ class TestTheFile:
         assert 5000 < loud[loud > 250].min() < 5050
         assert len(samples) == 5000 + 200 + round(GLIDE_S * rate_hz) + 1
 
-    def test_a_newer_sequence_ends_a_repetition(self, make, wav):
-        with opened(make("?grid=1x1")) as board:
-            board.send(shaken(1.0), times=50)
-            board.send(shaken(0.0, 300 * MS))
-        samples, rate_hz = wav()
-        loud = np.flatnonzero(np.abs(samples[:, 0]) > 0.5)
-        assert loud.max() / rate_hz == pytest.approx(0.3, abs=0.005)
-
     def test_a_stop_ends_it_within_a_period(self, make, wav):
         with opened(make("?grid=1x1")) as board:
             board.send(shaken(1.0), times=50)
@@ -166,21 +159,6 @@ class TestTheFile:
                 # All but the newest sequence, which may yet be cut short.
                 assert len(wav()[0]) == index * 160
 
-    def test_a_fault_leaves_a_whole_file_that_ends_at_rest(self, make, wav):
-        broken = RuntimeError("something broke")
-
-        def run():
-            with opened(make()) as board:
-                board.send(shaken(0.9))
-                raise broken
-
-        with pytest.raises(RuntimeError) as error:
-            run()
-        assert error.value is broken
-        samples, _ = wav()
-        assert np.abs(samples).max() > 0.85
-        assert not samples[-1].any()
-
     def test_a_full_disk_is_named(self, make, monkeypatch):
         def refuse(*_):
             raise OSError(28, "No space left on device")
@@ -199,21 +177,18 @@ class TestTheFile:
         with raises(BoardError, about="file", value=path):
             board.open()
 
-    @pytest.mark.parametrize(
-        ("rest", "about", "value", "allowed"),
-        [
-            ("", "board", "", (".wav", "audio")),
-            ("out.mp3", "board", "out.mp3", (".wav", "audio")),
-            ("out.wav?volume=3", "option", "volume", ("grid", "hz", "rate")),
-            ("out.wav?grid", "option", "grid", None),
-            ("out.wav?grid=2", "grid", "2", None),
-            ("out.wav?grid=0x3", "grid", "0x3", None),
-            ("out.wav?grid=9x9", "grid", 81, 64),
-            ("out.wav?hz=30", "hz", "30", (60, 800)),
-            ("out.wav?rate=fast", "rate", "fast", (1000, 192_000)),
-            ("out.wav?hz=800&rate=3000", "rate", 3000, 3200),
-        ],
-    )
+    @pytest.mark.parametrize(("rest", "about", "value", "allowed"), [
+        ("", "board", "", (".wav", "audio")),
+        ("out.mp3", "board", "out.mp3", (".wav", "audio")),
+        ("out.wav?volume=3", "option", "volume", ("grid", "hz", "rate")),
+        ("out.wav?grid", "option", "grid", None),
+        ("out.wav?grid=2", "grid", "2", None),
+        ("out.wav?grid=0x3", "grid", "0x3", None),
+        ("out.wav?grid=9x9", "grid", 81, 64),
+        ("out.wav?hz=30", "hz", "30", (60, 800)),
+        ("out.wav?rate=fast", "rate", "fast", (1000, 192_000)),
+        ("out.wav?hz=800&rate=3000", "rate", 3000, 3200),
+    ])  # fmt: skip
     def test_what_is_wrong_with_a_url_is_said(self, profile, rest, about, value, allowed):
         with raises(BoardError, about=about, value=value, allowed=allowed):
             VibratorBoard(rest, SafetyLimits.of(profile))
@@ -377,13 +352,10 @@ class TestTheSoundDevice:
         assert "4 vibrators" in str(error.value)
         assert str(sound.refuse) in str(error.value)
 
-    @pytest.mark.parametrize(
-        ("missing", "about", "remedy"),
-        [
-            (ImportError(), "sounddevice", "pip install 'smarttouch[audio]'"),
-            (OSError("PortAudio"), "PortAudio", "apt install libportaudio2"),
-        ],
-    )
+    @pytest.mark.parametrize(("missing", "about", "remedy"), [
+        (ImportError(), "sounddevice", "pip install 'smarttouch[audio]'"),
+        (OSError("PortAudio"), "PortAudio", "apt install libportaudio2"),
+    ])  # fmt: skip
     def test_what_is_missing_is_said(self, board, monkeypatch, missing, about, remedy):
         def refuse(name):
             raise missing
@@ -420,9 +392,7 @@ class TestContract(test_contract.Contract):
 
     def test_what_is_sent_is_delivered(self, make_board):
         with make_board() as board:
-            for step in range(5):
-                board.send(self.sequence(step))
-                board.drain()
+            deliver(board, *map(self.sequence, range(5)))
             report = board.report()
             assert (board.acknowledged, board.refused, board.replaced) == (5, 0, 0)
         assert (report.sequences, report.slots, report.max_current_ma) == (5, 0, 0)

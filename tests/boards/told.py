@@ -119,16 +119,9 @@ class ToldKit:
     """A driver and its board, in one thread."""
 
     def __init__(
-        self,
-        monkeypatch,
-        limits,
-        firmware="71adee2",
-        seed=1,
-        late_us=200,
-        finger=None,
-        dummy_ohm=np.inf,
-        **line,
-    ):
+        self, monkeypatch, limits, firmware="71adee2", seed=1, late_us=200, finger=None,
+        dummy_ohm=np.inf, **line,
+    ):  # fmt: skip
         self.clock = ToldClock(seed, late_us)
         monkeypatch.setattr(etactilekit_line.time, "sleep", self.clock.sleep)
         self.books = ScanBooks(limits.electrodes)

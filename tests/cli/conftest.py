@@ -2,12 +2,16 @@
 
 import contextlib
 import io
+import json
 import os
 import pty
+import shlex
 import subprocess
 import sys
+import tempfile
 import termios
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,6 +21,7 @@ from PIL import Image
 from smarttouch import cli
 from smarttouch.errors import SmartTouchError
 
+from ..boards.fresh import starter
 from ..forks import EMULATOR, PROGRAM, Forked
 from ..raising import assert_says
 
@@ -36,6 +41,25 @@ def says(kind=SmartTouchError, *names, **attributes):
         assert [name for name in names if name not in str(error)] == [], error
 
     return check
+
+
+class Done(SimpleNamespace):
+    """How a run in this process ended: `returncode`, `stdout`, `stderr`, the `error` it told of."""
+
+    def fine(self):
+        """Check that it ended well; return it."""
+        assert self.returncode == 0, self.stderr
+        return self
+
+    def flawless(self):
+        """Check that it ended well and warned of nothing; return it."""
+        assert self.fine().stderr == ""
+        return self
+
+    @property
+    def figures(self):
+        """What it wrote to the file that ``--json`` names."""
+        return json.loads(self.json_path.read_text())
 
 
 def refused(done):
@@ -86,56 +110,51 @@ def program(tmp_path):
 
 @pytest.fixture
 def program_here(tmp_path, monkeypatch):
-    """Return a runner of the program in this process, which is much sooner.
+    """Return a runner of the program in this process, which is much sooner: see `Done`.
 
-    What it gives has the error, too, that the program told of; None if it told of none.
+    Its first argument may be several, as a shell splits them.
     """
     tell = cli._outcome
 
     def run(*arguments):
         out, err, code = io.StringIO(), io.StringIO(), 0
         errors = [None]
+        arguments = [*shlex.split(arguments[0]), *map(str, arguments[1:])]
         with monkeypatch.context() as patch:
             patch.chdir(tmp_path)
             patch.setattr(cli, "_outcome", lambda error: errors.append(error) or tell(error))
-            patch.setattr(sys, "argv", ["smarttouch", *map(str, arguments)])
+            patch.setattr(sys, "argv", ["smarttouch", *arguments])
             patch.setattr(sys, "stdin", io.StringIO())
             with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
                 try:
                     cli.main()
                 except SystemExit as ended:
                     code = ended.code or 0
-        return SimpleNamespace(
-            returncode=code, stdout=out.getvalue(), stderr=err.getvalue(), error=errors[-1]
-        )
+        words = " ".join(arguments).replace("--json=", "--json ").split()
+        path = tmp_path / words[words.index("--json") + 1] if "--json" in words else None
+        return Done(
+            returncode=code, stdout=out.getvalue(), stderr=err.getvalue(), error=errors[-1],
+            json_path=path,
+        )  # fmt: skip
 
     return run
 
 
 @pytest.fixture
+def figures_of(program_here):
+    """Return a runner of a command that gives its figures."""
+    return lambda words: program_here(f"{words} --json f.json").fine().figures
+
+
+@pytest.fixture
 def start_program(tmp_path):
-    """Return a starter of the program; what still runs at the end is killed.
-
-    It is a fork, if it is not to be a real start.
-    """
-    running = []
-
-    def start(*arguments, real=False):
-        process = (subprocess.Popen if real else Forked)(
-            [PROGRAM, *map(str, arguments)],
-            cwd=tmp_path,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env={**os.environ, "PYTHONUNBUFFERED": "1"},
-        )
-        running.append(process)
-        return process
-
-    yield start
-    for process in running:
-        process.kill()
-        process.communicate()
+    """Return a starter of the program: of a fork, if it is not to be a real start."""
+    streams = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
+    with starter() as start:
+        yield lambda *arguments, real=False: start(
+            [PROGRAM, *map(str, arguments)], subprocess.Popen if real else Forked, cwd=tmp_path,
+            env={**os.environ, "PYTHONUNBUFFERED": "1"}, **streams,
+        )  # fmt: skip
 
 
 @pytest.fixture
@@ -146,13 +165,9 @@ def start_at_a_terminal(tmp_path):
     def start(*arguments):
         keys, terminal = pty.openpty()
         process = Forked(
-            [PROGRAM, *map(str, arguments)],
-            cwd=tmp_path,
-            stdin=terminal,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
+            [PROGRAM, *map(str, arguments)], cwd=tmp_path, stdin=terminal, stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
         os.close(terminal)
         running.append((process, keys))
         while process.poll() is None and termios.tcgetattr(keys)[3] & termios.ICANON:
@@ -170,32 +185,17 @@ def start_at_a_terminal(tmp_path):
 @pytest.fixture
 def start_emulator(tmp_path):
     """Return a starter of board emulators: their process, port and books."""
-    running = []
+    with starter() as start:
 
-    def start(electrodes=64, protocol="link", *more):
-        books = tmp_path / f"books{len(running)}"
-        books.mkdir()
-        process = Forked(
-            [
-                *EMULATOR,
-                "board",
-                protocol,
-                "--port-only",
-                f"--electrodes={electrodes}",
-                f"--books={books}",
-                "--linger=30",
-                *more,
-            ],
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        running.append(process)
-        return process, process.stdout.readline().strip(), books
+        def start_one(electrodes=64, protocol="link", *more):
+            books = tempfile.mkdtemp(prefix="books", dir=tmp_path)
+            process = start([
+                *EMULATOR, "board", protocol, "--port-only", f"--electrodes={electrodes}",
+                f"--books={books}", "--linger=30", *more,
+            ])  # fmt: skip
+            return process, process.stdout.readline().strip(), Path(books)
 
-    yield start
-    for process in running:
-        process.kill()
-        process.communicate()
+        yield start_one
 
 
 @pytest.fixture

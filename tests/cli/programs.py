@@ -86,9 +86,7 @@ if KIND != "display":
     attempt(
         "another run",
         lambda: st.run(
-            st.open_source("text:a", display.profile),
-            st.open_display(URL),
-            intensity=1.0,
+            st.open_source("text:a", display.profile), st.open_display(URL), intensity=1.0,
             force=FORCE,
         ),
-    )
+    )  # fmt: skip

@@ -1,5 +1,6 @@
 """Bad input gets one clear sentence and exit 2, and never a traceback."""
 
+import math
 import struct
 import subprocess
 import sys
@@ -54,61 +55,79 @@ def no_choice(option, value, *allowed):
     return says(about=option, value=value, allowed=allowed)
 
 
-def no_site(value):
-    return says(about="site", value=value, allowed=(0, 63))
-
-
 def no_place(name):
     return says(about="file", value=Path(name))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "wrong"),
-    [
-        ("live --source page:missing.png", no_file(PageError, "missing.png")),
-        ("live --source page:text.png?dpi=300", says(PageError, "text.png", "PNG")),
-        ("live --source page:huge.png?dpi=300", says(PageError, "huge.png", "100 megapixels")),
-        ("live --source page:none.png?dpi=300", says(PageError, "none.png")),
-        ("live --source page:one.png?dpi=300", says(PageError, "one.png", "1 x 1 ", "8 x 8")),
-        ("live --source page:.", says(PageError, about="file", value=Path())),
-        ("live --source text:", says(PageError, "text:")),
-        ("live --source radio:5", says(SourceError, about="source", value="radio:5")),
-        ("live --profile nobody", says(ProfileError, "'nobody'", "electric-mouse")),
-        ("live --profile wrong.toml", says(ProfileError, "wrong.toml", about="foo")),
-        ("live --board nobody:", says(BoardError, about="board", value="nobody:")),
-        ("live --board link: --intensity 1", says(BoardError, "link: ", "link:/dev/ttyACM0")),
-        ("live --board link:/dev/nothing --intensity 1", says(BoardError, "/dev/nothing")),
-        ("live --board emulator:7", says(BoardError, "emulator:", "'7'")),
-        ("live --mode XY", no_choice("mode", "XY", "RA", "SAI", "PC", "natural")),
-        ("live --board vibrators:x.wav", says(about="board", remedy="vibrators")),
-        ("live --scan frame --hold charge", says(about="scan", remedy="scan points")),
-        ("live --scan all", no_choice("scan", "all", "auto", "points", "frame")),
-        ("live --scan frame --profile kajimoto-61", says(ScheduleError, "one-against-all")),
-        ("live --scan frame --profile line-7", says(ScheduleError, "limits.total_ma")),
-        ("live --mode color", no_choice("mode", "color", "RA", "SAI", "PC", "natural")),
-        ("live --profile kajimoto-61 --mode SAI", says(DesignError, "mode SAI", " RA ", " 0.1 ")),
-        ("live --rate 0", says(ScheduleError, " 0 Hz", "0.1 Hz", "200 Hz")),
-        ("live --rate 1000", says(ScheduleError, " 1000 Hz", "200 Hz")),
-        ("live --rate nan", says(ScheduleError, " nan Hz", "200 Hz")),
-        ("live --seconds -1", says(about="seconds", value=-1, allowed=0)),
-        (
-            "live --source text:i?speed_mm_s=0",
-            says(SourceError, about="speed_mm_s", value=0, allowed=(0.1, 500)),
-        ),
-        ("live --source text:i?path=missing.csv", no_file(SourceError, "missing.csv")),
-        ("live --record taken.mcap", says(RecordingError, "taken.mcap")),
-        ("live --felt nowhere/felt.png", no_place("nowhere/felt.png")),
-        ("live --json .", no_place(".")),
-        ("live --felt f.png --board link:/dev/nothing --intensity 1", says(about="felt")),
-        ("design --site 64", no_site(64)),
-        ("design --site -1", no_site(-1)),
-        ("design --profile line-7 --mode P", no_choice("mode", "P", "RA", "SAI", "PC")),
-        (
-            "design --profile kajimoto-61 --mode SAI",
-            says(DesignError, about="mode", value="SAI", allowed=("RA",)),
-        ),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "wrong"), [
+    ("live --source page:missing.png", no_file(PageError, "missing.png")),
+    ("live --source page:text.png?dpi=300", says(PageError, "text.png", "PNG")),
+    ("live --source page:huge.png?dpi=300", says(PageError, "huge.png", "100 megapixels")),
+    ("live --source page:none.png?dpi=300", says(PageError, "none.png")),
+    ("live --source page:one.png?dpi=300", says(PageError, "one.png", "1 x 1 ", "8 x 8")),
+    ("live --source page:.", says(PageError, about="file", value=Path())),
+    ("live --source text:", says(PageError, "text:")),
+    ("live --source radio:5", says(SourceError, about="source", value="radio:5")),
+    ("live --profile nobody", says(ProfileError, "'nobody'", "electric-mouse")),
+    ("live --profile wrong.toml", says(ProfileError, "wrong.toml", about="foo")),
+    ("live --board nobody:", says(BoardError, about="board", value="nobody:")),
+    ("live --board link: --intensity 1", says(BoardError, "link: ", "link:/dev/ttyACM0")),
+    ("live --board link:/dev/nothing --intensity 1", says(BoardError, "/dev/nothing")),
+    ("live --board emulator:7", says(BoardError, "emulator:", "'7'")),
+    ("live --board vibrators:x.wav", says(about="board", remedy="vibrators")),
+    ("live --scan frame --hold charge", says(about="scan", remedy="scan points")),
+    ("live --scan all", no_choice("scan", "all", "auto", "points", "frame")),
+    ("live --scan frame --profile kajimoto-61", says(ScheduleError, "one-against-all")),
+    ("live --scan frame --profile line-7", says(ScheduleError, "limits.total_ma")),
+    ("live --mode color", no_choice("mode", "color", "RA", "SAI", "PC", "natural")),
+    ("live --rate 0", says(ScheduleError, " 0 Hz", "0.1 Hz", "200 Hz")),
+    ("live --rate 1000", says(ScheduleError, " 1000 Hz", "200 Hz")),
+    ("live --rate nan", says(ScheduleError, " nan Hz", "200 Hz")),
+    ("live --seconds -1", says(about="seconds", value=-1, allowed=0)),
+    ("live --source text:i?speed_mm_s=0",
+     says(SourceError, about="speed_mm_s", value=0, allowed=(0.1, 500))),
+    ("live --source text:i?path=missing.csv", no_file(SourceError, "missing.csv")),
+    ("live --record taken.mcap", says(RecordingError, "taken.mcap")),
+    ("live --felt nowhere/felt.png", no_place("nowhere/felt.png")),
+    ("live --json .", no_place(".")),
+    ("live --felt f.png --board link:/dev/nothing --intensity 1", says(about="felt")),
+    ("board emulate optacon",
+     says(about="emulator", value="optacon", allowed=("link", "kajimoto61", "etactilekit"))),
+    ("board emulate link --books nowhere", says(about="books", value=Path("nowhere"))),
+    ("board emulate link --firmware newest",
+     says(about="firmware", value="link", allowed=("etactilekit",))),
+    ("board emulate etactilekit --firmware 3", says(about="firmware", value="3")),
+    ("board emulate link --electrodes 0", says(about="electrodes", value=0, allowed=(1, 1024))),
+    ("board info etactilekit:/dev/x?firmware=3", says(BoardError, "firmware '3'", "936c6c0")),
+    ("board info kajimoto61:", says(BoardError, "kajimoto61:/dev/ttyUSB0")),
+    ("board info kajimoto61:/dev/nowhere", says(BoardError, "/dev/nowhere")),
+    ("board info etactilekit:/dev/x?fast", says(BoardError, "?fast", "?slow", "?firmware")),
+    ("board info kajimoto61:/dev/x --profile electric-mouse",
+     says(BoardError, "weighted", "one-against-all", remedy="profile kajimoto-61")),
+    ("board test memory:", says(about="keyboard", remedy="seconds")),
+    ("board test memory: --seconds 0", says(about="seconds", value=0, allowed=0)),
+    ("board test memory: --seconds 1 --current-ma 9",
+     says(about="current_ma", value=9, allowed=pytest.approx(2.4))),
+    ("board measure memory:", says(BoardError, "measure")),
+    ("board calibrate-scale memory: --ohm 0", says(BoardError, about="ohm", value=0)),
+    ("board calibrate-scale memory: --ohm inf", says(BoardError, about="ohm", value=math.inf)),
+    ("board calibrate-scale memory: --current-ma nan",
+     says(BoardError, about="current_ma", value=math.nan)),
+    ("board calibrate-scale memory: --volts -1", says(BoardError, "-1 V", "1000 ohm")),
+    ("board calibrate-scale kajimoto61:x --volts inf", says(BoardError, "inf V", "1000 ohm")),
+    ("board calibrate-scale kajimoto61:x --volts nan", says(BoardError, "nan V", "1000 ohm")),
+    ("board calibrate-scale kajimoto61:x --volts 0.001",
+     says(BoardError, "0.001 V", "0.001 times", "30 %", "kV", "µA")),
+    ("board calibrate-scale etactilekit:x --volts 1000",
+     says(BoardError, "1000 V", "1e+03 times", "30 %", "mV", "kilohms")),
+    ("board calibrate-scale memory: --electrode 64", says(about="site", value=64, allowed=(0, 63))),
+    ("live --board memory: --hold power",
+     says(about="hold", value="power", allowed=("charge", "energy"))),
+    ("live --board memory: --hold charge", says(BoardError, about="hold")),
+    ("live --board memory: --measure", says(BoardError, "measure")),
+    ("live --profile kajimoto-61 --board memory: --mode SAI",
+     says(DesignError, "mode SAI", " RA ", " 0.1 ", " 0.0032")),
+])  # fmt: skip
 def test_one_sentence(program_here, folder, arguments, wrong):
     wrong(refused(program_here(*arguments.split(" "))))
     assert (folder / "taken.mcap").read_text() == "precious"
@@ -126,13 +145,13 @@ def test_usage(program_here, arguments):
 def test_busy_port(program_here, start_emulator):
     _, port, _ = start_emulator()
     with make_board(f"link:{port}", SafetyLimits.of(load_profile("electric-mouse"))):
-        done = program_here("live", "--board", f"link:{port}", "--intensity", "1")
+        done = program_here("live --board", f"link:{port}", "--intensity", "1")
     says(BoardError, port)(refused(done))
 
 
 def test_the_profile_of_another_board(program_here, start_emulator):
     _, port, _ = start_emulator(electrodes=16)
-    done = program_here("live", "--board", f"link:{port}", "--intensity", "1")
+    done = program_here("live --board", f"link:{port}", "--intensity", "1")
     says(BoardError, port, "16 electrodes", "profile 64")(refused(done))
 
 
@@ -147,7 +166,32 @@ def test_help_imports_nothing_heavy():
 
 
 def test_help_names_every_command(program_here):
-    done = program_here("--help")
-    assert done.returncode == 0
+    done = program_here("--help").fine()
     for command in ("live", "profiles", "design"):
         assert command in done.stdout
+
+
+@pytest.mark.parametrize(("arguments", "options"), [
+    ("live --scan frame --hold charge", "--scan"),
+    ("live --board vibrators:x.wav", "--board, --vibrators"),
+    ("mouse --rate 300 --board memory:", "--rate"),
+    ("read text:hi --speed 0 --board memory:", "--speed"),
+    ("read text:hi --pause -1 --board memory:", "--pause"),
+    ("calibrate registration --dot-pitch-mm 0", "--dot-pitch-mm"),
+    ("calibrate force --simulate --output run.txt", "--output"),
+    ("board test memory: --current-ma 9 --seconds 1", "--current-ma"),
+    ("sensor emulate serial-array --sensor camera:0", "--sensor"),
+])  # fmt: skip
+def test_options_end_the_sentence(program_here, tmp_path, arguments, options):
+    Image.new("L", (20, 20)).save(tmp_path / "page.png")
+    done = program_here(*arguments.split(" "))
+    refused(done)
+    assert done.stderr.endswith(f" ({options})\n")
+    assert done.stderr.count("(--") == 1
+
+
+@pytest.mark.parametrize("arguments", ["profiles show nobody", "boards extra", "live --seed x"])
+def test_nothing_ends_what_no_option_is_about(program_here, arguments):
+    done = program_here(*arguments.split(" "))
+    assert done.returncode == 2
+    assert "(--" not in done.stderr

@@ -1,6 +1,5 @@
 """Boards from the command line: found, looked at, measured, tried, stopped, and run."""
 
-import json
 import os
 import signal
 import subprocess
@@ -18,6 +17,7 @@ from ..boards.fresh import fresh_state, until
 from ..forks import PROGRAM, Forked
 from .conftest import PRESSED, refused, says
 
+FULL = "--force fixed:1 --intensity 1"
 KITS = {
     "kajimoto61": (61, "kajimoto61"),
     "etactilekit": (32, "etactilekit"),
@@ -52,15 +52,12 @@ def state_of(books):
 
 @pytest.mark.realtime
 @on(*KITS)
-def test_live_end_to_end_ends_in_zero(program_here, tmp_path, kit):
+def test_live_end_to_end_ends_in_zero(program_here, kit):
     url, books = kit
-    done = program_here(
-        "live", "--board", url, *PRESSED, "--intensity", 1, "--seconds", 1.7, "--json", "run.json"
-    )
-    assert done.returncode == 0, done.stderr
+    done = program_here(f"live --board {url} {FULL} --seconds 1.7 --json run.json").fine()
     # That one goes on by itself if its line breaks, and who runs it is warned.
     assert done.stderr.count("\n") == url.startswith("etactilekit")
-    figures = json.loads((tmp_path / "run.json").read_text())
+    figures = done.figures
     assert "1.7 s" in figures["ended"]
     assert figures["frames"] > 2
     assert figures["acknowledged"] >= 0.5 * figures["frames"]
@@ -74,17 +71,16 @@ def test_live_end_to_end_ends_in_zero(program_here, tmp_path, kit):
 
 
 @on("link")
-def test_packets_that_come_twice_are_told_of(program_here, monkeypatch, tmp_path, kit):
+def test_packets_that_come_twice_are_told_of(program_here, monkeypatch, kit):
     encode = HostSession.encode
 
     def twice(session, kind, *more):
         return encode(session, kind, *more) * (1 + (kind == Kind.SEQUENCE))
 
     monkeypatch.setattr(HostSession, "encode", twice)
-    live = ("live", "--board", kit[0], *PRESSED, "--intensity", 0, "--seconds", 1)
-    done = program_here(*live, "--json", "run.json")
-    assert done.returncode == 0, done.stderr
-    figures = json.loads((tmp_path / "run.json").read_text())
+    live = f"live --board {kit[0]} --force fixed:1 --intensity 0 --seconds 1"
+    done = program_here(f"{live} --json run.json").fine()
+    figures = done.figures
     assert figures["packets_refused_by_host"] == 0
     assert figures["packets_refused_by_board"] >= figures["acknowledged"] > 10
     assert f" {figures['packets_refused_by_board']} packets " in done.stdout
@@ -129,8 +125,7 @@ def test_info_of_the_newest_kit_tells_how_long_it_goes_on(program_here, start_em
     _, port, _ = start_emulator(32, "etactilekit", "--firmware=newest")
     # On a busy computer it may pass for the one before it: then once more.
     for _ in range(10):
-        done = program_here("board", "info", f"etactilekit:{port}")
-        assert done.returncode == 0, done.stderr
+        done = program_here("board info", f"etactilekit:{port}").fine()
         if "newest" in done.stdout:
             break
     assert "newest" in done.stdout
@@ -139,8 +134,7 @@ def test_info_of_the_newest_kit_tells_how_long_it_goes_on(program_here, start_em
 
 @on("kajimoto61", "etactilekit", "link")
 def test_info(program_here, kit):
-    done = program_here("board", "info", kit[0])
-    assert done.returncode == 0, done.stderr
+    done = program_here("board info", kit[0]).fine()
     told = {line[:14].strip(): line[14:].split() for line in done.stdout.splitlines()}
     electrodes, profile = {
         "kajimoto61": ("61,", "kajimoto-61:"),
@@ -154,21 +148,16 @@ def test_info(program_here, kit):
 
 
 @pytest.mark.realtime
-def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(
-    program_here, tmp_path, start_emulator
-):
+def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(program_here, start_emulator):
     events = ("--event=0 open 5", "--event=0 short 9")
     _, port, books = start_emulator(32, "etactilekit", *events)
     url = f"etactilekit:{port}"
-    done = program_here("board", "measure", url, "--json", "found.json")
-    assert done.returncode == 0, done.stderr
-    found = json.loads((tmp_path / "found.json").read_text())
+    done = program_here(f"board measure {url} --json found.json").fine()
+    found = done.figures
     assert found["masked"] == [5, 9]
     assert "masked = [5, 9]" in done.stdout
     assert found["impedance_kohm"][5] is None
-    text = ("--source", "text:oooo")
-    done = program_here("live", "--board", url, *PRESSED, "--intensity", 1, "--measure", *text)
-    assert done.returncode == 0, done.stderr
+    done = program_here(f"live --board {url} {FULL} --measure --source text:oooo").fine()
     assert "30 of 32" in done.stderr
     assert "[5, 9]" in done.stderr
     fresh_state(books)
@@ -182,23 +171,20 @@ def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(
 
 
 @pytest.mark.realtime
-def test_measuring_without_a_finger_says_so(program_here, start_emulator, tmp_path):
+def test_measuring_without_a_finger_says_so(program_here, start_emulator):
     _, port, _ = start_emulator(16, "link", "--output=three-state", "--event=0 lift")
-    small = (f"link:{port}", "--profile", "smarttouch-4x4")
-    done = program_here("board", "measure", *small, "--json", "found.json")
-    assert done.returncode == 0, done.stderr
-    found = json.loads((tmp_path / "found.json").read_text())
+    small = f"link:{port} --profile smarttouch-4x4"
+    found = program_here(f"board measure {small} --json found.json").fine().figures
     assert found["condition"] == ["open"] * 16
     assert found["impedance_kohm"] == [None] * 16
-    done = program_here("live", "--board", *small, *PRESSED, "--measure", "--intensity", 1)
+    done = program_here(f"live --board {small} {FULL} --measure")
     says(BoardError, about="finger")(refused(done))
 
 
 @on("etactilekit")
 def test_a_walk_through_the_electrodes(program_here, kit):
     url, books = kit
-    done = program_here("board", "test", url, *PRESSED, "--seconds", 0.08, "--current-ma", 0.3)
-    assert done.returncode == 0, done.stderr
+    done = program_here(f"board test {url} --force fixed:1 --seconds 0.08 --current-ma 0.3").fine()
     assert "32 of 32 electrodes" in done.stdout
     state = state_of(books)
     assert (state["state"], state["unsafe"]) == ("shorted", 0)
@@ -236,16 +222,14 @@ def test_a_voltage_is_asked_for_while_it_pulses(program):
 
 @on("etactilekit")
 def test_stop(program_here, kit):
-    done = program_here("board", "stop", kit[0])
-    assert done.returncode == 0, done.stderr
+    program_here("board stop", kit[0]).fine()
     state = state_of(kit[1])
     assert (state["state"], state["slots"]) == ("shorted", 0)
 
 
 @on("kajimoto61")
 def test_the_scale_from_a_resistor(program_here, kit):
-    done = program_here("board", "calibrate-scale", kit[0], "--volts", 1.1, "--ohm", 1000)
-    assert done.returncode == 0, done.stderr
+    done = program_here("board calibrate-scale", kit[0], "--volts", 1.1, "--ohm", 1000).fine()
     assert "1.100 mA" in done.stdout
     assert "ua_per_count = 2.686" in done.stdout
     assert fresh_state(kit[1])["slots"] == 0
@@ -261,14 +245,12 @@ def test_a_scale_is_not_measured_out_of_its_band_step_by_step(program_here, tmp_
     done = program_here(*measure, 1.2)
     assert done.stdout == ""
     says(BoardError, "ua_per_count = 3.6")(refused(done))
-    done = program_here(*measure, 0.9)
-    assert done.returncode == 0, done.stderr
+    done = program_here(*measure, 0.9).fine()
     assert "ua_per_count = 2.7" in done.stdout
 
 
 def test_what_is_there_is_listed_and_nothing_is_opened(program_here):
-    done = program_here("boards", "--no-network")
-    assert done.returncode == 0, done.stderr
+    done = program_here("boards --no-network").fine()
     assert "kajimoto61:" in done.stdout
 
 
@@ -284,8 +266,7 @@ def test_an_emulator_is_played_until_it_is_ended(program_here, start_program, tm
     lines = [playing.stdout.readline() for _ in range(3)]
     url = lines[2].split()[-1]
     assert url.startswith(f"{name}:/dev/")
-    done = program_here("board", "info", url)
-    assert done.returncode == 0, done.stderr
+    program_here("board info", url).fine()
     playing.send_signal(how)
     assert playing.wait(60) == 0
     state = state_of(books)
@@ -295,13 +276,14 @@ def test_an_emulator_is_played_until_it_is_ended(program_here, start_program, tm
 def test_an_emulator_that_is_killed_leaves_no_board_behind(start_program, tmp_path):
     playing = start_program("board", "emulate", "link", "--books", str(tmp_path), real=True)
     assert playing.stdout.readline()
-    written = (tmp_path / STATE_FILE).stat().st_mtime_ns
-    until = time.monotonic() + 60
-    while written == (tmp_path / STATE_FILE).stat().st_mtime_ns:
-        assert time.monotonic() < until, "it does not go on by itself"
-        time.sleep(0.01)
+
+    def written():
+        return (tmp_path / STATE_FILE).stat().st_mtime_ns
+
+    before = written()
+    until(lambda: written() != before)
     playing.kill()
     playing.wait()
-    written = (tmp_path / STATE_FILE).stat().st_mtime_ns
+    before = written()
     time.sleep(0.3)
-    assert (tmp_path / STATE_FILE).stat().st_mtime_ns == written
+    assert written() == before

@@ -32,13 +32,17 @@ from .conftest import PRESSED, says
 
 @pytest.fixture
 def run(monkeypatch, tmp_path):
-    """Return a runner of the command in an empty folder; what is typed comes as text."""
+    """Return a runner of the command in an empty folder; what is typed comes as text.
+
+    Its first argument may be several.
+    """
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "120")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
 
     def invoke(*arguments, typed=""):
-        return CliRunner().invoke(calibrate, [str(each) for each in arguments], input=typed)
+        words = [*arguments[0].split(), *map(str, arguments[1:])]
+        return CliRunner().invoke(calibrate, words, input=typed)
 
     return invoke
 
@@ -75,7 +79,7 @@ def test_walked_through_without_hardware(run, tmp_path, what):
 
 
 def test_one_profile_for_all(run, tmp_path):
-    done(run("optics", "--simulate", "--output", "mine.toml"))
+    done(run("optics --simulate --output mine.toml"))
     for what in ("registration", "force"):
         done(run(what, "--output", "mine.toml", "--simulate"))
     profile = load_profile(tmp_path / "mine.toml")
@@ -89,28 +93,24 @@ def test_optics_from_folders(run, tmp_path):
     patch = SimulatedPatch((32, 40), dead=2)
     save(tmp_path / "dark", patch.images(6, light=False))
     save(tmp_path / "white", patch.images(6, light=True))
-    folders = ("--dark", "frames:dark", "--white", "frames:white")
-    shown = done(run("optics", *folders, "--output", "mine.toml"))
+    optics = "optics --dark frames:dark --white frames:white --output mine.toml"
+    shown = done(run(optics))
     assert "2 dead" in shown
     field = FlatField.load(load_profile(tmp_path / "mine.toml").optics.flat_field)
     assert field.gain.shape == (32, 40)
-    assert sorted(each.name for each in tmp_path.glob("mine*")) == [
-        "mine.flat-field.npz",
-        "mine.toml",
-    ]
+    assert {each.name for each in tmp_path.glob("mine*")} == {"mine.flat-field.npz", "mine.toml"}
     # A sensor that is calibrated again is seen as it is, without its old flat field.
-    again = ("--profile", "mine.toml", "--output", "mine.toml", "--overwrite")
     field_before = field.gain.copy()
-    done(run("optics", *folders, *again))
+    done(run(f"{optics} --profile mine.toml --overwrite"))
     assert FlatField.load(tmp_path / "mine.flat-field.npz").gain == pytest.approx(field_before)
 
 
 def test_optics_asks_for_dark_and_white(run, tmp_path):
     save(tmp_path / "same", SimulatedPatch().images(4, light=True))
-    asked = run("optics", "--source", "frames:same", "--output", "mine.toml", typed="\n\n")
+    asked = run("optics --source frames:same --output mine.toml", typed="\n\n")
     assert asked.output.count(" Enter") == 2
     wrong(" 0 grey levels", " 40 ")(asked.exception)
-    unanswered = run("optics", "--source", "frames:same", "--output", "mine.toml")
+    unanswered = run("optics --source frames:same --output mine.toml")
     assert unanswered.output.count(" Enter") == 1
     wrong(about="answer", remedy="yes")(unanswered.exception)
     assert not list(tmp_path.glob("mine*"))
@@ -119,10 +119,8 @@ def test_optics_asks_for_dark_and_white(run, tmp_path):
 def test_registration_of_a_camera(run, tmp_path, profile):
     view = View(tilt_deg=18, toward_deg=50, turn_deg=-12, zoom=0.85)
     save(tmp_path / "seen", [view.render(target_for(profile), profile.optics, (480, 640))])
-    shown = done(
-        run("registration", "--source", "frames:seen", "--output", "mine.toml", "--yes",
-            "--target", "target.png")
-    )  # fmt: skip
+    seen = "registration --source frames:seen --yes --target target.png"
+    shown = done(run(f"{seen} --output mine.toml"))
     assert re.findall(r"(?m)^ *(\d+) +\d", shown) == [str(each) for each in range(64)]
     assert {line.split()[0] for line in shown.splitlines()} >= {"rms", "worst"}
     optics = load_profile(tmp_path / "mine.toml").optics
@@ -132,12 +130,12 @@ def test_registration_of_a_camera(run, tmp_path, profile):
     assert found == pytest.approx(truth / truth[2, 2], rel=0.02, abs=0.01)
     with Image.open(tmp_path / "target.png") as image:
         assert image.info["dpi"][0] == pytest.approx(1270, abs=1)
-    again = run("registration", "--target", "target.png")
+    again = run("registration --target target.png")
     wrong(about="file", value=Path("target.png"))(again.exception)
 
 
 def test_a_target_alone(run, tmp_path):
-    result = run("registration", "--target", "target.png", "--dot-pitch-mm", 0.5)
+    result = run("registration --target target.png --dot-pitch-mm 0.5")
     assert result.exit_code == 0, result.exception
     assert "0.5 mm" in result.output
     assert (tmp_path / "target.png").exists()
@@ -172,8 +170,8 @@ def load_cell(monkeypatch):
 
 def test_force_of_an_emulated_load_cell(run, tmp_path, load_cell):
     weights = "0,20,50,100,50,0"
-    options = ("--cell", load_cell, "--weights", weights, "--seconds", 0.15)
-    shown = done(run("force", *options, "--output", "mine.toml"))
+    force = f"force --cell {load_cell} --weights {weights} --seconds 0.15"
+    shown = done(run(f"{force} --output mine.toml"))
     grams = [line.split()[0] for line in shown.splitlines()[1:7]]
     assert grams == weights.split(",")
     zero_n, slope_n = load_profile(tmp_path / "mine.toml").force.curve
@@ -183,8 +181,8 @@ def test_force_of_an_emulated_load_cell(run, tmp_path, load_cell):
 
 
 def test_a_load_cell_that_nothing_moves(run, tmp_path, load_cell):
-    stuck = ("--cell", load_cell, "--weights", "0,50,100", "--seconds", 0.15, "--yes")
-    error = run("force", *stuck, "--output", "mine.toml").exception
+    stuck = f"force --cell {load_cell} --weights 0,50,100 --seconds 0.15 --yes"
+    error = run(f"{stuck} --output mine.toml").exception
     wrong()(error)
     moved, by_themselves = map(float, re.findall(r"\d[\d.]*", str(error)))
     assert moved < 10 * by_themselves
@@ -192,8 +190,8 @@ def test_a_load_cell_that_nothing_moves(run, tmp_path, load_cell):
 
 
 def test_thresholds_of_a_simulated_subject(run, tmp_path):
-    options = ("--simulate", "--repeats", 1, "--electrodes", "0,9")
-    shown = done(run("thresholds", *options, "--output", "mine.toml"))
+    thresholds = "thresholds --simulate --repeats 1 --electrodes 0,9"
+    shown = done(run(f"{thresholds} --output mine.toml"))
     profile = load_profile(tmp_path / "mine.toml")
     assert re.findall(r"electrode (\d+)", shown) == ["0", "9"]
     assert profile.calibrated["thresholds"].found.startswith("simulated: 2 electrodes")
@@ -206,21 +204,18 @@ def test_thresholds_of_a_simulated_subject(run, tmp_path):
 
 
 def test_a_second_session_for_the_same_profile_is_refused(run, tmp_path):
-    alone = ("--simulate", "--board", "memory:", "--electrodes", "0", "--output", "mine.toml")
+    alone = "thresholds --simulate --board memory: --electrodes 0 --output mine.toml"
     with Progress(tmp_path / "mine.thresholds.json", {}):
-        error = run("thresholds", *alone).exception
+        error = run(alone).exception
     wrong(about="file", value=Path("mine.thresholds.json"))(error)
     assert not list(tmp_path.glob("*mine*"))
 
 
 def test_thresholds_with_trials_on_another_board(run, tmp_path):
     found = []
-    for more in ((), ("--adaptive",)):
-        done(
-            run("thresholds", "--simulate", "--repeats", 1, "--electrodes", "30",
-                "--board", "memory:", "--profile", "kajimoto-61",
-                "--output", "mine.toml", "--overwrite", *more)
-        )  # fmt: skip
+    one = "thresholds --simulate --repeats 1 --electrodes 30 --board memory:"
+    for more in ("", "--adaptive"):
+        done(run(f"{one} --profile kajimoto-61 --output mine.toml --overwrite {more}"))
         found.append(load_profile(tmp_path / "mine.toml"))
     rising, tried = (each.perception.threshold_ma[30] for each in found)
     assert rising != tried == pytest.approx(rising, rel=0.2)
@@ -248,9 +243,7 @@ def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkey
     monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
     events = ("--event=0 open 5", "--event=0 short 9")
     _, port, _ = start_emulator(32, "etactilekit", *events)
-    shown = done(
-        run("contact", "--board", f"etactilekit:{port}", "--repeats", 2, "--output", "mine.toml")
-    )
+    shown = done(run(f"contact --board etactilekit:{port} --repeats 2 --output mine.toml"))
     profile = load_profile(tmp_path / "mine.toml")
     assert profile.title == load_profile("etactilekit-32").title
     assert profile.output.masked == (5, 9)
@@ -265,52 +258,38 @@ def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkey
 @pytest.mark.realtime
 def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
     _, port, _ = start_emulator(16, "link", "--output=three-state", "--event=0 lift")
-    small = ("--board", f"link:{port}", "--profile", "smarttouch-4x4")
-    lifted = run("contact", *small, "--repeats", 1, "--output", "mine.toml")
+    small = f"contact --board link:{port} --profile smarttouch-4x4"
+    lifted = run(f"{small} --repeats 1 --output mine.toml")
     wrong("electrode")(lifted.exception)
     assert not (tmp_path / "mine.toml").exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "check"),
-    [
-        (["optics"], wrong(about="source", remedy="simulate")),
-        (["optics", "--dark", "frames:none"], wrong("white", about="source")),
-        (
-            ["optics", "--source", "nothing:", "--yes"],
-            says(SourceError, about="source", value="nothing:"),
-        ),
-        (["optics", "--source", "frames:none", "--yes"], says(SourceError, " none:")),
-        (["registration"], wrong(about="source", remedy="simulate")),
-        (
-            ["registration", "--center", "left"],
-            wrong(about="center", value="left", allowed=("target", "image")),
-        ),
-        (
-            ["registration", "--dot-pitch-mm", "0"],
-            wrong("0.01", "5 mm", about="dot_pitch_mm", value=0),
-        ),
-        (["force"], wrong("hx711:PORT", about="cell", remedy="simulate")),
-        (["force", "--simulate", "--seconds", "nan"], wrong(about="seconds", value=math.nan)),
-        (["force", "--simulate", "--weights", "0,a"], wrong(about="weights", value="0,a")),
-        (["force", "--simulate", "--weights", "0,nan"], wrong(about="weights", value="0,nan")),
-        (["force", "--simulate", "--weights", "0,1,2"], wrong(" 2 g ", " 92 g")),
-        (["thresholds"], wrong(about="keyboard", remedy="simulate")),
-        (["thresholds", "--electrodes", "64"], wrong(about="electrodes", value="64", allowed=63)),
-        (
-            ["thresholds", "--simulate", "--board", "link:/dev/null"],
-            wrong(about="board", value="link:/dev/null"),
-        ),
-        (["contact", "--board", "memory:"], says(BoardError, "measure")),
-        (["contact", "--profile", "nobody"], says(ProfileError, "'nobody'")),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "check"), [
+    ("optics", wrong(about="source", remedy="simulate")),
+    ("optics --dark frames:none", wrong("white", about="source")),
+    ("optics --source nothing: --yes", says(SourceError, about="source", value="nothing:")),
+    ("optics --source frames:none --yes", says(SourceError, " none:")),
+    ("registration", wrong(about="source", remedy="simulate")),
+    ("registration --center left",
+     wrong(about="center", value="left", allowed=("target", "image"))),
+    ("registration --dot-pitch-mm 0", wrong("0.01", "5 mm", about="dot_pitch_mm", value=0)),
+    ("force", wrong("hx711:PORT", about="cell", remedy="simulate")),
+    ("force --simulate --seconds nan", wrong(about="seconds", value=math.nan)),
+    ("force --simulate --weights 0,a", wrong(about="weights", value="0,a")),
+    ("force --simulate --weights 0,nan", wrong(about="weights", value="0,nan")),
+    ("force --simulate --weights 0,1,2", wrong(" 2 g ", " 92 g")),
+    ("thresholds", wrong(about="keyboard", remedy="simulate")),
+    ("thresholds --electrodes 64", wrong(about="electrodes", value="64", allowed=63)),
+    ("thresholds --simulate --board link:/dev/null", wrong(about="board", value="link:/dev/null")),
+    ("contact --board memory:", says(BoardError, "measure")),
+    ("contact --profile nobody", says(ProfileError, "'nobody'")),
+])  # fmt: skip
 def test_what_cannot_be_is_one_sentence(run, tmp_path, arguments, check):
-    check(run(*arguments, "--output", "mine.toml").exception)
+    check(run(arguments, "--output", "mine.toml").exception)
     assert not list(tmp_path.glob("*mine*"))
 
 
 def test_what_is_measured_needs_a_place(run):
-    wrong(about="output")(run("registration", "--simulate").exception)
-    nowhere = run("force", "--simulate", "--output", "none/mine.toml")
+    wrong(about="output")(run("registration --simulate").exception)
+    nowhere = run("force --simulate --output none/mine.toml")
     wrong("none/mine.toml")(nowhere.exception)

@@ -25,8 +25,9 @@ from smarttouch.running.statistics import RunStatistics
 
 from .conftest import refused, says
 
-SMALL = ("experiment", "run", "frequency", "--standards", "30", "--train-s", "0.15")
-SIMULATED = (*SMALL, "--simulate", "model", "--gap-s", "0.1")
+SMALL = "experiment run frequency --standards 30 --train-s 0.15"
+SIMULATED = f"{SMALL} --simulate model --gap-s 0.1"
+ONCE = f"{SIMULATED} --repetitions 1"
 
 
 def wrong(*names, **attributes):
@@ -38,7 +39,7 @@ def shown(path):
 
 
 def test_the_list_names_every_experiment(program_here):
-    listed = program_here("experiment", "list").stdout
+    listed = program_here("experiment list").stdout
     for name in ("frequency", "detection", "discomfort", "two-point", "localization", "letters"):
         assert f"\n{name} " in f"\n{listed}"
     assert "staircase" in listed
@@ -46,24 +47,23 @@ def test_the_list_names_every_experiment(program_here):
 
 
 def test_a_simulated_session_is_kept_and_gone_on_with(program_here, tmp_path):
-    one = (*SIMULATED, "--repetitions", "1", "--subject", "ann", "--session", "2")
-    first = program_here(*one, "--json", "run.json")
-    assert (first.returncode, first.stderr) == (0, "")
+    one = f"{ONCE} --subject ann --session 2"
+    first = program_here(f"{one} --json run.json").flawless()
     assert "10 of 10 " in first.stdout
     assert "smarttouch experiment fit ann-2-frequency-RA.csv" in first.stdout
     path = tmp_path / "ann-2-frequency-RA.csv"
     before = path.read_bytes()
-    assert json.loads((tmp_path / "run.json").read_text())["emulator_violations"] == 0
-    again = program_here(*one)
+    assert first.figures["emulator_violations"] == 0
+    again = program_here(one)
     assert re.findall(r"\d+", again.stdout.splitlines()[0]) == ["10", "10", "10"]
     assert path.read_bytes() == before
     path.write_bytes(before[:-20])
-    rest = program_here(*one)
+    rest = program_here(one)
     goes_on = rest.stdout.splitlines()[0]
     assert "10 of 10" in goes_on
     assert "ann-2-frequency-RA.csv" in goes_on
     assert len(read_rows(path)) == 10
-    program_here(*one, "--overwrite", "--quiet")
+    program_here(f"{one} --overwrite --quiet")
     assert shown(path) == shown(path)
     assert len(read_rows(path)) == 10
 
@@ -71,36 +71,36 @@ def test_a_simulated_session_is_kept_and_gone_on_with(program_here, tmp_path):
 def test_a_killed_session_goes_on_and_has_each_trial_once(start_program, program_here, tmp_path):
     killed, whole = tmp_path / "killed.csv", tmp_path / "whole.csv"
     # It is killed long before its end.
-    many = (*SMALL, "--simulate", "model", "--repetitions", "2", "--gap-s", "0.3")
-    process = start_program(*many, "--output", killed)
+    many = f"{SMALL} --simulate model --repetitions 2 --gap-s 0.3 --output"
+    process = start_program(*many.split(), killed)
     while process.poll() is None and not (killed.exists() and killed.read_bytes().count(b"\n") > 3):
         time.sleep(0.01)
     process.kill()
     process.wait()
     left = len(read_rows(killed))
-    rest = program_here(*many, "--output", killed)
+    rest = program_here(many, killed)
     assert 3 <= left < 20
     assert f" {left + 1} of 20" in rest.stdout.splitlines()[0]
-    program_here(*many, "--output", whole)
+    program_here(many, whole)
     assert shown(killed) == shown(whole)
 
 
 def test_a_second_run_on_the_same_answers_is_refused(program_here, tmp_path):
     path = tmp_path / "answers.csv"
     with open_alone(path, ExperimentError):
-        for more in ((), ("--overwrite",)):
-            second = program_here(*SIMULATED, "--repetitions", "1", "--output", path, *more)
+        for more in ("", "--overwrite"):
+            second = program_here(f"{ONCE} {more} --output", path)
             says(ExperimentError, about="file", value=path)(refused(second))
             assert second.stdout == ""
     assert path.read_bytes() == b""
 
 
 def test_recordings_of_a_session_are_numbered(program_here, tmp_path):
-    one = (*SIMULATED, "--repetitions", "1", "--output", "a.csv", "--record", "run.mcap")
-    program_here(*one)
+    one = f"{ONCE} --output a.csv --record run.mcap"
+    program_here(one)
     path = tmp_path / "a.csv"
     path.write_bytes(path.read_bytes()[:-20])
-    second = program_here(*one)
+    second = program_here(one)
     assert "run-2.mcap" in second.stdout
     words = [words for _, words in Recording(tmp_path / "run-2.mcap").events()]
     trials = [each for each in words if each.startswith(("trial", "response"))]
@@ -113,29 +113,24 @@ def test_recordings_of_a_session_are_numbered(program_here, tmp_path):
 
 
 def test_useless_subjects_are_simulated_too(program_here, tmp_path):
-    one = ("--repetitions", "1", "--gap-s", "0.1")
-    program_here(*SMALL, *one, "--simulate", "first", "--output", "first.csv")
+    one = f"{SMALL} --repetitions 1 --gap-s 0.1"
+    program_here(f"{one} --simulate first --output first.csv")
     assert {row.response for row in read_rows(tmp_path / "first.csv")} == {"1"}
-    quick = (*SMALL, *one, "--answer-s", "0.1")
-    silent = program_here(*quick, "--simulate", "silent", "--output", "silent.csv")
+    silent = program_here(f"{one} --answer-s 0.1 --simulate silent --output silent.csv")
     assert "20 of 20 trials, 20 of them" in silent.stdout
     assert "experiment fit" not in silent.stdout
 
 
 def test_letters_end_with_who_was_taken_for_whom(program_here):
-    result = program_here(
-        "experiment", "run", "letters", "--simulate", "model", "--letters", "LOX",
-        "--train-s", "0.1", "--repetitions", "2",
-    )  # fmt: skip
+    letters = "experiment run letters --simulate model --letters LOX"
+    result = program_here(f"{letters} --train-s 0.1 --repetitions 2")
     assert "1 in 3" in result.stdout
     assert re.search(r"\b[0-6] of 6\b", result.stdout)
     assert ["L", "O", "X"] in [line.split() for line in result.stdout.splitlines()]
 
 
 def test_discomfort_ends_with_a_current(program_here, tmp_path):
-    result = program_here(
-        "experiment", "run", "discomfort", "--simulate", "model", "--repetitions", "2"
-    )
+    result = program_here("experiment run discomfort --simulate model --repetitions 2")
     rows = read_rows(tmp_path / "discomfort-RA.csv")
     enough = [row.comparison for row in rows if row.success]
     assert len(rows) == 2
@@ -148,7 +143,7 @@ def test_discomfort_ends_with_a_current(program_here, tmp_path):
 def test_a_person_answers_by_key_and_ends_with_ctrl_c(start_at_a_terminal, tmp_path, monkeypatch):
     # The screen is drawn, though what it is drawn on is kept.
     monkeypatch.setenv("FORCE_COLOR", "1")
-    process, keys = start_at_a_terminal(*SMALL, "--json", "run.json", "--gap-s", "0.1")
+    process, keys = start_at_a_terminal(*SMALL.split(), "--json", "run.json", "--gap-s", "0.1")
     # A key of other runs: the class is the experiment's.
     os.write(keys, b"m")
     path = tmp_path / "frequency-RA.csv"
@@ -194,69 +189,48 @@ def test_free_stimulation_by_hand(start_at_a_terminal, tmp_path):
 
 
 def test_free_stimulation_for_some_seconds(program_here, tmp_path):
-    free = ("experiment", "free", "--board", "simulated:", "--seconds", "1")
-    assert program_here(*free, "--intensity", "0.5").returncode == 0
+    free = "experiment free --board simulated: --seconds 1"
+    program_here(f"{free} --intensity 0.5").fine()
     assert (tmp_path / "free.csv").exists()
-    assert "free-2.csv" in program_here(*free).stdout
+    assert "free-2.csv" in program_here(free).stdout
 
 
-@pytest.mark.parametrize(
-    ("arguments", "check"),
-    [
-        (("run", "frequency"), wrong(about="keyboard", remedy="simulate")),
-        (
-            ("run", "frequency", "--simulate", "model", "--board", "memory:"),
-            wrong(about="board", value="memory:", allowed=("simulated:",)),
-        ),
-        (
-            ("run", "frequency", "--simulate", "me"),
-            says(about="simulate", value="me", allowed=("model", "random", "first", "silent")),
-        ),
-        (("run", "sight", "--simulate", "model"), wrong("'sight'", "frequency", "letters")),
-        (
-            (*SIMULATED[1:], "--subject", "a/b"),
-            says(about="participant", value="a/b"),
-        ),
-        (
-            (*SIMULATED[1:], "--standards", "30,x"),
-            says(about="standards", value="30,x"),
-        ),
-        ((*SIMULATED[1:], "--seed", "-1"), says(about="seed", value=-1, allowed=0)),
-        ((*SIMULATED[1:], "--gap-s", "-1"), wrong(about="gap_s", value=-1, allowed=(0, 60))),
-        (
-            (*SIMULATED[1:], "--mode", "natural"),
-            says(about="mode", value="natural", allowed=("RA", "SAI", "PC")),
-        ),
-        ((*SIMULATED[1:], "--output", "a.txt"), wrong("a.txt", ".csv")),
-        (("free",), wrong(about="keyboard", remedy="seconds")),
-        (
-            ("free", "--seconds", "1", "--rate", "500"),
-            wrong(about="rate_hz", value=500, allowed=(10, 200)),
-        ),
-        (
-            ("free", "--seconds", "1", "--mode", "warm"),
-            says(about="mode", value="warm", allowed=("RA", "SAI", "PC")),
-        ),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("arguments", "check"), [
+    ("experiment run frequency", wrong(about="keyboard", remedy="simulate")),
+    ("experiment run frequency --simulate model --board memory:",
+     wrong(about="board", value="memory:", allowed=("simulated:",))),
+    ("experiment run frequency --simulate me",
+     says(about="simulate", value="me", allowed=("model", "random", "first", "silent"))),
+    ("experiment run sight --simulate model", wrong("'sight'", "frequency", "letters")),
+    (f"{SIMULATED} --subject a/b", says(about="participant", value="a/b")),
+    (f"{SIMULATED} --standards 30,x", says(about="standards", value="30,x")),
+    (f"{SIMULATED} --seed -1", says(about="seed", value=-1, allowed=0)),
+    (f"{SIMULATED} --gap-s -1", wrong(about="gap_s", value=-1, allowed=(0, 60))),
+    (f"{SIMULATED} --mode natural",
+     says(about="mode", value="natural", allowed=("RA", "SAI", "PC"))),
+    (f"{SIMULATED} --output a.txt", wrong("a.txt", ".csv")),
+    ("experiment free", wrong(about="keyboard", remedy="seconds")),
+    ("experiment free --seconds 1 --rate 500",
+     wrong(about="rate_hz", value=500, allowed=(10, 200))),
+    ("experiment free --seconds 1 --mode warm",
+     says(about="mode", value="warm", allowed=("RA", "SAI", "PC"))),
+])  # fmt: skip
 def test_what_cannot_be_asked_for(program_here, arguments, check):
-    check(refused(program_here("experiment", *arguments)))
+    check(refused(program_here(arguments)))
 
 
 def test_the_seed_of_another_session_is_not_gone_on_with(program_here):
-    program_here(*SIMULATED, "--repetitions", "1")
-    other = program_here(*SIMULATED, "--repetitions", "1", "--seed", "1")
+    program_here(ONCE)
+    other = program_here(f"{ONCE} --seed 1")
     says(ExperimentError, "frequency-RA.csv", "seed 5204", " 1:")(refused(other))
 
 
 def test_a_participant_s_screen_does_not_tell_the_answer(profile, make_frame):
     run = SimpleNamespace(
         source=SimpleNamespace(title="frequency-RA, trial 3 of 50: which was faster? 1 or 2"),
-        profile=profile,
-        controls=Controls(ControlState(Mode.RA, 0.5)),
-        board=None,
+        profile=profile, controls=Controls(ControlState(Mode.RA, 0.5)), board=None,
         statistics=RunStatistics(),
-    )
+    )  # fmt: skip
     screen = BlindScreen("emulator:", quiet=True)
     screen.prepare(run)
     frame = make_frame([[0]], force_n=0.45)

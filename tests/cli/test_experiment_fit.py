@@ -56,17 +56,8 @@ def test_two_modes(program, tmp_path):
     lines = said.splitlines()
     assert lines[0] == "RA, Hz"
     assert lines[1].split() == [
-        "standard",
-        "n",
-        "75%",
-        "at",
-        "Weber",
-        "lower",
-        "middle",
-        "slope",
-        "lapse",
-        "p",
-    ]
+        "standard", "n", "75%", "at", "Weber", "lower", "middle", "slope", "lapse", "p",
+    ]  # fmt: skip
     (without,) = (line for line in lines if line.startswith("75: "))
     assert "200 of 200" in without
     assert max(map(len, lines[:3])) <= 80
@@ -96,73 +87,51 @@ def test_others_answers(program, tmp_path):
     """Detection of somebody else's: no standard, columns with names of their own."""
     random = np.random.default_rng(2)
     subject = Subject(0.8, 0.3, 0.5, 0.01, guess=0.1)
-    lines = ["mA;ok"]
-    for level in (0.0, 0.3, 0.5, 0.7, 0.9, 1.2, 1.6):
-        for _ in range(25):
-            lines.append(
-                f"{level};{'yes' if random.random() < subject.probability(level) else 'no'}"
-            )
-    (tmp_path / "a.csv").write_text("\n".join(lines))
-    program("a.csv", "--x", "mA", "--y", "ok", "--json", "a.json", "--plot", "a.svg", *FAST)
-    (found,) = json.loads((tmp_path / "a.json").read_text())["a"]
+    felt = [
+        f"{level};{'yes' if random.random() < subject.probability(level) else 'no'}"
+        for level in (0.0, 0.3, 0.5, 0.7, 0.9, 1.2, 1.6)
+        for _ in range(25)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join(["mA;ok", *felt]))
+
+    def fitted(options):
+        program(*f"a.csv --x mA --y ok --json a.json {options}".split(), *FAST)
+        (found,) = json.loads((tmp_path / "a.json").read_text())["a"]
+        return found
+
+    found = fitted("--plot a.svg")
     assert found["standard"] is found["weber"] is None
     assert found["at"] == 0.5
     assert 0 < found["guess"] < 0.3
     assert found["threshold"]["value"] == pytest.approx(0.8, rel=0.2)
     for options, at in (
-        (("--guess", "0.1", "--function", "weibull"), 0.55),
-        (("--guess", "equal", "--function", "logistic", "--linear", "--at", "0.6"), 0.6),
-        (("--guess", "free", "--lapse", "0.02"), 0.5),
+        ("--guess 0.1 --function weibull", 0.55),
+        ("--guess equal --function logistic --linear --at 0.6", 0.6),
+        ("--guess free --lapse 0.02", 0.5),
     ):
-        program("a.csv", "--x", "mA", "--y", "ok", "--json", "a.json", *FAST, *options)
-        (found,) = json.loads((tmp_path / "a.json").read_text())["a"]
+        found = fitted(options)
         assert found["at"] == pytest.approx(at)
         assert found["threshold"]["value"] == pytest.approx(0.8, rel=0.3)
 
 
-@pytest.mark.parametrize(
-    ("options", "wrong"),
-    [
-        (
-            ("none.csv",),
-            says(ExperimentError, about="file", value=Path("none.csv")),
-        ),
-        (
-            ("a.csv", "--x", "hz"),
-            says(ExperimentError, "a.csv", "comparison or success", about="x", value="hz"),
-        ),
-        (
-            ("a.csv", "--guess", "half"),
-            says(ExperimentError, about="guess", value="half"),
-        ),
-        (("a.csv", "--guess", "1"), says(ExperimentError, "guess", " 1 ")),
-        (
-            ("a.csv", "--function", "cubic"),
-            says(about="function", value="cubic", allowed=("normal", "logistic", "weibull")),
-        ),
-        (
-            ("a.csv", "--samples", "3"),
-            says(ExperimentError, about="samples", value=3, allowed=(100, 100_000)),
-        ),
-        (
-            ("a.csv", "--seed", "-1"),
-            says(ExperimentError, about="seed", value=-1, allowed=0),
-        ),
-        (
-            ("a.csv", "--function", "weibull", "--linear"),
-            says(ExperimentError, "Weibull", "normal", "logistic"),
-        ),
-        (("a.csv", "--plot", "a.doc"), says(SmartTouchError, "a.doc", "*.png")),
-        (
-            ("a.csv", "--plot", "none/a.png"),
-            says(about="file", value=Path("none/a.png")),
-        ),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("options", "wrong"), [
+    ("none.csv", says(ExperimentError, about="file", value=Path("none.csv"))),
+    ("a.csv --x hz",
+     says(ExperimentError, "a.csv", "comparison or success", about="x", value="hz")),
+    ("a.csv --guess half", says(ExperimentError, about="guess", value="half")),
+    ("a.csv --guess 1", says(ExperimentError, "guess", " 1 ")),
+    ("a.csv --function cubic",
+     says(about="function", value="cubic", allowed=("normal", "logistic", "weibull"))),
+    ("a.csv --samples 3", says(ExperimentError, about="samples", value=3, allowed=(100, 100_000))),
+    ("a.csv --seed -1", says(ExperimentError, about="seed", value=-1, allowed=0)),
+    ("a.csv --function weibull --linear", says(ExperimentError, "Weibull", "normal", "logistic")),
+    ("a.csv --plot a.doc", says(SmartTouchError, "a.doc", "*.png")),
+    ("a.csv --plot none/a.png", says(about="file", value=Path("none/a.png"))),
+])  # fmt: skip
 def test_what_a_user_can_do_wrong(program, tmp_path, options, wrong):
     (tmp_path / "a.csv").write_text("comparison,success\n1,0\n2,1\n")
     with pytest.raises(SmartTouchError) as caught:
-        program(*options, "--quiet")
+        program(*options.split(), "--quiet")
     wrong(caught.value)
 
 

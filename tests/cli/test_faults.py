@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import sys
-import time
 
 import pytest
 
@@ -12,21 +11,12 @@ from smarttouch import cli
 from smarttouch.boards.emulator.delivery_log import read_state
 from smarttouch.running.pipeline import Pipeline
 
-from ..boards.fresh import fresh_state
+from ..boards.fresh import fresh_state, until
 from .conftest import PRESSED
 
 pytestmark = pytest.mark.realtime
 
 PATIENCE_S = 60
-
-
-def wait_for(condition):
-    deadline = time.monotonic() + PATIENCE_S
-    while time.monotonic() < deadline:
-        if condition():
-            return
-        time.sleep(0.02)
-    raise AssertionError("it did not happen")
 
 
 @pytest.fixture
@@ -36,7 +26,7 @@ def running(start_program, start_emulator):
     host = start_program(
         "live", "--board", f"link:{port}", *PRESSED, "--intensity", "1", "--json", "run.json"
     )
-    wait_for(lambda: read_state(books)["slots"] > 50)
+    until(lambda: read_state(books)["slots"] > 50)
     return host, emulator, books
 
 
@@ -78,7 +68,7 @@ def test_the_host_hangs(running):
     """Stopped in its tracks, with the port still open: the board's watchdog ends it."""
     host, _, books = running
     host.send_signal(signal.SIGSTOP)
-    wait_for(lambda: fresh_state(books)["state"] == "shorted")
+    until(lambda: fresh_state(books)["state"] == "shorted")
     slots = read_state(books)["slots"]
     assert fresh_state(books)["slots"] == slots
 
@@ -91,7 +81,7 @@ def test_the_board_dies_and_its_port_with_it(start_program, start_emulator, tmp_
     host = start_program(
         "live", "--board", f"link:{name}", *PRESSED, "--intensity", "1", "--json", "run.json"
     )
-    wait_for(lambda: read_state(books)["slots"] > 50)
+    until(lambda: read_state(books)["slots"] > 50)
     name.unlink()
     emulator.kill()
     code, _, errors = ending(host)
@@ -147,7 +137,7 @@ def test_a_recording_that_is_removed_is_no_recording(start_program, tmp_path):
         "live", "--source", "text:touch?speed_mm_s=1", "--board", "simulated:",
         "--record", "run.mcap",
     )  # fmt: skip
-    wait_for((tmp_path / "run.mcap").exists)
+    until((tmp_path / "run.mcap").exists)
     (tmp_path / "run.mcap").unlink()
     code, output, errors = ending(host)
     assert code == 2

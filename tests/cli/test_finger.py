@@ -1,23 +1,19 @@
-"""`smarttouch finger`: figures, pictures, and what they refuse."""
+"""`smarttouch finger` and `study`: figures, tables, pictures, and what they refuse."""
 
-import json
-
+import joblib
 import pytest
 from PIL import Image
 
+from smarttouch.cli.study import study
 from smarttouch.errors import ExperimentError, ProfileError, SmartTouchError
 
-from ..raising import assert_says
+from ..raising import assert_says, raises
 from .conftest import refused
 
 
-def test_a_letter_on_one_finger(program_here, tmp_path):
-    done = program_here(
-        "finger", "IT", "--profile=smarttouch-4x4", "--anatomy=paper", "--fingers=2",
-        "--json=felt.json", "--plot=felt.png",
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    table = json.loads((tmp_path / "felt.json").read_text())
+def test_a_letter_on_one_finger(figures_of, tmp_path):
+    one = "finger IT --profile=smarttouch-4x4 --anatomy=paper --fingers=2 --plot=felt.png"
+    table = figures_of(one)
     assert (table["letters"], table["fingers"], table["anatomy"]) == ("IT", 2, "paper")
     for name in ("wrong_class", "misplaced", "silent_points", "at_board"):
         assert 0 <= table[name] <= 1
@@ -31,29 +27,58 @@ def test_a_letter_on_one_finger(program_here, tmp_path):
 
 
 @pytest.mark.parametrize(("name", "columns"), [("effects", 3), ("published", 4)])
-def test_tables_of_what_was_published(program_here, tmp_path, name, columns):
-    done = program_here(
-        "finger", "IT", f"--table={name}", "--anatomy=paper", "--fingers=1", "--json=t.json"
-    )
-    assert done.returncode == 0, done.stderr
-    table = json.loads((tmp_path / "t.json").read_text())
+def test_tables_of_what_was_published(figures_of, name, columns):
+    table = figures_of(f"finger IT --table={name} --anatomy=paper --fingers=1")
     assert (table["anatomy"], table["fingers"]) == ("paper", 1)
     assert len(table[name]) >= 10
     assert {len(row) for row in table[name]} == {columns}
     assert all(row["fingers"] for row in table[name])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "kind", "says"),
-    [
-        (["4"], ExperimentError, {"about": "LETTERS", "value": "4"}),
-        (["T", "--anatomy=none"], ProfileError, {"about": "anatomy", "value": "none"}),
-        (["T", "--profile=line-7"], ExperimentError, {"about": "profile", "value": 1}),
-        (["--table=none"], SmartTouchError, {"about": "table"}),
-        (["T", "--mode=SAII"], SmartTouchError, {"about": "mode"}),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "kind", "says"), [
+    ("4", ExperimentError, {"about": "LETTERS", "value": "4"}),
+    ("T --anatomy=none", ProfileError, {"about": "anatomy", "value": "none"}),
+    ("T --profile=line-7", ExperimentError, {"about": "profile", "value": 1}),
+    ("--table=none", SmartTouchError, {"about": "table"}),
+    ("T --mode=SAII", SmartTouchError, {"about": "mode"}),
+])  # fmt: skip
 def test_fingers_of_nonsense(program_here, arguments, kind, says):
-    error = refused(program_here("finger", *arguments))
+    error = refused(program_here("finger", *arguments.split()))
     assert isinstance(error, kind)
     assert_says(error, **says)
+
+
+PLAN = (
+    'title = "x"\nprofiles = ["smarttouch-4x4"]\nanatomies = ["paper"]\nfingers = 1\nletters = "L"'
+)
+
+
+@pytest.fixture
+def plan(tmp_path):
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN)
+    return path
+
+
+def test_a_table_and_a_plot(plan, tmp_path, capsys):
+    with joblib.parallel_config("threading", n_jobs=1):
+        study(plan, tmp_path / "out")
+    assert len((tmp_path / "out" / "rows.csv").read_text().splitlines()) == 2
+    with Image.open(tmp_path / "out" / "study.png") as picture:
+        assert min(picture.size) > 200
+    assert str(tmp_path / "out" / "rows.csv") in capsys.readouterr().out
+
+
+def test_a_format_that_is_none_is_refused(plan, tmp_path):
+    with raises(SmartTouchError, about="plot", value="bmp"):
+        study(plan, tmp_path / "out", kind="bmp")
+
+
+def test_it_ends_with_one_sentence(program_here, tmp_path):
+    (tmp_path / "plan.toml").write_text("fingers = 3")
+    error = refused(program_here("study plan.toml --output out"))
+    assert type(error) is ProfileError
+    assert_says(error, about="title")
+    (tmp_path / "plan.toml").write_text(PLAN)
+    error = refused(program_here("study plan.toml --output out --cluster nowhere:x"))
+    assert_says(error, about="cluster")

@@ -1,6 +1,7 @@
 """Recordings, pictures, markers and vibrators, which instruments share with every run."""
 
-import json
+import importlib
+import inspect
 import sys
 
 import numpy as np
@@ -19,23 +20,18 @@ from smarttouch.stimulation.sharing import SlotPolicy
 
 from ..test_markers import FakeLsl
 
-FAST = ("--motion", "sweep:?speed_mm_s=120")
-SIMULATED = ("--board", "simulated:", "--quiet")
+FAST = "mouse --motion sweep:?speed_mm_s=120 --board simulated: --quiet"
 
 
-def test_pulses_that_were_asked_for_are_asked_for_again_in_a_replay(program_here, tmp_path):
-    stroke = ("mouse", *FAST, "--seconds", "1.5", *SIMULATED)
-    assert program_here(*stroke, "--record", "a.mcap", "--json", "a.json").returncode == 0
-    again = ("replay", "a.mcap", "--board", "simulated:", "--json", "b.json", "--quiet")
-    assert program_here(*again).returncode == 0
-    was, now = (json.loads((tmp_path / name).read_text()) for name in ("a.json", "b.json"))
+def test_pulses_that_were_asked_for_are_asked_for_again_in_a_replay(figures_of):
+    was = figures_of(f"{FAST} --seconds 1.5 --record a.mcap")
+    now = figures_of("replay a.mcap --board simulated: --quiet")
     assert was["slots"] == now["slots"] > 200
 
 
 def test_vibrators_shake_what_the_recording_says(program_here, tmp_path, changed):
-    mixed = ("color", "tone:30Hz,8um+tone:250Hz,2um", "--seconds", "1", *SIMULATED)
-    done = program_here(*mixed, "--vibrators", "v.wav?grid=1x1", "--record", "a.mcap")
-    assert (done.returncode, done.stderr) == (0, "")
+    mixed = "color tone:30Hz,8um+tone:250Hz,2um --seconds 1 --board simulated: --quiet"
+    program_here(f"{mixed} --vibrators v.wav?grid=1x1 --record a.mcap").flawless()
     rate_hz, wave = wavfile.read(tmp_path / "v.wav")
     spectrum = np.abs(np.fft.rfft(wave.astype(np.float64)))
     assert np.fft.rfftfreq(len(wave), 1 / rate_hz)[spectrum.argmax()] == pytest.approx(250, abs=2)
@@ -51,8 +47,8 @@ def test_vibrators_shake_what_the_recording_says(program_here, tmp_path, changed
 
 def test_the_picture_of_a_mouse_has_its_few_pulses_in_full(program_here, tmp_path):
     # Twenty frames a second: ten pulses open the level, and the others are in full.
-    stroke = ("mouse", "--texture", "text:I", *FAST, "--rate", "20", *SIMULATED)
-    assert program_here(*stroke, "--felt", "felt.png", "--anatomy", "paper").returncode == 0
+    felt = "--felt felt.png --anatomy paper"
+    program_here(f"{FAST} --texture text:I --rate 20 {felt}").fine()
     picture = np.asarray(Image.open(tmp_path / "felt.png").convert("L"))
     touched = picture[picture.shape[0] // 2 + 40 :]
     assert np.percentile(touched, 0.5) < 60
@@ -61,8 +57,7 @@ def test_the_picture_of_a_mouse_has_its_few_pulses_in_full(program_here, tmp_pat
 def test_markers_are_told_of_a_run(program_here, monkeypatch):
     lsl = FakeLsl()
     monkeypatch.setitem(sys.modules, "pylsl", lsl)
-    stroke = ("mouse", *FAST, "--seconds", "1", "--markers", *SIMULATED)
-    assert program_here(*stroke).returncode == 0
+    program_here(f"{FAST} --seconds 1 --markers").fine()
     pulses, frames, events = (
         [sample for _, sample in lsl.pushed[f"smarttouch-{name}"]]
         for name in ("pulses", "frames", "events")
@@ -85,3 +80,20 @@ def test_the_screen_shows_every_point_of_a_slot(profile, bank):
     shown = StepResult(step, 1, 0.0).felt_ma
     assert np.flatnonzero(shown).tolist() == [9, 11, 13, 27, 29]
     assert shown.max() > 2
+
+
+def test_a_replay_shares_slots_only_where_the_board_can(program_here, figures_of):
+    recorded = "live --source text:on?speed_mm_s=200 --board simulated: --quiet"
+    program_here(f"{recorded} --record run.mcap").fine()
+    figures = figures_of("replay run.mcap --profile kajimoto-61 --board simulated:")
+    assert figures["slots"] > 0
+    assert figures["worst_other"] is figures["worst_spill"] is None
+
+
+@pytest.mark.parametrize(("module", "command", "scan"), [
+    ("live", "live", "auto"), ("read", "read", "auto"), ("legibility", "legibility", "auto"),
+    ("mouse", "mouse", "points"), ("color", "color", "points"), ("experiment", "free", "points"),
+])  # fmt: skip
+def test_what_it_is_if_nothing_is_asked_for(module, command, scan):
+    found = getattr(importlib.import_module(f"smarttouch.cli.{module}"), command)
+    assert inspect.signature(found).parameters["scan"].default == scan

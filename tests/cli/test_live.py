@@ -16,25 +16,10 @@ from .conftest import panels
 
 SAMPLE = f"page:{data_folder('sample_images') / 'page.png'}"
 KEYS = {
-    "frames",
-    "sequences",
-    "slots",
-    "pulses",
-    "acknowledged",
-    "dropped_frames",
-    "rate_asked_hz",
-    "rate_hz",
-    "latency_us",
-    "max_current_ma",
-    "max_charge_uc",
-    "max_net_charge_uc",
-    "emulator_violations",
-    "active_fraction",
-}
-
-
-def figures_of(path):
-    return json.loads(path.read_text())
+    "frames", "sequences", "slots", "pulses", "acknowledged", "dropped_frames", "rate_asked_hz",
+    "rate_hz", "latency_us", "max_current_ma", "max_charge_uc", "max_net_charge_uc",
+    "emulator_violations", "active_fraction",
+}  # fmt: skip
 
 
 def messages(path, topic):
@@ -71,7 +56,7 @@ def test_the_sample_page(program, tmp_path):
         "--json", "run.json", "--record", "run.mcap", real=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    figures = figures_of(tmp_path / "run.json")
+    figures = json.loads((tmp_path / "run.json").read_text())
     assert set(figures) >= KEYS
     assert figures["ended"] == "end of the page"
     assert set(figures["latency_us"]) == {"p50", "p99", "max"}
@@ -92,14 +77,12 @@ def test_the_sample_page(program, tmp_path):
 
 def test_a_photographed_page(program_here, tmp_path):
     Image.fromarray(data.page()).save(tmp_path / "page.png")
-    options = ("--seconds", 3, "--quiet")
     page = "page:page.png?page_width_mm=110&speed_mm_s=300"
-    there = ("--board", "simulated:", "--source", page)
-    done = program_here("live", *there, *options, "--json", "run.json")
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    figures = figures_of(tmp_path / "run.json")
-    assert_safe(figures)
-    assert 0.1 < figures["active_fraction"] < 0.5
+    live = f"live --board simulated: --source {page} --seconds 3 --quiet --json run.json"
+    done = program_here(live).flawless()
+    assert done.stdout == ""
+    assert_safe(done.figures)
+    assert 0.1 < done.figures["active_fraction"] < 0.5
 
 
 BLANK = {
@@ -113,31 +96,20 @@ BLANK = {
 
 
 @pytest.mark.parametrize("name", BLANK)
-def test_blank_pages_are_silent(program_here, tmp_path, name):
+def test_blank_pages_are_silent(figures_of, tmp_path, name):
     Image.fromarray(BLANK[name]).save(tmp_path / "blank.png")
     page = "page:blank.png?dpi=300&speed_mm_s=360"
-    options = ("--quiet", "--json", "run.json")
-    done = program_here("live", "--board", "simulated:", "--source", page, *options)
-    assert done.returncode == 0, done.stderr
-    assert figures_of(tmp_path / "run.json")["active_fraction"] <= 0.02
+    figures = figures_of(f"live --board simulated: --source {page} --quiet")
+    assert figures["active_fraction"] <= 0.02
 
 
 @pytest.mark.parametrize("name", list_profiles())
-def test_every_profile_runs(program_here, tmp_path, name):
+def test_every_profile_runs(figures_of, tmp_path, name):
     # Axons that branch take seconds beneath a large array.
     anatomy = "branched" if len(load_profile(name).electrodes) <= 32 else "paper"
-    done = program_here(
-        "live",
-        "--board=simulated:",
-        # The first letters open the level, with their pulses.
-        "--source=text:the the the the?speed_mm_s=30",
-        f"--profile={name}",
-        "--felt=felt.png",
-        f"--anatomy={anatomy}",
-        "--json=run.json",
-    )
-    assert done.returncode == 0, done.stderr
-    assert_safe(figures_of(tmp_path / "run.json"))
+    # The first letters open the level, with their pulses.
+    live = "live --board=simulated: --source='text:the the the the?speed_mm_s=30'"
+    assert_safe(figures_of(f"{live} --profile={name} --felt=felt.png --anatomy={anatomy}"))
     if name.startswith("line"):
         assert (tmp_path / "felt.png").stat().st_size > 1000
         return
@@ -147,18 +119,15 @@ def test_every_profile_runs(program_here, tmp_path, name):
     assert ink_agreement(page, felt) > 0.4
 
 
-def test_sai_and_light_on_dark(program_here, tmp_path):
+def test_sai_and_light_on_dark(figures_of):
     page = data_folder("sample_images") / "light_on_dark.png"
-    options = ("--board=simulated:", "--mode=sai", "--light-on-dark", "--seconds=2")
-    done = program_here("live", f"--source=page:{page}?speed_mm_s=500", *options, "--json=run.json")
-    assert done.returncode == 0, done.stderr
-    assert_safe(figures_of(tmp_path / "run.json"))
+    options = "--board=simulated: --mode=sai --light-on-dark --seconds=2"
+    assert_safe(figures_of(f"live --source=page:{page}?speed_mm_s=500 {options}"))
 
 
 def recorded(program_here, tmp_path, name, seed):
-    options = ("--source=text:same?speed_mm_s=200", f"--seed={seed}", f"--record={name}")
-    done = program_here("live", "--board", "memory:", *options, "--quiet")
-    assert done.returncode == 0, done.stderr
+    same = "live --board memory: --source=text:same?speed_mm_s=200 --quiet"
+    program_here(f"{same} --seed={seed} --record={name}").fine()
     sequences = messages(tmp_path / name, "/sequence")
     return [
         (entry["site"], entry["period_us"], base64.b64decode(entry["current_ua"]))
@@ -172,55 +141,46 @@ def test_same_seed_same_sequences(program_here, tmp_path):
     assert first != recorded(program_here, tmp_path, "c.mcap", 6)
 
 
-def test_seconds(program_here, tmp_path):
-    timed = ("--board", "simulated:", "--seconds", 1)
-    done = program_here("live", *timed, "--json", "run.json")
-    assert done.returncode == 0, done.stderr
-    figures = figures_of(tmp_path / "run.json")
+def test_seconds(program_here):
+    done = program_here("live --board simulated: --seconds 1 --json run.json").fine()
+    figures = done.figures
     assert f"({figures['ended']})" in done.stdout
     assert figures["ended"].startswith("1 s ")
     assert figures["frames"] in (50, 51)
 
 
-def test_recorded_path(program_here, tmp_path):
-    rows = "0,5,11,0,0\n0.1,5,11,0,1\n1,40,11,0,1\n"
-    (tmp_path / "p.csv").write_text("time_s,x_mm,y_mm,angle_deg,force_n\n" + rows)
-    kept = ("--json", "run.json", "--record", "run.mcap")
-    done = program_here("live", "--board", "simulated:", "--source", f"{SAMPLE}?path=p.csv", *kept)
-    assert done.returncode == 0, done.stderr
+def along(folder, rows):
+    """Return a command over the sample page along a recorded path."""
+    (folder / "p.csv").write_text("time_s,x_mm,y_mm,angle_deg,force_n\n" + rows)
+    return f"live --board simulated: --source {SAMPLE}?path=p.csv"
+
+
+def test_recorded_path(figures_of, tmp_path):
+    path = along(tmp_path, "0,5,11,0,0\n0.1,5,11,0,1\n1,40,11,0,1\n")
+    figures = figures_of(f"{path} --record run.mcap")
     finger = messages(tmp_path / "run.mcap", "/finger")
     assert (finger[0]["x_mm"], finger[0]["force_n"]) == (5, 0)
-    assert figures_of(tmp_path / "run.json")["slots"] > 0
+    assert figures["slots"] > 0
 
 
-def test_light_touch_no_current(program_here, tmp_path):
-    rows = "0,5,11,0,0.1\n1,40,11,0,0.1\n"
-    (tmp_path / "p.csv").write_text("time_s,x_mm,y_mm,angle_deg,force_n\n" + rows)
-    page = f"{SAMPLE}?path=p.csv"
-    program_here("live", "--board", "simulated:", "--source", page, "--json", "run.json")
-    figures = figures_of(tmp_path / "run.json")
+def test_light_touch_no_current(figures_of, tmp_path):
+    figures = figures_of(along(tmp_path, "0,5,11,0,0.1\n1,40,11,0,0.1\n"))
     assert figures["slots"] == 0
     assert figures["active_fraction"] > 0.05
 
 
 def test_many_points_in_a_slot(program_here, tmp_path):
-    page = ("live", "--source", "text:on?speed_mm_s=100", "--board", "simulated:")
-    told = {}
-    for scan in ("points", "auto"):
-        kept = ("--json", f"{scan}.json", "--record", f"{scan}.mcap")
-        # It is the default.
-        chosen = ("--scan", scan) if scan == "points" else ()
-        done = program_here(*page, *chosen, *kept)
-        assert done.returncode == 0, done.stderr
-        told[scan] = done.stdout
-    points, frames = (figures_of(tmp_path / f"{scan}.json") for scan in ("points", "auto"))
+    page = "live --source text:on?speed_mm_s=100 --board simulated: --json f.json"
+    done = program_here(f"{page} --scan points --record points.mcap").fine()
+    points, done = done.figures, program_here(f"{page} --record auto.mcap").fine()
+    frames = done.figures
     assert_safe(frames)
     assert 2.5 * frames["slots"] < points["slots"]
     assert points["worst_other"] is points["worst_spill"] is None
     assert 0 < frames["worst_other"] <= 0.3
     assert 0 < frames["worst_spill"] <= 0.3
-    assert f" {frames['worst_other']:.2f} " in told["auto"]
-    assert f" {frames['worst_spill']:.2f}" in told["auto"]
+    assert f" {frames['worst_other']:.2f} " in done.stdout
+    assert f" {frames['worst_spill']:.2f}" in done.stdout
     proved = [each for each in messages(tmp_path / "auto.mcap", "/sequence") if each["slots"]]
     shared = [
         other
@@ -230,14 +190,11 @@ def test_many_points_in_a_slot(program_here, tmp_path):
     ]
     assert max(shared) == pytest.approx(frames["worst_other"])
     assert messages(tmp_path / "points.mcap", "/sequence")[-1]["worst_other"] is None
-    done = program_here("replay", "auto.mcap", "--check")
-    assert done.returncode == 0, done.stdout
+    program_here("replay auto.mcap --check").fine()
 
 
-def test_points_one_by_one_where_each_is_measured(program_here, tmp_path):
-    options = ("--seconds", 1.5, "--quiet", "--json", "run.json")
-    done = program_here("live", "--source", "text:on?speed_mm_s=100", "--hold", "energy", *options)
-    assert done.returncode == 0, done.stderr
-    figures = figures_of(tmp_path / "run.json")
+def test_points_one_by_one_where_each_is_measured(figures_of):
+    page = "live --source text:on?speed_mm_s=100 --hold energy"
+    figures = figures_of(f"{page} --seconds 1.5 --quiet")
     assert figures["slots"] > 0
     assert figures["worst_other"] is None

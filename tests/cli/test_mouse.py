@@ -1,6 +1,5 @@
 """The electric mouse, through the program."""
 
-import json
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -13,18 +12,20 @@ from smarttouch.errors import PageError, SourceError
 from ..texture.touched import object_file
 from .conftest import refused, says
 
-SIMULATED = ("--board", "simulated:")
+
+@pytest.fixture
+def stroke(program_here):
+    """Return a runner of ``mouse`` that gives its figures, and all that was ``printed``."""
+
+    def run(words):
+        done = program_here(f"mouse --board simulated: --json f.json {words}").flawless()
+        return done.figures | {"printed": done.stdout}
+
+    return run
 
 
-def figures_of(path):
-    return json.loads(path.read_text())
-
-
-def test_without_options_a_virtual_hand_strokes_a_grating(program_here, tmp_path):
-    felt = ("--felt", "felt.png", "--anatomy", "paper")
-    done = program_here("mouse", *SIMULATED, "--intensity", 0.5, "--json", "f.json", *felt)
-    assert (done.returncode, done.stderr) == (0, "")
-    figures = figures_of(tmp_path / "f.json")
+def test_without_options_a_virtual_hand_strokes_a_grating(stroke, tmp_path):
+    figures = stroke("--intensity 0.5 --felt felt.png --anatomy paper")
     # 60 mm there and back over 4 mm: 15 ridges each, at all of 64 electrodes.
     assert figures["slots"] == pytest.approx(2 * 15 * 64, abs=64)
     assert figures["emulator_violations"] == 0
@@ -33,99 +34,55 @@ def test_without_options_a_virtual_hand_strokes_a_grating(program_here, tmp_path
         assert picture.width > 900
 
 
-def test_faster_is_as_many_pulses_in_less_time(program_here, tmp_path):
+def test_faster_is_as_many_pulses_in_less_time(stroke):
     slots, seconds = [], []
     for speed in (40, 80):
-        stroke = ("mouse", "--motion", f"sweep:?speed_mm_s={speed}", "--intensity", 0.5, *SIMULATED)
-        done = program_here(*stroke, "--json", "f.json", "--quiet")
-        assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-        figures = figures_of(tmp_path / "f.json")
+        figures = stroke(f"--motion sweep:?speed_mm_s={speed} --intensity 0.5 --quiet")
+        assert figures["printed"] == ""
         slots.append(figures["slots"])
         seconds.append(figures["seconds"])
     assert slots[0] == pytest.approx(slots[1], abs=64)
     assert seconds[0] - seconds[1] == pytest.approx(1.5, abs=0.1)
 
 
-def test_an_image_under_a_recorded_hand(program_here, tmp_path):
+def test_an_image_under_a_recorded_hand(stroke, tmp_path):
     object_file(tmp_path / "o.png", "disc")
     (tmp_path / "way.csv").write_text(
         "time_s,x_mm,y_mm,force_n\n0,20,20,1\n1,20,20,1\n2,60,20,1\n2.1,60,20,1\n"
     )
-    hand = ("--motion", "path:way.csv")
-    there = ("--texture", "o.png", *hand)
-    done = program_here("mouse", *there, *SIMULATED, "--json", "f.json", "--quiet")
-    assert (done.returncode, done.stderr) == (0, "")
-    all_over = figures_of(tmp_path / "f.json")["slots"]
+    hand = "--motion path:way.csv --quiet --texture o.png"
+    all_over = stroke(hand)["slots"]
     assert 100 < all_over < 250
-    done = program_here(
-        "mouse",
-        "--texture",
-        "o.png?grain_mm=1",
-        *hand,
-        *SIMULATED,
-        "--json",
-        "f.json",
-        "--mode",
-        "SAI",
-        "--quiet",
-    )
-    assert figures_of(tmp_path / "f.json")["slots"] == pytest.approx(2 * all_over, rel=0.2)
-    done = program_here(
-        "mouse", *there, *SIMULATED, "--force", "fixed:0.1", "--json", "f.json", "--quiet"
-    )
-    assert figures_of(tmp_path / "f.json")["slots"] == 0
+    twice = stroke(f"{hand}?grain_mm=1 --mode SAI")["slots"]
+    assert twice == pytest.approx(2 * all_over, rel=0.2)
+    assert stroke(f"{hand} --force fixed:0.1")["slots"] == 0
 
 
-def test_letters_and_height_maps(program_here, tmp_path):
+def test_letters_and_height_maps(stroke, tmp_path):
     np.save(tmp_path / "h.npy", np.kron(np.eye(2), np.ones((50, 100))))
-    for texture in (("text:i",), ("h.npy?width_mm=20", "--rate", 200)):
-        done = program_here(
-            "mouse",
-            "--texture",
-            *texture,
-            *SIMULATED,
-            "--motion",
-            "sweep:?speed_mm_s=100",
-            "--json",
-            "f.json",
-        )
-        assert (done.returncode, done.stderr) == (0, "")
-        assert figures_of(tmp_path / "f.json")["slots"] > 30
+    for texture in ("text:i", "h.npy?width_mm=20 --rate 200"):
+        assert stroke(f"--motion sweep:?speed_mm_s=100 --texture {texture}")["slots"] > 30
 
 
-def test_what_was_felt_replays_to_the_bit(program_here, tmp_path):
-    done = program_here(
-        "mouse", *SIMULATED, "--motion", "sweep:?seed=3&speed_mm_s=90", "--record", "run.mcap"
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    done = program_here("replay", "run.mcap", "--check")
-    assert done.returncode == 0, done.stdout
+def test_what_was_felt_replays_to_the_bit(stroke, program_here):
+    stroke("--motion sweep:?seed=3&speed_mm_s=90 --record run.mcap")
+    program_here("replay run.mcap --check").fine()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "wrong"),
-    [
-        (["--texture", "none.png"], says(PageError, about="file", value=Path("none.png"))),
-        (["--texture", "grating:x"], says(PageError, "'grating:x'", "grating:4mm,30deg")),
-        (["--motion", "wheel:"], says(SourceError, "'wheel:'", "evdev:", "sweep:", "window:")),
-        (
-            ["--motion", "evdev:/dev/null"],
-            says(SourceError, "/dev/null" if find_spec("evdev") else "smarttouch[mouse]"),
-        ),
-        (["--motion", "sweep:?cpi=400"], says(SourceError, "cpi", "speed_mm_s")),
-        (
-            ["--motion", "sweep:?speed_mm_s=0"],
-            says(SourceError, " 1000", about="speed_mm_s", value=0),
-        ),
-        (["--rate", "300"], says(SourceError, about="rate_hz", value=300, allowed=(10, 200))),
-        (
-            ["--mode", "natural"],
-            says(SourceError, about="mode", value="natural", allowed=("RA", "SAI", "PC")),
-        ),
-        (["--mode", "XY"], says(about="mode", value="XY")),
-        (["--seconds", "0"], says(about="seconds", value=0, allowed=0)),
-        (["--felt", "felt.png", "--board", "memory:"], says(about="felt")),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "wrong"), [
+    ("--texture none.png", says(PageError, about="file", value=Path("none.png"))),
+    ("--texture grating:x", says(PageError, "'grating:x'", "grating:4mm,30deg")),
+    ("--motion wheel:", says(SourceError, "'wheel:'", "evdev:", "sweep:", "window:")),
+    ("--motion evdev:/dev/null",
+     says(SourceError, "/dev/null" if find_spec("evdev") else "smarttouch[mouse]")),
+    ("--motion sweep:?cpi=400", says(SourceError, "cpi", "speed_mm_s")),
+    ("--motion sweep:?speed_mm_s=0", says(SourceError, " 1000", about="speed_mm_s", value=0)),
+    ("--rate 300", says(SourceError, about="rate_hz", value=300, allowed=(10, 200))),
+    ("--mode natural",
+     says(SourceError, about="mode", value="natural", allowed=("RA", "SAI", "PC"))),
+    ("--mode XY", says(about="mode", value="XY")),
+    ("--seconds 0", says(about="seconds", value=0, allowed=0)),
+    ("--felt felt.png --board memory:", says(about="felt")),
+])  # fmt: skip
 def test_bad_input_is_one_sentence(program_here, arguments, wrong):
-    wrong(refused(program_here("mouse", *SIMULATED, *arguments)))
+    wrong(refused(program_here(f"mouse --board simulated: {arguments}")))

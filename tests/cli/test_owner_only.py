@@ -33,8 +33,7 @@ def test_files_and_folders_of_a_command(program_here, tmp_path, monkeypatch, nam
     before = os.umask(0)
     try:
         for command in COMMANDS[name]:
-            done = program_here(*command)
-            assert done.returncode == 0, done.stderr
+            program_here(*command).fine()
     finally:
         os.umask(before)
     modes = {

@@ -19,37 +19,34 @@ def one_sentence(done):
 
 
 def test_all_are_listed(program_here):
-    done = program_here("profiles")
-    assert done.returncode == 0
+    done = program_here("profiles").fine()
     for name in list_profiles():
         assert name in done.stdout
     assert "electric-mouse (default)" in done.stdout
 
 
 def test_a_copy_is_the_file_with_its_comments(program_here, tmp_path):
-    assert program_here("profiles", "copy", "line-7", "mine.toml").returncode == 0
+    assert program_here("profiles copy line-7 mine.toml").returncode == 0
     assert (tmp_path / "mine.toml").read_bytes() == profile_path("line-7").read_bytes()
-    refused = one_sentence(program_here("profiles", "copy", "line-8", "mine.toml"))
+    refused = one_sentence(program_here("profiles copy line-8 mine.toml"))
     assert "mine.toml" in refused
     assert "--overwrite" in refused
     assert (tmp_path / "mine.toml").read_bytes() == profile_path("line-7").read_bytes()
-    assert program_here("profiles", "copy", "line-8", "mine.toml", "--overwrite").returncode == 0
+    assert program_here("profiles copy line-8 mine.toml --overwrite").returncode == 0
     assert (tmp_path / "mine.toml").read_bytes() == profile_path("line-8").read_bytes()
 
 
 @pytest.mark.parametrize("name", ["electric-mouse", "kajimoto-61"])
 def test_what_is_shown_is_a_profile(program_here, tmp_path, name):
-    done = program_here("profiles", "show", name)
-    assert done.returncode == 0
+    done = program_here("profiles show", name).fine()
     (tmp_path / f"{name}.toml").write_text(done.stdout)
     assert load_profile(tmp_path / f"{name}.toml") == load_profile(name)
 
 
 def test_what_was_calibrated_is_shown_with_its_day(program_here):
     for what in ("force", "registration"):
-        done = program_here("calibrate", what, "--simulate", "--output", "mine.toml")
-        assert done.returncode == 0, done.stderr
-    shown = program_here("profiles", "show", "mine.toml").stdout
+        program_here("calibrate", what, "--simulate", "--output", "mine.toml").fine()
+    shown = program_here("profiles show mine.toml").stdout
     assert {"force", "registration"} == tomllib.loads(shown)["calibrated"].keys()
     (curve,) = [line for line in shown.splitlines() if line.startswith("curve = ")]
     assert "# calibrated: force, 20" in curve
@@ -75,7 +72,7 @@ def test_board_form_and_plain_lines_come_from_the_profile(program_here, tmp_path
 
 def test_no_intensity_is_kept_in_a_profile(program_here, tmp_path):
     with_defaults(tmp_path / "mine.toml", intensity=0.5)
-    assert "defaults.intensity" in one_sentence(program_here("live", "--profile", "mine.toml"))
+    assert "defaults.intensity" in one_sentence(program_here("live --profile mine.toml"))
 
 
 @pytest.mark.parametrize(
@@ -95,14 +92,14 @@ def test_what_is_drawn(profile, kept, given, drawn, monkeypatch):
 
 
 def test_the_keys(program_here):
-    assert program_here("profiles", "keys").stdout == key_reference()
+    assert program_here("profiles keys").stdout == key_reference()
 
 
 def test_all_that_is_wrong_stands_in_a_line_of_its_own(program_here, tmp_path):
     text = profile_path("line-7").read_text(encoding="utf-8")
     wrong = text.replace("count = 7", "count = 1").replace("duty = 0.8", "duty = 8")
     (tmp_path / "mine.toml").write_text(wrong)
-    done = program_here("profiles", "show", "mine.toml")
+    done = program_here("profiles show mine.toml")
     assert done.returncode == 2
     lines = done.stderr.splitlines()
     assert len(lines) == 2
@@ -111,15 +108,10 @@ def test_all_that_is_wrong_stands_in_a_line_of_its_own(program_here, tmp_path):
     assert "limits.duty" in lines[1]
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("show", "nobody"),
-        ("copy", "nobody", "mine.toml"),
-        ("copy", "line-7", "mine.txt"),
-        ("copy", "line-7", "none/mine.toml"),
-    ],
-)
+@pytest.mark.parametrize("arguments", [
+    ("show", "nobody"), ("copy", "nobody", "mine.toml"), ("copy", "line-7", "mine.txt"),
+    ("copy", "line-7", "none/mine.toml"),
+])  # fmt: skip
 def test_what_cannot_be_is_one_sentence(program_here, tmp_path, arguments):
     one_sentence(program_here("profiles", *arguments))
     assert list(tmp_path.iterdir()) == []

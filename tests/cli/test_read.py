@@ -33,10 +33,6 @@ def in_this_process():
         yield
 
 
-def figures_of(path):
-    return json.loads(path.read_text())
-
-
 @pytest.fixture
 def page_file(tmp_path):
     """An image file of a page with two lines; it does not say how large it is."""
@@ -45,10 +41,8 @@ def page_file(tmp_path):
     return path
 
 
-def test_shapes_to_the_emulator(program_here, tmp_path):
-    done = program_here("read", "text:it", "--json", "f.json", "--pause", "0")
-    assert (done.returncode, done.stderr) == (0, "")
-    figures = figures_of(tmp_path / "f.json")
+def test_shapes_to_the_emulator(program_here):
+    figures = program_here("read text:it --json f.json --pause 0").flawless().figures
     assert figures["ended"] == "end of the text"
     assert figures["emulator_violations"] == 0
     assert figures["slots"] > 0
@@ -57,10 +51,10 @@ def test_shapes_to_the_emulator(program_here, tmp_path):
 
 def test_an_image_without_a_board(program_here, tmp_path):
     Image.fromarray(print_text("a\nbeam").grey).save(tmp_path / "small.png")
-    kept = ("--frames", "f.gif", "--felt", "felt.png", "--anatomy", "paper", "--json", "f.json")
-    done = program_here("read", "small.png", *kept)
-    assert (done.returncode, done.stderr.strip()) == (0, "")
-    assert figures_of(tmp_path / "f.json")["ended"] == "end of the text"
+    kept = "--frames f.gif --felt felt.png --anatomy paper --json f.json"
+    done = program_here(f"read small.png {kept}").fine()
+    assert done.stderr.strip() == ""
+    assert done.figures["ended"] == "end of the text"
     with Image.open(tmp_path / "f.gif") as film:
         assert film.n_frames > 100
     # Above what passed under the finger, then what was delivered, then what was felt: the same.
@@ -69,33 +63,17 @@ def test_an_image_without_a_board(program_here, tmp_path):
     assert np.corrcoef(above.ravel(), felt.ravel())[0, 1] > 0.4
 
 
-def test_what_was_read_replays_to_the_bit(program_here, tmp_path):
-    for kind in ("shapes", "braille"):
-        done = program_here(
-            "read", "text:ab", "--as", kind, "--board", "simulated:", "--record", f"{kind}.mcap"
-        )
-        assert done.returncode == 0, done.stderr
-        checked = program_here("replay", f"{kind}.mcap", "--check")
-        assert checked.returncode == 0, checked.stdout
-
-
-def test_what_was_read_can_be_felt_once_more(program_here, tmp_path):
-    slots = []
-    for command in (
-        ["read", "text:ab", "--as", "braille", "--record", "run.mcap"],
-        ["replay", "run.mcap"],
-    ):
-        done = program_here(*command, "--board", "simulated:", "--json", "f.json")
-        assert done.returncode == 0, done.stderr
-        slots.append(figures_of(tmp_path / "f.json")["slots"])
-    assert slots[0] == slots[1] > 0
+@pytest.mark.parametrize("kind", ["shapes", "braille"])
+def test_what_was_read_replays_to_the_bit_and_is_felt_once_more(program_here, figures_of, kind):
+    read = figures_of(f"read text:ab --as {kind} --board simulated: --record run.mcap")
+    program_here("replay run.mcap --check").fine()
+    assert figures_of("replay run.mcap --board simulated:")["slots"] == read["slots"] > 0
 
 
 @pytest.mark.parametrize("cells", ["line", "cell"])
 def test_a_text_as_braille_patterns(program_here, tmp_path, cells):
-    done = program_here("read", "text:b", "--as", "braille", "--cells", cells, "--frames", "f.json")
-    assert done.returncode == 0, done.stderr
-    document = figures_of(tmp_path / "f.json")
+    program_here(f"read text:b --as braille --cells {cells} --frames f.json").fine()
+    document = json.loads((tmp_path / "f.json").read_text())
     rows = {
         (round(each["x_mm"]), round(each["y_mm"]))
         for step in document["steps"]
@@ -109,36 +87,26 @@ def test_a_text_as_braille_patterns(program_here, tmp_path, cells):
     assert len({x for x, _ in rows}) == (1 if cells == "cell" else 8)
 
 
-def test_files_of_cells_and_texts(program_here, tmp_path):
+def test_files_of_cells_and_texts(program_here, figures_of, tmp_path):
     (tmp_path / "note.txt").write_text("ab\n\nc\n")
     (tmp_path / "note.brf").write_bytes(b"AB\r\nC\r\n")
-    slots = []
     for name in ("note.txt", "note.brf"):
-        done = program_here(
-            "read", name, "--as", "braille", "--board", "simulated:", "--json", "f.json"
-        )
-        assert done.returncode == 0, done.stderr
-        slots.append(figures_of(tmp_path / "f.json")["slots"])
-    assert slots[0] > 0
-    done = program_here("read", "note.brf", "--frames", "f.gif")
+        assert figures_of(f"read {name} --as braille --board simulated:")["slots"] > 0
+    done = program_here("read note.brf --frames f.gif")
     says(ReadingError, "note.brf", about="kind", allowed="Braille")(refused(done))
 
 
 @needs_tesseract
-def test_an_image_becomes_braille(program_here, tmp_path, page_file):
-    done = program_here("legibility", page_file, "--as", "braille", "--json", "f.json", "--quiet")
-    assert done.returncode == 0, done.stderr
-    figures = figures_of(tmp_path / "f.json")
-    assert figures["cell_error_rate"] == 0
-    assert figures["text"] == "a thin\nlight beam"
+def test_an_image_becomes_braille(figures_of, page_file):
+    figures = figures_of(f"legibility {page_file} --as braille --quiet")
+    assert (figures["cell_error_rate"], figures["text"]) == (0, "a thin\nlight beam")
 
 
 @needs_tesseract
 def test_legibility_of_a_page(program_here, tmp_path, page_file):
     (tmp_path / "truth.txt").write_text("a thin light beam")
-    done = program_here("legibility", page_file, "--truth", "truth.txt", "--json", "f.json")
-    assert done.returncode == 0, done.stderr
-    figures = figures_of(tmp_path / "f.json")
+    done = program_here(f"legibility {page_file} --truth truth.txt --json f.json").fine()
+    figures = done.figures
     assert figures["page_error_rate"] <= 0.05
     assert figures["sampling_limit"] <= 0.1
     assert figures["character_error_rate"] <= figures["sampling_limit"] + 0.1
@@ -161,15 +129,12 @@ def sent_to_workers(monkeypatch):
 
 @needs_tesseract
 @pytest.mark.usefixtures("sent_to_workers")
-def test_legibility_at_the_nerve_of_fingers(program_here, tmp_path):
+def test_legibility_at_the_nerve_of_fingers(program_here):
     found = {}
-    small = ("--profile", "smarttouch-4x4", "--fingers", 2)
+    small = "--profile smarttouch-4x4 --fingers 2 --json f.json"
     for anatomy in ("paper", "branched"):
-        done = program_here(
-            "legibility", "text:touch it", *small, "--anatomy", anatomy, "--json", "f.json"
-        )
-        assert done.returncode == 0, done.stderr
-        found[anatomy] = figures = figures_of(tmp_path / "f.json")
+        done = program_here(f"legibility 'text:touch it' {small} --anatomy {anatomy}").fine()
+        found[anatomy] = figures = done.figures
         assert (figures["fingers"], figures["anatomy"]) == (2, anatomy)
         assert figures["at_board"] == figures["character_error_rate"]
         assert set(figures["at_nerve"]) == {"median", "worst_tenth"}
@@ -185,120 +150,81 @@ def test_legibility_at_the_nerve_of_fingers(program_here, tmp_path):
 
 
 def test_legibility_of_no_anatomy_is_refused_before_anything_is_read(program_here):
-    done = program_here("legibility", "text:touch", "--fingers", 2, "--anatomy", "none")
+    done = program_here("legibility text:touch --fingers 2 --anatomy none")
     says(ProfileError, about="anatomy", value="none")(refused(done))
 
 
 @needs_tesseract
-def test_legibility_knows_what_cannot_be_read(program_here, tmp_path):
+def test_legibility_knows_what_cannot_be_read(figures_of, tmp_path):
     """The measure can fail: compared with another text, all of it is wrong."""
     (tmp_path / "truth.txt").write_text("0123456789")
     Image.fromarray(print_text("thin beam").grey).save(tmp_path / "page.png")
-    done = program_here(
-        "legibility", "page.png", "--truth", "truth.txt", "--json", "f.json", "--quiet"
-    )
-    assert done.returncode == 0, done.stderr
-    assert figures_of(tmp_path / "f.json")["character_error_rate"] > 0.6
+    figures = figures_of("legibility page.png --truth truth.txt --quiet")
+    assert figures["character_error_rate"] > 0.6
 
 
-def test_legibility_of_braille_needs_no_tesseract(program_here, tmp_path, monkeypatch):
+def test_legibility_of_braille_needs_no_tesseract(figures_of, monkeypatch):
     monkeypatch.setenv("PATH", "")
-    done = program_here("legibility", "text:Hello, 42", "--as", "braille", "--json", "f.json")
-    assert done.returncode == 0, done.stderr
-    figures = figures_of(tmp_path / "f.json")
+    figures = figures_of("legibility 'text:Hello, 42' --as braille")
     assert (figures["cell_error_rate"], figures["text"]) == (0, "Hello, 42")
 
 
 def test_without_tesseract_it_says_how_to_get_it(program_here, page_file, monkeypatch):
     monkeypatch.setenv("PATH", "")
-    for arguments in (["legibility"], ["read", "--as", "braille"]):
-        done = program_here(*arguments, page_file)
-        says(ReadingError, "apt install tesseract-ocr")(refused(done))
+    for command in ("legibility", "read --as braille"):
+        says(ReadingError, "apt install tesseract-ocr")(refused(program_here(command, page_file)))
 
 
-def test_a_finger_that_moves_by_itself(program_here, tmp_path, page_file):
+def test_a_finger_that_moves_by_itself(figures_of, tmp_path, page_file):
     """The pose of another sensor, here a finger over a page of its own, picks what is felt."""
     (tmp_path / "path.csv").write_text(
         "time_s,x_mm,y_mm,angle_deg,force_n\n0,0,0,0,1\n2,40,0,0,1\n3,40,0,0,1\n"
     )
     Image.fromarray(np.full((300, 600), 255, np.uint8)).save(tmp_path / "pad.png", dpi=(150, 150))
-    done = program_here(
-        "read", page_file, "--follow", f"page:{tmp_path / 'pad.png'}", "--board", "simulated:",
-        "--seconds", 4, "--json", "f.json",
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert figures_of(tmp_path / "f.json")["slots"] > 0
+    follow = f"--follow page:{tmp_path / 'pad.png'} --board simulated: --seconds 4"
+    assert figures_of(f"read {page_file} {follow}")["slots"] > 0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "wrong"),
-    [
-        (
-            ["nofile.png"],
-            says(BrailleError, about="file", value=Path("nofile.png")),
-        ),
-        (["text: "], says(PageError, "text:")),
-        (
-            ["text:hi", "--as", "dots"],
-            says(about="kind", value="dots", allowed=("shapes", "braille")),
-        ),
-        (
-            ["text:hi", "--style", "bold"],
-            says(about="style", value="bold", allowed=("plain", "thinned", "graded")),
-        ),
-        (
-            ["text:hi", "--as", "braille", "--cells", "two"],
-            says(about="cells", value="two", allowed=("line", "cell")),
-        ),
-        (["text:hi", "--profile", "line-7"], says(ReadingError, "line-7", " 1 row ", " 4:")),
-        (
-            ["text:hi", "--profile", "kajimoto-61", "--as", "braille"],
-            says(ReadingError, "kajimoto-61"),
-        ),
-        (
-            ["text:hi", "--as", "braille", "--lines", "9"],
-            says(ReadingError, "electric-mouse", " 8 x 8 ", " 9 lines", " 43 x 2:"),
-        ),
-        (["text:hi", "--as", "braille", "--table", "xx"], says(BrailleError, "'xx'", "en-1, en-2")),
-        (["text:hi", "--speed", "0"], says(ReadingError, " 2000", about="speed_mm_s", value=0)),
-        (
-            ["text:hi", "--pause", "-1"],
-            says(ReadingError, about="pause_s", value=-1, allowed=(0, 3600)),
-        ),
-        (
-            ["text:hi", "--frames", "f.bmp"],
-            says(SmartTouchError, "f.bmp", ".gif", ".json", "PNG"),
-        ),
-        (["page.png", "--pages", "3"], says(PageError, " 1 page", about="pages", value=3)),
-        (["page.png", "--pages", "x"], says(PageError, "1,3-5", about="pages", value="x")),
-        (["blank.png"], says(ReadingError, "6 pixels")),
-        (["broken.pdf"], says(PageError, "broken.pdf")),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("arguments", "wrong"), [
+    ("nofile.png", says(BrailleError, about="file", value=Path("nofile.png"))),
+    ("'text: '", says(PageError, "text:")),
+    ("text:hi --as dots", says(about="kind", value="dots", allowed=("shapes", "braille"))),
+    ("text:hi --style bold",
+     says(about="style", value="bold", allowed=("plain", "thinned", "graded"))),
+    ("text:hi --as braille --cells two",
+     says(about="cells", value="two", allowed=("line", "cell"))),
+    ("text:hi --profile line-7", says(ReadingError, "line-7", " 1 row ", " 4:")),
+    ("text:hi --profile kajimoto-61 --as braille", says(ReadingError, "kajimoto-61")),
+    ("text:hi --as braille --lines 9",
+     says(ReadingError, "electric-mouse", " 8 x 8 ", " 9 lines", " 43 x 2:")),
+    ("text:hi --as braille --table xx", says(BrailleError, "'xx'", "en-1, en-2")),
+    ("text:hi --speed 0", says(ReadingError, " 2000", about="speed_mm_s", value=0)),
+    ("text:hi --pause -1", says(ReadingError, about="pause_s", value=-1, allowed=(0, 3600))),
+    ("text:hi --frames f.bmp", says(SmartTouchError, "f.bmp", ".gif", ".json", "PNG")),
+    ("page.png --pages 3", says(PageError, " 1 page", about="pages", value=3)),
+    ("page.png --pages x", says(PageError, "1,3-5", about="pages", value="x")),
+    ("blank.png", says(ReadingError, "6 pixels")),
+    ("broken.pdf", says(PageError, "broken.pdf")),
+])  # fmt: skip
 def test_bad_input_is_one_sentence(program_here, tmp_path, page_file, arguments, wrong):
     Image.fromarray(np.full((400, 300), 240, np.uint8)).save(tmp_path / "blank.png")
     (tmp_path / "broken.pdf").write_bytes(b"%PDF-1.7 and nothing else")
-    wrong(refused(program_here("read", *arguments, "--board", "simulated:")))
+    wrong(refused(program_here(f"read {arguments} --board simulated:")))
 
 
 @needs_tesseract
 def test_an_image_of_print_as_a_file_of_cells(program_here, tmp_path, page_file):
-    done = program_here("braille", page_file, "--output", "page.brf")
-    assert done.returncode == 0, done.stderr
-    back = program_here("braille", "page.brf", "--back")
-    assert back.stdout == "a thin light beam\n"
+    program_here("braille --output page.brf", page_file).fine()
+    assert program_here("braille page.brf --back").stdout == "a thin light beam\n"
 
 
-def test_a_photograph_of_braille(program_here, tmp_path):
+def test_a_photograph_of_braille(program_here, figures_of, tmp_path):
     lines = open_table("en-1").to_cells("Raised dots\ncast shadows").split("\n")
     photo = emboss(lines, skew_deg=2)
     Image.fromarray(np.asarray(photo.page.grey)).save(tmp_path / "dots.png")
-    back = program_here("braille", "dots.png", "--back")
-    assert (back.returncode, back.stderr) == (0, "")
+    back = program_here("braille dots.png --back").flawless()
     assert back.stdout == "Raised dots\ncast shadows\n"
-    done = program_here("legibility", "dots.png", "--as", "braille", "--json", "f.json")
-    assert done.returncode == 0, done.stderr
-    figures = figures_of(tmp_path / "f.json")
+    figures = figures_of("legibility dots.png --as braille")
     assert figures["cell_error_rate"] == 0
     assert figures["wanted"].split("\n") == lines
 
@@ -325,7 +251,7 @@ def test_at_a_terminal_keys_go_from_line_to_line(start_at_a_terminal, tmp_path):
     os.write(keys, b" q")
     _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "")
-    assert figures_of(tmp_path / "f.json")["ended"] == "key q"
+    assert json.loads((tmp_path / "f.json").read_text())["ended"] == "key q"
     lines = lines_of(tmp_path / "run.mcap")
     assert [line for line, _ in itertools.groupby(lines)] == [0, 1, 2, 1]
 
@@ -336,4 +262,4 @@ def test_what_waits_for_nothing_is_felt_at_once_also_from_a_terminal(start_at_a_
     )
     _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "")
-    assert figures_of(tmp_path / "figures.json")["slots"] > 0
+    assert json.loads((tmp_path / "figures.json").read_text())["slots"] > 0

@@ -13,7 +13,7 @@ import pytest
 from smarttouch.boards.emulator.delivery_log import read_state
 from smarttouch.recording.reader import Recording
 
-from ..forks import Forked
+from ..boards.fresh import starter, until
 
 pytestmark = pytest.mark.realtime
 
@@ -23,31 +23,17 @@ ROUNDS = int(os.environ.get("SMARTTOUCH_STOP_ROUNDS", "3"))
 REFUSED = dict.fromkeys(("again", "another", "another run"), "BoardStoppedError")
 
 
-def wait_for(condition):
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.01)
-
-
 @pytest.fixture
 def start(start_emulator, tmp_path):
     """Return a starter of programs, each with a board of its own: the process and its books."""
-    started = []
+    with starter() as start:
 
-    def start_one(kind, url=None):
-        _, port, books = start_emulator(64, "link")
-        process = Forked(
-            [sys.executable, str(SOURCE), kind, url or f"link:{port}"],
-            cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
-        started.append(process)
-        return process, books
+        def start_one(kind, url=None):
+            _, port, books = start_emulator(64, "link")
+            command = [sys.executable, str(SOURCE), kind, url or f"link:{port}"]
+            return start(command, cwd=tmp_path, stderr=subprocess.PIPE), books
 
-    yield start_one
-    for process in started:
-        process.kill()
-        process.communicate()
+        yield start_one
 
 
 def told(process):
@@ -63,24 +49,21 @@ def is_whole(path):
     return any(True for _ in recording.steps()) and recording.whole
 
 
-@pytest.mark.parametrize(
-    ("kind", "first"),
-    [
-        ("run", {"run": "done"}),
-        ("thread", {"run": "done"}),
-        ("own handler", {"run": "done"}),
-        ("board", {"drive": "BoardStoppedError"}),
-        ("left open", {"drive": "BoardStoppedError", "send": "BoardStoppedError"}),
-    ],
-)
+@pytest.mark.parametrize(("kind", "first"), [
+    ("run", {"run": "done"}),
+    ("thread", {"run": "done"}),
+    ("own handler", {"run": "done"}),
+    ("board", {"drive": "BoardStoppedError"}),
+    ("left open", {"drive": "BoardStoppedError", "send": "BoardStoppedError"}),
+])  # fmt: skip
 def test_smarttouch_stop_ends_what_a_program_drives(start, start_program, tmp_path, kind, first):
     process, books = start(kind)
-    wait_for(lambda: read_state(books)["slots"] > 50)
+    until(lambda: read_state(books)["slots"] > 50)
     stop = start_program("stop")
     assert stop.communicate(timeout=PATIENCE_S)[0].split()[0] == "1"
     assert stop.returncode == 0
     # Books are written now and then; a board that had to find out by itself tells of silence.
-    wait_for(lambda: read_state(books)["reason"] == "stop")
+    until(lambda: read_state(books)["reason"] == "stop")
     after = read_state(books)
     assert after["state"] == "shorted"
     if "run" in first:
@@ -96,7 +79,7 @@ def test_a_display_that_is_stopped_stops_what_drives_its_board(start):
     process, books = start("display")
     attempts, _ = told(process)
     assert attempts == {"drive": "BoardStoppedError", "again": "BoardStoppedError"}
-    wait_for(lambda: read_state(books)["reason"] == "stop")
+    until(lambda: read_state(books)["reason"] == "stop")
     assert read_state(books)["state"] == "shorted"
 
 
@@ -104,14 +87,14 @@ def test_a_display_that_is_stopped_stops_what_drives_its_board(start):
 @pytest.mark.parametrize("kind", ["run", "thread", "board"])
 def test_a_signal_ends_a_program_at_zero_with_its_recording(start, tmp_path, kind, number):
     process, books = start(kind)
-    wait_for(lambda: read_state(books)["slots"] > 50)
+    until(lambda: read_state(books)["slots"] > 50)
     process.send_signal(number)
     process.communicate(timeout=PATIENCE_S)
     # In another thread only the system's own end is left; the board falls silent by itself.
     assert process.returncode == (-number if kind == "thread" else 128 + number)
     if kind == "thread":
         return
-    wait_for(lambda: read_state(books)["reason"] == "stop")
+    until(lambda: read_state(books)["reason"] == "stop")
     assert read_state(books)["state"] == "shorted"
     if kind == "run":
         assert is_whole(tmp_path / f"{process.pid}.mcap")
@@ -119,11 +102,11 @@ def test_a_signal_ends_a_program_at_zero_with_its_recording(start, tmp_path, kin
 
 def test_a_program_keeps_a_handler_of_its_own(start, tmp_path):
     process, books = start("own handler")
-    wait_for(lambda: read_state(books)["slots"] > 50)
+    until(lambda: read_state(books)["slots"] > 50)
     process.send_signal(signal.SIGTERM)
     assert process.stdout.readline() == "own handler\n"
     before = read_state(books)["slots"]
-    wait_for(lambda: read_state(books)["slots"] > before)
+    until(lambda: read_state(books)["slots"] > before)
 
 
 def test_a_stop_at_any_instant_reaches_every_program(start, start_program):
@@ -137,7 +120,7 @@ def test_a_stop_at_any_instant_reaches_every_program(start, start_program):
         stop.communicate(timeout=PATIENCE_S)
         assert stop.returncode == 0
         for _, books in programs:
-            wait_for(lambda books=books: read_state(books)["reason"] in ("stop", "start"))
+            until(lambda books=books: read_state(books)["reason"] in ("stop", "start"))
         slots = [read_state(books)["slots"] for _, books in programs]
         for process, _ in programs:
             attempts, _ = told(process)

@@ -15,19 +15,13 @@ from smarttouch.boards.emulator.delivery_log import read_state
 from smarttouch.boards.stoppable import announced
 from smarttouch.wire.pty_line import PtyLine
 
+from ..boards.fresh import until
 from ..forks import PROGRAM, Forked
 from .conftest import PRESSED, refused, says
 
 pytestmark = pytest.mark.realtime
 
 PATIENCE_S = 30
-
-
-def wait_for(condition):
-    deadline = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < deadline, "it did not happen"
-        time.sleep(0.01)
 
 
 @pytest.fixture
@@ -45,7 +39,7 @@ def deaf():
 def test_a_signal_while_a_board_is_being_opened(start_program, deaf, number, name):
     port, written = deaf
     process = start_program("live", "--board", f"link:{port}", "--intensity", "1")
-    wait_for(written)
+    until(written)
     process.send_signal(number)
     _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 128 + number
@@ -63,10 +57,10 @@ def is_asked_to_end(process):
 def test_a_stop_while_a_board_is_being_opened(start_program, deaf):
     port, written = deaf
     process = start_program("board", "measure", f"link:{port}")
-    wait_for(written)
+    until(written)
     process.send_signal(signal.SIGSTOP)
     stop = start_program("stop")
-    wait_for(lambda: is_asked_to_end(process))
+    until(lambda: is_asked_to_end(process))
     process.send_signal(signal.SIGCONT)
     assert process.wait(PATIENCE_S) == 128 + signal.SIGTERM
     assert stop.communicate(timeout=PATIENCE_S)[0].split()[0] == "1"
@@ -114,7 +108,7 @@ def test_a_terminal_that_has_stopped_reading_keeps_nobody(
         cwd=tmp_path, stdin=terminal, stdout=terminal, stderr=terminal,
     )  # fmt: skip
     os.write(keys, b"+" * 20)
-    wait_for(lambda: read_state(books)["slots"] > 50)
+    until(lambda: read_state(books)["slots"] > 50)
     if isinstance(end, bytes):
         os.write(keys, end)
         # What is printed last would be waited for: only someone who stops it ends that.

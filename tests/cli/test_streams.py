@@ -32,14 +32,9 @@ def shell(tmp_path):
     def run(line, **environment):
         line = f'smarttouch() {{ {shlex.quote(str(PROGRAM))} "$@"; }}; {line}'
         return subprocess.run(
-            ["bash", "-c", line],
-            cwd=tmp_path,
-            capture_output=True,
-            stdin=subprocess.DEVNULL,
-            timeout=100,
-            check=False,
-            env={**os.environ, **environment},
-        )
+            ["bash", "-c", line], cwd=tmp_path, capture_output=True, stdin=subprocess.DEVNULL,
+            timeout=100, check=False, env={**os.environ, **environment},
+        )  # fmt: skip
 
     return run
 
@@ -66,12 +61,9 @@ def test_errors_are_told_where_that_stream_is_open(shell, closed):
     assert b"Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        "profiles", "--help", f"replay --check {GOLDEN}", SHORT, "experiment list", "braille hello",
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("command", [
+    "profiles", "--help", f"replay --check {GOLDEN}", SHORT, "experiment list", "braille hello",
+])  # fmt: skip
 def test_a_full_disk_behind_standard_output(tmp_path, command):
     # One of them is really started: how it ends is the interpreter's too.
     start = subprocess.Popen if command == "profiles" else Forked
@@ -159,19 +151,16 @@ def test_no_name_title_or_note_is_obeyed(program_here, tmp_path):
     files = ("--record", f"{EVIL}.mcap", "--felt", f"{EVIL}.png", "--anatomy", "paper")
     assert f" {SHOWN}.mcap" in shown(program_here(*SHORT.split(), *names, *files, "--json=f.json"))
     assert json.loads((tmp_path / "f.json").read_text())["ended"]
-    told = shown(program_here("recordings", "info", f"{EVIL}.mcap"))
+    told = shown(program_here("recordings info", f"{EVIL}.mcap"))
     assert told.count("␛]0;owned") >= 3
     assert "[bold]:smile:[/" in told
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        "board info simulated: --profile {}.toml", "design --site 1 --profile {}.toml",
-        "sensor show frames:{}", "live --board {}:x", "live --profile {}", "live --{}", "{}",
-        "read {}", "replay {}", "live --source page:{}.toml", "experiment fit {}.toml",
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("command", [
+    "board info simulated: --profile {}.toml", "design --site 1 --profile {}.toml",
+    "sensor show frames:{}", "live --board {}:x", "live --profile {}", "live --{}", "{}", "read {}",
+    "replay {}", "live --source page:{}.toml", "experiment fit {}.toml",
+])  # fmt: skip
 def test_what_is_said_of_names_is_not_obeyed(program_here, tmp_path, command):
     evil_profile(tmp_path, EVIL + ".toml")
     text = shown(program_here(*(each.format(EVIL) for each in command.split(" "))))

@@ -35,7 +35,7 @@ def test_the_port_may_be_left_out(words, expected):
 
 @pytest.mark.parametrize("port", ["-1", "65536"])
 def test_an_impossible_port_is_refused(program_here, port):
-    done = program_here("live", "--window", port, "--board", "simulated:")
+    done = program_here("live --window", port, "--board", "simulated:")
     said = {"about": "window", "value": int(port)}
     says(SmartTouchError, **said)(refused(done))
 
@@ -44,19 +44,16 @@ def test_an_impossible_port_is_refused(program_here, port):
 def test_without_the_extra_it_says_which(program_here, monkeypatch, library):
     for name in [library, *(each for each in sys.modules if each.startswith(f"{library}."))]:
         monkeypatch.setitem(sys.modules, name, None)
-    done = program_here("live", "--window", "--board", "simulated:")
+    done = program_here("live --window --board simulated:")
     says(SmartTouchError, "smarttouch[window]", about="window")(refused(done))
 
 
 def test_recordings_are_shown_until_ctrl_c(start_program, program_here, tmp_path):
-    done = program_here(
-        "live", "--board", "simulated:", "--source", "text:a", "--record", "run.mcap", "--quiet"
-    )
-    assert done.returncode == 0
-    done = program_here("recordings", "view", "run.mcap", "--save", "a.svg", "--step", 5)
+    program_here("live --board simulated: --source text:a --record run.mcap --quiet").fine()
+    done = program_here("recordings view run.mcap --save a.svg --step 5")
     assert (done.returncode, done.stdout) == (0, "a.svg\n")
     assert (tmp_path / "a.svg").read_text().count("<circle") == 64
-    done = program_here("recordings", "view", "run.mcap", "run.mcap", "--save", "b.svg")
+    done = program_here("recordings view run.mcap run.mcap --save b.svg")
     says(RecordingError, about="files", value=2)(refused(done))
     view = start_program("recordings", "view", "run.mcap", "run.mcap")
     address = re.match("window: (http://[^ ]+) ", view.stderr.readline())[1]

@@ -21,6 +21,7 @@ from smarttouch.sources import open_source
 from smarttouch.sources.forces.force import open_force
 from smarttouch.sources.forces.load_cell import open_cell
 
+from ..boards.fresh import starter, until
 from ..forks import EMULATOR, Forked
 
 ZERO = b"\xff" + bytes(61)
@@ -29,20 +30,16 @@ ZERO = b"\xff" + bytes(61)
 @pytest.fixture
 def start():
     """Return a starter of emulators: the process, a fork or its own, and the name of its port."""
-    started = []
+    with starter() as begin:
 
-    def run(*arguments, program=Forked):
-        command = [*EMULATOR, *arguments, "--port-only"]
-        command += [] if "--linger" in str(arguments) else ["--linger=2"]
-        process = program(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-        started.append(process)
-        assert select.select([process.stdout], [], [], 60)[0], "the emulator prints no port"
-        return process, process.stdout.readline().strip()
+        def run(*arguments, program=Forked):
+            command = [*EMULATOR, *arguments, "--port-only"]
+            command += [] if "--linger" in str(arguments) else ["--linger=2"]
+            process = begin(command, program, stdin=subprocess.PIPE)
+            assert select.select([process.stdout], [], [], 60)[0], "the emulator prints no port"
+            return process, process.stdout.readline().strip()
 
-    yield run
-    for process in started:
-        process.kill()
-        process.communicate()
+        yield run
 
 
 @pytest.fixture
@@ -55,13 +52,6 @@ def connect(name):
     line = socket.create_connection(("127.0.0.1", int(name.rpartition(":")[2])), 5)
     line.settimeout(5)
     return line
-
-
-def wait_for(condition, timeout_s=60.0):
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline, "it never came true"
-        time.sleep(0.01)
 
 
 def test_bytes_pass_as_they_are_before_a_host_sets_up_its_end(start_board):
@@ -91,7 +81,7 @@ def test_a_kajimoto61_on_a_serial_port(start_board, tmp_path):
     with serial.Serial(name, 921600, timeout=5) as port:
         port.write(b"\xfe")
         assert len(port.read(62)) == 62
-    wait_for(lambda: read_state(tmp_path)["slots"] == 122)
+    until(lambda: read_state(tmp_path)["slots"] == 122)
 
 
 def test_an_etactilekit_goes_on_without_its_host(start_board, tmp_path):
@@ -133,7 +123,7 @@ def test_one_host_after_another_and_discovery(start_board):
                 host.sendall(b"\xf5")
                 assert host.recv(10) == b"\x04"
                 assert ask() == wanted % 1
-            wait_for(lambda: ask() == wanted % 0)
+            until(lambda: ask() == wanted % 0)
 
 
 @pytest.mark.parametrize(("linger", "program"), [("inf", subprocess.Popen), ("1e30", Forked)])
@@ -145,41 +135,38 @@ def test_ctrl_c_ends_a_board_without_a_host(start_board, tmp_path, linger, progr
     assert read_state(tmp_path)["reason"] == "signal"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "names"),
-    [
-        ("board link --electrodes=0", "--electrodes 0 1 1024"),
-        ("board link --output=bent", "--output 'bent' weighted"),
-        ("board kajimoto61 --electrodes=60", "--electrodes 60 61"),
-        ("board etactilekit --electrodes=256", "--electrodes 255 256"),
-        ("board etactilekit --firmware=3", "--firmware '3' 71adee2"),
-        ("board other", "emulator 'other' link"),
-        ("board link --discovery-port=8888", "--discovery-port --tcp"),
-        ("board link --discovery-port=70000 --tcp", "--discovery-port 70000 65535"),
-        ("board link --linger=-1", "--linger -1"),
-        ("board link --linger=nan", "--linger nan"),
-        ("board link --compliance=0", "--compliance 0"),
-        ("board link --compliance=nan", "--compliance nan"),
-        ("board link --books=/nowhere", "/nowhere"),
-        ("board link --event=soon", "'soon'"),
-        ("board link --electrodes=4 --event=1_open_4", "4 3"),
-        ("sensor mouse", "emulator 'mouse' serial-array hx711 loadcell"),
-        ("sensor loadcell --rate=0", "--rate 0 2000"),
-        ("sensor serial-array --rows=256", "--rows 256 255"),
-        ("sensor serial-array --columns=1", "--columns 1 255"),
-        ("sensor serial-array --event=1_nan", "nan"),
-        ("sensor serial-array --sensor=camera:0", "'camera 0' page FILE text STRING"),
-        ("sensor hx711 --event=1_dance", "'1 dance' garbage"),
-        ("sensor hx711 --noise=-1", "--noise -1"),
-        ("sensor hx711 --seed=-1", "--seed -1"),
-        ("sensor hx711 --force=nan", "--force nan"),
-        ("sensor hx711 --counts-per-n=0", "--counts-per-n 0"),
-        ("sensor hx711 --path=/nowhere.csv", "/nowhere.csv"),
-        ("sensor hx711 --linger=-1", "--linger -1"),
-        ("sensor hx711 --profile=none", "'none'"),
-        ("sensor hx711 --books=/nowhere/books", "/nowhere/books"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "names"), [
+    ("board link --electrodes=0", "--electrodes 0 1 1024"),
+    ("board link --output=bent", "--output 'bent' weighted"),
+    ("board kajimoto61 --electrodes=60", "--electrodes 60 61"),
+    ("board etactilekit --electrodes=256", "--electrodes 255 256"),
+    ("board etactilekit --firmware=3", "--firmware '3' 71adee2"),
+    ("board other", "emulator 'other' link"),
+    ("board link --discovery-port=8888", "--discovery-port --tcp"),
+    ("board link --discovery-port=70000 --tcp", "--discovery-port 70000 65535"),
+    ("board link --linger=-1", "--linger -1"),
+    ("board link --linger=nan", "--linger nan"),
+    ("board link --compliance=0", "--compliance 0"),
+    ("board link --compliance=nan", "--compliance nan"),
+    ("board link --books=/nowhere", "/nowhere"),
+    ("board link --event=soon", "'soon'"),
+    ("board link --electrodes=4 --event=1_open_4", "4 3"),
+    ("sensor mouse", "emulator 'mouse' serial-array hx711 loadcell"),
+    ("sensor loadcell --rate=0", "--rate 0 2000"),
+    ("sensor serial-array --rows=256", "--rows 256 255"),
+    ("sensor serial-array --columns=1", "--columns 1 255"),
+    ("sensor serial-array --event=1_nan", "nan"),
+    ("sensor serial-array --sensor=camera:0", "'camera 0' page FILE text STRING"),
+    ("sensor hx711 --event=1_dance", "'1 dance' garbage"),
+    ("sensor hx711 --noise=-1", "--noise -1"),
+    ("sensor hx711 --seed=-1", "--seed -1"),
+    ("sensor hx711 --force=nan", "--force nan"),
+    ("sensor hx711 --counts-per-n=0", "--counts-per-n 0"),
+    ("sensor hx711 --path=/nowhere.csv", "/nowhere.csv"),
+    ("sensor hx711 --linger=-1", "--linger -1"),
+    ("sensor hx711 --profile=none", "'none'"),
+    ("sensor hx711 --books=/nowhere/books", "/nowhere/books"),
+])  # fmt: skip
 def test_what_it_cannot_do_is_one_sentence(capsys, arguments, names):
     with pytest.raises(SystemExit) as ended:
         main([each.replace("_", " ") for each in arguments.split()])
@@ -203,7 +190,7 @@ def test_every_frame_of_an_array_is_read_dropped_or_lost(start, profile, tmp_pat
             read.add(look.number)
             return look
 
-        wait_for(lambda: see() and sensor._device._before >= 299)
+        until(lambda: see() and sensor._device._before >= 299)
 
         def is_over():
             """While the line is full none is sent: others come instead, after a while."""
@@ -211,7 +198,7 @@ def test_every_frame_of_an_array_is_read_dropped_or_lost(start, profile, tmp_pat
             time.sleep(0.5)
             return see().stale and sensor.frames == before
 
-        wait_for(is_over)
+        until(is_over)
     assert process.wait(60) == 0
     account = json.loads(books.read_text())
     assert account["sent"] == 300
@@ -240,16 +227,16 @@ def test_a_cell_with_all_faults_and_orders(start, profile, changed):
         ):
             # One reading: the next may have come late, and be none.
             found = [math.nan]
-            wait_for(lambda found=found: found.append(force.read(0)) or found[-1] > 0)
+            until(lambda found=found: found.append(force.read(0)) or found[-1] > 0)
             assert found[-1] == pytest.approx(0.6, abs=0.4)
             order(fault)
-            wait_for(lambda seen=seen: math.isnan(force.read(0)) and seen())
-        wait_for(lambda: force.read(0) > 0)
+            until(lambda seen=seen: math.isnan(force.read(0)) and seen())
+        until(lambda: force.read(0) > 0)
         assert watch._absence.times == 1
         assert len(force.notes) >= 3
     with open_cell(f"hx711:{name}") as cell:
         order("weight 200")
-        wait_for(lambda: cell.reading() > 81_600)
+        until(lambda: cell.reading() > 81_600)
         process.send_signal(signal.SIGTERM)
         assert process.wait(60) == 0
     assert json.loads(process.stdout.read())["sent"] > 0

@@ -1,17 +1,26 @@
-"""The server of emulated devices: deadlines, statistics, faults and orders."""
+"""Emulated sensors, and the server of emulated devices: deadlines, faults and orders."""
 
+import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from smarttouch.boards.emulator.events import Event, parse
 from smarttouch.boards.emulator.firmware import Firmware
 from smarttouch.emulator import sensors
-from smarttouch.emulator.sensors import LoadCell, SensorArray, SensorFirmware, press
+from smarttouch.emulator.sensors import (
+    LoadCell,
+    SensorArray,
+    SensorFirmware,
+    look_at_page,
+    look_at_pattern,
+    press,
+)
 from smarttouch.emulator.server import FAULTS, Server, faults_at
 from smarttouch.errors import SourceError
 from smarttouch.sources.forces.readings import TextReadings
-from smarttouch.sources.sensor_protocol import MessageStream
+from smarttouch.sources.sensor_protocol import ArrayFrame, CellReading, Info, MessageStream
 from smarttouch.wire.pty_line import PtyLine
 
 from ..raising import raises
@@ -65,40 +74,36 @@ def make_server(device=None, line=None, faults=(), count=None, orders=()):
     return server, line
 
 
-def step(server, now_ms, present=True):
+def step(server, *times_ms, present=True):
     """Let a server do what is due, with or without a host."""
-    server.step(b"" if present else None, now_ms * MS)
+    for now_ms in times_ms:
+        server.step(b"" if present else None, now_ms * MS)
 
 
 def test_one_packet_at_each_deadline_and_none_without_a_host():
     server, line = make_server()
-    step(server, 5, False)
+    step(server, 5, present=False)
     assert line.taken == b""
-    for now_ms in range(100, 151):
-        step(server, now_ms)
+    step(server, *range(100, 151))
     assert line.taken == b"000;001;002;003;004;005;"
     assert (server.statistics.sent, server.statistics.dropped) == (6, 0)
 
 
 def test_a_late_tick_moves_no_deadline_but_a_long_one_is_not_made_up_for():
     server, _ = make_server()
-    for now_ms in (0, 17, 20, 26, 30):
-        step(server, now_ms)
+    step(server, 0, 17, 20, 26, 30)
     assert server.statistics.sent == 4
-    for now_ms in range(1000, 1010):
-        step(server, now_ms)
+    step(server, *range(1000, 1010))
     assert server.statistics.sent == 5
 
 
 def test_what_the_host_does_not_take_is_dropped_and_never_queued():
     server, line = make_server(line=FakeLine(room=6))
-    for now_ms in range(0, 50):
-        step(server, now_ms)
+    step(server, *range(0, 50))
     assert line.taken == b"000;00"
     assert (server.statistics.sent, server.statistics.dropped) == (1, 3)
     line.room = 100
-    for now_ms in range(50, 61):
-        step(server, now_ms)
+    step(server, *range(50, 61))
     assert line.taken == b"000;001;005;006;"
     assert (server.statistics.sent, server.statistics.dropped) == (4, 3)
 
@@ -106,7 +111,7 @@ def test_what_the_host_does_not_take_is_dropped_and_never_queued():
 def test_a_host_that_goes_takes_its_half_packet_along():
     server, line = make_server(line=FakeLine(room=2))
     step(server, 0)
-    step(server, 1, False)
+    step(server, 1, present=False)
     line.room = 100
     step(server, 20)
     assert line.taken == b"00001;"
@@ -115,8 +120,7 @@ def test_a_host_that_goes_takes_its_half_packet_along():
 
 def test_after_the_count_it_is_silent():
     server, line = make_server(count=3)
-    for now_ms in range(0, 100):
-        step(server, now_ms)
+    step(server, *range(0, 100))
     assert line.taken == b"000;001;002;"
 
 
@@ -124,7 +128,7 @@ def test_faults_of_the_line():
     server, line = make_server(faults=["0.0625 silent 0.0625", "0.25 unplug 0.125"])
     present = []
     for now_ms in range(0, 400):
-        step(server, now_ms, line.plugged_in)
+        step(server, now_ms, present=line.plugged_in)
         present.append((len(line.taken), line.plugged_in))
     assert present[62][0] == present[124][0] == 4 * 7
     assert present[190][0] > 4 * 7
@@ -137,8 +141,7 @@ def test_orders(capsys):
     cell = LoadCell(press(0.0, None, None), counts_per_n=1000, zero=0, noise=0)
     orders = ("weight 100", "force x", "silent 0.02", "unplug", "dance")
     server, line = make_server(cell, orders=orders)
-    for now_ms in range(0, 60):
-        step(server, now_ms)
+    step(server, *range(0, 60))
     assert line.taken == b"HX711 reading: 981\r\n" * server.statistics.sent
     assert server.statistics.sent == 4
     number, unplugged, dance = capsys.readouterr().err.splitlines()
@@ -148,30 +151,21 @@ def test_orders(capsys):
     assert "garbage, nan, freeze, silent, unplug" in dance
 
 
-@pytest.mark.parametrize(
-    ("text", "fault"),
-    [
-        ("2 garbage 0.5", Event(2, "garbage", values=(0.5,))),
-        ("3 nan", Event(3, "nan")),
-        (" 0.5  unplug  1 ", Event(0.5, "unplug", values=(1,))),
-    ],
-)
+@pytest.mark.parametrize(("text", "fault"), [
+    ("2 garbage 0.5", Event(2, "garbage", values=(0.5,))),
+    ("3 nan", Event(3, "nan")),
+    (" 0.5  unplug  1 ", Event(0.5, "unplug", values=(1,))),
+])  # fmt: skip
 def test_events(text, fault):
     assert parse_fault(text) == fault
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        *((text, "is none") for text in ("", "2", "nan", "2 dance")),
-        *((text, "has no number") for text in ("x nan", "2 nan x")),
-        *(
-            (text, "negative or not finite")
-            for text in ("-1 nan", "inf nan", "2 nan -1", "2 nan inf")
-        ),
-        ("2 nan 1 1", "has 2 values"),
-    ],
-)
+@pytest.mark.parametrize(("text", "words"), [
+    *((text, "is none") for text in ("", "2", "nan", "2 dance")),
+    *((text, "has no number") for text in ("x nan", "2 nan x")),
+    *((text, "negative or not finite") for text in ("-1 nan", "inf nan", "2 nan -1", "2 nan inf")),
+    ("2 nan 1 1", "has 2 values"),
+])  # fmt: skip
 def test_what_is_no_event(text, words):
     with raises(SourceError, about="event", value=(text, words)):
         parse_fault(text)
@@ -199,8 +193,7 @@ def test_garbage_is_nothing_and_ends_as_what_it_stands_for():
     cell = LoadCell(press(1.0, None, None), framed=True, rate_hz=100.0)
     for device in (array, cell):
         server, line = make_server(device, faults=["0 garbage 0.05"])
-        for now_ms in range(0, 50):
-            step(server, now_ms)
+        step(server, *range(0, 50))
         assert (server.statistics.sent, server.statistics.garbage) == (0, 5)
         stream = MessageStream()
         assert stream.feed(line.taken) == []
@@ -272,3 +265,73 @@ def test_a_port_whose_name_stays():
     finally:
         line.close()
     assert not name.parent.exists()
+
+
+def packet(device, number, time_s, *wrong):
+    device.wrong = frozenset(wrong)
+    return device.packet(number, time_s)
+
+
+def test_an_array_sends_frames_and_once_a_second_its_name():
+    device = SensorArray(look_at_pattern(6, 9), rate_hz=4)
+    stream, messages = MessageStream(), []
+    for number in range(5):
+        messages += stream.feed(packet(device, number, number / 4))
+    frames = [each for each in messages if isinstance(each, ArrayFrame)]
+    assert [frame.number for frame in frames] == [0, 1, 2, 3, 4]
+    assert [frame.time_us for frame in frames] == [0, 250_000, 500_000, 750_000, 1_000_000]
+    assert frames[0].image.shape == (6, 9)
+    assert sum(isinstance(each, Info) for each in messages) == 2
+    # 40 pixels a second from right to left.
+    first, later = frames[0].image, look_at_pattern(6, 9)(3 / 40)
+    np.testing.assert_array_equal(first[:, 3:], later[:, :-3])
+
+
+def test_an_array_that_freezes():
+    device = SensorArray(look_at_pattern(8, 8), rate_hz=100)
+    stream = MessageStream()
+    (_, before) = stream.feed(packet(device, 0, 0))
+    (frozen,) = stream.feed(packet(device, 1, 10, "freeze"))
+    (after,) = stream.feed(packet(device, 2, 10))
+    np.testing.assert_array_equal(before.image, frozen.image)
+    assert (after.image != frozen.image).any()
+
+
+def test_an_array_reads_a_page_again_and_again(profile):
+    look = look_at_page("text:o", profile, 16, 24)
+    assert look(0.0).shape == look(1000.0).shape == (16, 24)
+    assert max(np.ptp(look(time_s)) for time_s in np.arange(0, 3, 0.02)) > 100
+    allowed = ("page", "text")
+    with raises(SourceError, about="url", value="camera:0", allowed=allowed):
+        look_at_page("camera:0", profile, 16, 16)
+
+
+@pytest.mark.parametrize("framed", [False, True])
+def test_a_cell_follows_its_line(profile, tmp_path, framed):
+    record = tmp_path / "force.csv"
+    record.write_text("time_s,force_n\n0,0\n1,2\n")
+    force = press(9.0, record, profile)
+    device = LoadCell(force, counts_per_n=1000, zero=-200, noise=0, framed=framed)
+
+    def at(time_s, *wrong):
+        data = packet(device, 0, time_s, *wrong)
+        if framed:
+            (message,) = MessageStream().feed(data)
+            assert isinstance(message, CellReading)
+            return message.reading
+        (reading,) = TextReadings().feed(b"\n" + data)
+        return None if math.isnan(reading) else reading
+
+    assert [at(0.5), at(1), at(9)] == [800, 1800, -200]
+    assert at(0.5, "freeze") == -200
+    assert at(0.5, "nan") is None
+    device.take_order(["force", "1e9"])
+    assert at(0) == 2**23 - 1
+
+
+def test_a_cells_noise():
+    device = LoadCell(press(1.0, None, None), 1000, 0, noise=50, framed=True)
+    stream = MessageStream()
+    readings = [stream.feed(packet(device, 0, 0))[0].reading for _ in range(2000)]
+    assert np.mean(readings) == pytest.approx(1000, abs=5)
+    assert np.std(readings) == pytest.approx(50, rel=0.1)

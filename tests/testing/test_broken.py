@@ -1,8 +1,6 @@
 """The contracts find what is broken in boards, sources and forces."""
 
-import re
-import subprocess
-import sys
+from .test_mutants import failed
 
 BROKEN = """
 import math, threading, time
@@ -145,24 +143,24 @@ class TestPull(Forces):
 """
 
 FOUND = {
-    "TestNever": {
+    "Never": {
         "a_stop_from_another_thread_ends_it", "closing_puts_it_at_zero",
         "an_exception_puts_it_at_zero", "a_driver_that_breaks_is_put_at_zero",
         "a_stop_at_any_line_of_the_driver", "nothing_is_measured_after_a_stop",
     },
-    "TestLater": {
+    "Later": {
         "a_stop_from_another_thread_ends_it", "a_stop_at_any_line_of_the_driver",
         "nothing_is_measured_after_a_stop",
     },
-    "TestUncounted": {"what_is_sent_is_what_was_proved"},
-    "TestLimits": {"its_driver_keeps_the_contract", "an_unsafe_sequence_never_leaves"},
-    "TestShared": {"one_number_is_one_image_and_stays_it"},
-    "TestNumbers": {"every_frame_is_counted"},
-    "TestWide": {"frames_are_what_they_are_to_be"},
-    "TestWaits": {"reading_waits_for_nothing"},
-    "TestOnce": {"it_can_be_closed_twice"},
-    "TestEndless": {"it_ends_and_stays_at_its_end"},
-    "TestPull": {
+    "Uncounted": {"what_is_sent_is_what_was_proved"},
+    "Limits": {"its_driver_keeps_the_contract", "an_unsafe_sequence_never_leaves"},
+    "Shared": {"one_number_is_one_image_and_stays_it"},
+    "Numbers": {"every_frame_is_counted"},
+    "Wide": {"frames_are_what_they_are_to_be"},
+    "Waits": {"reading_waits_for_nothing"},
+    "Once": {"it_can_be_closed_twice"},
+    "Endless": {"it_ends_and_stays_at_its_end"},
+    "Pull": {
         "it_is_a_force_or_not_known", "it_can_be_closed_twice_and_still_be_read",
         "one_that_is_not_there_is_an_error_with_a_sentence",
     },
@@ -170,12 +168,7 @@ FOUND = {
 
 
 def test_what_is_broken_fails_the_test_that_is_about_it(tmp_path):
-    (tmp_path / "test_them.py").write_text(BROKEN, encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-rf", "--tb=no", "-p", "no:cacheprovider", "."],
-        cwd=tmp_path, capture_output=True, text=True, timeout=110, check=False,
-    )  # fmt: skip
-    found = {}
-    for kind, name in re.findall(r"^FAILED \S+::(\w+)::test_(\w+)", done.stdout, re.MULTILINE):
-        found.setdefault(kind, set()).add(name)
-    assert found == FOUND
+    found = failed(tmp_path, BROKEN)
+    assert {
+        kind: {name.partition("[")[0] for name in names} for kind, names in found.items()
+    } == FOUND

@@ -1,4 +1,4 @@
-"""The examples are packages of their own that work: their tests, and a run with both."""
+"""The packages of the examples, and those that the how-tos write, work."""
 
 import subprocess
 import sys
@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from ..installed import install_project
+from ..pages import ROOT, Reader
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
 
@@ -46,3 +47,11 @@ def test_a_run_with_both(program, tmp_path):
     assert lines[0] == lines[-1] == "zero"
     assert sum(line.startswith("scan") for line in lines) > 5
     assert sum(line.startswith("  ") for line in lines) > 5
+
+
+@pytest.mark.parametrize(("page", "commands"), [("own-board", 1), ("own-source", 2)])
+def test_a_package_by_the_page_alone(page, commands, tmp_path):
+    reader = Reader(tmp_path)
+    reader.read(ROOT / "docs" / "how-to" / f"{page}.md")
+    assert len(reader.done) == commands
+    assert len([*(tmp_path / page).glob("*.py")]) == 2

@@ -26,74 +26,28 @@ class Other(JournalBoard):
         return super()._send(replace(sequence, **self.other(sequence)), times)
 
 
-class TestReversed(Changed):
-    class kind(Other):
-        def other(self, sequence):
-            return {"current_ua": -sequence.current_ua}
+def one_polarity(sequence):
+    current_ua, rows = sequence.current_ua, np.arange(sequence.slots)
+    sign = np.sign(current_ua[rows, sequence.site])[:, None]
+    return {"current_ua": current_ua * np.where(sign, sign, 1)}
 
 
-class TestOnePolarity(Changed):
-    class kind(Other):
-        def other(self, sequence):
-            current_ua, rows = sequence.current_ua, np.arange(sequence.slots)
-            sign = np.sign(current_ua[rows, sequence.site])[:, None]
-            return {"current_ua": current_ua * np.where(sign, sign, 1)}
-
-
-class TestWide(Changed):
-    class kind(Other):
-        def other(self, sequence):
-            return {"width_us": sequence.width_us * 10}
-
-
-class TestHundredfold(Changed):
-    class kind(Other):
-        def other(self, sequence):
-            return {"current_ua": sequence.current_ua.astype(int) * 100}
-
-
-class TestTwofold(Changed):
-    class kind(Other):
-        def other(self, sequence):
-            return {"current_ua": sequence.current_ua * 2}
-
-
-class TestFiftiethMore(Changed):
-    class kind(Other):
-        def other(self, sequence):
-            return {"current_ua": (sequence.current_ua * 1.02).round().astype(int)}
-
-
-class TestSwapped(Changed):
-    class kind(Other):
-        def other(self, sequence):
-            order = [0, 1, 2, 3, 4, 5, 7, 6]
-            return {"current_ua": sequence.current_ua[:, order]}
-
-
-class TestBackwards(Changed):
-    class kind(Other):
-        def other(self, sequence):
-            return {"current_ua": sequence.current_ua[::-1]}
-
-
-class TestUnmasked(Changed):
-    class kind(Other):
-        def other(self, sequence):
-            current_ua = sequence.current_ua
-            return {"current_ua": np.where(current_ua == 0, 20, current_ua)}
-
-
-class TestUndischarged(Changed):
-    class kind(Other):
-        def other(self, sequence):
-            return {"discharge_us": sequence.discharge_us * 0}
-
-
-class TestFaster(Changed):
-    class kind(Other):
-        def other(self, sequence):
-            return {"period_us": sequence.period_us // 2}
+OTHERS = {
+    "Reversed": lambda sent: {"current_ua": -sent.current_ua},
+    "OnePolarity": one_polarity,
+    "Wide": lambda sent: {"width_us": sent.width_us * 10},
+    "Hundredfold": lambda sent: {"current_ua": sent.current_ua.astype(int) * 100},
+    "Twofold": lambda sent: {"current_ua": sent.current_ua * 2},
+    "FiftiethMore": lambda sent: {"current_ua": (sent.current_ua * 1.02).round().astype(int)},
+    "Swapped": lambda sent: {"current_ua": sent.current_ua[:, [0, 1, 2, 3, 4, 5, 7, 6]]},
+    "Backwards": lambda sent: {"current_ua": sent.current_ua[::-1]},
+    "Unmasked": lambda sent: {"current_ua": np.where(sent.current_ua == 0, 20, sent.current_ua)},
+    "Undischarged": lambda sent: {"discharge_us": sent.discharge_us * 0},
+    "Faster": lambda sent: {"period_us": sent.period_us // 2},
+}
+for name, other in OTHERS.items():
+    kind = type(name, (Other,), {"other": staticmethod(other), "__module__": __name__})
+    globals()[f"Test{name}"] = type(f"Test{name}", (Changed,), {"kind": kind})
 
 
 class TestOnce(Changed):
@@ -176,16 +130,21 @@ FOUND = {
 }  # fmt: skip
 
 
-def test_what_is_sent_otherwise_fails_the_test_that_is_about_it(tmp_path, monkeypatch):
-    (tmp_path / "test_them.py").write_text(MUTANTS, encoding="utf-8")
-    monkeypatch.setenv("PYTHONPATH", str(EXAMPLE), prepend=":")
-    selected = " or ".join(name.partition("[")[0] for name in set().union(*FOUND.values()))
+def failed(folder, text, *options):
+    """Return the names of tests that fail in a file of this text, by the class they are of."""
+    (folder / "test_them.py").write_text(text, encoding="utf-8")
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-rf", "--tb=no", "-p", "no:cacheprovider",
-         "-k", selected, "."],
-        cwd=tmp_path, capture_output=True, text=True, timeout=110, check=False,
+         *options, "."],
+        cwd=folder, capture_output=True, text=True, timeout=110, check=False,
     )  # fmt: skip
     found = {}
     for kind, name in re.findall(r"^FAILED \S+::Test(\w+)::test_(\S+)", done.stdout, re.MULTILINE):
         found.setdefault(kind, set()).add(name)
-    assert found == FOUND
+    return found
+
+
+def test_what_is_sent_otherwise_fails_the_test_that_is_about_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(EXAMPLE), prepend=":")
+    selected = " or ".join(name.partition("[")[0] for name in set().union(*FOUND.values()))
+    assert failed(tmp_path, MUTANTS, "-k", selected) == FOUND

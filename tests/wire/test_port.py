@@ -98,15 +98,12 @@ def test_without_a_serial_number_nobody_is_known(plugged, usb):
 KNOWN = {"vid": 1, "pid": 2, "serial_number": "3", "location": "1-1:1.0"}
 
 
-@pytest.mark.parametrize(
-    ("before", "after"),
-    [
-        *((KNOWN, KNOWN | change) for change in ({"vid": 7}, {"pid": 7}, {"serial_number": "7"})),
-        (KNOWN, KNOWN | {"location": "1-1:1.2"}),
-        (KNOWN, {}),
-        ({}, KNOWN),
-    ],
-)
+@pytest.mark.parametrize(("before", "after"), [
+    *((KNOWN, KNOWN | change) for change in ({"vid": 7}, {"pid": 7}, {"serial_number": "7"})),
+    (KNOWN, KNOWN | {"location": "1-1:1.2"}),
+    (KNOWN, {}),
+    ({}, KNOWN),
+])  # fmt: skip
 def test_another_device_in_a_ports_place_is_not_opened_for_writing(plugged, before, after):
     name, _ = plugged(**before)
     with open_port(name) as port:
@@ -175,10 +172,8 @@ def test_a_port_without_a_descriptor_is_written_to_in_time(monkeypatch, pipe):
         raise OSError("no descriptor")
 
     monkeypatch.setattr(pipe, "fileno", none)
-    assert [write_before(pipe, b"packet", 5, lambda now=now: now) for now in (5, 6)] == [
-        True,
-        False,
-    ]
+    in_time = [write_before(pipe, b"packet", 5, lambda now=now: now) for now in (5, 6)]
+    assert in_time == [True, False]
     assert pipe.rest == b"packet"
 
 

@@ -40,21 +40,10 @@ def test_what_is_read_is_what_was_entered(tmp_path):
     assert state["max_volts"] == pytest.approx(1200)
 
 
-@pytest.mark.parametrize(
-    ("current_ua", "width_us", "unsafe"),
-    [
-        (5000, 100, 0),
-        (5000.004, 100, 0),
-        (5001, 50, 1),
-        (-5001, 50, 1),
-        (5000, 101, 1),
-        (100, 200, 0),
-        (100, 201, 1),
-        (2500, 200, 0),
-        (2501, 200, 1),
-        (0, 60_000, 0),
-    ],
-)
+@pytest.mark.parametrize(("current_ua", "width_us", "unsafe"), [
+    (5000, 100, 0), (5000.004, 100, 0), (5001, 50, 1), (-5001, 50, 1), (5000, 101, 1),
+    (100, 200, 0), (100, 201, 1), (2500, 200, 0), (2501, 200, 1), (0, 60_000, 0),
+])  # fmt: skip
 def test_unsafe_is_what_flowed_above_a_safe_value(current_ua, width_us, unsafe):
     assert enter(DeliveryLog(2), [current_ua, -current_ua], width_us).unsafe == unsafe
 

@@ -37,6 +37,12 @@ class Rig:
         self.books.write()
         return read_slots(self.books.folder)
 
+    def after(self, now_ms, text):
+        """Let time pass after something was said at zero."""
+        self.say(0, text)
+        self.advance(now_ms)
+        return self
+
 
 @pytest.fixture
 def rig(tmp_path):
@@ -75,8 +81,7 @@ def test_it_goes_on_for_ever_also_without_a_host(rig):
 
 
 def test_zeros_end_it(rig):
-    rig.say(0, EXAMPLE + ONE)
-    rig.advance(105)
+    rig.after(105, EXAMPLE + ONE)
     rig.say(105, "FE" + "0000" * 4)
     slots = rig.books.slots
     assert rig.advance(1000) == slots
@@ -100,23 +105,17 @@ def test_a_rate_of_zero_is_ignored(rig):
 
 @pytest.mark.parametrize(("polarity", "sign"), [("FD00", 1), ("FD01", -1), ("", -1)])
 def test_polarity(rig, polarity, sign):
-    rig.say(0, "FC04 FA6400" + polarity + ONE)
-    rig.advance(50)
-    assert np.sign(rig.slots["current_ua"][0, 1]) == sign
+    assert np.sign(rig.after(50, "FC04 FA6400" + polarity + ONE).slots["current_ua"][0, 1]) == sign
 
 
 def test_a_slot_is_width_discharge_and_switching_also_for_idle_electrodes(rig):
-    rig.say(0, "FC04 FA6400 F732" + "FE 0A00 0000 0000 0A00")
-    rig.advance(15)
-    slots = rig.slots
+    slots = rig.after(15, "FC04 FA6400 F732" + "FE 0A00 0000 0000 0A00").slots
     assert slots["site"].tolist() == [0, 3]
     assert np.diff(slots["time_us"]).tolist() == [3 * 160]
 
 
 def test_biphasic_pulses_are_two_of_opposite_sign(rig):
-    rig.say(0, "FC04 FB01 FD01 FA6400 F732" + "FE 6400 6400 0000 0000")
-    rig.advance(15)
-    slots = rig.slots
+    slots = rig.after(15, "FC04 FB01 FD01 FA6400 F732" + "FE 6400 6400 0000 0000").slots
     assert slots["site"].tolist() == [0, 0, 1, 1]
     assert np.diff(slots["time_us"]).tolist() == [110, 160, 110]
     own = slots["current_ua"][range(4), slots["site"]]
@@ -127,16 +126,8 @@ def test_biphasic_pulses_are_two_of_opposite_sign(rig):
     assert residual[1] < residual[0]
 
 
-def test_the_shortest_pulse_has_a_length(rig):
-    rig.say(0, "FC04 FA0100" + ONE)
-    rig.advance(15)
-    assert rig.books.max_charge_uc == pytest.approx(2.1978 * 6.6e-3)
-
-
 def test_sense_pulses_go_to_every_electrode_whatever_the_pattern(rig):
-    rig.say(0, "FC04 FB02 FA6400 F732 F964 F832" + ONE)
-    rig.advance(15)
-    slots = rig.slots
+    slots = rig.after(15, "FC04 FB02 FA6400 F732 F964 F832" + ONE).slots
     assert slots["site"].tolist() == [0, 1, 2, 3]
     assert slots["current_ua"][range(4), range(4)].tolist() == [-999] * 4
     assert np.diff(slots["time_us"]).tolist() == [110] * 3
@@ -204,8 +195,7 @@ def test_a_pattern_that_does_not_stay_for_a_period_may_never_be_scanned(rig, ord
 
 def test_an_open_electrode_reads_the_compliance(make_rig):
     rig = make_rig(8, finger=Finger(8, ["0 lift"]), compliance_v=200.0)
-    rig.say(0, "FC08 FB02 F964 F832 F764")
-    rig.advance(100)
+    rig.after(100, "FC08 FB02 F964 F832 F764")
     readings = np.frombuffer(rig.say(100, "FF"), "<u2")
     assert (readings == int(200 / 0.0893)).all()
     assert rig.books.pulses == 0
@@ -213,25 +203,21 @@ def test_an_open_electrode_reads_the_compliance(make_rig):
 
 def test_a_dummy_load_takes_its_share(make_rig):
     rig = make_rig(4, dummy_ohm=66e3)
-    rig.say(0, "FC04 FA6400" + ONE)
-    rig.advance(15)
-    (slot,) = rig.slots
+    (slot,) = rig.after(15, "FC04 FA6400" + ONE).slots
     missing_ua = 2197.8 + slot["current_ua"][1]
     # The load sees the voltage of the pulse's end only at its end.
     assert 0.3 < missing_ua / (rig.books.max_volts / 66e3 * 1e6) < 1
 
 
 def test_outputs_beyond_the_array_drive_nothing(rig):
-    rig.say(0, "FC06 FA6400" + "FE" + "0000" * 4 + "0A00" * 2)
-    rig.advance(25)
+    rig.after(25, "FC06 FA6400" + "FE" + "0000" * 4 + "0A00" * 2)
     assert rig.books.pulses == 0
     assert np.frombuffer(rig.say(25, "FF"), "<u2").tolist()[4:] == [int(300 / 0.0893)] * 2
 
 
 def test_electrodes_beyond_the_count_are_left_out(rig):
-    rig.say(0, "FC02 FA6400" + "FE 0A00 0000")
-    rig.advance(15)
-    assert rig.slots["current_ua"][0, 2:].tolist() == [0, 0]
+    slots = rig.after(15, "FC02 FA6400" + "FE 0A00 0000").slots
+    assert slots["current_ua"][0, 2:].tolist() == [0, 0]
 
 
 @pytest.mark.parametrize(("outputs", "chips"), [(32, 4), (1, 1), (8, 1), (9, 2), (255, 32)])
@@ -278,11 +264,17 @@ def test_hardware_version_2_is_lost_with_a_pattern_for_no_electrodes(make_rig):
     assert rig.feed(1000, bytes(600) + b"\xf5") == b""
 
 
-def test_hardware_version_2_keeps_its_width_where_zero_is_asked_for(make_rig):
-    rig = make_rig(firmware="936c6c0")
-    rig.say(0, "FC04 FA6400 FA0000 FB6400 FE 01000000")
-    rig.advance(15)
-    assert rig.books.max_charge_uc == pytest.approx(0.0999)
+@pytest.mark.parametrize(
+    ("firmware", "text", "charge_uc"),
+    [
+        # The shortest pulse has a length, and 936c6c0 keeps its width where zero is asked for.
+        ("71adee2", "FC04 FA0100" + ONE, 2.1978 * 6.6e-3),
+        ("936c6c0", "FC04 FA6400 FA0000 FB6400 FE 01000000", 0.0999),
+    ],
+)
+def test_the_width_of_a_pulse(make_rig, firmware, text, charge_uc):
+    rig = make_rig(firmware=firmware).after(15, text)
+    assert rig.books.max_charge_uc == pytest.approx(charge_uc)
 
 
 def test_the_newest_stops_half_a_second_after_its_host(make_rig):
@@ -326,14 +318,12 @@ def test_unknown_op_codes_are_skipped(rig):
 
 
 def test_heights_are_cut_at_4095(rig):
-    rig.say(0, "FC04 FA0A00 FE 0000 FFFF 0000 0000")
-    rig.advance(15)
+    rig.after(15, "FC04 FA0A00 FE 0000 FFFF 0000 0000")
     # 41 mA are asked for; the volts allow less.
     assert rig.books.max_current_ma > 20
     assert rig.books.max_volts == pytest.approx(300)
     rig = Rig(None, compliance_v=1e4)
-    rig.say(0, "FC04 FA0A00 FE 0000 FFFF 0000 0000")
-    rig.advance(15)
+    rig.after(15, "FC04 FA0A00 FE 0000 FFFF 0000 0000")
     assert rig.books.max_current_ma == pytest.approx(4095 * 9.99e-3)
 
 
@@ -341,8 +331,7 @@ def test_heights_are_cut_at_4095(rig):
 def test_too_much_for_the_period_stops_the_parser_for_good(make_rig, firmware):
     rig = make_rig(firmware=firmware)
     code = {"936c6c0": "FB0A00 FE 01010101", "71adee2": "FE" + "0A00" * 4}[firmware]
-    rig.say(0, "FC04 FAC800 F7FF F6F401" + code)
-    rig.advance(1000)
+    rig.after(1000, "FC04 FAC800 F7FF F6F401" + code)
     # 4 slots of 465 µs are less than 2 ms; at 1 kHz they are not.
     assert rig.books.sequences == pytest.approx(499, abs=1)
     rig.say(1000, "F6E803")
@@ -354,8 +343,7 @@ def test_too_much_for_the_period_stops_the_parser_for_good(make_rig, firmware):
 
 def test_the_newest_parses_beside_a_scan_that_never_ends(make_rig):
     rig = make_rig(firmware="newest")
-    rig.say(0, "FC04 FAC800 F7FF F6E803" + "FE" + "0A00" * 4)
-    rig.advance(100)
+    rig.after(100, "FC04 FAC800 F7FF F6E803" + "FE" + "0A00" * 4)
     assert rig.say(100, "FE" + "0000" * 4 + "F4") == b"\x04"
     slots = rig.advance(103)
     assert rig.advance(200) == slots
@@ -363,8 +351,7 @@ def test_the_newest_parses_beside_a_scan_that_never_ends(make_rig):
 
 def test_without_a_discharge_charge_stays(make_rig):
     rig = make_rig(4)
-    rig.say(0, "FC04 FA6400 F6E803 F700" + ONE)
-    rig.advance(20)
+    rig.after(20, "FC04 FA6400 F6E803 F700" + ONE)
     left = rig.books.max_net_charge_uc
     rig.say(20, "F7C8")
     rig.advance(40)
@@ -372,8 +359,7 @@ def test_without_a_discharge_charge_stays(make_rig):
 
 
 def test_without_power_nothing_flows(rig):
-    rig.say(0, EXAMPLE + ONE)
-    rig.advance(50)
+    rig.after(50, EXAMPLE + ONE)
     rig.board.zero("signal", 50 * MS)
     slots = rig.books.slots
     assert rig.advance(1000) == slots
@@ -381,8 +367,7 @@ def test_without_power_nothing_flows(rig):
 
 
 def test_an_hour_without_pulses_passes_at_once(rig):
-    rig.say(0, "FC00 F6FFFF")
-    rig.advance(1)
+    rig.after(1, "FC00 F6FFFF")
     began = time.thread_time()
     rig.advance(3_600_000)
     rig.say(3_600_000, EXAMPLE)

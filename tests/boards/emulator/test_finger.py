@@ -1,5 +1,7 @@
 """Events of the emulated finger, and their notation."""
 
+import contextlib
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -84,26 +86,23 @@ def test_a_change_leaves_the_voltage_on_an_electrode():
     np.testing.assert_allclose(skin.residual_uc / skin.capacitance_f, volts)
 
 
-@pytest.mark.parametrize(
-    ("text", "allowed"),
-    [
-        ("", tuple(FORMS)),
-        ("lift", tuple(FORMS)),
-        ("1 jump", tuple(FORMS)),
-        ("soon lift", "TIME lift"),
-        ("1 lift 3", "TIME lift"),
-        ("1 drift 3 4", "TIME drift ELECTRODE FACTOR SECONDS"),
-        ("1 drift", "TIME drift ELECTRODE FACTOR SECONDS"),
-        ("1 open 1.5", "TIME open ELECTRODE"),
-        ("1 force", "TIME force NEWTON"),
-        ("-1 lift", None),
-        ("inf lift", None),
-        ("1 force nan", None),
-        ("1 open -1", None),
-        ("1 drift 3 0 5", "above 0"),
-        ("1 peel 3 1.5", "above 0 and at most 1"),
-    ],
-)
+@pytest.mark.parametrize(("text", "allowed"), [
+    ("", tuple(FORMS)),
+    ("lift", tuple(FORMS)),
+    ("1 jump", tuple(FORMS)),
+    ("soon lift", "TIME lift"),
+    ("1 lift 3", "TIME lift"),
+    ("1 drift 3 4", "TIME drift ELECTRODE FACTOR SECONDS"),
+    ("1 drift", "TIME drift ELECTRODE FACTOR SECONDS"),
+    ("1 open 1.5", "TIME open ELECTRODE"),
+    ("1 force", "TIME force NEWTON"),
+    ("-1 lift", None),
+    ("inf lift", None),
+    ("1 force nan", None),
+    ("1 open -1", None),
+    ("1 drift 3 0 5", "above 0"),
+    ("1 peel 3 1.5", "above 0 and at most 1"),
+])  # fmt: skip
 def test_bad_text_is_one_clear_sentence(text, allowed):
     with raises(BoardError, about="event", value=text, allowed=allowed):
         Finger(16, [text])
@@ -116,8 +115,6 @@ def test_an_event_of_an_electrode_that_is_not_there_is_named():
 
 @given(text=st.text(max_size=30) | st.from_regex(r"[0-9.e-]{1,5} [a-z]{4,5}( [0-9.e-]{1,4}){0,4}"))
 def test_any_text_is_an_event_or_a_sentence(text):
-    try:
-        event = parse_event(text)
-    except BoardError:
-        return
-    assert event.time_s >= 0
+    with contextlib.suppress(BoardError):
+        assert parse_event(text).time_s >= 0
+        Finger(16, [text])

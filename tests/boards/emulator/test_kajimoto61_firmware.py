@@ -37,14 +37,24 @@ def board(books):
     return board
 
 
+def play(board, *steps):
+    """Let times come, in milliseconds, and bytes at them."""
+    now_ns = 0
+    for step in steps:
+        if isinstance(step, bytes):
+            board.feed(step, now_ns)
+        else:
+            now_ns = int(step * MS)
+            board.advance(now_ns)
+
+
 def delivered(books):
     books.write()
     return read_slots(books.folder)
 
 
 def test_a_pulse_is_anodic_and_all_others_are_its_return(board, books):
-    board.feed(frame(e30=26), 1 * MS)
-    board.advance(2 * MS)
+    play(board, 1, frame(e30=26), 2)
     (slot,) = delivered(books)
     assert (slot["site"], slot["time_us"]) == (30, 1000)
     assert slot["current_ua"][30] == -round(26 * 39.0625)
@@ -55,8 +65,7 @@ def test_a_pulse_is_anodic_and_all_others_are_its_return(board, books):
 
 
 def test_electrodes_come_in_order_and_only_those_that_are_on(board, books):
-    board.feed(frame(e60=10, e2=20, e5=0, e9=201, e10=255, e11=200), 0)
-    board.advance(10 * MS)
+    play(board, 0, frame(e60=10, e2=20, e5=0, e9=201, e10=255, e11=200), 10)
     slots = delivered(books)
     assert slots["site"].tolist() == [2, 11, 60]
     assert slots["time_us"].tolist() == [0, 208, 416]
@@ -64,8 +73,7 @@ def test_electrodes_come_in_order_and_only_those_that_are_on(board, books):
 
 
 def test_a_packet_is_one_scan(board, books):
-    board.feed(frame(e1=50, e2=50), 0)
-    board.advance(1000 * MS)
+    play(board, 0, frame(e1=50, e2=50), 1000)
     assert (books.slots, books.sequences) == (2, 2)
     assert (books.state, books.reason) == ("shorted", "end")
     assert not board.busy
@@ -83,9 +91,7 @@ def test_a_scan_goes_slot_after_slot(board, books):
 
 def test_a_packet_waits_until_the_scan_is_over(board, books):
     full = b"\xff" + bytes([20] * ELECTRODES)
-    board.feed(full, 0)
-    board.feed(frame(e0=50), 1 * MS)
-    board.advance(12 * MS)
+    play(board, 0, full, 1, frame(e0=50), 12)
     assert books.sequences == 1
     board.advance(13 * MS)
     assert books.sequences == 3
@@ -93,43 +99,32 @@ def test_a_packet_waits_until_the_scan_is_over(board, books):
 
 
 def test_what_its_buffer_cannot_hold_is_lost(board, books):
-    board.feed(frame(e0=50) * 20, 0)
-    board.advance(1000 * MS)
+    play(board, 0, frame(e0=50) * 20, 1000)
     whole = 1 + BUFFER // 62
     assert books.slots == whole
     # What is left of the next one waits for its end for ever.
-    board.feed(bytes(61), 1001 * MS)
-    board.feed(frame(e3=50), 1002 * MS)
-    board.advance(2000 * MS)
+    play(board, 1001, bytes(61), 1002, frame(e3=50), 2000)
     assert books.slots == whole + 2
 
 
 def test_a_short_packet_waits_for_ever_and_zeros_are_the_way_out(board, books):
-    board.feed(frame(e60=50)[:-1], 0)
-    board.advance(3_600_000 * MS)
+    play(board, 0, frame(e60=50)[:-1], 3_600_000)
     board.hang_up(3_600_000 * MS)
     assert books.slots == 0
     # The next packet's first byte completes it, and the rest is ignored.
-    board.feed(frame(e0=50)[:1] + bytes(30), 3_600_001 * MS)
-    board.advance(3_600_010 * MS)
+    play(board, 3_600_001, frame(e0=50)[:1] + bytes(30), 3_600_010)
     assert books.slots == 0
-    board.feed(frame(e0=50), 3_600_011 * MS)
-    board.advance(3_600_012 * MS)
+    play(board, 3_600_011, frame(e0=50), 3_600_012)
     assert books.slots == 1
-    board.feed(b"\xff\x01", 3_600_013 * MS)
-    board.feed(bytes(61), 3_600_014 * MS)
-    board.advance(3_600_020 * MS)
-    board.feed(ZERO, 3_600_030 * MS)
+    play(board, 3_600_013, b"\xff\x01", 3_600_014, bytes(61), 3_600_020, 3_600_030, ZERO)
     assert books.slots == 2
-    board.feed(frame(e1=50), 3_600_040 * MS)
-    board.advance(3_600_050 * MS)
+    play(board, 3_600_040, frame(e1=50), 3_600_050)
     assert books.slots == 3
 
 
 @pytest.mark.parametrize("junk", [b"\x00", bytes(range(254)), b"\xfd" * 1000])
 def test_other_bytes_are_ignored(board, books, junk):
-    board.feed(junk + frame(e7=50), 0)
-    board.advance(5 * MS)
+    play(board, 0, junk + frame(e7=50), 5)
     assert (books.slots, delivered(books)["site"].tolist()) == (1, [7])
 
 
@@ -140,8 +135,7 @@ def test_in_the_self_test_it_measures_and_any_first_packet_stimulates():
     board.feed(b"\xfe", 1 * MS)
     assert len(board.advance(100 * MS)) == 62
     assert (books.slots, books.state) == (61, "self-test")
-    board.feed(frame(e1=50), 101 * MS)
-    board.advance(110 * MS)
+    play(board, 101, frame(e1=50), 110)
     assert (books.slots, books.state) == (62, "shorted")
 
 
@@ -149,10 +143,7 @@ def test_in_the_self_test_it_measures_and_any_first_packet_stimulates():
 def test_what_the_self_test_left_flows_for_a_moment_in_the_first_pulse(tmp_path, first):
     books = DeliveryLog(ELECTRODES, tmp_path)
     board = Kajimoto61Firmware(books)
-    board.feed(first, 0)
-    board.feed(frame(e1=1, e2=1), 10 * MS)
-    board.feed(frame(e1=1), 20 * MS)
-    board.advance(30 * MS)
+    play(board, 0, first, 10, frame(e1=1, e2=1), 20, frame(e1=1), 30)
     slots = delivered(books)
     assert slots["site"].tolist() == [1, 1, 2, 1]
     # 898 counts for 3 µs, then its own value: no zero packet loads anything.
@@ -166,8 +157,7 @@ def test_what_the_self_test_left_flows_for_a_moment_in_the_first_pulse(tmp_path,
 def test_after_a_measurement_the_converter_is_empty(tmp_path):
     books = DeliveryLog(ELECTRODES, tmp_path)
     board = Kajimoto61Firmware(books)
-    board.feed(ZERO + b"\xfe" + frame(e1=1), 0)
-    board.advance(30 * MS)
+    play(board, 0, ZERO + b"\xfe" + frame(e1=1), 30)
     assert delivered(books)["site"].tolist() == [*range(61), 1]
 
 
@@ -193,8 +183,7 @@ def test_a_reading_wraps_and_never_looks_like_the_end():
     board = Kajimoto61Firmware(
         DeliveryLog(ELECTRODES), Finger(ELECTRODES, ["0 open 5", "0 short 6"])
     )
-    board.feed(ZERO, 0)
-    board.feed(b"\xfe", 1 * MS)
+    play(board, 0, ZERO, 1, b"\xfe")
     reply = board.advance(10 * MS)
     # 300 V are 3,359 counts, 839 after the shift, and 839 - 3 * 256 = 71 in a byte.
     assert reply[5] == 71
@@ -210,8 +199,7 @@ def test_a_reading_wraps_and_never_looks_like_the_end():
 
 
 def test_a_command_after_a_measurement_waits_for_it(board, books):
-    board.feed(b"\xfe" + frame(e3=50), 0)
-    board.advance(10 * MS)
+    play(board, 0, b"\xfe" + frame(e3=50), 10)
     assert delivered(books)["time_us"][-1] == 61 * 25
 
 
@@ -220,8 +208,7 @@ def test_a_lost_host_leaves_everything_as_it_is(board, books):
     board.hang_up(int(0.1 * MS))
     board.advance(1 * MS)
     assert books.slots == 2
-    board.feed(frame(e1=50), 500 * MS)
-    board.advance(501 * MS)
+    play(board, 500, frame(e1=50), 501)
     assert books.slots == 3
 
 
@@ -234,8 +221,7 @@ def test_without_power_nothing_flows(board, books):
 
 @pytest.mark.parametrize(("value", "unsafe"), [(1, 0), (128, 0), (129, 1), (200, 1), (201, 0)])
 def test_from_129_on_a_byte_is_more_than_5_ma(board, books, value, unsafe):
-    board.feed(frame(e30=value), 0)
-    board.advance(1 * MS)
+    play(board, 0, frame(e30=value), 1)
     assert books.unsafe == unsafe
     assert books.max_current_ma <= 7.8126
 
@@ -260,8 +246,7 @@ def test_any_bytes_are_survived_and_only_their_intensities_flow(pieces):
 def test_how_the_bytes_are_cut_does_not_matter(data, cuts):
     whole, pieces = DeliveryLog(ELECTRODES), DeliveryLog(ELECTRODES)
     board = Kajimoto61Firmware(whole)
-    board.feed(ZERO + data, 0)
-    board.advance(100 * MS)
+    play(board, 0, ZERO + data, 100)
     board = Kajimoto61Firmware(pieces)
     board.feed(ZERO, 0)
     edges = sorted({0, *(min(cut, len(data)) for cut in cuts), len(data)})

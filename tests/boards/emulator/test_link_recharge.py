@@ -10,53 +10,29 @@ from smarttouch.boards.emulator.delivery_log import (
     read_recharges,
     read_slots,
 )
-from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.skin import Delivered
 from smarttouch.boards.link_protocol import Feature, Kind, Refusal, Rule
 from smarttouch.boards.link_sequence import decode_volts
-from smarttouch.boards.link_session import HostSession
-from smarttouch.wire.framing import Deframer
-from tests.boards.payloads import limits_payload, sequence_payload
 
-MS = 1_000_000
+from .rig import LinkRig
+
 SLOTS = [[300, -100, -100, -100], [-100, 300, -100, -100]]
 """Two pulses of 100 µs, 50 µs apart: 20, 20, −20 and −20 nC."""
 BACK = [-20, -20, 20, 20]
 """In 1,000 µs."""
 
 
-class Rig:
-    """A board, and a session begun at time zero."""
+class Rig(LinkRig):
+    def send(self, now_ms, recharge=BACK, recharge_us=1000, *, slots=SLOTS, **more):
+        slots = np.reshape(slots, (-1, 4))
+        return super().send(
+            now_ms, slots, recharge=np.int16(recharge), recharge_us=recharge_us, **more
+        )
 
-    def __init__(self, folder=None, output="weighted"):
-        self.books = DeliveryLog(4, folder)
-        self.output = output
-        self.board = LinkFirmware(4, output, self.books, ramp_ms=0)
-        self.host = HostSession()
-        self.can = self.say(0, Kind.HELLO)[0]
-        self.say(0, Kind.BEGIN)
-        self.say(0, Kind.LIMITS, payload=limits_payload(4))
 
-    def say(self, now_ms, kind, about=0, payload=b""):
-        data = self.host.encode(kind, about, payload)
-        return self.packets(self.board.feed(data, int(now_ms * MS)))
-
-    def send(self, now_ms, recharge=BACK, recharge_us=1000, *, slots=SLOTS, period=10_000, **more):
-        current = np.asarray(slots, np.int16).reshape(-1, 4)
-        column = np.ones(len(current), np.uint16)
-        payload = sequence_payload(
-            self.output, period, column * 100, column * 50, column, current,
-            more.get("times", 1), more.get("measure", False), np.asarray(recharge, np.int16),
-            recharge_us,
-        )  # fmt: skip
-        return self.say(now_ms, Kind.SEQUENCE, 1, payload)
-
-    def advance(self, now_ms):
-        return self.packets(self.board.advance(int(now_ms * MS)))
-
-    def packets(self, data):
-        taken = [self.host.take(each) for each in Deframer().feed(data)]
-        return [each for each in taken if each.kind != Kind.ALIVE]
+@pytest.fixture
+def rig():
+    return Rig()
 
 
 @pytest.mark.parametrize("output", ["weighted", "three-state", "one-against-all"])
@@ -66,7 +42,7 @@ def test_only_a_board_with_a_source_for_each_electrode_says_it_can(output):
 
 
 def test_it_takes_back_what_the_slots_have_passed(tmp_path):
-    rig = Rig(tmp_path)
+    rig = Rig(folder=tmp_path)
     assert rig.send(0)[0].kind == Kind.ACK
     rig.advance(5)
     np.testing.assert_allclose(rig.books.passed_uc, [0.02, 0.02, -0.02, -0.02])
@@ -85,8 +61,7 @@ def test_it_takes_back_what_the_slots_have_passed(tmp_path):
     assert read_delivered(tmp_path)[2].tolist() == SLOTS
 
 
-def test_it_comes_once_a_repetition_and_its_voltage_is_not_a_slots():
-    rig = Rig()
+def test_it_comes_once_a_repetition_and_its_voltage_is_not_a_slots(rig):
     rig.send(0, times=3, measure=True)
     volts = [each for each in rig.advance(30) if each.kind == Kind.VOLTAGES]
     assert [len(decode_volts(each.payload)) for each in volts] == [2, 2, 2]
@@ -95,8 +70,7 @@ def test_it_comes_once_a_repetition_and_its_voltage_is_not_a_slots():
 
 
 @pytest.mark.parametrize(("at_ms", "share"), [(0.2, 0), (0.3, 0), (0.55, 0.25), (1.3, 1), (9, 1)])
-def test_a_stop_cuts_it_off(at_ms, share):
-    rig = Rig()
+def test_a_stop_cuts_it_off(rig, at_ms, share):
     rig.send(0)
     rig.say(at_ms, Kind.STOP)
     rig.advance(50)
@@ -121,39 +95,25 @@ def test_silence_cuts_it_off_at_its_own_time():
     assert rig.books.passed_uc[0] == pytest.approx(300 * 0.02 - 2e-6 * 10_000)
 
 
-@pytest.mark.parametrize(
-    ("bad", "good", "rule"),
-    [
-        ({"recharge": [-20, -20, 20, 19]}, {"recharge": [-20, -20, 20, 20]}, Rule.BALANCE),
-        ({"recharge": [-501, 501, 0, 0]}, {"recharge": [-500, 500, 0, 0]}, Rule.CURRENT),
-        ({"recharge": [-32768, 32767, 1, 0]}, {"recharge": [-500, 499, 1, 0]}, Rule.CURRENT),
-        ({"recharge_us": 0}, {"recharge_us": 1}, Rule.RECHARGE),
-        (
-            {"recharge_us": 20_001, "period": 50_000},
-            {"recharge_us": 20_000, "period": 50_000},
-            Rule.RECHARGE,
-        ),
-        (
-            {"recharge": [-500, 0, 500, 0], "recharge_us": 4001},
-            {"recharge": [-500, 0, 500, 0], "recharge_us": 4000},
-            Rule.CURRENT,
-        ),
-        (
-            {"recharge_us": 15_700, "period": 16_019},
-            {"recharge_us": 12_600, "period": 16_020},
-            Rule.FIT,
-        ),
-        ({"recharge_us": 7_801}, {"recharge_us": 7_800}, Rule.DUTY),
-        ({"slots": []}, {}, Rule.RECHARGE),
-        ({"recharge": [-20, 20, 0, 0, 0]}, {"recharge": [-20, 20, 0, 0]}, Rule.NONE),
-        # More is taken back than the largest phase brings, to a larger charge than before.
-        (
-            {"recharge": [100, 0, -100, 0], "recharge_us": 20_000, "period": 50_000},
-            {"recharge": [-100, 0, 100, 0], "recharge_us": 20_000, "period": 50_000},
-            Rule.RECHARGE,
-        ),
-    ],
-)
+FAR = {"recharge_us": 20_000, "period": 50_000}
+
+
+@pytest.mark.parametrize(("bad", "good", "rule"), [
+    ({"recharge": [-20, -20, 20, 19]}, {"recharge": [-20, -20, 20, 20]}, Rule.BALANCE),
+    ({"recharge": [-501, 501, 0, 0]}, {"recharge": [-500, 500, 0, 0]}, Rule.CURRENT),
+    ({"recharge": [-32768, 32767, 1, 0]}, {"recharge": [-500, 499, 1, 0]}, Rule.CURRENT),
+    ({"recharge_us": 0}, {"recharge_us": 1}, Rule.RECHARGE),
+    (FAR | {"recharge_us": 20_001}, FAR, Rule.RECHARGE),
+    ({"recharge": [-500, 0, 500, 0], "recharge_us": 4001},
+     {"recharge": [-500, 0, 500, 0], "recharge_us": 4000}, Rule.CURRENT),
+    ({"recharge_us": 15_700, "period": 16_019}, {"recharge_us": 12_600, "period": 16_020},
+     Rule.FIT),
+    ({"recharge_us": 7_801}, {"recharge_us": 7_800}, Rule.DUTY),
+    ({"slots": []}, {}, Rule.RECHARGE),
+    ({"recharge": [-20, 20, 0, 0, 0]}, {"recharge": [-20, 20, 0, 0]}, Rule.NONE),
+    # More is taken back than the largest phase brings, to a larger charge than before.
+    (FAR | {"recharge": [100, 0, -100, 0]}, FAR | {"recharge": [-100, 0, 100, 0]}, Rule.RECHARGE),
+])  # fmt: skip
 def test_what_breaks_the_boards_own_limits_is_refused(bad, good, rule):
     """By itself: what keeps the limit by one is taken."""
     (answer,) = Rig().send(0, **good)

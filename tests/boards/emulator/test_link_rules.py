@@ -12,19 +12,18 @@ import pytest
 from smarttouch.afferent import Afferent
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.emulator.delivery_log import DeliveryLog
-from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.link_kernels import KernelImage, digest_of
 from smarttouch.boards.link_lists import encode_limits, encode_lists
 from smarttouch.boards.link_protocol import NOTHING, Kind, Refusal, Rule
-from smarttouch.boards.link_session import HostSession, decode
+from smarttouch.boards.link_session import HostSession
 from smarttouch.boards.link_setup import give_kernels
 from smarttouch.errors import KernelTableError
 from smarttouch.stimulation.kernel_table import KernelLists, KernelTable
 from smarttouch.stimulation.safety import SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
-from smarttouch.wire.framing import Deframer
 
 from ...raising import raises
+from .rig import LinkRig
 
 E = 6
 NOBODY, FIVE = bytes(16), bytes([5] * 16)
@@ -46,31 +45,17 @@ class KeptBooks(DeliveryLog):
         self.kept.append(np.rint(current_ua).astype(int).tolist())
 
 
-class Rig:
-    """A board with limits and kernels, and a session begun at time zero."""
+class Rig(LinkRig):
+    """A board of six electrodes, and kernels for it; its ramp is that of any board."""
 
-    def __init__(self, output="weighted", limits=LIMITS, kernel_bytes=10_000, **given):
-        self.books = KeptBooks(E)
+    def __init__(self, output="weighted", limits=LIMITS, kernel_bytes=10_000, ramp_ms=None):
+        super().__init__(
+            E, output, books=KeptBooks, limits=limits and encode_limits(limits),
+            kernel_bytes=kernel_bytes, ramp_ms=ramp_ms,
+        )  # fmt: skip
         self.books.kept = []
-        self.output = output
-        self.board = LinkFirmware(E, output, self.books, kernel_bytes=kernel_bytes, **given)
-        self.begin()
-        self.limits = limits
-        if limits is not None:
-            (answer,) = self.say(0, Kind.LIMITS, payload=encode_limits(limits))
-            assert (answer.kind, answer.payload) == (Kind.LIMITED, b"\1")
         self.table = made_table()
         self.image = KernelImage.of(self.table, kernel_bytes, 100)
-
-    def begin(self, now_ms=0):
-        self.host = HostSession()
-        assert [each.kind for each in self.say(now_ms, Kind.HELLO)] == [Kind.CAPABILITIES]
-        assert [each.kind for each in self.say(now_ms, Kind.BEGIN)] == [Kind.BEGUN]
-
-    def say(self, now_ms, kind, about=0, payload=b""):
-        data = self.board.feed(self.host.encode(kind, about, payload), int(now_ms * MS))
-        packets = [self.host.take(packet) for packet in Deframer().feed(data)]
-        return [each for each in packets if each.kind != Kind.ALIVE]
 
     def give(self, data, offset=0, identity=None, size=None, now_ms=0):
         identity = self.image.identity if identity is None else identity
@@ -80,13 +65,30 @@ class Rig:
         *kept, self.proof = protocol.KEPT.unpack(answer.payload)
         return tuple(kept)
 
-    def send(self, sequence, now_ms=0, number=1, image=None):
-        payload = encode_lists(sequence, 1, False, self.output != "weighted", image, 10**6)
+    def send(self, sequence, now_ms=0, number=1, image=None, times=1):
+        payload = encode_lists(sequence, times, False, self.output != "weighted", image, 10**6)
         return self.refused(self.say(now_ms, Kind.SEQUENCE, number, payload))
 
     def refused(self, answers):
         found = [each.payload for each in answers if each.kind == Kind.NAK]
         return protocol.NAK.unpack(found[0]) if found else None
+
+    def flowed(self):
+        """Return what flowed once all was executed."""
+        self.advance(9)
+        return self.books.kept
+
+
+def furnished():
+    """Return a rig whose board has the kernels."""
+    rig = Rig(ramp_ms=0)
+    rig.give(rig.image.data)
+    return rig
+
+
+@pytest.fixture
+def rig():
+    return Rig(ramp_ms=0)
 
 
 def listed(table, amplitudes, **fields):
@@ -102,30 +104,27 @@ def listed(table, amplitudes, **fields):
     return ScanSequence(**(values | fields))
 
 
-def plain(current, **fields):
+def plain(current, width_us=100, discharge_us=50, **fields):
     column = np.ones(len(current), np.uint16)
     values = {
-        "current_ua": np.array(current, np.int16).reshape(-1, E), "width_us": 100 * column,
-        "discharge_us": 50 * column, "site": 0 * column, "period_us": 10_000, "intensity": 1.0,
-        "time_ns": 0,
+        "current_ua": np.array(current, np.int16).reshape(-1, E), "site": 0 * column,
+        "width_us": column * np.uint16(width_us), "discharge_us": column * np.uint16(discharge_us),
+        "period_us": 10_000, "intensity": 1.0, "time_ns": 0,
     }  # fmt: skip
     return ScanSequence(**(values | fields))
 
 
-def test_kernels_are_kept_and_added_up():
-    rig = Rig(ramp_ms=0)
+def test_kernels_are_kept_and_added_up(rig):
     assert rig.give(rig.image.data) == (rig.image.identity, len(rig.image.data), 1)
     sequence = listed(rig.table, [[(0, 4000)], [(1, 2001)], [(2, 1500), (3, 777), (0, 31)]])
     payload = encode_lists(sequence, 1, False, False, rig.image, 10**6)
     assert len(payload) == 10 + 4 + 4 + 2 * 4 + 4 + 3 * 4
     assert rig.send(sequence, image=rig.image) is None
-    rig.board.advance(9 * MS)
-    assert rig.books.kept == sequence.current_ua.tolist()
+    assert rig.flowed() == sequence.current_ua.tolist()
     assert rig.books.kept[1] == [500, -500, 0, 0, 0, 0]
 
 
-def test_what_is_kept_outlives_a_session_and_is_resumed():
-    rig = Rig(ramp_ms=0)
+def test_what_is_kept_outlives_a_session_and_is_resumed(rig):
     data, identity = rig.image.data, rig.image.identity
     assert rig.give(b"") == (identity, 0, 0)
     assert rig.give(data[:7]) == (identity, 7, 0)
@@ -140,8 +139,7 @@ def test_what_is_kept_outlives_a_session_and_is_resumed():
 
 
 def test_another_table_takes_its_place_but_not_while_a_sequence_executes():
-    rig = Rig(ramp_ms=0)
-    rig.give(rig.image.data)
+    rig = furnished()
     assert rig.send(listed(rig.table, [[(0, 4000)]]), image=rig.image) is None
     assert rig.give(b"", identity=FIVE, size=9, now_ms=1)[0] == rig.image.identity
     assert rig.give(b"", identity=FIVE, size=9, now_ms=11) == (FIVE, 0, 0)
@@ -169,96 +167,62 @@ def test_more_than_there_is_room_for_is_left_out():
 
 
 def test_a_table_that_is_changed_after_it_was_sent_is_no_reference():
-    rig = Rig(ramp_ms=0)
-    rig.give(rig.image.data)
+    rig = furnished()
     rig.table.weights[0] = np.roll(rig.table.weights[0], 1)
     sequence = listed(rig.table, [[(0, 4000)]])
     assert rig.send(sequence, image=rig.image) is None
-    rig.board.advance(9 * MS)
     # As currents: the board's kernel would make others.
-    assert rig.books.kept == sequence.current_ua.tolist()
+    assert rig.flowed() == sequence.current_ua.tolist()
 
 
-@pytest.mark.parametrize(
-    ("first", "kernel", "amplitude"),
-    [
-        ([0, 1], np.array([0], np.uint16), np.array([-4000])),
-        ([0, 1], np.array([0], np.uint16), np.array([4000 + 65_536])),
-        ([0, 1], np.array([-5]), np.array([4000], np.uint16)),
-        ([0, 1], np.array([99], np.uint16), np.array([4000], np.uint16)),
-        ([0, 1], np.array([0, 0], np.uint16), np.array([3000, 1000], np.uint16)),
-        ([1, 2], np.array([1, 0], np.uint16), np.array([9, 4000], np.uint16)),
-    ],
-)
+@pytest.mark.parametrize(("first", "kernel", "amplitude"), [
+    ([0, 1], np.array([0], np.uint16), np.array([-4000])),
+    ([0, 1], np.array([0], np.uint16), np.array([4000 + 65_536])),
+    ([0, 1], np.array([-5]), np.array([4000], np.uint16)),
+    ([0, 1], np.array([99], np.uint16), np.array([4000], np.uint16)),
+    ([0, 1], np.array([0, 0], np.uint16), np.array([3000, 1000], np.uint16)),
+    ([1, 2], np.array([1, 0], np.uint16), np.array([9, 4000], np.uint16)),
+])  # fmt: skip
 def test_lists_that_the_wire_would_change_go_as_currents(first, kernel, amplitude):
-    rig = Rig(ramp_ms=0)
-    rig.give(rig.image.data)
+    rig = furnished()
     sequence = listed(rig.table, [[(0, 4000)]])
     sums = KernelLists(rig.table, np.array(first), kernel, amplitude)
     current_ua = sums.current_ua() if amplitude[0] < 0 else sequence.current_ua
     sequence = listed(rig.table, [[(0, 4000)]], current_ua=current_ua, sums=sums)
     assert rig.send(sequence, image=rig.image) is None
-    rig.board.advance(9 * MS)
-    assert rig.books.kept == sequence.current_ua.tolist()
+    assert rig.flowed() == sequence.current_ua.tolist()
 
 
 def test_currents_that_are_no_sum_go_as_they_are():
-    rig = Rig(ramp_ms=0)
-    rig.give(rig.image.data)
+    rig = furnished()
     sequence = listed(rig.table, [[(0, 4000)]])
     changed = sequence.current_ua.copy()
     changed[0, :2] += [1, -1]
     sequence = listed(rig.table, [[(0, 4000)]], current_ua=changed)
     assert rig.send(sequence, image=rig.image) is None
-    rig.board.advance(9 * MS)
-    assert rig.books.kept == changed.tolist()
+    assert rig.flowed() == changed.tolist()
 
 
 GOOD = [500, -500, 0, 0, 0, 0]
 SLOT = Rule.NONE, NOTHING, NOTHING
 
 
-@pytest.mark.parametrize(
-    ("sequence", "wanted"),
-    [
-        (plain([GOOD], period_us=4999), (Rule.PERIOD, NOTHING, NOTHING, 4999, 5000)),
-        (
-            plain([GOOD] * 2, width_us=np.array([100, 201], np.uint16)),
-            (Rule.WIDTH, 1, NOTHING, 201, 200),
-        ),
-        (
-            plain([GOOD], discharge_us=np.array([19], np.uint16)),
-            (Rule.DISCHARGE, 0, NOTHING, 19, 20),
-        ),
-        (plain([GOOD] * 67), (Rule.FIT, NOTHING, NOTHING, 10_050, 10_000)),
-        (
-            plain([GOOD] * 50, width_us=np.full(50, 170, np.uint16),
-                  discharge_us=np.full(50, 20, np.uint16)),
-            (Rule.DUTY, NOTHING, NOTHING, 8500, 8000),
-        ),
-        (plain([GOOD, [500, -499, 0, 0, 0, 0]]), (Rule.BALANCE, 1, NOTHING, 1, 0)),
-        (plain([[0, 3001, -3001, 0, 0, 0]]), (Rule.CURRENT, 0, 1, 3001, 3000)),
-        (
-            plain([[0, 2600, -2600, 0, 0, 0]], width_us=np.array([200], np.uint16)),
-            (Rule.CHARGE, 0, 1, 520_000, 500_000),
-        ),
-        (plain([[0, 2404, -2404, 0, 0, 0]]), None),
-        (
-            plain([[0, 2405, -2405, 0, 0, 0]]),
-            (Rule.INTENSITY, NOTHING, NOTHING, 2405, 2404),
-        ),
-        (
-            plain([[0, 1205, -1205, 0, 0, 0]], intensity=0.5),
-            (Rule.INTENSITY, NOTHING, NOTHING, 1205, 1204),
-        ),
-        (
-            plain([[0, 2000, -2000, 0, 0, 0]] * 26),
-            (Rule.MEAN, NOTHING, 1, 5_200_000, 5_000_000),
-        ),
-    ],
-)  # fmt: skip
-def test_rules_are_told_in_numbers(sequence, wanted):
-    rig = Rig(ramp_ms=0)
+@pytest.mark.parametrize(("sequence", "wanted"), [
+    (plain([GOOD], period_us=4999), (Rule.PERIOD, NOTHING, NOTHING, 4999, 5000)),
+    (plain([GOOD] * 2, width_us=[100, 201]), (Rule.WIDTH, 1, NOTHING, 201, 200)),
+    (plain([GOOD], discharge_us=19), (Rule.DISCHARGE, 0, NOTHING, 19, 20)),
+    (plain([GOOD] * 67), (Rule.FIT, NOTHING, NOTHING, 10_050, 10_000)),
+    (plain([GOOD] * 50, width_us=170, discharge_us=20), (Rule.DUTY, NOTHING, NOTHING, 8500, 8000)),
+    (plain([GOOD, [500, -499, 0, 0, 0, 0]]), (Rule.BALANCE, 1, NOTHING, 1, 0)),
+    (plain([[0, 3001, -3001, 0, 0, 0]]), (Rule.CURRENT, 0, 1, 3001, 3000)),
+    (plain([[0, 2600, -2600, 0, 0, 0]], width_us=200), (Rule.CHARGE, 0, 1, 520_000, 500_000)),
+    (plain([[0, 2404, -2404, 0, 0, 0]]), None),
+    (plain([[0, 2405, -2405, 0, 0, 0]]), (Rule.INTENSITY, NOTHING, NOTHING, 2405, 2404)),
+    (plain([[0, 1205, -1205, 0, 0, 0]], intensity=0.5),
+     (Rule.INTENSITY, NOTHING, NOTHING, 1205, 1204)),
+    (plain([[0, 2000, -2000, 0, 0, 0]] * 26), (Rule.MEAN, NOTHING, 1, 5_200_000, 5_000_000)),
+])  # fmt: skip
+def test_rules_are_told_in_numbers(rig, sequence, wanted):
     assert rig.send(sequence) == (None if wanted is None else (Refusal.UNSAFE, *wanted))
     assert rig.books.violations == (wanted is not None)
 
@@ -348,8 +312,7 @@ def test_a_level_is_opened_by_current_and_closed_by_a_long_silence(silent_ms, ke
     assert (found is None) == kept
 
 
-def test_recharge_phases_are_checked():
-    rig = Rig(ramp_ms=0)
+def test_recharge_phases_are_checked(rig):
     back = np.array([-100, 100, 0, 0, 0, 0], np.int16)
     assert rig.send(plain([GOOD], recharge_ua=back, recharge_us=500)) is None
     over = 6 * back
@@ -365,7 +328,7 @@ def repeated(rig, sequence, count, step_ms=10, number=1):
         found = rig.send(sequence, step_ms * index, number=number + index)
         if found is not None:
             return found, index
-        rig.board.advance(int((step_ms * index + step_ms / 2) * MS))
+        rig.advance(step_ms * index + step_ms / 2)
     return None, count
 
 
@@ -373,7 +336,7 @@ def test_what_a_second_brings_is_bounded():
     """Each is within the bounds of its own period."""
     strong = plain([[1000, -1000, 0, 0, 0, 0]] * 3 + [[-1000, 1000, 0, 0, 0, 0]] * 3)
     assert repeated(Rig(ramp_ms=0), strong, 200) == (None, 200)
-    net = plain([[2400, -2400, 0, 0, 0, 0]], width_us=np.array([200], np.uint16))
+    net = plain([[2400, -2400, 0, 0, 0, 0]], width_us=200)
     found, taken = repeated(Rig(ramp_ms=0), net, 200)
     assert (found[1], found[3], taken) == (Rule.NET_IN_SECOND, 0, 104)
     often = plain([[1300, -1300, 0, 0, 0, 0], [-1300, 1300, 0, 0, 0, 0]] * 27, period_us=40_000)
@@ -384,16 +347,13 @@ def test_what_a_second_brings_is_bounded():
         taken += 1
         rig.say(taken, Kind.STOP)
         rig.begin(taken)
-        rig.say(taken, Kind.LIMITS, payload=encode_limits(LIMITS))
         found = rig.send(plain([]), taken)
     assert (found[:2], found[4:], taken) == ((Refusal.UNSAFE, Rule.OFTEN), (202, 201), 201)
 
 
-def test_repetitions_are_judged_before_the_first_begins():
-    rig = Rig(ramp_ms=0)
-    net = plain([[2400, -2400, 0, 0, 0, 0]], width_us=np.array([200], np.uint16))
-    payload = encode_lists(replace(net, period_us=9000), 112, False, False, None, 10**6)
-    found = rig.refused(rig.say(0, Kind.SEQUENCE, 1, payload))
+def test_repetitions_are_judged_before_the_first_begins(rig):
+    net = plain([[2400, -2400, 0, 0, 0, 0]], width_us=200)
+    found = rig.send(replace(net, period_us=9000), times=112)
     assert found[:2] == (Refusal.UNSAFE, Rule.NET_IN_SECOND)
     assert rig.books.slots == 0
 
@@ -405,47 +365,45 @@ def test_a_session_ends():
     found, taken = repeated(rig, both, 100)
     assert (found[1], found[4:], taken) == (Rule.SESSION_CHARGE, (5, 4), 20)
     rig = Rig(limits=limits, ramp_ms=0)
-    payload = encode_lists(plain([WEAK]), 201, False, False, None, 10**6)
-    found = rig.refused(rig.say(0, Kind.SEQUENCE, 1, payload))
+    found = rig.send(plain([WEAK]), times=201)
     assert (found[1], found[4:]) == (Rule.SESSION_TIME, (3, 2))
-
-
-def test_what_limits_ask_for_is_capped_and_what_is_left_out_is_safe():
-    full = plain([[2600, -2600, 0, 0, 0, 0]], width_us=np.array([20], np.uint16), intensity=0.1)
-    for name, value in (("full", 65_535), ("rounding", 5000), ("ramp", 0), ("usual", 0)):
-        rig = Rig(limits=None, ramp_ms=500 if value == 0 else 0)
-        fields = dict(zip(NAMES, protocol.LIMITS.unpack_from(encode_limits(LIMITS)), strict=True))
-        head = protocol.LIMITS.pack(*(fields | {name: value}).values())
-        rig.say(0, Kind.LIMITS, payload=head + encode_limits(LIMITS)[protocol.LIMITS.size :])
-        if value == 0:
-            # A ramp that is left out is the longest; and any pulse is more than one of no width.
-            assert rig.send(of(0.1))[1] == Rule.RISE
-        else:
-            assert rig.send(full)[1] == Rule.INTENSITY, name
-    for name in ("total", "width", "full", "session_s", "session_uc", "duty"):
-        rig = Rig(limits=None, ramp_ms=0)
-        fields = dict(zip(NAMES, protocol.LIMITS.unpack_from(encode_limits(LIMITS)), strict=True))
-        head = protocol.LIMITS.pack(*(fields | {name: 0}).values())
-        rig.say(0, Kind.LIMITS, payload=head + encode_limits(LIMITS)[protocol.LIMITS.size :])
-        assert rig.send(plain([GOOD]))[0] == Refusal.UNSAFE, name
 
 
 NAMES = ("period", "total", "width", "full", "rounding", "full_us", "ramp", "session_s",
          "session_uc", "duty", "nothing", "usual")  # fmt: skip
 
 
+def limited(name, value, **given):
+    """Return a rig whose limits have another value in one field."""
+    usual, rig = encode_limits(LIMITS), Rig(limits=None, **given)
+    fields = dict(zip(NAMES, protocol.LIMITS.unpack_from(usual), strict=True))
+    head = protocol.LIMITS.pack(*(fields | {name: value}).values())
+    rig.say(0, Kind.LIMITS, payload=head + usual[protocol.LIMITS.size :])
+    return rig
+
+
+def test_what_limits_ask_for_is_capped_and_what_is_left_out_is_safe():
+    full = plain([[2600, -2600, 0, 0, 0, 0]], width_us=20, intensity=0.1)
+    for name, value in (("full", 65_535), ("rounding", 5000)):
+        assert limited(name, value, ramp_ms=0).send(full)[1] == Rule.INTENSITY, name
+    for name in ("ramp", "usual"):
+        # A ramp that is left out is the longest; and any pulse is more than one of no width.
+        assert limited(name, 0, ramp_ms=500).send(of(0.1))[1] == Rule.RISE
+    for name in ("total", "width", "full", "session_s", "session_uc", "duty"):
+        assert limited(name, 0, ramp_ms=0).send(plain([GOOD]))[0] == Refusal.UNSAFE, name
+
+
 def test_one_source_counts_as_one_electrode():
     shared = plain([[3000, -750, -750, -750, -750, 0]])
     rig = Rig("three-state", ramp_ms=0)
-    split = plain([[1500, 1500, -3000, 0, 0, 0]], width_us=np.array([170], np.uint16))
+    split = plain([[1500, 1500, -3000, 0, 0, 0]], width_us=170)
     assert rig.send(shared)[1] in (Rule.CURRENT, Rule.INTENSITY)
     found = rig.send(split, number=2)
     assert found[:2] == (Refusal.UNSAFE, Rule.CHARGE)
 
 
 def test_a_proof_is_of_the_table_and_the_session():
-    rig = Rig(ramp_ms=0)
-    rig.give(rig.image.data)
+    rig = furnished()
     assert rig.proof == rig.image.proof(rig.host.number) != NOBODY
     before = rig.proof
     rig.say(1, Kind.STOP)
@@ -454,9 +412,8 @@ def test_a_proof_is_of_the_table_and_the_session():
     assert rig.proof == rig.image.proof(rig.host.number) != before
 
 
-def test_a_table_with_the_same_crc_and_size_is_not_taken_for_ours():
+def test_a_table_with_the_same_crc_and_size_is_not_taken_for_ours(rig):
     """Four bytes make any CRC-32; the board compares the identity, the host the proof."""
-    rig = Rig(ramp_ms=0)
     ours = rig.image.data
     forged = with_crc(KernelImage.of(made_table(seed=1), 10_000, 100).data, zlib.crc32(ours))
     assert (len(forged), zlib.crc32(forged)) == (len(ours), zlib.crc32(ours))
@@ -493,26 +450,23 @@ def with_crc(data, crc):
     return head + chosen.to_bytes(4, "little")
 
 
-def test_an_emergency_switch_ends_a_session_at_once():
-    rig = Rig(ramp_ms=0)
+def test_an_emergency_switch_ends_a_session_at_once(rig):
     assert rig.send(plain([GOOD] * 30)) is None
-    rig.board.advance(2 * MS)
+    rig.advance(2)
     flowed = rig.books.slots
     rig.board.switch_open = True
-    answers = [rig.host.take(each) for each in Deframer().feed(rig.board.advance(3 * MS))]
+    answers = rig.advance(3)
     told = [each for each in answers if each.kind == Kind.NAK]
     assert [protocol.NAK.unpack(each.payload)[0] for each in told] == [Refusal.EMERGENCY]
     assert all(each.state == protocol.SWITCH_OPEN for each in answers)
     assert (rig.books.state, rig.books.reason) == ("shorted", "emergency")
     assert rig.send(plain([GOOD]), 4, number=2)[0] == Refusal.EMERGENCY
-    host = HostSession()
-    data = rig.board.feed(host.encode(Kind.HELLO), 5 * MS)
-    host.take(*Deframer().feed(data))
-    data = rig.board.feed(host.encode(Kind.BEGIN), 5 * MS)
-    (answer,) = [each for each in map(decode, Deframer().feed(data)) if each.kind == Kind.NAK]
-    assert protocol.NAK.unpack(answer.payload)[0] == Refusal.EMERGENCY
+    own, rig.host = rig.host, HostSession()
+    rig.say(5, Kind.HELLO)
+    assert rig.refused(rig.say(5, Kind.BEGIN))[0] == Refusal.EMERGENCY
+    rig.host = own
     rig.board.switch_open = False
-    rig.board.advance(6 * MS)
+    rig.advance(6)
     assert rig.send(plain([GOOD]), 7, number=3)[0] == Refusal.EMERGENCY, "until BEGIN"
     rig.say(8, Kind.STOP)
     assert rig.send(plain([GOOD]), 8, number=4)[0] == Refusal.STOPPED
@@ -520,7 +474,7 @@ def test_an_emergency_switch_ends_a_session_at_once():
     assert rig.send(plain([GOOD]), 9, number=5)[0] == Refusal.EMERGENCY, "while it is open"
     rig.board.switch_open = False
     rig.begin(9)
-    rig.board.advance(20 * MS)
+    rig.advance(20)
     assert rig.books.slots == flowed
 
 
@@ -528,16 +482,14 @@ def test_an_emergency_switch_ends_a_session_at_once():
 def test_switched_boards_take_states(output):
     rig = Rig(output, ramp_ms=0)
     assert rig.send(plain([[500, -100, -100, -100, -100, -100]])) is None
-    rig.board.advance(9 * MS)
-    (kept,) = rig.books.kept
+    (kept,) = rig.flowed()
     assert kept[0] > 0 > max(kept[1:])
     found = rig.send(plain([[0, 0, 0, 0, 0, 0]]), 12, number=2)
     assert found[:3] == (Refusal.UNSAFE, Rule.STATES, 0)
 
 
 def test_every_cut_of_a_payload_is_malformed():
-    rig = Rig(ramp_ms=0)
-    rig.give(rig.image.data)
+    rig = furnished()
     sequence = listed(rig.table, [[(0, 4000)], [(1, 2001), (2, 400)]])
     payload = encode_lists(sequence, 1, False, False, rig.image, 10**6)
     # Cut between two groups it is whole.

@@ -4,15 +4,14 @@ import numpy as np
 import pytest
 
 from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.emulator.delivery_log import DeliveryLog
-from smarttouch.boards.emulator.link import LinkFirmware
 from smarttouch.boards.emulator.session import MOST_HOSTS, BoardSession
 from smarttouch.boards.link_protocol import ALIVE_MS, LATE_MS, LONGEST_PACKET_MS, Kind, Refusal
 from smarttouch.boards.link_session import HostSession, Message, decode
 from smarttouch.wire.framing import Deframer
-from tests.boards.payloads import limits_payload, sequence_payload
+from tests.boards.payloads import sequence_payload
 
-MS = 1_000_000
+from .rig import LinkRig
+
 COLUMN = np.full(1, 100, np.uint16)
 CURRENT = np.array([[300, -100, -100, -100]], np.int16)
 
@@ -21,45 +20,39 @@ def payload(times=1):
     return sequence_payload("weighted", 10_000, COLUMN, COLUMN, COLUMN * 0, CURRENT, times)
 
 
-class Rig:
-    """A board, the host that began its session at time zero, and all that it sent."""
+class Rig(LinkRig):
+    """A board, the host that began its session, and all that it sent; time is `now_ms`."""
 
     def __init__(self):
-        self.books = DeliveryLog(4)
-        self.board = LinkFirmware(4, "weighted", self.books, ramp_ms=0)
         self.now_ms, self.sent = 0, []
-        self.host = self.begin()
+        super().__init__()
 
-    def begin(self):
-        self.host = HostSession()
-        self.say(Kind.HELLO)
-        self.say(Kind.BEGIN)
-        self.say(Kind.LIMITS, data=limits_payload(4))
-        return self.host
+    def say(self, now_ms, kind, about=0, payload=b""):
+        self.sent.append(self.host.encode(kind, about, payload))
+        return self.feed(now_ms, self.sent[-1])
 
-    def say(self, kind, about=0, data=b"", host=None):
-        self.sent.append((host or self.host).encode(kind, about, data))
-        return self.feed(self.sent[-1])
+    def tell(self, kind, about=0, payload=b""):
+        return self.say(self.now_ms, kind, about, payload)
 
-    def feed(self, data):
-        answers = []
-        for packet in Deframer().feed(self.board.feed(data, round(self.now_ms * MS))):
-            message = self.host.take(packet)
-            answers.append(message or decode(packet))
-        return [each for each in answers if each.kind != Kind.ALIVE]
+    def hear(self, data):
+        return self.feed(self.now_ms, data)
 
     def wait(self, time_ms, beating=True):
         """Let time pass, a millisecond at once, with heartbeats that have heard the last ALIVE."""
         for _ in range(time_ms):
             self.now_ms += 1
-            for packet in Deframer().feed(self.board.advance(round(self.now_ms * MS))):
-                self.host.take(packet)
+            self.advance(self.now_ms)
             if beating and self.now_ms % 30 == 0:
-                self.say(Kind.HEARTBEAT)
+                self.tell(Kind.HEARTBEAT)
 
     @property
     def counted(self):
         return self.books.old_packets, self.books.foreign_packets
+
+
+@pytest.fixture
+def rig():
+    return Rig()
 
 
 def reasons(answers):
@@ -70,81 +63,59 @@ OLD = [(Kind.NAK, 0, bytes([Refusal.OLD]))]
 FOREIGN = [(Kind.NAK, 0, bytes([Refusal.FOREIGN]))]
 
 
-def test_a_sequence_that_comes_again_byte_by_byte_is_old():
-    rig = Rig()
-    assert [each.kind for each in rig.say(Kind.SEQUENCE, 1, payload())] == [Kind.ACK]
+def test_a_sequence_that_comes_again_byte_by_byte_is_old(rig):
+    assert [each.kind for each in rig.tell(Kind.SEQUENCE, 1, payload())] == [Kind.ACK]
     rig.wait(20)
-    assert reasons(rig.feed(rig.sent[2])) == OLD
+    assert reasons(rig.hear(rig.sent[3])) == OLD
     rig.wait(20)
     assert (rig.books.slots, rig.counted) == (1, (1, 0))
 
 
-def test_a_sequence_that_is_sent_again_is_acknowledged_again_and_not_delivered():
-    rig = Rig()
+def test_a_sequence_that_is_sent_again_is_acknowledged_again_and_not_delivered(rig):
     for _ in range(3):
-        (answer,) = rig.say(Kind.SEQUENCE, 1, payload())
+        (answer,) = rig.tell(Kind.SEQUENCE, 1, payload())
         assert (answer.kind, answer.about) == (Kind.ACK, 1)
         rig.wait(15)
     assert (rig.books.slots, rig.counted) == (1, (0, 0))
 
 
-def test_a_sequence_with_a_smaller_number_is_old():
-    rig = Rig()
-    rig.say(Kind.SEQUENCE, 5, payload())
-    rig.wait(20)
-    assert reasons(rig.say(Kind.SEQUENCE, 4, payload())) == OLD
-    rig.wait(20)
-    assert (rig.books.slots, rig.counted) == (1, (1, 0))
-
-
-def test_what_a_later_packet_has_overtaken_is_old():
-    rig = Rig()
-    held = rig.host.encode(Kind.SEQUENCE, 1, payload())
-    rig.say(Kind.HEARTBEAT)
-    assert reasons(rig.feed(held)) == OLD
-    assert (rig.books.slots, rig.counted) == (0, (1, 0))
-
-
-def test_a_stop_played_again_is_harmless_and_counted():
-    rig = Rig()
-    rig.say(Kind.STOP)
+def test_a_stop_played_again_is_harmless_and_counted(rig):
+    rig.tell(Kind.STOP)
     stop = rig.sent[-1]
-    assert rig.feed(stop) == []
-    rig.begin()
-    assert reasons(rig.feed(stop)) == FOREIGN
-    rig.say(Kind.SEQUENCE, 1, payload())
+    assert rig.hear(stop) == []
+    rig.begin(rig.now_ms)
+    assert reasons(rig.hear(stop)) == FOREIGN
+    rig.tell(Kind.SEQUENCE, 1, payload())
     rig.wait(5)
     assert (rig.books.slots, rig.counted) == (1, (1, 1))
 
 
-def test_the_session_before_cannot_be_played_again():
-    rig = Rig()
-    rig.say(Kind.SEQUENCE, 1, payload())
+def test_the_session_before_cannot_be_played_again(rig):
+    rig.tell(Kind.SEQUENCE, 1, payload())
     rig.wait(40)
-    rig.say(Kind.STOP)
+    rig.tell(Kind.STOP)
     before, slots = list(rig.sent), rig.books.slots
     rig.wait(10, beating=False)
     # With nobody there, and with another host there.
     for data in before:
-        rig.feed(data)
+        rig.hear(data)
     assert rig.books.slots == slots
     assert rig.counted == (len(before), 0)
-    rig.begin()
+    rig.begin(rig.now_ms)
     for data in before:
-        assert reasons(rig.feed(data)) == FOREIGN
+        assert reasons(rig.hear(data)) == FOREIGN
     rig.wait(20)
     assert (rig.books.slots, rig.counted) == (slots, (len(before), len(before)))
     # And the host that is there goes on undisturbed.
-    (answer,) = rig.say(Kind.SEQUENCE, 1, payload())
+    (answer,) = rig.tell(Kind.SEQUENCE, 1, payload())
     assert answer.kind == Kind.ACK
 
 
-def test_another_host_cannot_take_a_live_session_over():
-    rig = Rig()
-    rig.say(Kind.SEQUENCE, 1, payload(1000))
+def test_another_host_cannot_take_a_live_session_over(rig):
+    rig.tell(Kind.SEQUENCE, 1, payload(1000))
     mine, other = rig.host, HostSession()
-    assert reasons(rig.say(Kind.HELLO, host=other)) == FOREIGN
-    assert reasons(rig.say(Kind.BEGIN, host=other)) == FOREIGN
+    assert reasons(rig.hear(other.encode(Kind.HELLO))) == FOREIGN
+    assert reasons(rig.hear(other.encode(Kind.BEGIN))) == FOREIGN
     rig.wait(35)
     assert rig.host is mine
     assert (rig.books.slots, rig.books.state) == (4, "driving")
@@ -193,24 +164,23 @@ NOISES += ["half a sequence", "half a stop", "half anew"]
 
 
 @pytest.mark.parametrize("noise", NOISES)
-def test_what_is_no_sign_of_life(noise):
+def test_what_is_no_sign_of_life(rig, noise):
     """The host dies, and something on the line goes on."""
-    rig = Rig()
-    rig.say(Kind.SEQUENCE, 1, payload(10_000))
-    rig.say(Kind.HEARTBEAT)
+    rig.tell(Kind.SEQUENCE, 1, payload(10_000))
+    rig.tell(Kind.HEARTBEAT)
     rig.wait(50)
     played = {
-        "heartbeat": rig.sent[3],
-        "sequence": rig.sent[2],
+        "heartbeat": rig.sent[4],
+        "sequence": rig.sent[3],
         "hello": rig.sent[0],
         "garbage": b"\x07garbage",
-        "half a sequence": b"\0" + rig.sent[2][:-20],
+        "half a sequence": b"\0" + rig.sent[3][:-20],
         "half a stop": b"\0" + rig.host.encode(Kind.STOP)[:-2],
         "half anew": b"\0" + rig.host.encode(Kind.SEQUENCE, 2, payload())[:-2],
     }[noise]
     for _ in range(100):
         rig.wait(5, beating=False)
-        rig.feed(played)
+        rig.hear(played)
     assert (rig.books.state, rig.books.reason) == ("shorted", "silence")
     assert rig.books.zero_after_ms == pytest.approx(protocol.SILENCE_MS, abs=5)
     # The head of a sequence that never came whole is fresh for as long as that of one that does.
@@ -218,52 +188,48 @@ def test_what_is_no_sign_of_life(noise):
     assert rig.books.slots <= (50 + fresh_ms + protocol.SILENCE_MS) / 10 + 1
 
 
-def test_a_long_packet_on_its_way_is_a_sign_of_life_for_a_while():
-    rig = Rig()
-    rig.say(Kind.SEQUENCE, 1, payload(10_000))
+def test_a_long_packet_on_its_way_is_a_sign_of_life_for_a_while(rig):
+    rig.tell(Kind.SEQUENCE, 1, payload(10_000))
     rig.wait(30)
     packet = rig.host.encode(Kind.SEQUENCE, 2, bytes(range(1, 251)) * 12)
     for at in range(0, LONGEST_PACKET_MS, 50):
         assert rig.books.state == "driving", at
-        rig.feed(packet[at : at + 50])
+        rig.hear(packet[at : at + 50])
         rig.wait(50, beating=False)
     # It never ends: the board does.
     for at in range(LONGEST_PACKET_MS, LONGEST_PACKET_MS + 300, 50):
-        rig.feed(packet[at : at + 50])
+        rig.hear(packet[at : at + 50])
         rig.wait(50, beating=False)
     assert (rig.books.state, rig.books.reason) == ("shorted", "silence")
 
 
-def test_a_packet_of_a_host_that_has_heard_nothing_for_long_is_old():
-    rig = Rig()
-    rig.say(Kind.SEQUENCE, 1, payload(10_000))
+def test_a_packet_of_a_host_that_has_heard_nothing_for_long_is_old(rig):
+    rig.tell(Kind.SEQUENCE, 1, payload(10_000))
     rig.wait(40)
     kept_back = [rig.host.encode(Kind.HEARTBEAT) for _ in range(20)]
     for packet in kept_back:
         # Each in turn, so that all their numbers are fresh.
         rig.wait(50, beating=False)
-        rig.feed(packet)
+        rig.hear(packet)
     assert (rig.books.state, rig.books.reason) == ("shorted", "silence")
     assert rig.books.slots <= (40 + LATE_MS + ALIVE_MS + protocol.SILENCE_MS) / 10 + 1
     assert rig.counted[0] >= 14
 
 
-def test_a_stop_is_never_too_late(monkeypatch):
-    rig = Rig()
-    rig.say(Kind.SEQUENCE, 1, payload(10_000))
+def test_a_stop_is_never_too_late(rig, monkeypatch):
+    rig.tell(Kind.SEQUENCE, 1, payload(10_000))
     # From here on its host hears nothing.
     monkeypatch.setattr(rig.host, "take", lambda packet: None)
     rig.wait(310)
     assert (rig.books.state, rig.counted) == ("driving", (1, 0))
-    (answer,) = rig.say(Kind.STOP)
+    (answer,) = rig.tell(Kind.STOP)
     assert answer.kind == Kind.STOPPED
     assert (rig.books.state, rig.books.reason) == ("shorted", "stop")
 
 
-def test_a_report_tells_what_was_refused():
-    rig = Rig()
-    rig.feed(rig.sent[0])
-    rig.feed(rig.sent[1])
-    (report,) = rig.say(Kind.STATUS)
+def test_a_report_tells_what_was_refused(rig):
+    rig.hear(rig.sent[0])
+    rig.hear(rig.sent[1])
+    (report,) = rig.tell(Kind.STATUS)
     old, foreign = protocol.REPORT.unpack(report.payload)[8:10]
     assert (old, foreign) == rig.counted == (1, 1)

@@ -19,6 +19,12 @@ def sequence():
     return ScanSequence(current, column, column, column * 0, 10_000, 1.0, 0)
 
 
+def send(board, count=1):
+    for _ in range(count):
+        board._send(sequence(), 1)
+    board.drain()
+
+
 @pytest.fixture
 def world(make_world):
     return make_world(1)
@@ -55,8 +61,7 @@ def test_on_a_quiet_line_nothing_is_refused(world, board):
     assert (board.acknowledged, board.refused, board.refused_packets) == (10, 0, 0)
     assert (report.sequences, report.slots, report.refused_packets) == (10, 10, 0)
     board._open()
-    board._send(sequence(), 1)
-    board.drain()
+    send(board)
     assert (board.refused_packets, board.report().refused_packets, world.refused()) == (0, 0, 0)
 
 
@@ -64,8 +69,7 @@ def test_on_a_quiet_line_nothing_is_refused(world, board):
 def test_a_lost_packet_is_made_up_for_without_delivering_twice(world, board, lost):
     lose(world, *lost)
     for _ in range(3):
-        board._send(sequence(), 1)
-    board.drain()
+        send(board)
     assert (board.acknowledged, world.books.slots) == (3, 3)
     assert (board.refused_packets, board.report().refused_packets) == (0, 0)
 
@@ -76,42 +80,29 @@ def say(world, kind, about, payload=b""):
     world.wait(2)
 
 
-@pytest.mark.parametrize(
-    ("kind", "payload"),
-    [
-        (Kind.ACK, b""),
-        (Kind.NAK, b"\x03too much"),
-        (Kind.NAK, b""),
-        (Kind.VOLTAGES, encode_volts(np.ones(1))),
-        (Kind.REPORT, bytes(protocol.REPORT.size)),
-        (Kind.STOPPED, b""),
-        (Kind.HEARTBEAT, b""),
-        (0x99, b""),
-    ],
-)
+@pytest.mark.parametrize(("kind", "payload"), [
+    (Kind.ACK, b""), (Kind.NAK, b"\x03too much"), (Kind.NAK, b""),
+    (Kind.VOLTAGES, encode_volts(np.ones(1))), (Kind.REPORT, bytes(protocol.REPORT.size)),
+    (Kind.STOPPED, b""), (Kind.HEARTBEAT, b""), (0x99, b""),
+])  # fmt: skip
 def test_what_answers_nothing_is_counted_and_has_no_effect(world, board, kind, payload):
-    board._send(sequence(), 1)
-    board.drain()
+    send(board)
     say(world, kind, 77, payload)
     assert (board.refused_packets, board.acknowledged, board.refused) == (1, 1, 0)
     assert board.take_volts()[1:] == []
-    board._send(sequence(), 1)
-    board.drain()
+    send(board)
     assert world.books.slots == 2
 
 
 def test_a_second_acknowledgment_of_one_sequence_is_counted(world, board):
-    board._send(sequence(), 1)
-    board.drain()
+    send(board)
     say(world, Kind.ACK, 1)
     assert (board.refused_packets, board.acknowledged) == (1, 1)
 
 
 def test_a_second_acknowledgment_of_what_was_sent_twice_is_none_too_many(world, board):
     lose(world, "to_host", Kind.ACK)
-    board._send(sequence(), 1)
-    board._send(sequence(), 1)
-    board.drain()
+    send(board, 2)
     say(world, Kind.ACK, 1)
     assert (board.refused_packets, board.acknowledged) == (0, 2)
     say(world, Kind.ACK, 2)
@@ -147,8 +138,7 @@ def test_a_board_that_is_lost_ends_its_session_before_the_next(world, board):
     board._recover(board._line.lost("is gone"))
     assert board._line.session.number != before
     assert world.refused() == 0
-    board._send(sequence(), 1)
-    board.drain()
+    send(board)
     assert board.report().refused_packets == 0
 
 
