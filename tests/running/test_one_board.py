@@ -21,12 +21,13 @@ class Kept(st.Listener):
 
     def __init__(self):
         super().__init__()
-        self.sent, self.force_n, self.volts = {}, {}, {}
+        self.sent, self.force_n, self.volts, self.shared = {}, {}, {}, 0
 
     def step(self, result):
         sequence = result.step.sequence
         self.sent[result.number] = sequence.time_ns, sequence.intensity, sequence.period_us
         self.force_n[result.number] = result.step.input.force_n
+        self.shared += sequence.proof is not None and int((sequence.proof.points > 1).sum())
         for sequence, volts in result.step.observed:
             self.volts[sequence.time_ns] = volts.tolist()
 
@@ -68,6 +69,5 @@ def test_a_run_is_the_same_on_both(name, mode, scan, balance, tmp_path):
     assert {name: state[name] for name in BOOKS} == {
         name: pytest.approx(books[name]) for name in BOOKS
     }
-    shared = np.abs(current_ua).astype(bool).sum(axis=1)
-    assert state["recharges"] > 10 if balance else state["recharges"] == 0
-    print(shared.max(), figures, len(its.volts))
+    assert (kept.shared > 50) == (profile.output.kind == "weighted" and scan == "auto")
+    assert (state["recharges"] > 10) == balance
