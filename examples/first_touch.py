@@ -48,8 +48,8 @@ step
 
 # %%
 # The same on a display, which proves each sequence safe before a byte of it is sent. The board
-# ``simulated:`` is the firmware of a real protocol that waits for nothing; ``emulator:`` is one
-# in a process of its own, behind a serial line. Its books say what reached the skin.
+# ``simulated:`` has the firmware of a real protocol, in simulated time; ``emulator:`` is the same
+# board in a process of its own, behind a serial line. Its books say what reached the skin.
 with tempfile.TemporaryDirectory() as folder:
     felt = Path(folder) / "felt.png"
     source = st.open_source("text:touch", profile, speed_mm_s=60)

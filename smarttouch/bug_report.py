@@ -27,7 +27,8 @@ _URLS = {"sensor": "sources", "board": "boards", "vibrators": "boards", "force":
 _VERSIONS = ("smarttouch", "python", "numpy", "opencv", "scipy", "mcap")
 _VERSION = re.compile(r"\d[\w.+-]{0,40}")
 _FIRMWARE = re.compile(
-    r"simulated|memory|kajimoto61|(?:eTactileKit )?(?=[a-zA-Z_.+-]*\d)[\w.+-]{1,40}"
+    r"SmartTouch board emulator \d+|simulated|memory|kajimoto61"
+    r"|(?:eTactileKit )?(?=[a-zA-Z_.+-]*\d)[\w.+-]{1,40}"
 )
 _PULSE = ("width_us", "discharge_us", "rate_hz", "carrier", "ra_rate_hz", "sai_rate_hz")
 _LIMITS = ("total_ma", "pulse_us", "charge_uc", "rate_hz", "duty", "ramp_s", "density_uc_cm2")

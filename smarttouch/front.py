@@ -101,6 +101,8 @@ def steps(
 ) -> Iterator[Step]:
     """Yield each frame of a source with its tactile image and sequence: no board, no clock.
 
+    Sequences are those for a board that keeps kernels, as ``emulator:`` and ``simulated:`` do.
+
     Parameters
     ----------
     source : Source, str, Path, ndarray or iterable
@@ -124,7 +126,7 @@ def steps(
     """
     config = RunConfig(mode=mode, **settings)
     level = 1.0 if config.intensity is None else config.intensity
-    pipeline = Pipeline(profile, kernels or load_bank(profile), config)
+    pipeline = Pipeline(profile, kernels or load_bank(profile), config, in_sums=True)
     most_ns = float("inf") if config.seconds is None else config.seconds * 1e9
     elapsed_ns = 0
     with source_of(source, profile, light_on_dark=config.light_on_dark) as opened:

@@ -2,31 +2,15 @@
 
 import time
 from collections import deque
-from dataclasses import replace
-from typing import Any, Never
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Never
 
 from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.board import Board, BoardReport, Capabilities
-from smarttouch.boards.impedance import SATURATED, Impedance, judge
-from smarttouch.boards.link_kernels import KernelImage
+from smarttouch.boards.board import Capabilities
+from smarttouch.boards.link_host import OLD_PACKETS, LinkHost
 from smarttouch.boards.link_line import ANSWER_S, LinkLine
-from smarttouch.boards.link_lists import encode_lists
-from smarttouch.boards.link_offer import accepted
 from smarttouch.boards.link_protocol import Kind, Refusal, Rule
-from smarttouch.boards.link_sequence import decode_volts
 from smarttouch.boards.link_session import Message
-from smarttouch.boards.link_setup import (
-    OVERHEAD,
-    account_of,
-    give_kernels,
-    give_limits,
-    reason_of,
-)
-from smarttouch.boards.pairs import measure_in_pairs
-from smarttouch.boards.probe import probe_sequences
+from smarttouch.boards.link_setup import reason_of
 from smarttouch.boards.recovery import start_anew
 from smarttouch.boards.slow_line import slow_line_notes
 from smarttouch.clock import LATE_NS
@@ -34,15 +18,12 @@ from smarttouch.errors import (
     BoardError,
     BoardFaultError,
     EmergencyStopError,
-    KernelTableError,
     LineLostError,
 )
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.kernel_table import KernelTable
 from smarttouch.stimulation.limits import parts_per_billion
 from smarttouch.stimulation.safety import Rise, SafetyLimits
 from smarttouch.stimulation.sequence import ScanSequence
-from smarttouch.wire.framing import LARGEST_PACKET
 from smarttouch.wire.port import (
     Port,
     UsbIdentity,
@@ -58,19 +39,11 @@ AGAIN_S = 0.04
 """Time after which a sequence without an ACK is sent again, unless it is too late for it."""
 IN_FLIGHT = 1
 """Sequences sent but not yet begun: the board has one place for them."""
-OLD_PACKETS = slice(8, 10)
-"""Places of packets refused as old and as of another session in a board's account."""
 AFTER_ZERO_S = 0.02
 """Time after a stop in which the board's count of slots must stand still: a period at 50 Hz."""
-MOST_COMPLIANCES = 2.1
-"""Bound of a slot's voltage: sources of both poles at their limit reach twice the compliance."""
-OPEN_SHARE = 0.97
-"""Part of the compliance: if every slot reaches it, nothing touches the electrodes."""
-
-Measured = tuple[ScanSequence, NDArray[np.float32]]
 
 
-class LinkBoard(Board):
+class LinkBoard(LinkHost):
     """Board at the far end of a serial line: ``link:PORT``.
 
     Parameters
@@ -83,35 +56,22 @@ class LinkBoard(Board):
         Output section of the profile.
     """
 
+    drives_in_send = False
+    _line: LinkLine
+
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         super().__init__(limits, output)
         self._line = LinkLine(port, self._hear, self._aftermath, self._send_again)
-        self._number = 0
         self._in_flight: dict[int, bytes] = {}
         self._repeated: deque[int] = deque(maxlen=64)
         """Sequences sent more than once: they may be answered more than once."""
-        self._account_before: tuple[Any, ...] = ()
-        """Account of the board when it was opened, or opened again after its line was lost."""
-        self._slots_sent = 0
-        """Slots sent since then, repetitions included."""
-        self._unsafe_refused = 0
-        """Sequences refused as unsafe since then, and those sent again: they may count twice."""
         self._stop_answered = False
-        self._suspicion = ""
-        """Fault found by the thread that reads, until the board is latched."""
         self._identity: UsbIdentity | None = None
         self._in_flight_due_ns = 0
         self._in_flight_ppb, self._in_flight_ns = (0, 0), 0
         # The line may be slower than the gate: the rise that the skin gets is the line's.
         self._rise = Rise(limits.ramp_ns)
         self._again_s = 0.0
-        self._table: KernelTable | None = None
-        self._image: KernelImage | None = None
-        self._sent: deque[tuple[int, ScanSequence]] = deque(maxlen=4)
-        self._measured: deque[Measured] = deque(maxlen=64)
-
-    keeps_kernels = True
-    drives_in_send = False
 
     # -- the contract ------------------------------------------------------
 
@@ -135,8 +95,6 @@ class LinkBoard(Board):
         self._line.open(port)
         try:
             self._shake_hands(known)
-            self._account_before = self._status()
-            self._slots_sent = self._unsafe_refused = 0
         except BaseException:
             self._line.close()
             raise
@@ -166,36 +124,12 @@ class LinkBoard(Board):
             self._in_flight_due_ns, self._in_flight_ppb = self._due_ns, (ppb, strength_ppb)
             self._in_flight_ns = 1000 * sequence.period_us * times * sequence.drives
             self._again_s = self._line.now_s() + AGAIN_S
-            self._sent.append((self._number, sequence))
-            self._slots_sent += sequence.slots * times
+            self._note_sent(sequence, times)
         if not self._write_in_time(self._number, payload):
             with self._line.news:
                 self._in_flight.pop(self._number, None)
             self._drop_late()
         return self._number
-
-    def _encoded(self, sequence: ScanSequence, times: int) -> bytes:
-        can = self.capabilities
-        room = (can.packet_bytes or LARGEST_PACKET) - OVERHEAD
-        switched = self._kind != "weighted"
-        return encode_lists(sequence, times, can.measures, switched, self._image, room)
-
-    def keep_kernels(self, table: KernelTable) -> None:
-        self._table = table
-        self._require_open("giving it kernels")
-        self._give_kernels()
-
-    def _give_kernels(self) -> None:
-        """Give the board as many kernels as it has room for; the rest goes as currents."""
-        can, self._image = self.capabilities, None
-        if self._table is None or not can.kernel_bytes or not can.packet_bytes:
-            return
-        image = KernelImage.of(self._table, can.kernel_bytes, can.most_kernels)
-        try:
-            give_kernels(self._line, image, can.packet_bytes, self._go_on_unless_stopped)
-        except KernelTableError as other:
-            raise self._latch(str(other)) from None
-        self._image = image
 
     def _drop_late(self) -> Never:
         """Count a sequence that is not sent; the next one must begin at zero."""
@@ -293,31 +227,6 @@ class LinkBoard(Board):
             # It has confirmed zero; what has become of the line since then changes nothing.
             return
 
-    def _checked_account(self) -> tuple[Any, ...]:
-        """Return the board's account; latch the board if it tells of what was not sent."""
-        told, before, limits = self._status(), self._account_before, self._gate.limits
-        violations, slots = told[3] - before[3], told[1] - before[1]
-        largest_ma = limits.total_ua / 1000 if limits.one_source else limits.current_ua.max() / 1000
-        if violations > self._unsafe_refused:
-            raise self._latch(
-                f"the board counted {violations} violations of its own rules, and refused "
-                f"{self._unsafe_refused} sequences for one"
-            )
-        if slots > self._slots_sent:
-            raise self._latch(
-                f"the board delivered {slots} slots where {self._slots_sent} were sent"
-            )
-        if told[4] > max(before[4], largest_ma):
-            raise self._latch(
-                f"the board delivered {told[4]:g} mA, above the {largest_ma:g} mA that may be sent"
-            )
-        return told
-
-    def report(self) -> BoardReport:
-        told = self._checked_account()
-        refused = max(0, sum(told[OLD_PACKETS]) - self._packets_before)
-        return replace(BoardReport(*told[:7]), refused_packets=refused)
-
     def drain(self, timeout_s: float = ANSWER_S) -> None:
         line, deadline = self._line, self._line.now_s() + timeout_s
         while self._status()[7] and line.now_s() < deadline:
@@ -328,81 +237,25 @@ class LinkBoard(Board):
     def refused_packets(self) -> int:
         return self._line.refused
 
-    def take_volts(self) -> list[Measured]:
-        return [self._measured.popleft() for _ in range(len(self._measured))]
-
-    def _measure(self) -> Impedance:
-        can = self.capabilities
-        if not can.measures or can.compliance_v is None:
-            return super()._measure()
-        self.take_volts()
-        for probe in probe_sequences(self._gate.limits, self._output):
-            volts = self._probed(probe)
-        limits = self._gate.limits
-        saturated = can.output == "weighted" and (volts >= SATURATED * can.compliance_v).any()
-        if saturated and not limits.masked:
-            level_ua = int(np.abs(probe.current_ua).max())
-            return measure_in_pairs(
-                self._probed,
-                limits,
-                level_ua,
-                probe.intensity,
-                probe.time_ns,
-                can.compliance_v,
-            )
-        # A masked electrode is not driven, and counts as open.
-        every = np.full(limits.electrodes, can.compliance_v)
-        every[probe.site] = volts
-        return judge(every, probe.source_ua[0] / 1000, can.compliance_v)
-
-    def _probed(self, probe: ScanSequence) -> NDArray[np.float64]:
-        """Deliver a scan and return its voltages."""
-        self.send(probe)
-        self.drain()
-        found = [
-            volts for sequence, volts in self.take_volts() if sequence.time_ns == probe.time_ns
-        ]
-        if probe.slots and not found:
-            raise BoardError(
-                f"the board at {self._line.name} did not tell the voltages of its electrodes: "
-                "measure again",
-                about="measure",
-            )
-        return found[-1].astype(np.float64) if found else np.empty(0)
-
     # -- packets of the board ----------------------------------------------
 
     def _shake_hands(self, known: Capabilities | None) -> None:
         self._line.begin(lambda offer: self._take_offer(offer, known), self._stopped)
-        give_limits(self._line, self._gate.limits)
-        self._give_kernels()
+        self._set_up()
         self.notes += slow_line_notes(self._status)
-
-    def _take_offer(self, answer: Message, known: Capabilities | None) -> None:
-        self._kind, self.capabilities = accepted(
-            answer, self._line.name, self._gate.limits.electrodes, self._output, known
-        )
-
-    def _status(self) -> tuple[Any, ...]:
-        return account_of(self._line.ask(Kind.STATUS), self._line.name)
 
     def _hear(self, message: Message) -> None:
         """Handle an unrequested packet."""
         if message.state & protocol.SWITCH_OPEN and self._has_switch:
             self._line.fail(self._emergency())
         match message.kind:
-            case Kind.ALIVE:
-                if len(message.payload) == protocol.ALIVE.size:
-                    self._press(*protocol.ALIVE.unpack(message.payload))
             case Kind.ACK:
                 if self._answered(message):
                     self.acknowledged += 1
             case Kind.NAK:
                 self._refused(message)
-            case Kind.VOLTAGES:
-                self._note_volts(message)
             case _:
-                self._line.session.refuse()
+                super()._hear(message)
 
     def _answered(self, message: Message) -> bool:
         """Return whether this answers a sequence in flight; count it if it answers none."""
@@ -411,25 +264,6 @@ class LinkBoard(Board):
         if message.about not in self._repeated:
             self._line.session.refuse()
         return False
-
-    def _press(self, force_mn: int) -> None:
-        if hasattr(self, "capabilities") and self.capabilities.force:
-            self.force_n = force_mn / 1000
-
-    def _note_volts(self, message: Message) -> None:
-        sequence = dict(self._sent).get(message.about)
-        if sequence is None:
-            return self._line.session.refuse()
-        volts = decode_volts(message.payload)
-        if len(volts) == sequence.slots and len(volts):
-            compliance = self.capabilities.compliance_v
-            if compliance is not None and volts.max() > MOST_COMPLIANCES * compliance:
-                self._suspicion = (
-                    f"the board measured {volts.max():.0f} V with a source of {compliance:g} V"
-                )
-            self._measured.append((sequence, volts))
-            self.lifted = compliance is not None and bool((volts >= OPEN_SHARE * compliance).all())
-        return None
 
     @property
     def _has_switch(self) -> bool:

@@ -1,15 +1,14 @@
 """Limits and kernels given to a ``link`` board, and its numbers decoded."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 from smarttouch.boards import link_protocol as protocol
 from smarttouch.boards.link_kernels import KernelImage
-from smarttouch.boards.link_line import LinkLine
 from smarttouch.boards.link_lists import encode_limits
 from smarttouch.boards.link_offer import malformed
 from smarttouch.boards.link_protocol import NOTHING, Kind, Rule
-from smarttouch.boards.link_session import Message
+from smarttouch.boards.link_session import HostSession, Message
 from smarttouch.errors import BoardError, KernelTableError
 from smarttouch.stimulation.limits import SafetyLimits
 
@@ -47,13 +46,24 @@ _RULES = {
 }
 
 
-def give_limits(line: LinkLine, limits: SafetyLimits) -> None:
+class Line(Protocol):
+    """Line to a board, which answers queries."""
+
+    name: str
+    session: HostSession
+
+    def ask(self, question: Kind, payload: bytes = b"") -> Message:
+        """Return the answer; raise BoardError if there is none."""
+        ...
+
+
+def give_limits(line: Line, limits: SafetyLimits) -> None:
     if line.ask(Kind.LIMITS, encode_limits(limits)).payload != b"\1":
         raise malformed(line.name)
 
 
 def give_kernels(
-    line: LinkLine, image: KernelImage, most_bytes: int, go_on: Callable[[], None]
+    line: Line, image: KernelImage, most_bytes: int, go_on: Callable[[], None]
 ) -> None:
     """Give a board its kernels, in packets of at most ``most_bytes``; what it keeps already is not
     sent again. ``go_on`` raises if the board is to be stopped."""

@@ -124,9 +124,9 @@ def test_without_force_there_is_no_current(run_color):
 
 
 def test_a_finger_on_the_board_needs_a_word_on_force(run_color, monkeypatch):
-    monkeypatch.setattr("smarttouch.boards.emulator.simulated.SimulatedBoard.on_a_finger", True)
+    monkeypatch.setattr("smarttouch.boards.memory.MemoryBoard.on_a_finger", True)
     with raises(SourceError, about="force", remedy="force"):
-        run_color("tone:30Hz,9um --intensity 1")
+        run_color("tone:30Hz,9um --intensity 1 --board memory:")
 
 
 def test_what_is_missing_for_a_picture_is_said_before_anything_is_felt(program_here, monkeypatch):

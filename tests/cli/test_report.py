@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 import smarttouch as st
+from smarttouch.boards.emulator.link import NAME
 from smarttouch.bug_report import _FIRMWARE, _kind, _version
 from smarttouch.errors import RecordingError
 from smarttouch.recording.reader import Recording
@@ -41,7 +42,7 @@ def test_a_run_without_who_felt_it(program_here, tmp_path):
     run = json.loads(text)["run"]
     assert run["settings"]["board"] == "simulated:"
     assert run["settings"]["sensor"] == "text:"
-    assert run["firmware"] == "simulated"
+    assert run["firmware"] == NAME
     assert run["versions"]["smarttouch"] == st.__version__
     assert run["whole"]
     assert run["device"]["array"]["rows"] == 8

@@ -169,10 +169,10 @@ def test_on_a_finger_somebody_says_how_strong(profile, source):
         Runner(source, display, RunConfig(intensity=0.3)).run()
 
 
-def test_without_force_there_is_no_run(display, source, monkeypatch):
+def test_without_force_there_is_no_run(profile, source, monkeypatch):
     monkeypatch.setattr(type(source), "knows_force", False)
     with raises(SourceError, about="force"):
-        Runner(source, display, RunConfig()).run()
+        Runner(source, open_display("memory:", profile), RunConfig()).run()
 
 
 def test_a_simulated_calibration_is_no_finger_s(profile, source, monkeypatch):

@@ -91,9 +91,10 @@ def test_books_in_a_folder(blind, tmp_path):
 
 
 @pytest.mark.parametrize("taken", [False, True])
-def test_a_simulated_board(blind, taken):
+def test_a_simulated_board(blind, taken, monkeypatch):
     """Pulses are judged when they are taken, and the rest when the board is closed."""
-    # A board with the limits that the watch judges by would refuse the pulse itself.
+    # A board with a rise, or the limits that the watch judges by, would refuse the pulse itself.
+    monkeypatch.setattr("smarttouch.boards.emulator.second.RAMP_MS", 0)
     wider = replace(LIMITS, current_ma=4.0, full_ma=4.0)
     vars(wider)[watch.OF_PROFILE] = Bounds.of_limits(LIMITS)
     with SimulatedBoard("", wider) as board:

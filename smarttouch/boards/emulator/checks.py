@@ -233,26 +233,11 @@ def _all_at_once(
 
     Which one, and which rule, is then found slot by slot.
     """
-    sequence, weights, slot = lists.sequence, keep.weights, 0
-    current_ua = sequence.current_ua
-    if current_ua is None:
+    current_ua = lists.sequence.current_ua
+    if current_ua is None or any(group.kind == 3 for group in lists.groups):
         return None
-    for group in lists.groups:
-        rows = slice(slot, slot + group.slots)
-        slot += group.slots
-        if group.kind == 3:
-            return None
-        if group.kind == 2:
-            continue
-        if weights is None or int(group.kernel.max()) >= len(weights):
-            return None
-        if group.kind == 1 and int(group.amplitude.sum()) > MOST_AMPLITUDE:
-            return None
-        every = weights[group.kernel].astype(np.int64) * group.amplitude[:, None]
-        if group.kind == 1:
-            every = every.sum(axis=0, keepdims=True)
-        current_ua[rows] = rounded(every)
-        sequence.site[rows] = keep.site[group.kernel[: group.slots]]
+    if not _filled_in(lists, keep, current_ua):
+        return None
     signed = current_ua.astype(np.int64)
     each = np.abs(signed)
     charge_pc = each * width_us[:, None]
@@ -265,6 +250,31 @@ def _all_at_once(
         return None
     load.add(signed, width_us, limits.felt_ua)
     return int(each.max(initial=0)), int(charge_pc.max(initial=0))
+
+
+def _filled_in(lists: Lists, keep: Keep, current_ua: NDArray[np.int16]) -> bool:
+    """Return whether all kernels are kept and no sum is too large, and fill in what they make."""
+    slot = np.repeat([group.kind < 2 for group in lists.groups], [g.slots for g in lists.groups])
+    if not slot.any():
+        return True
+    of_kernels = [group for group in lists.groups if group.kind < 2]
+    kernel = np.concatenate([group.kernel for group in of_kernels])
+    amplitude = np.concatenate([group.amplitude for group in of_kernels])
+    size = np.concatenate(
+        [
+            [len(group.kernel)] if group.kind else np.ones(group.slots, np.int64)
+            for group in of_kernels
+        ]
+    )
+    first = np.cumsum(size) - size
+    if keep.weights is None or int(kernel.max()) >= len(keep.weights):
+        return False
+    if (np.add.reduceat(amplitude, first) > MOST_AMPLITUDE).any():
+        return False
+    every = keep.weights[kernel].astype(np.int64) * amplitude[:, None]
+    current_ua[slot] = rounded(np.add.reduceat(every, first, axis=0))
+    lists.sequence.site[slot] = keep.site[kernel[first]]
+    return True
 
 
 def _whole(

@@ -1,0 +1,73 @@
+"""``simulated:`` and ``emulator:`` are one board, with and without a line."""
+
+import numpy as np
+import pytest
+
+import smarttouch as st
+from smarttouch.boards.emulator.delivery_log import read_delivered, read_state
+
+FIGURES = (
+    "frames", "sequences", "slots", "pulses", "acknowledged", "refused", "dropped_late", "restarts",
+    "lifts", "without_force_or_image", "packets_refused_by_board", "reported_by",
+)  # fmt: skip
+BOOKS = (
+    "sequences", "slots", "pulses", "violations", "unsafe", "recharges", "passed_uc",
+    "max_current_ma", "max_charge_uc", "max_volts",
+)  # fmt: skip
+
+
+class Kept(st.Listener):
+    """What was sent, by number, and the voltages that were measured, by time."""
+
+    def __init__(self):
+        super().__init__()
+        self.sent, self.force_n, self.volts, self.shared = {}, {}, {}, 0
+
+    def step(self, result):
+        sequence = result.step.sequence
+        self.sent[result.number] = sequence.time_ns, sequence.intensity, sequence.period_us
+        self.force_n[result.number] = result.step.input.force_n
+        self.shared += sequence.proof is not None and int((sequence.proof.points > 1).sum())
+        for sequence, volts in result.step.observed:
+            self.volts[sequence.time_ns] = volts.tolist()
+
+
+@pytest.mark.parametrize(
+    ("name", "mode", "scan", "balance"),
+    [
+        ("electric-mouse", "natural", "auto", False),
+        ("electric-mouse", "RA", "points", True),
+        ("smarttouch-4x4", "RA", "auto", False),
+    ],
+)
+def test_a_run_is_the_same_on_both(name, mode, scan, balance, tmp_path):
+    profile, found = st.load_profile(name), {}
+    for url in ("simulated:", "emulator:"):
+        source = st.open_source("text:no?speed_mm_s=25", profile)
+        display, kept = st.open_display(url, profile), Kept()
+        if url == "emulator:":
+            display.board.keep_books(tmp_path)
+        statistics = st.run(
+            source, display, mode=mode, scan=scan, balance=balance, seed=1, intensity=1.0,
+            listeners=[kept],
+        )  # fmt: skip
+        figures = {name: statistics.figures[name] for name in FIGURES}
+        found[url] = display.board, kept, figures
+    (board, kept, figures), (other, its, its_figures) = found.values()
+    assert (figures, kept.sent, kept.force_n) == (its_figures, its.sent, its.force_n)
+    assert board.capabilities == other.capabilities
+    # Those of the last sequences come too late on a line.
+    assert set(kept.volts) >= set(its.volts)
+    assert [kept.volts[time_ns] for time_ns in its.volts] == list(its.volts.values())
+    assert len(its.volts) > 10
+    (number, width_us, current_ua), delivered = board.take_pulses(), read_delivered(tmp_path)
+    assert len(number) > 50
+    np.testing.assert_array_equal(number, delivered[0])
+    np.testing.assert_allclose(width_us, delivered[1], rtol=1e-6)
+    np.testing.assert_array_equal(current_ua, delivered[2])
+    books, state = vars(board._firmware.books), read_state(tmp_path)
+    assert {name: state[name] for name in BOOKS} == {
+        name: pytest.approx(books[name]) for name in BOOKS
+    }
+    assert (kept.shared > 50) == (profile.output.kind == "weighted" and scan == "auto")
+    assert (state["recharges"] > 10) == balance
