@@ -21,13 +21,13 @@ from .conftest import refused, says
 
 @pytest.fixture
 def run_color(tmp_path, monkeypatch):
-    """Return a runner of the command alone, in an empty folder, on a simulated board."""
+    """Return a runner of the command alone, in an empty folder."""
     monkeypatch.chdir(tmp_path)
     app = typer.Typer(pretty_exceptions_enable=False)
     app.command()(color)
 
-    def run(line):
-        words = shlex.split(f"{line} --board simulated:")
+    def run(line, board="simulated:"):
+        words = shlex.split(f"{line} --board {board}")
         done = CliRunner().invoke(app, words, catch_exceptions=False)
         assert done.exit_code == 0, done.output
         return done.stdout
@@ -126,7 +126,7 @@ def test_without_force_there_is_no_current(run_color):
 def test_a_finger_on_the_board_needs_a_word_on_force(run_color, monkeypatch):
     monkeypatch.setattr("smarttouch.boards.memory.MemoryBoard.on_a_finger", True)
     with raises(SourceError, about="force", remedy="force"):
-        run_color("tone:30Hz,9um --intensity 1 --board memory:")
+        run_color("tone:30Hz,9um --intensity 1", "memory:")
 
 
 def test_what_is_missing_for_a_picture_is_said_before_anything_is_felt(program_here, monkeypatch):
