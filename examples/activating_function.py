@@ -13,7 +13,7 @@ import numpy as np
 
 import smarttouch as st
 from smarttouch.physiology.af_error import DEPTHS_MM, af_error_table, ratio_rows
-from smarttouch.plotting.style import ANODIC, CATHODIC
+from smarttouch.views.figure_style import ANODIC, CATHODIC
 
 # %%
 # Threshold by the AF over that of the fiber, by depth in mm: 1 is right; below 1 the AF takes a

@@ -13,10 +13,9 @@ from tempfile import TemporaryDirectory
 import matplotlib.pyplot as plt
 from joblib import parallel_config
 
-from smarttouch.plotting.studies import study_figure
-from smarttouch.studies.plan import Study
-from smarttouch.studies.run import run_study
-from smarttouch.studies.summary import NAMES, summed, table_rows
+from smarttouch.experiments.study_plan import Study
+from smarttouch.experiments.study_run import NAMES, run_study, summed, table_rows
+from smarttouch.views.experiment_figures import study_figure
 
 study = Study(
     title="Two arrays, two modes",

@@ -13,15 +13,13 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 import smarttouch as st
-from smarttouch.braille.layout import lay_out
-from smarttouch.braille.tables import open_table
-from smarttouch.outputs import FeltPicture
-from smarttouch.reading.braille import Braille
-from smarttouch.reading.cursor import SweepingCursor
-from smarttouch.reading.feed import LineFeed
-from smarttouch.reading.line_source import ReadingSource
-from smarttouch.reading.source import Source
-from smarttouch.reading.window import press_n, profile_for_reading
+from smarttouch.braille.cell_pages import lay_out
+from smarttouch.braille.code_tables import open_table
+from smarttouch.imaging.array_window import profile_for_reading, reading_force_n
+from smarttouch.reading.braille_lines import Braille
+from smarttouch.reading.line_source import LineFeed, ReadingSource, SweepingCursor
+from smarttouch.reading.material import ReadingMaterial
+from smarttouch.views.outputs import DeliveredPicture
 
 # %%
 # Cells, and back.
@@ -36,16 +34,16 @@ print(table.to_text(cells))
 own = st.load_profile("electric-mouse")
 profile = profile_for_reading(own)
 braille = Braille("en-1")
-text = Source("text:a sensor sees")
+text = ReadingMaterial("text:a sensor sees")
 feed = LineFeed(braille.lines(text, profile))
 with tempfile.TemporaryDirectory() as folder:
     felt = Path(folder) / "felt.png"
     feed.start().wait_for(0)
-    cursor = SweepingCursor(feed, braille.motion(profile, 20.0), press_n(profile))
+    cursor = SweepingCursor(feed, braille.motion(profile, 20.0), reading_force_n(profile))
     source = ReadingSource(text.title, profile, feed, cursor)
     display = st.open_display("simulated:", profile)
     statistics = st.run(
-        source, display, mode="RA", tone=braille.tone, listeners=[FeltPicture(felt)]
+        source, display, mode="RA", tone=braille.tone, listeners=[DeliveredPicture(felt)]
     )
     feed.close()
     picture = plt.imread(felt)

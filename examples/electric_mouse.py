@@ -15,10 +15,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import smarttouch as st
-from smarttouch.outputs import FeltPicture
-from smarttouch.reading.window import press_n, profile_for_reading
-from smarttouch.texture.source import MouseSource, open_motion_over
-from smarttouch.texture.textures import open_texture
+from smarttouch.imaging.array_window import profile_for_reading, reading_force_n
+from smarttouch.instruments.electric_mouse import MouseSource, open_motion_over
+from smarttouch.instruments.relief import open_texture
+from smarttouch.views.outputs import DeliveredPicture
 
 own = st.load_profile("electric-mouse")
 profile = profile_for_reading(own)
@@ -27,7 +27,7 @@ profile = profile_for_reading(own)
 def move(texture, speed_mm_s, listeners):
     """Let a virtual hand pass over a texture."""
     motion = open_motion_over(texture, "sweep:", own, speed_mm_s=speed_mm_s)
-    source = MouseSource(texture, motion, profile, rate_hz=100, press_n=press_n(profile))
+    source = MouseSource(texture, motion, profile, rate_hz=100, press_n=reading_force_n(profile))
     display = st.open_display("simulated:", profile)
     return st.run(source, display, mode="RA", rate_hz=100, listeners=listeners)
 
@@ -52,7 +52,7 @@ for speed_mm_s in (20, 40, 80):
 # A word of 12 mm, and where the pulses were.
 with tempfile.TemporaryDirectory() as folder:
     felt = Path(folder) / "felt.png"
-    move(open_texture("text:touch"), 60, [FeltPicture(felt)])
+    move(open_texture("text:touch"), 60, [DeliveredPicture(felt)])
     picture = plt.imread(felt)
 figure, axes = plt.subplots(figsize=(9, 5), layout="constrained")
 axes.imshow(picture, cmap="gray")

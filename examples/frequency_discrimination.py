@@ -14,18 +14,16 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 import smarttouch as st
-from smarttouch.plotting.discrimination import discrimination_figure
-from smarttouch.psychophysics.catalog import ExperimentOptions, design
-from smarttouch.psychophysics.fitting.answers import usual_model
-from smarttouch.psychophysics.fitting.fit import BootstrapOptions
-from smarttouch.psychophysics.fitting.psychometric import Shape
-from smarttouch.psychophysics.fitting.report import as_series
-from smarttouch.psychophysics.fitting.table import read_table
-from smarttouch.psychophysics.fitting.verdict import judge
-from smarttouch.psychophysics.rows import About
-from smarttouch.psychophysics.sitting import open_sitting
-from smarttouch.psychophysics.timing import TrialTiming
-from smarttouch.reading.window import press_n
+from smarttouch.experiments.fitting.answers import read_table, usual_model
+from smarttouch.experiments.fitting.findings import as_series, judge
+from smarttouch.experiments.fitting.fit import BootstrapOptions
+from smarttouch.experiments.fitting.psychometric import Shape
+from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, design
+from smarttouch.experiments.psychophysics.experiment_session import open_experiment
+from smarttouch.experiments.psychophysics.trial_rows import About
+from smarttouch.experiments.psychophysics.trials import TrialTiming
+from smarttouch.imaging.array_window import reading_force_n
+from smarttouch.views.experiment_figures import discrimination_figure
 
 profile = st.load_profile("electric-mouse")
 
@@ -39,8 +37,8 @@ def sit(folder, standards_hz, repetitions):
     path = Path(folder) / "frequency-RA.csv"
     about = About("frequency-RA", made.method, "S1", "", 1)
     timing = TrialTiming(patience_s=10.0)
-    with open_sitting(made, profile, timing, about, path, overwrite=False) as sitting:
-        source = sitting.source(press_n(profile), in_real_time=False)
+    with open_experiment(made, profile, timing, about, path, overwrite=False) as sitting:
+        source = sitting.source(reading_force_n(profile), in_real_time=False)
         observer = sitting.subject(source, "model", 1)
         st.run(source, st.open_display("simulated:", profile), seed=1, listeners=[observer])
     return path

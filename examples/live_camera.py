@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import smarttouch as st
-from smarttouch.documents.printed_text import print_text
+from smarttouch.pages.prepared_page import print_text
 
 
 class Film:
@@ -68,7 +68,7 @@ print(f"{statistics.frames} frames")
 figure, panels = plt.subplots(2, 6, figsize=(9, 3.2), layout="constrained")
 for column, result in zip(panels.T, kept[:: max(1, len(kept) // 6)], strict=False):
     column[0].imshow(result.input.image, cmap="gray", vmin=0, vmax=255)
-    column[1].imshow(result.felt_ma.reshape(8, 8), cmap="Greys", vmin=0, vmax=3)
+    column[1].imshow(result.delivered_ma.reshape(8, 8), cmap="Greys", vmin=0, vmax=3)
 for axes in panels.flat:
     axes.set(xticks=[], yticks=[])
 panels[0, 0].set_ylabel("camera")

@@ -130,7 +130,7 @@ with st.open_display("simulated:", profile) as display:
         Wipe("a bar"),
         display,
         mode="RA",
-        listeners=[lambda result: strongest_ma.append(result.felt_ma.max())],
+        listeners=[lambda result: strongest_ma.append(result.delivered_ma.max())],
     )
 print(f"{statistics.frames} frames, {statistics.slots} slots, {max(strongest_ma):.2f} mA at most")
 

@@ -12,8 +12,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import smarttouch as st
-from smarttouch.reading.window import press_n, profile_for_reading
-from smarttouch.sources.stimulus import Stimulus
+from smarttouch.imaging.array_window import profile_for_reading, reading_force_n
+from smarttouch.sources.source_contract import Stimulus
 
 
 # %%
@@ -27,7 +27,7 @@ class Circle(st.StimulusSource):
     def __init__(self, profile: st.Profile) -> None:
         super().__init__("a point in a circle")
         self._place_mm = profile.electrodes.position_mm
-        self._press_n = press_n(profile)
+        self._press_n = reading_force_n(profile)
         self.duration_s = 2.0
 
     def read(self, time_ns: int) -> Stimulus | None:

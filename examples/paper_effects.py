@@ -11,11 +11,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import smarttouch as st
-from smarttouch.afferent import CLASS_COLORS
+from smarttouch.base.afferent import CLASS_COLORS
+from smarttouch.experiments import paper_effects
 from smarttouch.physiology.finger import Finger
-from smarttouch.plotting.kernels import electrode_patches
-from smarttouch.plotting.style import ANODIC, CATHODIC
-from smarttouch.psychophysics import paper_effects
+from smarttouch.views.figure_style import ANODIC, CATHODIC
+from smarttouch.views.kernel_figures import electrode_patches
 
 profile = st.load_profile("electric-mouse")
 sites = paper_effects.inner_sites(profile)

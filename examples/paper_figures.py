@@ -11,12 +11,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import smarttouch as st
-from smarttouch.afferent import CLASS_COLORS
-from smarttouch.physiology.activation import field
-from smarttouch.physiology.afferents import depth_mm
+from smarttouch.base.afferent import CLASS_COLORS
+from smarttouch.physiology.activating_function import depth_mm, field
 from smarttouch.physiology.potential import line_in_plane
-from smarttouch.plotting.kernels import draw_field, draw_weights
-from smarttouch.plotting.style import ANODIC, CATHODIC, GREY
+from smarttouch.views.figure_style import ANODIC, CATHODIC, GREY
+from smarttouch.views.kernel_figures import draw_field, draw_weights
 
 line = st.load_profile("line-7")
 center = 3

@@ -9,11 +9,11 @@ answer, and each class is let fire as its afferents would have.
 import matplotlib.pyplot as plt
 
 import smarttouch as st
-from smarttouch.plotting.colors import thresholds_figure
-from smarttouch.vibrotactile.mix import mix
-from smarttouch.vibrotactile.picture import picture
-from smarttouch.vibrotactile.spec import open_trace
-from smarttouch.vibrotactile.split import split
+from smarttouch.instruments.color_mix import mix
+from smarttouch.instruments.color_source import picture
+from smarttouch.instruments.receptor_responses import split
+from smarttouch.instruments.skin_trace import open_trace
+from smarttouch.views.class_figures import thresholds_figure
 
 # %%
 # The basis of it: the smallest vibration that each class answers, by frequency. RA is best at 30

@@ -12,14 +12,12 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 import smarttouch as st
-from smarttouch.outputs import FeltPicture
-from smarttouch.reading.cursor import SweepingCursor
-from smarttouch.reading.feed import LineFeed
-from smarttouch.reading.line_source import ReadingSource
-from smarttouch.reading.shapes import Shapes
-from smarttouch.reading.source import Source
-from smarttouch.reading.window import press_n, profile_for_reading
-from smarttouch.resources import data_folder
+from smarttouch.base.files import data_folder
+from smarttouch.imaging.array_window import profile_for_reading, reading_force_n
+from smarttouch.reading.letter_shapes import Shapes
+from smarttouch.reading.line_source import LineFeed, ReadingSource, SweepingCursor
+from smarttouch.reading.material import ReadingMaterial
+from smarttouch.views.outputs import DeliveredPicture
 
 # %%
 # The photograph.
@@ -34,16 +32,16 @@ axes.set_axis_off()
 own = st.load_profile("electric-mouse")
 profile = profile_for_reading(own)
 shapes = Shapes()
-text = Source(str(path))
+text = ReadingMaterial(str(path))
 feed = LineFeed(shapes.lines(text, profile))
 with tempfile.TemporaryDirectory() as folder:
     felt = Path(folder) / "felt.png"
     feed.start().wait_for(0)
-    cursor = SweepingCursor(feed, shapes.motion(profile), press_n(profile))
+    cursor = SweepingCursor(feed, shapes.motion(profile), reading_force_n(profile))
     source = ReadingSource(text.title, profile, feed, cursor)
     with st.open_display("simulated:", profile) as display:
         statistics = st.run(
-            source, display, tone=shapes.tone, seconds=5, listeners=[FeltPicture(felt)]
+            source, display, tone=shapes.tone, seconds=5, listeners=[DeliveredPicture(felt)]
         )
     feed.close()
     picture = plt.imread(felt)

@@ -72,7 +72,7 @@ with st.open_display("simulated:", profile) as display:
     st.run(Disc("a disc"), display, mode="RA", listeners=[results.append])
 figure, axes = plt.subplots(figsize=(6, 2.4), layout="constrained")
 time_s = [each.input.time_ns / 1e9 for each in results]
-axes.plot(time_s, [each.felt_ma.max() for each in results], ".", label="strongest point")
+axes.plot(time_s, [each.delivered_ma.max() for each in results], ".", label="strongest point")
 axes.axhline(limits.current_ma, color="#707070", ls=":", label="limit")
 axes.set(xlabel="time (s)", ylabel="current (mA)", ylim=(0, None))
 axes.legend(frameon=False)

@@ -13,7 +13,7 @@ import numpy as np
 import smarttouch as st
 from smarttouch.physiology.af_error import potential_at_nodes
 from smarttouch.physiology.membrane import Fiber, strength_duration, weiss_fit
-from smarttouch.plotting.style import ANODIC, CATHODIC
+from smarttouch.views.figure_style import ANODIC, CATHODIC
 
 # %%
 # One electrode of 1.0 mm, a fiber that runs flat 0.9 mm below it (SAI): five widths, both

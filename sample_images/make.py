@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from PIL import Image
 
-from smarttouch.documents.printed_text import PRINT_DPI, print_text
+from smarttouch.pages.prepared_page import PRINT_DPI, print_text
 
 HERE = Path(__file__).parent
 TEXT = (

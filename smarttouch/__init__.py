@@ -17,12 +17,11 @@ Nothing heavy is imported before it is used.
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from smarttouch.version import __version__
+from smarttouch.base.version import __version__
 
 if TYPE_CHECKING:
-    from smarttouch.afferent import Afferent
-    from smarttouch.boards.board import Board
-    from smarttouch.errors import (
+    from smarttouch.base.afferent import Afferent
+    from smarttouch.base.errors import (
         BoardError,
         LevelNotReachedError,
         ProfileError,
@@ -30,24 +29,22 @@ if TYPE_CHECKING:
         SmartTouchError,
         SourceError,
     )
-    from smarttouch.front import design_kernel, load_kernels, replay, run, steps
+    from smarttouch.base.tactile_image import TactileImage
+    from smarttouch.boards.board import Board
     from smarttouch.physiology.finger import Finger
     from smarttouch.profile import Profile, list_profiles, load_profile
-    from smarttouch.recording.recorded_run import RecordedRun, load_recording
-    from smarttouch.recording.recorder import Recorder
     from smarttouch.running.config import RunConfig
     from smarttouch.running.display import Display, open_display
+    from smarttouch.running.functions import design_kernel, load_kernels, replay, run, steps
     from smarttouch.running.listener import Listener
+    from smarttouch.running.recorded_run import RecordedRun, load_recording
+    from smarttouch.running.recorder import Recorder
     from smarttouch.running.session import Session, Shown, show_together
-    from smarttouch.running.statistics import RunStatistics
-    from smarttouch.running.step import StepResult
+    from smarttouch.running.step import RunStatistics, StepResult
     from smarttouch.sources import open_source
-    from smarttouch.sources.frame import Frame
-    from smarttouch.sources.source import OpticalSource, StimulusSource
-    from smarttouch.stimulation.safety import SafetyLimits
-    from smarttouch.stimulation.sequence import ScanSequence
-    from smarttouch.tactile_image import TactileImage
-
+    from smarttouch.sources.source_contract import Frame, OpticalSource, StimulusSource
+    from smarttouch.stimulation.safety_gate import SafetyLimits
+    from smarttouch.stimulation.scan_sequence import ScanSequence
 
 __all__ = [
     "Afferent",
@@ -90,33 +87,58 @@ __all__ = [
 ]
 
 _WHERE = {
-    "boards.board": ("Board",),
-    "errors": (
+    "base.afferent": ("Afferent",),
+    "base.errors": (
         "BoardError",
         "LevelNotReachedError",
         "ProfileError",
         "SafetyError",
-        "SourceError",
         "SmartTouchError",
+        "SourceError",
     ),
-    "front": ("design_kernel", "load_kernels", "replay", "run", "steps"),
-    "tactile_image": ("TactileImage",),
+    "base.tactile_image": ("TactileImage",),
+    "boards.board": ("Board",),
     "physiology.finger": ("Finger",),
-    "afferent": ("Afferent",),
-    "profile": ("Profile", "list_profiles", "load_profile"),
-    "recording.recorded_run": ("RecordedRun", "load_recording"),
-    "recording.recorder": ("Recorder",),
+    "profile": (
+        "Profile",
+        "list_profiles",
+        "load_profile",
+    ),
     "running.config": ("RunConfig",),
-    "running.display": ("Display", "open_display"),
+    "running.display": (
+        "Display",
+        "open_display",
+    ),
+    "running.functions": (
+        "design_kernel",
+        "load_kernels",
+        "replay",
+        "run",
+        "steps",
+    ),
     "running.listener": ("Listener",),
-    "running.session": ("Session", "Shown", "show_together"),
-    "running.statistics": ("RunStatistics",),
-    "running.step": ("StepResult",),
+    "running.recorded_run": (
+        "RecordedRun",
+        "load_recording",
+    ),
+    "running.recorder": ("Recorder",),
+    "running.session": (
+        "Session",
+        "Shown",
+        "show_together",
+    ),
+    "running.step": (
+        "RunStatistics",
+        "StepResult",
+    ),
     "sources": ("open_source",),
-    "sources.frame": ("Frame",),
-    "sources.source": ("OpticalSource", "StimulusSource"),
-    "stimulation.safety": ("SafetyLimits",),
-    "stimulation.sequence": ("ScanSequence",),
+    "sources.source_contract": (
+        "Frame",
+        "OpticalSource",
+        "StimulusSource",
+    ),
+    "stimulation.safety_gate": ("SafetyLimits",),
+    "stimulation.scan_sequence": ("ScanSequence",),
 }
 _MODULE = {name: f"smarttouch.{module}" for module, names in _WHERE.items() for name in names}
 

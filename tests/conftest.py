@@ -18,10 +18,10 @@ import pytest
 from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
-from smarttouch.boards import keeper
+from smarttouch.base.clock import prioritized
+from smarttouch.boards.kits import keeper
 from smarttouch.profile import DEFAULT_PROFILE, load_profile
-from smarttouch.realtime import prioritized
-from smarttouch.sources.frame import Frame, Pose
+from smarttouch.sources.source_contract import Frame, Pose
 
 from . import forks
 from .firmware import build
@@ -34,7 +34,7 @@ NEVER_LATE_NS = 60_000_000_000
 """How late a sequence may be, and still be sent, where that is not what is tested."""
 LATENESS = [
     f"smarttouch.{module}.LATE_NS"
-    for module in ("running.loop", "boards.link", "boards.streamed", "boards.timely")
+    for module in ("running.loop", "boards.link.link_board", "boards.kits.streamed", "boards.seal")
 ]
 """Bounds of what boards and the loop call late."""
 
@@ -114,14 +114,16 @@ def patient_lines(request, monkeypatch):
 
     Tests of silence are marked as such, and those of lateness.
     """
-    monkeypatch.setattr("smarttouch.boards.link_line.SILENCE_S", PATIENCE_S)
+    monkeypatch.setattr("smarttouch.boards.link.packet_line.SILENCE_S", PATIENCE_S)
     if "silence" not in request.keywords:
         changes = {
-            "smarttouch.boards.emulator.link.SILENCE_MS": 1000 * PATIENCE_S,
-            "smarttouch.boards.keeper.__file__": str(request.getfixturevalue("patient_keeper")),
+            "smarttouch.emulator.link_firmware.SILENCE_MS": 1000 * PATIENCE_S,
+            "smarttouch.boards.kits.keeper.__file__": str(
+                request.getfixturevalue("patient_keeper")
+            ),
         } | dict.fromkeys(LATENESS, NEVER_LATE_NS)
         monkeypatch.setattr(forks.Forked, "changes", changes)
-        monkeypatch.setattr(keeper, "__file__", changes["smarttouch.boards.keeper.__file__"])
+        monkeypatch.setattr(keeper, "__file__", changes["smarttouch.boards.kits.keeper.__file__"])
         monkeypatch.setattr(build, "silence_ms", 1000 * PATIENCE_S)
         for name in () if "lateness" in request.keywords else LATENESS:
             monkeypatch.setattr(name, NEVER_LATE_NS)
@@ -169,7 +171,7 @@ def one_thread():
 def forked_emulators(one_thread):
     """Let each ``emulator:`` of this process start a fork."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("smarttouch.boards.emulator.driver.subprocess", forks.forked_boards())
+        patch.setattr("smarttouch.emulator.emulated_boards.subprocess", forks.forked_boards())
         yield
     forks.Forked.end()
 
@@ -218,7 +220,7 @@ def bank(profile):
 @pytest.fixture(scope="session")
 def make_bank():
     """Return a maker of RA banks from weights and receptors alone, (E, E) each."""
-    from smarttouch.afferent import Afferent
+    from smarttouch.base.afferent import Afferent
     from smarttouch.kernels.bank import KernelBank
 
     def make(weights, receptor):
@@ -330,7 +332,7 @@ def usb_ports(monkeypatch):
         )
         listed.append(told)
 
-    monkeypatch.setattr("smarttouch.wire.port.list_ports.comports", lambda: list(listed))
+    monkeypatch.setattr("smarttouch.base.wire.port.list_ports.comports", lambda: list(listed))
     return tell
 
 

@@ -29,17 +29,17 @@ _SUBREAPER = 36
 _LONGEST = 1 << 20
 _MOST_FILES = 1 << 10
 _IMPORTED = (
-    "smarttouch.boards.etactilekit",
-    "smarttouch.boards.kajimoto61",
-    "smarttouch.boards.emulator.etactilekit",
-    "smarttouch.boards.emulator.kajimoto61",
-    "smarttouch.boards.emulator.link",
-    "smarttouch.monitor.session",
+    "smarttouch.boards.kits.etactilekit",
+    "smarttouch.boards.kits.kajimoto61",
+    "smarttouch.emulator.etactilekit_firmware",
+    "smarttouch.emulator.kajimoto61_firmware",
+    "smarttouch.emulator.link_firmware",
+    "smarttouch.views.terminal_session",
     "smarttouch.emulator.__main__",
     "smarttouch.emulator.server",
-    "smarttouch.recording.check",
-    "smarttouch.sources.forces.force",
-    "smarttouch.sources.page",
+    "smarttouch.running.check_recording",
+    "smarttouch.sources.force",
+    "smarttouch.sources.virtual_finger",
 )
 
 
@@ -107,7 +107,7 @@ class Forked(subprocess.Popen):
     """
 
     changes: ClassVar = {}
-    """What each fork has changed, by name, as ``smarttouch.boards.keeper.__file__``."""
+    """What each fork has changed, by name, as ``smarttouch.boards.kits.keeper.__file__``."""
     _server = None
 
     def _execute_child(self, *given):
@@ -151,7 +151,7 @@ def _serve(channel):
     for module in _IMPORTED:
         import_module(module)
     import_module("smarttouch.cli")._built()
-    driver = import_module("smarttouch.boards.emulator.driver")
+    driver = import_module("smarttouch.emulator.emulated_boards")
     driver.subprocess, Forked._server = forked_boards(), _Itself()
     gc.collect()
     # A collector that passes over all this in each fork would copy it.

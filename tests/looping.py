@@ -1,10 +1,10 @@
 """The loop of a run, from a source to a board, in time that passes by itself."""
 
-from smarttouch.clock import SimulatedClock
+from smarttouch.base.clock import SimulatedClock
+from smarttouch.base.stopping import StopRequest
 from smarttouch.running.listener import as_listeners
 from smarttouch.running.loop import run_loop
-from smarttouch.running.statistics import RunStatistics
-from smarttouch.stopping import StopRequest
+from smarttouch.running.step import RunStatistics
 
 
 def loop_through(source, pipeline, board, *listeners, **options):

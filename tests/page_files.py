@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image
 
 from smarttouch import Recorder, load_profile, open_display, open_source, run
-from smarttouch.resources import data_folder
+from smarttouch.base.files import data_folder
 
 from .braille.embossed import emboss
 

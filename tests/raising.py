@@ -9,7 +9,7 @@ from enum import Enum
 
 import pytest
 
-from smarttouch.errors import SafetyError
+from smarttouch.base.errors import SafetyError
 
 _NUMBER = r"-?\d[\d,]*\.?\d*(?:e[+-]?\d+)?"
 

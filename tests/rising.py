@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from smarttouch.clock import LATE_NS
-from smarttouch.stimulation.limits import STRENGTH
+from smarttouch.base.clock import LATE_NS
+from smarttouch.stimulation.safety_limits import STRENGTH
 
 
 def open_level(send, like, limits, time_ns=0, clock=None, electrodes=(0, 1)):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 
 def sequence(currents, widths=200, *, electrodes=4, discharge_us=100, **other):

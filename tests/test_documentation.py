@@ -9,14 +9,14 @@ from typer.main import get_command
 
 from smarttouch.cli import app
 
+from .documented import GENERATED, PAGES, ROOT, PageError, Reader, blocks
 from .forks import Forked
-from .pages import GENERATED, PAGES, ROOT, PageError, Reader, blocks
 
 README = ROOT / "README.md"
 BLOCKS = [block for page in PAGES for block in blocks(page)]
 NOT_RUN = 29
-"""Commands of all pages that `tests.pages` leaves out: tools of a checkout, compilers, hardware, a
-screen."""
+"""Commands of all pages that `tests.documented` leaves out: tools of a checkout, compilers,
+hardware, a screen."""
 DRAWN = ["how-to/profiles.md"]
 """Pages that take little to run; `.ci/run` runs all, the tutorial has a test of its own."""
 
@@ -60,7 +60,7 @@ def test_a_page_does_as_it_says(name, tmp_path):
 
 
 def test_a_page_that_is_wrong_is_told_by_its_line(tmp_path, monkeypatch):
-    monkeypatch.setattr("tests.pages.ROOT", tmp_path)
+    monkeypatch.setattr("tests.documented.ROOT", tmp_path)
     page = tmp_path / "page.md"
     page.write_text("# Page\n\n```sh\nsmarttouch profiles\nsmarttouch profiles show no.toml\n```\n")
     reader = Reader(tmp_path, Forked)

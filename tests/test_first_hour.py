@@ -1,7 +1,7 @@
 """The first hour of docs/tutorial, step by step, as a reader would go through it."""
 
+from .documented import ROOT, Reader
 from .forks import Forked
-from .pages import ROOT, Reader
 
 
 def test_every_step_works(tmp_path):

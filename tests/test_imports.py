@@ -48,7 +48,7 @@ def test_no_module_and_no_simulated_run_needs_what_only_posix_has(tmp_path):
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
     names, sequences, *_ = done.stdout.splitlines()
-    assert {"smarttouch.cli", "smarttouch.wire.port"} <= {*names.split()}
+    assert {"smarttouch.cli", "smarttouch.base.wire.port"} <= {*names.split()}
     assert int(sequences) > 5
     assert (tmp_path / "run.mcap").stat().st_size > 10_000
 

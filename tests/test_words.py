@@ -7,7 +7,7 @@ import smarttouch
 
 PACKAGE = Path(smarttouch.__file__).parent
 COMMANDS = ("cli/", "emulator/commands.py", "emulator/__main__.py")
-STARTERS = {"boards/emulator/driver.py", "reading/tesseract.py"}
+STARTERS = {"emulator/emulated_boards.py", "reading/ocr.py"}
 """Files that give other programs their options."""
 
 

@@ -11,10 +11,10 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 
 import smarttouch as st
+from smarttouch.base.stopping import StopRequest
 from smarttouch.running.runner import Runner
-from smarttouch.stopping import StopRequest
-from smarttouch.window.live import Window
-from smarttouch.window.view import RecordingsPage
+from smarttouch.views.recordings_page import RecordingsPage
+from smarttouch.views.window import Window
 
 HERE = Path(__file__).parent
 ARGUMENTS = ("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-sync")

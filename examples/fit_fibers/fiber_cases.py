@@ -6,9 +6,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.afferent import Afferent
+from smarttouch.base.afferent import Afferent
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.physiology.activation import potential_mv
+from smarttouch.physiology.activating_function import potential_mv
 from smarttouch.profile import Profile
 
 Array = NDArray[np.float64]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import least_squares
 
-from smarttouch.physiology.driving import DrivingFunction, bend_operator, passes
+from smarttouch.physiology.driving_function import DrivingFunction, bend_operator, passes
 from smarttouch.physiology.membrane import Axon, Fiber
 
 Array = NDArray[np.float64]

@@ -22,13 +22,19 @@ from fiber_cases import FiberCases, along_mm, cases
 from fiber_fit import ThresholdError, activating, fit, threshold_error
 from numpy.typing import NDArray
 
-from smarttouch.files import require_folder, write_json
+from smarttouch.base.files import require_folder, write_json
+from smarttouch.base.terminal import print_table
 from smarttouch.kernels.bank import KernelBank, load_bank
-from smarttouch.monitor.progress import lines_progress
-from smarttouch.physiology.driving import FIBERS, DrivingFunction, End, as_table, load_driving
+from smarttouch.physiology.driving_function import (
+    FIBERS,
+    DrivingFunction,
+    End,
+    as_table,
+    load_driving,
+)
 from smarttouch.physiology.membrane import Fiber, threshold_ma, thresholds_ma
 from smarttouch.profile import Profile, load_profile
-from smarttouch.terminal import print_table
+from smarttouch.views.progress import lines_progress
 
 Array = NDArray[np.float64]
 Progress = Callable[[int, int], None]

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import DesignError
+from smarttouch.base.errors import DesignError
 
 Array = NDArray[np.float64]
 

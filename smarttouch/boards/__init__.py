@@ -1,1 +1,1 @@
-"""A scan sequence becomes bytes on a wire: one contract, several drivers."""
+"""A proved scan sequence becomes bytes on a wire: the contract of boards, their seal and stops."""

@@ -14,10 +14,10 @@ from pathlib import Path
 
 from platformdirs import user_state_path
 
-from smarttouch.clock import now_ns
-from smarttouch.errors import SmartTouchError
-from smarttouch.posix import fcntl
-from smarttouch.stopping import RunStopped
+from smarttouch.base.clock import now_ns
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.posix import fcntl
+from smarttouch.base.stopping import RunStopped
 
 ENDED_WITHIN_S = 3.0  # of being asked by `stop_all`
 _STOP, _WAKE = b"\0", b"\1"  # bytes on the pipe: a request to stop, and the process's own end

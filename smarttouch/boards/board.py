@@ -9,14 +9,7 @@ from typing import Any, ClassVar, Self, final
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.boards.capabilities import BOTH, BoardReport, Capabilities, Polarity
-from smarttouch.boards.host_statistics import HostStatistics
-from smarttouch.boards.impedance import Impedance
-from smarttouch.boards.latch import latch, refuse_latched
-from smarttouch.boards.seal import make_gate, seal_fault
-from smarttouch.boards.stoppable import enter, leave
-from smarttouch.boards.timely import Timely
-from smarttouch.errors import (
+from smarttouch.base.errors import (
     BoardClosedError,
     BoardError,
     BoardFaultError,
@@ -24,13 +17,23 @@ from smarttouch.errors import (
     LineLostError,
     SequenceLateError,
 )
+from smarttouch.boards.faults import latch, refuse_latched
+from smarttouch.boards.reports import (
+    BOTH,
+    BoardReport,
+    Capabilities,
+    HostStatistics,
+    Impedance,
+    Polarity,
+)
+from smarttouch.boards.seal import TimedBoard, make_gate, seal_fault
+from smarttouch.boards.stoppable import enter, leave
 from smarttouch.profile import DEFAULT_PROFILE
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.exposure import Dose
-from smarttouch.stimulation.kernel_table import KernelTable
-from smarttouch.stimulation.safety import Now, SafetyLimits
-from smarttouch.stimulation.sequence import ScanSequence
-from smarttouch.stimulation.timing import ScanTiming
+from smarttouch.stimulation.pulse_rates import ScanTiming
+from smarttouch.stimulation.safety_gate import NanosecondClock, SafetyLimits
+from smarttouch.stimulation.scan_sequence import KernelTable, ScanSequence
 
 __all__ = [
     "BOTH",
@@ -44,7 +47,7 @@ __all__ = [
 FARTHEST_NS = 10_000_000_000  # planned starts farther ahead than this are of another clock
 
 
-class Board(Timely, ABC):
+class Board(TimedBoard, ABC):
     """Base class of display boards.
 
     A driver implements the underscored methods. `send` cannot be bypassed: it proves every
@@ -249,7 +252,7 @@ class Board(Timely, ABC):
         """Dose of current in the skin since the board was opened."""
         return self._gate.dose
 
-    def _time(self) -> Now | None:
+    def _time(self) -> NanosecondClock | None:
         """Return the clock of the safety gate: the machine's.
 
         Only a board that no finger can be on has another, or None: the time that sequences state.

@@ -16,9 +16,9 @@ from types import FrameType
 from typing import Protocol
 from weakref import WeakKeyDictionary
 
+from smarttouch.base.errors import BoardError, BoardStoppedError, SmartTouchError
+from smarttouch.base.stopping import SIGNALS, ZERO_WITHIN_S, RunStopped, StopRequest
 from smarttouch.boards.announced import Announcement, stopped_since_start
-from smarttouch.errors import BoardError, BoardStoppedError, SmartTouchError
-from smarttouch.stopping import SIGNALS, ZERO_WITHIN_S, RunStopped, StopRequest
 
 RUNS_END_WITHIN_S = 2.0  # for runs to end and close recordings while a stop waits
 _ENDING = tuple(number for number in SIGNALS if number != signal.SIGINT)

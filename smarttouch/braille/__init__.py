@@ -1,1 +1,1 @@
-"""Braille: translation of texts, files of cells, and recognition on photographs."""
+"""Text becomes cells of Braille and cells become text: codes, files, and photographs."""

@@ -1,11 +1,24 @@
-"""Cells of Braille: characters U+2800 to U+28FF, and their dots."""
+"""Cells of Braille, their dots, and files of them: BRF and PEF."""
 
+import codecs
+import uuid
+import xml.etree.ElementTree as ET
+from enum import StrEnum
+from pathlib import Path
 from typing import Any, TypeAlias
+from xml.parsers import expat
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import BrailleError
+from smarttouch.base.errors import BrailleError
+from smarttouch.base.files import (
+    MOST_DOCUMENT_BYTES,
+    decoded,
+    open_file,
+    read_bytes,
+    write_bytes,
+)
 
 Pages: TypeAlias = list[list[str]]
 """Pages of lines of cells."""
@@ -55,3 +68,202 @@ def dots_to_cells(dots: NDArray[Any]) -> str:
         )
     patterns = np.packbits(dots.astype(bool), axis=1, bitorder="little")
     return "".join(chr(ord(BLANK) + int(each)) for each in patterns.ravel())
+
+
+MOST_BYTES = 50_000_000
+"""Largest file; a book has a few million cells."""
+
+_BEGINNING_BYTES = 4096
+_NO_TEXT = bytes({*range(0x20), 0x7F} - {*b"\t\n\f\r\x1b"})
+
+
+class FileKind(StrEnum):
+    """Kind of material that a file holds."""
+
+    TEXT = "text"
+    BRF = "brf"
+    PEF = "pef"
+    PAGES = "pages"
+    """Images or a PDF, or nothing that can be read."""
+
+
+def file_kind(path: Path) -> FileKind:
+    """Return the kind of a file by its first bytes; only .brf and .txt are known by their names."""
+    suffix = path.suffix.lower()
+    with open_file(path, BrailleError, MOST_DOCUMENT_BYTES) as file:
+        data = file.read(_BEGINNING_BYTES)
+    if suffix == ".brf":
+        return FileKind.BRF
+    if b"<pef" in data or suffix == ".pef":
+        return FileKind.PEF
+    if suffix == ".txt":
+        return FileKind.TEXT
+    if b"%PDF-" in data or data.translate(None, _NO_TEXT) != data:
+        return FileKind.PAGES
+    try:
+        # The last character may be cut.
+        codecs.getincrementaldecoder("utf-8")().decode(data)
+    except UnicodeDecodeError:
+        return FileKind.PAGES
+    return FileKind.TEXT
+
+
+def read_plain_text(path: Path) -> str:
+    """Return a text file in UTF-8, with newlines only, and no byte-order mark."""
+    text = decoded(read_bytes(path, BrailleError, MOST_BYTES), path, BrailleError)
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+# North American Braille ASCII, as printers take it; in the order of the patterns 0 to 63.
+_CODE = " A1B'K2L@CIF/MSP\"E3H9O6R^DJG>NTQ,*5<-U8V.%[$+X!&;:4\\0Z7(_?W]#Y)="
+_CELL_OF = {ord(each): chr(ord(BLANK) + k) for k, each in enumerate(_CODE)}
+_CELL_OF |= {code + 32: cell for code, cell in _CELL_OF.items() if 64 <= code < 95}
+"""Extension to the lower case of each code."""
+
+
+def read_brf(path: Path) -> Pages:
+    """Read a BRF file."""
+    return parse_brf(read_bytes(path, BrailleError, MOST_BYTES), str(path))
+
+
+def write_brf(path: Path, pages: Pages) -> None:
+    """Write a BRF file; raise if a cell has dots 7 or 8, which BRF cannot hold."""
+    write_bytes(path, format_brf(pages), BrailleError)
+
+
+def format_brf(pages: Pages) -> bytes:
+    """Return pages in BRF."""
+    sheets = []
+    for number, page in enumerate(pages, 1):
+        lines = [_codes(line, f"page {number}, line {k}") for k, line in enumerate(page, 1)]
+        sheets.append("".join(f"{line}\r\n" for line in lines))
+    return "\f".join(sheets).encode("ascii")
+
+
+def parse_brf(data: bytes, name: str = "BRF") -> Pages:
+    """Return the pages of a BRF file; ``name`` is for error messages."""
+    # A DOS file may end in ^Z, and a page in a form feed.
+    text = data.removesuffix(b"\x1a").decode("latin-1").replace("\r\n", "\n")
+    pages, count = [], 0
+    for page in text.removesuffix("\f").split("\f") if text else []:
+        lines = page.split("\n")
+        if lines[-1] == "":
+            lines.pop()
+        pages.append([_cells(line, name, count + k) for k, line in enumerate(lines, 1)])
+        count += len(lines)
+    return pages
+
+
+def _codes(line: str, where: str) -> str:
+    require_cells(line)
+    for column, cell in enumerate(line, 1):
+        if pattern(cell) >= SIX_DOT_PATTERNS:
+            raise BrailleError(
+                f"{cell} ({where}, cell {column}) has dots 7 or 8, which BRF files cannot hold: "
+                "write a .pef file, or choose a table of 6 dots",
+                about="cell",
+            )
+    return "".join(_CODE[pattern(cell)] for cell in line)
+
+
+def _cells(line: str, name: str, count: int) -> str:
+    cells = line.translate(_CELL_OF)
+    for column, (cell, code) in enumerate(zip(cells, line, strict=True), 1):
+        if ord(cell) < ord(BLANK):
+            raise BrailleError(
+                f"{name}, line {count}, column {column}: {code!r} is not ASCII Braille: is this a "
+                "BRF file?",
+                about="cell",
+            )
+    return cells
+
+
+# PEF 1.0, public specification (2010): http://pef-format.org
+_PEF = "http://www.daisy.org/ns/2008/pef"
+_DC = "http://purl.org/dc/elements/1.1/"
+_FORMAT = "application/x-pef+xml"
+
+
+def read_pef(path: Path) -> Pages:
+    """Read the pages of a PEF file, of all its volumes and sections."""
+    return parse_pef(read_bytes(path, BrailleError, MOST_BYTES), str(path))
+
+
+def write_pef(path: Path, pages: Pages) -> None:
+    """Write a PEF file of one volume; its title is the file's name."""
+    write_bytes(path, format_pef(pages, path.stem), BrailleError)
+
+
+def format_pef(pages: Pages, title: str) -> bytes:
+    """Return pages in PEF; equal pages give equal files."""
+    for page in pages:
+        for line in page:
+            require_cells(line)
+    ET.register_namespace("", _PEF)
+    ET.register_namespace("dc", _DC)
+    root = ET.Element(f"{{{_PEF}}}pef", version="2008-1")
+    meta = _add(_add(root, "head"), "meta")
+    name = "\f".join("\n".join(page) for page in pages)
+    for key, value in (
+        ("format", _FORMAT),
+        ("identifier", uuid.uuid5(uuid.NAMESPACE_URL, name).urn),
+        ("title", title),
+    ):
+        ET.SubElement(meta, f"{{{_DC}}}{key}").text = value
+    volume = _add(
+        _add(root, "body"), "volume", rowgap="0", duplex="false",
+        cols=str(max((len(line) for page in pages for line in page), default=1) or 1),
+        rows=str(max(map(len, pages), default=1) or 1),
+    )  # fmt: skip
+    section = _add(volume, "section")
+    for page in pages or [[]]:
+        sheet = _add(section, "page")
+        for line in page:
+            _add(sheet, "row").text = line or None
+    ET.indent(root, " ")
+    written: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
+    return written + b"\n"
+
+
+def parse_pef(data: bytes, name: str = "PEF") -> Pages:
+    """Return the pages of a PEF file; ``name`` is for error messages."""
+    try:
+        _refuse_declarations(data, name)
+        root = ET.fromstring(data)
+    except (ET.ParseError, expat.ExpatError, LookupError, ValueError) as error:
+        raise BrailleError(f"{name} is not XML: {error}", about="file") from None
+    if root.tag != f"{{{_PEF}}}pef":
+        raise BrailleError(f"{name} is not a PEF file: its root is {root.tag!r}", about="file")
+    pages = [
+        [_row(row, name) for row in page.findall(f"{{{_PEF}}}row")]
+        for page in root.iter(f"{{{_PEF}}}page")
+    ]
+    if not pages:
+        raise BrailleError(f"{name} is a PEF file without pages", about="file")
+    return pages
+
+
+def _add(parent: ET.Element, tag: str, **attributes: str) -> ET.Element:
+    return ET.SubElement(parent, f"{{{_PEF}}}{tag}", attributes)
+
+
+def _refuse_declarations(data: bytes, name: str) -> None:
+    """Raise if there is a document type: its entities could expand without bounds."""
+
+    def refuse(*_: object) -> None:
+        raise BrailleError(
+            f"{name} declares a document type, which PEF files must not have", about="file"
+        )
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    parser.Parse(data, True)
+
+
+def _row(row: ET.Element, name: str) -> str:
+    line = "".join(row.itertext()).strip()
+    try:
+        require_cells(line)
+    except BrailleError as error:
+        raise BrailleError(f"{name}: {error}", about=error.about) from None
+    return line

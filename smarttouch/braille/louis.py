@@ -10,8 +10,8 @@ from enum import IntFlag
 from functools import cache
 from typing import NamedTuple
 
+from smarttouch.base.errors import BrailleError
 from smarttouch.braille.cells import BLANK, pattern
-from smarttouch.errors import BrailleError
 
 INSTALL = "apt install liblouis20 liblouis-data"
 JOINERS = "\u200c\u200d"

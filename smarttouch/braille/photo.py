@@ -8,10 +8,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.braille.network import FoundCells, find_cells
-from smarttouch.braille.rows import cell_lines, cell_pitch, slope_of
-from smarttouch.documents.page_image import Page
-from smarttouch.errors import PageError
+from smarttouch.base.errors import PageError
+from smarttouch.braille.cell_detection import (
+    FoundCells,
+    cell_lines,
+    cell_pitch,
+    find_cells,
+    slope_of,
+)
+from smarttouch.pages.page_image import Page
 
 LEAST_CERTAINTY = 0.45
 """Least certainty of a page that is read."""

@@ -1,4 +1,4 @@
-"""The command line: one module per command, heavy imports only inside them."""
+"""The command line: parsing and printing, one function per command, heavy imports only inside."""
 
 import os
 import sys
@@ -9,34 +9,21 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from smarttouch.cli.board import board
-from smarttouch.cli.boards import boards
-from smarttouch.cli.braille import braille
-from smarttouch.cli.braille_display import braille_display
+from smarttouch.base.errors import SmartTouchError, TableError
+from smarttouch.base.posix import resource
+from smarttouch.base.stopping import RunStopped
+from smarttouch.base.terminal import guarded_output
+from smarttouch.base.url_options import named_options
+from smarttouch.base.version import __version__
+from smarttouch.cli.board import board, boards, sensor
 from smarttouch.cli.calibrate import calibrate
-from smarttouch.cli.color import color
-from smarttouch.cli.design import design
-from smarttouch.cli.experiment import experiment
-from smarttouch.cli.experiment_fit import fit
-from smarttouch.cli.finger import finger
-from smarttouch.cli.legibility import legibility
-from smarttouch.cli.live import live
-from smarttouch.cli.mouse import mouse
-from smarttouch.cli.profiles import profiles
-from smarttouch.cli.read import read
-from smarttouch.cli.recordings import recordings
-from smarttouch.cli.replay import replay
-from smarttouch.cli.report import report
-from smarttouch.cli.run_command import RunCommand
-from smarttouch.cli.sensor import sensor
-from smarttouch.cli.stop import stop
-from smarttouch.cli.study import study
-from smarttouch.errors import SmartTouchError, TableError
-from smarttouch.named_options import named_options
-from smarttouch.posix import resource
-from smarttouch.stopping import RunStopped
-from smarttouch.terminal import guarded_output
-from smarttouch.version import __version__
+from smarttouch.cli.design import design, profiles
+from smarttouch.cli.experiment import experiment, fit
+from smarttouch.cli.finger import finger, study
+from smarttouch.cli.live import color, live, mouse, stop
+from smarttouch.cli.options import RunCommand
+from smarttouch.cli.read import braille, braille_display, legibility, read
+from smarttouch.cli.recordings import recordings, replay, report
 
 _FEWEST_FILES = 64
 

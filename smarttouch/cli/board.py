@@ -1,4 +1,4 @@
-"""``smarttouch board``: one board, looked at, measured, tried and stopped."""
+"""``smarttouch boards``, ``board`` and ``sensor``: devices found, looked at, measured and tried."""
 
 from functools import partial
 from pathlib import Path
@@ -6,15 +6,44 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from smarttouch.base.terminal import print_table
 from smarttouch.cli.options import ForceOption, ProfileOption
-from smarttouch.emulator.commands import emulate_board
-from smarttouch.monitor.driving import asks_a_board, drives_a_board, opened, the_stop
-from smarttouch.terminal import print_table
+from smarttouch.emulator.commands import emulate_board, emulate_sensor
+from smarttouch.views.keys_and_signals import (
+    asks_a_board,
+    command_stop,
+    drives_a_board,
+    opened,
+)
 
 if TYPE_CHECKING:
-    from smarttouch.boards.impedance import Impedance
-    from smarttouch.events import Event
+    from smarttouch.base.events import Event
+    from smarttouch.boards.reports import Impedance
     from smarttouch.running.step import StepResult
+
+
+def boards(
+    network: Annotated[
+        bool, typer.Option(help="Also ask the network for eTactileKits, by a broadcast.")
+    ] = True,
+) -> None:
+    """List serial ports and boards. Nothing is opened, no unknown device gets a byte."""
+    from smarttouch.base.registry import known_names
+    from smarttouch.boards.open import network_boards, serial_ports
+
+    rows = [(port.device, port.description) for port in serial_ports()]
+    for board in network_boards() if network else ():
+        rows.append((board.url, f"eTactileKit {board.name}" + ", in use" * board.busy))
+    if rows:
+        print_table(rows, ("port", "what the system says of it"), left=2)
+    else:
+        typer.echo("No serial port, and no board answers on the network.")
+    names = ", ".join(f"{each}:" for each in known_names("smarttouch.boards"))
+    typer.echo(
+        f"\nDrivers: {names}. You choose which one fits what is plugged in, for example "
+        "--board kajimoto61:/dev/ttyUSB0.\nWithout hardware: smarttouch board emulate kajimoto61"
+    )
+
 
 board = typer.Typer(help="Look at one board, measure, try or stop it.", no_args_is_help=True)
 board.command("emulate")(emulate_board)
@@ -58,7 +87,7 @@ def stop(url: _Url, profile: ProfileOption = None) -> None:
 @board.command()
 def clear(url: _Url, profile: ProfileOption = None) -> None:
     """Clear the fault of a board that was found and latched, once it has been checked."""
-    from smarttouch.boards.latch import clear_latch
+    from smarttouch.boards.faults import clear_latch
     from smarttouch.running.display import open_display
 
     device = open_display(url, profile).board.device
@@ -79,7 +108,7 @@ def measure(
     ] = None,
 ) -> None:
     """Measure the impedance of every electrode on the finger, with small currents."""
-    from smarttouch.files import require_folder, write_json
+    from smarttouch.base.files import require_folder, write_json
     from smarttouch.running.display import open_display
 
     require_folder(json_file)
@@ -110,12 +139,12 @@ def try_out(
     """Walk through the electrodes, each against all others, from zero up to a small current."""
     import sys
 
+    from smarttouch.base.errors import SmartTouchError
     from smarttouch.boards.open import may_touch_a_finger
-    from smarttouch.errors import SmartTouchError
-    from smarttouch.monitor.keyboard import keyboard_listener
     from smarttouch.running.display import open_display
     from smarttouch.running.listener import OnEvent
     from smarttouch.running.walk import ElectrodeReached, Walk, run_walk
+    from smarttouch.views.keys_and_signals import keyboard_listener
 
     display = open_display(url, profile)
     if current_ma is None:
@@ -130,7 +159,7 @@ def try_out(
     if seconds is None and not sys.stdin.isatty():
         message = "there is no keyboard to wait for: give seconds"
         raise SmartTouchError(message, about="keyboard", remedy="seconds")
-    walk, stop = Walk(display.profile, current_ma, seconds), the_stop()
+    walk, stop = Walk(display.profile, current_ma, seconds), command_stop()
 
     def say(event: "Event") -> None:
         if isinstance(event, ElectrodeReached):
@@ -164,9 +193,9 @@ def calibrate_scale(
     profile: ProfileOption = None,
 ) -> None:
     """Check the scale of a board's current with a resistor in place of the finger."""
-    from smarttouch.boards.scale import check_reading, measured_scale
-    from smarttouch.cli.choices import require_site
-    from smarttouch.errors import SmartTouchError
+    from smarttouch.base.errors import SmartTouchError
+    from smarttouch.boards.kits.current_scale import check_reading, measured_scale
+    from smarttouch.cli.options import require_site
     from smarttouch.running.display import open_display
     from smarttouch.running.listener import OnStep
     from smarttouch.running.walk import Walk, run_walk
@@ -192,7 +221,7 @@ def calibrate_scale(
         # No finger is there: a resistor takes the current, whatever the force.
         force = f"fixed:{display.profile.force.full_n:g}"
         opening = partial(opened, display.board)
-        run_walk(walk, display, [OnStep(take_answer)], the_stop(), opening, force)
+        run_walk(walk, display, [OnStep(take_answer)], command_stop(), opening, force)
         try:
             volts = float(answer)
         except ValueError:
@@ -234,3 +263,52 @@ def _print_impedance(found: "Impedance") -> None:
             f"{unsure} readings fit more than one voltage (this board's wrap): the least is shown, "
             "so an open electrode may look like a good one."
         )
+
+
+sensor = typer.Typer(help="Look at one sensor or load cell, or play one.", no_args_is_help=True)
+sensor.command("emulate")(emulate_sensor)
+
+
+@sensor.command()
+def show(
+    url: Annotated[
+        str,
+        typer.Argument(
+            metavar="URL",
+            help="camera:N, video:FILE, serial-array:PORT, ...; with --force hx711:PORT, ...",
+        ),
+    ],
+    seconds: Annotated[float, typer.Option(metavar="S", help="How long to look.")] = 2.0,
+    force: Annotated[
+        bool, typer.Option("--force", help="It is a source of finger force, not of frames.")
+    ] = False,
+    save: Annotated[Path | None, typer.Option(metavar="PNG", help="Keep the last frame.")] = None,
+    profile: ProfileOption = None,
+) -> None:
+    """Say what comes from a sensor: frames, rate, size, force, and what went wrong."""
+    import cv2
+
+    from smarttouch.base.errors import SmartTouchError, require_within
+    from smarttouch.base.files import require_folder, write_bytes
+    from smarttouch.profile import DEFAULT_PROFILE, load_profile
+    from smarttouch.sources import open_source
+    from smarttouch.sources.force import open_force
+    from smarttouch.sources.source_sample import sample_force, sample_source
+
+    require_within(SmartTouchError, "seconds", seconds, 0, 3600, above=True)
+    require_folder(save)
+    chosen = load_profile(profile or DEFAULT_PROFILE)
+    if force:
+        if save is not None:
+            raise SmartTouchError("save is for frames: leave out force, or this", about="force")
+        with open_force(url, chosen) as pressed:
+            rows = sample_force(pressed, seconds)
+        print_table([*rows, *(("note", note) for note in pressed.notes)], left=2)
+        return
+    with open_source(url, chosen) as source:
+        look = sample_source(source, seconds)
+    notes = [("note", note) for note in source.notes]
+    print_table([*look.rows(source), *notes], left=2)
+    if save is not None and look.last is not None and look.last.image is not None:
+        write_bytes(save, cv2.imencode(".png", look.last.image)[1].tobytes())
+        typer.echo(f"The last frame is in {save}.")

@@ -1,14 +1,108 @@
 """``smarttouch calibrate``: one device on one finger, measured, and written to a profile."""
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch.cli.calibrate_steps import CalibrationOptions, ask, finish, missing, weights_laid
-from smarttouch.cli.option_groups import takes_options
-from smarttouch.cli.options import ForceOption
-from smarttouch.monitor.driving import drives_a_board, opened, the_stop
+from smarttouch.base.errors import CalibrationError
+from smarttouch.cli.options import ForceOption, OptionGroup, takes_options
+from smarttouch.views.keys_and_signals import command_stop, drives_a_board, opened
+
+if TYPE_CHECKING:
+    from smarttouch.experiments.calibration.profile_file import ProfileFile
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationOptions(OptionGroup):
+    """Options of every calibration."""
+
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE.toml", help="The profile to write.")
+    ] = None
+    profile: Annotated[
+        str | None, typer.Option(metavar="NAME|FILE", help="What a new --output starts from.")
+    ] = None
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Measure what --output has already.")
+    ] = False
+
+    def start(self, board_url: str) -> str:
+        """Return the profile to start from; a board's usual one if none was given."""
+        from smarttouch.boards.open import default_profile
+
+        return self.profile or default_profile(board_url)
+
+    def begun(self) -> str:
+        """Return the profile to start from: that given, or the output if it exists."""
+        from smarttouch.profile import DEFAULT_PROFILE
+
+        there = self.output is not None and self.output.exists()
+        return self.profile or (str(self.output) if there else DEFAULT_PROFILE)
+
+    def file(self, part: str, simulated: bool, board_url: str | None = None) -> "ProfileFile":
+        """Return the profile file that a calibration reads and writes."""
+        from smarttouch.boards.open import default_profile
+        from smarttouch.experiments.calibration.profile_file import file_to_calibrate
+        from smarttouch.profile import DEFAULT_PROFILE
+
+        if self.output is None:
+            raise CalibrationError("give a file FILE.toml for what is measured", about="output")
+        usual = DEFAULT_PROFILE if board_url is None else default_profile(board_url)
+        return file_to_calibrate(
+            part, self.profile, usual, self.output, self.overwrite, simulated=simulated
+        )
+
+
+def missing(about: str, message: str) -> CalibrationError:
+    """Return the error that nothing is given to measure with but could be simulated."""
+    return CalibrationError(message, about=about, remedy="simulate")
+
+
+def ask(what: str, yes: bool) -> None:
+    """Wait until the user has put something in place."""
+    if not yes:
+        _answer(f"{what} Then press Enter", "yes")
+
+
+def weights_laid(listed: Sequence[float] | None, yes: bool) -> Iterator[float]:
+    """Yield the grams that a user lays on a load cell: those listed, or those typed in."""
+    from smarttouch.experiments.calibration.force_curve import parse_grams
+
+    for grams in listed or ():
+        ask(f"{grams:g} g on the cell, at rest.", yes)
+        yield grams
+    while listed is None:
+        answer = _answer("Grams on the cell, at rest (Enter: no more)", "weights")
+        if not answer:
+            return
+        yield parse_grams(answer)[0]
+
+
+def _answer(question: str, remedy: str) -> str:
+    try:
+        return str(typer.prompt(question, default="", show_default=False))
+    except typer.Abort:
+        message = "nobody answered, nothing was written: use a terminal, or give it beforehand"
+        raise CalibrationError(message, about="answer", remedy=remedy) from None
+
+
+def finish(
+    file: "ProfileFile",
+    what: str,
+    found: str,
+    simulated: bool,
+    others: dict[Path, bytes] | None = None,
+) -> None:
+    """Write the profile; print what was found and the paths."""
+    told = f"simulated: {found}" if simulated else found
+    file.note(what, told)
+    file.write(others)
+    typer.echo(told)
+    typer.echo("written: " + ", ".join(str(each) for each in (*(others or {}), file.output)))
+
 
 calibrate = typer.Typer(
     help="Measure one device on one finger, and write a profile of it.", no_args_is_help=True
@@ -46,13 +140,12 @@ def optics(
     simulate: _Simulate = False,
 ) -> None:
     """Dark level and gain of every pixel, by the sensor covered and on blank white paper."""
-    from smarttouch.calibrate.frames import images_of
-    from smarttouch.calibrate.optics import measure_optics
-    from smarttouch.calibrate.tables import show_optics
+    from smarttouch.experiments.calibration.contact import show_optics
+    from smarttouch.experiments.calibration.sensor_optics import images_of, measure_optics
 
     file = calibration.file("optics", simulate)
     if simulate:
-        from smarttouch.calibrate.simulated import SimulatedPatch
+        from smarttouch.experiments.calibration.sensor_optics import SimulatedPatch
 
         of = file.profile.optics
         patch = SimulatedPatch((of.sensor_rows, of.sensor_columns), dead=2, hot=1)
@@ -94,13 +187,13 @@ def registration(
     simulate: _Simulate = False,
 ) -> None:
     """Place of each electrode's point in the sensor's image, by a printed target."""
-    from smarttouch.calibrate.frames import images_of
-    from smarttouch.calibrate.register import register
-    from smarttouch.calibrate.tables import show_registration
-    from smarttouch.calibrate.target import target_for
-    from smarttouch.errors import CalibrationError, not_offered
+    from smarttouch.base.errors import CalibrationError, not_offered
+    from smarttouch.experiments.calibration.contact import show_registration
+    from smarttouch.experiments.calibration.dot_target import target_for
+    from smarttouch.experiments.calibration.page_registration import register
+    from smarttouch.experiments.calibration.sensor_optics import images_of
     from smarttouch.profile import load_profile
-    from smarttouch.sources.flat_field import mean_image
+    from smarttouch.sources.preprocess import mean_image
 
     if center not in ("target", "image"):
         raise not_offered("center", center, ("target", "image"), CalibrationError)
@@ -115,7 +208,7 @@ def registration(
         return
     file = calibration.file("registration", simulate)
     if simulate:
-        from smarttouch.calibrate.view import bench_view
+        from smarttouch.experiments.calibration.page_registration import bench_view
 
         image = bench_view(grid, file.profile.optics)
     elif source is None:
@@ -148,10 +241,14 @@ def force(
     simulate: _Simulate = False,
 ) -> None:
     """The load cell's curve, by known weights; one given twice tells the hysteresis."""
-    from smarttouch.calibrate.force_curve import fit_curve, parse_grams, weigh_on
-    from smarttouch.calibrate.simulated import weigh_simulated
-    from smarttouch.calibrate.tables import show_force
-    from smarttouch.errors import CalibrationError, require_within
+    from smarttouch.base.errors import CalibrationError, require_within
+    from smarttouch.experiments.calibration.contact import show_force
+    from smarttouch.experiments.calibration.force_curve import (
+        fit_curve,
+        parse_grams,
+        weigh_on,
+    )
+    from smarttouch.experiments.calibration.sensor_optics import weigh_simulated
 
     require_within(CalibrationError, "seconds", seconds, 0, 600, above=True)
     listed = None if weights is None else parse_grams(weights)
@@ -188,11 +285,10 @@ def thresholds(
     simulate: _Simulate = False,
 ) -> None:
     """Per electrode, the current first felt and the strongest that is comfortable."""
-    from smarttouch.calibrate.found import parse_electrodes
-    from smarttouch.calibrate.thresholds import ThresholdProcedure
-    from smarttouch.cli.choices import require_answers
-    from smarttouch.errors import BoardStoppedError, CalibrationError
-    from smarttouch.monitor.keyboard import keyboard_listener
+    from smarttouch.base.errors import BoardStoppedError, CalibrationError
+    from smarttouch.cli.options import require_answers
+    from smarttouch.experiments.calibration.thresholds import ThresholdProcedure, parse_electrodes
+    from smarttouch.views.keys_and_signals import keyboard_listener
 
     simulated = simulate or board.startswith("emulator:")
     file = calibration.file("thresholds", simulated, board)
@@ -211,7 +307,9 @@ def thresholds(
     )
     with procedure.progress() as progress:
         try:
-            procedure.measure(progress, keyboard_listener, typer.echo, the_stop(), opened, force)
+            procedure.measure(
+                progress, keyboard_listener, typer.echo, command_stop(), opened, force
+            )
         except BoardStoppedError:
             raise procedure.stopped(progress) from None
     told = procedure.put_down(progress)
@@ -228,8 +326,11 @@ def contact(
     repeats: Annotated[int, typer.Option(metavar="N", min=1, max=100, help="Measurements.")] = 5,
 ) -> None:
     """Find the electrodes that touch the skin, by repeated measurements of their impedance."""
-    from smarttouch.calibrate.contact import judge_contact, measure_contact
-    from smarttouch.calibrate.tables import show_contact
+    from smarttouch.experiments.calibration.contact import (
+        judge_contact,
+        measure_contact,
+        show_contact,
+    )
     from smarttouch.running.display import open_display
 
     simulated = board.startswith("emulator:")

@@ -1,4 +1,4 @@
-"""``smarttouch design``: the kernels of a profile, as tables, JSON and pictures."""
+"""``smarttouch design`` and ``profiles``: kernels as tables, JSON and pictures; profiles."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from smarttouch.base.terminal import print_table
 from smarttouch.cli.options import ArrayOption, ClusterOption
-from smarttouch.terminal import print_table
 
 if TYPE_CHECKING:
-    from smarttouch.afferent import Afferent
-    from smarttouch.kernels.comparison import SiteKernel
-    from smarttouch.kernels.report import Advance, WordTable
+    from smarttouch.base.afferent import Afferent
+    from smarttouch.kernels.kernel_tables import Advance, SiteKernel, WordTable
     from smarttouch.profile import Profile
 
 
@@ -54,14 +53,14 @@ def design(
     cluster: ClusterOption = None,
 ) -> None:
     """Show the kernels of a profile: current patterns that reach one class of afferents."""
-    from smarttouch.cli.choices import parse_afferent, require_site
-    from smarttouch.cluster import on_cluster
-    from smarttouch.errors import DesignError, SmartTouchError
-    from smarttouch.files import require_folder, write_json
-    from smarttouch.kernels import report
-    from smarttouch.kernels.switching import possible_modes
-    from smarttouch.monitor.progress import bank_progress
+    from smarttouch.base.cluster import on_cluster
+    from smarttouch.base.errors import DesignError, SmartTouchError
+    from smarttouch.base.files import require_folder, write_json
+    from smarttouch.cli.options import parse_afferent, require_site
+    from smarttouch.kernels import kernel_tables
+    from smarttouch.kernels.switched_design import possible_modes
     from smarttouch.profile import load_profile
+    from smarttouch.views.progress import bank_progress
 
     afferent = None if mode is None else parse_afferent(mode)
     chosen = load_profile(profile)
@@ -95,19 +94,19 @@ def design(
     with on_cluster(cluster), bank_progress(quiet=False) as progress:
         shown = _kernels(chosen, modes, site, kind, robust, bank_file, progress)
     if compare:
-        _print(report.comparison_table(chosen, shown))
+        _print(kernel_tables.comparison_table(chosen, shown))
     elif site is None:
-        _print(report.site_table(chosen, shown))
+        _print(kernel_tables.site_table(chosen, shown))
     else:
         for each in shown:
-            _print(*report.weight_table(chosen, each))
+            _print(*kernel_tables.weight_table(chosen, each))
     if json_file is not None:
-        write_json(json_file, report.as_json(chosen, shown, driving))
+        write_json(json_file, kernel_tables.as_json(chosen, shown, driving))
     if plot_file is not None:
-        from smarttouch.plotting.kernels import kernel_figure
-        from smarttouch.plotting.style import save
+        from smarttouch.views.figure_style import save
+        from smarttouch.views.kernel_figures import kernel_figure
 
-        middle, drawn = report.middle_kernels(chosen, shown)
+        middle, drawn = kernel_tables.middle_kernels(chosen, shown)
         save(kernel_figure(chosen, drawn, middle), plot_file)
 
 
@@ -121,21 +120,21 @@ def _kernels(
     progress: "Advance | None",
 ) -> "list[SiteKernel]":
     """Return the kernels of modes at one site or at all, from a bank or designed now."""
-    from smarttouch.kernels import report
+    from smarttouch.kernels import kernel_tables
     from smarttouch.kernels.bank import find_bank, load_bank, make_bank
 
     sites = profile.driven.tolist() if site is None else [site]
     if kind == "compare":
-        return report.kernels_compared(profile, modes, sites, progress)
+        return kernel_tables.kernels_compared(profile, modes, sites, progress)
     if bank_file is not None:
         made = make_bank(bank_file, profile, progress)
-        return report.kernels_of_bank(profile, made, modes, sites)
+        return kernel_tables.kernels_of_bank(profile, made, modes, sites)
     if kind is None:
         # One site of a large array is not worth its whole bank.
         bank = load_bank(profile, progress) if site is None else find_bank(profile)
         if bank is not None:
-            return report.kernels_of_bank(profile, bank, modes, sites)
-    return report.kernels_designed(profile, modes, sites, kind, robust, progress)
+            return kernel_tables.kernels_of_bank(profile, bank, modes, sites)
+    return kernel_tables.kernels_designed(profile, modes, sites, kind, robust, progress)
 
 
 def _print(table: "WordTable", marked: Sequence[Sequence[bool]] = ()) -> None:
@@ -145,3 +144,67 @@ def _print(table: "WordTable", marked: Sequence[Sequence[bool]] = ()) -> None:
     for row, marks in zip(rows, marked, strict=False):
         row[:] = [Text(cell, "bold reverse" * mark) for cell, mark in zip(row, marks, strict=True)]
     print_table(rows, table.heading, title=table.title, note=table.note, ruled=True, left=0)
+
+
+profiles = typer.Typer(
+    help="List the shipped profiles, show what one says, and make your own.",
+    invoke_without_command=True,
+)
+
+_Name = Annotated[str, typer.Argument(metavar="NAME|FILE", help="A shipped profile, or a file.")]
+_File = Annotated[Path, typer.Argument(metavar="FILE.toml", help="The profile.")]
+
+
+@profiles.callback()
+def list_profiles(context: typer.Context) -> None:
+    if context.invoked_subcommand is not None:
+        return
+    from smarttouch.profile import DEFAULT_PROFILE, list_profiles, load_profile
+
+    rows = []
+    for name in list_profiles():
+        profile = load_profile(name)
+        star = " (default)" if name == DEFAULT_PROFILE else ""
+        pulse = profile.pulse
+        board = f"{profile.output.kind}, {pulse.width_us} µs, {pulse.rate_hz:g} Hz"
+        rows.append((name + star, profile.title, board))
+    print_table(
+        rows,
+        ("name", "what it is", "board"),
+        note="Make your own with 'smarttouch profiles copy NAME FILE', and give its file to "
+        "--profile.",
+        left=3,
+    )
+
+
+@profiles.command()
+def show(name: _Name) -> None:
+    """Print all that a profile says, defaults included, and what calibrations measured."""
+    from smarttouch.profile import load_profile
+    from smarttouch.profile.toml_writer import as_toml
+
+    typer.echo(as_toml(load_profile(name)), nl=False)
+
+
+@profiles.command()
+def copy(
+    name: _Name,
+    file: _File,
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="The file may be there already.")
+    ] = False,
+) -> None:
+    """Write a copy of a profile, with its comments, to be edited."""
+    from smarttouch.experiments.calibration.profile_file import ProfileFile
+
+    copied = ProfileFile(name, file, overwrite)
+    copied.write()
+    typer.echo(f"written: {copied.output}")
+
+
+@profiles.command()
+def keys() -> None:
+    """Print every key a profile may have: type, unit, default, limits and meaning."""
+    from smarttouch.profile.key_reference import key_reference
+
+    typer.echo(key_reference(), nl=False)

@@ -1,14 +1,232 @@
-"""``smarttouch experiment``: psychophysics with pulses, from a list of experiments or freely."""
+"""``smarttouch experiment``: psychophysics with pulses, and ``experiment fit`` of its answers."""
 
+import contextlib
+import math
+import sys
+from collections.abc import Iterable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch.cli.option_groups import takes_options
-from smarttouch.cli.run_command import RunCommand
-from smarttouch.cli.run_options import RunOptions
-from smarttouch.monitor.driving import drives_a_board
+from smarttouch.base import terminal
+from smarttouch.base.errors import ExperimentError
+from smarttouch.cli.options import JsonOption, QuietOption, RunCommand, takes_options
+from smarttouch.cli.run_options import RunOptionGroup
+from smarttouch.views.keys_and_signals import drives_a_board
+
+if TYPE_CHECKING:
+    from smarttouch.base.afferent import Afferent
+    from smarttouch.experiments.fitting.answers import AnswerTable
+    from smarttouch.experiments.fitting.findings import Finding
+    from smarttouch.experiments.fitting.psychometric import Guess
+    from smarttouch.experiments.psychophysics.experiment_session import ExperimentSession
+    from smarttouch.profile import Profile
+    from smarttouch.running.config import RunConfig
+
+_SIMULATED = "simulated:"
+
+
+def sit(
+    sitting: "ExperimentSession",
+    options: RunOptionGroup,
+    config: "RunConfig",
+    simulate: str | None,
+) -> None:
+    """Run an experiment to its end or until a user ends it; print how far it came."""
+    from smarttouch.imaging.array_window import reading_force_n
+    from smarttouch.views.screen import BlindScreen
+
+    def say(lines: Iterable[str]) -> None:
+        for line in () if options.quiet else lines:
+            typer.echo(line)
+
+    say(sitting.before())
+    if sitting.session.over:
+        say(sitting.after())
+        return
+    in_real_time = options.board_url != _SIMULATED
+    source = sitting.source(reading_force_n(sitting.profile), in_real_time=in_real_time)
+    try:
+        options.start(
+            source,
+            sitting.profile,
+            config,
+            screen=BlindScreen,
+            keys=source.keys,
+            listeners=()
+            if simulate is None
+            else [sitting.subject(source, simulate, config.seed, options.finger, options.anatomy)],
+        )
+    finally:
+        say(sitting.after())
+
+
+def free_run(
+    options: RunOptionGroup,
+    profile: "Profile",
+    afferent: "Afferent",
+    site: int | None,
+    rate_hz: float,
+    knob_url: str | None,
+    output: Path | None,
+) -> None:
+    """Let a user change amplitude, rate, mode and site until the end of the run."""
+    from smarttouch.base.afferent import Mode
+    from smarttouch.experiments.psychophysics.experiment_session import numbered
+    from smarttouch.experiments.psychophysics.free_stimulation import (
+        FreeLog,
+        FreeSource,
+        HandControls,
+        up_to_the_ceiling,
+    )
+    from smarttouch.imaging.array_window import reading_force_n
+    from smarttouch.instruments.hand_motion import open_motion
+    from smarttouch.kernels.bank import load_bank
+    from smarttouch.views.progress import bank_progress
+
+    if not sys.stdin.isatty() and options.seconds is None:
+        message = "there is no keyboard, by which this would end: use a terminal, or give seconds"
+        raise ExperimentError(message, about="keyboard", remedy="seconds")
+    raised = up_to_the_ceiling(profile)
+    with contextlib.ExitStack() as stack:
+        knob = None if knob_url is None else stack.enter_context(open_motion(knob_url))
+        with bank_progress(options.quiet) as progress:
+            offered = tuple(sorted(load_bank(raised, progress).weights))
+        log = stack.enter_context(FreeLog(output or numbered(Path("free.csv"))))
+        source = FreeSource(raised, offered, log, afferent, site, rate_hz, reading_force_n(raised))
+        source.url = "experiment:free"
+        options.start(
+            source,
+            raised,
+            options.config(Mode.COLOR),
+            keys=source.keys,
+            keys_help="← → rate    [ ] site    1 to 9 mark    ",
+            controls=partial(HandControls, knob=knob),
+        )
+        if not options.quiet:
+            typer.echo(f"every change is in {log.path}")
+
+
+def fit(
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE...", help="CSV files of answers, one of each condition."),
+    ],
+    x: Annotated[str, typer.Option("--x", metavar="COLUMN", help="What was shown.")] = "comparison",
+    y: Annotated[
+        str, typer.Option("--y", metavar="COLUMN", help="What was answered: 1, 0 or nothing.")
+    ] = "success",
+    standard: Annotated[
+        str, typer.Option(metavar="COLUMN", help="What it was compared with, if anything.")
+    ] = "standard",
+    function: Annotated[
+        str, typer.Option(metavar="normal|logistic|weibull", help="Shape of the curve.")
+    ] = "normal",
+    linear: Annotated[
+        bool | None,
+        typer.Option("--linear/--log", help="Its axis; found out from the comparisons if none."),
+    ] = None,
+    guess: Annotated[
+        str | None,
+        typer.Option(
+            metavar="0..1|equal|free",
+            help="Successes where nothing is known: 0.5 of two intervals; equal to the lapses; "
+            "free; found out if none.",
+        ),
+    ] = None,
+    lapse: Annotated[float, typer.Option(metavar="0..1", help="Most lapses.")] = 0.1,
+    at: Annotated[
+        float | None,
+        typer.Option(
+            metavar="0..1",
+            help="Share of answers at the threshold; 0.75, or halfway from the guess.",
+        ),
+    ] = None,
+    samples: Annotated[int, typer.Option(metavar="N", help="Of the bootstrap.")] = 1000,
+    seed: Annotated[int, typer.Option(metavar="N", help="Of the bootstrap.")] = 0,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="PNG|PDF|SVG", help="Draw shares and thresholds.")
+    ] = None,
+    json_file: JsonOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Fit answers: thresholds with intervals, or why there are none.
+
+    Several files, of RA and PC mode for example, come into one table and one picture, under their
+    names.
+    """
+    from dataclasses import replace
+
+    from smarttouch.base.errors import ExperimentError, require_within
+    from smarttouch.base.files import require_folder, write_json
+    from smarttouch.cli.options import parse_choice
+    from smarttouch.experiments.fitting.answers import read_table, usual_model
+    from smarttouch.experiments.fitting.findings import as_figures, as_series, judge
+    from smarttouch.experiments.fitting.fit import BootstrapOptions
+    from smarttouch.experiments.fitting.psychometric import Shape
+    from smarttouch.views import figure_style
+    from smarttouch.views.experiment_figures import discrimination_figure
+
+    require_folder(json_file)
+    require_folder(plot)
+    if plot is not None:
+        figure_style.require_drawable(plot)
+    require_within(ExperimentError, "samples", samples, 100, 100_000)
+    require_within(ExperimentError, "seed", seed, 0, math.inf)
+    bootstrap = BootstrapOptions(samples, seed)
+    shape, guessed = parse_choice("function", function, Shape), _parse_guess(guess)
+    found: list[tuple[AnswerTable, list[Finding]]] = []
+    for path in files:
+        table = read_table(path, x, y, standard)
+        if sum(each.stem == path.stem for each in files) > 1:
+            table = replace(table, name=str(path))
+        axis = None if linear is None else not linear
+        model = usual_model(table.answers, shape, guessed, axis, at, lapse)
+        found.append((table, [judge(each, model, bootstrap) for each in table.answers]))
+    if not quiet:
+        _print(found)
+    if json_file is not None:
+        write_json(json_file, {table.name: as_figures(findings) for table, findings in found})
+    if plot is not None:
+        figure_style.save(discrimination_figure([as_series(*each) for each in found]), plot)
+
+
+def _parse_guess(text: str | None) -> "Guess | None":
+    from smarttouch.base.errors import ExperimentError
+
+    if text is None:
+        return None
+    if text == "equal":
+        return "equal"
+    if text == "free":
+        return "free"
+    try:
+        return float(text)
+    except ValueError:
+        message = f"guess {text!r} is not offered: give a share such as 0.5, equal or free"
+        raise ExperimentError(message, about="guess") from None
+
+
+def _print(found: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
+    from smarttouch.base.terminal import print_table
+    from smarttouch.experiments.fitting.findings import threshold_rows
+
+    console = terminal.console(highlight=False)
+    for table, findings in found:
+        console.print(f"{table.name}{', ' * bool(table.unit)}{table.unit}", style="bold")
+        compares = any(each.answers.standard for each in findings)
+        heading, *rows = threshold_rows([each for each in findings if not each.verdict], compares)
+        if rows:
+            print_table(rows, heading, left=0)
+        for each in findings:
+            about = f"{each.answers.standard:g}: " if compares else ""
+            if each.verdict is not None:
+                console.print(f"{about}no threshold: {each.verdict}", soft_wrap=True)
+            for note in each.notes:
+                console.print(f"{about}{note}", style="dim", soft_wrap=True)
+
 
 experiment = typer.Typer(
     help="Psychophysics: what a finger can tell of pulses (paper, Section III).",
@@ -30,7 +248,7 @@ _Output = Annotated[
 @experiment.command("list")
 def list_all() -> None:
     """Show which experiments there are."""
-    from smarttouch.psychophysics.catalog import CATALOG
+    from smarttouch.experiments.psychophysics.catalog import CATALOG
 
     for name, entry in CATALOG.items():
         typer.echo(f"{name:13} {entry.about} [{', '.join(entry.methods)}]")
@@ -41,7 +259,7 @@ def list_all() -> None:
 @drives_a_board
 @takes_options(scan="points", anatomy="paper")
 def run_listed(
-    run: RunOptions,
+    run: RunOptionGroup,
     name: Annotated[str, typer.Argument(metavar="NAME", help="See smarttouch experiment list.")],
     mode: _Mode = "RA",
     procedure: Annotated[
@@ -99,18 +317,17 @@ def run_listed(
     """
     from dataclasses import replace
 
-    from smarttouch.cli.choices import parse_afferent, parse_choice, require_answers
-    from smarttouch.cli.experiment_steps import sit
-    from smarttouch.errors import ExperimentError
-    from smarttouch.psychophysics.catalog import ExperimentOptions, design
-    from smarttouch.psychophysics.rows import About
-    from smarttouch.psychophysics.sitting import (
+    from smarttouch.base.errors import ExperimentError
+    from smarttouch.cli.options import parse_afferent, parse_choice, require_answers
+    from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, design
+    from smarttouch.experiments.psychophysics.experiment_session import (
         numbered,
-        open_sitting,
+        open_experiment,
         parse_standards,
-        usual_name,
+        session_name,
     )
-    from smarttouch.psychophysics.timing import TrialTiming
+    from smarttouch.experiments.psychophysics.trial_rows import About
+    from smarttouch.experiments.psychophysics.trials import TrialTiming
 
     if simulate is not None:
         simulate = parse_choice("simulate", simulate, ("model", "random", "first", "silent"))
@@ -125,7 +342,7 @@ def run_listed(
     chosen = run.load_profile()
     afferent = parse_afferent(mode)
     named = f"{name}-{afferent.name}"
-    stem, order = usual_name(named, run.subject, session, seed)
+    stem, order = session_name(named, run.subject, session, seed)
     options = ExperimentOptions(
         afferent, procedure, parse_standards(standards), repetitions, trials, site, train_s,
         rate_hz, letters, two_intervals, order,
@@ -141,7 +358,7 @@ def run_listed(
         seed=order,
         note=run.note or session,
     )
-    with open_sitting(made, chosen, timing, about, path, overwrite=overwrite) as sitting:
+    with open_experiment(made, chosen, timing, about, path, overwrite=overwrite) as sitting:
         if run.record is not None and sitting.session.resumed:
             run = replace(run, record=numbered(run.record))
         sit(sitting, run, config, simulate)
@@ -151,7 +368,7 @@ def run_listed(
 @drives_a_board
 @takes_options(scan="points")
 def free(
-    run: RunOptions,
+    run: RunOptionGroup,
     mode: _Mode = "RA",
     site: _Site = None,
     rate_hz: Annotated[
@@ -175,8 +392,7 @@ def free(
     """
     from dataclasses import replace
 
-    from smarttouch.cli.choices import parse_afferent
-    from smarttouch.cli.experiment_steps import free_run
+    from smarttouch.cli.options import parse_afferent
 
     run = replace(run, profile=profile)
     if run.intensity is None and not run.on_a_finger:

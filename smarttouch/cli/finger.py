@@ -1,10 +1,68 @@
-"""``smarttouch finger``: what simulated fingers feel of letters, and a picture of one."""
+"""``smarttouch finger`` and ``study``: letters on simulated fingers, and choices compared."""
 
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from smarttouch.cli.options import AnatomyOption, ArrayOption, JsonOption, QuietOption
+from smarttouch.cli.options import (
+    AnatomyOption,
+    ArrayOption,
+    ClusterOption,
+    JsonOption,
+    QuietOption,
+)
+
+NAMES = ("effects", "published")
+
+
+def print_comparison(
+    name: str,
+    letters: str | None,
+    anatomy: str,
+    fingers: int,
+    json_file: Path | None,
+    quiet: bool,
+) -> None:
+    """Print one of `NAMES` beside the figures of fingers with seeds from 1 on; write it to JSON."""
+    from smarttouch.base.files import require_folder, write_json
+    from smarttouch.base.terminal import print_table
+    from smarttouch.views.progress import lines_progress
+
+    require_folder(json_file)
+    seeds = range(1, fingers + 1)
+    rows: Sequence[Sequence[str]]
+    with lines_progress(quiet, "Feeling") as progress:
+        if name == "effects":
+            from smarttouch.experiments.paper_effects import effects
+
+            heading = ["effect", "paper", "fingers"]
+            rows = effects(anatomy, seeds, progress)
+        else:
+            heading = ["measurement", "published", "source", "fingers"]
+            rows = _published(letters, anatomy, seeds, progress)
+    if json_file is not None:
+        table = [dict(zip(heading, row, strict=True)) for row in rows]
+        write_json(json_file, {"anatomy": anatomy, "fingers": fingers, name: table})
+    if not quiet:
+        print_table(rows, heading, left=len(heading))
+
+
+def _published(
+    letters: str | None, anatomy: str, seeds: Sequence[int], progress: Callable[[int, int], None]
+) -> list[tuple[str, ...]]:
+    from smarttouch.experiments.published import published
+    from smarttouch.instruments.receptor_spikes import touchsim_rows
+    from smarttouch.physiology.finger import Finger
+    from smarttouch.profile import load_profile
+    from smarttouch.reading.letter_responses import require_letters
+    from smarttouch.reading.letter_shapes import ALPHABET
+
+    drawn = ALPHABET if letters is None else require_letters(letters)
+    fingers = [Finger(load_profile("electric-mouse"), seed, anatomy) for seed in seeds]
+    return [*published(anatomy, seeds, drawn, progress), *touchsim_rows(fingers)]
+
 
 _NAMES = {
     "silent_points": "silent points",
@@ -43,37 +101,36 @@ def finger(
     from pathlib import Path
 
     if table is not None:
-        from smarttouch.cli import finger_tables
-        from smarttouch.cli.choices import parse_choice
+        from smarttouch.cli.options import parse_choice
 
-        chosen_table = parse_choice("table", table, finger_tables.NAMES)
-        finger_tables.print_comparison(chosen_table, letters, anatomy, fingers, json_file, quiet)
+        chosen_table = parse_choice("table", table, NAMES)
+        print_comparison(chosen_table, letters, anatomy, fingers, json_file, quiet)
         return
 
-    from smarttouch.afferent import Mode
-    from smarttouch.cli.choices import parse_afferent
-    from smarttouch.files import require_folder, write_json
+    from smarttouch.base.afferent import Mode
+    from smarttouch.base.files import require_folder, write_json
+    from smarttouch.base.terminal import print_table
+    from smarttouch.cli.options import parse_afferent
     from smarttouch.kernels.bank import load_bank
-    from smarttouch.monitor.progress import lines_progress
     from smarttouch.physiology.finger import Finger
     from smarttouch.profile import load_profile
-    from smarttouch.psychophysics import letters_felt
-    from smarttouch.psychophysics.letters import ALPHABET
-    from smarttouch.psychophysics.nociceptive import bystander_margins
-    from smarttouch.terminal import print_table
+    from smarttouch.reading import letter_responses
+    from smarttouch.reading.letter_responses import bystander_margins
+    from smarttouch.reading.letter_shapes import ALPHABET
+    from smarttouch.views.progress import lines_progress
 
     chosen, driven = load_profile(profile), Mode(parse_afferent(mode).name)
-    drawn = ALPHABET if letters is None else letters_felt.require_letters(letters)
+    drawn = ALPHABET if letters is None else letter_responses.require_letters(letters)
     picture = None if plot_file is None else Path(plot_file)
     for output in (json_file, picture):
         require_folder(output)
     bank = load_bank(chosen)
     with lines_progress(quiet, "Feeling letters") as progress:
-        found = letters_felt.feel_letters(
+        found = letter_responses.respond_to_letters(
             chosen, bank, driven, anatomy, range(1, fingers + 1), drawn, progress
         )
-    figures = letters_felt.summary(found)
-    at_board = letters_felt.error_at_board(chosen, bank, driven, drawn)
+    figures = letter_responses.summary(found)
+    at_board = letter_responses.error_at_board(chosen, bank, driven, drawn)
     margin = bystander_margins(chosen, bank, driven, anatomy, range(1, fingers + 1), drawn)
     figures["nociceptive"] = margin["nociceptive"]
     if json_file is not None:
@@ -83,18 +140,79 @@ def finger(
             {
                 "profile": chosen.name, "mode": driven.value, "anatomy": anatomy,
                 "fingers": fingers, "letters": drawn,
-                "fired": letters_felt.fired(found),
+                "fired": letter_responses.fired(found),
                 **figures, "at_board": at_board, "at_nerve": at_nerve,
             },
         )  # fmt: skip
         figures |= at_nerve
     if picture is not None:
-        from smarttouch.plotting.fingers import letter_figure
-        from smarttouch.plotting.style import save
+        from smarttouch.views.figure_style import save
+        from smarttouch.views.finger_figure import letter_figure
 
-        sequence, active = letters_felt.letter_sequence(drawn[0], chosen, bank, driven)
+        sequence, active = letter_responses.letter_sequence(drawn[0], chosen, bank, driven)
         save(letter_figure(Finger(chosen, 1, anatomy), sequence, active), picture)
     if not quiet:
         rows = [("error rate at the board", f"{at_board:.3f}")]
         rows += [(_NAMES[name], f"{value:.3f}") for name, value in figures.items()]
         print_table(rows, left=1)
+
+
+def study(
+    plan: Annotated[
+        Path, typer.Argument(metavar="STUDY.toml", help="What is compared, on which fingers.")
+    ],
+    output: Annotated[
+        Path, typer.Option(metavar="DIR", help="Where to; made if missing, resumed if not.")
+    ],
+    cluster: ClusterOption = None,
+    kind: Annotated[
+        str | None, typer.Option("--plot", metavar="png|pdf|svg|none", help="Of the plot.")
+    ] = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Run a grid of fingers, profiles, kernels, scans, letters and pages; go on where it ended."""
+    from importlib.util import find_spec
+
+    from smarttouch.base.cluster import on_cluster
+    from smarttouch.base.errors import not_offered
+    from smarttouch.base.terminal import print_table
+    from smarttouch.experiments.study_plan import load_study
+    from smarttouch.experiments.study_run import NAMES, ROWS_FILE, run_study, summed, table_rows
+    from smarttouch.views import figure_style
+    from smarttouch.views.progress import bank_progress, lines_progress
+
+    asked = load_study(plan)
+    offered = (*figure_style.FORMATS, "none")
+    if kind is None:
+        kind = "png" if find_spec("matplotlib") else "none"
+    if kind not in offered:
+        raise not_offered("plot", kind, offered)
+    if kind != "none":
+        figure_style.new_figure(1, 1)
+    with (
+        on_cluster(cluster),
+        bank_progress(quiet) as designing,
+        lines_progress(quiet, "Fingers") as progress,
+    ):
+        rows = run_study(asked, plan.parent, output, designing, progress)
+    found = summed(rows)
+    if not quiet:
+        heading, lines = table_rows(found)
+        print_table(
+            lines,
+            heading,
+            title=asked.title,
+            note="Medians over fingers of means over patterns: read wrongly, silent points, spikes "
+            "of another class, misplaced ones. Best on: fingers on which no other choice is read "
+            "with fewer errors. mA: mean total current of a slot.",
+            ruled=True,
+            left=2,
+        )
+        print(output / ROWS_FILE)
+    if kind != "none":
+        from smarttouch.views.experiment_figures import study_figure
+
+        picture = output / f"study.{kind}"
+        figure_style.save(study_figure(found, NAMES, asked.title), picture)
+        if not quiet:
+            print(picture)

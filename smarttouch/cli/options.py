@@ -1,9 +1,152 @@
-"""Options that several commands take."""
+"""Options that several commands share: groups, choices, and the port of ``--window``."""
 
+import functools
+import inspect
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import Field, fields
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import typer
+from typer.core import TyperCommand
+
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.errors import SmartTouchError, not_offered, require_within
+
+if TYPE_CHECKING:
+    from smarttouch.profile import Profile
+
+_T = TypeVar("_T")
+
+
+class OptionGroup:
+    """Base of frozen dataclasses whose fields are options, annotated as typer wants them."""
+
+
+def takes_options(**defaults: Any) -> Callable[[Callable[..., _T]], Callable[..., _T]]:
+    """Let a command take the options of the groups among its parameters' types.
+
+    It gets each group as one object. Its own option replaces one of the same name in a group;
+    `defaults` replace those of the groups.
+    """
+    return functools.partial(_expanded, defaults=defaults)
+
+
+def _expanded(command: Callable[..., _T], defaults: dict[str, Any]) -> Callable[..., _T]:
+    hints = get_type_hints(command, include_extras=True)
+    parameters = inspect.signature(command).parameters
+    groups = {
+        name: hints[name]
+        for name in parameters
+        if inspect.isclass(hints[name]) and issubclass(hints[name], OptionGroup)
+    }
+
+    def shared(group: Any) -> Iterator[Field[Any]]:
+        return (each for each in fields(group) if each.name not in parameters)
+
+    @functools.wraps(command)
+    def expanded(**given: Any) -> _T:
+        made = {
+            name: group(**{each.name: given.pop(each.name) for each in shared(group)})
+            for name, group in groups.items()
+        }
+        return command(**made, **given)
+
+    del expanded.__wrapped__
+    keyword = inspect.Parameter.KEYWORD_ONLY
+    taken = [
+        each.replace(annotation=hints[each.name], kind=keyword)
+        for each in parameters.values()
+        if each.name not in groups
+    ]
+    for group in groups.values():
+        kinds = get_type_hints(group, include_extras=True)
+        taken += [
+            inspect.Parameter(
+                each.name,
+                keyword,
+                default=defaults.get(each.name, each.default),
+                annotation=kinds[each.name],
+            )
+            for each in shared(group)
+        ]
+    signature = inspect.Signature(taken, return_annotation=hints.get("return"))
+    # Typer reads it, and the type of a function does not have it.
+    expanded.__signature__ = signature  # type: ignore[attr-defined]
+    expanded.__annotations__ = {each.name: each.annotation for each in taken}
+    return expanded
+
+
+class RunCommand(TyperCommand):
+    """A command that reads ``--window`` without a number as ``--window 0``."""
+
+    # Some versions of typer hand over a context class of their own, not the one of the base.
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
+        """Parse the words of the command line."""
+        return super().parse_args(ctx, with_ports(args))
+
+
+def with_ports(words: Sequence[str]) -> list[str]:
+    """Return the words of a command line with a 0 behind each ``--window`` that has no port."""
+    found: list[str] = []
+    for at, word in enumerate(words):
+        found.append(word)
+        if word == "--":
+            return [*found, *words[at + 1 :]]
+        following = "".join(words[at + 1 : at + 2])
+        if word == "--window" and not following.lstrip("-").isdecimal():
+            found.append("0")
+    return found
+
+
+Choice = TypeVar("Choice", bound=str)
+
+
+def parse_mode(mode: str) -> Mode:
+    """Return a mode by its name; only modes that images can drive."""
+    offered = [each for each in Mode if each is not Mode.COLOR]
+    for each in offered:
+        if mode.lower() == each.value.lower():
+            return each
+    raise not_offered("mode", mode, offered)
+
+
+def parse_choice(option: str, text: str, choices: Iterable[Choice]) -> Choice:
+    """Return the choice that an option names, in capitals or not."""
+    known = list(choices)
+    if text.lower() not in known:
+        raise not_offered(option, text, known)
+    return next(each for each in known if each == text.lower())
+
+
+def parse_afferent(mode: str) -> Afferent:
+    """Return a class of afferents by its name."""
+    if mode.upper() not in Afferent.__members__:
+        raise not_offered("mode", mode, Afferent.__members__)
+    return Afferent[mode.upper()]
+
+
+def require_site(profile: "Profile", site: int) -> None:
+    """Raise unless a profile's array has such a site."""
+    words = f"site {site} of {profile.name}"
+    require_within(SmartTouchError, "site", site, 0, len(profile.electrodes) - 1, words)
+
+
+def require_answers(
+    simulate: bool, board_url: str, boards: tuple[str, ...], error: type[SmartTouchError]
+) -> None:
+    """Raise unless a person at a keyboard can answer, or a simulation on such boards."""
+    if simulate and not board_url.startswith(boards):
+        raise error(
+            f"a simulation answers for nobody: no current of its flows through {board_url!r}, only "
+            f"through {' or '.join(boards)}",
+            about="board",
+        )
+    if not simulate and not sys.stdin.isatty():
+        message = "there is no keyboard to answer on: use a terminal, or simulate"
+        raise error(message, about="keyboard", remedy="simulate")
+
 
 BOARD = "The board"
 FINGER = "The finger"

@@ -1,15 +1,33 @@
-"""``smarttouch read``: text from a file under the finger, as letter shapes or as Braille."""
+"""``smarttouch read``, ``braille``, ``braille-display``, ``legibility``: text under a finger."""
 
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from smarttouch.cli.option_groups import takes_options
-from smarttouch.cli.options import ModeOption, RateOption
-from smarttouch.cli.run_options import RunOptions
-from smarttouch.cli.source_options import DocumentOptions, FormOptions
-from smarttouch.cli.standard_input import or_standard_input
-from smarttouch.monitor.driving import drives_a_board
+from smarttouch.cli.options import (
+    AnatomyOption,
+    ArrayOption,
+    ClusterOption,
+    JsonOption,
+    ModeOption,
+    QuietOption,
+    RateOption,
+    ScanOption,
+    takes_options,
+)
+from smarttouch.cli.run_options import RunOptionGroup
+from smarttouch.cli.source_options import (
+    DocumentOptions,
+    FormOptions,
+    TableOption,
+    or_standard_input,
+    table_of,
+)
+from smarttouch.views.keys_and_signals import drives_a_board
+
+if TYPE_CHECKING:
+    from smarttouch.braille.cell_pages import Loaded
 
 
 @drives_a_board
@@ -17,7 +35,7 @@ from smarttouch.monitor.driving import drives_a_board
 def read(
     feel: FormOptions,
     document: DocumentOptions,
-    run: RunOptions,
+    run: RunOptionGroup,
     source: Annotated[
         str,
         typer.Argument(
@@ -32,7 +50,7 @@ def read(
     wait: Annotated[bool, typer.Option("--wait", help="Go on at the right arrow only.")] = False,
     follow: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="Source of finger positions."),
+        typer.Option(metavar="URL", help="ReadingMaterial of finger positions."),
     ] = None,
     board: Annotated[
         str | None,
@@ -48,14 +66,18 @@ def read(
     import contextlib
     from dataclasses import replace
 
-    from smarttouch.cli.choices import parse_mode
-    from smarttouch.monitor.progress import first_line_awaited
-    from smarttouch.reading.cursor import Cursor, FollowingCursor, SweepingCursor
-    from smarttouch.reading.feed import LineFeed
-    from smarttouch.reading.line_source import ReadingSource
-    from smarttouch.reading.source import Source
-    from smarttouch.reading.window import press_n, profile_for_reading
+    from smarttouch.cli.options import parse_mode
+    from smarttouch.imaging.array_window import profile_for_reading, reading_force_n
+    from smarttouch.reading.line_source import (
+        Cursor,
+        FollowingCursor,
+        LineFeed,
+        ReadingSource,
+        SweepingCursor,
+    )
+    from smarttouch.reading.material import ReadingMaterial
     from smarttouch.sources import open_source
+    from smarttouch.views.progress import first_line_awaited
 
     run = replace(run, board=board or (None if run.frames is None else "simulated:"))
     own = run.load_profile()
@@ -63,7 +85,9 @@ def read(
     presentation = feel.presentation(own.defaults.read_as, lines, document.languages)
     motion = presentation.motion(chosen, feel.speed_mm_s, rate_hz)
     notes: list[str] = []
-    text = Source(*document.recognition(source, scale_matters=follow is not None), notes.append)
+    text = ReadingMaterial(
+        *document.recognition(source, scale_matters=follow is not None), notes.append
+    )
     config = run.config(parse_mode(mode), rate_hz=rate_hz, tone=presentation.tone)
     with contextlib.ExitStack() as stack:
         feed = LineFeed(presentation.lines(text, chosen))
@@ -72,10 +96,237 @@ def read(
         first_line_awaited(lambda: feed.wait_for(0), run.quiet)
         cursor: Cursor
         if follow is None:
-            cursor = SweepingCursor(feed, motion, press_n(chosen), pause_s, wait)
+            cursor = SweepingCursor(feed, motion, reading_force_n(chosen), pause_s, wait)
         else:
             cursor = FollowingCursor(feed, stack.enter_context(open_source(follow, own)))
         reading = ReadingSource(text.title, chosen, feed, cursor)
         reading.url, reading.notes = source, notes
         keys_help = "← → line    r again    "
         run.start(reading, chosen, config, keys=reading.keys, keys_help=keys_help)
+
+
+@takes_options()
+def braille(
+    document: DocumentOptions,
+    source: Annotated[
+        str | None,
+        typer.Argument(
+            callback=or_standard_input,
+            metavar="TEXT|FILE|-",
+            help="A file of text, of cells (.brf, .pef), of print or Braille (image, PDF); a text, "
+            "or text:WORDS where it could be a file; - for standard input.",
+        ),
+    ] = None,
+    table: TableOption = None,
+    back: Annotated[bool, typer.Option("--back", help="From cells to text.")] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A .brf, .pef or .txt; the screen if none."),
+    ] = None,
+    columns: Annotated[int | None, typer.Option(help="Cells a line; 40 if none is given.")] = None,
+    rows: Annotated[int | None, typer.Option(help="Lines a page; 25 if none is given.")] = None,
+    leave_out: Annotated[
+        bool, typer.Option("--leave-out", help="Leave out what the table has no cells for.")
+    ] = False,
+    tables: Annotated[bool, typer.Option("--tables", help="List the tables.")] = False,
+) -> None:
+    """Turn a text into Braille, or Braille into a text."""
+    from smarttouch.base.errors import BrailleError
+    from smarttouch.base.files import require_folder, write_bytes
+    from smarttouch.braille.cell_pages import (
+        COLUMNS,
+        INDENT,
+        ROWS,
+        lay_out,
+        load_cells,
+        write_cells,
+    )
+    from smarttouch.braille.code_tables import open_table
+
+    if tables:
+        _print_tables()
+        return
+    if source is None:
+        message = "nothing to read is given: give a text or a file, or list the tables"
+        raise BrailleError(message, about="text", remedy="tables")
+    require_folder(output)
+    named = table_of(table, document.languages)
+    code = open_table(named)
+    loaded = _seen(source, named, document)
+    loaded = loaded or load_cells(source, code, leave_out)
+    for note in loaded.notes:
+        typer.echo(note, err=True)
+    if back:
+        text = code.to_text("\n".join(loaded.paragraphs)) + "\n"
+        if output is None:
+            print(text, end="")
+            return
+        if output.suffix.lower() != ".txt":
+            message = f"cannot write a text as {output}: give a name that ends in .txt"
+            raise BrailleError(message, about="file")
+        write_bytes(output, text.encode(), BrailleError)
+        print(output)
+        return
+    pages = loaded.pages
+    if pages is None or columns is not None or rows is not None:
+        # What is shown is not printed: there, paragraphs need no indent.
+        indent = 0 if output is None else INDENT
+        wide = COLUMNS if columns is None else columns
+        pages = lay_out(loaded.paragraphs, wide, ROWS if rows is None else rows, indent)
+    if output is None:
+        print("\n".join(line for page in pages for line in page))
+        return
+    write_cells(output, pages)
+    print(f"{output}: pages {len(pages)}, lines {sum(map(len, pages))}")
+
+
+def _seen(source: str, table: str, document: DocumentOptions) -> "Loaded | None":
+    """Return the cells of an image or a PDF; None for anything else."""
+    from smarttouch.braille.cell_pages import Loaded, file_of
+    from smarttouch.braille.cells import FileKind, file_kind
+    from smarttouch.reading.braille_lines import Braille
+    from smarttouch.reading.material import ReadingMaterial
+
+    place, options = document.recognition(source)
+    file = file_of(place)
+    if file is None or file_kind(file) is not FileKind.PAGES:
+        return None
+    notes: list[str] = []
+    shown = ReadingMaterial(place, options, notes.append)
+    return Loaded(Braille(table).paragraphs(shown), None, notes)
+
+
+def _print_tables() -> None:
+    from smarttouch.base.terminal import print_table
+    from smarttouch.braille import louis
+    from smarttouch.braille.code_tables import DEFAULT_TABLE, known_tables
+
+    version = louis.version()
+    known = known_tables()
+    print_table(
+        [
+            *(
+                (name + " (default)" * (name == DEFAULT_TABLE), name.partition("-")[0], title)
+                for name, title in known.items()
+            ),
+            *louis.table_files(),
+        ],
+        ("name", "language", "what it is"),
+        note=f"Or any other file of liblouis {version}, or the tag of a language."
+        if version
+        else f"liblouis is not here: of these only en-1 and ja work. For all: {louis.INSTALL}",
+        left=3,
+    )
+
+
+@drives_a_board
+@takes_options(scan="points")
+def braille_display(
+    run: RunOptionGroup,
+    address: Annotated[
+        str,
+        typer.Argument(
+            metavar="[ADDRESS]",
+            help="listen:PORT, where BRLTTY connects, or HOST:PORT, where it listens.",
+        ),
+    ] = "listen:35752",
+    mode: ModeOption = "RA",
+    rate_hz: RateOption = None,
+    cells: Annotated[int, typer.Option(help="Width of the display.")] = 20,
+    show: Annotated[
+        str, typer.Option(metavar="HOW", help="line: cells move through; cell: one at a time.")
+    ] = "line",
+    speed_mm_s: Annotated[
+        float | None, typer.Option("--speed", metavar="MM/S", help="Of the cells.")
+    ] = None,
+    pan: Annotated[
+        bool, typer.Option("--pan", help="Go on by itself at the end of the window.")
+    ] = False,
+) -> None:
+    """Be the Braille display of a running screen reader, by way of BRLTTY.
+
+    Two commands, in two terminals:
+
+        smarttouch braille-display
+
+        sudo brltty -b vr -d client:
+
+    The console is then under the finger, and through BrlAPI what Orca reads of a desktop.
+    """
+    from smarttouch.cli.options import parse_mode
+    from smarttouch.imaging.array_window import profile_for_reading
+    from smarttouch.sources import open_source
+
+    chosen = profile_for_reading(run.load_profile())
+    config = run.config(parse_mode(mode), rate_hz=rate_hz)
+    options: dict[str, Any] = {
+        "cells": cells,
+        "show": show,
+        "speed_mm_s": speed_mm_s,
+        "pan": pan,
+    }
+    with open_source(f"brltty:{address}", chosen, **options) as source:
+        run.start(source, chosen, config, keys=source.keys, keys_help=source.keys_help)
+
+
+@takes_options()
+def legibility(
+    feel: FormOptions,
+    document: DocumentOptions,
+    source: Annotated[
+        str,
+        typer.Argument(
+            callback=or_standard_input,
+            metavar="FILE",
+            help="As for smarttouch read.",
+        ),
+    ],
+    profile: ArrayOption = "electric-mouse",
+    truth: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.txt", help="What the page says; what Tesseract reads if none."),
+    ] = None,
+    mode: Annotated[str, typer.Option(metavar="RA|SAI", help="Whose receptors.")] = "RA",
+    fingers: Annotated[
+        int, typer.Option(min=0, max=1000, metavar="N", help="Simulated fingers that feel it, too.")
+    ] = 0,
+    anatomy: AnatomyOption = "branched",
+    json_file: JsonOption = None,
+    scan: ScanOption = "auto",
+    cluster: ClusterOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Measure it: the whole chain to a simulated board, and Tesseract on what the skin got."""
+    from smarttouch.base.cluster import on_cluster
+    from smarttouch.base.files import require_folder, write_json
+    from smarttouch.base.terminal import print_table
+    from smarttouch.cli.options import parse_choice, parse_mode
+    from smarttouch.imaging.array_window import profile_for_reading
+    from smarttouch.kernels.bank import load_bank
+    from smarttouch.profile import load_profile
+    from smarttouch.reading.delivered_lines import LineDelivery
+    from smarttouch.reading.legibility import measure_legibility
+    from smarttouch.reading.material import ReadingMaterial
+    from smarttouch.running.config import SCANS, RunConfig
+    from smarttouch.views.progress import bank_progress, lines_progress
+
+    require_folder(json_file)
+    chosen = profile_for_reading(load_profile(profile))
+    notes: list[str] = []
+    text = ReadingMaterial(*document.recognition(source), notes.append)
+    presentation = feel.presentation(chosen.defaults.read_as)
+    motion = presentation.motion(chosen, feel.speed_mm_s)
+    with bank_progress(quiet) as progress:
+        bank = load_bank(chosen, progress)
+    sharing = RunConfig(scan=parse_choice("scan", scan, SCANS)).sharing(chosen)
+    reading = LineDelivery(chosen, bank, presentation.tone, motion, parse_mode(mode), sharing)
+    with on_cluster(cluster), lines_progress(quiet) as advance:
+        found = measure_legibility(text, reading, presentation, truth, advance, fingers, anatomy)
+    figures = {"source": source, "profile": chosen.name, "notes": notes, **found.figures}
+    if json_file is not None:
+        write_json(json_file, figures)
+    if not quiet:
+        print_table(found.rows, left=2)
+        typer.echo(f"\nWhat was read from the delivered pulses:\n{found.text}")
+        for note in notes:
+            typer.echo(note, err=True)

@@ -1,11 +1,14 @@
-"""``smarttouch recordings``: what is in a recording, see it, mend it, take it apart."""
+"""``smarttouch recordings``, ``replay`` and ``report``: recordings seen, mended, played."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from smarttouch.terminal import print_table
+from smarttouch.base.terminal import print_table
+from smarttouch.cli.options import takes_options
+from smarttouch.cli.run_options import RunOptionGroup
+from smarttouch.views.keys_and_signals import drives_a_board
 
 recordings = typer.Typer(
     help="Look into, view, repair and export what ``live --record`` kept.", no_args_is_help=True
@@ -17,7 +20,7 @@ _File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording, whole 
 @recordings.command()
 def info(file: _File) -> None:
     """Tell what was delivered to whom and when, and how much of it is kept."""
-    from smarttouch.recording.account import describe
+    from smarttouch.running.recording_files import describe
 
     print_table(describe(file), left=2)
 
@@ -30,8 +33,8 @@ def repair(
     ] = None,
 ) -> None:
     """Write a valid file of all that can be read; the old one stays as it is."""
-    from smarttouch.recording.repair import is_sound
-    from smarttouch.recording.repair import repair as write_anew
+    from smarttouch.running.recording_files import is_sound
+    from smarttouch.running.recording_files import repair as write_anew
 
     if output is None and is_sound(file):
         print(f"{file} is whole: there is nothing to repair")
@@ -47,7 +50,7 @@ def export(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A new or an empty one.")],
 ) -> None:
     """Write images as PNG, tables as CSV, and tactile images and sequences as NPZ."""
-    from smarttouch.recording.export import export as write_out
+    from smarttouch.running.recording_files import export as write_out
 
     for path in write_out(file, folder):
         print(path)
@@ -71,12 +74,12 @@ def view(
 ) -> None:
     """Show recordings in a browser: time line, steps, slots, events (extra window)."""
     if save is None:
-        from smarttouch.monitor.view import show_recordings
+        from smarttouch.views.recordings_page import show_recordings
 
         show_recordings(files, port)
         return
-    from smarttouch.errors import RecordingError
-    from smarttouch.monitor.view import save_view
+    from smarttouch.base.errors import RecordingError
+    from smarttouch.views.recordings_page import save_view
 
     if len(files) > 1:
         raise RecordingError(
@@ -84,3 +87,99 @@ def view(
         )
     save_view(files[0], save, step, None)
     print(save)
+
+
+@drives_a_board
+@takes_options()
+def replay(
+    run: RunOptionGroup,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, whole or cut.")],
+    check: Annotated[
+        bool,
+        typer.Option("--check", help="Compare today's sequences with the recorded ones, exactly."),
+    ] = False,
+    profile: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE",
+            help="Another than the recorded one; a real board takes its usual one or this, and "
+            "the recording only lowers its limits.",
+        ),
+    ] = None,
+    board: Annotated[
+        str, typer.Option(metavar="URL", help="What to play into; not with --check.")
+    ] = "emulator:",
+    force: Annotated[
+        str | None,
+        typer.Option(
+            metavar="URL",
+            help="Today's finger; if not given, a real board's own sensor, elsewhere the recorded "
+            "force.",
+        ),
+    ] = None,
+    intensity: Annotated[
+        float | None,
+        typer.Option(
+            metavar="0..1",
+            help="Of the recorded. On a real board a run begins at 0, and keys raise it up to "
+            "this (1); without a keyboard it must be given, and is reached slowly.",
+        ),
+    ] = None,
+) -> None:
+    """Let a finger feel once more what was recorded, or prove that it still would."""
+    from smarttouch.running.recording_reader import Recording
+
+    if check:
+        _check(file, profile)
+        return
+    from dataclasses import replace
+    from functools import partial
+
+    from smarttouch.running.functions import recording_config
+    from smarttouch.running.recorded_source import RecordedControls, RecordingSource
+
+    run = replace(run, board=board, force=force, intensity=intensity, profile=profile)
+    recording = Recording(file)
+    recorded = profile is None and not run.on_a_finger
+    chosen = recording.profile if recorded else run.load_profile()
+    config = recording_config(recording, **run.settings("scan", "softness"))
+    with RecordingSource(recording) as source:
+        source.url = f"recording:{file}"
+        run.start(source, chosen, config, controls=partial(RecordedControls, recording))
+
+
+def _check(file: Path, profile: str | None) -> None:
+    """Print the outcome; exit 1 where sequences differ."""
+    from smarttouch.kernels.bank import load_bank
+    from smarttouch.profile import load_profile
+    from smarttouch.running.check_recording import check_recording
+    from smarttouch.running.recording_reader import Recording
+    from smarttouch.views.progress import bank_progress
+
+    chosen = Recording(file).profile if profile is None else load_profile(profile)
+    with bank_progress(quiet=False) as progress:
+        bank = load_bank(chosen, progress)
+    report = check_recording(file, bank=bank, profile=chosen)
+    print(report.describe())
+    if not report.exact:
+        raise typer.Exit(1)
+
+
+def report(
+    recording: Annotated[
+        Path | None, typer.Argument(metavar="[MCAP]", help="The run that went wrong.")
+    ] = None,
+    output: Annotated[Path, typer.Option(metavar="FILE", help="What to write.")] = Path(
+        "smarttouch-report.json"
+    ),
+) -> None:
+    """Write a file for a bug report: versions, boards, settings and last events.
+
+    Nothing of participants is in it: no name, note, file name, threshold, current or answer.
+    """
+    from smarttouch.base.files import require_folder, write_json
+    from smarttouch.running.bug_report import bug_report
+
+    require_folder(output)
+    write_json(output, bug_report(recording))
+    print(f"{output}: look through it, and add what you did and what you saw")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from smarttouch.cli.option_groups import OptionGroup
+from smarttouch.base.files import require_folder
 from smarttouch.cli.options import (
     BOARD,
     FINGER,
@@ -17,21 +17,21 @@ from smarttouch.cli.options import (
     FingerOption,
     ForceOption,
     JsonOption,
+    OptionGroup,
     ProfileOption,
     QuietOption,
     ScanOption,
 )
-from smarttouch.files import require_folder
 
 if TYPE_CHECKING:
     from smarttouch.profile import Profile
     from smarttouch.running.config import RunConfig
     from smarttouch.running.display import Display
-    from smarttouch.sources.source import Source
+    from smarttouch.sources.source_contract import Source
 
 
 @dataclass(frozen=True, kw_only=True)
-class RunOptions(OptionGroup):
+class RunOptionGroup(OptionGroup):
     """Options of a run, as typed."""
 
     board: Annotated[
@@ -194,8 +194,8 @@ class RunOptions(OptionGroup):
         **more: Any,
     ) -> None:
         """Run a source in the terminal until its end; `more` is for `run_in_terminal`."""
-        from smarttouch.monitor.session import Outputs, run_in_terminal
-        from smarttouch.sources.forces.force import open_force
+        from smarttouch.sources.force import open_force
+        from smarttouch.views.terminal_session import Outputs, run_in_terminal
 
         given = {each.name: getattr(self, each.name) for each in fields(Outputs)}
         plain = profile.defaults.plain if self.plain is None else self.plain

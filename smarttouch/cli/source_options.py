@@ -1,17 +1,72 @@
-"""Options of documents and of the form in which they are read."""
+"""Options of documents and of the form in which they are read; ``-`` for standard input."""
 
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from smarttouch.cli.option_groups import OptionGroup
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.cli.options import OptionGroup
 
 if TYPE_CHECKING:
-    from smarttouch.reading.braille import Braille
-    from smarttouch.reading.printed import RecognitionOptions
-    from smarttouch.reading.shapes import Shapes
+    from smarttouch.reading.braille_lines import Braille
+    from smarttouch.reading.letter_shapes import Shapes
+    from smarttouch.reading.material import RecognitionOptions
+
+_MOST_BYTES = 256_000_000
+_BEGINNINGS = {
+    b"%PDF": ".pdf",
+    b"\x89PNG": ".png",
+    b"\xff\xd8\xff": ".jpg",
+    b"II*\0": ".tif",
+    b"MM\0*": ".tif",
+}
+
+
+def or_standard_input(ctx: typer.Context, given: str | None) -> str | None:
+    """Return the value of an argument; for ``-``, a file with the content of standard input.
+
+    ``page:-`` stands for the URL of such a file. It is removed when the command ends.
+    """
+    prefix, dash, options = (given or "").partition("-")
+    if not dash or prefix not in ("", "page:") or (options and not options.startswith("?")):
+        return given
+    if options and not prefix:
+        return given
+    return f"{prefix}{ctx.with_resource(_file_of_standard_input())}{options}"
+
+
+@contextmanager
+def _file_of_standard_input() -> Iterator[Path]:
+    stream = getattr(sys.stdin, "buffer", None)
+    data = sys.stdin.read().encode() if stream is None else stream.read(_MOST_BYTES + 1)
+    if not data:
+        raise SmartTouchError(
+            "standard input holds nothing: give a file, or pipe a text or a page into the command",
+            about="standard input",
+        )
+    if len(data) > _MOST_BYTES:
+        raise SmartTouchError(
+            f"standard input holds more than {_MOST_BYTES / 1e6:,.0f} MB: give a file",
+            about="standard input",
+        )
+    with tempfile.TemporaryDirectory(prefix="smarttouch-") as folder:
+        path = Path(folder) / f"standard input{_ending(data)}"
+        path.write_bytes(data)
+        yield path
+
+
+def _ending(data: bytes) -> str:
+    """Return the suffix of a file by its first bytes; that of a text if they are unknown."""
+    if b"<pef" in data[:1000]:
+        return ".pef"
+    return next((each for start, each in _BEGINNINGS.items() if data.startswith(start)), ".txt")
+
 
 _FORM = "Form of the text"
 _TESSERACT = {
@@ -41,9 +96,9 @@ class DocumentOptions(OptionGroup):
 
     def recognition(self, source: str, **more: Any) -> "tuple[str, RecognitionOptions]":
         """Return the document, and its options: these, and those that follow its name."""
-        from smarttouch.errors import PageError
-        from smarttouch.reading.printed import RecognitionOptions
-        from smarttouch.url_options import joined_options, read_options
+        from smarttouch.base.errors import PageError
+        from smarttouch.base.url_options import joined_options, read_options
+        from smarttouch.reading.material import RecognitionOptions
 
         place, in_name = source, dict[str, Any]()
         if Path(source.rpartition("?")[0]).is_file():
@@ -116,9 +171,9 @@ class FormOptions(OptionGroup):
         self, usual: str, lines: int = 1, language: str | None = None
     ) -> "Shapes | Braille":
         """Return letter shapes or Braille; without a table, that of the language."""
-        from smarttouch.cli.choices import parse_choice
-        from smarttouch.reading.braille import Braille, Presentation
-        from smarttouch.reading.shapes import Shapes, Style
+        from smarttouch.cli.options import parse_choice
+        from smarttouch.reading.braille_lines import Braille, Presentation
+        from smarttouch.reading.letter_shapes import Shapes, Style
 
         shapes = Shapes(parse_choice("style", self.style, Style))
         presentation = parse_choice("cells", self.cells, Presentation)

@@ -1,1 +1,1 @@
-"""Boards and sensors without hardware: one server on a port, into which a device is plugged."""
+"""Emulated boards on a model of the skin, and emulated sensors, behind a port."""

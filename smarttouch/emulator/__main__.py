@@ -5,9 +5,9 @@ from collections.abc import Sequence
 
 import typer
 
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.url_options import named_options
 from smarttouch.emulator.commands import emulate_board, emulate_sensor
-from smarttouch.errors import SmartTouchError
-from smarttouch.named_options import named_options
 
 app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 app.command("board")(emulate_board)

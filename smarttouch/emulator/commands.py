@@ -11,15 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from smarttouch.errors import SmartTouchError, not_offered, require_within
-from smarttouch.files import require_folder, write_bytes
-from smarttouch.wire.pty_line import PtyLine
-from smarttouch.wire.tcp_line import TcpLine
+from smarttouch.base.errors import SmartTouchError, not_offered, require_within
+from smarttouch.base.files import require_folder, write_bytes
+from smarttouch.base.wire.device_lines import PtyLine, TcpLine
 
 if TYPE_CHECKING:
-    from smarttouch.boards.emulator.delivery_log import DeliveryLog
-    from smarttouch.boards.emulator.finger import Finger
-    from smarttouch.boards.emulator.firmware import Firmware
+    from smarttouch.emulator.finger_events import EmulatedFinger
+    from smarttouch.emulator.firmware import DeliveryLog, Firmware
     from smarttouch.emulator.sensors import Look
     from smarttouch.emulator.server import LineStatistics
     from smarttouch.profile import Profile
@@ -83,9 +81,9 @@ def emulate_board(
     port_only: _PortOnly = False,
 ) -> None:
     """Emulate a board on skin, behind a port whose name is printed, until Ctrl-C."""
-    from smarttouch.boards.emulator.delivery_log import DeliveryLog
-    from smarttouch.boards.emulator.finger import Finger
-    from smarttouch.boards.emulator.skin import COMPLIANCE_V
+    from smarttouch.emulator.finger_events import EmulatedFinger
+    from smarttouch.emulator.firmware import DeliveryLog
+    from smarttouch.emulator.skin import COMPLIANCE_V
 
     if name not in _ELECTRODES:
         raise not_offered("emulator", name, _ELECTRODES)
@@ -93,7 +91,7 @@ def emulate_board(
     volts = COMPLIANCE_V if compliance is None else compliance
     _require_board(name, electrodes, volts, output, firmware)
     _require_places(tcp, discovery_port, books)
-    kept, finger = DeliveryLog(electrodes, books), Finger(electrodes, event or ())
+    kept, finger = DeliveryLog(electrodes, books), EmulatedFinger(electrodes, event or ())
     _serve(
         _board(name, kept, finger, volts, output, firmware, ramp_ms),
         lambda: TcpLine(discovery_port) if tcp else PtyLine(),
@@ -107,8 +105,8 @@ def _require_board(
     name: str, electrodes: int, volts: float, output: str, firmware: str | None
 ) -> None:
     """Raise unless such a board can be emulated."""
-    from smarttouch.boards.emulator.etactilekit_generations import GENERATIONS
-    from smarttouch.boards.link_protocol import OUTPUTS
+    from smarttouch.boards.link.protocol import OUTPUTS
+    from smarttouch.emulator.kit_hardware import GENERATIONS
 
     least, most = 61 if name == "kajimoto61" else 1, _MOST_ELECTRODES[name]
     require_within(SmartTouchError, "electrodes", electrodes, least, most)
@@ -137,16 +135,16 @@ def _require_places(tcp: bool, discovery_port: int | None, books: Path | None) -
 def _board(
     name: str,
     books: "DeliveryLog",
-    finger: "Finger",
+    finger: "EmulatedFinger",
     volts: float,
     output: str,
     firmware: str | None,
     ramp_ms: int,
 ) -> "Firmware":
-    from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
-    from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
-    from smarttouch.boards.emulator.link import LinkFirmware
-    from smarttouch.boards.link_protocol import OUTPUTS, Output
+    from smarttouch.boards.link.protocol import OUTPUTS, Output
+    from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
+    from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
+    from smarttouch.emulator.link_firmware import LinkFirmware
 
     if name == "kajimoto61":
         return Kajimoto61Firmware(books, finger, volts)
@@ -205,10 +203,10 @@ def emulate_sensor(
     port_only: _PortOnly = False,
 ) -> None:
     """Emulate a sensor, behind a port whose name is printed, until Ctrl-C."""
-    from smarttouch.boards.emulator.events import parse
+    from smarttouch.base.errors import SourceError
     from smarttouch.emulator import sensors
+    from smarttouch.emulator.finger_events import parse
     from smarttouch.emulator.server import FAULTS, Orders
-    from smarttouch.errors import SourceError
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.sources.sensor_protocol import MOST_PIXELS_A_SIDE
 
@@ -237,7 +235,7 @@ def emulate_sensor(
             raise SmartTouchError(message, about="event")
         device = sensors.SensorArray(_look(url, chosen, rows, columns), rate_hz)
     else:
-        device = sensors.LoadCell(
+        device = sensors.EmulatedLoadCell(
             sensors.press(force, path, chosen),
             counts_per_n,
             zero,

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.boards.emulator.firmware import Clock, Firmware
-from smarttouch.errors import SourceError
+from smarttouch.base.errors import SourceError
+from smarttouch.emulator.firmware import Firmware, FirmwareClock
 from smarttouch.profile import Profile
 from smarttouch.sources import open_source
-from smarttouch.sources.forces.force import open_recorded
-from smarttouch.sources.frame import Frame
+from smarttouch.sources.force import open_recorded
 from smarttouch.sources.sensor_protocol import encode_force, encode_frame, encode_info
+from smarttouch.sources.source_contract import Frame
 
 GRAVITY_N_PER_G = 9.80665e-3
 _LONGEST_WAIT_S = 0.02
@@ -39,7 +39,7 @@ class SensorFirmware(Firmware):
         self._next_ns = 0.0
         self._number = 0
 
-    def wait_s(self, clock: Clock) -> float:
+    def wait_s(self, clock: FirmwareClock) -> float:
         left_s = (self._next_ns - clock.now_ns()) / 1e9
         return min(max(left_s, 0.0), _LONGEST_WAIT_S)
 
@@ -82,7 +82,7 @@ class SensorArray(SensorFirmware):
         return encode_info(number // self._every, "emulated sensor array") + data
 
 
-class LoadCell(SensorFirmware):
+class EmulatedLoadCell(SensorFirmware):
     """A load cell with its converter: ``force_n`` returns the force at a time, N (NaN is none);
     line and noise are in counts. ``framed`` sends packets instead of lines of text."""
 

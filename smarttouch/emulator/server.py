@@ -23,11 +23,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from types import FrameType
 
-from smarttouch.boards.emulator.events import Event, parse
-from smarttouch.boards.emulator.firmware import Firmware
-from smarttouch.errors import SourceError
-from smarttouch.wire.pty_line import PtyLine
-from smarttouch.wire.tcp_line import TcpLine
+from smarttouch.base.errors import SourceError
+from smarttouch.base.wire.device_lines import PtyLine, TcpLine
+from smarttouch.emulator.finger_events import DeviceEvent, parse
+from smarttouch.emulator.firmware import Firmware
 
 FAULTS = dict.fromkeys(("garbage", "nan", "freeze", "silent", "unplug"), "[SECONDS]")
 FIRST_HOST_S = 8.0  # time beyond its lingering that it waits for the first host
@@ -44,7 +43,7 @@ class LineStatistics:
     garbage: int = 0
 
 
-def faults_at(faults: Iterable[Event], time_s: float) -> frozenset[str]:
+def faults_at(faults: Iterable[DeviceEvent], time_s: float) -> frozenset[str]:
     """Return the kinds of faults at a time."""
     return frozenset(
         fault.kind
@@ -83,7 +82,7 @@ class Server:
         self,
         firmware: Firmware,
         line: PtyLine | TcpLine,
-        faults: Iterable[Event] = (),
+        faults: Iterable[DeviceEvent] = (),
         count: int | None = None,
         orders: Orders | None = None,
     ) -> None:
@@ -196,7 +195,7 @@ class Server:
                     print(error, file=sys.stderr, flush=True)
         return frozenset() if self._first_host_ns is None else faults_at(self._faults, time_s)
 
-    def _add(self, fault: Event) -> None:
+    def _add(self, fault: DeviceEvent) -> None:
         if fault.kind == "unplug" and not self._line.keeps_name:
             raise SourceError(
                 "the port's name would change: start it with the event '0 unplug 0'",

@@ -1,1 +1,1 @@
-"""Imaging: a frame becomes a tactile image, binarized and mapped onto the electrodes."""
+"""A frame becomes a tactile image: ink separated from paper and averaged under every electrode."""

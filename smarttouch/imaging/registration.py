@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.electrodes import ElectrodeArray
-from smarttouch.errors import ProfileError
+from smarttouch.base.electrodes import ElectrodeArray
+from smarttouch.base.errors import ProfileError
 from smarttouch.profile import Optics
 
 if TYPE_CHECKING:

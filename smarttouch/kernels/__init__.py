@@ -1,1 +1,1 @@
-"""Kernels: current patterns that stimulate one afferent class alone."""
+"""Currents that reach one afferent class at one site, for single points and for whole frames."""

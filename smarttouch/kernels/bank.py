@@ -1,4 +1,7 @@
-"""Bank of the kernels of every site and mode of a profile, designed once and stored."""
+"""Bank of the kernels of every site and mode of a profile, designed once and stored.
+
+Or none designed: single electrodes, each against all others.
+"""
 
 import contextlib
 import functools
@@ -15,24 +18,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.afferent import Afferent
-from smarttouch.arrays import read_arrays
-from smarttouch.cells import cells_svg, titled
-from smarttouch.errors import DesignError
-from smarttouch.files import (
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.array_picture import cells_svg, titled
+from smarttouch.base.errors import DesignError
+from smarttouch.base.files import (
     MOST_BANK_BYTES,
+    data_folder,
     make_folder,
     open_file,
     require_replaceable,
     unwritable,
 )
+from smarttouch.base.tables import read_arrays
 from smarttouch.profile import Profile, list_profiles
-from smarttouch.profile.kernels import Kernels
-from smarttouch.resources import data_folder
+from smarttouch.profile.device import Kernels
 
 if TYPE_CHECKING:
-    from smarttouch.kernels.batch import Timed
-    from smarttouch.kernels.problem import Kernel, Kind, Problem
+    from smarttouch.kernels.batch_design import Timed
+    from smarttouch.kernels.design_problem import Kernel, Kind, Problem
 
 DESIGN_VERSION = 2
 """Version of the design, raised when the same problem would get other kernels."""
@@ -88,7 +91,7 @@ class KernelBank:
 
     def kernel(self, afferent: Afferent, site: int, kind: "Kind") -> "Kernel":
         """Return one kernel; DesignError if the board has no such mode or the site is masked."""
-        from smarttouch.kernels.problem import Kernel, masked_site
+        from smarttouch.kernels.design_problem import Kernel, masked_site
 
         weights = self._made(afferent)[site]
         if not weights.any():
@@ -206,9 +209,9 @@ def design_bank(
     profile: Profile, progress: Progress | None = None, keep: Path | None = None
 ) -> KernelBank:
     """Design every mode that the board can make, for every site."""
-    from smarttouch.kernels.batch import design_sites, part_of
-    from smarttouch.kernels.problem import Problem
-    from smarttouch.kernels.switching import designer, possible_modes
+    from smarttouch.kernels.batch_design import design_sites, part_of
+    from smarttouch.kernels.design_problem import Problem
+    from smarttouch.kernels.switched_design import designer, possible_modes
 
     if profile.kernels.objective == "finger":
         return _design_on_fingers(profile, progress, keep)
@@ -224,7 +227,7 @@ def design_bank(
 def _design_on_fingers(
     profile: Profile, progress: Progress | None, keep: Path | None
 ) -> KernelBank:
-    from smarttouch.kernels.batch import part_of
+    from smarttouch.kernels.batch_design import part_of
     from smarttouch.kernels.finger_kernels import FingerKernels
 
     columns: dict[str, Any] = {name: {} for name in _IN_FILE}
@@ -308,3 +311,29 @@ def _checked(bank: KernelBank, electrodes: int) -> KernelBank:
     if not {int(each) for each in np.unique([*bank.worst_class.values()])} <= {*Afferent}:
         raise ValueError("a worst class is none")
     return bank
+
+
+def single_bank(profile: Profile) -> KernelBank:
+    """Return a bank in which each site's kernel is its electrode against all others.
+
+    All are stored under `Afferent.RA`, whichever afferents they reach. The one electrode is anodic
+    where the profile's board can, and the others share its return equally.
+    """
+    count, driven = len(profile.electrodes), profile.driven
+    weights = np.zeros((count, count))
+    weights[np.ix_(driven, driven)] = -1 / max(1, len(driven) - 1)
+    weights[driven, driven] = 1
+    if "anodic" in profile.output.polarities:
+        weights = -weights
+    nothing, nowhere = np.zeros(count), np.zeros((count, count), np.float32)
+    each = {Afferent.RA: nothing}
+    return KernelBank(
+        weights={Afferent.RA: weights},
+        off_target=each,
+        worst_class={Afferent.RA: nothing.astype(np.int8)},
+        spill=each,
+        gap=each,
+        seconds=each,
+        receptor={Afferent.RA: nowhere},
+        single=True,
+    )

@@ -11,13 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.afferent import Afferent
-from smarttouch.kernels.problem import Array, Problem
-from smarttouch.kernels.switching import polarity
-from smarttouch.physiology.activation import potential_mv
-from smarttouch.physiology.afferents import Afferents, targets
+from smarttouch.base.afferent import Afferent
+from smarttouch.kernels.design_problem import Array, Problem
+from smarttouch.kernels.switched_design import polarity
+from smarttouch.physiology.activating_function import Afferents, potential_mv, targets
 from smarttouch.physiology.anatomy import ClassAnatomy, load_anatomy
-from smarttouch.physiology.driving import DrivingFunction, End, load_driving
+from smarttouch.physiology.driving_function import DrivingFunction, End, load_driving
 from smarttouch.profile import Profile, Skin
 
 _BELOW = (0, 1, 2, 3, 5, 8, 12, 18)

@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.afferent import Afferent
-from smarttouch.kernels.batch import Timed, keep_kernel, kept_kernel
-from smarttouch.kernels.finger_design import FingerDesign
-from smarttouch.kernels.finger_sample import FingerSample
-from smarttouch.kernels.problem import Kernel, Problem
+from smarttouch.base.afferent import Afferent
+from smarttouch.kernels.batch_design import Timed, keep_kernel, kept_kernel
+from smarttouch.kernels.design_problem import Kernel, Problem
+from smarttouch.kernels.finger_design import FingerDesign, FingerSample
 from smarttouch.physiology.anatomy import load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.profile import Profile

@@ -12,7 +12,7 @@ import highspy
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import DesignError
+from smarttouch.base.errors import DesignError
 
 Array = NDArray[np.float64]
 Chooser = Callable[[Array], NDArray[np.intp]]

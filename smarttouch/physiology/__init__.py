@@ -1,1 +1,1 @@
-"""Physics of the skin: potentials, afferent pathways, the activating function."""
+"""Currents become potentials in the skin, drives of fibers, and spikes of one finger."""

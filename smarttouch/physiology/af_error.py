@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import DesignError
-from smarttouch.physiology.activation import field
+from smarttouch.base.errors import DesignError
+from smarttouch.physiology.activating_function import field
 from smarttouch.physiology.membrane import Fiber, threshold_ma
 from smarttouch.profile import Profile
 

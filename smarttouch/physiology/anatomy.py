@@ -7,12 +7,15 @@ from typing import Literal
 
 from pydantic import Field
 
-from smarttouch.afferent import Afferent
-from smarttouch.errors import ProfileError
-from smarttouch.physiology.driving import DrivingFunction, load_driving
-from smarttouch.physiology.free_endings import THRESHOLD_MV, free_ending
-from smarttouch.profile.complaints import load_model
-from smarttouch.profile.table import Positive, Table
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import ProfileError
+from smarttouch.physiology.driving_function import (
+    THRESHOLD_MV,
+    DrivingFunction,
+    free_ending,
+    load_driving,
+)
+from smarttouch.profile.toml_tables import Positive, Table, load_model
 
 _SHIPPED = Path(__file__).with_name("anatomies")
 

@@ -1,6 +1,7 @@
 """A finger: a population of afferents drawn from an anatomy, and how currents drive each."""
 
 import math
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,19 +9,72 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.afferent import Afferent
-from smarttouch.errors import ProfileError, require_within
-from smarttouch.physiology import afferents as nominal
-from smarttouch.physiology.activation import potential_mv
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import ProfileError, require_within
+from smarttouch.physiology import activating_function as nominal
+from smarttouch.physiology.activating_function import potential_mv
 from smarttouch.physiology.anatomy import Anatomy, Bystander, ClassAnatomy, load_anatomy
-from smarttouch.physiology.course import Population, course_length_mm, course_points
-from smarttouch.physiology.driving import DrivingFunction
+from smarttouch.physiology.driving_function import DrivingFunction
 from smarttouch.profile import Profile
 
 if TYPE_CHECKING:
-    from smarttouch.physiology.feeling import Feeling
+    from smarttouch.physiology.response import Feeling
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Population:
+    """Afferents of one class, each with one or more branches."""
+
+    afferent: Afferent | Bystander
+    receptor_mm: Array  # (A, 2) middle of each afferent's endings, where its spikes are perceived
+    axon_path_mm: Array  # (B, P, 3) corners of each branch, ending first; z is the depth
+    owner: NDArray[np.intp]  # (B,) afferent of each branch
+    factor: Array  # (A,) threshold relative to the class's
+    anatomy: ClassAnatomy
+
+
+def axon_path_points(
+    one: Population, branches: NDArray[np.intp], nodes: int, spacing_mm: float
+) -> Array:
+    """Return places of nodes along branches, (B, N, 3) mm, ending first."""
+    points = _along(one.axon_path_mm[branches], np.arange(nodes, dtype=np.float64) * spacing_mm)
+    return _rounded(points, int(one.anatomy.bend_mm / spacing_mm / 2))
+
+
+def axon_path_length_mm(axon_path_mm: Array, corners: int) -> Array:
+    """Return the lengths of courses up to a corner, (B,) mm."""
+    steps = np.linalg.norm(np.diff(axon_path_mm[:, : corners + 1], axis=1), axis=2)
+    return np.asarray(steps.sum(axis=1))
+
+
+def _along(axon_path_mm: Array, along_mm: Array) -> Array:
+    """Return places along courses, (B, N, 3), at distances from their ends, (N,)."""
+    steps = np.diff(axon_path_mm, axis=1)
+    lengths = np.linalg.norm(steps, axis=2)
+    begins = np.cumsum(lengths, axis=1) - lengths
+    points = np.repeat(axon_path_mm[:, :1], len(along_mm), axis=1)
+    for index in range(steps.shape[1]):
+        last = index == steps.shape[1] - 1
+        done = along_mm - begins[:, index, None]
+        # A course goes straight on beyond its last corner.
+        done = np.maximum(done, 0) if last else np.clip(done, 0, lengths[:, index, None])
+        length = np.maximum(lengths[:, index], 1e-12)
+        points += done[..., None] * (steps[:, index] / length[:, None])[:, None]
+    return np.asarray(points)
+
+
+def _rounded(points_mm: Array, reach: int) -> Array:
+    """Return courses with bends rounded by running means over `reach` nodes to either side."""
+    reach = min(reach, points_mm.shape[1] - 1)
+    if reach < 1:
+        return points_mm
+    pad = ((0, 0), (reach + 1, reach), (0, 0))
+    sums = np.cumsum(np.pad(points_mm, pad, mode="reflect", reflect_type="odd"), axis=1)
+    return np.asarray((sums[:, 2 * reach + 1 :] - sums[:, : -2 * reach - 1]) / (2 * reach + 1))
+
+
 Floats = NDArray[np.float32]
 
 _AT_ONCE = 64
@@ -78,13 +132,13 @@ class Finger:
         seed : int
             Of the noise from pulse to pulse.
         """
-        from smarttouch.physiology.feeling import feel
+        from smarttouch.physiology.response import feel
 
         return feel(self, given, seed)
 
     def _repr_html_(self) -> str:
         """Return its receptors among the electrodes, for notebooks."""
-        from smarttouch.physiology.feeling import finger_svg
+        from smarttouch.physiology.response import finger_svg
 
         return finger_svg(self)
 
@@ -205,9 +259,9 @@ class Finger:
         found = [np.zeros((0, len(self.profile.electrodes)), np.float32)]
         branches = [np.zeros(0, np.intp)]
         # The first branch goes on along the axon, the others end where they join it.
-        for which, corners in ((first, population.course_mm.shape[1] - 1), (~first, 2)):
+        for which, corners in ((first, population.axon_path_mm.shape[1] - 1), (~first, 2)):
             # As many nodes are computed of each branch as of the longest beside it.
-            order = np.argsort(course_length_mm(population.course_mm, corners), kind="stable")
+            order = np.argsort(axon_path_length_mm(population.axon_path_mm, corners), kind="stable")
             indices = order[which[order]]
             for part in np.array_split(indices, max(1, len(indices) // _AT_ONCE)):
                 if len(part):
@@ -223,9 +277,11 @@ class Finger:
     ) -> tuple[Floats, NDArray[np.intp]]:
         """Return the drive at nodes of some branches, up to a corner, and their afferents."""
         spacing = driving.internode_mm
-        length_mm = course_length_mm(population.course_mm[part], corners)
+        length_mm = axon_path_length_mm(population.axon_path_mm[part], corners)
         nodes = int(np.ceil(length_mm.max() / spacing)) + len(driving.along) + 1
-        points = course_points(population, part, max(nodes, len(driving.near_end.T) + 4), spacing)
+        points = axon_path_points(
+            population, part, max(nodes, len(driving.near_end.T) + 4), spacing
+        )
         drive = driving.drive(potential_mv(self.profile, points))
         drive /= population.factor[population.owner[part]][:, None, None]
         longest = strength(self.profile.limits.pulse_us, population.anatomy.chronaxie_us)

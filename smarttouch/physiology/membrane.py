@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import expm
 
-from smarttouch.errors import DesignError
+from smarttouch.base.errors import DesignError
 
 Array = NDArray[np.float64]
 

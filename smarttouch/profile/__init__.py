@@ -1,9 +1,8 @@
-"""Profiles: calibration data of one device on one finger, as TOML files."""
+"""One device on one finger: what calibrations measured, and the limits that hold for it."""
 
-from smarttouch.profile.device import ForceLaw, Optics
-from smarttouch.profile.load import DEFAULT_PROFILE, list_profiles, load_profile
+from smarttouch.profile.device import ForceLaw, Optics, Skin
 from smarttouch.profile.profile import Profile
-from smarttouch.profile.skin import Skin
+from smarttouch.profile.toml_files import DEFAULT_PROFILE, list_profiles, load_profile
 
 __all__ = [
     "DEFAULT_PROFILE",

@@ -1,33 +1,155 @@
-"""A profile: one device on one finger."""
+"""A profile: one device on one finger, its values fit to each other and to stricter limits."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationError, model_validator
 
-from smarttouch.electrodes import ElectrodeArray
-from smarttouch.errors import ProfileError
-from smarttouch.profile.array import ArrayLayout
+from smarttouch.base.electrodes import ElectrodeArray
+from smarttouch.base.errors import ProfileError
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA
-from smarttouch.profile.complaints import table_error
 from smarttouch.profile.device import (
     Calibrated,
     CommandDefaults,
     ForceLaw,
     Frames,
+    Kernels,
     Limits,
     Optics,
     Output,
     PerceptThresholds,
     Pulse,
+    Skin,
 )
-from smarttouch.profile.fit import misfits
-from smarttouch.profile.kernels import Kernels
-from smarttouch.profile.skin import Skin
-from smarttouch.profile.table import Table, raise_all
+from smarttouch.profile.layouts import ArrayLayout
+from smarttouch.profile.toml_tables import Table, UnfitError, raise_all, table_error
+
+
+def misfits(profile: "Profile") -> Iterator[UnfitError]:
+    """Yield all that does not fit; currents are checked only if each electrode has one."""
+    of_array = [*_misfits_of_array(profile)]
+    yield from of_array or _misfits_of_current(profile)
+
+
+def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
+    count = len(profile.electrodes)
+    masked, wiring = profile.output.masked, profile.output.wiring
+    if max(masked, default=0) >= count:
+        yield UnfitError(
+            f"output.masked lists {max(masked)}, the array has electrodes 0 to {count - 1}: "
+            "remove it",
+            about="output.masked",
+        )
+    if count - len(masked) < 2:
+        yield UnfitError(
+            f"output.masked leaves {count - len(masked)} of {count} electrodes: current needs "
+            "at least two, shorten the list or repair the array",
+            about="output.masked",
+        )
+    if wiring is not None and len(wiring) != count:
+        yield _of_another_length("output.wiring", len(wiring), count, "leave it out")
+    for key, values in (
+        ("perception.threshold_ma", profile.perception.threshold_ma),
+        ("perception.comfort_ma", profile.perception.comfort_ma),
+        ("output.impedance_kohm", profile.output.impedance_kohm),
+    ):
+        if isinstance(values, tuple) and len(values) != count:
+            yield _of_another_length(key, len(values), count, "one for all")
+    if profile.skin.medium == "plane" and profile.array.layout != "lines":
+        yield UnfitError(
+            f"skin.medium 'plane' does not go with array.layout {profile.array.layout!r}: "
+            "it is for 'lines'; 'half-space' is for all",
+            about="skin.medium",
+            remedy="array.layout",
+        )
+    if profile.kernels.objective == "finger" and profile.output.kind != "weighted":
+        yield UnfitError(
+            f"kernels.objective 'finger' does not go with output.kind {profile.output.kind!r}: "
+            "the board must give every electrode its own current; 'node' is for all",
+            about="kernels.objective",
+            remedy="output.kind",
+        )
+    lowered = profile.limits.electrode_ma
+    if lowered is not None and len(lowered) != count:
+        yield _of_another_length("limits.electrode_ma", len(lowered), count, "leave it out")
+
+
+def _misfits_of_current(profile: "Profile") -> Iterator[UnfitError]:
+    lowered = profile.limits.electrode_ma
+    full_ma = profile.full_ma
+    strongest_of, strongest_key = _names_of_strongest(profile)
+    painful = full_ma <= profile.threshold_ma
+    if painful.any():
+        index = int(painful.argmax())
+        yield UnfitError(
+            f"comfort_ma is {full_ma[index]:.2f} mA at electrode {index}, not above its "
+            f"threshold_ma of {profile.threshold_ma[index]:.2f}: measure both again",
+            about="perception.comfort_ma",
+            electrode=index,
+        )
+    # Thresholds are single precision: a limit equal to their product is kept.
+    over = full_ma > np.multiply(np.inf if lowered is None else lowered, 1 + 1e-6)
+    if lowered is not None and over.any():
+        index = int(over.argmax())
+        yield UnfitError(
+            f"{strongest_of} is {full_ma[index]:.2f} mA at electrode {index}, above its "
+            f"limits.electrode_ma {lowered[index]:g}: lower one of the two",
+            about="limits.electrode_ma",
+            remedy=strongest_key,
+            electrode=index,
+        )
+    yield from _misfits_of_strongest(profile)
+
+
+def _names_of_strongest(profile: "Profile") -> tuple[str, str]:
+    """Return the words for the strongest current, and its key."""
+    if profile.perception.comfort_ma is not None:
+        return "comfort_ma", "perception.comfort_ma"
+    return "threshold_ma × comfort_ratio", "perception.comfort_ratio"
+
+
+def _misfits_of_strongest(profile: "Profile") -> Iterator[UnfitError]:
+    full_ma, (strongest_of, strongest_key) = profile.full_ma, _names_of_strongest(profile)
+    limits, width_us, strongest = profile.limits, profile.pulse.width_us, float(full_ma.max())
+    if strongest > limits.current_ma:
+        yield UnfitError(
+            f"{strongest_of} reaches {strongest:.2f} mA, above limits.current_ma "
+            f"{limits.current_ma}: lower one of the two",
+            about="limits.current_ma",
+            remedy=strongest_key,
+        )
+    if limits.total_ma is not None and limits.total_ma < strongest:
+        yield UnfitError(
+            f"limits.total_ma {limits.total_ma:g} is below the {strongest:.2f} mA that "
+            f"{strongest_of} sends through one electrode: raise it, or lower one of the two",
+            about="limits.total_ma",
+            remedy=strongest_key,
+        )
+    if width_us > limits.pulse_us:
+        yield UnfitError(
+            f"pulse.width_us {width_us} is above limits.pulse_us {limits.pulse_us:g}: lower it",
+            about="pulse.width_us",
+        )
+    charge = strongest * width_us / 1000
+    if charge > limits.charge_uc:
+        yield UnfitError(
+            f"the strongest pulse carries {charge:.3f} µC, above limits.charge_uc "
+            f"{limits.charge_uc}: lower {strongest_of} or pulse.width_us",
+            about="limits.charge_uc",
+            remedy=strongest_key,
+        )
+
+
+def _of_another_length(key: str, numbers: int, electrodes: int, otherwise: str) -> UnfitError:
+    return UnfitError(
+        f"{key} lists {numbers} electrodes, the array has {electrodes}: "
+        f"give {electrodes} numbers, or {otherwise}",
+        about=key,
+    )
 
 
 class Profile(Table):
@@ -145,3 +267,62 @@ class Profile(Table):
     def _consistent(self) -> Self:
         raise_all(misfits(self))
         return self
+
+
+_UPPER = (
+    "current_ma", "pulse_us", "charge_uc", "rate_hz", "duty", "density_uc_cm2", "session_s",
+    "session_mc",
+)  # fmt: skip
+
+
+def stricter(own: Profile, other: Profile) -> Profile:
+    """Return a profile, its limits, comfort and masks narrowed to those of another. Device, array,
+    kernels and force law stay its own. Where the other has another number of electrodes, the least
+    current of its electrodes holds for all."""
+    count = len(own.electrodes)
+    same = len(other.electrodes) == count
+
+    def matched(values: ArrayLike) -> NDArray[np.float64]:
+        values = np.asarray(values, np.float64)
+        return values if same else np.full(count, values.min())
+
+    limits: dict[str, Any] = own.limits.model_dump()
+    for key in _UPPER:
+        limits[key] = min(limits[key], getattr(other.limits, key))
+    limits["ramp_s"] = max(limits["ramp_s"], other.limits.ramp_s)
+    total_ma = min(each.limits.total_ma or CEILING_TOTAL_MA for each in (own, other))
+    if total_ma < (own.limits.total_ma or CEILING_TOTAL_MA):
+        limits["total_ma"] = total_ma
+    pulse = own.pulse.model_dump()
+    pulse["width_us"] = min(pulse["width_us"], math.floor(limits["pulse_us"]))
+    pulse["rate_hz"] = min(pulse["rate_hz"], limits["rate_hz"])
+    most_ma = min(limits["current_ma"], total_ma, 1000 * limits["charge_uc"] / pulse["width_us"])
+    each_ma = np.full(count, math.inf)
+    if own.limits.electrode_ma is not None:
+        each_ma = np.asarray(own.limits.electrode_ma, np.float64)
+    if other.limits.electrode_ma is not None:
+        each_ma = np.minimum(each_ma, matched(other.limits.electrode_ma))
+        limits["electrode_ma"] = tuple(each_ma.tolist())
+    own_ma = own.full_ma.astype(np.float64)
+    full_ma = np.minimum(np.minimum(matched(other.full_ma), each_ma), most_ma)
+    # Currents are single precision: what is lowered is lowered to the whole microampere below.
+    lower = full_ma < own_ma * (1 - 1e-6)
+    full_ma = np.where(lower, np.floor(1000 * full_ma - 1e-3) / 1000, own_ma)
+    threshold_ma = np.minimum(own.threshold_ma, matched(other.threshold_ma))
+    perception = own.perception.model_dump()
+    if lower.any():
+        perception["comfort_ma"] = tuple(full_ma.tolist())
+    if (threshold_ma < own.threshold_ma).any():
+        # What was comfortable stays as it is.
+        perception |= {
+            "threshold_ma": tuple(threshold_ma.tolist()),
+            "comfort_ma": tuple(full_ma.tolist()),
+        }
+    output = own.output.model_dump()
+    output["masked"] = tuple(sorted({*own.output.masked, *(other.output.masked if same else ())}))
+    tables = {"limits": limits, "pulse": pulse, "perception": perception, "output": output}
+    if all(table == getattr(own, name).model_dump() for name, table in tables.items()):
+        return own
+    # A total that is new does not let points share slots.
+    frames = own.frames.model_dump() | {"share": own.shares}
+    return own.model_copy(update={**tables, "frames": frames})

@@ -1,1 +1,1 @@
-"""Reading with a fingertip: pages as letter shapes or as Braille, and tests of legibility."""
+"""Texts, pages and screens pass under the finger; tests of what can be read of them."""

@@ -1,28 +1,145 @@
-"""Legibility: the part of a text that can be recognized from the delivered pulses."""
+"""Legibility: the part of a text or of cells that can be read from the delivered pulses."""
 
-from collections.abc import Sequence
+import unicodedata
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from joblib import Parallel, delayed
+from rapidfuzz.distance import Levenshtein
 
-from smarttouch.braille.files import read_plain_text
-from smarttouch.delivered.line import LinePicture
+from smarttouch.base.errors import ReadingError
+from smarttouch.braille.cells import read_plain_text
+from smarttouch.braille.code_tables import open_table
+from smarttouch.imaging.array_window import rows_of
 from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.physiology.finger import Finger
-from smarttouch.reading.braille import Braille
-from smarttouch.reading.cell_legibility import Progress, collect, legibility_of_braille, no_progress
-from smarttouch.reading.deliver import DeliveredLine, Reading, deliver_lines, ideal_picture
-from smarttouch.reading.error_rate import character_error_rate, word_error_rate
-from smarttouch.reading.nerve import NerveReading, nerve_figures, read_at_nerve
-from smarttouch.reading.ocr import recognize
-from smarttouch.reading.printed import LINE_PIXELS, recognized_lines
-from smarttouch.reading.shapes import Shapes, Style, require_rows, shape_line
-from smarttouch.reading.source import Source
-from smarttouch.reading.tesseract import Layout
-from smarttouch.reading.window import rows_of
+from smarttouch.reading.braille_lines import Braille
+from smarttouch.reading.delivered_lines import (
+    DeliveredLine,
+    LineDelivery,
+    NerveReading,
+    deliver_lines,
+    ideal_picture,
+    nerve_figures,
+    read_at_nerve,
+)
+from smarttouch.reading.letter_shapes import Shapes, Style, require_rows, shape_line
+from smarttouch.reading.material import LINE_PIXELS, ReadingMaterial, recognized_lines
+from smarttouch.reading.ocr import Layout, recognize
+from smarttouch.running.delivered_line import LinePicture
+
+_SAME_SIGNS = str.maketrans(
+    dict.fromkeys("‘’‚‛′`´", "'")
+    | dict.fromkeys("“”„‟″«»", '"')
+    | dict.fromkeys("‐‑‒–—―−", "-")
+    | {"\N{SOFT HYPHEN}": ""}
+)
+"""Signs that differ only by typeface or style."""
+
+
+def normalize(text: str) -> str:
+    """Return a text without differences of typeface.
+
+    Signs are taken apart and together again by Unicode's NFKC (ligatures become
+    letters, an ellipsis three points), quotation marks and dashes become their
+    plain forms, and white space, line breaks too, becomes single spaces. Upper
+    and lower case stay.
+    """
+    # Before NFKC, which makes a space and a joining accent of a lone one, and after, as it makes
+    # some of these signs from others.
+    text = unicodedata.normalize("NFKC", text.translate(_SAME_SIGNS)).translate(_SAME_SIGNS)
+    return " ".join(text.split())
+
+
+def character_error_rate(truth: str, text: str) -> float:
+    """Return the Levenshtein distance of normalized texts per character of the truth.
+
+    It is 0 for equal texts and above 1 where more was read than is there.
+    """
+    return _rate(normalize(truth), normalize(text))
+
+
+def word_error_rate(truth: str, text: str) -> float:
+    """Return the Levenshtein distance of normalized texts in words, per word of the truth."""
+    return _rate(normalize(truth).split(), normalize(text).split())
+
+
+def _rate(truth: Sequence[str], text: Sequence[str]) -> float:
+    if not truth:
+        raise ReadingError(
+            "the text to compare with is empty: give the text of the page", about="truth"
+        )
+    return Levenshtein.distance(truth, text) / len(truth)
+
+
+_Item = TypeVar("_Item")
+Progress = Callable[[int, int], None]
+"""Callback with the number of finished lines and of all."""
+
+
+def no_progress(_done: int, _total: int) -> None:
+    """Report nothing."""
+
+
+@dataclass(frozen=True)
+class BrailleLegibility:
+    """Legibility of Braille: wanted and delivered cells, a line each, and the part that differs."""
+
+    cell_error_rate: float
+    cells: int
+    lines: int
+    wanted: str
+    delivered: str
+    text: str | None
+
+
+def legibility_of_braille(
+    source: ReadingMaterial,
+    reading: LineDelivery,
+    braille: Braille,
+    progress: Progress = no_progress,
+) -> BrailleLegibility:
+    """Deliver cells, and decode the delivered dots."""
+    profile = reading.profile
+    lines = list(braille.lines(source, profile))
+    pictures = [
+        each.picture for each in collect(deliver_lines(lines, reading), 0, len(lines), progress)
+    ]
+    wanted: list[str] = []
+    delivered: list[str] = []
+    for line, picture in zip(lines, pictures, strict=True):
+        layout = braille.layout(profile, line.cells)
+        wanted += line.cells
+        delivered += layout.decode(picture, line.cells, apart=reading.motion.gaps)
+    count = sum(map(len, wanted))
+    wrong = sum(
+        one != other
+        for pair in zip(wanted, delivered, strict=True)
+        for one, other in zip(*pair, strict=True)
+    )
+    table = open_table(braille.table)
+    shown = "\n".join(delivered)
+    return BrailleLegibility(
+        cell_error_rate=wrong / count,
+        cells=count,
+        lines=len(wanted),
+        wanted="\n".join(wanted),
+        delivered=shown,
+        text=table.to_text(shown) if table.code.goes_back else None,
+    )
+
+
+def collect(lines: Iterable[_Item], before: int, total: int, progress: Progress) -> list[_Item]:
+    """Return all lines, or fingers, and report each as it comes."""
+    found: list[_Item] = []
+    for line in lines:
+        found.append(line)
+        progress(before + len(found), total)
+    return found
+
 
 _GAP = 0.45  # gap between lines for recognition, relative to their height
 
@@ -50,8 +167,8 @@ class Legibility:
 
 
 def legibility_of_shapes(
-    source: Source,
-    reading: Reading,
+    source: ReadingMaterial,
+    reading: LineDelivery,
     shapes: Shapes,
     truth: str | None = None,
     progress: Progress = no_progress,
@@ -96,7 +213,7 @@ def legibility_of_shapes(
 
 def legibility_at_nerve(
     found: Legibility,
-    reading: Reading,
+    reading: LineDelivery,
     fingers: int,
     anatomy: str | Anatomy,
     progress: Progress = no_progress,
@@ -114,7 +231,7 @@ def legibility_at_nerve(
 
 
 def legibility_on_finger(
-    found: Legibility, reading: Reading, seed: int, anatomy: str | Anatomy
+    found: Legibility, reading: LineDelivery, seed: int, anatomy: str | Anatomy
 ) -> tuple[NerveReading, float]:
     """Return a finger's response to delivered shapes, without pictures, and the error rate
     there.
@@ -154,8 +271,8 @@ class Measured:
 
 
 def measure_legibility(
-    source: Source,
-    reading: Reading,
+    source: ReadingMaterial,
+    reading: LineDelivery,
     presented: Shapes | Braille,
     truth: Path | None = None,
     progress: Progress = no_progress,

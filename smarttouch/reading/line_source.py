@@ -1,16 +1,323 @@
-"""Prepared lines as a source of frames: the image under the array over time."""
+"""Lines under the finger as a source of frames: their feed, and the cursor over them."""
 
-from collections.abc import Callable, Mapping
+import atexit
+import math
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Protocol, Self
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from smarttouch.base.errors import ReadingError, require_within
+from smarttouch.imaging.array_window import pixel_pitch_mm
 from smarttouch.profile import Profile
-from smarttouch.reading.cursor import Cursor
-from smarttouch.reading.feed import LineFeed
-from smarttouch.reading.window import pixel_of
-from smarttouch.sources.frame import Frame, Pose
-from smarttouch.sources.source import OpticalSource
+from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Source
+
+
+@dataclass(frozen=True)
+class Place:
+    """Place of a line from the page's top left corner, for a finger that moves over the page."""
+
+    left_mm: float
+    right_mm: float
+    middle_mm: float
+    scale: float  # millimeters under the array for one on the page
+
+
+@dataclass(frozen=True, eq=False)
+class TouchLine:
+    """A line of letter shapes or Braille cells, at the size of the array."""
+
+    image: NDArray[np.uint8]  # (H, W), dark on 255, as high as the array
+    start_mm: float  # first and last place of the array's middle, from the image's left edge
+    end_mm: float
+    text: str = ""
+    cells: tuple[str, ...] = ()  # a string for each line of Braille
+    place: Place | None = None
+
+
+AHEAD = 30
+"""Lines prepared in advance."""
+BEHIND = 60
+"""Past lines kept for going back."""
+JOIN_S = 0.3
+"""Longest wait at the end for a page that is being recognized."""
+
+
+class LineFeed:
+    """Takes lines from an iterator on a thread of its own, and keeps those around the finger.
+
+    An exception of the iterator is raised by `line` when that place is reached.
+    """
+
+    def __init__(self, lines: Iterator[TouchLine]) -> None:
+        self.earliest = 0
+        """Index of the earliest line that is kept."""
+        self._lines: dict[int, TouchLine] = {}
+        self._count = 0
+        self._reached = 0
+        self._over = False
+        self._closing = False
+        self._error: Exception | None = None
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._take_all, args=(lines,), daemon=True)
+
+    def start(self) -> Self:
+        """Start preparing lines."""
+        self._thread.start()
+        return self
+
+    def line(self, index: int) -> TouchLine | None:
+        """Return a line; None if it is not ready, dropped, or there is none (see `ended`)."""
+        with self._changed:
+            if index >= self._count and self._error is not None:
+                raise self._error
+            return self._lines.get(index)
+
+    def reach(self, index: int) -> None:
+        """Prepare the lines ahead of a line, and drop those far behind it."""
+        with self._changed:
+            self._reached = index
+            while self.earliest < min(index - BEHIND, self._count):
+                del self._lines[self.earliest]
+                self.earliest += 1
+            self._changed.notify_all()
+
+    def ended(self, index: int) -> bool:
+        """Return whether there is no such line, and will be none."""
+        with self._changed:
+            return self._over and index >= self._count
+
+    def wait_for(self, index: int, timeout_s: float | None = None) -> TouchLine | None:
+        """Return a line as soon as it is ready; None if there is none, or not in time."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._over or index < self._count, timeout_s)
+        return self.line(index)
+
+    def wait_for_end(self, timeout_s: float | None = None) -> bool:
+        """Return whether all lines were prepared in time; those far ahead wait for the finger."""
+        with self._changed:
+            return self._changed.wait_for(lambda: self._over, timeout_s)
+
+    def close(self) -> None:
+        """Stop preparing, and close the source of the lines."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        if self._thread.is_alive():
+            self._thread.join(JOIN_S)
+        if self._thread.is_alive():
+            # An interpreter that exits while a library works on a thread aborts.
+            atexit.register(self._thread.join)
+
+    def _take_all(self, lines: Iterator[TouchLine]) -> None:
+        try:
+            for line in lines:
+                with self._changed:
+                    self._lines[self._count] = line
+                    self._count += 1
+                    self._changed.notify_all()
+                    self._changed.wait_for(
+                        lambda: self._closing or self._count <= self._reached + AHEAD
+                    )
+                    if self._closing:
+                        break
+        except Exception as error:
+            self._error = error
+        finally:
+            with self._changed:
+                self._over = True
+                self._changed.notify_all()
+
+
+LAND_S = 0.15
+"""Time of landing on a line, when intensity begins to rise."""
+SETTLE_S = 0.75
+"""Time of rest at the line's start while intensity rises; a point marks the start meanwhile."""
+SLOWEST_MM_S, FASTEST_MM_S = 0.1, 2000.0
+LONGEST_PAUSE_S = 3600.0
+GAP = 0.2
+"""Silent part of each step of text that moves in steps: two equal cells would be felt as one."""
+
+
+@dataclass(frozen=True)
+class Spot:
+    """Position of the finger on a line."""
+
+    index: int
+    line: TouchLine | None  # None where there is nothing under the finger
+    x_mm: float = 0.0  # of the array's middle, from the line's left end
+    y_mm: float = 0.0  # from the line's middle
+    force_n: float = 0.0  # NaN if it has another source
+    marked: bool = False
+    """Whether a point in the middle of the array marks the line's start: intensity rises with
+    delivered pulses alone, and with these before those of the text."""
+
+
+@dataclass(frozen=True)
+class LineMotion:
+    """Motion of lines under the finger: smooth if the step is 0; with ``gaps`` steps begin
+    silently.
+    """
+
+    speed_mm_s: float
+    step_mm: float = 0.0
+    gaps: bool = False
+
+    def __post_init__(self) -> None:
+        require_within(ReadingError, "speed_mm_s", self.speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
+
+
+class Cursor(Protocol):
+    """Interface of cursors over the lines of a feed."""
+
+    knows_force: bool
+    measures_force: bool
+
+    def at(self, time_ns: int) -> Spot | None:
+        """Return the position of the finger; None at the end. Times rise from call to call."""
+
+    @property
+    def keys(self) -> dict[str, Callable[[], None]]:
+        """Return the actions of keys, callable from any thread."""
+
+
+class SweepingCursor:
+    """Cursor that sweeps line after line, pressing with ``press_n``, with a pause after each.
+
+    If it ``waits``, the next line comes only when a key asks for it.
+    """
+
+    knows_force = True
+    measures_force = False
+
+    def __init__(
+        self,
+        feed: LineFeed,
+        motion: LineMotion,
+        press_n: float,
+        pause_s: float = 0.0,
+        waits: bool = False,
+    ) -> None:
+        require_within(ReadingError, "pause_s", pause_s, 0, LONGEST_PAUSE_S)
+        self._feed, self._motion = feed, motion
+        self._press_n, self._pause_s, self._waits = press_n, pause_s, waits
+        self._index, self._line_s = 0, 0.0
+        """Index of the line, and the time spent on it."""
+        self._before_ns: int | None = None
+        self._paused = False
+        self._asked: deque[int] = deque()
+
+    @property
+    def keys(self) -> dict[str, Callable[[], None]]:
+        """Forward and back by a line, the line again, and a pause."""
+        return {
+            "right": lambda: self._asked.append(1),
+            "n": lambda: self._asked.append(1),
+            "left": lambda: self._asked.append(-1),
+            "p": lambda: self._asked.append(-1),
+            "r": lambda: self._asked.append(0),
+            " ": self.toggle_pause,
+        }
+
+    def toggle_pause(self) -> None:
+        """Pause or resume."""
+        self._paused = not self._paused
+
+    def at(self, time_ns: int) -> Spot | None:
+        """Advance by the time that has passed."""
+        elapsed_s = 0.0 if self._before_ns is None else (time_ns - self._before_ns) / 1e9
+        self._before_ns = time_ns
+        while self._asked:
+            self._go_to(max(self._feed.earliest, self._index + self._asked.popleft()))
+        line = self._feed.line(self._index)
+        if line is None:
+            # A key may have moved beyond the last line.
+            return None if self._feed.ended(self._index) else Spot(self._index, None)
+        if not self._paused:
+            self._line_s += elapsed_s
+        way_mm = (self._line_s - SETTLE_S) * self._motion.speed_mm_s
+        length_mm = line.end_mm - line.start_mm
+        if way_mm <= length_mm:
+            return self._on_line(line, max(0.0, way_mm))
+        if self._line_s > SETTLE_S + length_mm / self._motion.speed_mm_s + self._pause_s and (
+            not self._waits or self._feed.ended(self._index + 1)
+        ):
+            self._go_to(self._index + 1)
+        return Spot(self._index, None)
+
+    def _go_to(self, index: int) -> None:
+        self._index, self._line_s = index, 0.0
+        self._feed.reach(index)
+
+    def _on_line(self, line: TouchLine, way_mm: float) -> Spot:
+        shown: TouchLine | None = line
+        step_mm = self._motion.step_mm
+        if step_mm:
+            steps = way_mm / step_mm + 1e-6
+            if self._motion.gaps and steps % 1 < GAP:
+                shown = None
+            way_mm = math.floor(steps) * step_mm
+            if self._motion.gaps and self._line_s < SETTLE_S:
+                # All steps are equally strong and long, the first one too.
+                shown, way_mm = None, -step_mm
+        press_n = self._press_n if self._line_s >= LAND_S else 0.0
+        marked = self._line_s < SETTLE_S
+        return Spot(self._index, shown, line.start_mm + way_mm, 0.0, press_n, marked)
+
+
+class FollowingCursor:
+    """Cursor at the pose of a live source, counted from the beginning of the first line."""
+
+    def __init__(self, feed: LineFeed, source: Source) -> None:
+        self._feed, self._source = feed, source
+        self._origin: Place | None = None
+        self.knows_force = source.knows_force
+        self.measures_force = source.measures_force
+
+    @property
+    def keys(self) -> dict[str, Callable[[], None]]:
+        """No keys: the finger moves by itself."""
+        return {}
+
+    def at(self, time_ns: int) -> Spot | None:
+        """Return what lies under the finger, on the line nearest to it."""
+        frame = self._source.read(time_ns)
+        if frame is None:
+            return None
+        if self._origin is None:
+            first = self._feed.wait_for(0)
+            if first is None or first.place is None:
+                return None
+            self._origin = first.place
+        x_mm = self._origin.left_mm + frame.pose.x_mm
+        y_mm = self._origin.middle_mm + frame.pose.y_mm
+        index, line = self._nearest(x_mm, y_mm)
+        assert line.place is not None
+        force_n = math.nan if frame.stale else frame.force_n
+        across_mm = (x_mm - line.place.left_mm) * line.place.scale
+        down_mm = (y_mm - line.place.middle_mm) * line.place.scale
+        return Spot(index, line, across_mm, down_mm, force_n)
+
+    def _nearest(self, x_mm: float, y_mm: float) -> tuple[int, TouchLine]:
+        best: tuple[float, int, TouchLine] | None = None
+        index = self._feed.earliest
+        while (line := self._feed.line(index)) is not None:
+            place = line.place
+            assert place is not None
+            beside_mm = max(place.left_mm - x_mm, x_mm - place.right_mm, 0.0)
+            apart_mm = math.hypot(beside_mm, place.middle_mm - y_mm)
+            if best is None or apart_mm < best[0]:
+                best = (apart_mm, index, line)
+            index += 1
+        assert best is not None
+        self._feed.reach(best[1])
+        return best[1], best[2]
+
 
 LINE_GAP_MM = 4.0
 """Gap between lines where their poses are placed on one sheet, one below the other."""
@@ -33,7 +340,7 @@ class ReadingSource(OpticalSource):
         self.index = -1
         """Index of the line under the finger."""
         self._feed, self._cursor = feed, cursor
-        self._pixel_mm = pixel_of(profile)
+        self._pixel_mm = pixel_pitch_mm(profile)
         self._shape = (profile.optics.sensor_rows, profile.optics.sensor_columns)
         wide_mm, high_mm = profile.electrodes.cell_mm
         self._cell_px = (round(high_mm / self._pixel_mm), round(wide_mm / self._pixel_mm))

@@ -1,1 +1,1 @@
-"""One run, from a source to the skin: every command, example and test goes through it."""
+"""One run from a source to the skin: runner, display, listeners, recordings, responses."""

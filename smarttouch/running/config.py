@@ -3,11 +3,11 @@
 from dataclasses import asdict, dataclass
 from typing import Any, TypedDict
 
-from smarttouch.afferent import Afferent, Mode
-from smarttouch.errors import SmartTouchError
-from smarttouch.imaging.mapping import Tone
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.profile import Profile
-from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy, unsupported_reason
+from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy, unsupported_reason
 
 SCANS = ("auto", "points", "frame")
 HOLDS = ("charge", "energy")

@@ -4,21 +4,20 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Unpack
 
-from smarttouch.afferent import Mode
+from smarttouch.base.afferent import Mode
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.stopping import Closing, StopRequest
 from smarttouch.boards.board import Board
 from smarttouch.boards.open import default_profile, make_board, require_gate
-from smarttouch.closing import Closing
-from smarttouch.errors import SmartTouchError
 from smarttouch.profile import Profile, load_profile
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stopping import StopRequest
+from smarttouch.stimulation.safety_gate import SafetyLimits
 
 if TYPE_CHECKING:
     from smarttouch.running.config import RunOptions
     from smarttouch.running.listener import Listener
     from smarttouch.running.session import Session
     from smarttouch.running.step import StepResult
-    from smarttouch.sources.forces.force import ForceSource
+    from smarttouch.sources.force import ForceSource
 
 
 class Display(Closing):
@@ -70,8 +69,7 @@ class Display(Closing):
         self.url, self.profile, self.vibrators_url = url, profile, vibrators_url
         self._stop = StopRequest()
         if vibrators_url is not None:
-            from smarttouch.boards.hybrid import HybridBoard
-            from smarttouch.boards.vibrators import make_vibrators
+            from smarttouch.boards.vibrators.vibrator_board import HybridBoard, make_vibrators
 
             shaking = make_vibrators(vibrators_url, limits, profile.electrodes)
             board = HybridBoard(board, shaking)
@@ -84,7 +82,7 @@ class Display(Closing):
             )
         self.board: Board = board
         # With no run, too: a program may drive the board itself.
-        self._stop.always_tell(board.halt)
+        self._stop.always_on_stop(board.halt)
         self.notes_reported = 0
         """Number of the board's notes that earlier runs have reported."""
 
@@ -108,7 +106,7 @@ class Display(Closing):
     @contextmanager
     def opened(self, stop: StopRequest) -> Iterator[Board]:
         """Open the board for a block; a stop puts it at zero at once, also while it opens."""
-        with stop.telling(self.board.halt), self.board:
+        with stop.on_stop(self.board.halt), self.board:
             yield self.board
 
     def session(

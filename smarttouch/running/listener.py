@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from smarttouch.events import Event
+from smarttouch.base.events import Event
 from smarttouch.running.step import StepResult
 
 if TYPE_CHECKING:
@@ -12,9 +12,9 @@ if TYPE_CHECKING:
     from smarttouch.kernels.bank import KernelBank
     from smarttouch.profile import Profile
     from smarttouch.running.config import RunConfig
-    from smarttouch.running.controls import Controls
-    from smarttouch.running.statistics import RunStatistics
-    from smarttouch.sources.source import Source
+    from smarttouch.running.inputs import Controls
+    from smarttouch.running.step import RunStatistics
+    from smarttouch.sources.source_contract import Source
 
 
 @dataclass

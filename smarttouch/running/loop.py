@@ -1,30 +1,56 @@
 """The loop: one clock, absolute deadlines, and an orderly end whatever happens."""
 
 import contextlib
+import gc
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 
-from smarttouch.boards.board import Board
-from smarttouch.clock import LATE_NS, Clock
-from smarttouch.errors import (
+import cv2
+
+from smarttouch.base.clock import LATE_NS, Clock, Pace, paced
+from smarttouch.base.errors import (
     BoardError,
     BoardRestartedError,
     BoardStoppedError,
     SequenceLateError,
 )
-from smarttouch.events import BoardRestarted, Emit, Event, Note, RunEnded
-from smarttouch.realtime import Pace, paced
-from smarttouch.running.controls import Controls, ControlState
-from smarttouch.running.inputs import Inputs
+from smarttouch.base.events import BoardRestarted, Emit, Event, Note, RunEnded
+from smarttouch.base.stopping import StopRequest
+from smarttouch.boards.board import Board
+from smarttouch.running.inputs import Controls, ControlState, Inputs
 from smarttouch.running.listener import Listener
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.regulator import Regulator
-from smarttouch.running.statistics import RunStatistics
-from smarttouch.running.step import StepResult
-from smarttouch.sources.forces.force import ForceSource
-from smarttouch.sources.source import Source
-from smarttouch.stopping import StopRequest
+from smarttouch.running.regulation import Regulator
+from smarttouch.running.step import RunStatistics, StepResult
+from smarttouch.sources.force import ForceSource
+from smarttouch.sources.source_contract import Source
+
+
+@contextmanager
+def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iterator[None]:
+    """Warm a pipeline up, freeze garbage collection and keep OpenCV to one thread in the block.
+
+    Before a board is open: it would take the delay for a lost host. In simulated time, where
+    nothing is late, OpenCV alone is kept to one thread.
+    """
+    threads = cv2.getNumThreads()
+    # Images are small: a second thread costs more than it saves, and takes the other core.
+    cv2.setNumThreads(1)
+    freezes = not simulated_time and not gc.get_freeze_count()
+    if not simulated_time:
+        pipeline.warm_up()
+    # What a program has frozen for itself stays so.
+    if freezes:
+        gc.freeze()
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
+        if freezes:
+            gc.unfreeze()
+
 
 HELD_UP_NS = 1_000_000
 """A send that takes longer than this has waited for the board."""

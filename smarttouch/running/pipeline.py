@@ -5,23 +5,22 @@ import copy
 
 import numpy as np
 
-from smarttouch.afferent import Afferent, Mode
-from smarttouch.errors import SmartTouchError
-from smarttouch.imaging.mapping import TactileMapper
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.imaging.tactile_mapper import TactileMapper
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import CEILING_NET_MA
 from smarttouch.running.config import RunConfig
 from smarttouch.running.step import Step
-from smarttouch.sources.frame import Frame, Pose
-from smarttouch.sources.stimulus import Input, Stimulus
-from smarttouch.stimulation.frames import FrameSlots
+from smarttouch.sources.source_contract import Frame, Input, Pose, Stimulus
+from smarttouch.stimulation.frame_slots import FrameSlots
 from smarttouch.stimulation.intensity import SoftStart, force_gate
-from smarttouch.stimulation.kernel_table import KernelTable
-from smarttouch.stimulation.limits import SafetyLimits, parts_per_billion
-from smarttouch.stimulation.net import NetPlan
-from smarttouch.stimulation.schedule import ScanScheduler
-from smarttouch.stimulation.timing import ScanTiming
+from smarttouch.stimulation.net_plan import NetPlan
+from smarttouch.stimulation.pulse_rates import ScanTiming
+from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
+from smarttouch.stimulation.scan_sequence import KernelTable
+from smarttouch.stimulation.scheduler import ScanScheduler
 
 
 class Pipeline:

@@ -6,32 +6,27 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict
 from typing import Any
 
-from smarttouch.afferent import Mode
+from smarttouch.base.afferent import Mode
+from smarttouch.base.clock import Clock, Pace, SimulatedClock
+from smarttouch.base.errors import BoardStoppedError, SmartTouchError, SourceError
+from smarttouch.base.events import Advice, Note, RunFailed
+from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board, BoardReport
 from smarttouch.boards.stoppable import stoppable_run
-from smarttouch.clock import Clock, SimulatedClock
-from smarttouch.errors import BoardStoppedError, SmartTouchError, SourceError
-from smarttouch.events import Advice, Note, RunFailed
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import ADVISORY_RMS_MA_CM2
-from smarttouch.realtime import Pace
 from smarttouch.running.config import RunConfig
-from smarttouch.running.controls import Controls, ControlState
 from smarttouch.running.display import Display
-from smarttouch.running.environment import steady_environment
+from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import Listener, RunContext, as_listeners
-from smarttouch.running.loop import emit_to, run_loop
+from smarttouch.running.loop import emit_to, run_loop, steady_environment
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.regulation import make_regulator, masked_where_broken
-from smarttouch.running.regulator import Regulator
-from smarttouch.running.report import figures_of
-from smarttouch.running.statistics import RunStatistics
-from smarttouch.running.step import StepResult
-from smarttouch.sources.forces.force import ForceSource, open_force
-from smarttouch.sources.source import Source, StimulusSource
-from smarttouch.stimulation.limits import rms_ma_cm2
-from smarttouch.stopping import StopRequest
+from smarttouch.running.regulation import Regulator, make_regulator, masked_where_broken
+from smarttouch.running.step import RunStatistics, StepResult, figures_of
+from smarttouch.sources.force import ForceSource, open_force
+from smarttouch.sources.source_contract import Source, StimulusSource
+from smarttouch.stimulation.safety_limits import rms_ma_cm2
 
 MakeControls = Callable[[ControlState, tuple[Mode, ...]], Controls]
 
@@ -89,7 +84,7 @@ class Runner:
             ending = self.display.stopping
             # First of all, so that it ends last: whoever stops the run waits for its recording.
             to_its_end = stack.enter_context(stoppable_run(self._stop, self.display.board))
-            stack.enter_context(ending.telling(lambda: self._stop.ask(ending.reason)))
+            stack.enter_context(ending.on_stop(lambda: self._stop.ask(ending.reason)))
             for listener in reversed(self._listeners):
                 stack.callback(listener.close)
             stack.callback(self.source.close)

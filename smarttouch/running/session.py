@@ -12,19 +12,18 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.afferent import Mode
-from smarttouch.errors import LevelNotReachedError, SmartTouchError
-from smarttouch.events import Note
+from smarttouch.base.afferent import Mode
+from smarttouch.base.errors import LevelNotReachedError, SmartTouchError
+from smarttouch.base.events import Note
+from smarttouch.base.stopping import StopRequest
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.listener import Listener
 from smarttouch.running.runner import Runner
 from smarttouch.running.session_feed import Pattern, SessionFeed, Show
-from smarttouch.running.statistics import RunStatistics
-from smarttouch.running.step import StepResult
-from smarttouch.sources.forces.force import ForceSource
-from smarttouch.sources.frame import Frame
-from smarttouch.stopping import StopRequest
+from smarttouch.running.step import RunStatistics, StepResult
+from smarttouch.sources.force import ForceSource
+from smarttouch.sources.source_contract import Frame
 
 _PATIENCE_S = 10.0
 _TOGETHER_NS = 60_000_000  # from the call to the start of patterns that begin together

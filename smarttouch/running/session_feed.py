@@ -9,20 +9,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.afferent import Afferent, Mode
-from smarttouch.errors import SourceError
-from smarttouch.imaging.mapping import TactileMapper
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.errors import SourceError
+from smarttouch.base.stopping import StopRequest
+from smarttouch.base.tactile_image import TactileImage
+from smarttouch.imaging.tactile_mapper import TactileMapper
 from smarttouch.profile import Profile
-from smarttouch.running.controls import Controls
+from smarttouch.running.inputs import Controls
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
-from smarttouch.sources.frame import Frame
-from smarttouch.sources.input_checks import checked_activation, gray_image
-from smarttouch.sources.source import Source
-from smarttouch.sources.stimulus import Input, Stimulus
+from smarttouch.sources.given_sources import checked_activation, gray_image
+from smarttouch.sources.source_contract import Frame, Input, Source, Stimulus
 from smarttouch.stimulation.intensity import force_gate
-from smarttouch.stopping import StopRequest
-from smarttouch.tactile_image import TactileImage
 
 Pattern = NDArray[Any] | Frame | TactileImage
 """Activation (E,) or (3, E), an image (H, W), a frame, or a tactile image."""

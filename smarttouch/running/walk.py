@@ -6,20 +6,19 @@ from typing import ClassVar
 
 import numpy as np
 
-from smarttouch.afferent import Afferent
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.events import Note
+from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board
-from smarttouch.errors import SmartTouchError
-from smarttouch.events import Note
-from smarttouch.kernels.single import single_bank
+from smarttouch.kernels.bank import single_bank
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.listener import Listener
 from smarttouch.running.runner import Runner
-from smarttouch.sources.forces.force import ForceSource
-from smarttouch.sources.source import StimulusSource
-from smarttouch.sources.stimulus import Stimulus
-from smarttouch.stopping import StopRequest
+from smarttouch.sources.force import ForceSource
+from smarttouch.sources.source_contract import Stimulus, StimulusSource
 
 
 class ElectrodeReached(Note):

@@ -1,13 +1,13 @@
-"""Sources of frames, stimuli and finger force, opened by URL."""
+"""Frames, stimuli and finger force: from pages, cameras, videos, serial sensors and load cells."""
 
 import inspect
 from typing import Any
 
-from smarttouch.errors import SourceError
+from smarttouch.base.errors import SourceError
+from smarttouch.base.registry import find_opener, given_options
+from smarttouch.base.url_options import joined_options, read_options
 from smarttouch.profile import Profile
-from smarttouch.registry import find_opener, given_options
-from smarttouch.sources.source import Source
-from smarttouch.url_options import joined_options, read_options
+from smarttouch.sources.source_contract import Source
 
 
 def open_source(

@@ -10,10 +10,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import SourceError, SourceLostError
+from smarttouch.base.errors import SourceError, SourceLostError
 from smarttouch.profile import Profile
-from smarttouch.sources.capture import LiveSource
-from smarttouch.sources.image_device import ImageDevice, Shot
+from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
 
 BUFFERS = 1
 """Images buffered by the driver: older ones are of no use."""

@@ -41,8 +41,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import SourceError
-from smarttouch.wire.framing import Deframer, Packet, frame_packet
+from smarttouch.base.errors import SourceError
+from smarttouch.base.wire.framing import Deframer, WirePacket, frame_packet
 
 VERSION = 1
 MOST_PIXELS_A_SIDE = 255
@@ -127,7 +127,7 @@ def encode_info(number: int, name: str) -> bytes:
     return frame_packet(VERSION, PacketKind.INFO, number % NUMBERS, text.encode())
 
 
-def decode(packet: Packet) -> Message | None:
+def decode(packet: WirePacket) -> Message | None:
     """Return a packet's message; None if it is malformed or of an unknown kind or version."""
     if packet.version != VERSION:
         return None

@@ -8,14 +8,13 @@ arrive together the newest is taken and the others are counted.
 import contextlib
 import time
 
-from smarttouch.errors import SourceError
+from smarttouch.base.errors import SourceError
+from smarttouch.base.wire.port import LINE_ERRORS, Port, open_port
 from smarttouch.profile import Profile
-from smarttouch.sources.capture import LiveSource
-from smarttouch.sources.image_device import ImageDevice, Shot
-from smarttouch.sources.line import read_available
-from smarttouch.sources.notes import DeviceWarnings
+from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
 from smarttouch.sources.sensor_protocol import ArrayFrame, Info, MessageStream, gap
-from smarttouch.wire.port import LINE_ERRORS, Port, open_port
+from smarttouch.sources.serial_input import read_available
+from smarttouch.sources.source_contract import DeviceWarnings
 
 USUAL_BAUD = 921_600
 """Default speed of lines that have one; over USB it has no effect."""

@@ -1,1 +1,1 @@
-"""Stimulation: a tactile image becomes a time-division scan sequence, validated as safe."""
+"""A tactile image becomes a scan sequence, proved safe before a board gets it."""

@@ -11,11 +11,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import ScheduleError
+from smarttouch.base.errors import ScheduleError
 from smarttouch.profile import Profile
-from smarttouch.stimulation.sequence import ScanSequence
-from smarttouch.stimulation.sums import round_charge_balanced
-from smarttouch.stimulation.timing import ScanTiming
+from smarttouch.stimulation.pulse_rates import ScanTiming
+from smarttouch.stimulation.scan_sequence import ScanSequence
+from smarttouch.stimulation.slot_sums import round_charge_balanced
 
 NEAR = 0.92
 """Part of the compliance above which a source counts as saturated."""

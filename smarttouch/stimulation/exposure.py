@@ -9,15 +9,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.clock import LATE_NS
-from smarttouch.errors import SafetyError
+from smarttouch.base.clock import LATE_NS
+from smarttouch.base.errors import SafetyError
 from smarttouch.profile.ceilings import (
     BURST_S,
     CEILING_MEAN_MA,
     CEILING_NET_MA,
     CEILING_PULSES_HZ,
 )
-from smarttouch.stimulation.limits import SafetyLimits, decimal
+from smarttouch.stimulation.safety_limits import SafetyLimits, decimal
 
 WINDOW_NS = 1_000_000_000
 BURST_US = round(1e6 * BURST_S)

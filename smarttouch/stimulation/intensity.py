@@ -3,8 +3,8 @@
 import math
 
 from smarttouch.profile import ForceLaw
-from smarttouch.stimulation.limits import PPB, parts_per_billion
-from smarttouch.stimulation.safety import Rise
+from smarttouch.stimulation.safety_gate import Rise
+from smarttouch.stimulation.safety_limits import PPB, parts_per_billion
 
 KEPT_NS = 14_000_000_000
 """Time without pulses for which an intensity is kept; the safety gate keeps it a second longer."""

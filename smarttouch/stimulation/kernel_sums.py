@@ -8,14 +8,14 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.kernels.frames.bound import Certainty, SharedKernels
-from smarttouch.kernels.frames.figures import FrameBounds
+from smarttouch.kernels.frame_fields import FrameBounds
+from smarttouch.kernels.proved_sets import Certainty, SharedKernels
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class SharedSlots:
     """Slots of several points, at full intensity."""
 
     level: Array  # (S, P) requested level at each point of a slot, 0 at all others
@@ -32,12 +32,12 @@ class Found:
     kernel: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
     share: Array = field(default_factory=lambda: np.empty(0))  # (N,) factor of each
 
-    def without(self, broken: NDArray[np.bool_]) -> "Found":
+    def without(self, broken: NDArray[np.bool_]) -> "SharedSlots":
         """Return the other slots."""
         kept = ~broken
         size = np.diff(self.first) if len(self.owner) else np.zeros(len(kept), np.intp)
         own = kept.repeat(size)
-        return Found(
+        return SharedSlots(
             self.level[kept],
             self.current_ma[kept],
             self.points[kept],
@@ -100,7 +100,7 @@ class KernelSums:
         np.maximum.at(each_ma, self._points, np.abs(self.kernels_ma))
         return np.asarray(each_ma.sum(axis=0))
 
-    def add_up(self, level: Array) -> Found:
+    def add_up(self, level: Array) -> SharedSlots:
         """Return the slots that several points share, at levels (P,)."""
         wanted = level.take(self._points)
         active = wanted.nonzero()[0]
@@ -125,7 +125,7 @@ class KernelSums:
         first = owner.take(starts)
         do = np.zeros((2, count), np.float32)
         lists = np.concatenate([[0], ends]), chosen, aimed
-        return Found(levels, current_ma, size, do, first, most_ma, *lists)
+        return SharedSlots(levels, current_ma, size, do, first, most_ma, *lists)
 
     def _added(
         self,

@@ -5,13 +5,13 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import SafetyError
+from smarttouch.base.errors import SafetyError
 from smarttouch.profile.ceilings import LEAST_DISCHARGE_US
 from smarttouch.stimulation.exposure import PER_PC, Load, PassLoad
-from smarttouch.stimulation.limits import PPB, SafetyLimits, decimal
 from smarttouch.stimulation.recharge import prove_recharge
-from smarttouch.stimulation.sequence import ScanSequence
-from smarttouch.stimulation.sums import SlotAdder, extent_us
+from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, decimal
+from smarttouch.stimulation.scan_sequence import ScanSequence
+from smarttouch.stimulation.slot_sums import SlotAdder, extent_us
 
 LONGEST_PERIOD_US = 60_000_000
 LARGEST_TIME_NS = 2**62

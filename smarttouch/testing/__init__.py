@@ -1,1 +1,1 @@
-"""Contract tests that drivers of others can run, and the pytest plugin."""
+"""Contract tests for boards, sources and forces of other packages."""

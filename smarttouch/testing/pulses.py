@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from smarttouch.boards.board import Board
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 LOCKED_S = 0.02  # delay of a driver's line: an action not through by then waits for its lock
 
 
 @dataclass(frozen=True)
-class Pulse:
+class SentPulse:
     """One pulse that a device was sent, or `ZERO`, where all electrodes are put at zero.
 
     Attributes
@@ -35,27 +35,27 @@ class Pulse:
     period_us: float | None = None
 
 
-ZERO = Pulse((), 0.0)
+ZERO = SentPulse((), 0.0)
 """All electrodes are shorted, and what was sent before is forgotten."""
 
 
-def planned_pulses(sequence: ScanSequence, times: int) -> list[Pulse]:
+def planned_pulses(sequence: ScanSequence, times: int) -> list[SentPulse]:
     """Return the pulses of all passes of a sequence, with its recharge phase as one of them."""
     period_us = float(sequence.period_us)
     one_pass = [
-        Pulse(tuple(map(float, current_ua)), float(width_us), float(discharge_us), period_us)
+        SentPulse(tuple(map(float, current_ua)), float(width_us), float(discharge_us), period_us)
         for current_ua, width_us, discharge_us in zip(
             sequence.current_ua, sequence.width_us, sequence.discharge_us, strict=True
         )
     ]
     if sequence.recharge_ua is not None:
         current_ua = tuple(map(float, sequence.recharge_ua))
-        one_pass.append(Pulse(current_ua, float(sequence.recharge_us), None, period_us))
+        one_pass.append(SentPulse(current_ua, float(sequence.recharge_us), None, period_us))
     return one_pass * times
 
 
 def assert_same_pulses(
-    found: Iterable[Pulse], wanted: Iterable[Pulse], step_ua: float, step_us: float
+    found: Iterable[SentPulse], wanted: Iterable[SentPulse], step_ua: float, step_us: float
 ) -> None:
     """Fail unless pulses are those that were planned, each rounded to the device's steps."""
     found, wanted = list(found), list(wanted)
@@ -113,4 +113,7 @@ class AtLine:
 
 
 def _package(module: str) -> str:
+    """Return the package of a module; of those of SmartTouch the room, all drivers' parts."""
+    if module.startswith("smarttouch."):
+        return ".".join(module.split(".")[:2])
     return module.rpartition(".")[0] or module

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from skimage.filters import threshold_sauvola
 
-from smarttouch.documents.ink import separate_ink
+from smarttouch.pages.ink import separate_ink
 
 ROUNDS = 10
 

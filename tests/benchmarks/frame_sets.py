@@ -3,7 +3,7 @@
 import numpy as np
 
 from smarttouch.kernels.bank import load_bank
-from smarttouch.kernels.frames.judge import FrameJudge, full_wish
+from smarttouch.kernels.frame_judges import FrameJudge, full_wish
 from smarttouch.profile import load_profile
 
 LETTERS = {

@@ -7,11 +7,11 @@ texts agree, and error rates where ``PAGE.txt`` says what stands there; OUTPUT g
 import sys
 from pathlib import Path
 
-from smarttouch.documents.document import open_document
-from smarttouch.errors import SmartTouchError
-from smarttouch.reading.error_rate import character_error_rate
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.pages.document import open_document
+from smarttouch.reading.legibility import character_error_rate
+from smarttouch.reading.material import RecognitionOptions, recognized_lines, upright_page
 from smarttouch.reading.ocr import Layout, recognize
-from smarttouch.reading.printed import RecognitionOptions, recognized_lines, upright_page
 
 
 def quiet(note: str) -> None:

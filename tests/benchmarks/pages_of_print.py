@@ -11,9 +11,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from smarttouch.documents.document import open_document
-from smarttouch.errors import SmartTouchError
-from smarttouch.reading.printed import RecognitionOptions, upright_page
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.pages.document import open_document
+from smarttouch.reading.material import RecognitionOptions, upright_page
 
 SIDE_PX = 1600
 

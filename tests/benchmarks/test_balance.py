@@ -6,18 +6,17 @@ A table: run with ``--benchmark-only -n0``.
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent, Mode
-from smarttouch.boards.emulator.simulated import SimulatedBoard
-from smarttouch.kernels.problem import Problem
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.kernels.design_problem import Problem
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.regulator import Regulator
+from smarttouch.running.regulation import Regulator
 from smarttouch.sources import open_source
-from smarttouch.stimulation.ledger import ChargeBalance
-from smarttouch.stimulation.recharge import RechargeRules
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
-from smarttouch.stimulation.timing import ScanTiming
+from smarttouch.stimulation.pulse_rates import ScanTiming
+from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
 
 from ..looping import loop_through
 

@@ -5,10 +5,10 @@ import time
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
-from smarttouch.kernels.batch import design_sites
-from smarttouch.kernels.design import design_kernel
-from smarttouch.kernels.problem import Problem
+from smarttouch.base.afferent import Afferent
+from smarttouch.kernels.batch_design import design_sites
+from smarttouch.kernels.design_problem import Problem
+from smarttouch.kernels.weighted_design import design_kernel
 from smarttouch.profile import load_profile
 
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import smarttouch as st
-from smarttouch.braille_display.connection import Address, BrlttyConnection
-from smarttouch.braille_display.source import BrailleDisplaySource
-from smarttouch.reading.window import profile_for_reading
-from tests.braille_display.real import Brltty, free_port, require_brltty, wait_until
+from smarttouch.imaging.array_window import profile_for_reading
+from smarttouch.reading.brltty_connection import Address, BrlttyConnection
+from smarttouch.reading.brltty_source import BrailleDisplaySource
+from tests.reading.real_brltty import Brltty, free_port, require_brltty, wait_until
 
 HANGS_S = 120
 SHOWN_S = 0.2

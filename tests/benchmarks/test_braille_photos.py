@@ -14,11 +14,10 @@ import pytest
 from rapidfuzz.distance import Levenshtein
 from scipy.spatial import cKDTree
 
-from smarttouch.braille.network import FoundCells
+from smarttouch.base.errors import PageError
+from smarttouch.braille.cell_detection import FoundCells, cell_lines, cell_pitch
 from smarttouch.braille.photo import BraillePage, looks_like_braille, read_braille
-from smarttouch.braille.rows import cell_lines, cell_pitch
-from smarttouch.documents.page_image import Page
-from smarttouch.errors import PageError
+from smarttouch.pages.page_image import Page
 
 FOLDER = os.environ.get("SMARTTOUCH_BRAILLE_PAGES")
 NEAR = 0.45

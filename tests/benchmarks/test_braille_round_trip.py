@@ -13,12 +13,12 @@ import os
 import pytest
 
 from smarttouch.braille import louis
-from smarttouch.braille.tables import open_table
+from smarttouch.braille.code_tables import open_table
+from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
-from smarttouch.reading.braille import Braille
-from smarttouch.reading.deliver import Reading, deliver_lines
-from smarttouch.reading.window import profile_for_reading
+from smarttouch.reading.braille_lines import Braille
+from smarttouch.reading.delivered_lines import LineDelivery, deliver_lines
 
 from ..braille.sentences import make_sentences
 
@@ -40,7 +40,7 @@ def test_round_trip(name, row, quick):
     profile = profile_for_reading(load_profile("electric-mouse"))
     braille, table = Braille(name), open_table(name)
     motion = braille.motion(profile, profile.electrodes.cell_mm[0] * profile.pulse.rate_hz)
-    reading = Reading(profile, load_bank(profile), braille.tone, motion)
+    reading = LineDelivery(profile, load_bank(profile), braille.tone, motion)
     sentences = make_sentences(TABLES[name])[: 3 if quick else COUNT]
     cells = [table.to_cells(each) for each in sentences]
     layout = braille.layout(profile)

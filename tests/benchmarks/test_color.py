@@ -15,14 +15,14 @@ import time
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
-from smarttouch.vibrotactile.mix import mix_colors
-from smarttouch.vibrotactile.source import ColorSource
-from smarttouch.vibrotactile.spec import open_trace
-from smarttouch.vibrotactile.split import split
+from smarttouch.base.afferent import Afferent
+from smarttouch.instruments.color_mix import mix_colors
+from smarttouch.instruments.color_source import ColorSource
+from smarttouch.instruments.receptor_responses import split
+from smarttouch.instruments.skin_trace import open_trace
 
-from ..vibrotactile.delivered import feel
-from ..vibrotactile.test_delivered import ALONE
+from ..instruments.color_delivered import feel
+from ..instruments.test_color_delivered import ALONE
 
 
 @pytest.fixture

@@ -7,9 +7,9 @@ and highest of ten sites that no fit has seen, for each mode.
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
-from smarttouch.kernels.design import design_kernel
+from smarttouch.base.afferent import Afferent
 from smarttouch.kernels.driving_problem import DrivingProblem
+from smarttouch.kernels.weighted_design import design_kernel
 
 from ..fit_fibers import fiber_cases
 from ..kernels.by_cable import judge_by_cable

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
+from smarttouch.base.afferent import Afferent
 from smarttouch.physiology.anatomy import load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import SpikeModel

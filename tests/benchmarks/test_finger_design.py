@@ -8,10 +8,9 @@ import time
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
-from smarttouch.kernels.finger_design import FingerDesign
+from smarttouch.base.afferent import Afferent
+from smarttouch.kernels.finger_design import FingerDesign, FingerSample
 from smarttouch.kernels.finger_kernels import FIRST_SEED
-from smarttouch.kernels.finger_sample import FingerSample
 from smarttouch.physiology.finger import Finger
 
 SITES = np.array([27, 18])

@@ -21,20 +21,17 @@ import pytest
 from skimage.filters import threshold_sauvola
 from skimage.transform import resize
 
-from smarttouch.afferent import Afferent, Mode
-from smarttouch.boards.link_kernels import KernelImage
-from smarttouch.boards.link_lists import encode_lists
-from smarttouch.boards.link_protocol import Kind
-from smarttouch.boards.link_session import HostSession
-from smarttouch.physiology.activation import af_matrix
-from smarttouch.physiology.afferents import targets
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.wire.framing import LARGEST_PACKET
+from smarttouch.boards.link.protocol import HostSession, MessageKind
+from smarttouch.boards.link.sequence_encoding import KernelImage, encode_lists
+from smarttouch.physiology.activating_function import af_matrix, targets
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.sources.frame import Frame, Pose
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
-from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
-from smarttouch.wire.framing import LARGEST_PACKET
+from smarttouch.sources.source_contract import Frame, Pose
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
+from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
 
 FULL_NS = 10**9
 SCANS = {
@@ -106,7 +103,7 @@ class Ours:
     def __call__(self):
         sequence = self.proved()
         payload = encode_lists(sequence, 1, False, False, self.image, LARGEST_PACKET)
-        return self.session.encode(Kind.SEQUENCE, 1, payload)
+        return self.session.encode(MessageKind.SEQUENCE, 1, payload)
 
 
 class Plain:

@@ -8,13 +8,13 @@ import time
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
-from smarttouch.errors import DesignError
-from smarttouch.kernels.frames.bound import color_classes
-from smarttouch.kernels.frames.figures import FrameBounds
-from smarttouch.kernels.frames.operator import FrameOperator, Weights, keeps
-from smarttouch.kernels.frames.slots import likely_slots, plan_slots
-from smarttouch.stimulation.frames import FrameSlots
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import DesignError
+from smarttouch.kernels.frame_fields import FrameBounds
+from smarttouch.kernels.frame_operator import FrameOperator, Weights, keeps
+from smarttouch.kernels.proved_sets import color_classes
+from smarttouch.kernels.slot_plans import likely_slots, plan_slots
+from smarttouch.stimulation.frame_slots import FrameSlots
 
 from ..reference.joint_programme import joint_programme
 from ..reference.spread import Worst, spread_judges, uneven_levels, with_gain_error

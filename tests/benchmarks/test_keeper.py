@@ -9,8 +9,8 @@ import tty
 import numpy as np
 import pytest
 
-from smarttouch.boards.kept_line import KeptLine
-from smarttouch.wire.port import open_port
+from smarttouch.base.wire.port import open_port
+from smarttouch.boards.kits.kept_line import KeptLine
 
 ECHO = "import os, sys\nwhile data := os.read(0, 4096): os.write(0, data[-1:])"
 

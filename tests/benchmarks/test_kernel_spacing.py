@@ -8,10 +8,10 @@ designed on: drives every .05 mm, and the activating function of the shipped ker
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
+from smarttouch.base.afferent import Afferent
 from smarttouch.kernels import driving_problem
-from smarttouch.kernels.design import design_kernel
-from smarttouch.kernels.problem import Problem
+from smarttouch.kernels.design_problem import Problem
+from smarttouch.kernels.weighted_design import design_kernel
 
 SITES = (6, 27, 55)
 FINEST_MM = 0.05

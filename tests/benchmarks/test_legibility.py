@@ -17,17 +17,17 @@ import pytest
 from PIL import Image
 from skimage import data
 
-from smarttouch.afferent import Afferent, Mode
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import Profile, load_profile
-from smarttouch.reading.deliver import Reading
+from smarttouch.reading.delivered_lines import LineDelivery
 from smarttouch.reading.legibility import legibility_of_shapes
-from smarttouch.reading.shapes import Shapes, Style
-from smarttouch.reading.source import Source
-from smarttouch.reading.window import profile_for_reading
-from smarttouch.stimulation.sharing import SlotPolicy
+from smarttouch.reading.letter_shapes import Shapes, Style
+from smarttouch.reading.material import ReadingMaterial
+from smarttouch.stimulation.scan_sequence import SlotPolicy
 
-from ..documents.printed import degrade, print_page
+from ..pages.printed import degrade, print_page
 
 TEXT = [
     "The quick brown fox jumps over the lazy dog.",
@@ -93,8 +93,8 @@ def test_legibility(rows, tmp_path, row, quick):
         for style, shared in ways:
             shapes = Shapes(style)
             motion = shapes.motion(profile)
-            reading = Reading(profile, bank, shapes.tone, motion, Mode.RA, SlotPolicy(shared))
-            found = legibility_of_shapes(Source(str(path)), reading, shapes, truth)
+            reading = LineDelivery(profile, bank, shapes.tone, motion, Mode.RA, SlotPolicy(shared))
+            found = legibility_of_shapes(ReadingMaterial(str(path)), reading, shapes, truth)
             name_of_way = f"{style}{', shared slots' * bool(shared)}"
             cells[name_of_way] = f"{found.character_error_rate:.3f}"
         known = {"rows": rows, "page": name, "itself": f"{found.page_error_rate:.3f}"}

@@ -20,19 +20,19 @@ import tty
 import numpy as np
 import pytest
 
-from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.emulator.driver import EmulatorBoard
-from smarttouch.boards.link_lists import encode_lists
-from smarttouch.boards.link_session import encode
-from smarttouch.errors import BoardRestartedError
+from smarttouch.base.errors import BoardRestartedError
+from smarttouch.boards.link import protocol as protocol
+from smarttouch.boards.link.protocol import encode
+from smarttouch.boards.link.sequence_encoding import encode_lists
+from smarttouch.emulator.emulated_boards import EmulatorBoard
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence
 from tests.rising import open_level
 
 RAMP_S = 0.5
 COUNTS = (64, 128, 256, 512)
-ACK = len(encode(protocol.Kind.ACK, 1, 1))
+ACK = len(encode(protocol.MessageKind.ACK, 1, 1))
 ECHO = """
 import os, sys, tty
 master, slave = os.openpty()
@@ -153,7 +153,7 @@ def test_latency(row, quick):
 
 def packet(sequence):
     payload = encode_lists(sequence, 1, True, False, None, 1 << 24)
-    return encode(protocol.Kind.SEQUENCE, 1, 1, payload=payload)
+    return encode(protocol.MessageKind.SEQUENCE, 1, 1, payload=payload)
 
 
 @pytest.mark.parametrize("electrodes", COUNTS)

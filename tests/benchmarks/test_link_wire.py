@@ -18,22 +18,19 @@ from functools import partial
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.driver import EmulatorBoard
-from smarttouch.boards.emulator.lists import summed
-from smarttouch.boards.link import LinkBoard
-from smarttouch.boards.link_kernels import KernelImage
-from smarttouch.boards.link_lists import encode_lists
-from smarttouch.boards.link_protocol import Kind
-from smarttouch.boards.link_session import encode
+from smarttouch.boards.link.link_board import LinkBoard
+from smarttouch.boards.link.protocol import MessageKind, encode
+from smarttouch.boards.link.sequence_encoding import KernelImage, encode_lists
+from smarttouch.emulator.emulated_boards import EmulatorBoard
+from smarttouch.emulator.link_packets import summed
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.profile.device import Output
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.sources.stimulus import Stimulus
-from smarttouch.stimulation.kernel_table import KernelLists, KernelTable, quantized
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.sources.source_contract import Stimulus
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence, quantized
 from tests.benchmarks.test_link_latency import (
     Bare,
     acknowledged_s,
@@ -52,7 +49,9 @@ PULSE_US, REST_US = 200, 100
 def packets(sequence, image):
     """Return the bytes of a sequence on the wire, as currents and as lists of kernels."""
     payloads = (encode_lists(sequence, 1, True, False, each, 1 << 24) for each in (None, image))
-    return [len(encode(Kind.SEQUENCE, 1 << 63 | 1 << 31, 1, 1, 1, each)) for each in payloads]
+    return [
+        len(encode(MessageKind.SEQUENCE, 1 << 63 | 1 << 31, 1, 1, 1, each)) for each in payloads
+    ]
 
 
 def tell(row, name, scan, points, sequence, image):
@@ -197,17 +196,19 @@ def test_processor_time(row, quick, electrodes):
         sequence = sequence_of(lists, period_us=40_000)
         start = time.process_time()
         packet = talk.host.encode(
-            Kind.SEQUENCE, number, encode_lists(sequence, 1, False, False, image, 1 << 20)
+            MessageKind.SEQUENCE, number, encode_lists(sequence, 1, False, False, image, 1 << 20)
         )
         between = time.process_time()
         talk.say(None, data=packet)
         checked.append(time.process_time() - between)
         encoded.append(between - start)
         start = time.process_time()
-        encode(Kind.SEQUENCE, 1, 1, 1, 1, encode_lists(sequence, 1, True, False, None, 1 << 24))
+        encode(
+            MessageKind.SEQUENCE, 1, 1, 1, 1, encode_lists(sequence, 1, True, False, None, 1 << 24)
+        )
         plain.append(time.process_time() - start)
         talk.wait(41_000, 20_000)
-        talk.say(Kind.HEARTBEAT)
+        talk.say(MessageKind.HEARTBEAT)
     assert core.books()["violations"] == 0
     core.close()
     row(
@@ -238,9 +239,9 @@ def test_the_same_currents_everywhere(row, quick):
         pulses = talk.pulses
         talk.wait(9_100, 9_100)
         pulses += talk.pulses
-        talk.say(Kind.HEARTBEAT)
+        talk.say(MessageKind.HEARTBEAT)
         talk.wait(91_000, 91_000)
-        talk.say(Kind.HEARTBEAT)
+        talk.say(MessageKind.HEARTBEAT)
         wanted = lists.current_ua()
         assert [each[5] for each in pulses] == wanted.tolist()
         for slot in range(slots):

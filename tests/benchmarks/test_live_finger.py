@@ -11,8 +11,8 @@ picture is made of it.
 import pytest
 
 import smarttouch as st
-from smarttouch.delivered.live import LiveFinger
-from smarttouch.physiology.feeling import Feeling
+from smarttouch.physiology.response import Feeling
+from smarttouch.views.live_finger import LiveFinger
 
 
 @pytest.mark.timeout(0)

@@ -21,10 +21,10 @@ import cv2
 import numpy as np
 import pytest
 
-from smarttouch.documents.page_image import load_page
+from smarttouch.base.files import data_folder
+from smarttouch.pages.page_image import load_page
 from smarttouch.profile import load_profile
-from smarttouch.resources import data_folder
-from smarttouch.sources.page import PageSource
+from smarttouch.sources.virtual_finger import PageSource
 
 CYCLE = 150
 """Frames of the video before it begins again."""

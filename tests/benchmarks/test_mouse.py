@@ -15,14 +15,14 @@ import cv2
 import numpy as np
 import pytest
 
+from smarttouch.imaging.array_window import profile_for_reading
+from smarttouch.instruments.electric_mouse import MouseSource
+from smarttouch.instruments.hand_motion import SweepMotion
+from smarttouch.instruments.relief import open_texture
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
-from smarttouch.reading.window import profile_for_reading
-from smarttouch.texture.source import MouseSource
-from smarttouch.texture.sweep_motion import SweepMotion
-from smarttouch.texture.textures import open_texture
 
-from ..texture.touched import grating_file, object_file, path_motion, stroke, touch
+from ..instruments.touched import grating_file, object_file, path_motion, stroke, touch
 
 PROFILE = profile_for_reading(load_profile("electric-mouse"))
 STROKE_MM = 60.0

@@ -13,12 +13,10 @@ import numpy as np
 import pytest
 
 import smarttouch as st
-from smarttouch.psychophysics.observers.interval import Interval
-from smarttouch.psychophysics.observers.nerve import Nerve
-from smarttouch.psychophysics.observers.observer import SimulatedObserver
-from smarttouch.psychophysics.observers.percept import FrequencySense
+from smarttouch.experiments.psychophysics.observers import SimulatedObserver
+from smarttouch.experiments.psychophysics.perceived_spikes import FrequencySense, Interval, Nerve
 
-from ..psychophysics.observers.weber import weber_fraction
+from ..experiments.psychophysics.weber import weber_fraction
 
 RA, SAI, PC = st.Afferent
 MIDDLE = 27
@@ -32,13 +30,13 @@ LEVELS = np.arange(0.2, 1.005, 0.02)
 @pytest.mark.parametrize("anatomy", ["paper", "branched"])
 def test_frequency_and_detection(row, quick, profile, bank, anatomy):
     sense, limits = FrequencySense(), {}
-    ratios, felt_ma = {RA: [], PC: []}, {each: [] for each in (RA, SAI, PC)}
+    ratios, delivered_ma = {RA: [], PC: []}, {each: [] for each in (RA, SAI, PC)}
     for seed in range(1, 3 if quick else 21):
         finger = st.Finger(profile, seed, anatomy)
         observer = SimulatedObserver(finger, bank)
         for mode, found in ratios.items():
             found.append(observer.ratio(mode, MIDDLE))
-        for mode, found in felt_ma.items():
+        for mode, found in delivered_ma.items():
             found.append(first_felt_ma(finger, bank.kernels(mode)[MIDDLE]))
     for mode, found in ratios.items():
         weber = {
@@ -58,7 +56,7 @@ def test_frequency_and_detection(row, quick, profile, bank, anatomy):
             }
             | {f"{hz} Hz": f"{each:.2f}" for hz, each in weber.items()},
         )
-    for mode, found in felt_ma.items():
+    for mode, found in delivered_ma.items():
         felt = np.array(found)[np.isfinite(found)]
         row(
             "Current at which the first afferent fires, mA",

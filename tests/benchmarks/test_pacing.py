@@ -15,21 +15,19 @@ import time
 import numpy as np
 import pytest
 
-from smarttouch import realtime
-from smarttouch.boards.kajimoto61 import Kajimoto61Board
-from smarttouch.clock import MonotonicClock
+from smarttouch.base import clock
+from smarttouch.base.clock import MonotonicClock
+from smarttouch.base.stopping import StopRequest
+from smarttouch.boards.kits.kajimoto61 import Kajimoto61Board
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
-from smarttouch.running.controls import Controls, ControlState
-from smarttouch.running.environment import steady_environment
-from smarttouch.running.loop import run_loop
+from smarttouch.running.inputs import Controls, ControlState
+from smarttouch.running.loop import run_loop, steady_environment
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.statistics import RunStatistics
-from smarttouch.sources.frame import Frame, Pose
-from smarttouch.sources.source import OpticalSource
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stopping import StopRequest
+from smarttouch.running.step import RunStatistics
+from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
+from smarttouch.stimulation.safety_gate import SafetyLimits
 
 RATES_HZ = (50, 100, 200)
 LOADS = {"quiet": 0, "one core busy": 1, "all cores busy": os.cpu_count() or 1}
@@ -82,10 +80,10 @@ def errors_us(kajimoto, rate_hz, seconds, spin_ns, monkeypatch):
     """Return how far from a period the times between packets were, µs."""
     profile, bank = kajimoto
     port = NotingPort()
-    monkeypatch.setattr("smarttouch.boards.streamed.open_port", lambda name: port)
-    monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
+    monkeypatch.setattr("smarttouch.boards.kits.streamed.open_port", lambda name: port)
+    monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 0.0)
     clock = MonotonicClock(spin_ns)
-    monkeypatch.setattr("smarttouch.boards.timely.MonotonicClock", lambda: clock)
+    monkeypatch.setattr("smarttouch.boards.seal.MonotonicClock", lambda: clock)
     pipeline = Pipeline(profile, bank, RunConfig(rate_hz=rate_hz, scan="points"))
     board = Kajimoto61Board("x", SafetyLimits.of(profile), profile.output)
     controls, tally = Controls(ControlState(pipeline.mode)), RunStatistics()
@@ -109,7 +107,7 @@ def test_period_errors(load, row, quick, hog, kajimoto, monkeypatch):
             for name, (prioritized, spin_ns) in WAITS.items():
                 with monkeypatch.context() as patch, hog(LOADS[load]):
                     if not prioritized:
-                        patch.setattr(realtime, "_FIFO", None)
+                        patch.setattr(clock, "_FIFO", None)
                     off_us = errors_us(kajimoto, rate_hz, seconds, spin_ns, patch)
                 found[name].append([len(off_us), *np.percentile(off_us, (50, 99, 100))])
         for name, runs in found.items():

@@ -8,18 +8,18 @@ import time
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent, Mode
-from smarttouch.boards.emulator.simulated import SimulatedBoard
-from smarttouch.imaging.mapping import TactileMapper
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.files import data_folder
+from smarttouch.base.tactile_image import TactileImage
+from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.imaging.tactile_mapper import TactileMapper
 from smarttouch.kernels.bank import KernelBank, load_bank
-from smarttouch.kernels.frames.figures import FrameBounds
-from smarttouch.kernels.frames.operator import FrameOperator
-from smarttouch.resources import data_folder
+from smarttouch.kernels.frame_fields import FrameBounds
+from smarttouch.kernels.frame_operator import FrameOperator
 from smarttouch.sources import open_source
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stimulation.schedule import ScanScheduler
-from smarttouch.stimulation.sharing import SlotPolicy
-from smarttouch.tactile_image import TactileImage
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import SlotPolicy
+from smarttouch.stimulation.scheduler import ScanScheduler
 from tests.rising import open_level
 
 from .frame_sets import LETTERS, array_named, drawn, judge_of, scattered

@@ -5,12 +5,11 @@ from pathlib import Path
 import joblib
 import pytest
 
-from smarttouch.cluster import on_cluster
+from smarttouch.base.cluster import on_cluster
+from smarttouch.experiments.study_plan import Grid, Study
+from smarttouch.experiments.study_rows import rows_of_finger
+from smarttouch.experiments.study_run import run_study
 from smarttouch.physiology.anatomy import load_anatomy
-from smarttouch.studies.grid import Grid
-from smarttouch.studies.plan import Study
-from smarttouch.studies.rows import rows_of_finger
-from smarttouch.studies.run import run_study
 
 STUDY = Study(
     title="small", profiles=("smarttouch-4x4",), anatomies=("paper",), fingers=8, letters="LT"

@@ -11,15 +11,15 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
-from smarttouch.boards import impedance
-from smarttouch.boards.emulator.skin import Skin
-from smarttouch.kernels.assignment import pole_shares
+from smarttouch.base.afferent import Afferent
+from smarttouch.boards import reports
+from smarttouch.emulator.skin import SkinCircuit
 from smarttouch.kernels.bank import load_bank
-from smarttouch.kernels.frames.figures import FrameBounds
-from smarttouch.kernels.frames.judge import FrameJudge, full_wish
-from smarttouch.kernels.frames.operator import FrameOperator, keeps
-from smarttouch.kernels.frames.slots import plan_slots
+from smarttouch.kernels.frame_fields import FrameBounds
+from smarttouch.kernels.frame_judges import FrameJudge, full_wish
+from smarttouch.kernels.frame_operator import FrameOperator, keeps
+from smarttouch.kernels.slot_plans import plan_slots
+from smarttouch.kernels.switched_design import pole_shares
 from smarttouch.profile import load_profile
 
 from ..reference.switched import SwitchedSearch, plan_switched_slots
@@ -232,12 +232,12 @@ def test_split_by_measured_impedances(row, quick, spread):
     On the emulator's skin; one of them that comes off leaves its part to the others.
     """
     electrodes, rng = 64, np.random.default_rng(1)
-    skin, volts = Skin(electrodes, spread=spread, seed=3), []
+    skin, volts = SkinCircuit(electrodes, spread=spread, seed=3), []
     for cathode in range(electrodes):
         state = np.where(np.arange(electrodes) == cathode, 1, -1).astype(np.int8)
         volts.append(skin.switched_pulse(state, 200.0, 100.0).source_v)
         skin.short(5000)
-    kohm = impedance.judge(np.array(volts), 0.2, skin.compliance_v).kohm
+    kohm = reports.judge(np.array(volts), 0.2, skin.compliance_v).kohm
     for width_us in (20.0, 50.0, 100.0, 200.0):
         told, equal, off = [], [], []
         for _ in range(20 if quick else 300):

@@ -7,8 +7,8 @@ that drive, each with a proof or with currents that show the opposite.
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
-from smarttouch.kernels.finger_sample import FingerSample
+from smarttouch.base.afferent import Afferent
+from smarttouch.kernels.finger_design import FingerSample
 from smarttouch.physiology.finger import Finger
 
 from ..reference.unavoidable import Limits, spared

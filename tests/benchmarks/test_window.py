@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 
 import smarttouch as st
+from smarttouch.base.stopping import StopRequest
 from smarttouch.running.runner import Runner
-from smarttouch.stopping import StopRequest
 
-from ..window.browser import chromium, opened
+from ..views.browser import chromium, opened
 
 RATE_HZ = 60
 PROGRAM = "import sys; from smarttouch.cli import main; main()"
@@ -64,7 +64,7 @@ def test_periods(pages, tmp_path, quick, row):
 
 def test_part_of_the_loop(profile, quick, row):
     """Time of `Window.step` in the loop's thread, of a scan's."""
-    from smarttouch.window.live import Window
+    from smarttouch.views.window import Window
 
     window = Window(StopRequest(), finger=None, show=lambda _: None)
     spent = []
@@ -88,7 +88,7 @@ def test_stop(profile, quick, row):
     """From the message of a page to the board at zero, on the emulated board."""
     from websockets.sync.client import connect
 
-    from smarttouch.window.live import Window
+    from smarttouch.views.window import Window
 
     took_ms = []
     for _ in range(2 if quick else 20):

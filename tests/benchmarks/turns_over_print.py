@@ -13,14 +13,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from smarttouch.documents.document import open_document
-from smarttouch.documents.page_image import Page
-from smarttouch.documents.text_lines import find_lines
+from smarttouch.pages.document import open_document
+from smarttouch.pages.page_image import Page
+from smarttouch.pages.text_lines import find_lines
 from smarttouch.profile import load_profile
-from smarttouch.sources.intake import FramePreprocessor
-from smarttouch.sources.page import PageSource
+from smarttouch.sources.preprocess import FramePreprocessor
+from smarttouch.sources.virtual_finger import PageSource
 
-from ..documents.printed import print_page, some_lines
+from ..pages.printed import print_page, some_lines
 
 SECONDS, LENGTH_MM, RATE_HZ = 2.5, 100.0, 100
 PATHS = {

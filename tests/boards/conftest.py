@@ -11,15 +11,15 @@ import tty
 import numpy as np
 import pytest
 
+from smarttouch.base.clock import prioritized
+from smarttouch.base.errors import BoardRestartedError
 from smarttouch.boards.board import Board
 from smarttouch.boards.open import make_board
-from smarttouch.boards.probe import one_each
-from smarttouch.errors import BoardRestartedError
+from smarttouch.boards.probe_scans import one_each
 from smarttouch.profile.device import Output
-from smarttouch.realtime import prioritized
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stimulation.sequence import ScanSequence
-from smarttouch.testing.boards import BoardContract
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence
+from smarttouch.testing.board_contract import BoardContract
 from tests.boards.fresh import fresh_state, starter
 from tests.firmware.build import WHOLE
 from tests.firmware.conftest import start_cortex_m3, start_firmware
@@ -46,9 +46,9 @@ def claimed_time(request, monkeypatch):
     if "wall_clock" not in request.keywords:
         monkeypatch.setattr(Board, "_time", lambda self: None)
         if not issubclass(request.cls or object, BoardContract):
-            monkeypatch.setattr("smarttouch.stimulation.safety.LATE_NS", 3600 * SECOND)
+            monkeypatch.setattr("smarttouch.stimulation.safety_gate.LATE_NS", 3600 * SECOND)
             monkeypatch.setattr(Bounds, "late_rise", WHOLE_RISE)
-        monkeypatch.setattr("smarttouch.boards.emulator.second.RAMP_MS", 0)
+        monkeypatch.setattr("smarttouch.emulator.rules_over_time.RAMP_MS", 0)
 
 
 @pytest.fixture(scope="session")
@@ -162,9 +162,9 @@ def script(monkeypatch):
     def set_script(*exchanges):
         port = ScriptedPort(exchanges)
         ports.append(port)
-        monkeypatch.setattr("smarttouch.boards.streamed.open_port", lambda name: port)
-        monkeypatch.setattr("smarttouch.boards.kept_board.KeptLine", lambda port: port)
-        monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
+        monkeypatch.setattr("smarttouch.boards.kits.streamed.open_port", lambda name: port)
+        monkeypatch.setattr("smarttouch.boards.kits.kept_line.KeptLine", lambda port: port)
+        monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 0.0)
         return port
 
     yield set_script
@@ -279,7 +279,7 @@ class Hosted:
 
     def __init__(self, kind, starters, faulty_line, folder, monkeypatch):
         start_emulator, start_firmware, start_cortex_m3 = starters
-        monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
+        monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 0.0)
         self.electrodes = {"kajimoto61": 61}.get(kind, 8)
         # An eTactileKit may have another firmware than the usual one, a link board one in C, on
         # this machine or a Cortex-M3.

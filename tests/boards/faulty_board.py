@@ -7,10 +7,10 @@ import sys
 
 import numpy as np
 
-import smarttouch.boards.emulator.etactilekit as kit
-import smarttouch.boards.emulator.link as link
-from smarttouch.boards.emulator.delivery_log import DeliveryLog
+import smarttouch.emulator.etactilekit_firmware as kit
+import smarttouch.emulator.link_firmware as link
 from smarttouch.emulator.__main__ import main
+from smarttouch.emulator.firmware import DeliveryLog
 
 
 def twice(enter):

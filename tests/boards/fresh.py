@@ -5,7 +5,7 @@ import subprocess
 import time
 from pathlib import Path
 
-from smarttouch.boards.emulator.delivery_log import STATE_FILE, read_state
+from smarttouch.emulator.firmware import STATE_FILE, read_state
 
 from ..forks import Forked
 

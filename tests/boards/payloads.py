@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from smarttouch.boards.link_lists import encode_limits, encode_lists
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.boards.link.sequence_encoding import encode_limits, encode_lists
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 
 def limits_payload(electrodes):

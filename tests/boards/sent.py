@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from smarttouch.boards.emulator.delivery_log import read_recharges, read_slots
-from smarttouch.testing.pulses import Pulse
+from smarttouch.emulator.firmware import read_recharges, read_slots
+from smarttouch.testing.pulses import SentPulse
 
 
 class Source:
@@ -22,7 +22,7 @@ class Source:
         current = [-current_ua / (among - 1)] * among
         current[electrode] = current_ua
         if current_ua and not more:
-            self.pulses.append(Pulse(tuple(current), width_us, rest_us - self._extra_us))
+            self.pulses.append(SentPulse(tuple(current), width_us, rest_us - self._extra_us))
         return 0
 
 
@@ -78,5 +78,5 @@ def pulses_in_books(folder):
         discharge_us = None
         if number + 1 < len(slots) and slots[number + 1]["slot"] == int(slot["slot"]) + 1:
             discharge_us = float(slots[number + 1]["time_us"] - slot["time_us"]) - width_us
-        found.append(Pulse(tuple(current_ua), width_us, discharge_us))
+        found.append(SentPulse(tuple(current_ua), width_us, discharge_us))
     return found

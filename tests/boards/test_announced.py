@@ -6,12 +6,12 @@ import time
 
 import pytest
 
+from smarttouch.base.clock import now_ns
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.stopping import RunStopped
 from smarttouch.boards import announced as module
 from smarttouch.boards.announced import leave_mark, refuse_if_stopped, running, started_ns
 from smarttouch.boards.stoppable import announced
-from smarttouch.clock import now_ns
-from smarttouch.errors import SmartTouchError
-from smarttouch.stopping import RunStopped
 
 from ..raising import raises
 from .test_stoppable import in_child

@@ -7,17 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.checks import Complaint, Load
-from smarttouch.boards.emulator.delivery_log import DeliveryLog, read_slots, read_state
-from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
-from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
-from smarttouch.boards.link_protocol import Rule
+from smarttouch.base.clock import prioritized
+from smarttouch.base.errors import BoardError
+from smarttouch.boards.link.protocol import Rule
 from smarttouch.boards.open import make_board
-from smarttouch.errors import BoardError
+from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
+from smarttouch.emulator.firmware import DeliveryLog, read_slots, read_state
+from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
+from smarttouch.emulator.link_rules import BrokenRule, Load
 from smarttouch.profile.device import Output
-from smarttouch.realtime import prioritized
-from smarttouch.testing.boards import BoardContract
-from smarttouch.testing.pulses import Pulse, planned_pulses
+from smarttouch.testing.board_contract import BoardContract
+from smarttouch.testing.pulses import SentPulse, planned_pulses
 from tests.boards.fresh import deliver, fresh_state, until
 from tests.boards.sent import SentBytes, pulses_in_books
 
@@ -156,7 +156,7 @@ class OneAgainstAll(Contract):
 
     @pytest.fixture(autouse=True)
     def _no_boot(self, monkeypatch):
-        monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
+        monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 0.0)
 
     def keep_sent(self):
         self.sent = SentBytes(time.monotonic_ns)
@@ -262,7 +262,7 @@ class TestSimulated(TestMemory):
     def pulses(self):
         _, width_us, current_ua = self.board.take_pulses()
         return [
-            Pulse(tuple(map(float, row)), width)
+            SentPulse(tuple(map(float, row)), width)
             for row, width in zip(current_ua, width_us.tolist(), strict=True)
         ]
 
@@ -296,8 +296,8 @@ class TestSimulated(TestMemory):
     def test_what_the_firmware_refuses_ends_it(self, make_board, monkeypatch):
         with make_board() as board:
             board.send(self.sequence(0))
-            refused = Complaint(Rule.TOTAL, value=1234), Load.none(self.electrodes)
-            monkeypatch.setattr("smarttouch.boards.emulator.link.complaint", lambda *_: refused)
+            refused = BrokenRule(Rule.TOTAL, value=1234), Load.none(self.electrodes)
+            monkeypatch.setattr("smarttouch.emulator.link_firmware.complaint", lambda *_: refused)
             with raises(BoardError, about="board", value=2) as error:
                 board.send(self.sequence(1))
             assert "1234" in str(error.value)

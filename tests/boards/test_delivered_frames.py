@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
-from smarttouch.boards.emulator.simulated import SimulatedBoard
-from smarttouch.kernels.problem import Problem
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stimulation.schedule import ScanScheduler
-from smarttouch.stimulation.sequence import ScanSequence
-from smarttouch.stimulation.sharing import SlotPolicy
-from smarttouch.tactile_image import TactileImage
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.tactile_image import TactileImage
+from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.kernels.design_problem import Problem
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence, SlotPolicy
+from smarttouch.stimulation.scheduler import ScanScheduler
 
 
 @pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])

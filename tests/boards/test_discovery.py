@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.boards import discovery
-from smarttouch.boards.discovery import NetworkBoard, network_boards, parse_answer, serial_ports
+from smarttouch.boards import open
+from smarttouch.boards.open import NetworkBoard, network_boards, parse_answer, serial_ports
 
 
 def test_an_answer_is_a_board():
@@ -57,7 +57,7 @@ def test_serial_ports_are_listed_and_none_is_opened(monkeypatch):
             self.device, self.description = device, description
 
     monkeypatch.setattr(
-        discovery.list_ports,
+        open.list_ports,
         "comports",
         lambda: [Found("/dev/ttyUSB1", "CP2102"), Found("/dev/ttyS0", "n/a")],
     )

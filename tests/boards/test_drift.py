@@ -11,17 +11,16 @@ from collections import deque
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.delivery_log import read_slots
-from smarttouch.boards.emulator.finger import Finger
-from smarttouch.boards.emulator.skin import COMPLIANCE_V
-from smarttouch.boards.link_protocol import Kind
-from smarttouch.boards.link_sequence import decode_volts
-from smarttouch.boards.probe import one_each
+from smarttouch.boards.link.protocol import MessageKind, decode_volts
+from smarttouch.boards.probe_scans import one_each
+from smarttouch.emulator.finger_events import EmulatedFinger
+from smarttouch.emulator.firmware import read_slots
+from smarttouch.emulator.skin import COMPLIANCE_V
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.adaptation import Adaptation
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
-from tests.boards.emulator.rig import LinkRig
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from tests.boards.payloads import sequence_payload
+from tests.emulator.rig import LinkRig
 
 SECONDS = float(os.environ.get("SMARTTOUCH_DRIFT_SECONDS", "1.2"))
 DRIFTING, STEADY = 6, 9
@@ -34,7 +33,7 @@ class ToldLink(LinkRig):
     """A link board that measures, one thread with its host: a sequence takes the time it says."""
 
     def __init__(self, limits, kind, folder, events):
-        finger = Finger(limits.electrodes, events)
+        finger = EmulatedFinger(limits.electrodes, events)
         super().__init__(limits.electrodes, kind, folder=folder, finger=finger)
         self.gate, self.now_ms, self.number = SafetyGate(limits), 0, 0
 
@@ -46,11 +45,13 @@ class ToldLink(LinkRig):
             self.output, sequence.period_us, sequence.width_us, sequence.discharge_us,
             sequence.site, sequence.current_ua, measure=True,
         )  # fmt: skip
-        heard = self.say(self.now_ms, Kind.SEQUENCE, self.number, payload)
+        heard = self.say(self.now_ms, MessageKind.SEQUENCE, self.number, payload)
         self.now_ms += sequence.period_us / 1000
         heard += self.advance(self.now_ms)
-        assert [each.kind for each in heard if each.kind in (Kind.ACK, Kind.NAK)] == [Kind.ACK]
-        (volts,) = (each.payload for each in heard if each.kind == Kind.VOLTAGES)
+        assert [each.kind for each in heard if each.kind in (MessageKind.ACK, MessageKind.NAK)] == [
+            MessageKind.ACK
+        ]
+        (volts,) = (each.payload for each in heard if each.kind == MessageKind.VOLTAGES)
         return decode_volts(volts)
 
 

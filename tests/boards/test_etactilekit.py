@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smarttouch.boards import etactilekit, etactilekit_line, etactilekit_step
-from smarttouch.boards.emulator.finger import Finger
-from smarttouch.boards.etactilekit import ETactileKitBoard
-from smarttouch.boards.probe import one_each
-from smarttouch.errors import BoardError, LineLostError
+from smarttouch.base.errors import BoardError, LineLostError
+from smarttouch.boards.kits import etactilekit, etactilekit_line, etactilekit_step
+from smarttouch.boards.kits.etactilekit import ETactileKitBoard
+from smarttouch.boards.probe_scans import one_each
+from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from tests.boards.fresh import deliver
 from tests.boards.told import MS, ToldClock, ToldKit
 
@@ -131,7 +131,7 @@ def test_a_pattern_that_is_there_is_not_sent_again(script, make):
 @pytest.mark.parametrize(("event", "lifted"), [("0 lift", True), ("0 touch", False)])
 def test_a_finger_that_is_gone_is_known_by_the_load_beside_it(monkeypatch, event, lifted):
     limits = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
-    kit = ToldKit(monkeypatch, limits, finger=Finger(8, [event]), dummy_ohm=66e3)
+    kit = ToldKit(monkeypatch, limits, finger=EmulatedFinger(8, [event]), dummy_ohm=66e3)
     sequence = one_each(
         limits, 2000, 100, 1.0, 0, cathodic=False, sites=[1], discharge_us=50, period_us=20_000
     )

@@ -6,15 +6,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.boards import etactilekit_line
-from smarttouch.boards.emulator.delivery_log import DeliveryLog
-from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
-from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
-from smarttouch.boards.emulator.link import LinkFirmware
-from smarttouch.boards.etactilekit import ETactileKitBoard
-from smarttouch.boards.host_statistics import HostStatistics
-from smarttouch.errors import BoardError, SilentBoardError
-from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.base.errors import BoardError, SilentBoardError
+from smarttouch.boards.kits import etactilekit_line
+from smarttouch.boards.kits.etactilekit import ETactileKitBoard
+from smarttouch.boards.reports import HostStatistics
+from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
+from smarttouch.emulator.firmware import DeliveryLog
+from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
+from smarttouch.emulator.link_firmware import LinkFirmware
+from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.boards.told import ToldClock, ToldPort
 
 from ..raising import raises
@@ -43,7 +43,7 @@ class Meeting:
         self.board = board or ETactileKitFirmware(self.books, firmware=firmware)
         self.port = ToldPort(self.board, self.clock)
         patch.setattr(etactilekit_line, "open_port", lambda _: self.port)
-        patch.setattr("smarttouch.boards.kept_board.KeptLine", lambda port: port)
+        patch.setattr("smarttouch.boards.kits.kept_line.KeptLine", lambda port: port)
         self.driver = ETactileKitBoard("told" + option, LIMITS)
         self.driver._clock, self.driver._pause = self.clock, self.clock.sleep
         self.driver._serial = self.port

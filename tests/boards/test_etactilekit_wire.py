@@ -7,14 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.boards.emulator.delivery_log import DeliveryLog
-from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
-from smarttouch.boards.etactilekit_pulses import Settings, settings_of
-from smarttouch.boards.etactilekit_wire import HeightCodec, ModeCodec
-from smarttouch.boards.probe import one_each
-from smarttouch.boards.scale import scale_of
-from smarttouch.errors import BoardError
-from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.base.errors import BoardError
+from smarttouch.boards.kits.current_scale import scale_of
+from smarttouch.boards.kits.etactilekit_wire import HeightCodec, ModeCodec, Settings, settings_of
+from smarttouch.boards.probe_scans import one_each
+from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
+from smarttouch.emulator.firmware import DeliveryLog
+from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..raising import raises
 

@@ -10,12 +10,12 @@ import time
 
 import pytest
 
-from smarttouch.boards.emulator.delivery_log import read_state
-from smarttouch.boards.emulator.driver import EmulatorBoard
-from smarttouch.boards.link import LinkBoard
-from smarttouch.boards.link_line import SILENCE_S
-from smarttouch.boards.link_protocol import Kind
-from smarttouch.errors import BoardError, LineLostError, SilentBoardError
+from smarttouch.base.errors import BoardError, LineLostError, SilentBoardError
+from smarttouch.boards.link.link_board import LinkBoard
+from smarttouch.boards.link.packet_line import SILENCE_S
+from smarttouch.boards.link.protocol import MessageKind
+from smarttouch.emulator.emulated_boards import EmulatorBoard
+from smarttouch.emulator.firmware import read_state
 from smarttouch.profile.device import Output
 from tests.boards.fresh import alive, deliver, until
 
@@ -27,9 +27,9 @@ HOST = """
 import sys, time
 from pathlib import Path
 import numpy as np
-from smarttouch.boards.emulator.driver import EmulatorBoard
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.emulator.emulated_boards import EmulatorBoard
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 limits = SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 column = np.full(600, 100, np.uint16)
@@ -152,7 +152,7 @@ def test_a_silent_port_is_told_of(make_limits):
 def test_a_board_that_someone_else_stopped_is_told_of(make_limits, make_sequence):
     with EmulatorBoard("", make_limits()) as board:
         board.send(make_sequence(0))
-        board._line.send(Kind.STOP)
+        board._line.send(MessageKind.STOP)
         with raises(BoardError, about="board"):
             send_on(board, make_sequence)
 

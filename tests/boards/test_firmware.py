@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.delivery_log import read_slots, read_state
-from smarttouch.boards.link_protocol import Kind
+from smarttouch.base.errors import BoardRestartedError
+from smarttouch.boards.link.protocol import MessageKind
 from smarttouch.boards.open import make_board
-from smarttouch.errors import BoardRestartedError
+from smarttouch.emulator.firmware import read_slots, read_state
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.kernel_table import KernelLists
+from smarttouch.stimulation.scan_sequence import KernelLists
 from tests.boards.fresh import deliver, fresh_state, until
 from tests.boards.test_contract import Contract
 from tests.firmware.build import WHOLE
@@ -50,7 +50,7 @@ class TestFirmware(Contract):
             sizes, send = [], board._line.send
 
             def told(kind, *rest, **more):
-                if kind == Kind.SEQUENCE:
+                if kind == MessageKind.SEQUENCE:
                     sizes.append(len(rest[1]))
                 return send(kind, *rest, **more)
 

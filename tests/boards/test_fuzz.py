@@ -10,17 +10,14 @@ import os
 import numpy as np
 import pytest
 
-from smarttouch.boards.discovery import parse_answer
-from smarttouch.boards.emulator.delivery_log import DeliveryLog
-from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
-from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
-from smarttouch.boards.emulator.link import LinkFirmware
-from smarttouch.boards.emulator.lists import Keep, decode_lists
-from smarttouch.boards.emulator.session import BoardSession
-from smarttouch.boards.link_protocol import Kind
-from smarttouch.boards.link_sequence import decode_volts
-from smarttouch.boards.link_session import decode, encode
-from smarttouch.wire.framing import Deframer
+from smarttouch.base.wire.framing import Deframer
+from smarttouch.boards.link.protocol import MessageKind, decode, decode_volts, encode
+from smarttouch.boards.open import parse_answer
+from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
+from smarttouch.emulator.firmware import DeliveryLog
+from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
+from smarttouch.emulator.link_firmware import LinkFirmware
+from smarttouch.emulator.link_packets import BoardSession, KernelStore, decode_lists
 
 from .payloads import limits_payload, sequence_payload
 
@@ -34,13 +31,15 @@ LISTS = bytes.fromhex("88130000 0100 ffff 00 01 64003200 01 00 0200 00007800 010
 KERNELS = bytes.fromhex("04000200 00000100 00000200 ff7f0180 01000200 00000100 0100 02000100 ffff")
 SEEDS = {
     "link": [
-        encode(Kind.HELLO, HALF, 1), encode(Kind.BEGIN, SESSION, 2),
-        encode(Kind.STATUS, SESSION, 3), encode(Kind.LIMITS, SESSION, 4, payload=limits_payload(4)),
-        encode(Kind.SEQUENCE, SESSION, 5, about=1, payload=PAYLOAD),
+        encode(MessageKind.HELLO, HALF, 1),
+        encode(MessageKind.BEGIN, SESSION, 2),
+        encode(MessageKind.STATUS, SESSION, 3),
+        encode(MessageKind.LIMITS, SESSION, 4, payload=limits_payload(4)),
+        encode(MessageKind.SEQUENCE, SESSION, 5, about=1, payload=PAYLOAD),
     ],
     "kajimoto61": [b"\xff" + bytes(61), b"\xff" + bytes([100] * 61), b"\xfe"],
     "etactilekit": [b"\xf5\xfc\x04\xf4", b"\xfa\x64\x00\xf7\x32\xf6\x3c\x00", b"\xfe" + bytes(8)],
-}  # fmt: skip
+}
 
 
 def pieces(seed, whole):
@@ -70,7 +69,7 @@ def decode_sequences(payload):
 
 
 def keep_kernels(payload):
-    keep = Keep(4, 1000, 10)
+    keep = KernelStore(4, 1000, 10)
     keep.take(hashlib.sha256(payload).digest()[:16], len(payload), 0, payload)
     assert keep.weights is None or not keep.weights.sum(axis=1).any()
 

@@ -5,15 +5,13 @@ import threading
 
 import pytest
 
-from smarttouch.boards.emulator.driver import EmulatorBoard
-from smarttouch.boards.hybrid import HybridBoard
-from smarttouch.boards.memory import MemoryBoard
-from smarttouch.boards.open import make_board
-from smarttouch.boards.vibrators import VibratorBoard
-from smarttouch.errors import BoardError, BoardStoppedError
+from smarttouch.base.errors import BoardError, BoardStoppedError
+from smarttouch.base.wire.device_lines import PtyLine
+from smarttouch.boards.open import MemoryBoard, make_board
+from smarttouch.boards.vibrators.vibrator_board import HybridBoard, VibratorBoard
+from smarttouch.emulator.emulated_boards import EmulatorBoard
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.wire.pty_line import PtyLine
+from smarttouch.stimulation.safety_gate import SafetyLimits
 
 PATIENCE_S = 20
 LIMITS = SafetyLimits(61, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
@@ -63,16 +61,16 @@ def test_a_board_that_was_halted_is_never_opened(url):
 
 @pytest.mark.parametrize("kind", ["kajimoto61", "etactilekit", "link"])
 def test_halting_ends_the_wait_for_a_board_that_does_not_answer(monkeypatch, deaf_port, kind):
-    monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 600.0)
-    monkeypatch.setattr("smarttouch.boards.link_line.ANSWER_S", 600.0)
+    monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 600.0)
+    monkeypatch.setattr("smarttouch.boards.link.packet_line.ANSWER_S", 600.0)
     board = make_board(f"{kind}:{deaf_port}", LIMITS, OUTPUT)
     assert isinstance(Opening(board).halted(), BoardStoppedError)
 
 
 def test_halting_ends_the_silence_that_an_etactilekit_is_given(monkeypatch, deaf_port):
-    monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
-    monkeypatch.setattr("smarttouch.boards.etactilekit_line.FORGETS_S", 600.0)
-    monkeypatch.setattr("smarttouch.boards.etactilekit_line.CHIPS_S", 0.01)
+    monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 0.0)
+    monkeypatch.setattr("smarttouch.boards.kits.etactilekit_line.FORGETS_S", 600.0)
+    monkeypatch.setattr("smarttouch.boards.kits.etactilekit_line.CHIPS_S", 0.01)
     board = make_board(f"etactilekit:{deaf_port}", LIMITS, OUTPUT)
     waiting, pause = threading.Event(), board._pause
 
@@ -98,7 +96,7 @@ def test_halting_ends_the_start_of_an_emulator():
 
 def test_halting_ends_the_wait_for_a_port_that_is_gone(monkeypatch, deaf_port):
     """The line breaks in a send, and does not come back."""
-    monkeypatch.setattr("smarttouch.boards.link.RECOVER_S", 600.0)
+    monkeypatch.setattr("smarttouch.boards.link.link_board.RECOVER_S", 600.0)
     board = make_board("link:/dev/nowhere", LIMITS, OUTPUT)
     board.capabilities = None
     thread = threading.Thread(target=recover, args=(board, raised := []), daemon=True)

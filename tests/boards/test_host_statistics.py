@@ -2,7 +2,7 @@
 
 import pytest
 
-from smarttouch.boards.host_statistics import HostStatistics
+from smarttouch.boards.reports import HostStatistics
 
 
 def test_a_range_of_scans_is_a_range_of_pulses(make_sequence):

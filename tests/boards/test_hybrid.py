@@ -6,17 +6,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smarttouch.boards.hybrid import HybridBoard
-from smarttouch.boards.impedance import classify
-from smarttouch.boards.open import make_board
-from smarttouch.boards.vibrators import VibratorBoard
-from smarttouch.errors import (
+from smarttouch.base.errors import (
     BoardClosedError,
     BoardError,
     BoardRestartedError,
     BoardStoppedError,
     SafetyError,
 )
+from smarttouch.boards.open import make_board
+from smarttouch.boards.reports import classify
+from smarttouch.boards.vibrators.vibrator_board import HybridBoard, VibratorBoard
 from smarttouch.profile.device import Output
 
 from ..raising import raises

@@ -4,11 +4,11 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.boards.impedance import judge
-from smarttouch.boards.probe import one_each, probe_sequences
-from smarttouch.errors import BoardError
+from smarttouch.base.errors import BoardError
+from smarttouch.boards.probe_scans import one_each, probe_sequences
+from smarttouch.boards.reports import judge
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
 from ..raising import raises
 

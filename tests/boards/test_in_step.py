@@ -9,11 +9,11 @@ import random
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.delivery_log import read_slots
-from smarttouch.boards.etactilekit import ETactileKitBoard
+from smarttouch.boards.kits.etactilekit import ETactileKitBoard
 from smarttouch.boards.open import make_board
-from smarttouch.boards.probe import one_each
-from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.boards.probe_scans import one_each
+from smarttouch.emulator.firmware import read_slots
+from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.boards.fresh import until
 from tests.boards.told import MS, ToldKit
 
@@ -173,7 +173,7 @@ def test_another_polarity_and_rate_are_set_in_between(monkeypatch, firmware):
 @pytest.mark.realtime
 @FIRMWARES
 def test_over_a_line_too_none_is_left_out(start_emulator, tmp_path, monkeypatch, firmware):
-    monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
+    monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 0.0)
     # On a machine that stands still what waits would give way to what is newer.
     monkeypatch.setattr(ETactileKitBoard, "room_s", 60.0)
     _, port = start_emulator(

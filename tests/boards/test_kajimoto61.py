@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.boards.kajimoto61 import Kajimoto61Board
-from smarttouch.errors import BoardError, SafetyError
+from smarttouch.base.errors import BoardError, SafetyError
+from smarttouch.boards.kits.kajimoto61 import Kajimoto61Board
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..raising import raises
 from .fresh import deliver

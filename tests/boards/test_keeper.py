@@ -16,10 +16,10 @@ import pytest
 import serial
 from serial import rfc2217
 
-from smarttouch.boards import keeper, kept_line
-from smarttouch.boards.kept_line import KeptLine
-from smarttouch.errors import BoardError
-from smarttouch.wire.port import open_port
+from smarttouch.base.errors import BoardError
+from smarttouch.base.wire.port import open_port
+from smarttouch.boards.kits import keeper, kept_line
+from smarttouch.boards.kits.kept_line import KeptLine
 
 from ..raising import raises
 from .fresh import alive, until
@@ -119,8 +119,8 @@ def test_closing_ends_at_zero_and_lets_go_of_the_port(board, line):
 
 HOST = """
 import sys, time
-from smarttouch.boards.kept_line import KeptLine
-from smarttouch.wire.port import open_port
+from smarttouch.boards.kits.kept_line import KeptLine
+from smarttouch.base.wire.port import open_port
 line = KeptLine(open_port(sys.argv[1]))
 line.promise_zero(bytes.fromhex(sys.argv[2]))
 line.write(b"pattern")
@@ -210,7 +210,7 @@ def test_no_process_to_be_had_is_one_sentence_and_the_port_is_free(board, monkey
     def refuse(*_, **__):
         raise BlockingIOError(11, "Resource temporarily unavailable")
 
-    monkeypatch.setattr("smarttouch.boards.kept_line.subprocess.Popen", refuse)
+    monkeypatch.setattr("smarttouch.boards.kits.kept_line.subprocess.Popen", refuse)
     with raises(BoardError, about="keeper"):
         KeptLine(open_port(board.name))
     open_port(board.name).close()
@@ -248,7 +248,7 @@ def beat_until(controls, end):
 
 
 def test_a_board_that_takes_no_bytes_does_not_keep_it(board, line, monkeypatch):
-    monkeypatch.setattr("smarttouch.boards.kept_line.WRITE_S", 0.1)
+    monkeypatch.setattr("smarttouch.boards.kits.kept_line.WRITE_S", 0.1)
     line.promise_zero(ZERO)
     for _ in range(1000):
         try:

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from smarttouch.boards.etactilekit import ETactileKitBoard
-from smarttouch.boards.latch import clear_latch, find_latch, latch
-from smarttouch.boards.link import LinkBoard
-from smarttouch.errors import BoardError, BoardFaultError, BoardLatchedError
+from smarttouch.base.errors import BoardError, BoardFaultError, BoardLatchedError
+from smarttouch.boards.faults import clear_latch, find_latch, latch
+from smarttouch.boards.kits.etactilekit import ETactileKitBoard
+from smarttouch.boards.link.link_board import LinkBoard
 from smarttouch.profile.device import Output
 
 from ..forks import PROGRAM

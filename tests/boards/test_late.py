@@ -5,13 +5,13 @@ import threading
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.driver import EmulatorBoard
-from smarttouch.boards.kajimoto61 import Kajimoto61Board
-from smarttouch.boards.memory import MemoryBoard
-from smarttouch.boards.probe import one_each
-from smarttouch.clock import LATE_NS
-from smarttouch.errors import SafetyError, SequenceLateError
-from smarttouch.stimulation.safety import Rise, SafetyLimits
+from smarttouch.base.clock import LATE_NS
+from smarttouch.base.errors import SafetyError, SequenceLateError
+from smarttouch.boards.kits.kajimoto61 import Kajimoto61Board
+from smarttouch.boards.open import MemoryBoard
+from smarttouch.boards.probe_scans import one_each
+from smarttouch.emulator.emulated_boards import EmulatorBoard
+from smarttouch.stimulation.safety_gate import Rise, SafetyLimits
 
 from .fresh import deliver
 from .told import ToldKit
@@ -166,7 +166,7 @@ def rise_of_the_line(monkeypatch):
     """Return a setter of a board's ramp by the clock of its line, as outside these tests."""
 
     def set_rise(board, ramp_ns):
-        monkeypatch.setattr("smarttouch.stimulation.safety.LATE_NS", LATE_NS)
+        monkeypatch.setattr("smarttouch.stimulation.safety_gate.LATE_NS", LATE_NS)
         board._rise = Rise(ramp_ns)
 
     return set_rise

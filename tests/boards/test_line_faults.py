@@ -6,8 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from smarttouch.boards.recovery import TIMES, start_anew
-from smarttouch.errors import (
+from smarttouch.base.errors import (
     BoardError,
     BoardRestartedError,
     BoardStoppedError,
@@ -15,6 +14,7 @@ from smarttouch.errors import (
     OtherDeviceError,
     SilentBoardError,
 )
+from smarttouch.boards.faults import TIMES, restart_lost_board
 
 from ..raising import raises
 from .conftest import FIRMWARES
@@ -70,7 +70,7 @@ def known_by_usb(monkeypatch):
             return [SimpleNamespace(device=str(path.resolve()), vid=1, pid=2, serial_number="3",
                                     location="1-1")] * (known and path.exists())  # fmt: skip
 
-        monkeypatch.setattr("smarttouch.wire.port.list_ports.comports", listed)
+        monkeypatch.setattr("smarttouch.base.wire.port.list_ports.comports", listed)
 
     return know
 
@@ -135,7 +135,7 @@ def test_a_reply_that_is_not_whole(hosted, change):
 @pytest.mark.silence
 def test_a_measurement_that_is_cut_short_ends_in_zero_and_the_next_is_whole(hosted, monkeypatch):
     # Only answers are lost here: its parser needs no long silence.
-    monkeypatch.setattr("smarttouch.boards.etactilekit_line.FORGETS_S", 0.1)
+    monkeypatch.setattr("smarttouch.boards.kits.etactilekit_line.FORGETS_S", 0.1)
     with hosted.board as board:
         hosted.line.to_host = every(1, cut_short)
         with raises(BoardError, about=("measure", "board").__contains__):
@@ -170,7 +170,7 @@ def test_a_port_that_goes_and_comes_back_begins_at_zero(hosted, known_by_usb):
 
 @ALL
 def test_a_port_that_stays_away_is_told_of(hosted, monkeypatch):
-    for module in ("link", "streamed"):
+    for module in ("link.link_board", "kits.streamed"):
         monkeypatch.setattr(f"smarttouch.boards.{module}.RECOVER_S", 0.3)
     with raises(BoardError, about="board", value=str(hosted.line.path)) as error, hosted.board:
         pulled_out_after(4, hosted)
@@ -216,14 +216,14 @@ def failing(*errors):
 @pytest.mark.parametrize("again", range(TIMES))
 def test_what_is_lost_again_meanwhile_is_begun_again(kind, again):
     start, left = failing(*[kind("again")] * again)
-    start_anew(start, LOST)
+    restart_lost_board(start, LOST)
     assert left == []
 
 
 def test_the_first_loss_is_told_of_where_it_does_not_come_back():
     start, left = failing(*[LineLostError("again")] * (TIMES + 1))
     with pytest.raises(LineLostError) as error:
-        start_anew(start, LOST)
+        restart_lost_board(start, LOST)
     assert (error.value, len(left)) == (LOST, 1)
 
 
@@ -231,6 +231,6 @@ def test_the_first_loss_is_told_of_where_it_does_not_come_back():
 def test_what_trying_again_does_not_mend_is_tried_once(kind):
     start, left = failing(kind("no"), kind("no"))
     with pytest.raises(BoardError) as error:
-        start_anew(start, LOST)
+        restart_lost_board(start, LOST)
     assert len(left) == 1
     assert isinstance(error.value, BoardStoppedError) == (kind is BoardStoppedError)

@@ -4,11 +4,10 @@ import time
 
 import pytest
 
-from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.link_line import SILENCE_S, LinkLine
-from smarttouch.boards.link_protocol import Kind
-from smarttouch.boards.link_session import encode
-from smarttouch.errors import LineLostError
+from smarttouch.base.errors import LineLostError
+from smarttouch.boards.link import protocol as protocol
+from smarttouch.boards.link.packet_line import SILENCE_S, LinkLine
+from smarttouch.boards.link.protocol import MessageKind, encode
 
 from ..raising import raises
 from .fresh import until
@@ -30,7 +29,7 @@ class Port:
         if piece == ALIVE:
             self.number += 1
             session, payload = self.line.session.number, protocol.ALIVE.pack(0)
-            return encode(Kind.ALIVE, session, self.number, payload=payload)
+            return encode(MessageKind.ALIVE, session, self.number, payload=payload)
         return piece if isinstance(piece, bytes) else b""
 
     def write(self, _):

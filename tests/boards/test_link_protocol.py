@@ -11,13 +11,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.emulator.lists import decode_lists
-from smarttouch.boards.link_protocol import Kind
-from smarttouch.boards.link_sequence import decode_volts, encode_volts
-from smarttouch.boards.link_session import WHOLE_HEAD_BYTES, decode, decode_head, encode
-from smarttouch.errors import BoardError
-from smarttouch.wire.framing import LARGEST_PACKET, Deframer, Packet
+from smarttouch.base.errors import BoardError
+from smarttouch.base.wire.framing import LARGEST_PACKET, Deframer, WirePacket
+from smarttouch.boards.link import protocol as protocol
+from smarttouch.boards.link.protocol import (
+    WHOLE_HEAD_BYTES,
+    MessageKind,
+    decode,
+    decode_head,
+    decode_volts,
+    encode,
+    encode_volts,
+)
+from smarttouch.emulator.link_packets import decode_lists
 
 from ..raising import raises
 from .payloads import sequence_payload
@@ -47,9 +53,9 @@ def columns(current, seed=0):
 def test_weighted_survives_the_wire(current, number, period):
     width, discharge, site = columns(current)
     payload = sequence_payload("weighted", period, width, discharge, site, current)
-    packet = only(Deframer().feed(encode(Kind.SEQUENCE, 2**64 - 1, 5, 6, number, payload)))
+    packet = only(Deframer().feed(encode(MessageKind.SEQUENCE, 2**64 - 1, 5, 6, number, payload)))
     message = decode(packet)
-    assert (message.kind, message.session, message.number) == (Kind.SEQUENCE, 2**64 - 1, 5)
+    assert (message.kind, message.session, message.number) == (MessageKind.SEQUENCE, 2**64 - 1, 5)
     assert (message.heard, message.about, message.version) == (6, number, protocol.VERSION)
     wire = decode_sequence(message.payload, current.shape[1])
     assert (wire.period_us, wire.electrodes) == (period, current.shape[1])
@@ -89,13 +95,15 @@ def test_any_bytes_are_survived_and_the_next_packet_is_found(pieces):
     deframer = Deframer()
     for piece in pieces:
         list(deframer.feed(piece))
-    packets = list(deframer.feed(b"\0" + encode(Kind.STOP, 1, 3)))
-    assert (packets[-1].kind, packets[-1].number) == (Kind.STOP, 3)
+    packets = list(deframer.feed(b"\0" + encode(MessageKind.STOP, 1, 3)))
+    assert (packets[-1].kind, packets[-1].number) == (MessageKind.STOP, 3)
 
 
 @given(cuts=st.lists(st.integers(0, 200), max_size=5))
 def test_packets_may_come_in_any_pieces(cuts):
-    data = b"".join(encode(Kind.HEARTBEAT, 1, number, payload=bytes(30)) for number in range(4))
+    data = b"".join(
+        encode(MessageKind.HEARTBEAT, 1, number, payload=bytes(30)) for number in range(4)
+    )
     edges = [0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]
     deframer = Deframer()
     numbers = [
@@ -109,7 +117,7 @@ def test_packets_may_come_in_any_pieces(cuts):
 
 @given(position=st.integers(0, 40), flip=st.integers(1, 255))
 def test_a_changed_byte_is_an_error_and_no_packet(position, flip):
-    data = bytearray(encode(Kind.SEQUENCE, 1, 9, payload=bytes(range(1, 31))))
+    data = bytearray(encode(MessageKind.SEQUENCE, 1, 9, payload=bytes(range(1, 31))))
     data[position % (len(data) - 1)] ^= flip
     deframer = Deframer()
     assert list(deframer.feed(bytes(data))) == []
@@ -123,7 +131,7 @@ def test_an_endless_packet_does_not_fill_the_memory():
         list(deframer.feed(b"\x01" * 2**20))
     assert len(deframer._waiting) <= LARGEST_PACKET * 1.1
     assert list(deframer.feed(b"\0")) == []
-    assert len(list(deframer.feed(encode(Kind.STOP, 1, 1)))) == 1
+    assert len(list(deframer.feed(encode(MessageKind.STOP, 1, 1)))) == 1
 
 
 @given(hnp.arrays(np.float64, st.integers(0, 50), elements=st.floats(0, 655)))
@@ -174,8 +182,8 @@ def test_the_bytes_are_those_of_a_plain_encoder(current, seed, shapes):
         rows = [struct.pack(f"<H{len(row)}h", own, *row) for _, own, row in group]
         plain += struct.pack("<BBH", 2, used.index(each), len(rows)) + b"".join(rows)
     assert sequence_payload("weighted", 9000, width, rest, site, current, 3) == plain
-    body = struct.pack("<BBIBQII", protocol.VERSION, Kind.SEQUENCE, 7, 0, 5, 6, 4) + plain
-    packet = encode(Kind.SEQUENCE, 5, 7, 6, 4, plain)
+    body = struct.pack("<BBIBQII", protocol.VERSION, MessageKind.SEQUENCE, 7, 0, 5, 6, 4) + plain
+    packet = encode(MessageKind.SEQUENCE, 5, 7, 6, 4, plain)
     assert cobs.decode(packet[:-1]) == body + struct.pack("<I", zlib.crc32(body))
 
 
@@ -199,7 +207,7 @@ def test_no_times_at_all_is_no_sequence():
 
 @given(payload=st.binary(max_size=600), cut=st.integers(0, 700), session=st.integers(0, 2**64 - 1))
 def test_the_head_of_a_packet_is_known_before_its_end(payload, cut, session):
-    data = encode(Kind.SEQUENCE, session, 258, 0, 7, payload)
+    data = encode(MessageKind.SEQUENCE, session, 258, 0, 7, payload)
     deframer = Deframer()
     list(deframer.feed(data[: min(cut, len(data) - 1)]))
     assert deframer.waiting == min(cut, len(data) - 1)
@@ -208,11 +216,11 @@ def test_the_head_of_a_packet_is_known_before_its_end(payload, cut, session):
         assert cut <= WHOLE_HEAD_BYTES
     else:
         message = decode_head(head)
-        assert (message.kind, message.session) == (Kind.SEQUENCE, session)
+        assert (message.kind, message.session) == (MessageKind.SEQUENCE, session)
         assert (message.number, message.heard, message.about) == (258, 0, 7)
 
 
 def test_what_is_too_short_belongs_to_no_session():
     for length in range(16):
-        message = decode(Packet(Kind.STOP, 9, bytes([1] * length), protocol.VERSION))
+        message = decode(WirePacket(MessageKind.STOP, 9, bytes([1] * length), protocol.VERSION))
         assert (message.session, message.payload) == (0, b"")

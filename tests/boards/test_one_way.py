@@ -5,14 +5,17 @@ import threading
 import numpy as np
 import pytest
 
-from smarttouch.boards.etactilekit import SENSE_SCANS
-from smarttouch.boards.hybrid import HybridBoard
-from smarttouch.boards.kajimoto61 import Kajimoto61Board
-from smarttouch.boards.link_protocol import Kind
-from smarttouch.boards.memory import MemoryBoard
-from smarttouch.boards.open import make_board
-from smarttouch.boards.vibrators import VibratorBoard
-from smarttouch.errors import BoardClosedError, BoardError, BoardStoppedError, LineLostError
+from smarttouch.base.errors import (
+    BoardClosedError,
+    BoardError,
+    BoardStoppedError,
+    LineLostError,
+)
+from smarttouch.boards.kits.etactilekit import SENSE_SCANS
+from smarttouch.boards.kits.kajimoto61 import Kajimoto61Board
+from smarttouch.boards.link.protocol import MessageKind
+from smarttouch.boards.open import MemoryBoard, make_board
+from smarttouch.boards.vibrators.vibrator_board import HybridBoard, VibratorBoard
 
 from ..raising import raises
 from .test_etactilekit import OPEN, PING, QUIET, ZERO, make  # noqa: F401
@@ -137,8 +140,8 @@ def test_a_sequence_that_meets_a_stop_on_its_way_is_not_written(
         monkeypatch.setattr(board, "_wait_for_room", stopped_meanwhile)
         with pytest.raises(BoardStoppedError):
             board.send(make_sequence(1))
-        assert Kind.STOP in kinds
-        assert Kind.SEQUENCE not in kinds
+        assert MessageKind.STOP in kinds
+        assert MessageKind.SEQUENCE not in kinds
 
 
 def stop_elsewhere(board):
@@ -155,7 +158,7 @@ def test_a_write_that_meets_a_stop_is_over_before_zero_or_followed_by_it(
 ):
     """As of a driver that was never made for that, with a line that takes its time."""
     if long:
-        monkeypatch.setattr("smarttouch.boards.timely.WRITE_S", 0.05)
+        monkeypatch.setattr("smarttouch.boards.seal.WRITE_S", 0.05)
     did, writing, goes_on = [], threading.Event(), threading.Event()
 
     class Slow(MemoryBoard):

@@ -6,11 +6,10 @@ import tty
 
 import pytest
 
-from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.link_protocol import Kind
-from smarttouch.boards.link_session import decode, encode
-from smarttouch.errors import BoardError, BoardRestartedError
-from smarttouch.wire.framing import Deframer
+from smarttouch.base.errors import BoardError, BoardRestartedError
+from smarttouch.base.wire.framing import Deframer
+from smarttouch.boards.link import protocol as protocol
+from smarttouch.boards.link.protocol import MessageKind, decode, encode
 
 from ..raising import assert_says
 
@@ -45,9 +44,9 @@ class Stranger:
 
 @pytest.fixture
 def stranger(monkeypatch):
-    monkeypatch.setattr("smarttouch.boards.etactilekit_line.FORGETS_S", 0.1)
-    monkeypatch.setattr("smarttouch.boards.link.RECOVER_S", 0.3)
-    monkeypatch.setattr("smarttouch.boards.streamed.RECOVER_S", 0.3)
+    monkeypatch.setattr("smarttouch.boards.kits.etactilekit_line.FORGETS_S", 0.1)
+    monkeypatch.setattr("smarttouch.boards.link.link_board.RECOVER_S", 0.3)
+    monkeypatch.setattr("smarttouch.boards.kits.streamed.RECOVER_S", 0.3)
     made = []
 
     def make(path, *answer):
@@ -99,7 +98,7 @@ def test_another_by_its_usb_numbers_gets_no_byte(hosted, stranger, usb_ports):
 def test_without_usb_numbers_another_gets_nothing_but_a_question(hosted, stranger):
     heard = replaced(hosted, stranger)
     if hosted.kind == "link":
-        assert set(kinds(heard)) == {Kind.HELLO}
+        assert set(kinds(heard)) == {MessageKind.HELLO}
     else:
         assert heard.replace(CHIPS, b"") == b""
     assert (heard == b"") == (hosted.kind == "kajimoto61")
@@ -113,9 +112,9 @@ def test_a_link_board_that_says_it_is_another_gets_no_sequence(hosted, stranger)
     def answer(heard):
         (hello,) = (decode(each) for each in Deframer().feed(heard))
         session = hello.session | 1 << 32
-        return encode(Kind.CAPABILITIES, session, 1, 0, hello.number, said)
+        return encode(MessageKind.CAPABILITIES, session, 1, 0, hello.number, said)
 
-    assert kinds(replaced(hosted, stranger, answer)) == [Kind.HELLO]
+    assert kinds(replaced(hosted, stranger, answer)) == [MessageKind.HELLO]
 
 
 @pytest.mark.parametrize("hosted", ["etactilekit"], indirect=True)

@@ -12,8 +12,8 @@ from collections import deque
 
 import pytest
 
-from smarttouch.boards.emulator.delivery_log import read_state
-from smarttouch.errors import BoardError, BoardRestartedError
+from smarttouch.base.errors import BoardError, BoardRestartedError
+from smarttouch.emulator.firmware import read_state
 from tests.boards.conftest import FIRMWARES
 from tests.boards.fresh import HANGS_S
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.delivery_log import read_recharges, read_slots, read_state
+from smarttouch.base.errors import BoardError
 from smarttouch.boards.open import make_board
-from smarttouch.errors import BoardError
+from smarttouch.emulator.firmware import read_recharges, read_slots, read_state
 from smarttouch.profile.device import Output
+from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import RechargeRules, add_recharge
-from smarttouch.stimulation.timing import ScanTiming
 from tests.boards.fresh import deliver
 
 RULES = RechargeRules(np.full(8, 119, np.int64), 10_000, ScanTiming())

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.boards.scan_lock import ScanLock, Span
+from smarttouch.boards.kits.scan_lock import ScanLock, Span
 
 T = 20_000_000
 

@@ -10,15 +10,19 @@ from pathlib import Path
 
 import pytest
 
+from smarttouch.base.errors import (
+    BoardError,
+    BoardStoppedError,
+    LineLostError,
+    SmartTouchError,
+)
 from smarttouch.boards import stoppable
 from smarttouch.boards.announced import running, stop_all
 from smarttouch.boards.board import Board
-from smarttouch.boards.hybrid import HybridBoard
 from smarttouch.boards.open import make_board
-from smarttouch.boards.vibrators import VibratorBoard
-from smarttouch.errors import BoardError, BoardStoppedError, LineLostError, SmartTouchError
+from smarttouch.boards.vibrators.vibrator_board import HybridBoard, VibratorBoard
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA, CEILING_USER_MA
-from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..raising import raises
 from .fresh import until

@@ -14,13 +14,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from smarttouch.base.errors import BoardError, BoardStoppedError
 from smarttouch.boards.open import make_board
-from smarttouch.boards.vibrators import VibratorBoard, make_vibrators
-from smarttouch.boards.waveform import GLIDE_S, Waveform, vibrator_of
-from smarttouch.errors import BoardError, BoardStoppedError
+from smarttouch.boards.vibrators.vibrator_board import VibratorBoard, make_vibrators
+from smarttouch.boards.vibrators.vibrator_output import GLIDE_S, Waveform, vibrator_of
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..raising import raises
 from . import test_contract

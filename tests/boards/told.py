@@ -5,12 +5,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from smarttouch.boards import etactilekit_line
-from smarttouch.boards.emulator.delivery_log import DeliveryLog
-from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
-from smarttouch.boards.etactilekit import ETactileKitBoard
-from smarttouch.boards.host_statistics import HostStatistics
-from smarttouch.boards.job import Job
+from smarttouch.boards.kits import etactilekit_line
+from smarttouch.boards.kits.etactilekit import ETactileKitBoard
+from smarttouch.boards.kits.streamed import Job
+from smarttouch.boards.reports import HostStatistics
+from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
+from smarttouch.emulator.firmware import DeliveryLog
 
 US, MS = 1000, 1_000_000
 

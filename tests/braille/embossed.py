@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.documents.page_image import Page
+from smarttouch.pages.page_image import Page
 
 DOT_HEIGHT_MM = 0.48
 DOT_RADIUS_MM = 0.75

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from smarttouch.braille.brf import format_brf, parse_brf
-from smarttouch.errors import BrailleError
+from smarttouch.base.errors import BrailleError
+from smarttouch.braille.cells import format_brf, parse_brf
 
 from ..raising import raises
 

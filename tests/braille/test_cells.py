@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from smarttouch.base.errors import BrailleError
 from smarttouch.braille.cells import POSITION, cells_to_dots, dots_to_cells
-from smarttouch.errors import BrailleError
 
 from ..raising import raises
 

@@ -4,10 +4,10 @@ import threading
 
 import pytest
 
+from smarttouch.base.errors import BrailleError
 from smarttouch.braille import louis
+from smarttouch.braille.code_tables import open_table
 from smarttouch.braille.louis import Emphasis, LouisCode
-from smarttouch.braille.tables import open_table
-from smarttouch.errors import BrailleError
 
 from ..raising import raises
 from .liblouis import needs_liblouis

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.braille.pef import format_pef, parse_pef, read_pef, write_pef
-from smarttouch.errors import BrailleError
+from smarttouch.base.errors import BrailleError
+from smarttouch.braille.cells import format_pef, parse_pef, read_pef, write_pef
 
 from ..raising import raises
 

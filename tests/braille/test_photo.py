@@ -6,10 +6,10 @@ import pytest
 import skimage.data
 from rapidfuzz.distance import Levenshtein
 
-from smarttouch.braille import network
+from smarttouch.base.errors import PageError
+from smarttouch.braille import cell_detection
 from smarttouch.braille.photo import LEAST_CERTAINTY, looks_like_braille, read_braille
-from smarttouch.documents.page_image import Page
-from smarttouch.errors import PageError
+from smarttouch.pages.page_image import Page
 
 from ..raising import raises
 from .embossed import emboss, printed, random_lines
@@ -37,7 +37,7 @@ def each_part_looked_at_once():
     def find(grey):
         key = grey.shape, grey.tobytes()
         if key not in remembered:
-            remembered[key] = network.find_cells(grey)
+            remembered[key] = cell_detection.find_cells(grey)
         return remembered[key]
 
     with pytest.MonkeyPatch.context() as patch:

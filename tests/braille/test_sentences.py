@@ -2,8 +2,8 @@
 
 import pytest
 
+from smarttouch.braille.code_tables import BrailleTable, open_table
 from smarttouch.braille.grade1 import Grade1
-from smarttouch.braille.tables import BrailleTable, open_table
 
 from .liblouis import needs_liblouis
 from .sentences import make_sentences

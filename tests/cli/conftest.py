@@ -19,7 +19,7 @@ import pytest
 from PIL import Image
 
 from smarttouch import cli
-from smarttouch.errors import SmartTouchError
+from smarttouch.base.errors import SmartTouchError
 
 from ..boards.fresh import starter
 from ..forks import EMULATOR, PROGRAM, Forked

@@ -11,8 +11,8 @@ import threading
 import time
 
 import smarttouch as st
-from smarttouch.errors import SmartTouchError
-from smarttouch.sources.forces.force import FixedForce
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.sources.force import FixedForce
 
 KIND, URL = sys.argv[1:3]
 TEXT = "text:" + "Hello " * 40

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.boards.open import make_board
-from smarttouch.errors import (
+from smarttouch.base.errors import (
     BoardError,
     DesignError,
     PageError,
@@ -21,9 +20,10 @@ from smarttouch.errors import (
     ScheduleError,
     SourceError,
 )
+from smarttouch.boards.open import make_board
 from smarttouch.profile import load_profile
-from smarttouch.profile.load import profile_path
-from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.profile.toml_files import profile_path
+from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from .conftest import refused, says
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.delivery_log import read_recharges
-from smarttouch.errors import BoardError
+from smarttouch.base.errors import BoardError
+from smarttouch.emulator.firmware import read_recharges
 
 from ..boards.fresh import fresh_state
 from .conftest import refused, says

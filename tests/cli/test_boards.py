@@ -8,10 +8,9 @@ import time
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.delivery_log import STATE_FILE, read_slots, read_state
-from smarttouch.boards.link_protocol import Kind
-from smarttouch.boards.link_session import HostSession
-from smarttouch.errors import BoardError
+from smarttouch.base.errors import BoardError
+from smarttouch.boards.link.protocol import HostSession, MessageKind
+from smarttouch.emulator.firmware import STATE_FILE, read_slots, read_state
 
 from ..boards.fresh import fresh_state, until
 from ..forks import PROGRAM, Forked
@@ -37,7 +36,7 @@ def kit(request, start_emulator):
 @pytest.fixture(autouse=True)
 def _no_boot(monkeypatch):
     """Emulators need no time to boot: drivers in this process do not wait for it."""
-    monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
+    monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 0.0)
 
 
 def on(*names):
@@ -75,7 +74,7 @@ def test_packets_that_come_twice_are_told_of(program_here, monkeypatch, kit):
     encode = HostSession.encode
 
     def twice(session, kind, *more):
-        return encode(session, kind, *more) * (1 + (kind == Kind.SEQUENCE))
+        return encode(session, kind, *more) * (1 + (kind == MessageKind.SEQUENCE))
 
     monkeypatch.setattr(HostSession, "encode", twice)
     live = f"live --board {kit[0]} --force fixed:1 --intensity 0 --seconds 1"
@@ -236,7 +235,7 @@ def test_the_scale_from_a_resistor(program_here, kit):
 
 
 def test_a_scale_is_not_measured_out_of_its_band_step_by_step(program_here, tmp_path):
-    from smarttouch.resources import data_folder
+    from smarttouch.base.files import data_folder
 
     text = (data_folder("calibration") / "kajimoto-61.toml").read_text(encoding="utf-8")
     path = tmp_path / "own.toml"

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from smarttouch.base.errors import BrailleError
 from smarttouch.braille import louis
-from smarttouch.braille.tables import DEFAULT_TABLE, known_tables
-from smarttouch.errors import BrailleError
+from smarttouch.braille.code_tables import DEFAULT_TABLE, known_tables
 
 from .conftest import says
 

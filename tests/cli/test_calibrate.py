@@ -15,15 +15,15 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from smarttouch.boards.emulator.delivery_log import read_state
-from smarttouch.calibrate.progress import Progress
-from smarttouch.calibrate.simulated import SimulatedPatch
-from smarttouch.calibrate.target import target_for
-from smarttouch.calibrate.view import View
+from smarttouch.base.errors import BoardError, CalibrationError, ProfileError, SourceError
 from smarttouch.cli.calibrate import calibrate
-from smarttouch.errors import BoardError, CalibrationError, ProfileError, SourceError
+from smarttouch.emulator.firmware import read_state
+from smarttouch.experiments.calibration.dot_target import target_for
+from smarttouch.experiments.calibration.page_registration import View
+from smarttouch.experiments.calibration.sensor_optics import SimulatedPatch
+from smarttouch.experiments.calibration.threshold_session import Progress
 from smarttouch.profile import load_profile
-from smarttouch.sources.flat_field import FlatField
+from smarttouch.sources.preprocess import FlatField
 
 from ..boards.fresh import fresh_state, until
 from ..forks import EMULATOR, Forked
@@ -240,7 +240,7 @@ def test_thresholds_stop_at_once(start_at_a_terminal, start_emulator, tmp_path):
 
 @pytest.mark.realtime
 def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkeypatch):
-    monkeypatch.setattr("smarttouch.boards.streamed.BOOT_S", 0.0)
+    monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 0.0)
     events = ("--event=0 open 5", "--event=0 short 9")
     _, port, _ = start_emulator(32, "etactilekit", *events)
     shown = done(run(f"contact --board etactilekit:{port} --repeats 2 --output mine.toml"))

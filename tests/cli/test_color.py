@@ -11,9 +11,9 @@ import typer
 from PIL import Image
 from typer.testing import CliRunner
 
-from smarttouch.cli.color import color
-from smarttouch.errors import ScheduleError, SmartTouchError, SourceError
-from smarttouch.recording.check import assert_replays
+from smarttouch.base.errors import ScheduleError, SmartTouchError, SourceError
+from smarttouch.cli.live import color
+from smarttouch.running.check_recording import assert_replays
 
 from ..raising import raises
 from .conftest import refused, says
@@ -124,7 +124,7 @@ def test_without_force_there_is_no_current(run_color):
 
 
 def test_a_finger_on_the_board_needs_a_word_on_force(run_color, monkeypatch):
-    monkeypatch.setattr("smarttouch.boards.memory.MemoryBoard.on_a_finger", True)
+    monkeypatch.setattr("smarttouch.boards.open.MemoryBoard.on_a_finger", True)
     with raises(SourceError, about="force", remedy="force"):
         run_color("tone:30Hz,9um --intensity 1", "memory:")
 

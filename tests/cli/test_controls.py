@@ -9,8 +9,8 @@ import signal
 import pytest
 from PIL import Image
 
-from smarttouch.errors import ScheduleError, SourceError
-from smarttouch.recording.reader import Recording
+from smarttouch.base.errors import ScheduleError, SourceError
+from smarttouch.running.recording_reader import Recording
 
 from .conftest import refused, says
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.afferent import Afferent
-from smarttouch.errors import DesignError, SmartTouchError
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import DesignError, SmartTouchError
 
 from .conftest import refused, says
 
@@ -113,7 +113,7 @@ def test_a_site_is_drawn(program_here, tmp_path, profile):
 
 
 def test_one_site_of_a_large_array_is_not_its_whole_bank(designed, tmp_path):
-    from smarttouch.resources import data_folder
+    from smarttouch.base.files import data_folder
 
     text = (data_folder("calibration") / "electric-mouse.toml").read_text(encoding="utf-8")
     large = text.replace("rows = 8", "rows = 12").replace("columns = 8", "columns = 12")
@@ -146,7 +146,7 @@ layers = [
 
 
 def test_an_array_and_a_skin_of_one_s_own(designed, tmp_path):
-    from smarttouch.resources import data_folder
+    from smarttouch.base.files import data_folder
 
     shipped = (data_folder("calibration") / "electric-mouse.toml").read_text(encoding="utf-8")
     rest = shipped[shipped.index("[output]") :]
@@ -172,7 +172,7 @@ def test_nonsense_is_one_sentence(program_here, arguments, wrong):
 
 
 def test_figures_without_matplotlib(monkeypatch):
-    from smarttouch.plotting.style import new_figure
+    from smarttouch.views.figure_style import new_figure
 
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(SmartTouchError) as caught:

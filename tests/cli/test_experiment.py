@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from smarttouch.afferent import Mode
-from smarttouch.errors import ExperimentError
-from smarttouch.events import FingerLifted, TrialEvent
-from smarttouch.files import open_alone
-from smarttouch.monitor.blind_screen import BlindScreen
-from smarttouch.psychophysics.rows import read_rows
-from smarttouch.recording.reader import Recording
-from smarttouch.running.controls import Controls, ControlState
-from smarttouch.running.statistics import RunStatistics
+from smarttouch.base.afferent import Mode
+from smarttouch.base.errors import ExperimentError
+from smarttouch.base.events import FingerLifted, TrialEvent
+from smarttouch.base.files import open_alone
+from smarttouch.experiments.psychophysics.trial_rows import read_rows
+from smarttouch.running.inputs import Controls, ControlState
+from smarttouch.running.recording_reader import Recording
+from smarttouch.running.step import RunStatistics
+from smarttouch.views.screen import BlindScreen
 
 from .conftest import refused, says
 
@@ -161,8 +161,8 @@ def test_a_person_answers_by_key_and_ends_with_ctrl_c(start_at_a_terminal, tmp_p
     assert "(Ctrl-C)" in out
     # Whoever answers sees the question, and nothing that would tell the answer.
     assert "1 or 2" in out
-    for telling in ("RA electrodes", "slots,", "source sees", "comparison", "second after"):
-        assert telling not in out
+    for on_stop in ("RA electrodes", "slots,", "source sees", "comparison", "second after"):
+        assert on_stop not in out
     assert re.search(r"\b\d+ of 100\b", out)
     figures = json.loads((tmp_path / "run.json").read_text())
     assert figures["emulator_violations"] == 0

@@ -9,11 +9,11 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from smarttouch.cli.experiment_fit import fit
-from smarttouch.errors import ExperimentError, SmartTouchError
-from smarttouch.psychophysics.procedures.constant import ConstantStimuli, ratio_pairs
+from smarttouch.base.errors import ExperimentError, SmartTouchError
+from smarttouch.cli.experiment import fit
+from smarttouch.experiments.psychophysics.procedures import ConstantStimuli, ratio_pairs
 
-from ..psychophysics.simulated import Subject, answer_all
+from ..experiments.psychophysics.simulated import Subject, answer_all
 from .conftest import says
 
 FAST = ("--samples", "100")

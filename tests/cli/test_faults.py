@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from smarttouch import cli
-from smarttouch.boards.emulator.delivery_log import read_state
+from smarttouch.emulator.firmware import read_state
 from smarttouch.running.pipeline import Pipeline
 
 from ..boards.fresh import fresh_state, until
@@ -115,7 +115,7 @@ def test_an_exception_in_a_stage(monkeypatch, capsys, start_emulator, stage):
         monkeypatch.setattr(Pipeline, "warm_up", lambda _: None)
         monkeypatch.setattr(Pipeline, "process", broken)
     else:
-        monkeypatch.setattr("smarttouch.monitor.screen.Screen.step", broken)
+        monkeypatch.setattr("smarttouch.views.screen.Screen.step", broken)
     monkeypatch.setattr(
         sys, "argv", ["smarttouch", "live", "--board", f"link:{port}", *PRESSED, "--intensity", "1"]
     )

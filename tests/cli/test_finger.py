@@ -4,8 +4,8 @@ import joblib
 import pytest
 from PIL import Image
 
-from smarttouch.cli.study import study
-from smarttouch.errors import ExperimentError, ProfileError, SmartTouchError
+from smarttouch.base.errors import ExperimentError, ProfileError, SmartTouchError
+from smarttouch.cli.finger import study
 
 from ..raising import assert_says, raises
 from .conftest import refused

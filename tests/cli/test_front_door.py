@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
+from smarttouch.base.errors import SmartTouchError
 from smarttouch.cli import app
-from smarttouch.cli.standard_input import or_standard_input
-from smarttouch.errors import SmartTouchError
+from smarttouch.cli.source_options import or_standard_input
 
 
 def as_module(*arguments, given=None, **environment):

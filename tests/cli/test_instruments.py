@@ -9,16 +9,16 @@ import pytest
 from PIL import Image
 from scipy.io import wavfile
 
-from smarttouch.afferent import Afferent, Mode
-from smarttouch.recording.check import check_recording
-from smarttouch.recording.reader import Recording
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.running.check_recording import check_recording
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.recording_reader import Recording
 from smarttouch.running.step import StepResult
-from smarttouch.sources.stimulus import Stimulus
-from smarttouch.stimulation.sharing import SlotPolicy
+from smarttouch.sources.source_contract import Stimulus
+from smarttouch.stimulation.scan_sequence import SlotPolicy
 
-from ..test_markers import FakeLsl
+from ..views.test_markers import FakeLsl
 
 FAST = "mouse --motion sweep:?speed_mm_s=120 --board simulated: --quiet"
 
@@ -77,7 +77,7 @@ def test_the_screen_shows_every_point_of_a_slot(profile, bank):
     for time_ns in range(0, 10**9, 20_000_000):
         step = pipeline.process(Stimulus(activation, time_ns, 0.9, 20_000))
     assert 0 < step.sequence.slots < 5
-    shown = StepResult(step, 1, 0.0).felt_ma
+    shown = StepResult(step, 1, 0.0).delivered_ma
     assert np.flatnonzero(shown).tolist() == [9, 11, 13, 27, 29]
     assert shown.max() > 2
 
@@ -91,8 +91,8 @@ def test_a_replay_shares_slots_only_where_the_board_can(program_here, figures_of
 
 
 @pytest.mark.parametrize(("module", "command", "scan"), [
-    ("live", "live", "auto"), ("read", "read", "auto"), ("legibility", "legibility", "auto"),
-    ("mouse", "mouse", "points"), ("color", "color", "points"), ("experiment", "free", "points"),
+    ("live", "live", "auto"), ("read", "read", "auto"), ("read", "legibility", "auto"),
+    ("live", "mouse", "points"), ("live", "color", "points"), ("experiment", "free", "points"),
 ])  # fmt: skip
 def test_what_it_is_if_nothing_is_asked_for(module, command, scan):
     found = getattr(importlib.import_module(f"smarttouch.cli.{module}"), command)

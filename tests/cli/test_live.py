@@ -9,8 +9,8 @@ from mcap.reader import make_reader
 from PIL import Image
 from skimage import data
 
+from smarttouch.base.files import data_folder
 from smarttouch.profile import list_profiles, load_profile
-from smarttouch.resources import data_folder
 
 from .conftest import panels
 

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.errors import PageError, SourceError
+from smarttouch.base.errors import PageError, SourceError
 
-from ..texture.touched import object_file
+from ..instruments.touched import object_file
 from .conftest import refused, says
 
 

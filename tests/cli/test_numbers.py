@@ -136,7 +136,7 @@ def assert_in_order(arguments, code, err, interrupted):
 def test_numbers(tmp_path):
     answers = tmp_path / "answers.csv"
     answers.write_text("standard,comparison,correct\n" + "1,0.5,0\n1,1,1\n1,2,1\n" * 9)
-    golden = Path(__file__).parent.parent / "recording" / "goldens" / "ra.mcap"
+    golden = Path(__file__).parent.parent / "running" / "goldens" / "ra.mcap"
     bases = {
         name: base.format(golden=golden, answers=answers).split() for name, base in BASES.items()
     }

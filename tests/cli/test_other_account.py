@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from smarttouch.recording.reader import Recording
+from smarttouch.running.recording_reader import Recording
 
 pytestmark = pytest.mark.realtime
 

@@ -5,10 +5,10 @@ import tomllib
 
 import pytest
 
-from smarttouch.cli.run_options import RunOptions
+from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.profile import list_profiles, load_profile
-from smarttouch.profile.keys import key_reference
-from smarttouch.profile.load import profile_path
+from smarttouch.profile.key_reference import key_reference
+from smarttouch.profile.toml_files import profile_path
 
 
 def one_sentence(done):
@@ -82,11 +82,11 @@ def test_no_intensity_is_kept_in_a_profile(program_here, tmp_path):
 def test_what_is_drawn(profile, kept, given, drawn, monkeypatch):
     shown = []
     monkeypatch.setattr(
-        "smarttouch.monitor.session.run_in_terminal",
+        "smarttouch.views.terminal_session.run_in_terminal",
         lambda source, display, config, outputs, **more: shown.append(not outputs.plain),
     )
     own = profile.model_copy(update={"defaults": {"plain": kept}})
-    run = RunOptions(board="memory:", plain=given)
+    run = RunOptionGroup(board="memory:", plain=given)
     run.start(None, own, run.config("RA"))
     assert shown == [drawn]
 

@@ -13,10 +13,16 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.braille.tables import open_table
-from smarttouch.documents.printed_text import print_text
-from smarttouch.errors import BrailleError, PageError, ProfileError, ReadingError, SmartTouchError
-from smarttouch.recording.reader import Recording
+from smarttouch.base.errors import (
+    BrailleError,
+    PageError,
+    ProfileError,
+    ReadingError,
+    SmartTouchError,
+)
+from smarttouch.braille.code_tables import open_table
+from smarttouch.pages.prepared_page import print_text
+from smarttouch.running.recording_reader import Recording
 
 from ..braille.embossed import emboss
 from .conftest import panels, refused, says

@@ -9,17 +9,17 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from smarttouch.cli.replay import replay
-from smarttouch.errors import BoardError, ProfileError, RecordingError, SourceError
+from smarttouch.base.errors import BoardError, ProfileError, RecordingError, SourceError
+from smarttouch.cli.recordings import replay
 from smarttouch.profile import load_profile
-from smarttouch.recording.reader import Recording
-from smarttouch.recording.repair import repair
+from smarttouch.running.recording_files import repair
+from smarttouch.running.recording_reader import Recording
 
 from ..boards.fresh import fresh_state
-from ..recording.forged import put_together, take_apart
+from ..running.forged_recordings import put_together, take_apart
 from .conftest import refused, says
 
-GOLDEN = Path(__file__).parents[1] / "recording" / "goldens" / "kajimoto.mcap"
+GOLDEN = Path(__file__).parents[1] / "running" / "goldens" / "kajimoto.mcap"
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def forge(tmp_path, monkeypatch):
                 self.about["profile"] = json.dumps(table)
 
         with monkeypatch.context() as patch:
-            patch.setattr("smarttouch.recording.repair.Recording", Forged)
+            patch.setattr("smarttouch.running.recording_files.Recording", Forged)
             return repair(GOLDEN, tmp_path / "forged.mcap").path
 
     return make
@@ -153,7 +153,7 @@ def test_a_recording_brings_no_press_where_no_force_is_measured(
 def test_nor_may_a_file(tmp_path, key, value):
     import tomlkit
 
-    from smarttouch.resources import data_folder
+    from smarttouch.base.files import data_folder
 
     text = (data_folder("calibration") / "kajimoto-61.toml").read_text(encoding="utf-8")
     table = tomlkit.parse(text)

@@ -6,9 +6,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from smarttouch.cli.recordings import recordings
-from smarttouch.cli.replay import replay
-from smarttouch.errors import RecordingError
+from smarttouch.base.errors import RecordingError
+from smarttouch.cli.recordings import recordings, replay
 
 from .conftest import says
 
@@ -18,7 +17,7 @@ def recording(tmp_path):
     """A copy of a golden that may be broken."""
     from pathlib import Path
 
-    golden = Path(__file__).parents[1] / "recording" / "goldens" / "sai-levels.mcap"
+    golden = Path(__file__).parents[1] / "running" / "goldens" / "sai-levels.mcap"
     path = tmp_path / "run.mcap"
     path.write_bytes(golden.read_bytes())
     return path
@@ -76,7 +75,7 @@ def test_a_check_that_holds_and_one_that_does_not(call, recording, tmp_path):
     done = call("replay", recording, "--check")
     assert done.exit_code == 0
     assert re.fullmatch(r"38 .*\d+ .*\n", done.stdout)
-    from smarttouch.resources import data_folder
+    from smarttouch.base.files import data_folder
 
     text = (data_folder("calibration") / "electric-mouse.toml").read_text()
     assert "ramp_s = 0.5" in text

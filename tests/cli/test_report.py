@@ -8,11 +8,11 @@ import pytest
 from PIL import Image
 
 import smarttouch as st
-from smarttouch.boards.emulator.link import NAME
-from smarttouch.bug_report import _FIRMWARE, _kind, _version
-from smarttouch.errors import RecordingError
-from smarttouch.recording.reader import Recording
-from smarttouch.sources.forces.force import open_force
+from smarttouch.base.errors import RecordingError
+from smarttouch.emulator.link_firmware import NAME
+from smarttouch.running.bug_report import _FIRMWARE, _kind, _version
+from smarttouch.running.recording_reader import Recording
+from smarttouch.sources.force import open_force
 
 from .conftest import says
 

@@ -12,19 +12,16 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from smarttouch.afferent import Afferent, Mode
-from smarttouch.events import Advice, ModeChanged, Paused, Resumed, TrialEvent
-from smarttouch.monitor.blind_screen import BlindScreen
-from smarttouch.monitor.screen import Screen, _beside
-from smarttouch.monitor.screen_pictures import ArrayPicture, image_text
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.events import Advice, ModeChanged, Paused, Resumed, TrialEvent
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
-from smarttouch.running.controls import Controls, ControlState
+from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.statistics import RunStatistics
-from smarttouch.running.step import StepResult
-from smarttouch.sources.stimulus import Stimulus
-from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
+from smarttouch.running.step import RunStatistics, StepResult
+from smarttouch.sources.source_contract import Stimulus
+from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
+from smarttouch.views.screen import ArrayPicture, BlindScreen, Screen, _beside, image_text
 
 SIZES = [(120, 40), (80, 24), (60, 15)]
 MARKS = "·○◔◑◕●"
@@ -75,11 +72,11 @@ def shown(profile, monkeypatch):
 
 def test_every_point_that_is_stimulated_is_shown(sent):
     points = np.flatnonzero(sent.step.tactile.activation.any(axis=0))
-    felt_ma = sent.felt_ma
+    delivered_ma = sent.delivered_ma
     assert len(points) >= 9
     assert sent.step.sequence.points == len(points)
-    assert np.flatnonzero(felt_ma).tolist() == points.tolist()
-    assert felt_ma[points].min() > 1
+    assert np.flatnonzero(delivered_ma).tolist() == points.tolist()
+    assert delivered_ma[points].min() > 1
 
 
 def test_what_shared_slots_do_is_told(sent):
@@ -208,7 +205,7 @@ def test_events_and_lines_are_told_over_a_pipe_and_keys_work(start_at_a_terminal
 def test_where_nothing_is_drawn(monkeypatch, terminal, dumb, asked, plain):
     monkeypatch.setenv("TERM", "dumb" if dumb else "xterm")
     console = Console(file=io.StringIO(), force_terminal=terminal)
-    monkeypatch.setattr("smarttouch.monitor.screen.terminal.console", lambda **_: console)
+    monkeypatch.setattr("smarttouch.views.screen.terminal.console", lambda **_: console)
     run = SimpleNamespace(source=SimpleNamespace(title="a\nb"), profile=SimpleNamespace(title="p"))
     screen = Screen("emulator:", quiet=False, plain=asked)
     screen.event(Paused(1_500_000_000))

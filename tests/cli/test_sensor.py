@@ -13,8 +13,8 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from smarttouch.cli.sensor import sensor
-from smarttouch.errors import ProfileError, SourceError
+from smarttouch.base.errors import ProfileError, SourceError
+from smarttouch.cli.board import sensor
 
 from .conftest import says
 
@@ -75,7 +75,7 @@ def test_wrong_requests_end_in_one_sentence(run, arguments, wrong):
 
 def test_an_array_is_played_and_shown(run, tmp_path):
     books = tmp_path / "books.json"
-    program = "from smarttouch.cli.sensor import sensor; sensor()"
+    program = "from smarttouch.cli.board import sensor; sensor()"
     arguments = ["emulate", "serial-array", "--rows=8", "--columns=12", f"--books={books}"]
     with subprocess.Popen(
         [sys.executable, "-c", program, *arguments], stdout=subprocess.PIPE, text=True

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from smarttouch.boards.emulator.delivery_log import read_state
-from smarttouch.recording.reader import Recording
+from smarttouch.emulator.firmware import read_state
+from smarttouch.running.recording_reader import Recording
 
 from ..boards.fresh import starter, until
 

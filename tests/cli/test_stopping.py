@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.boards.announced import running
-from smarttouch.boards.emulator.delivery_log import read_state
 from smarttouch.boards.stoppable import announced
-from smarttouch.wire.pty_line import PtyLine
+from smarttouch.emulator.firmware import read_state
 
 from ..boards.fresh import until
 from ..forks import PROGRAM, Forked

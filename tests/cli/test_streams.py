@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from smarttouch.recording.check import check_recording
-from smarttouch.recording.reader import Recording
-from smarttouch.recording.repair import repair
-from smarttouch.resources import data_folder
+from smarttouch.base.files import data_folder
+from smarttouch.running.check_recording import check_recording
+from smarttouch.running.recording_files import repair
+from smarttouch.running.recording_reader import Recording
 
 from ..forks import PROGRAM, Forked
 
-GOLDEN = Path(__file__).parent.parent / "recording" / "goldens" / "ra.mcap"
+GOLDEN = Path(__file__).parent.parent / "running" / "goldens" / "ra.mcap"
 SHORT = "live --source text:i --profile smarttouch-4x4 --seconds 0.2 --board simulated:"
 EVIL = "a\x1b]0;owned\x07\x1b[31m\x9b5m\u202eb"
 SHOWN = "a␛]0;owned␛[31m�5m�b"

@@ -11,9 +11,9 @@ from urllib.request import Request, urlopen
 import pytest
 from websockets.sync.client import connect
 
-from smarttouch.cli.run_command import with_ports
-from smarttouch.errors import RecordingError, SmartTouchError
-from smarttouch.recording.reader import Recording
+from smarttouch.base.errors import RecordingError, SmartTouchError
+from smarttouch.cli.options import with_ports
+from smarttouch.running.recording_reader import Recording
 
 from .conftest import refused, says
 

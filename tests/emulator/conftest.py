@@ -2,8 +2,10 @@
 
 import pytest
 
-from smarttouch.sources import capture
-from smarttouch.sources.forces import load_cell
+from smarttouch.sources import live_capture, load_cell
+from tests.boards.conftest import claimed_time, make_limits, make_sequence, start_emulator
+
+__all__ = ["claimed_time", "make_limits", "make_sequence", "start_emulator"]
 
 
 @pytest.fixture
@@ -14,5 +16,5 @@ def judged_books():
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):
     """Wait for a first image or reading until a test would hang: how soon it comes says nothing."""
-    monkeypatch.setattr(capture, "FIRST_IMAGE_S", 60.0)
+    monkeypatch.setattr(live_capture, "FIRST_IMAGE_S", 60.0)
     monkeypatch.setattr(load_cell, "FIRST_READING_S", 60.0)

@@ -6,11 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.events import Event, parse
-from smarttouch.boards.emulator.firmware import Firmware
+from smarttouch.base.errors import SourceError
+from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.emulator import sensors
+from smarttouch.emulator.finger_events import DeviceEvent, parse
+from smarttouch.emulator.firmware import Firmware
 from smarttouch.emulator.sensors import (
-    LoadCell,
+    EmulatedLoadCell,
     SensorArray,
     SensorFirmware,
     look_at_page,
@@ -18,10 +20,8 @@ from smarttouch.emulator.sensors import (
     press,
 )
 from smarttouch.emulator.server import FAULTS, Server, faults_at
-from smarttouch.errors import SourceError
-from smarttouch.sources.forces.readings import TextReadings
 from smarttouch.sources.sensor_protocol import ArrayFrame, CellReading, Info, MessageStream
-from smarttouch.wire.pty_line import PtyLine
+from smarttouch.sources.serial_input import TextReadings
 
 from ..raising import raises
 
@@ -138,7 +138,7 @@ def test_faults_of_the_line():
 
 
 def test_orders(capsys):
-    cell = LoadCell(press(0.0, None, None), counts_per_n=1000, zero=0, noise=0)
+    cell = EmulatedLoadCell(press(0.0, None, None), counts_per_n=1000, zero=0, noise=0)
     orders = ("weight 100", "force x", "silent 0.02", "unplug", "dance")
     server, line = make_server(cell, orders=orders)
     step(server, *range(0, 60))
@@ -152,9 +152,9 @@ def test_orders(capsys):
 
 
 @pytest.mark.parametrize(("text", "fault"), [
-    ("2 garbage 0.5", Event(2, "garbage", values=(0.5,))),
-    ("3 nan", Event(3, "nan")),
-    (" 0.5  unplug  1 ", Event(0.5, "unplug", values=(1,))),
+    ("2 garbage 0.5", DeviceEvent(2, "garbage", values=(0.5,))),
+    ("3 nan", DeviceEvent(3, "nan")),
+    (" 0.5  unplug  1 ", DeviceEvent(0.5, "unplug", values=(1,))),
 ])  # fmt: skip
 def test_events(text, fault):
     assert parse_fault(text) == fault
@@ -172,16 +172,16 @@ def test_what_is_no_event(text, words):
 
 
 def test_orders_that_cannot_be():
-    cell = LoadCell(press(0.0, None, None))
+    cell = EmulatedLoadCell(press(0.0, None, None))
     with raises(SourceError, about="order", value="x"):
         cell.take_order(["force", "x"])
     server, _ = make_server()
     with raises(SourceError, about="event", value="unplug"):
-        server._add(Event(0, "unplug"))
+        server._add(DeviceEvent(0, "unplug"))
 
 
 def test_what_is_wrong_at_a_time():
-    faults = [Event(1, "nan", values=(1,)), Event(1.5, "silent")]
+    faults = [DeviceEvent(1, "nan", values=(1,)), DeviceEvent(1.5, "silent")]
     assert faults_at(faults, 0.99) == frozenset()
     assert faults_at(faults, 1) == {"nan"}
     assert faults_at(faults, 1.6) == {"nan", "silent"}
@@ -190,7 +190,7 @@ def test_what_is_wrong_at_a_time():
 
 def test_garbage_is_nothing_and_ends_as_what_it_stands_for():
     array = SensorArray(sensors.look_at_pattern(8, 8), rate_hz=100.0)
-    cell = LoadCell(press(1.0, None, None), framed=True, rate_hz=100.0)
+    cell = EmulatedLoadCell(press(1.0, None, None), framed=True, rate_hz=100.0)
     for device in (array, cell):
         server, line = make_server(device, faults=["0 garbage 0.05"])
         step(server, *range(0, 50))
@@ -201,7 +201,7 @@ def test_garbage_is_nothing_and_ends_as_what_it_stands_for():
         line.taken = b""
         step(server, 50)
         assert [each.number for each in stream.feed(line.taken)] == [5]
-    text, line = make_server(LoadCell(press(1.0, None, None)), faults=["0 garbage"])
+    text, line = make_server(EmulatedLoadCell(press(1.0, None, None)), faults=["0 garbage"])
     step(text, 0)
     assert line.taken.endswith(b"\r\n")
     assert TextReadings().feed(b"\n" + line.taken) == []
@@ -311,7 +311,7 @@ def test_a_cell_follows_its_line(profile, tmp_path, framed):
     record = tmp_path / "force.csv"
     record.write_text("time_s,force_n\n0,0\n1,2\n")
     force = press(9.0, record, profile)
-    device = LoadCell(force, counts_per_n=1000, zero=-200, noise=0, framed=framed)
+    device = EmulatedLoadCell(force, counts_per_n=1000, zero=-200, noise=0, framed=framed)
 
     def at(time_s, *wrong):
         data = packet(device, 0, time_s, *wrong)
@@ -330,7 +330,7 @@ def test_a_cell_follows_its_line(profile, tmp_path, framed):
 
 
 def test_a_cells_noise():
-    device = LoadCell(press(1.0, None, None), 1000, 0, noise=50, framed=True)
+    device = EmulatedLoadCell(press(1.0, None, None), 1000, 0, noise=50, framed=True)
     stream = MessageStream()
     readings = [stream.feed(packet(device, 0, 0))[0].reading for _ in range(2000)]
     assert np.mean(readings) == pytest.approx(1000, abs=5)

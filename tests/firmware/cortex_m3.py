@@ -7,9 +7,9 @@ import time
 
 import numpy as np
 
-from smarttouch.boards.emulator.delivery_log import DeliveryLog
-from smarttouch.boards.emulator.skin import Delivered
-from smarttouch.boards.link_protocol import NOTHING, OUTPUTS
+from smarttouch.boards.link.protocol import NOTHING, OUTPUTS
+from smarttouch.emulator.firmware import DeliveryLog
+from smarttouch.emulator.skin import Delivered
 from tests.firmware.build import cortex_m3
 
 ELECTRODES = 64

@@ -4,8 +4,8 @@ from collections import Counter
 
 import numpy as np
 
-from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.link_protocol import Kind, Refusal, Rule
+from smarttouch.boards.link import protocol as protocol
+from smarttouch.boards.link.protocol import MessageKind, Refusal, Rule
 from tests.firmware.judge import FULL, Judge, Limits, Scan
 from tests.firmware.rig import Talk
 
@@ -26,7 +26,7 @@ class Life:
         """Begin a session, some of which allow little."""
         if self.number:
             self.judge.stop(self.talk.now_us)
-            self.talk.say(Kind.STOP)
+            self.talk.say(MessageKind.STOP)
             self._note()
         pick = self.rng.choice
         self.limits = limits or Limits(
@@ -44,7 +44,7 @@ class Life:
             charge_pc=tuple(int(each) for each in pick([200_000, 900_000], ELECTRODES)),
         )
         self.talk.begin()
-        self.talk.say(Kind.LIMITS, payload=self.limits.payload())
+        self.talk.say(MessageKind.LIMITS, payload=self.limits.payload())
         self.judge.begin(self.limits, self.switched)
         self.number, self.free_us = 0, self.talk.now_us
         return self
@@ -54,7 +54,7 @@ class Life:
             step_us = min(80_000, time_us)
             self.talk.wait(step_us, step_us)
             self._note()
-            self.talk.say(Kind.HEARTBEAT)
+            self.talk.say(MessageKind.HEARTBEAT)
             time_us -= step_us
 
     def send(self, scan):
@@ -64,9 +64,11 @@ class Life:
         wanted = self.judge.refusal(scan, now_us)
         start_us = self.judge.start_us(now_us)
         self.number += 1
-        answers = self.talk.say(Kind.SEQUENCE, self.number, scan.payload())
+        answers = self.talk.say(MessageKind.SEQUENCE, self.number, scan.payload())
         self._note()
-        found = [protocol.NAK.unpack(each.payload) for each in answers if each.kind == Kind.NAK]
+        found = [
+            protocol.NAK.unpack(each.payload) for each in answers if each.kind == MessageKind.NAK
+        ]
         if wanted is None:
             assert found == []
             self.judge.accept(scan, now_us)
@@ -83,7 +85,9 @@ class Life:
         if self.switched:
             # The emulator reports what the skin lets through of a source.
             return
-        (report,) = (each for each in self.talk.say(Kind.STATUS) if each.kind == Kind.REPORT)
+        (report,) = (
+            each for each in self.talk.say(MessageKind.STATUS) if each.kind == MessageKind.REPORT
+        )
         charge_uc = -(-int(self.judge.session_pc.max()) // 1_000_000)
         seconds = -(-self.judge.flowing_us // 1_000_000)
         found = [int.from_bytes(report.payload[at:][:4], "little") for at in (41, 45, 49)]

@@ -7,8 +7,8 @@ so that pulses flow from the start.
 import sys
 from pathlib import Path
 
-from smarttouch.boards.link_kernels import KernelImage
-from smarttouch.boards.link_protocol import OUTPUTS
+from smarttouch.boards.link.protocol import OUTPUTS
+from smarttouch.boards.link.sequence_encoding import KernelImage
 from tests.firmware.scenes import Scene, random_table
 
 TIME, BEGIN, LIMITS, KERNELS, SEQUENCE = 0, 3, 4, 5, 6

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from smarttouch.boards.link_kernels import KernelImage
-from smarttouch.boards.link_protocol import Kind
-from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.boards.link.protocol import MessageKind
+from smarttouch.boards.link.sequence_encoding import KernelImage
+from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.firmware.rig import Both, Emulated, Talk
 from tests.firmware.scenes import Scene, random_lists, random_table, sequence_of
 
@@ -25,8 +25,8 @@ def _talk(ramp_ms=0, output="weighted", worn=False):
 
 def _handshake():
     talk = _talk().begin(LIMITS)
-    talk.say(Kind.STATUS)
-    talk.say(Kind.STOP)
+    talk.say(MessageKind.STATUS)
+    talk.say(MessageKind.STOP)
     return talk
 
 
@@ -58,7 +58,7 @@ def _silence():
     talk = _talk().begin(LIMITS)
     talk.send(sequence_of(random_lists(np.random.default_rng(3), _table(), 2), sums=None), 1, 100)
     talk.wait(120_000)
-    talk.say(Kind.STATUS)
+    talk.say(MessageKind.STATUS)
     return talk
 
 
@@ -70,7 +70,7 @@ def _voltages():
         sequence = sequence_of(lists, sums=None, period_us=30_000)
         talk.send(sequence, number, times=2 if slots < 10 else 1, measure=True)
         talk.wait(61_000, 20_000)
-        talk.say(Kind.STATUS)
+        talk.say(MessageKind.STATUS)
     return talk
 
 

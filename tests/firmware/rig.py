@@ -5,17 +5,14 @@ import itertools
 
 import numpy as np
 
-from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.emulator.delivery_log import DeliveryLog
-from smarttouch.boards.emulator.link import NAME, LinkFirmware
-from smarttouch.boards.emulator.session import BoardSession
-from smarttouch.boards.emulator.skin import COMPLIANCE_V, Skin
-from smarttouch.boards.link_kernels import KernelImage
-from smarttouch.boards.link_lists import encode_limits, encode_lists
-from smarttouch.boards.link_protocol import OUTPUTS, Kind
-from smarttouch.boards.link_sequence import encode_volts
-from smarttouch.boards.link_session import HostSession
-from smarttouch.wire.framing import Deframer
+from smarttouch.base.wire.framing import Deframer
+from smarttouch.boards.link import protocol as protocol
+from smarttouch.boards.link.protocol import OUTPUTS, HostSession, MessageKind, encode_volts
+from smarttouch.boards.link.sequence_encoding import KernelImage, encode_limits, encode_lists
+from smarttouch.emulator.firmware import DeliveryLog
+from smarttouch.emulator.link_firmware import NAME, LinkFirmware
+from smarttouch.emulator.link_packets import BoardSession
+from smarttouch.emulator.skin import COMPLIANCE_V, SkinCircuit
 
 ROOM = 1 << 22
 _RECHARGE = 4
@@ -122,7 +119,7 @@ class Worn:
     """The emulator's skin, under a board of the C core that switches or weights."""
 
     def __init__(self, electrodes, switched=False):
-        self.skin, self.switched = Skin(electrodes), switched
+        self.skin, self.switched = SkinCircuit(electrodes), switched
         self.shorted_us = self.left_uc = 0
 
     def __call__(self, width_us, rest_us, source_ua, start_us, current_ua):
@@ -281,10 +278,10 @@ class Talk:
         self.half += 1
         self.host = HostSession(lambda: self.half)
         self.deframer = Deframer()
-        self.say(Kind.HELLO)
-        self.say(Kind.BEGIN)
+        self.say(MessageKind.HELLO)
+        self.say(MessageKind.BEGIN)
         if limits is not None:
-            self.say(Kind.LIMITS, payload=encode_limits(limits))
+            self.say(MessageKind.LIMITS, payload=encode_limits(limits))
         if image is not None:
             self.give(image)
         return self
@@ -294,7 +291,7 @@ class Talk:
         while at < len(image.data):
             piece = image.data[at : at + 4096]
             head = protocol.KERNELS.pack(image.identity, len(image.data), at)
-            self.say(Kind.KERNELS, payload=head + piece)
+            self.say(MessageKind.KERNELS, payload=head + piece)
             at += len(piece)
 
     def say(self, kind, about=0, payload=b"", data=b""):
@@ -317,7 +314,7 @@ class Talk:
 
     def send(self, sequence, number, times=1, image=None, switched=False, measure=False):
         payload = encode_lists(sequence, times, measure, switched, image, 1 << 20)
-        return self.say(Kind.SEQUENCE, number, payload)
+        return self.say(MessageKind.SEQUENCE, number, payload)
 
     def _heard(self, data):
         packets = [self.host.take(packet) for packet in self.deframer.feed(data)]

@@ -2,12 +2,10 @@
 
 import numpy as np
 
-from smarttouch.boards.link_kernels import KernelImage
-from smarttouch.boards.link_lists import encode_lists
-from smarttouch.boards.link_protocol import Kind
-from smarttouch.stimulation.kernel_table import KernelLists, KernelTable, quantized
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.boards.link.protocol import MessageKind
+from smarttouch.boards.link.sequence_encoding import KernelImage, encode_lists
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence, quantized
 from tests.firmware.rig import Talk
 
 
@@ -67,7 +65,7 @@ class Scene:
 
     def _begin(self):
         if self.begun and self.chance(0.5):
-            self.talk.say(Kind.STOP)
+            self.talk.say(MessageKind.STOP)
         elif self.begun:
             self.talk.wait(int(self.rng.integers(95_000, 130_000)))
         self.image = KernelImage.of(random_table(self.rng, 9, self.electrodes), 400, 8)
@@ -79,12 +77,12 @@ class Scene:
     def _time(self):
         self.talk.wait(int(self.rng.integers(1, 30_000)), int(self.rng.choice([50, 1000, 7000])))
         if self.chance(0.8):
-            self.talk.say(Kind.HEARTBEAT)
+            self.talk.say(MessageKind.HEARTBEAT)
 
     def _noise(self):
         data = self.rng.bytes(int(self.rng.integers(1, 40)))
         if self.chance(0.5):
-            packet = bytearray(self.talk.host.encode(Kind.STATUS))
+            packet = bytearray(self.talk.host.encode(MessageKind.STATUS))
             packet[int(self.rng.integers(len(packet)))] ^= 1 << int(self.rng.integers(8))
             data = bytes(packet)
         if self.chance(0.5):
@@ -92,7 +90,16 @@ class Scene:
         self.talk.say(None, data=data)
 
     def _other(self):
-        kind = self.rng.choice([Kind.STATUS, Kind.LIMITS, Kind.KERNELS, Kind.BEGIN, Kind.HELLO, 99])
+        kind = self.rng.choice(
+            [
+                MessageKind.STATUS,
+                MessageKind.LIMITS,
+                MessageKind.KERNELS,
+                MessageKind.BEGIN,
+                MessageKind.HELLO,
+                99,
+            ]
+        )
         self.talk.say(int(kind), payload=self.rng.bytes(int(self.rng.integers(0, 40))))
 
     def _send(self):
@@ -104,7 +111,7 @@ class Scene:
             del payload[int(self.rng.integers(len(payload))) :]
         if len(payload) > 8 and not self.worn:
             payload[8] &= 0xFE
-        packet = self.talk.host.encode(Kind.SEQUENCE, self.number, bytes(payload))
+        packet = self.talk.host.encode(MessageKind.SEQUENCE, self.number, bytes(payload))
         cut = int(self.rng.integers(1, len(packet)))
         self.talk.say(None, data=packet[:cut])
         self.talk.wait(int(self.rng.integers(0, 3000)))

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.emulator.lists import summed
-from smarttouch.boards.link_kernels import KernelImage
-from smarttouch.boards.link_protocol import Kind, Refusal, Rule
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.wire.framing import Deframer
+from smarttouch.base.wire.framing import Deframer
+from smarttouch.boards.link import protocol as protocol
+from smarttouch.boards.link.protocol import MessageKind, Refusal, Rule
+from smarttouch.boards.link.sequence_encoding import KernelImage
+from smarttouch.emulator.link_packets import summed
+from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.firmware.build import library
 from tests.firmware.rig import Both, Core, Emulated, Talk, Unfelt, Worn
 from tests.firmware.scenes import Scene, random_lists, random_table, sequence_of
@@ -67,11 +67,11 @@ def test_voltages_and_charge_are_the_emulators(make_core, output):
     both = Both(*(boards if output == "weighted" else [Unfelt(each) for each in boards]))
     scene = Scene(both, 3, output=output, worn=True)
     scene.play(60)
-    scene.talk.say(Kind.STATUS)
+    scene.talk.say(MessageKind.STATUS)
     answers = b"".join(each[3] for each in both.log)
     found = Counter(packet.kind for packet in Deframer().feed(answers))
-    assert found[Kind.VOLTAGES] > 10
-    assert found[Kind.REPORT] > 0
+    assert found[MessageKind.VOLTAGES] > 10
+    assert found[MessageKind.REPORT] > 0
 
 
 def test_a_long_packet_of_the_board(make_core):
@@ -85,8 +85,8 @@ def test_a_long_packet_of_the_board(make_core):
         lists = random_lists(scene.rng, table, slots, loud=40)
         talk.send(sequence_of(lists, sums=None, period_us=50_000), number, measure=True)
         heard = talk.wait(60_000)
-        talk.say(Kind.HEARTBEAT)
-        volts = [each.payload for each in heard if each.kind == Kind.VOLTAGES]
+        talk.say(MessageKind.HEARTBEAT)
+        volts = [each.payload for each in heard if each.kind == MessageKind.VOLTAGES]
         assert [len(each) for each in volts] == [2 * slots]
     assert talk.deframer.errors == 0
 
@@ -99,7 +99,7 @@ def test_every_rule_is_met():
         def _heard(self, data):
             messages = super()._heard(data)
             for each in messages:
-                if each.kind == Kind.NAK:
+                if each.kind == MessageKind.NAK:
                     found[protocol.NAK.unpack(each.payload)[1]] += 1
             return messages
 
@@ -133,8 +133,8 @@ def test_host_board_and_core_compute_the_same_currents(make_core):
         pulses = talk.pulses
         talk.wait(10_500)
         pulses += talk.pulses
-        talk.say(Kind.HEARTBEAT)
-        assert [each.kind for each in answers if each.kind == Kind.NAK] == []
+        talk.say(MessageKind.HEARTBEAT)
+        assert [each.kind for each in answers if each.kind == MessageKind.NAK] == []
         assert [each[5] for each in pulses] == wanted.tolist()
         compared += len(pulses)
     assert compared == 2000
@@ -149,17 +149,17 @@ def test_no_table_passes_for_another(make_core):
     for _ in range(2):
         talk.begin(image=image)
         (kept,) = talk.say(
-            Kind.KERNELS, payload=protocol.KERNELS.pack(image.identity, len(image.data), 0)
+            MessageKind.KERNELS, payload=protocol.KERNELS.pack(image.identity, len(image.data), 0)
         )
         identity, _, whole, proof = protocol.KEPT.unpack(kept.payload)
         assert (identity, whole) == (image.identity, 1)
         assert proof == image.proof(talk.host.number)
         proofs.append(proof)
-        talk.say(Kind.STOP)
+        talk.say(MessageKind.STOP)
     assert proofs[0] != proofs[1]
     talk.begin()
     head = protocol.KERNELS.pack(image.identity[::-1], len(other.data), 0)
-    (kept,) = talk.say(Kind.KERNELS, payload=head + other.data)
+    (kept,) = talk.say(MessageKind.KERNELS, payload=head + other.data)
     assert kept.payload == bytes(protocol.KEPT.size)
 
 

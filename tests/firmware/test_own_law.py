@@ -9,8 +9,8 @@ import subprocess
 import numpy as np
 import pytest
 
-from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.link_protocol import Kind, Refusal
+from smarttouch.boards.link import protocol as protocol
+from smarttouch.boards.link.protocol import MessageKind, Refusal
 from tests.firmware.build import SOURCES, WHOLE, library
 from tests.firmware.judge import FULL, Limits, Scan
 from tests.firmware.lives import (
@@ -150,17 +150,17 @@ def test_the_switch_ends_what_flows(make_life):
     reasons = []
 
     def refusal(answers):
-        (refused,) = (each for each in answers if each.kind == Kind.NAK)
+        (refused,) = (each for each in answers if each.kind == MessageKind.NAK)
         reasons.append(protocol.NAK.unpack(refused.payload)[0])
         return refused
 
-    talk.say(Kind.SEQUENCE, 1, scan.payload())
+    talk.say(MessageKind.SEQUENCE, 1, scan.payload())
     talk.wait(1000, 100)
     assert talk.pulses
     life.core.switch(True)
     nak = refusal(talk.wait(100, 100))
     assert (nak.about, nak.state, talk.pulses) == (0, 1, [])
-    refusal(talk.say(Kind.SEQUENCE, 2, scan.payload()))
+    refusal(talk.say(MessageKind.SEQUENCE, 2, scan.payload()))
     assert {each.state for each in talk.wait(50_000)} == {1}
     talk.begin()
     assert not talk.host.begun
@@ -168,11 +168,11 @@ def test_the_switch_ends_what_flows(make_life):
     talk.wait(40_000)
     assert talk.pulses == []
     # The same BEGIN comes again: the challenge is still good.
-    talk.say(Kind.BEGIN)
+    talk.say(MessageKind.BEGIN)
     assert talk.host.begun
-    talk.say(Kind.LIMITS, payload=Limits().payload())
-    (begun,) = talk.say(Kind.SEQUENCE, 1, scan.payload())
-    assert (begun.kind, begun.state) == (Kind.ACK, 0)
+    talk.say(MessageKind.LIMITS, payload=Limits().payload())
+    (begun,) = talk.say(MessageKind.SEQUENCE, 1, scan.payload())
+    assert (begun.kind, begun.state) == (MessageKind.ACK, 0)
     assert reasons == [Refusal.EMERGENCY] * 2
 
 
@@ -182,14 +182,14 @@ def test_at_whatever_time_the_switch_opens(make_life, at_us, look_us):
     life = make_life(library(), ramp=False, both=True).begin(Limits())
     talk, (emulated, core) = life.talk, life.core.boards
     scan = Scan(20_000, [(100, 40, (900, -900, 0, 0))] * 20, 25, FULL, 9000, (-170, 170, 0, 0))
-    (begun,) = talk.say(Kind.SEQUENCE, 1, scan.payload())
-    assert begun.kind == Kind.ACK
-    assert talk.say(Kind.SEQUENCE, 2, scan.payload()) == []
+    (begun,) = talk.say(MessageKind.SEQUENCE, 1, scan.payload())
+    assert begun.kind == MessageKind.ACK
+    assert talk.say(MessageKind.SEQUENCE, 2, scan.payload()) == []
     talk.wait(at_us, 10)
     life.core.switch(True)
     answers = talk.wait(40_000, look_us)
     assert talk.pulses == []
-    assert sum(each.kind == Kind.NAK for each in answers) == 1
+    assert sum(each.kind == MessageKind.NAK for each in answers) == 1
     driven_pc = core.driven_pc()
     np.testing.assert_allclose(driven_pc, emulated.driven_pc(), atol=0.5)
     talk.wait(200_000)

@@ -8,8 +8,8 @@ import pytest
 
 from smarttouch.boards.open import make_board
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence
 from tests.firmware.cortex_m3 import ELECTRODES
 from tests.firmware.rig import Talk
 from tests.firmware.scenes import random_lists, random_table, sequence_of

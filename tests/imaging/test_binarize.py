@@ -4,9 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from smarttouch.imaging.binarize import Binarizer
+from smarttouch.imaging.tactile_mapper import Binarizer
 
-from ..documents.printed import PAPERS, blank_papers
+from ..pages.printed import PAPERS, blank_papers
 
 SECOND = 10**9
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
-from smarttouch.imaging.natural import FAINTEST_CHANGE, LEAVING, NaturalDrive
+from smarttouch.base.afferent import Afferent
+from smarttouch.imaging.tactile_mapper import FAINTEST_CHANGE, LEAVING, NaturalDrive
 
 
 def follow(drive, images, touching=True, start_ns=0):

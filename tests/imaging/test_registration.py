@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from smarttouch.errors import ProfileError
+from smarttouch.base.errors import ProfileError
 from smarttouch.imaging.registration import Registration
 from smarttouch.profile import list_profiles, load_profile
 

@@ -5,9 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from smarttouch.kernels.driving_problem import fiber_points
-from smarttouch.physiology.activation import potential_mv
-from smarttouch.physiology.afferents import everywhere, targets
-from smarttouch.physiology.driving import FIBERS
+from smarttouch.physiology.activating_function import everywhere, potential_mv, targets
+from smarttouch.physiology.driving_function import FIBERS
 from smarttouch.physiology.membrane import thresholds_ma
 
 from ..fit_fibers import fiber_cases

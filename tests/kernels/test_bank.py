@@ -10,8 +10,8 @@ import zipfile
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
-from smarttouch.errors import DesignError
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import DesignError
 from smarttouch.kernels import bank as banks
 from smarttouch.kernels.bank import (
     design_bank,
@@ -21,9 +21,9 @@ from smarttouch.kernels.bank import (
     shipped_bank,
     write_bank,
 )
-from smarttouch.kernels.batch import design_sites
-from smarttouch.kernels.design import design_kernel
-from smarttouch.kernels.problem import Problem
+from smarttouch.kernels.batch_design import design_sites
+from smarttouch.kernels.design_problem import Problem
+from smarttouch.kernels.weighted_design import design_kernel
 from smarttouch.profile import list_profiles, load_profile
 
 from ..raising import raises

@@ -6,12 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
-from smarttouch.kernels.design import design_kernel
+from smarttouch.base.afferent import Afferent
+from smarttouch.kernels.design_problem import Problem
 from smarttouch.kernels.driving_problem import DrivingProblem, fiber_points
-from smarttouch.kernels.problem import Problem
-from smarttouch.physiology.activation import potential_mv
-from smarttouch.physiology.afferents import targets
+from smarttouch.kernels.weighted_design import design_kernel
+from smarttouch.physiology.activating_function import potential_mv, targets
 from smarttouch.profile import load_profile
 
 from .by_cable import judge_by_cable

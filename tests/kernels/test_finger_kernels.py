@@ -3,17 +3,16 @@
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
-from smarttouch.errors import ProfileError, ScheduleError
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import ProfileError, ScheduleError
 from smarttouch.kernels.bank import KernelBank, kernels_at_nodes, load_bank, problem_hash
-from smarttouch.kernels.finger_design import FingerDesign
+from smarttouch.kernels.finger_design import SEEN, FingerDesign, FingerSample
 from smarttouch.kernels.finger_kernels import FIRST_SEED, FingerKernels
-from smarttouch.kernels.finger_sample import SEEN, FingerSample
 from smarttouch.physiology.finger import Finger
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.stimulation.sharing import NO_SHARING
+from smarttouch.stimulation.scan_sequence import NO_SHARING
 
 from ..raising import raises
 

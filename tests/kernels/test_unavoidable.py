@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
+from smarttouch.base.afferent import Afferent
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import load_profile

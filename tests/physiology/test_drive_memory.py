@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.afferent import Afferent
-from smarttouch.physiology.drive_memory import DriveMemory
+from smarttouch.base.afferent import Afferent
 from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.spikes import DriveMemory
 from smarttouch.profile import load_profile
 
 from ..close import assert_close

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.afferent import Afferent
-from smarttouch.errors import DesignError, ProfileError
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import DesignError, ProfileError
 from smarttouch.physiology.anatomy import list_anatomies, load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import SpikeModel
@@ -49,7 +49,7 @@ def test_the_same_seed_is_the_same_finger(small, anatomy):
     one, again, other = (Finger(small, seed, anatomy) for seed in (1, 1, 2))
     for afferent in Afferent:
         first, second = one.populations[afferent], again.populations[afferent]
-        assert np.array_equal(first.course_mm, second.course_mm)
+        assert np.array_equal(first.axon_path_mm, second.axon_path_mm)
         assert np.array_equal(first.factor, second.factor)
         assert len(first.factor) != len(other.populations[afferent].factor) or not np.allclose(
             first.receptor_mm, other.populations[afferent].receptor_mm
@@ -77,16 +77,16 @@ def test_densities_fall_beyond_the_tip(small):
 def test_courses_lie_in_the_skin_and_endings_under_ridges(small, anatomy):
     finger = Finger(small, 1, anatomy)
     for one in finger.populations.values():
-        assert one.course_mm[..., 2].min() > 0
-        assert np.all(np.diff(one.course_mm[..., 2], axis=1) > -1e-9)
-    endings = finger.populations[Afferent.RA].course_mm[:, 0, 1] / finger.anatomy.ridge_mm
+        assert one.axon_path_mm[..., 2].min() > 0
+        assert np.all(np.diff(one.axon_path_mm[..., 2], axis=1) > -1e-9)
+    endings = finger.populations[Afferent.RA].axon_path_mm[:, 0, 1] / finger.anatomy.ridge_mm
     assert endings == pytest.approx(np.round(endings), abs=1e-9)
 
 
 def test_branches_gather_around_the_receptor(small):
     one = Finger(small, 1, "branched").populations[Afferent.RA]
     assert len(one.owner) == one.anatomy.endings * len(one.factor)
-    away = one.course_mm[:, 0, :2] - one.receptor_mm[one.owner]
+    away = one.axon_path_mm[:, 0, :2] - one.receptor_mm[one.owner]
     assert away[:, 0].std() == pytest.approx(one.anatomy.branch_spread_mm, rel=0.15)
 
 
@@ -165,7 +165,7 @@ def test_a_curved_pad_lies_deeper_off_the_axis(small):
         update = {"pad_radius_mm": 10.0, "contact_mm2": contact_mm2}
         curved = Finger(small, 1, anatomy.model_copy(update=update))
         for afferent in Afferent:
-            before, after = (one.populations[afferent].course_mm for one in (flat, curved))
+            before, after = (one.populations[afferent].axon_path_mm for one in (flat, curved))
             away2 = (before[..., :2] ** 2).sum(axis=-1)
             deeper = np.maximum(away2 - within_mm**2, 0) / 20
             assert after[..., 2] - before[..., 2] == pytest.approx(deeper, abs=1e-9)

@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
-from smarttouch.errors import DesignError
-from smarttouch.physiology.activation import potential_mv
-from smarttouch.physiology.course import course_points
-from smarttouch.physiology.driving import FIBERS, load_driving
-from smarttouch.physiology.finger import Finger
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import DesignError
+from smarttouch.physiology.activating_function import potential_mv
+from smarttouch.physiology.driving_function import FIBERS, load_driving
+from smarttouch.physiology.finger import Finger, axon_path_points
 from smarttouch.physiology.membrane import thresholds_ma
 
 from ..fit_fibers import fiber_cases, fiber_fit, fit_fibers, mrg
@@ -63,9 +62,9 @@ def test_thresholds_of_bent_branches_that_no_fit_has_seen(profile, bank, afferen
     """Courses of a branched finger, under kernels, against the cable model."""
     one = Finger(profile, 1, "branched").populations[afferent]
     like = replace(FIBERS["fingertip"], end="passive")
-    ending = one.course_mm[:, 0, :2]
+    ending = one.axon_path_mm[:, 0, :2]
     picked = np.flatnonzero((np.abs(ending) < 7).all(axis=1))[::40][:16]
-    points = course_points(one, picked, 75, like.internode_mm)
+    points = axon_path_points(one, picked, 75, like.internode_mm)
     potentials = []
     fields = potential_mv(profile, points)
     for index, (branch, potential) in enumerate(zip(picked, fields, strict=True)):

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from smarttouch.physiology.activation import potential_mv
+from smarttouch.physiology.activating_function import potential_mv
 from smarttouch.physiology.anatomy import Bystander, load_anatomy
-from smarttouch.physiology.bystanders import Bystanders, margins, nociceptive_margin
-from smarttouch.physiology.free_endings import STEP_MM, free_ending
+from smarttouch.physiology.driving_function import STEP_MM, free_ending
+from smarttouch.physiology.spikes import Bystanders, margins, nociceptive_margin
 from smarttouch.profile import load_profile
 
 NODES, WIDTH_US, STEP_US = 100, 200, 5.0

@@ -4,8 +4,14 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from smarttouch.errors import DesignError
-from smarttouch.physiology.membrane import Axon, Fiber, strength_duration, threshold_ma, weiss_fit
+from smarttouch.base.errors import DesignError
+from smarttouch.physiology.membrane import (
+    Axon,
+    Fiber,
+    strength_duration,
+    threshold_ma,
+    weiss_fit,
+)
 
 from ..raising import raises
 

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
-from smarttouch.physiology.felt import felt, felt_map
+from smarttouch.base.afferent import Afferent
 from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.response import response_map, response_quality
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import load_profile
 
@@ -99,11 +99,11 @@ def test_measures_of_what_was_felt(finger):
     far_sai = far_sai[beyond[far_sai].argmax()]
     counts = np.zeros(len(finger.classes), np.intp)
     counts[near_ra], counts[far_sai] = 3, 1
-    found = felt(finger, counts, active, [Afferent.RA])
+    found = response_quality(finger, counts, active, [Afferent.RA])
     assert (found.spikes, found.silent_points) == (4, 0.5)
     assert (found.wrong_class, found.misplaced) == (0.25, 0.25)
     assert found.afferents == {Afferent.RA: 1, Afferent.SAI: 1, Afferent.PC: 0}
-    nothing = felt(finger, 0 * counts, active, [Afferent.RA])
+    nothing = response_quality(finger, 0 * counts, active, [Afferent.RA])
     assert nothing.silent_points == 1
     assert np.isnan(nothing.wrong_class)
 
@@ -113,6 +113,6 @@ def test_what_is_felt_is_put_where_the_receptor_is(finger):
     pc = int(np.flatnonzero(finger.classes == Afferent.PC)[0])
     counts[pc] = 2
     places = np.array([finger.receptor_mm[pc], finger.receptor_mm[pc] + 10.0])
-    felt_there = felt_map(finger, counts, places)
+    felt_there = response_map(finger, counts, places)
     assert felt_there[Afferent.PC] == pytest.approx([2, 0], abs=1e-6)
     assert not felt_there[[Afferent.RA, Afferent.SAI]].any()

@@ -2,7 +2,7 @@
 
 import pytest
 
-from smarttouch.resources import data_folder
+from smarttouch.base.files import data_folder
 
 
 @pytest.fixture

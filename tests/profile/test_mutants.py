@@ -5,9 +5,9 @@ import random
 
 import numpy as np
 
-from smarttouch.errors import ProfileError
+from smarttouch.base.errors import ProfileError
+from smarttouch.base.files import data_folder
 from smarttouch.profile import load_profile
-from smarttouch.resources import data_folder
 
 from ..raising import assert_says
 from .shipped import SHIPPED

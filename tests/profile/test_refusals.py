@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from smarttouch.errors import ProfileError
+from smarttouch.base.errors import ProfileError
+from smarttouch.base.files import data_folder
 from smarttouch.profile import list_profiles, load_profile
-from smarttouch.profile.written import as_toml
-from smarttouch.resources import data_folder
+from smarttouch.profile.toml_writer import as_toml
 
 from ..raising import raises
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from smarttouch.errors import ProfileError
-from smarttouch.profile.stricter import stricter
-from smarttouch.stimulation.limits import SafetyLimits
+from smarttouch.base.errors import ProfileError
+from smarttouch.profile.profile import stricter
+from smarttouch.stimulation.safety_limits import SafetyLimits
 
 
 def with_limits(profile, **limits):

@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
+from smarttouch.imaging.array_window import pixel_pitch_mm, profile_for_reading
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
-from smarttouch.reading.feed import LineFeed
-from smarttouch.reading.touch_line import TouchLine
-from smarttouch.reading.window import pixel_of, profile_for_reading
+from smarttouch.reading.line_source import LineFeed, TouchLine
 
 
 @pytest.fixture(scope="session")
@@ -26,7 +25,7 @@ def make_line(reading):
     """Return a maker of lines with a bar of ink, as wide and as far in as asked."""
 
     def make(length_mm=30.0, bar_mm=(10.0, 14.0), **more):
-        pixel_mm = pixel_of(reading)
+        pixel_mm = pixel_pitch_mm(reading)
         image = np.full((reading.optics.sensor_rows, round(length_mm / pixel_mm)), 255, np.uint8)
         image[:, round(bar_mm[0] / pixel_mm) : round(bar_mm[1] / pixel_mm)] = 0
         half_mm = reading.optics.field_width_mm / 2

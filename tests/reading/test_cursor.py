@@ -8,19 +8,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.errors import ReadingError
-from smarttouch.reading.cursor import (
+from smarttouch.base.errors import ReadingError
+from smarttouch.reading.line_source import (
     GAP,
     LAND_S,
     SETTLE_S,
     FollowingCursor,
+    LineFeed,
     LineMotion,
+    Place,
     SweepingCursor,
+    TouchLine,
 )
-from smarttouch.reading.feed import LineFeed
-from smarttouch.reading.touch_line import Place, TouchLine
-from smarttouch.sources.frame import Frame, Pose
-from smarttouch.sources.source import OpticalSource
+from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 
 from ..raising import raises
 

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.errors import ReadingError
-from smarttouch.reading.error_rate import character_error_rate, normalize, word_error_rate
+from smarttouch.base.errors import ReadingError
+from smarttouch.reading.legibility import character_error_rate, normalize, word_error_rate
 
 from ..raising import raises
 

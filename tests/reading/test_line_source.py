@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from smarttouch.reading.cursor import LineMotion, Spot, SweepingCursor
-from smarttouch.reading.line_source import ReadingSource
-from smarttouch.reading.window import pixel_of
+from smarttouch.imaging.array_window import pixel_pitch_mm
+from smarttouch.reading.line_source import LineMotion, ReadingSource, Spot, SweepingCursor
 
 
 class Stands:
@@ -21,7 +20,7 @@ class Stands:
 
 
 def test_a_frame_is_a_window_on_the_line(reading, feed_of, make_line):
-    line, pixel_mm = make_line(30.0, (10.0, 14.0)), pixel_of(reading)
+    line, pixel_mm = make_line(30.0, (10.0, 14.0)), pixel_pitch_mm(reading)
     spots = [Spot(0, line, x, y, 1.0) for x, y in ((12.0, 0.0), (4.0, 0.0), (12.0, 4.0))]
     source = ReadingSource("x", reading, feed_of(line), Stands(*spots))
     frames = [source.read(each) for each in range(3)]
@@ -49,7 +48,7 @@ def test_a_point_marks_the_start_of_a_line(reading, feed_of, make_line):
     source = ReadingSource("x", reading, feed_of(make_line()), Stands(Spot(0, None, marked=True)))
     image = source.read(0).image
     dark = [(image == 0).any(axis=axis).sum() for axis in (0, 1)]
-    cell_mm, pixel_mm = reading.electrodes.cell_mm, pixel_of(reading)
+    cell_mm, pixel_mm = reading.electrodes.cell_mm, pixel_pitch_mm(reading)
     assert dark == pytest.approx([side / pixel_mm for side in cell_mm], abs=1)
     assert (image == 0).sum() == dark[0] * dark[1]
 

@@ -10,17 +10,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image, ImageDraw, ImageFont
 
-from smarttouch.errors import ReadingError
-from smarttouch.reading.error_rate import character_error_rate
+from smarttouch.base.errors import ReadingError
+from smarttouch.reading.legibility import character_error_rate
 from smarttouch.reading.ocr import (
     Layout,
     Recognized,
     RecognizedLine,
+    find_tesseract,
     recognize,
     recognize_lines,
     upright,
 )
-from smarttouch.reading.tesseract import find_tesseract
 
 from ..raising import raises
 

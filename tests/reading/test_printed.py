@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.documents.printed_text import prepare_text, print_text
-from smarttouch.documents.text_lines import TextLine
-from smarttouch.errors import ReadingError
-from smarttouch.reading import printed
-from smarttouch.reading.error_rate import character_error_rate
-from smarttouch.reading.ocr import RecognizedLine
-from smarttouch.reading.paragraphs import paragraphs
-from smarttouch.reading.printed import (
+from smarttouch.base.errors import ReadingError
+from smarttouch.pages.prepared_page import prepare_text, print_text
+from smarttouch.pages.text_lines import TextLine
+from smarttouch.reading import material
+from smarttouch.reading.legibility import character_error_rate
+from smarttouch.reading.material import (
     RecognitionOptions,
     document_pages,
+    paragraphs,
     recognized_lines,
     recognized_text,
     upright_page,
 )
+from smarttouch.reading.ocr import RecognizedLine
 
 TEXT = "Some words that are di-\nvided by a line, and\nmore of them\n\nanother paragraph"
 
@@ -46,7 +46,7 @@ def tesseract(monkeypatch):
 
     def reads(text, **more):
         stands = Reads([line for line in text.split("\n") if line], **more)
-        monkeypatch.setattr(printed, "recognize_lines", stands)
+        monkeypatch.setattr(material, "recognize_lines", stands)
         return stands
 
     return reads
@@ -101,7 +101,7 @@ def test_a_page_is_turned_as_it_should_be(monkeypatch, notes, turn_deg):
         seen.append(languages)
         return turn_deg
 
-    monkeypatch.setattr(printed, "upright", upright)
+    monkeypatch.setattr(material, "upright", upright)
     prepared = upright_page(3, page, RecognitionOptions(languages="deu"), notes.append)
     assert seen == ["deu"]
     if turn_deg:
@@ -124,7 +124,7 @@ def test_without_tesseract_a_page_stays_as_it_is(monkeypatch, notes):
     def missing(image, languages):
         raise ReadingError("Tesseract is not here")
 
-    monkeypatch.setattr(printed, "upright", missing)
+    monkeypatch.setattr(material, "upright", missing)
     prepared = upright_page(
         1, print_text("Some words\non a page"), RecognitionOptions(), notes.append
     )

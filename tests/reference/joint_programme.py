@@ -17,10 +17,9 @@ import highspy
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import DesignError
-from smarttouch.kernels.frames.fields import FieldMap
-from smarttouch.kernels.frames.figures import FrameBounds, FrameFigures
-from smarttouch.kernels.frames.judge import FrameJudge
+from smarttouch.base.errors import DesignError
+from smarttouch.kernels.frame_fields import FieldMap, FrameBounds, FrameFigures
+from smarttouch.kernels.frame_judges import FrameJudge
 
 Array = NDArray[np.float64]
 

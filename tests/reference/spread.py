@@ -7,11 +7,16 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.afferent import Afferent
-from smarttouch.kernels.frames.figures import FrameFigures
-from smarttouch.kernels.frames.judge import FrameJudge
-from smarttouch.physiology.afferents import Afferents, depth_mm, flat, tilted
-from smarttouch.physiology.afferents import variants as conductivities
+from smarttouch.base.afferent import Afferent
+from smarttouch.kernels.frame_fields import FrameFigures
+from smarttouch.kernels.frame_judges import FrameJudge
+from smarttouch.physiology.activating_function import (
+    Afferents,
+    depth_mm,
+    flat_directions,
+    tilted_directions,
+)
+from smarttouch.physiology.activating_function import skin_variants as conductivities
 from smarttouch.profile import Skin
 
 Array = NDArray[np.float64]
@@ -115,6 +120,6 @@ def _turns(afferent: Afferent, turn_deg: float) -> list[Callable[[Afferents], Af
 
 def _turned(direction: Array, turn_deg: float, way: int) -> Array:
     if direction[0, 2]:
-        return tilted(turn_deg)[way : way + 1]
+        return tilted_directions(turn_deg)[way : way + 1]
     angles = np.degrees(np.arctan2(direction[:, 1], direction[:, 0]))
-    return flat(tuple(angles + (0.0, turn_deg, -turn_deg)[way]))
+    return flat_directions(tuple(angles + (0.0, turn_deg, -turn_deg)[way]))

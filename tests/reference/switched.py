@@ -13,13 +13,12 @@ proven by the judge; one that is not might still exist.
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.errors import DesignError
-from smarttouch.kernels.assignment import pole_shares
-from smarttouch.kernels.frames.figures import FrameBounds, masked_point
-from smarttouch.kernels.frames.judge import FrameJudge
-from smarttouch.kernels.frames.operator import keeps
-from smarttouch.kernels.frames.slots import FrameSlot
-from smarttouch.kernels.switching import polarity
+from smarttouch.base.errors import DesignError
+from smarttouch.kernels.frame_fields import FrameBounds, masked_point
+from smarttouch.kernels.frame_judges import FrameJudge
+from smarttouch.kernels.frame_operator import keeps
+from smarttouch.kernels.slot_plans import FrameSlot
+from smarttouch.kernels.switched_design import polarity, pole_shares
 
 Array = NDArray[np.float64]
 States = NDArray[np.int8]

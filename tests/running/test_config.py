@@ -2,11 +2,11 @@
 
 import pytest
 
-from smarttouch.afferent import Afferent, Mode
-from smarttouch.errors import SmartTouchError
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.errors import SmartTouchError
 from smarttouch.profile import load_profile
 from smarttouch.running.config import SCANS, RunConfig
-from smarttouch.stimulation.sharing import NO_SHARING, SlotPolicy
+from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
 
 from ..raising import raises
 

@@ -3,7 +3,7 @@
 import pytest
 
 import smarttouch as st
-from smarttouch.errors import BoardStoppedError
+from smarttouch.base.errors import BoardStoppedError
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from smarttouch.boards.emulator.delivery_log import read_slots, read_state
+from smarttouch.emulator.firmware import read_slots, read_state
 
 pytestmark = pytest.mark.realtime
 ANSWERS_WITHIN_S = 60

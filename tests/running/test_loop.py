@@ -7,33 +7,32 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Mode
-from smarttouch.boards.emulator.driver import EmulatorBoard
-from smarttouch.boards.memory import MemoryBoard
-from smarttouch.boards.probe import one_each
-from smarttouch.errors import (
+from smarttouch.base.afferent import Mode
+from smarttouch.base.clock import Pace
+from smarttouch.base.errors import (
     BoardError,
     BoardRestartedError,
     BoardStoppedError,
     LineLostError,
     SafetyError,
 )
-from smarttouch.events import BoardRestarted
-from smarttouch.realtime import Pace
+from smarttouch.base.events import BoardRestarted
+from smarttouch.base.stopping import StopRequest
+from smarttouch.boards.open import MemoryBoard
+from smarttouch.boards.probe_scans import one_each
+from smarttouch.emulator.emulated_boards import EmulatorBoard
 from smarttouch.running.config import RunConfig
-from smarttouch.running.controls import Controls, ControlState
+from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import OnEvent, as_listeners
 from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.regulator import Regulator
-from smarttouch.running.statistics import RunStatistics
-from smarttouch.sources.forces.force import ForceSource
-from smarttouch.sources.frame import Frame, Pose
-from smarttouch.sources.source import OpticalSource
+from smarttouch.running.regulation import Regulator
+from smarttouch.running.step import RunStatistics
+from smarttouch.sources.force import ForceSource
+from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 from smarttouch.stimulation.adaptation import Adaptation
-from smarttouch.stimulation.ledger import ChargeBalance
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stopping import StopRequest
+from smarttouch.stimulation.recharge import ChargeBalance
+from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..raising import raises
 
@@ -611,7 +610,7 @@ def test_a_stop_halts_the_board_in_the_middle_of_a_step(monkeypatch, pipeline, b
         return process(frame, level)
 
     monkeypatch.setattr(pipeline, "process", stopped_meanwhile)
-    with board, stop.telling(board.halt):
+    with board, stop.on_stop(board.halt):
         loop(Bars(60), pipeline, board, stop=stop, statistics=tally)
     assert (len(board.sequences), tally.frames, stop.reason) == (10, 10, "key q")
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import smarttouch as st
-from smarttouch.boards.emulator.delivery_log import read_delivered, read_state
+from smarttouch.emulator.firmware import read_delivered, read_state
 
 FIGURES = (
     "frames", "sequences", "slots", "pulses", "acknowledged", "refused", "dropped_late", "restarts",

@@ -5,16 +5,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.afferent import Afferent, Mode
-from smarttouch.boards.kajimoto61 import Kajimoto61Board
-from smarttouch.errors import ScheduleError
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.errors import ScheduleError
+from smarttouch.boards.kits.kajimoto61 import Kajimoto61Board
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.sources.frame import Frame, Pose
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
-from smarttouch.stimulation.timing import ScanTiming
+from smarttouch.sources.source_contract import Frame, Pose
+from smarttouch.stimulation.pulse_rates import ScanTiming
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
 from ..raising import raises
 

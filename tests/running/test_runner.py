@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.afferent import Afferent, Mode
-from smarttouch.errors import (
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.errors import (
     BoardClosedError,
     BoardError,
     BoardStoppedError,
@@ -15,18 +15,17 @@ from smarttouch.errors import (
     SmartTouchError,
     SourceError,
 )
-from smarttouch.events import Advice, IntensityChanged, ModeChanged, RunEnded
+from smarttouch.base.events import Advice, IntensityChanged, ModeChanged, RunEnded
 from smarttouch.kernels.bank import load_bank
-from smarttouch.outputs import FeltPicture, Patterns
-from smarttouch.recording.recorder import Recorder
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import open_display
 from smarttouch.running.listener import Listener
+from smarttouch.running.recorder import Recorder
 from smarttouch.running.runner import Runner
 from smarttouch.sources import open_source
-from smarttouch.sources.forces.force import open_force
-from smarttouch.sources.source import StimulusSource
-from smarttouch.sources.stimulus import Stimulus
+from smarttouch.sources.force import open_force
+from smarttouch.sources.source_contract import Stimulus, StimulusSource
+from smarttouch.views.outputs import DeliveredPicture, Patterns
 
 from ..raising import raises
 
@@ -207,7 +206,7 @@ def test_each_run_on_a_display_tells_its_own_notes(profile, bank, display):
 
 
 def test_broken_electrodes_are_planned_around(profile, source, display, monkeypatch):
-    from smarttouch.boards.impedance import judge
+    from smarttouch.boards.reports import judge
 
     kohm = np.full(64, 0.2)
     monkeypatch.setattr(
@@ -221,7 +220,11 @@ def test_broken_electrodes_are_planned_around(profile, source, display, monkeypa
 
 def test_outputs_are_listeners(profile, source, display, tmp_path):
     paths = [tmp_path / name for name in ("felt.png", "run.gif", "run.mcap")]
-    listeners = [FeltPicture(paths[0], anatomy="paper"), Patterns(paths[1]), Recorder(paths[2])]
+    listeners = [
+        DeliveredPicture(paths[0], anatomy="paper"),
+        Patterns(paths[1]),
+        Recorder(paths[2]),
+    ]
     Runner(source, display, RunConfig(mode=Mode.RA), listeners=listeners).run()
     assert all(path.stat().st_size > 1000 for path in paths)
     with raises(SmartTouchError, about="file", value=paths[2]):
@@ -233,7 +236,7 @@ def test_outputs_are_listeners(profile, source, display, tmp_path):
 def test_a_picture_of_what_was_felt_needs_every_pulse(profile, source, tmp_path):
     display = open_display("memory:", profile)
     with raises(SmartTouchError, about="felt"):
-        Runner(source, display, RunConfig(), listeners=[FeltPicture(tmp_path / "a.png")]).run()
+        Runner(source, display, RunConfig(), listeners=[DeliveredPicture(tmp_path / "a.png")]).run()
 
 
 def test_where_no_finger_can_be_made_what_was_delivered_is_drawn(profile, tmp_path, changed):
@@ -248,7 +251,7 @@ def test_where_no_finger_can_be_made_what_was_delivered_is_drawn(profile, tmp_pa
     shapes = []
     for each in (profile, layered):
         display = open_display("simulated:", profile)
-        picture = FeltPicture(tmp_path / "a.png", anatomy="paper")
+        picture = DeliveredPicture(tmp_path / "a.png", anatomy="paper")
         display.profile = each
         source = open_source("text:a", profile)
         statistics = Runner(
@@ -266,6 +269,9 @@ def test_a_picture_of_no_anatomy_is_refused_before_the_board(profile, source, tm
     display = open_display("simulated:", profile)
     with raises(ProfileError, about="anatomy", value="none"):
         Runner(
-            source, display, RunConfig(), listeners=[FeltPicture(tmp_path / "a.png", 1, "none")]
+            source,
+            display,
+            RunConfig(),
+            listeners=[DeliveredPicture(tmp_path / "a.png", 1, "none")],
         ).run()
     assert not (tmp_path / "a.png").exists()

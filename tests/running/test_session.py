@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import smarttouch as st
-from smarttouch.errors import BoardError, SmartTouchError
-from smarttouch.recording.check import assert_replays
-from smarttouch.recording.reader import Recording
+from smarttouch.base.errors import BoardError, SmartTouchError
 from smarttouch.running import session as module
+from smarttouch.running.check_recording import assert_replays
+from smarttouch.running.recording_reader import Recording
 
 from ..raising import raises
 

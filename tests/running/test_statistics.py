@@ -5,12 +5,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.afferent import Mode
-from smarttouch.running.statistics import LatencyHistogram, RunStatistics, add_durations
-from smarttouch.running.step import Step, StepResult
-from smarttouch.sources.frame import Frame, Pose
-from smarttouch.stimulation.sequence import ScanSequence, SelectivityReport
-from smarttouch.tactile_image import TactileImage
+from smarttouch.base.afferent import Mode
+from smarttouch.base.tactile_image import TactileImage
+from smarttouch.running.step import LatencyHistogram, RunStatistics, Step, StepResult, add_durations
+from smarttouch.sources.source_contract import Frame, Pose
+from smarttouch.stimulation.scan_sequence import ScanSequence, SelectivityReport
 
 
 @given(st.lists(st.floats(1, 1e7), min_size=1, max_size=300), st.floats(0.01, 1))

@@ -7,21 +7,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.afferent import Afferent, Mode
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.clock import SimulatedClock
+from smarttouch.base.errors import BoardError, SafetyError, ScheduleError
 from smarttouch.boards.open import make_board
-from smarttouch.clock import SimulatedClock
-from smarttouch.errors import BoardError, SafetyError, ScheduleError
-from smarttouch.front import run
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import open_display
+from smarttouch.running.functions import run
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.sources.frame import Frame, Pose
-from smarttouch.sources.source import StimulusSource
-from smarttouch.sources.stimulus import Stimulus
-from smarttouch.stimulation.points import perceived_at
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
+from smarttouch.sources.source_contract import Frame, Pose, Stimulus, StimulusSource
+from smarttouch.stimulation.point_slots import perceived_at
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
 from ..raising import raises
 

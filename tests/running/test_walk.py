@@ -4,10 +4,10 @@ from collections import Counter
 
 import pytest
 
+from smarttouch.base.stopping import StopRequest
 from smarttouch.running.display import open_display
 from smarttouch.running.listener import OnEvent, OnStep
 from smarttouch.running.walk import ElectrodeReached, Walk, run_walk
-from smarttouch.stopping import StopRequest
 
 
 class TwitchingClock:

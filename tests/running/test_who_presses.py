@@ -7,26 +7,25 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
-from smarttouch.boards.memory import MemoryBoard
-from smarttouch.clock import SimulatedClock
-from smarttouch.errors import ProfileError, SourceError
-from smarttouch.reading.window import press_n
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.clock import SimulatedClock
+from smarttouch.base.errors import ProfileError, SourceError
+from smarttouch.boards.open import MemoryBoard
+from smarttouch.imaging.array_window import reading_force_n
+from smarttouch.instruments.electric_mouse import MouseSource, open_motion_over
+from smarttouch.instruments.relief import open_texture
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import open_display
 from smarttouch.running.runner import Runner
 from smarttouch.running.walk import Walk
 from smarttouch.sources import open_source
-from smarttouch.sources.forces.force import ForceSource
-from smarttouch.sources.source import Source, StimulusSource
-from smarttouch.sources.stimulus import Stimulus
-from smarttouch.texture.source import MouseSource, open_motion_over
-from smarttouch.texture.textures import open_texture
+from smarttouch.sources.force import ForceSource
+from smarttouch.sources.source_contract import Source, Stimulus, StimulusSource
 
 from ..raising import raises
 from ..whole import WHOLE
 
-GOLDEN = Path(__file__).parents[1] / "recording" / "goldens" / "ra.mcap"
+GOLDEN = Path(__file__).parents[1] / "running" / "goldens" / "ra.mcap"
 
 
 class Pattern(StimulusSource):
@@ -36,7 +35,7 @@ class Pattern(StimulusSource):
 
     def __init__(self, profile, measured=False):
         super().__init__("a pattern")
-        self.measures_force, self._press_n = measured, press_n(profile)
+        self.measures_force, self._press_n = measured, reading_force_n(profile)
 
     def read(self, time_ns):
         activation = np.zeros((len(Afferent), 64), np.float32)
@@ -116,10 +115,9 @@ def test_a_source_that_measures_force_needs_no_other(flows, profile):
 
 
 def test_a_recorded_force_opens_nothing_for_programs_without_a_runner(profile, bank):
-    from smarttouch.running.controls import Controls, ControlState
-    from smarttouch.running.inputs import Inputs
+    from smarttouch.running.inputs import Controls, ControlState, Inputs
     from smarttouch.running.pipeline import Pipeline
-    from smarttouch.running.statistics import RunStatistics
+    from smarttouch.running.step import RunStatistics
 
     class Recorded(ForceSource):
         is_live = False

@@ -1,6 +1,6 @@
 """The limits of one profile as whole numbers, written from their definitions alone.
 
-Nothing here or in the other modules of the oracle may import `smarttouch.stimulation.safety`.
+Nothing here or in the other modules of the oracle may import `smarttouch.stimulation.safety_gate`.
 """
 
 import math

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..rising import open_level
 from .gates import ToldClock

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smarttouch.boards.emulator.delivery_log import read_slots, read_state
-from smarttouch.boards.emulator.skin import SPREAD
+from smarttouch.emulator.firmware import read_slots, read_state
+from smarttouch.emulator.skin import SPREAD
 
 from .bounds import LATE_NS, MEAN_UA, STRONG_A_SECOND
 

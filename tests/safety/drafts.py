@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from .bounds import LATE_NS, NS, TIMES_ITS_SHARE, WHOLE, exact
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from smarttouch.errors import SafetyError
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.base.errors import SafetyError
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 _FIELDS = ("current_ua", "width_us", "discharge_us", "site", "vibration", "recharge_ua")
 

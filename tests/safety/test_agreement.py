@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from .agreement import RunStatistics, attack, stream
 from .displays import display

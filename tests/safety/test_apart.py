@@ -12,9 +12,9 @@ ORACLE = ("bounds", "rules", "quick", "oracle", "deliveries")
 """The modules that judge; the others ask them, and the gate."""
 MAY = (
     "smarttouch.profile",
-    "smarttouch.electrodes",
-    "smarttouch.boards.emulator.delivery_log",
-    "smarttouch.boards.emulator.skin",
+    "smarttouch.base.electrodes",
+    "smarttouch.emulator.firmware",
+    "smarttouch.emulator.skin",
 )
 """What they may know of the package: data, geometry, and what an emulator wrote down."""
 

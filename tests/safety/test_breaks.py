@@ -3,8 +3,8 @@
 Those that need a process, a line or a terminal stand with what they are about: runs that are
 starting and `smarttouch stop` (tests/cli/test_running.py), late packets
 (tests/boards/test_late.py), replayed frames (tests/boards/middle), terminals that stop reading
-and signals (tests/cli/test_stopping.py, tests/stress), files (tests/test_files.py,
-tests/recording, tests/cli/test_streams.py), and what balancing does to the class
+and signals (tests/cli/test_stopping.py, tests/stress), files (tests/base/test_files.py,
+tests/running, tests/cli/test_streams.py), and what balancing does to the class
 (tests/stimulation/test_recharge.py).
 """
 
@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from smarttouch.base.errors import BoardError, SafetyError
 from smarttouch.boards.open import make_board
-from smarttouch.errors import BoardError, SafetyError
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..rising import open_level
 

@@ -6,12 +6,12 @@ import types
 import numpy as np
 import pytest
 
+from smarttouch.base.errors import BoardError
 from smarttouch.boards.board import Board
+from smarttouch.boards.kits.streamed import StreamedBoard
 from smarttouch.boards.open import make_board
-from smarttouch.boards.streamed import StreamedBoard
-from smarttouch.errors import BoardError
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..raising import raises
 

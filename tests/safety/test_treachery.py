@@ -6,7 +6,7 @@ import threading
 import numpy as np
 import pytest
 
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from .bounds import LATE_NS
 from .displays import display

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smarttouch.boards.emulator.delivery_log import DeliveryLog
-from smarttouch.boards.emulator.simulated import SimulatedBoard
-from smarttouch.boards.emulator.skin import Delivered
+from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.emulator.firmware import DeliveryLog
+from smarttouch.emulator.skin import Delivered
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
 from . import watch
 from .bounds import Bounds
@@ -94,7 +94,7 @@ def test_books_in_a_folder(blind, tmp_path):
 def test_a_simulated_board(blind, taken, monkeypatch):
     """Pulses are judged when they are taken, and the rest when the board is closed."""
     # A board with a rise, or the limits that the watch judges by, would refuse the pulse itself.
-    monkeypatch.setattr("smarttouch.boards.emulator.second.RAMP_MS", 0)
+    monkeypatch.setattr("smarttouch.emulator.rules_over_time.RAMP_MS", 0)
     wider = replace(LIMITS, current_ma=4.0, full_ma=4.0)
     vars(wider)[watch.OF_PROFILE] = Bounds.of_limits(LIMITS)
     with SimulatedBoard("", wider) as board:

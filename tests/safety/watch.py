@@ -8,10 +8,10 @@ from weakref import WeakKeyDictionary
 
 import pytest
 
-from smarttouch.boards.emulator.delivery_log import DELIVERED_FILE, STATE_FILE
-from smarttouch.boards.emulator.simulated import SimulatedBoard
+from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.emulator.firmware import DELIVERED_FILE, STATE_FILE
 from smarttouch.profile import list_profiles, load_profile
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
 from .bounds import Bounds
 from .deliveries import Pulses, judge_pulses

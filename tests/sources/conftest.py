@@ -4,9 +4,8 @@ import threading
 
 import pytest
 
-from smarttouch.sources import capture
-from smarttouch.sources.forces import load_cell
-from smarttouch.wire.pty_line import PtyLine
+from smarttouch.base.wire.device_lines import PtyLine
+from smarttouch.sources import live_capture, load_cell
 
 
 class Device(threading.Thread):
@@ -49,5 +48,5 @@ def make_device():
 @pytest.fixture(autouse=True)
 def patient(monkeypatch):
     """Wait for a first image or reading until a test would hang: how soon it comes says nothing."""
-    monkeypatch.setattr(capture, "FIRST_IMAGE_S", 60.0)
+    monkeypatch.setattr(live_capture, "FIRST_IMAGE_S", 60.0)
     monkeypatch.setattr(load_cell, "FIRST_READING_S", 60.0)

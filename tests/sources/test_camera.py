@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 import pytest
 
-from smarttouch.errors import SourceError, SourceLostError
-from smarttouch.sources import camera, capture, open_source
+from smarttouch.base.errors import SourceError, SourceLostError
+from smarttouch.sources import camera, live_capture, open_source
 from smarttouch.sources.camera import (
     COMPRESSED,
     OPENCV_LOG,
@@ -105,7 +105,7 @@ def device(monkeypatch):
     device = Device()
     monkeypatch.setattr(FakeCapture, "device", device, raising=False)
     monkeypatch.setattr(cv2, "VideoCapture", FakeCapture)
-    monkeypatch.setattr(capture, "RETRY_S", 0.001)
+    monkeypatch.setattr(live_capture, "RETRY_S", 0.001)
     monkeypatch.setattr(camera, "_PAUSE_S", 0.0)
     return device
 

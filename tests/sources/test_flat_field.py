@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.calibrate.simulated import SimulatedPatch
-from smarttouch.errors import CalibrationError, SourceError
-from smarttouch.sources.flat_field import FlatField
+from smarttouch.base.errors import CalibrationError, SourceError
+from smarttouch.experiments.calibration.sensor_optics import SimulatedPatch
+from smarttouch.sources.preprocess import FlatField
 
 from ..raising import raises
 

@@ -9,11 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from smarttouch.documents.page_image import load_page
-from smarttouch.resources import data_folder
-from smarttouch.sources.intake import FramePreprocessor
-from smarttouch.sources.motion import MotionTracker, page_per_pixel
-from smarttouch.sources.page import PageSource
+from smarttouch.base.files import data_folder
+from smarttouch.pages.page_image import load_page
+from smarttouch.sources.preprocess import FramePreprocessor, MotionTracker, page_per_pixel
+from smarttouch.sources.virtual_finger import PageSource
 
 FIELD_MM = 5.0
 

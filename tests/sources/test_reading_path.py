@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.documents.page_image import Page
-from smarttouch.documents.printed_text import print_text
-from smarttouch.documents.text_lines import find_lines
-from smarttouch.errors import SourceError
-from smarttouch.sources.reading_path import ReadingPath, RecordedPath
+from smarttouch.base.errors import SourceError
+from smarttouch.pages.page_image import Page
+from smarttouch.pages.prepared_page import print_text
+from smarttouch.pages.text_lines import find_lines
+from smarttouch.sources.virtual_finger import ReadingPath, RecordedPath
 
 from ..raising import raises
 

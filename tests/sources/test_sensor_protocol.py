@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from smarttouch.errors import SourceError
+from smarttouch.base.errors import SourceError
+from smarttouch.base.wire.framing import Deframer, WirePacket, frame_packet
 from smarttouch.sources.sensor_protocol import (
     LARGEST_BODY,
     NO_READING,
@@ -25,7 +26,6 @@ from smarttouch.sources.sensor_protocol import (
     encode_info,
     gap,
 )
-from smarttouch.wire.framing import Deframer, Packet, frame_packet
 
 from ..raising import raises
 
@@ -125,17 +125,17 @@ HEAD = bytes([2, 3, 0, 0, 0, 0])
     ],
 )
 def test_malformed_payloads_say_nothing(kind, payload):
-    assert decode(Packet(kind, 0, payload, VERSION)) is None
+    assert decode(WirePacket(kind, 0, payload, VERSION)) is None
 
 
 def test_another_version_says_nothing():
-    assert decode(Packet(PacketKind.FRAME, 0, HEAD + bytes(6), VERSION)) is not None
-    assert decode(Packet(PacketKind.FRAME, 0, HEAD + bytes(6), VERSION + 1)) is None
+    assert decode(WirePacket(PacketKind.FRAME, 0, HEAD + bytes(6), VERSION)) is not None
+    assert decode(WirePacket(PacketKind.FRAME, 0, HEAD + bytes(6), VERSION + 1)) is None
 
 
 @given(st.sampled_from([*PacketKind, 0, 255]), st.binary(max_size=80))
 def test_no_payload_crashes(kind, payload):
-    message = decode(Packet(kind, 0, payload, VERSION))
+    message = decode(WirePacket(kind, 0, payload, VERSION))
     if isinstance(message, ArrayFrame):
         assert message.image.size == len(payload) - 6
 

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.errors import SourceError, SourceLostError
+from smarttouch.base.errors import SourceError, SourceLostError
+from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.sources import open_source, serial_array
 from smarttouch.sources.sensor_protocol import encode_force, encode_frame, encode_info
 from smarttouch.sources.serial_array import SerialArrayDevice
-from smarttouch.wire.pty_line import PtyLine
 
 from ..raising import raises
 from ..said import numbers_in

@@ -12,11 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from smarttouch.errors import SourceError
+from smarttouch.base.errors import SourceError
 from smarttouch.sources import open_source
-from smarttouch.sources.clip import Clip
-from smarttouch.sources.image_device import SourceEndedError
-from smarttouch.sources.video import PacedClip
+from smarttouch.sources.live_capture import SourceEndedError
+from smarttouch.sources.video import Clip, PacedClip
 
 from ..raising import raises
 from ..said import numbers_in

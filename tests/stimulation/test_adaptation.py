@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.afferent import Afferent
-from smarttouch.errors import ScheduleError
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import ScheduleError
+from smarttouch.base.tactile_image import TactileImage
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import Profile, load_profile
 from smarttouch.stimulation.adaptation import Adaptation
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
-from smarttouch.stimulation.schedule import ScanScheduler
-from smarttouch.stimulation.sequence import SelectivityReport
-from smarttouch.stimulation.timing import ScanTiming
-from smarttouch.tactile_image import TactileImage
+from smarttouch.stimulation.pulse_rates import ScanTiming
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
+from smarttouch.stimulation.scan_sequence import SelectivityReport
+from smarttouch.stimulation.scheduler import ScanScheduler
 
 from ..raising import raises
 from ..rising import open_level

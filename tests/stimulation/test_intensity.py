@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.clock import LATE_NS
+from smarttouch.base.clock import LATE_NS
 from smarttouch.profile import ForceLaw
 from smarttouch.stimulation.intensity import MOST_STEP_NS, SoftStart, force_gate
-from smarttouch.stimulation.limits import parts_per_billion
-from smarttouch.stimulation.safety import Rise
+from smarttouch.stimulation.safety_gate import Rise
+from smarttouch.stimulation.safety_limits import parts_per_billion
 
 LINEAR = ForceLaw(law="linear", contact_n=0.2, full_n=1.0)
 LOGARITHMIC = ForceLaw(law="logarithmic", contact_n=0.2, full_n=1.0)

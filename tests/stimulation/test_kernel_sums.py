@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from smarttouch.afferent import Afferent
-from smarttouch.kernels.frames.bound import proved_sets
-from smarttouch.kernels.frames.operator import AIM, FrameOperator
-from smarttouch.stimulation.frames import FrameSlots
+from smarttouch.base.afferent import Afferent
+from smarttouch.kernels.frame_operator import AIM, FrameOperator
+from smarttouch.kernels.proved_sets import proved_sets
+from smarttouch.stimulation.frame_slots import FrameSlots
 from smarttouch.stimulation.kernel_sums import _parts
-from smarttouch.stimulation.sums import round_charge_balanced
+from smarttouch.stimulation.slot_sums import round_charge_balanced
 
 INTENSITIES = (1.0, 0.6, 0.3, 0.1, 0.03, 0.01, 0.003)
 

@@ -7,20 +7,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.afferent import Afferent
+from smarttouch.base.afferent import Afferent
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.sources.stimulus import Stimulus
-from smarttouch.stimulation.kernel_table import (
+from smarttouch.sources.source_contract import Stimulus
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
+from smarttouch.stimulation.scan_sequence import (
     PEAK,
     KernelLists,
     KernelTable,
     largest_amplitude,
     quantized,
 )
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
 
 
 def random_table(seed, kernels, electrodes):

@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.ledger import ChargeBalance
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits
-from smarttouch.stimulation.sequence import SelectivityReport
+from smarttouch.stimulation.recharge import ChargeBalance
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
+from smarttouch.stimulation.scan_sequence import SelectivityReport
 
 from ..rising import open_level
 from ..scans import sequence

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smarttouch.stimulation.exposure import NET_PC
-from smarttouch.stimulation.net import NetPlan
+from smarttouch.stimulation.net_plan import NetPlan
 
 BUSY_US = 300
 

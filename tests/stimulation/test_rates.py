@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.afferent import Afferent
-from smarttouch.stimulation.rates import SLOWEST, PulseRates, rate_share
+from smarttouch.base.afferent import Afferent
+from smarttouch.stimulation.pulse_rates import SLOWEST, PulseRates, rate_share
 
 FULL = {Afferent.RA: 1.0, Afferent.SAI: 1.0}
 

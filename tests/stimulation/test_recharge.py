@@ -7,19 +7,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from smarttouch.errors import SafetyError
+from smarttouch.base.errors import SafetyError
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.ledger import ChargeBalance, net_charge_pc
+from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import (
     MOST_PC,
     MOST_US,
+    ChargeBalance,
     RechargeRules,
     add_recharge,
+    net_charge_pc,
     prove_recharge,
     recharge_most_ua,
 )
-from smarttouch.stimulation.safety import SafetyGate, SafetyLimits, frozen
-from smarttouch.stimulation.timing import ScanTiming
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits, frozen
 
 from ..raising import raises
 from ..rising import open_level

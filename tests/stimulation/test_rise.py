@@ -4,9 +4,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.clock import LATE_NS
-from smarttouch.stimulation.limits import PPB
-from smarttouch.stimulation.safety import LEEWAY_PPB, LEVEL_KEPT_NS, Rise
+from smarttouch.base.clock import LATE_NS
+from smarttouch.stimulation.safety_gate import LEEWAY_PPB, LEVEL_KEPT_NS, Rise
+from smarttouch.stimulation.safety_limits import PPB
 
 RAMP_NS = 500_000_000
 HURRIED_PPB = LATE_NS * PPB // RAMP_NS

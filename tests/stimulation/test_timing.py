@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.errors import ScheduleError
+from smarttouch.base.errors import ScheduleError
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.timing import ScanTiming
+from smarttouch.stimulation.pulse_rates import ScanTiming
 
 from ..raising import raises
 

@@ -19,23 +19,15 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import smarttouch.boards.etactilekit
-import smarttouch.boards.kajimoto61
-import smarttouch.boards.link
-import smarttouch.delivered.drawing
-import smarttouch.monitor.session
-import smarttouch.sources.forces.force
-import smarttouch.sources.page  # noqa: F401
-from smarttouch.boards.emulator.delivery_log import DeliveryLog
-from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
-from smarttouch.boards.emulator.firmware import Firmware
-from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
-from smarttouch.boards.emulator.link import LinkFirmware
+from smarttouch.base.clock import prioritized
+from smarttouch.base.wire.device_lines import PtyLine
 from smarttouch.cli import main
+from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
+from smarttouch.emulator.firmware import DeliveryLog, Firmware
+from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
+from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.server import Server
-from smarttouch.monitor import driving
-from smarttouch.realtime import prioritized
-from smarttouch.wire.pty_line import PtyLine
+from smarttouch.views import keys_and_signals
 
 KINDS = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 FLOWS_UA = 20
@@ -150,11 +142,13 @@ class Emulated:
         time.sleep(ALONE_S)
         os.kill(self.process, signal.SIGTERM)
         os.waitpid(self.process, 0)
-        _, flag_ns, pulse_ns, pulses, driving, wrong = _PAGE.unpack(self._page[: _PAGE.size])
+        _, flag_ns, pulse_ns, pulses, keys_and_signals, wrong = _PAGE.unpack(
+            self._page[: _PAGE.size]
+        )
         self._page.close()
         return {
             "pulses": pulses,
-            "driving": bool(driving),
+            "driving": bool(keys_and_signals),
             "wrong": wrong,
             "zero_after_ms": (pulse_ns - flag_ns) / 1e6 if pulses and flag_ns != _NEVER else None,
         }
@@ -176,7 +170,7 @@ def _host(arguments, state, out, terminal, delay_s):
     os.environ["XDG_STATE_HOME"] = str(state)
     os.environ["TERM"] = "xterm"
     quiet(out, terminal)
-    by_force = driving._give_up
+    by_force = keys_and_signals._give_up
 
     def tell_and_give_up(number):
         with (Path(state) / "forced").open("a") as file:
@@ -185,7 +179,7 @@ def _host(arguments, state, out, terminal, delay_s):
             faulthandler.dump_traceback(file)
         by_force(number)
 
-    driving._give_up = tell_and_give_up
+    keys_and_signals._give_up = tell_and_give_up
     # As long as a program takes that imports, and has told nobody of itself.
     time.sleep(delay_s)
     sys.argv = ["smarttouch", *map(str, arguments)]

@@ -19,18 +19,18 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from smarttouch.boards import streamed
-from smarttouch.boards.emulator.delivery_log import DeliveryLog
-from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
-from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
-from smarttouch.boards.emulator.link import LinkFirmware
-from smarttouch.boards.emulator.skin import COMPLIANCE_V
+from smarttouch.base.errors import BoardRestartedError
+from smarttouch.base.wire.device_lines import PtyLine
+from smarttouch.boards.kits import streamed
 from smarttouch.boards.open import make_board
-from smarttouch.boards.probe import one_each
+from smarttouch.boards.probe_scans import one_each
+from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
+from smarttouch.emulator.firmware import DeliveryLog
+from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
+from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.server import DeviceClock
-from smarttouch.errors import BoardRestartedError
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.wire.pty_line import PtyLine
+from smarttouch.emulator.skin import COMPLIANCE_V
+from smarttouch.stimulation.safety_gate import SafetyLimits
 
 ELECTRODES = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 KINDS = tuple(ELECTRODES)

@@ -14,21 +14,19 @@ from pathlib import Path
 import numpy as np
 from forked import KINDS, Emulated, quiet, run_and_exit
 
-from smarttouch.afferent import Mode
+from smarttouch.base.afferent import Mode
+from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.open import make_board
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
-from smarttouch.running.controls import Controls, ControlState
-from smarttouch.running.environment import steady_environment
+from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import as_listeners
-from smarttouch.running.loop import run_loop
+from smarttouch.running.loop import run_loop, steady_environment
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.statistics import RunStatistics
-from smarttouch.sources.frame import Frame, Pose
-from smarttouch.sources.source import OpticalSource
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stopping import StopRequest
+from smarttouch.running.step import RunStatistics
+from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
+from smarttouch.stimulation.safety_gate import SafetyLimits
 
 PROFILES = {"link": "electric-mouse", "kajimoto61": "kajimoto-61", "etactilekit": "etactilekit-32"}
 RISEN_S = 0.7

@@ -21,16 +21,16 @@ from functools import partial
 from kill_host import ELECTRODES, LEAVES_WITHIN_S, PR_SET_CHILD_SUBREAPER, LastPulse, reap
 from threadpoolctl import threadpool_limits
 
-from smarttouch.boards import streamed
-from smarttouch.boards.emulator.etactilekit import ETactileKitFirmware
-from smarttouch.boards.emulator.kajimoto61 import Kajimoto61Firmware
-from smarttouch.boards.emulator.link import LinkFirmware
+from smarttouch.base.errors import BoardRestartedError, SequenceLateError, SmartTouchError
+from smarttouch.base.wire.device_lines import PtyLine
+from smarttouch.boards.kits import streamed
 from smarttouch.boards.open import make_board
-from smarttouch.boards.probe import one_each
+from smarttouch.boards.probe_scans import one_each
+from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
+from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
+from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.server import DeviceClock
-from smarttouch.errors import BoardRestartedError, SequenceLateError, SmartTouchError
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.wire.pty_line import PtyLine
+from smarttouch.stimulation.safety_gate import SafetyLimits
 
 KITS = ("936c6c0", "71adee2", "newest")
 KINDS = ("link", "kajimoto61", *(f"etactilekit {firmware}" for firmware in KITS))

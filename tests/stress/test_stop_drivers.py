@@ -14,13 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from smarttouch.boards.hybrid import HybridBoard
-from smarttouch.boards.memory import MemoryBoard
-from smarttouch.boards.open import make_board
-from smarttouch.boards.probe import one_each
-from smarttouch.boards.vibrators import VibratorBoard
-from smarttouch.errors import BoardStoppedError
-from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.base.errors import BoardStoppedError
+from smarttouch.boards.open import MemoryBoard, make_board
+from smarttouch.boards.probe_scans import one_each
+from smarttouch.boards.vibrators.vibrator_board import HybridBoard, VibratorBoard
+from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..forks import Forked
 

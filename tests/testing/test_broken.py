@@ -5,15 +5,15 @@ from .test_mutants import failed
 BROKEN = """
 import math, threading, time
 import numpy as np
-from smarttouch.boards.memory import MemoryBoard
-from smarttouch.errors import SmartTouchError
-from smarttouch.sources.forces.force import ForceSource
-from smarttouch.sources.frame import Frame, Pose
-from smarttouch.sources.source import OpticalSource
-from smarttouch.testing.boards import BoardContract
+from smarttouch.boards.open import MemoryBoard
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.sources.force import ForceSource
+from smarttouch.sources.source_contract import Frame, Pose
+from smarttouch.sources.source_contract import OpticalSource
+from smarttouch.testing.board_contract import BoardContract
 from smarttouch.testing.pulses import ZERO, planned_pulses
-from smarttouch.testing.forces import ForceContract
-from smarttouch.testing.sources import SourceContract
+from smarttouch.testing.source_contracts import ForceContract
+from smarttouch.testing.source_contracts import SourceContract
 
 
 class Boards(BoardContract):

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from ..documented import ROOT, Reader
 from ..installed import install_project
-from ..pages import ROOT, Reader
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
 

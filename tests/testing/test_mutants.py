@@ -4,7 +4,7 @@ import re
 import subprocess
 import sys
 
-from ..pages import ROOT
+from ..documented import ROOT
 
 EXAMPLE = ROOT / "examples" / "plugins" / "board"
 

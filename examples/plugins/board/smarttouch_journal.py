@@ -4,11 +4,11 @@ import threading
 from pathlib import Path
 from typing import IO
 
+from smarttouch.base.errors import BoardError
 from smarttouch.boards.board import Board
-from smarttouch.errors import BoardError
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 
 class JournalBoard(Board):

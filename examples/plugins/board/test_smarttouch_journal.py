@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 from smarttouch_journal import JournalBoard
 
+from smarttouch.base.errors import BoardError
 from smarttouch.boards.board import Board
-from smarttouch.errors import BoardError
-from smarttouch.stimulation.safety import SafetyLimits
-from smarttouch.testing.boards import BoardContract
-from smarttouch.testing.pulses import ZERO, Pulse
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.testing.board_contract import BoardContract
+from smarttouch.testing.pulses import ZERO, SentPulse
 
 
 class TestJournal(BoardContract):
@@ -24,9 +24,9 @@ class TestJournal(BoardContract):
     def received(self) -> bytes:
         return self.path.read_bytes()
 
-    def decode(self, data: bytes) -> list[Pulse]:
+    def decode(self, data: bytes) -> list[SentPulse]:
         """Return the pulses of a journal: those of each scan, as often as it says."""
-        found: list[Pulse] = []
+        found: list[SentPulse] = []
         for part in re.split(r"^(?=zero|scan)", data.decode(), flags=re.MULTILINE)[1:]:
             head, *slots = part.splitlines()
             if head == "zero":
@@ -36,7 +36,7 @@ class TestJournal(BoardContract):
             for _ in range(times):
                 for slot in slots:
                     width_us, discharge_us, *flows = map(int, re.findall(r"[-+]?\d+", slot))
-                    found.append(Pulse(tuple(flows), width_us, discharge_us, period_us))
+                    found.append(SentPulse(tuple(flows), width_us, discharge_us, period_us))
         return found
 
     def test_each_slot_is_a_line(self, new_board) -> None:

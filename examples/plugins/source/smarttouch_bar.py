@@ -4,10 +4,9 @@ import math
 
 import numpy as np
 
-from smarttouch.errors import SourceError
+from smarttouch.base.errors import SourceError
 from smarttouch.profile import Profile
-from smarttouch.sources.frame import Frame, Pose
-from smarttouch.sources.source import OpticalSource
+from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 
 PAPER, INK = 220, 30
 """Grey levels."""

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from smarttouch_bar import open_bar
 
-from smarttouch.errors import SourceError
+from smarttouch.base.errors import SourceError
 from smarttouch.profile import Profile
-from smarttouch.sources.source import OpticalSource
-from smarttouch.testing.sources import SourceContract
+from smarttouch.sources.source_contract import OpticalSource
+from smarttouch.testing.source_contracts import SourceContract
 
 
 class TestBar(SourceContract):

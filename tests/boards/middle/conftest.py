@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from cobs import cobs
 
-from smarttouch.boards.emulator.delivery_log import DeliveryLog
-from smarttouch.boards.emulator.link import LinkFirmware
-from smarttouch.boards.emulator.session import BoardSession
-from smarttouch.boards.link import LinkBoard
-from smarttouch.boards.link_line import LinkLine
-from smarttouch.boards.link_protocol import HALF
+from smarttouch.boards.link.link_board import LinkBoard
+from smarttouch.boards.link.packet_line import LinkLine
+from smarttouch.boards.link.protocol import HALF
+from smarttouch.emulator.firmware import DeliveryLog
+from smarttouch.emulator.link_firmware import LinkFirmware
+from smarttouch.emulator.link_packets import BoardSession
 from smarttouch.profile.device import Output
-from smarttouch.stimulation.safety import SafetyLimits
+from smarttouch.stimulation.safety_gate import SafetyLimits
 
 MS = 1_000_000
 LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 200, 0.8, 0.5, 2.4)
@@ -278,8 +278,8 @@ def make_world(monkeypatch):
 
     def make(seed):
         world = World(seed)
-        monkeypatch.setattr("smarttouch.boards.link.open_port", lambda name: world)
-        monkeypatch.setattr("smarttouch.boards.link.reopen_port", lambda *_: world)
+        monkeypatch.setattr("smarttouch.boards.link.link_board.open_port", lambda name: world)
+        monkeypatch.setattr("smarttouch.boards.link.link_board.reopen_port", lambda *_: world)
         return world
 
     return make

@@ -4,12 +4,11 @@ import numpy as np
 import pytest
 from cobs import cobs
 
-from smarttouch.boards import link_protocol as protocol
-from smarttouch.boards.link_protocol import Kind
-from smarttouch.boards.link_sequence import encode_volts
-from smarttouch.errors import BoardError, EmergencyStopError
-from smarttouch.stimulation.sequence import ScanSequence
-from smarttouch.wire.framing import frame_packet
+from smarttouch.base.errors import BoardError, EmergencyStopError
+from smarttouch.base.wire.framing import frame_packet
+from smarttouch.boards.link import protocol as protocol
+from smarttouch.boards.link.protocol import MessageKind, encode_volts
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ...raising import raises
 
@@ -65,7 +64,7 @@ def test_on_a_quiet_line_nothing_is_refused(world, board):
     assert (board.refused_packets, board.report().refused_packets, world.refused()) == (0, 0, 0)
 
 
-@pytest.mark.parametrize("lost", [("to_host", Kind.ACK), ("to_board", Kind.SEQUENCE)])
+@pytest.mark.parametrize("lost", [("to_host", MessageKind.ACK), ("to_board", MessageKind.SEQUENCE)])
 def test_a_lost_packet_is_made_up_for_without_delivering_twice(world, board, lost):
     lose(world, *lost)
     for _ in range(3):
@@ -80,11 +79,19 @@ def say(world, kind, about, payload=b""):
     world.wait(2)
 
 
-@pytest.mark.parametrize(("kind", "payload"), [
-    (Kind.ACK, b""), (Kind.NAK, b"\x03too much"), (Kind.NAK, b""),
-    (Kind.VOLTAGES, encode_volts(np.ones(1))), (Kind.REPORT, bytes(protocol.REPORT.size)),
-    (Kind.STOPPED, b""), (Kind.HEARTBEAT, b""), (0x99, b""),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("kind", "payload"),
+    [
+        (MessageKind.ACK, b""),
+        (MessageKind.NAK, b"\x03too much"),
+        (MessageKind.NAK, b""),
+        (MessageKind.VOLTAGES, encode_volts(np.ones(1))),
+        (MessageKind.REPORT, bytes(protocol.REPORT.size)),
+        (MessageKind.STOPPED, b""),
+        (MessageKind.HEARTBEAT, b""),
+        (0x99, b""),
+    ],
+)
 def test_what_answers_nothing_is_counted_and_has_no_effect(world, board, kind, payload):
     send(board)
     say(world, kind, 77, payload)
@@ -96,16 +103,16 @@ def test_what_answers_nothing_is_counted_and_has_no_effect(world, board, kind, p
 
 def test_a_second_acknowledgment_of_one_sequence_is_counted(world, board):
     send(board)
-    say(world, Kind.ACK, 1)
+    say(world, MessageKind.ACK, 1)
     assert (board.refused_packets, board.acknowledged) == (1, 1)
 
 
 def test_a_second_acknowledgment_of_what_was_sent_twice_is_none_too_many(world, board):
-    lose(world, "to_host", Kind.ACK)
+    lose(world, "to_host", MessageKind.ACK)
     send(board, 2)
-    say(world, Kind.ACK, 1)
+    say(world, MessageKind.ACK, 1)
     assert (board.refused_packets, board.acknowledged) == (0, 2)
-    say(world, Kind.ACK, 2)
+    say(world, MessageKind.ACK, 2)
     assert (board.refused_packets, board.acknowledged) == (1, 2)
 
 
@@ -122,7 +129,7 @@ def test_what_the_board_refused_before_is_not_of_this_run(world, board):
 
 def test_a_board_of_another_version_is_told_in_a_sentence(world, monkeypatch):
     def old_board(data, now_ns):
-        return frame_packet(2, Kind.CAPABILITIES, 0, bytes(14)) if b"\x01" in data else b""
+        return frame_packet(2, MessageKind.CAPABILITIES, 0, bytes(14)) if b"\x01" in data else b""
 
     monkeypatch.setattr(world.firmware, "feed", old_board)
     monkeypatch.setattr(world.firmware, "advance", lambda now_ns: b"")
@@ -132,7 +139,7 @@ def test_a_board_of_another_version_is_told_in_a_sentence(world, monkeypatch):
 
 
 def test_a_board_that_is_lost_ends_its_session_before_the_next(world, board):
-    lose(world, "to_host", Kind.ACK)
+    lose(world, "to_host", MessageKind.ACK)
     board._send(sequence(), 1000)
     before = board._line.session.number
     board._recover(board._line.lost("is gone"))

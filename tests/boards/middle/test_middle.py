@@ -11,9 +11,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from smarttouch.boards.link_protocol import ALIVE_MS, LATE_MS, SILENCE_MS
-from smarttouch.errors import BoardError, EmergencyStopError, LineLostError
-from smarttouch.stimulation.sequence import ScanSequence
+from smarttouch.base.errors import BoardError, EmergencyStopError, LineLostError
+from smarttouch.boards.link.protocol import ALIVE_MS, LATE_MS, SILENCE_MS
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 RUNS = int(os.environ.get("SMARTTOUCH_MIDDLE_RUNS", "40"))
 RUNS_PER_BOARD = 20

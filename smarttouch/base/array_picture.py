@@ -1,0 +1,126 @@
+"""Pictures of electrodes and arrays: one set of colors, discs for files, cells for notebooks."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.electrodes import ElectrodeArray
+
+CATHODIC, ANODIC = (179, 88, 6), (84, 39, 136)
+"""Orange is cathodic (positive), purple anodic: the ends of Matplotlib's PuOr, in which no class of
+afferents is drawn."""
+NEUTRAL = (236, 238, 241)
+EDGE = (139, 152, 164)
+_CELL_PX = 8
+_MOST_CELLS = 20_000
+_RADIUS = 0.42
+
+Colors = NDArray[np.uint8]
+
+
+def hex_color(color: tuple[int, int, int]) -> str:
+    """Return a color as ``#rrggbb``."""
+    return "#{:02x}{:02x}{:02x}".format(*color)
+
+
+def current_colors(current_ua: NDArray[np.int16], full_ma: float) -> Colors:
+    """Return the color of each electrode, (E, 3), from its current, (E,) µA, positive cathodic."""
+    part = np.clip(current_ua / (1000 * full_ma), -1, 1)[:, None]
+    target = np.where(part < 0, ANODIC, CATHODIC)
+    mixed = np.array(NEUTRAL) + (target - np.array(NEUTRAL)) * np.abs(part)
+    return np.asarray(np.floor(mixed + 0.5), np.uint8)
+
+
+def disc_radius_mm(electrodes: ElectrodeArray) -> float:
+    """Return the radius with which electrodes are drawn, whatever their shape."""
+    return _RADIUS * min(*electrodes.cell_mm, electrodes.pitch_mm)
+
+
+class ElectrodePicture:
+    """Draws electrodes as discs on white, in a color of each, (E, 3).
+
+    ``plain`` leaves out edges: each pixel is white or has the color of an electrode.
+    """
+
+    def __init__(
+        self, electrodes: ElectrodeArray, px_per_mm: float, *, plain: bool = False
+    ) -> None:
+        # It takes a third of a second to import, and cells need none of it.
+        from scipy.spatial import cKDTree
+
+        # Even sides, as films have.
+        half = [max(1, round(each * px_per_mm / 2)) for each in electrodes.extent_mm]
+        x, y = ((np.arange(2 * each) - each + 0.5) / px_per_mm for each in half)
+        away, nearest = cKDTree(electrodes.position_mm).query(np.stack(np.meshgrid(x, y), axis=-1))
+        self._nearest = np.asarray(nearest)
+        beyond_mm = np.asarray(away, np.float32)[..., None] - disc_radius_mm(electrodes)
+        beyond_px = (beyond_mm * px_per_mm).astype(np.float32)
+        self._disc = (
+            (beyond_px <= 0).astype(np.float32) if plain else np.clip(0.5 - beyond_px, 0, 1)
+        )
+        self._edge = None if plain else np.clip(1 - np.abs(beyond_px), 0, 1)
+
+    def raster(self, colors: Colors) -> NDArray[np.uint8]:
+        """Return the picture as pixels, (H, W, 3) in RGB."""
+        image = 255 - (255 - colors.astype(np.float32))[self._nearest] * self._disc
+        if self._edge is not None:
+            image += (np.array(EDGE, np.float32) - image) * self._edge
+        return np.asarray(np.rint(image), np.uint8)
+
+
+def electrodes_svg(electrodes: ElectrodeArray, colors: Colors, titles: Iterable[str]) -> str:
+    """Return electrodes as SVG discs in mm; a title belongs to each."""
+    wide, high = electrodes.extent_mm
+    radius_mm = disc_radius_mm(electrodes)
+    discs = "".join(
+        f'<circle cx="{x:g}" cy="{y:g}" r="{radius_mm:g}" fill="rgb({red},{green},{blue})">'
+        f"<title>{title}</title></circle>"
+        for (x, y), (red, green, blue), title in zip(
+            electrodes.position_mm.tolist(), colors.tolist(), titles, strict=True
+        )
+    )
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide * 10:g}" height="{high * 10:g}" '
+        f'viewBox="{-wide / 2:g} {-high / 2:g} {wide:g} {high:g}">'
+        f'<g stroke="rgb{EDGE}" stroke-width="0.04">{discs}</g></svg>\n'
+    )
+
+
+def cells_svg(rows: NDArray[np.generic], names: tuple[str, ...] = ()) -> str:
+    """Return signed values, (R, C), as cells, the darker the larger; a name stands before each row.
+
+    NaN is drawn as zero.
+    """
+    values = np.nan_to_num(np.atleast_2d(rows).astype(np.float64))[
+        : max(1, _MOST_CELLS // rows.shape[-1])
+    ]
+    most = np.abs(values).max(initial=0) or 1.0
+    height, columns = values.shape
+    left = 40 if names else 0
+    drawn = [
+        f'<text x="0" y="{(row + 1) * _CELL_PX - 1}" font-size="{_CELL_PX}">{name}</text>'
+        for row, name in enumerate(names)
+    ]
+    for row, column in np.argwhere(values):
+        value = values[row, column] / most
+        red, green, blue = CATHODIC if value > 0 else ANODIC
+        drawn.append(
+            f'<rect x="{left + column * _CELL_PX}" y="{row * _CELL_PX}" width="{_CELL_PX}" '
+            f'height="{_CELL_PX}" fill="rgb({red},{green},{blue})" '
+            f'fill-opacity="{abs(value):.2f}"/>'
+        )
+    size = f'width="{left + columns * _CELL_PX}" height="{height * _CELL_PX}"'
+    frame = (
+        f'<rect x="{left}" y="0" width="{columns * _CELL_PX}" height="{height * _CELL_PX}" '
+        'fill="none" stroke="#707070" stroke-width="0.5"/>'
+    )
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" {size} style="max-width:100%" '
+        f'fill="currentColor">{"".join(drawn)}{frame}</svg>'
+    )
+
+
+def titled(title: str, *parts: str) -> str:
+    """Return HTML of a title above its parts."""
+    return f"<div><p>{title}</p>{''.join(f'<p>{part}</p>' for part in parts)}</div>"

@@ -1,0 +1,139 @@
+"""Events of a run: typed, with the time at which they happened and words for people.
+
+The words are what recordings and other programs keep; programs go by the types.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import ClassVar
+
+from smarttouch.base.afferent import Mode
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened in a run, ``time_ns`` after its start."""
+
+    time_ns: int
+    reveals: ClassVar[bool] = False
+    """Whether it would give the answer of an experiment away to its participant."""
+    words: ClassVar[str] = ""
+
+    def __str__(self) -> str:
+        return self.words or type(self).__name__
+
+
+@dataclass(frozen=True)
+class Note(Event):
+    """A sentence that a user should know."""
+
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+
+@dataclass(frozen=True)
+class Advice(Note):
+    """A sentence that a user should read before the run."""
+
+
+@dataclass(frozen=True)
+class IntensityChanged(Event):
+    """The user asked for another intensity, in [0, 1]."""
+
+    level: float
+
+    def __str__(self) -> str:
+        return f"intensity {self.level:.2f}"
+
+
+@dataclass(frozen=True)
+class Paused(Event):
+    """The user paused the run."""
+
+    words: ClassVar[str] = "paused"
+
+
+@dataclass(frozen=True)
+class Resumed(Event):
+    """The user ended a pause."""
+
+    words: ClassVar[str] = "goes on"
+
+
+@dataclass(frozen=True)
+class ModeChanged(Event):
+    """The user chose other afferents."""
+
+    mode: Mode
+
+    def __str__(self) -> str:
+        return f"mode {self.mode}"
+
+
+@dataclass(frozen=True)
+class InputLost(Event):
+    """The image is stale or the force unknown: there is no current."""
+
+    image: bool  # whether it is the image
+
+    def __str__(self) -> str:
+        what = "the image is stale" if self.image else "the force is not known"
+        return f"{what}: no current"
+
+
+@dataclass(frozen=True)
+class InputRestored(Event):
+    """Image and force are known again."""
+
+    words: ClassVar[str] = "image and force are known"
+
+
+@dataclass(frozen=True)
+class FingerLifted(Event):
+    """By its voltages, nothing touches the electrodes of the board."""
+
+    words: ClassVar[str] = "the finger is lifted"
+
+
+@dataclass(frozen=True)
+class _Reasoned(Event):
+    reason: str
+
+    def __str__(self) -> str:
+        return self.reason
+
+
+@dataclass(frozen=True)
+class BoardRestarted(_Reasoned):
+    """The board was lost or a sequence late, and intensity begins at zero."""
+
+
+@dataclass(frozen=True)
+class RunFailed(_Reasoned):
+    """An error ends the run."""
+
+
+@dataclass(frozen=True)
+class RunEnded(_Reasoned):
+    """The run is over."""
+
+
+@dataclass(frozen=True)
+class TrialEvent(Event):
+    """A trial of an experiment was presented, repeated or answered."""
+
+    text: str
+    reveals: ClassVar[bool] = True
+
+    def __str__(self) -> str:
+        return self.text
+
+
+Emit = Callable[[Event], None]
+"""Sends an event to the listeners of a run."""
+
+
+def drop_event(_event: Event) -> None:
+    """Drop an event, for a source outside of a run."""

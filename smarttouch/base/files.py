@@ -1,0 +1,309 @@
+"""Files named by users, opened without waiting and read up to a limit; data of the package.
+
+What is written is for its owner alone.
+"""
+
+import contextlib
+import errno
+import json
+import math
+import os
+import re
+import stat
+import tomllib
+from pathlib import Path
+from typing import Any, BinaryIO, TypeGuard
+
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.posix import fcntl
+
+MOST_TABLE_BYTES = 16_000_000
+"""Largest CSV or JSON file: a day of numbers, a hundred times a second, is smaller."""
+MOST_TOML_BYTES = 1_000_000
+"""Largest profile; that of a thousand electrodes has a tenth. Parsing takes seconds a megabyte."""
+MOST_BANK_BYTES = 256_000_000
+"""Largest total of arrays in a file, and largest of its arrays."""
+MOST_DOCUMENT_BYTES = 2_000_000_000
+"""Largest image, PDF or video; only the needed parts are read."""
+
+# Parsers take the square of a key's parts: 60 kB of "a.a.a" keep tomllib for 14 s.
+_DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}""")
+_KINDS = (
+    (stat.S_ISFIFO, "pipe"),
+    (stat.S_ISSOCK, "socket"),
+    (stat.S_ISCHR, "device"),
+    (stat.S_ISBLK, "device"),
+)
+
+
+def require_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> None:
+    """Raise unless a path leads to a regular file of at most so many bytes."""
+    try:
+        _check(path, path.stat(), error, most_bytes)
+    except (FileNotFoundError, NotADirectoryError, ValueError):
+        raise error(f"no file {path}: check its name", about="file") from None
+    except OSError as failure:
+        raise unreadable(error, path, failure) from None
+
+
+def require_replaceable(path: Path, error: type[SmartTouchError]) -> None:
+    """Raise if a new file would replace anything but a file, such as a device."""
+    if path.exists() and not path.is_file():
+        raise error(f"cannot write {path}: it is no file; give another name", about="file")
+
+
+def open_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> BinaryIO:
+    """Open a regular file for reading; opening never waits for another program.
+
+    Symbolic links are followed. See `require_file` for what is refused.
+    """
+    # Looked at before it is opened, as opening a device may do something to it, and after, as it
+    # may have become another.
+    require_file(path, error, most_bytes)
+    try:
+        number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
+        file = os.fdopen(number, "rb")
+    except OSError as failure:
+        raise unreadable(error, path, failure) from None
+    try:
+        _check(path, os.fstat(number), error, most_bytes)
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
+def read_bytes(
+    path: Path, error: type[SmartTouchError], most_bytes: int = MOST_TABLE_BYTES
+) -> bytes:
+    """Return the content of a file; raises as `open_file` does."""
+    try:
+        with open_file(path, error, most_bytes) as file:
+            data = file.read(most_bytes + 1)
+    except OSError as failure:
+        raise unreadable(error, path, failure) from None
+    if len(data) > most_bytes:
+        raise _too_large(error, path, len(data), most_bytes)
+    return data
+
+
+def read_text(path: Path, error: type[SmartTouchError], most_bytes: int = MOST_TABLE_BYTES) -> str:
+    """Return a text in UTF-8 without its byte-order mark; raises as `open_file` does."""
+    return decoded(read_bytes(path, error, most_bytes), path, error)
+
+
+def decoded(data: bytes, path: Path, error: type[SmartTouchError]) -> str:
+    """Return the text in UTF-8 that a file holds, without its byte-order mark."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as failure:
+        message = f"{path} is not a text in UTF-8 (byte {failure.start + 1}): save it as UTF-8"
+        raise error(message, about="file") from None
+
+
+def read_toml(path: Path, error: type[SmartTouchError]) -> dict[str, Any]:
+    """Return the tables of a TOML file, of which nothing has been checked yet."""
+    text = read_text(path, error, MOST_TOML_BYTES)
+    try:
+        return parse_toml(text)
+    except ValueError as failure:
+        raise error(f"{path} is not a readable TOML file: {failure}", about="file") from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text; ValueError if it is invalid or nested too deeply."""
+    if _DEEP_KEY.search(text):
+        raise ValueError("a key has more than 32 parts")
+    try:
+        table = tomllib.loads(text)
+        _require_integers(table)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    return table
+
+
+def _require_integers(value: object) -> None:
+    """Raise if an integer is longer than in TOML: Python refuses to print the longest."""
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    for each in inner:
+        _require_integers(each)
+    if isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise ValueError("an integer has more than 64 bits")
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Return the value of a JSON text; ValueError if it is invalid or nested too deeply."""
+    try:
+        return json.loads(text)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+
+
+def owner_only(path: str, flags: int) -> int:
+    """Open a file that its owner alone may read, whatever the umask is: an opener for `open`.
+
+    An existing file loses the rights of all others. One that they could read is replaced where all
+    of it is written again, as they may have it open.
+    """
+    cut = flags & os.O_TRUNC
+    if cut and _is_shared(found := _found(path)) and found.st_uid == os.geteuid():
+        with contextlib.suppress(OSError):
+            Path(path).resolve().unlink()
+    number = os.open(path, (flags & ~cut) | os.O_CLOEXEC | os.O_NOCTTY, 0o600)
+    try:
+        found = os.fstat(number)
+        if _is_shared(found):
+            # Some file systems know no rights; a file of somebody else must not get what is ours.
+            with contextlib.suppress(*([OSError] if found.st_uid == os.geteuid() else [])):
+                os.fchmod(number, 0o600)
+        if cut and stat.S_ISREG(found.st_mode):
+            os.ftruncate(number, 0)
+    except BaseException:
+        os.close(number)
+        raise
+    return number
+
+
+def _found(path: str) -> os.stat_result | None:
+    try:
+        return Path(path).stat()
+    except (OSError, ValueError):
+        return None
+
+
+def _is_shared(found: os.stat_result | None) -> TypeGuard[os.stat_result]:
+    """Return whether it is a file on which others than its owner have rights."""
+    return found is not None and stat.S_ISREG(found.st_mode) and bool(found.st_mode & 0o077)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder, and those above it, that its owner alone may enter; raises as `Path.mkdir`.
+
+    Existing ones stay as they are.
+    """
+    if not path.is_dir():
+        make_folder(path.parent)
+        path.mkdir(0o700, exist_ok=True)
+
+
+def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTouchError) -> None:
+    """Write a file, or into a device or a pipe with a reader; raises the given type of error."""
+    try:
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NONBLOCK
+        with os.fdopen(owner_only(os.fspath(path), flags), "wb") as file:
+            fcntl.fcntl(file, fcntl.F_SETFL, fcntl.fcntl(file, fcntl.F_GETFL) & ~os.O_NONBLOCK)
+            file.write(data)
+    except ValueError:
+        raise error(f"cannot write {path}: no file has such a name", about="file") from None
+    except OSError as failure:
+        raise unwritable(error, path, failure) from None
+
+
+def open_alone(path: Path, error: type[SmartTouchError], of: Path | None = None) -> BinaryIO:
+    """Open a file for reading and writing, created if missing, locked for this program.
+
+    Another program that asks for the same is refused until this one closes the file or ends,
+    however it ends. File systems without locks let both in. An error names ``of`` where this file
+    only stands for it.
+    """
+    flags = os.O_RDWR | os.O_CREAT | os.O_NONBLOCK
+    while True:
+        try:
+            file = os.fdopen(owner_only(os.fspath(path), flags), "r+b")
+        except OSError as failure:
+            raise unwritable(error, of or path, failure) from None
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            message = (
+                f"{of or path} is in use by another run: wait until that has ended, or give "
+                "another file"
+            )
+            raise error(message, about="file") from None
+        except OSError:
+            return file
+        # Whoever had it may have removed it just now: that lock keeps nobody out.
+        if path.exists() and os.path.samestat(path.stat(), os.fstat(file.fileno())):
+            return file
+        file.close()
+
+
+def write_through(path: Path, data: bytes) -> None:
+    """Write a file that is on the disk before this returns; raises what the system raises."""
+    with open(path, "wb", opener=owner_only) as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def sync_folder(folder: Path) -> None:
+    """Sync the names of a folder's files to the disk, if its file system offers that."""
+    with contextlib.suppress(OSError):
+        number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(number)
+        finally:
+            os.close(number)
+
+
+def _check(
+    path: Path, found: os.stat_result, error: type[SmartTouchError], most_bytes: int
+) -> None:
+    if stat.S_ISDIR(found.st_mode):
+        raise error(f"{path} is a folder: give a file", about="file")
+    for is_kind, name in _KINDS:
+        if is_kind(found.st_mode):
+            raise error(f"{path} is a {name}: give a file", about="file")
+    if found.st_size > most_bytes:
+        raise _too_large(error, path, found.st_size, most_bytes)
+
+
+def unreadable(error: type[SmartTouchError], path: Path, failure: OSError) -> SmartTouchError:
+    """Return the error for a file that cannot be read."""
+    return error(f"cannot read {path}: {failure.strerror}", about="file")
+
+
+def unwritable(error: type[SmartTouchError], path: Path, failure: OSError) -> SmartTouchError:
+    """Return the error for a file that cannot be written."""
+    reason = "nobody reads from it" if failure.errno == errno.ENXIO else failure.strerror
+    return error(f"cannot write {path}: {reason}", about="file")
+
+
+def _too_large(
+    error: type[SmartTouchError], path: Path, size: int, most_bytes: int
+) -> SmartTouchError:
+    message = f"{path} has {size / 1e6:,.1f} MB, above the limit of {most_bytes / 1e6:,.0f} MB"
+    return error(message, about="file")
+
+
+def require_folder(path: Path | None) -> None:
+    """Raise before any work is done if a file could not be written in the end."""
+    if path is not None and (path.is_dir() or not path.absolute().parent.is_dir()):
+        message = f"cannot write {path}: give a file in a folder that exists"
+        raise SmartTouchError(message, about="file")
+
+
+def write_json(path: Path, figures: Any) -> None:
+    """Write figures as JSON, in which a number that is none, or endless, is null."""
+    write_bytes(path, (json.dumps(_finite(figures), indent=2, allow_nan=False) + "\n").encode())
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def data_folder(name: str) -> Path:
+    """Return a shipped data folder, ``calibration`` or ``sample_images``.
+
+    A wheel has the folders inside the package; in a checkout they lie beside it.
+    """
+    from importlib.resources import files
+
+    package = Path(str(files("smarttouch"))).resolve()
+    inside = package / name
+    return inside if inside.is_dir() else package.parent / name

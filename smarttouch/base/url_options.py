@@ -1,0 +1,120 @@
+"""Options in URLs, and the options of commands that errors name."""
+
+import inspect
+import re
+from collections.abc import Callable, Collection, Iterable, Sequence
+from pathlib import Path
+from types import UnionType
+from typing import Any, Union, get_args, get_origin
+from urllib.parse import unquote
+
+from smarttouch.base.errors import SmartTouchError
+
+
+def read_options(
+    opener: Callable[..., Any], rest: str, error: type[SmartTouchError], but: Collection[str] = ()
+) -> tuple[str, dict[str, Any]]:
+    """Return what follows the name in a URL without its options, and these in their types.
+
+    Types are those of the annotations of the opener. A file that exists under the whole name has no
+    options, nor has what looks like none (``text:Is it so?``), nor what belongs to an opener that
+    takes none: that may have its own. Options in ``but`` are not for URLs.
+    """
+    place, mark, query = rest.rpartition("?")
+    known = options_of(opener, but)
+    parts = [each.partition("=")[::2] for each in query.split("&")]
+    if not (mark and known) or not all(_NAME.fullmatch(name) for name, _ in parts):
+        return rest, {}
+    # Flags without a value must be known, or "text:Why?because" had one.
+    if not all(name in known or f"{name}=" in query for name, _ in parts) or _exists(rest):
+        return rest, {}
+    found: dict[str, Any] = {}
+    for name, text in parts:
+        if name not in known:
+            raise error(
+                f"{rest!r} has no option {name}: choose {', '.join(sorted(known))}, or leave it "
+                "out",
+                about=f"?{name}",
+            )
+        kind = known[name]
+        value = _read_option(name, unquote(text), kind, error)
+        if kind is Sequence:
+            found.setdefault(name, []).append(value)
+        elif name in found:
+            raise error(f"{rest!r} has {name} twice: give it once", about=f"?{name}")
+        else:
+            found[name] = value
+    return place, found
+
+
+def joined_options(
+    url: str, given: dict[str, Any], in_url: dict[str, Any], error: type[SmartTouchError]
+) -> dict[str, Any]:
+    """Return the options given beside a URL and those in it; raises if one is in both."""
+    if twice := sorted(given.keys() & in_url.keys()):
+        raise error(f"{twice[0]} is given in {url!r} and beside it: leave one out", about=twice[0])
+    return given | in_url
+
+
+def parse_size(text: str, error: type[SmartTouchError], about: str) -> tuple[int, int]:
+    """Return width and height, as in 640x480."""
+    found = re.fullmatch("([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", text.lower())
+    if found is None:
+        message = f"{about} {text!r} is not a size: give width and height as 640x480"
+        raise error(message, about=about)
+    return int(found[1]), int(found[2])
+
+
+_NAME = re.compile("[a-z][a-z0-9_]*")
+_TRUTHS = {"": True, "1": True, "yes": True, "true": True, "0": False, "no": False, "false": False}
+
+
+def options_of(opener: Callable[..., Any], but: Collection[str] = ()) -> dict[str, Any]:
+    """Return the type of each option of an opener that text can be turned into."""
+    kinds = {}
+    for each in inspect.signature(opener).parameters.values():
+        if each.default is inspect.Parameter.empty or each.name in but:
+            continue
+        kind = each.annotation
+        if get_origin(kind) in (Union, UnionType):
+            kind = next(part for part in get_args(kind) if part is not type(None))
+        kind = get_origin(kind) or kind
+        if kind in (bool, int, float, str, tuple, Path, Sequence):
+            kinds[each.name] = kind
+    return kinds
+
+
+def _read_option(name: str, text: str, kind: Any, error: type[SmartTouchError]) -> Any:
+    if kind is tuple:
+        return parse_size(text, error, f"?{name}")
+    try:
+        if kind is bool:
+            return _TRUTHS[text.lower()]
+        return text if kind is Sequence else kind(text)
+    except (ValueError, KeyError):
+        needed = {bool: "1 or 0", int: "a whole number", float: "a number"}[kind]
+        message = f"?{name}={text} cannot be read: give {needed}, as in ?{name}=1"
+        raise error(message, about=f"?{name}") from None
+
+
+def _exists(rest: str) -> bool:
+    try:
+        return Path(rest).exists()
+    except (OSError, ValueError):
+        return False
+
+
+def named_options(error: SmartTouchError, command: Any, arguments: Iterable[str]) -> str:
+    """Return, in parentheses, options of the typed command that an error is about; or nothing.
+
+    The library knows parameters, not options: an error names one in ``about``, and one at the
+    start of each way out in ``remedy`` ("width_mm", "overwrite or output", "profile line-8").
+    """
+    for word in arguments:
+        command = getattr(command, "commands", {}).get(word, command)
+    options = {
+        each.name: each.opts[0] for each in command.params if each.param_type_name == "option"
+    }
+    names = [error.about, *(way.partition(" ")[0] for way in error.remedy.split(" or "))]
+    found = dict.fromkeys(options[name] for name in names if name in options)
+    return f" ({', '.join(found)})" if found else ""

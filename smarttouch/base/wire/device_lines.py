@@ -1,0 +1,155 @@
+"""The device end of a line: a pseudo-terminal or a TCP connection, for emulators."""
+
+import errno
+import os
+import select
+import socket
+import tempfile
+import time
+from pathlib import Path
+
+from smarttouch.base.posix import pty, tty
+
+LARGEST_READ = 65536
+
+
+class PtyLine:
+    """A serial port of this machine, raw from the start; with ``keeps_name`` its name survives
+    unplugging."""
+
+    def __init__(self, keeps_name: bool = False) -> None:
+        self.keeps_name = keeps_name
+        self._folder = tempfile.TemporaryDirectory(prefix="smarttouch-") if keeps_name else None
+        self.plug_in()
+
+    @property
+    def plugged_in(self) -> bool:
+        return self._master >= 0
+
+    def plug_in(self) -> None:
+        """Create the port."""
+        self._master, slave = pty.openpty()
+        self.name = os.ttyname(slave)
+        # Bytes must pass unchanged even before the host sets up its end.
+        tty.setraw(slave)
+        os.set_blocking(self._master, False)
+        # With our end of the slave closed, the host's last close shows as a hang-up.
+        os.close(slave)
+        if self._folder is not None:
+            link = Path(self._folder.name) / "port"
+            link.symlink_to(self.name)
+            self.name = str(link)
+
+    def pull_out(self) -> None:
+        """Remove the port: the host's end hangs up."""
+        if self._folder is not None:
+            Path(self.name).unlink(missing_ok=True)
+        if self.plugged_in:
+            os.close(self._master)
+        self._master = -1
+
+    def close(self) -> None:
+        """Remove the port and its name."""
+        self.pull_out()
+        if self._folder is not None:
+            self._folder.cleanup()
+
+    def read(self, timeout_s: float) -> bytes | None:
+        """Return what has come, empty if nothing; None while there is no host."""
+        if not self.plugged_in:
+            time.sleep(timeout_s)
+            return None
+        try:
+            if not select.select([self._master], [], [], timeout_s)[0]:
+                return b""
+            return os.read(self._master, LARGEST_READ)
+        except BlockingIOError:
+            # A hang-up looks readable; the host has opened the port since.
+            return b""
+        except OSError as error:
+            if error.errno == errno.EIO:
+                time.sleep(0.002)
+                return None
+            raise
+
+    def write(self, data: bytes) -> bytes:
+        """Write what fits; return the rest."""
+        try:
+            return data[os.write(self._master, data) :]
+        except BlockingIOError:
+            return data
+        except OSError:
+            return b""
+
+
+class TcpLine:
+    """A TCP port of this machine, for one host at a time, never unplugged; it answers ``ETK?`` on
+    the UDP port ``discovery_port``."""
+
+    keeps_name = False
+    plugged_in = True
+
+    def __init__(self, discovery_port: int | None = None) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0), backlog=1)
+        self._port = int(self._listener.getsockname()[1])
+        self.name = f"tcp://127.0.0.1:{self._port}"
+        self._host: socket.socket | None = None
+        self._watched = [self._listener]
+        if discovery_port is not None:
+            self._watched.append(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            self._watched[1].bind(("127.0.0.1", discovery_port))
+
+    def read(self, timeout_s: float) -> bytes | None:
+        """Return what has come, empty if nothing; None while there is no host."""
+        line = self._host or self._listener
+        ready = select.select([line, *self._watched[1:]], [], [], timeout_s)[0]
+        for discovery in ready:
+            if discovery in self._watched[1:]:
+                self._answer_discovery(discovery)
+        if self._host is None:
+            if line not in ready:
+                return None
+            self._host = self._listener.accept()[0]
+            self._host.setblocking(False)
+            self._host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            return b""
+        try:
+            data = self._host.recv(LARGEST_READ)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if data:
+            return data
+        self._host.close()
+        self._host = None
+        return None
+
+    def write(self, data: bytes) -> bytes:
+        """Write what fits; return the rest."""
+        try:
+            return b"" if self._host is None else data[self._host.send(data) :]
+        except BlockingIOError:
+            return data
+        except OSError:
+            return b""
+
+    def plug_in(self) -> None: ...
+
+    def pull_out(self) -> None: ...
+
+    def close(self) -> None:
+        """Close all sockets."""
+        for each in (self._host, *self._watched):
+            if each is not None:
+                each.close()
+
+    def _answer_discovery(self, discovery: socket.socket) -> None:
+        question, sender = discovery.recvfrom(64)
+        if question.strip() == b"ETK?":
+            busy = int(self._host is not None)
+            answer = (
+                f"ETK!;id=A1B2C3;name=emulator;ip=127.0.0.1;port={self._port};mode=STA;"
+                f"busy={busy};fw=1.0"
+            )
+            discovery.sendto(answer.encode(), sender)

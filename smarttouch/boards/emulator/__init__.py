@@ -1,1 +1,0 @@
-"""Emulated display board: a process of its own behind a pseudo-terminal."""

@@ -1,0 +1,117 @@
+"""Faults of boards: latched until a person clears them, restarts at zero, and slow lines.
+
+A record is a small file in the user's state folder, named by a digest of the device: its USB
+vendor, product and serial number, else its port.
+"""
+
+import hashlib
+import json
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from platformdirs import user_state_path
+
+from smarttouch.base.errors import (
+    BoardError,
+    BoardLatchedError,
+    BoardStoppedError,
+    LineLostError,
+    OtherDeviceError,
+    SilentBoardError,
+)
+from smarttouch.base.files import make_folder, write_bytes
+
+_MOST_BYTES = 10_000
+
+
+@dataclass(frozen=True)
+class Latch:
+    """Record of a board's fault."""
+
+    device: str
+    reason: str
+    date: str  # local time, to the second
+
+
+def latch(device: str, reason: str) -> None:
+    """Record a fault of a board; the first one stays."""
+    if find_latch(device) is None:
+        path = _path(device)
+        make_folder(path.parent)
+        record = Latch(device, reason, time.strftime("%Y-%m-%d %H:%M:%S"))
+        write_bytes(path, json.dumps(asdict(record)).encode())
+
+
+def find_latch(device: str) -> Latch | None:
+    """Return the record of a board, None if there is none; an unreadable one counts as a fault."""
+    try:
+        with _path(device).open("rb") as file:
+            record = json.loads(file.read(_MOST_BYTES))
+        return Latch(device, str(record["reason"]), str(record["date"]))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        return Latch(device, f"its record {_path(device)} cannot be read ({error})", "?")
+
+
+def clear_latch(device: str) -> Latch | None:
+    """Remove the record of a board; return it, or None if there is none."""
+    found = find_latch(device)
+    if found is not None:
+        _path(device).unlink(missing_ok=True)
+    return found
+
+
+def refuse_latched(device: str | None) -> None:
+    """Raise BoardLatchedError if a board is latched."""
+    if device is not None and (found := find_latch(device)) is not None:
+        raise BoardLatchedError(
+            f"the board ({device}) is latched since {found.date}: {found.reason}; have it checked, "
+            "then clear it with smarttouch board clear",
+            about="board",
+            remedy="smarttouch board clear",
+        )
+
+
+def _path(device: str) -> Path:
+    name = hashlib.sha256(device.encode()).hexdigest()[:32]
+    return user_state_path("smarttouch", appauthor=False) / "latched" / f"{name}.json"
+
+
+TIMES = 3
+
+
+def restart_lost_board(start: Callable[[], None], lost: LineLostError) -> None:
+    """Restart a board after its line was lost, up to three times, as the line may be lost again
+    meanwhile; ``start`` waits for the port and puts the board at zero."""
+    for left in reversed(range(TIMES)):
+        try:
+            return start()
+        except BoardStoppedError:
+            raise
+        except OtherDeviceError as other:
+            raise BoardError(f"{lost}; {other}", about=other.about) from None
+        except BoardError as again:
+            if not left or not isinstance(again, LineLostError | SilentBoardError):
+                raise lost from None
+    return None
+
+
+SLOW_ANSWER_S = 0.008  # round trip of a slow line: FTDI chips delay input by 16 ms
+
+
+def slow_line_notes(ask: Callable[[], object]) -> list[str]:
+    """Return a note if the line delays answers, by the time that a query takes."""
+    times_s = []
+    for _ in range(3):
+        start = time.perf_counter()
+        ask()
+        times_s.append(time.perf_counter() - start)
+    if min(times_s) <= SLOW_ANSWER_S:
+        return []
+    return [
+        f"the board answers after {1000 * min(times_s):.0f} ms: if its USB chip is an "
+        "FTDI, set the port's latency timer to 1 ms"
+    ]

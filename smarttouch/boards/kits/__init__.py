@@ -1,0 +1,1 @@
+"""Drivers of published kits, which check nothing and acknowledge little."""

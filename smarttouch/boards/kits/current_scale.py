@@ -1,0 +1,143 @@
+"""Scale of a board's current, and sequences for boards that have a single source.
+
+A measured scale may differ from the board's nominal one by 30 %. That covers how boards of one
+kind differ (converter and reference, some 10 % in an ESP32; resistors of the current source and the
+measuring one, 1 to 10 %; reading of an oscilloscope, 3 %) and excludes mistakes: boards of the
+family lie a factor of 1.77 or more apart (2.44, 5.66 and 9.99 µA), peak to peak for peak is a
+factor of 2, 10 bits for 12 one of 4, and mA for µA one of 1,000.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import BoardError
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence
+
+BAND = 0.3  # accepted deviation from the nominal scale, up and down
+NOMINAL_UA = {"kajimoto61": 10_000 / 4096, "etactilekit": 9.99}
+"""Current per count of each board's converter; the kajimoto61's 4096 are 10 mA."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Measured and nominal current per count, µA."""
+
+    measured_ua: float
+    nominal_ua: float
+
+    @property
+    def largest_ua(self) -> float:
+        """The larger of the two scales, for limits."""
+        return max(self.measured_ua, self.nominal_ua)
+
+    def most_counts(
+        self, limits: SafetyLimits, width_us: float, counts_each: int = 1
+    ) -> NDArray[np.int64]:
+        """Return the most steps of ``counts_each`` counts, (E,) int64, that keep current and charge
+        of pulses of up to ``width_us`` within the limits by either scale."""
+        most_ua = np.minimum(limits.current_ua, limits.charge_pc / max(float(width_us), 1.0))
+        # A limit that is a whole number of steps survives the division.
+        steps = np.floor(most_ua / (counts_each * self.largest_ua) + 1e-9)
+        return np.asarray(steps, np.int64)
+
+
+def scale_of(kind: str, measured_ua: float | None) -> Scale:
+    """Return the scale of a kind of board; raise, with the likely mistake, if a measured one is out
+    of band."""
+    nominal_ua = NOMINAL_UA[kind]
+    if measured_ua is None:
+        return Scale(nominal_ua, nominal_ua)
+    if not in_band(measured_ua / nominal_ua):
+        mistake = _likely(kind, measured_ua)
+        raise BoardError(
+            f"output.ua_per_count = {measured_ua:g} is {measured_ua / nominal_ua:.3g} times the "
+            f"{nominal_ua:.4g} µA of a {kind} board, and boards differ by {100 * BAND:.0f} % at "
+            f"most: {mistake}",
+            about="output.ua_per_count",
+        )
+    return Scale(measured_ua, nominal_ua)
+
+
+def in_band(ratio: float) -> bool:
+    return abs(ratio - 1) <= BAND + 1e-9
+
+
+def _likely(kind: str, measured_ua: float) -> str:
+    ratio = measured_ua / NOMINAL_UA[kind]
+    if in_band(1000 * ratio):
+        return "mA where µA is meant? Give µA"
+    if in_band(ratio / 1000):
+        return "nA where µA is meant? Give µA"
+    for other, nominal_ua in NOMINAL_UA.items():
+        if in_band(measured_ua / nominal_ua):
+            return f"that is the scale of a {other} board; is this the right profile?"
+    return "measure it again (smarttouch board calibrate-scale), or remove it"
+
+
+def check_reading(volts: float, ohm: float, current_ma: float) -> float:
+    """Return the ratio of measured to nominal current, from the voltage across a resistor; raise,
+    with the likely mistake, if it is out of band."""
+    for what, value in (("ohm", ohm), ("current_ma", current_ma)):
+        if not 0 < value < math.inf:
+            raise BoardError(f"{what} {value:g} must be above 0 and finite", about=what)
+    if not 0 < volts < math.inf:
+        raise BoardError(
+            f"{volts:g} V across {ohm:g} ohm is no current: check the connections", about="volts"
+        )
+    ratio = 1000 * volts / ohm / current_ma
+    if in_band(ratio):
+        return ratio
+    mistake = "check the connections, the resistor, and which board this is"
+    if in_band(ratio / 1000):
+        mistake = "mV where V is meant, or kilohms where ohms are?"
+    elif in_band(1000 * ratio):
+        mistake = "kV where V is meant, or µA where mA are?"
+    elif in_band(ratio / 2):
+        mistake = "peak to peak of both phases, where the peak is meant?"
+    raise BoardError(
+        f"{volts:g} V across {ohm:g} ohm are {ratio:.3g} times the nominal {current_ma:g} mA, and "
+        f"boards differ by {100 * BAND:.0f} % at most: {mistake}",
+        about="volts",
+    )
+
+
+def measured_scale(kind: str, before_ua: float | None, ratio: float) -> float | None:
+    """Return a board's measured scale, µA per count, from its scale so far and the ratio of
+    `check_reading`; None if it has none."""
+    if before_ua is None:
+        return None
+    scale_ua = before_ua * ratio
+    if kind in NOMINAL_UA:
+        # The band is around the nominal scale, also where the profile has a measured one.
+        scale_of(kind, float(f"{scale_ua:.4g}"))
+    return scale_ua
+
+
+def one_against_all(sequence: ScanSequence) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
+    """Return the electrode that each slot drives alone, (S,), and its current, (S,) µA, positive
+    cathodic; raise BoardError if a slot is anything else, or an electrode has two."""
+    current = sequence.current_ua.astype(np.int64)
+    electrode = sequence.site.astype(np.intp)
+    rows = np.arange(sequence.slots)
+    own = current[rows, electrode]
+    others = current * np.sign(own)[:, None]
+    others[rows, electrode] = 0
+    wrong = (others > 0).any(axis=1) | (np.abs(current).max(axis=1, initial=0) > np.abs(own))
+    if wrong.any():
+        raise BoardError(
+            f"slot {int(wrong.argmax())} is no pattern of one electrode against all others, and "
+            "this board can make no other: use its own profile",
+            about="current_ua",
+            slot=int(wrong.argmax()),
+        )
+    if len(np.unique(electrode)) != len(electrode):
+        raise BoardError(
+            f"{len(electrode)} slots share {len(np.unique(electrode))} electrodes: this board "
+            "drives each once in a scan",
+            about="slots",
+        )
+    return electrode, own

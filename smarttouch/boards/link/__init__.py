@@ -1,0 +1,1 @@
+"""Driver of boards that speak the ``link`` protocol."""

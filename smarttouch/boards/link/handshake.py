@@ -1,0 +1,220 @@
+"""Handshake with a ``link`` board: its offer checked, its limits and kernels set."""
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from smarttouch.base.errors import (
+    BoardError,
+    EmergencyStopError,
+    KernelTableError,
+    OtherDeviceError,
+)
+from smarttouch.boards.link import protocol as protocol
+from smarttouch.boards.link.protocol import (
+    NOTHING,
+    Feature,
+    HostSession,
+    Message,
+    MessageKind,
+    Rule,
+)
+from smarttouch.boards.link.sequence_encoding import KernelImage, encode_limits
+from smarttouch.boards.reports import Capabilities
+from smarttouch.profile.device import Output
+from smarttouch.stimulation.safety_limits import SafetyLimits
+
+
+def accepted(
+    answer: Message,
+    name: str,
+    electrodes: int,
+    wanted: Output | None,
+    known: Capabilities | None,
+) -> tuple[protocol.Output, Capabilities]:
+    """Return a board's outputs and capabilities, checked against the profile and, if known, those
+    from before the line was lost. A wrong board has received no more than HELLO."""
+    kind, found = _offered(answer, name)
+    _require_ready(answer, name, found, known)
+    _require_fit(name, found, electrodes, wanted)
+    return kind, found
+
+
+def _offered(answer: Message, name: str) -> tuple[protocol.Output, Capabilities]:
+    """Return the outputs and capabilities in a CAPABILITIES of any version."""
+    if answer.version != protocol.VERSION:
+        raise BoardError(
+            f"the board at {name} speaks link version {answer.version}, this "
+            f"program {protocol.VERSION}: bring both to the same",
+            about="version",
+        )
+    head = protocol.CAPABILITIES.size
+    if len(answer.payload) < head + protocol.KEEPING.size:
+        raise malformed(name)
+    outputs, output, features, current_ua, slots, zero_ms, volts = (
+        protocol.CAPABILITIES.unpack_from(answer.payload)
+    )
+    if output >= len(protocol.OUTPUTS):
+        raise BoardError(
+            f"the board at {name} has outputs of unknown kind {output}", about="output.kind"
+        )
+    kind = protocol.OUTPUTS[output]
+    room, packet, kernels = protocol.KEEPING.unpack_from(answer.payload, head)
+    head += protocol.KEEPING.size
+    if not features & Feature.KERNELS:
+        room = kernels = 0
+    found = Capabilities(
+        electrodes=outputs,
+        output=kind,
+        max_current_ma=current_ua / 1000,
+        max_slots=slots,
+        time_to_zero_ms=zero_ms,
+        firmware=answer.payload[head:].decode("utf-8", "replace"),
+        measures=bool(features & Feature.VOLTAGE),
+        force=bool(features & Feature.FORCE),
+        compliance_v=float(volts) or None,
+        recharges=bool(features & Feature.RECHARGE),
+        emergency_switch=bool(features & Feature.EMERGENCY),
+        protocol=f"link {protocol.VERSION}",
+        kernel_bytes=room,
+        most_kernels=kernels,
+        packet_bytes=packet,
+    )
+    return kind, found
+
+
+def _require_ready(
+    answer: Message, name: str, found: Capabilities, known: Capabilities | None
+) -> None:
+    """Raise if the emergency switch is open, or this is another board than before."""
+    if found.emergency_switch and answer.state & protocol.SWITCH_OPEN:
+        raise EmergencyStopError(
+            f"the emergency switch of the board at {name} is open: close it, then begin again",
+            about="board",
+        )
+    if known not in (None, found):
+        raise OtherDeviceError(
+            f"the board at {name} now is another: only HELLO was sent to it", about="board"
+        )
+
+
+def _require_fit(name: str, found: Capabilities, electrodes: int, wanted: Output | None) -> None:
+    """Raise if a board does not have the electrodes and outputs of the profile."""
+    outputs, kind = found.electrodes, found.output
+    if outputs != electrodes:
+        raise BoardError(
+            f"the board at {name} has {outputs} electrodes, the profile "
+            f"{electrodes}: use the profile of this board",
+            about="electrodes",
+        )
+    if wanted is not None and wanted.kind != kind:
+        raise BoardError(
+            f"the board at {name} is {kind}, the profile needs "
+            f"{wanted.kind}: use the profile of this board",
+            about="output.kind",
+        )
+
+
+def malformed(name: str) -> BoardError:
+    """Return the error of a board that answers nonsense."""
+    return BoardError(f"the board at {name} answers nonsense: check its firmware", about="board")
+
+
+OVERHEAD = 64  # bytes of a packet beside what it carries, at most, and some to spare
+_PIECE = 1024  # bytes of kernels at once: nothing else can pass while they do
+_IDLE = 3  # times that nothing new may have been kept
+
+_RULES = {
+    Rule.LIMITS: "no limits were given in this session",
+    Rule.SLOTS: "too many slots",
+    Rule.PERIOD: "a period that is too short, µs",
+    Rule.WIDTH: "a pulse width that is none or too long, µs",
+    Rule.DISCHARGE: "a discharge that is too short, µs",
+    Rule.FIT: "slots that do not fit the period, µs",
+    Rule.DUTY: "current for too long, µs",
+    Rule.KIND: "slots for another kind of outputs",
+    Rule.KERNEL: "a kernel that it does not keep",
+    Rule.SUM: "amplitudes that add up to too much",
+    Rule.BALANCE: "out of balance, µA",
+    Rule.CURRENT: "too much current, µA",
+    Rule.TOTAL: "too much current in all, µA",
+    Rule.CHARGE: "too much charge, pC",
+    Rule.STATES: "states that make no circuit",
+    Rule.MEAN: "too much charge in one period, pC",
+    Rule.INTENSITY: "more than the stated intensity allows, µA or pC",
+    Rule.RISE: "a rise that is too fast, of 65,535",
+    Rule.RECHARGE: "a recharge phase that is too long, without slots, or takes back too much",
+    Rule.FELT: "too many felt pulses in one period",
+    Rule.FELT_IN_SECOND: "too many felt pulses in a second",
+    Rule.CHARGE_IN_SECOND: "too much charge in a second, pC",
+    Rule.NET_IN_SECOND: "too much net charge in a second, pC",
+    Rule.OFTEN: "too many sequences in a second",
+    Rule.SESSION_TIME: "too long a session, s",
+    Rule.SESSION_CHARGE: "too much charge in the session, µC",
+}
+
+
+class Line(Protocol):
+    """Line to a board, which answers queries."""
+
+    name: str
+    session: HostSession
+
+    def ask(self, question: MessageKind, payload: bytes = b"") -> Message:
+        """Return the answer; raise BoardError if there is none."""
+        ...
+
+
+def give_limits(line: Line, limits: SafetyLimits) -> None:
+    if line.ask(MessageKind.LIMITS, encode_limits(limits)).payload != b"\1":
+        raise malformed(line.name)
+
+
+def give_kernels(
+    line: Line, image: KernelImage, most_bytes: int, go_on: Callable[[], None]
+) -> None:
+    """Give a board its kernels, in packets of at most ``most_bytes``; what it keeps already is not
+    sent again. ``go_on`` raises if the board is to be stopped."""
+    piece = min(_PIECE, most_bytes - OVERHEAD)
+    at, data, idle = 0, b"", 0
+    while idle < _IDLE:
+        go_on()
+        head = protocol.KERNELS.pack(image.identity, len(image.data), at)
+        answer = line.ask(MessageKind.KERNELS, head + data).payload
+        if len(answer) != protocol.KEPT.size:
+            raise malformed(line.name)
+        identity, kept, whole, proof = protocol.KEPT.unpack(answer)
+        if identity == image.identity and whole:
+            if proof == image.proof(line.session.number):
+                return
+            raise KernelTableError(
+                f"the board at {line.name} keeps other kernels than it was sent", about="kernels"
+            )
+        # The first query carries no kernels: its answer says where to begin.
+        kept = kept if identity == image.identity and kept < len(image.data) else 0
+        idle = 0 if kept > at else idle + 1
+        at, data = kept, image.data[kept : kept + piece]
+    raise BoardError(
+        f"the board at {line.name} does not keep the kernels that it is sent: check its firmware",
+        about="kernels",
+    )
+
+
+def account_of(answer: Message, name: str) -> tuple[Any, ...]:
+    """Return a REPORT: counts, mA and µC, in the order of `protocol.REPORT`."""
+    if len(answer.payload) != protocol.REPORT.size:
+        raise malformed(name)
+    fields = protocol.REPORT.unpack(answer.payload)
+    strongest_ua, charge_pc, net_pc = fields[4:7]
+    return (*fields[:4], strongest_ua / 1e3, charge_pc / 1e6, net_pc / 1e6, *fields[7:])
+
+
+def reason_of(refusal: Message) -> tuple[int, int, str]:
+    """Return reason, rule and text of a NAK."""
+    if len(refusal.payload) != protocol.NAK.size:
+        return 0, Rule.NONE, ""
+    reason, rule, slot, electrode, value, allowed = protocol.NAK.unpack(refusal.payload)
+    words = _RULES[Rule(rule)] if rule in _RULES else "malformed" if not rule else f"rule {rule}"
+    words += f": {value}, allowed {allowed}" if value or allowed else ""
+    words += f", slot {slot}" if slot != NOTHING else ""
+    words += f", electrode {electrode}" if electrode != NOTHING else ""
+    return reason, rule, words

@@ -1,0 +1,203 @@
+"""Host of a ``link`` board, whatever carries its packets."""
+
+from collections import deque
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import BoardError, KernelTableError
+from smarttouch.base.wire.framing import LARGEST_PACKET
+from smarttouch.boards.board import Board, BoardReport, Capabilities
+from smarttouch.boards.link import protocol as protocol
+from smarttouch.boards.link.handshake import (
+    OVERHEAD,
+    Line,
+    accepted,
+    account_of,
+    give_kernels,
+    give_limits,
+)
+from smarttouch.boards.link.protocol import Message, MessageKind, decode_volts
+from smarttouch.boards.link.sequence_encoding import KernelImage, encode_lists
+from smarttouch.boards.probe_scans import measure_in_pairs, probe_sequences
+from smarttouch.boards.reports import SATURATED, Impedance, judge
+from smarttouch.profile.device import Output
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import KernelTable, ScanSequence
+
+OLD_PACKETS = slice(8, 10)
+"""Places of packets refused as old and as of another session in a board's account."""
+MOST_COMPLIANCES = 2.1
+"""Bound of a slot's voltage: sources of both poles at their limit reach twice the compliance."""
+OPEN_SHARE = 0.97
+"""Part of the compliance: if every slot reaches it, nothing touches the electrodes."""
+
+Measured = tuple[ScanSequence, NDArray[np.float32]]
+
+
+class LinkHost(Board):
+    """Base of drivers of ``link`` boards: kernels, voltages and accounts; `_line` carries packets,
+    and a subclass numbers and sends sequences."""
+
+    keeps_kernels = True
+    _line: Line
+
+    def __init__(self, limits: SafetyLimits, output: Output | None = None) -> None:
+        super().__init__(limits, output)
+        self._number = 0
+        self._account_before: tuple[Any, ...] = ()
+        """Account of the board when it was opened, or opened again after its line was lost."""
+        self._packets_before = 0
+        """Packets that it had refused when it was opened."""
+        self._slots_sent = 0
+        """Slots sent since then, repetitions included."""
+        self._unsafe_refused = 0
+        """Sequences refused as unsafe since then, and those sent again: they may count twice."""
+        self._suspicion = ""
+        """Fault found in what the board says, until the board is latched."""
+        self._table: KernelTable | None = None
+        self._image: KernelImage | None = None
+        self._sent: deque[tuple[int, ScanSequence]] = deque(maxlen=4)
+        self._measured: deque[Measured] = deque(maxlen=64)
+
+    def _set_up(self) -> None:
+        """Give limits and kernels to a board whose session has begun, and start its account."""
+        give_limits(self._line, self._gate.limits)
+        self._give_kernels()
+        self._account_before = self._status()
+        self._slots_sent = self._unsafe_refused = 0
+
+    def _note_sent(self, sequence: ScanSequence, times: int) -> None:
+        """Remember the sequence that is about to be sent."""
+        self._sent.append((self._number, sequence))
+        self._slots_sent += sequence.slots * times
+
+    def _encoded(self, sequence: ScanSequence, times: int) -> bytes:
+        can = self.capabilities
+        room = (can.packet_bytes or LARGEST_PACKET) - OVERHEAD
+        switched = self._kind != "weighted"
+        return encode_lists(sequence, times, can.measures, switched, self._image, room)
+
+    def keep_kernels(self, table: KernelTable) -> None:
+        self._table = table
+        self._require_open("giving it kernels")
+        self._give_kernels()
+
+    def _give_kernels(self) -> None:
+        """Give the board as many kernels as it has room for; the rest goes as currents."""
+        can, self._image = self.capabilities, None
+        if self._table is None or not can.kernel_bytes or not can.packet_bytes:
+            return
+        image = KernelImage.of(self._table, can.kernel_bytes, can.most_kernels)
+        try:
+            give_kernels(self._line, image, can.packet_bytes, self._go_on_unless_stopped)
+        except KernelTableError as other:
+            raise self._latch(str(other)) from None
+        self._image = image
+
+    def _take_offer(self, answer: Message, known: Capabilities | None = None) -> None:
+        self._kind, self.capabilities = accepted(
+            answer, self._line.name, self._gate.limits.electrodes, self._output, known
+        )
+
+    def _status(self) -> tuple[Any, ...]:
+        return account_of(self._line.ask(MessageKind.STATUS), self._line.name)
+
+    def _checked_account(self) -> tuple[Any, ...]:
+        """Return the board's account; latch the board if it tells of what was not sent."""
+        told, before, limits = self._status(), self._account_before, self._gate.limits
+        violations, slots = told[3] - before[3], told[1] - before[1]
+        largest_ma = limits.total_ua / 1000 if limits.one_source else limits.current_ua.max() / 1000
+        if violations > self._unsafe_refused:
+            raise self._latch(
+                f"the board counted {violations} violations of its own rules, and refused "
+                f"{self._unsafe_refused} sequences for one"
+            )
+        if slots > self._slots_sent:
+            raise self._latch(
+                f"the board delivered {slots} slots where {self._slots_sent} were sent"
+            )
+        if told[4] > max(before[4], largest_ma):
+            raise self._latch(
+                f"the board delivered {told[4]:g} mA, above the {largest_ma:g} mA that may be sent"
+            )
+        return told
+
+    def report(self) -> BoardReport:
+        told = self._checked_account()
+        refused = max(0, sum(told[OLD_PACKETS]) - self._packets_before)
+        return replace(BoardReport(*told[:7]), refused_packets=refused)
+
+    def take_volts(self) -> list[Measured]:
+        return [self._measured.popleft() for _ in range(len(self._measured))]
+
+    def _measure(self) -> Impedance:
+        can = self.capabilities
+        if not can.measures or can.compliance_v is None:
+            return super()._measure()
+        self.take_volts()
+        for probe in probe_sequences(self._gate.limits, self._output):
+            volts = self._probed(probe)
+        limits = self._gate.limits
+        saturated = can.output == "weighted" and (volts >= SATURATED * can.compliance_v).any()
+        if saturated and not limits.masked:
+            level_ua = int(np.abs(probe.current_ua).max())
+            return measure_in_pairs(
+                self._probed,
+                limits,
+                level_ua,
+                probe.intensity,
+                probe.time_ns,
+                can.compliance_v,
+            )
+        # A masked electrode is not driven, and counts as open.
+        every = np.full(limits.electrodes, can.compliance_v)
+        every[probe.site] = volts
+        return judge(every, probe.source_ua[0] / 1000, can.compliance_v)
+
+    def _probed(self, probe: ScanSequence) -> NDArray[np.float64]:
+        """Deliver a scan and return its voltages."""
+        self.send(probe)
+        self.drain()
+        found = [
+            volts for sequence, volts in self.take_volts() if sequence.time_ns == probe.time_ns
+        ]
+        if probe.slots and not found:
+            raise BoardError(
+                f"the board at {self._line.name} did not tell the voltages of its electrodes: "
+                "measure again",
+                about="measure",
+            )
+        return found[-1].astype(np.float64) if found else np.empty(0)
+
+    def _hear(self, message: Message) -> None:
+        """Handle a packet that answers neither a query nor a sequence."""
+        match message.kind:
+            case MessageKind.ALIVE:
+                if len(message.payload) == protocol.ALIVE.size:
+                    self._press(*protocol.ALIVE.unpack(message.payload))
+            case MessageKind.VOLTAGES:
+                self._note_volts(message)
+            case _:
+                self._line.session.refuse()
+
+    def _press(self, force_mn: int) -> None:
+        if hasattr(self, "capabilities") and self.capabilities.force:
+            self.force_n = force_mn / 1000
+
+    def _note_volts(self, message: Message) -> None:
+        sequence = dict(self._sent).get(message.about)
+        if sequence is None:
+            return self._line.session.refuse()
+        volts = decode_volts(message.payload)
+        if len(volts) == sequence.slots and len(volts):
+            compliance = self.capabilities.compliance_v
+            if compliance is not None and volts.max() > MOST_COMPLIANCES * compliance:
+                self._suspicion = (
+                    f"the board measured {volts.max():.0f} V with a source of {compliance:g} V"
+                )
+            self._measured.append((sequence, volts))
+            self.lifted = compliance is not None and bool((volts >= OPEN_SHARE * compliance).all())
+        return None

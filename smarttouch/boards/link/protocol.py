@@ -1,0 +1,331 @@
+"""The ``link`` wire format, version 5, for both ends: see ``docs/reference/link.md``.
+
+A packet is COBS-encoded and ends with one 0x00. Decoded, all little endian::
+
+    u8  version = 5
+    u8  type
+    u32 number      counts the packets of one end in one session, from 1 on
+    u8  state       of the board: 1 its emergency switch is open; else 0
+    u64 session
+    u32 heard       largest number that this end has taken from the other, else 0
+    u32 about       of SEQUENCE, ACK, NAK and VOLTAGES: the sequence; of an answer
+                    to a question: the question's number; else 0
+    ... payload
+    u32 CRC-32      (IEEE 802.3) of all before it
+"""
+
+import secrets
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import BoardError, LineLostError
+from smarttouch.base.wire.framing import HEAD_BYTES, WirePacket, frame_packet, parse_head
+
+VERSION = 5
+SWITCH_OPEN = 1  # state of a board whose emergency switch is open
+IDENTITY_BYTES = 16
+SILENCE_MS = 100
+ALIVE_MS = 20
+LATE_MS = 250  # a packet is old if it confirms nothing that the board sent within this time
+LONGEST_PACKET_MS = 1000  # longest time for which an incomplete packet counts as a sign of life
+LAST_NUMBER = 2**32 - 1
+HALF = 2**32 - 1  # the host's half of a session; the board's is above it
+Output = Literal["weighted", "three-state", "one-against-all"]
+OUTPUTS: tuple[Output, ...] = get_args(Output)
+
+CAPABILITIES = struct.Struct("<HBBHHHH")
+ALIVE = struct.Struct("<h")
+KEEPING = struct.Struct("<IIH")  # after CAPABILITIES: room in bytes, packet bytes, most kernels
+LIMITS = struct.Struct("<IIHHHHHHIBBH")
+"""Least period µs, total µA, width µs, full µA, rounding µA, full µs, ramp ms, session s, session
+µC, duty %, 0, width of a full pulse µs; then of each electrode u16 µA, u16 felt µA, u32 pC."""
+KERNELS = struct.Struct("<16sII")  # identity, size and offset
+KEPT = struct.Struct("<16sIB16s")
+"""Identity, bytes that are there, whether all are and are sound, and the session's proof."""
+NAK = struct.Struct("<BBHHii")  # reason, rule, slot, electrode, value and what is allowed
+REPORT = struct.Struct("<IIQIIIIBIIIII")
+"""Counts of sequences, slots, pulses and violations; largest current µA, charge pC and charge left
+pC; sequences at hand; old and foreign packets; largest net charge within a second pC; seconds with
+current and largest charge µC of the session."""
+NOTHING = 0xFFFF  # slot or electrode where a rule is of none; as a slot, the recharge phase
+
+
+class MessageKind(IntEnum):
+    """Types of packets."""
+
+    HELLO = 0x01
+    SEQUENCE = 0x02
+    HEARTBEAT = 0x03
+    STOP = 0x04
+    STATUS = 0x05
+    BEGIN = 0x06
+    LIMITS = 0x07
+    KERNELS = 0x08
+    CAPABILITIES = 0x81
+    ACK = 0x82
+    NAK = 0x83
+    ALIVE = 0x84
+    REPORT = 0x85
+    STOPPED = 0x86
+    VOLTAGES = 0x87
+    BEGUN = 0x88
+    LIMITED = 0x89
+    KEPT = 0x8A
+
+
+class Feature(IntFlag):
+    """Optional abilities of a board."""
+
+    VOLTAGE = 1
+    FORCE = 2
+    RECHARGE = 4
+    KERNELS = 8
+    EMERGENCY = 16
+
+
+class Refusal(IntEnum):
+    """Reasons why a board refuses a sequence or a packet."""
+
+    BUSY = 1
+    MALFORMED = 2
+    UNSAFE = 3
+    STOPPED = 4
+    SILENCE = 5
+    GARBLED = 6
+    OLD = 7
+    FOREIGN = 8
+    EMERGENCY = 9
+
+
+class Rule(IntEnum):
+    """Rules that a board checks, in the order of the page."""
+
+    NONE = 0
+    LIMITS = 1
+    SLOTS = 2
+    PERIOD = 3
+    WIDTH = 4
+    DISCHARGE = 5
+    FIT = 6
+    DUTY = 7
+    KIND = 8
+    KERNEL = 9
+    SUM = 10
+    BALANCE = 11
+    CURRENT = 12
+    TOTAL = 13
+    CHARGE = 14
+    STATES = 15
+    MEAN = 16
+    INTENSITY = 17
+    RISE = 18
+    RECHARGE = 19
+    FELT = 20
+    FELT_IN_SECOND = 21
+    CHARGE_IN_SECOND = 22
+    NET_IN_SECOND = 23
+    OFTEN = 24
+    SESSION_TIME = 25
+    SESSION_CHARGE = 26
+
+
+_VOLT = 100
+_U16_MAX = 0xFFFF
+
+
+@dataclass(frozen=True, eq=False)
+class WireSequence:
+    """Sequence received by a board.
+
+    ``current_ua`` is (S, E) int16 for weighted boards; for switched ones ``state`` is (S, E) int8
+    (1 cathode, −1 anode, 0 insulated, 2 not a state) and ``source_ua`` (S,) uint16. Positive is
+    cathodic. ``recharge_ua`` is (E,) int16, None without a recharge phase.
+    """
+
+    period_us: int
+    times: int
+    measure: bool
+    electrodes: int
+    width_us: NDArray[np.uint16]
+    discharge_us: NDArray[np.uint16]
+    site: NDArray[np.uint16]
+    current_ua: NDArray[np.int16] | None
+    source_ua: NDArray[np.uint16] | None
+    state: NDArray[np.int8] | None
+    recharge_ua: NDArray[np.int16] | None = None
+    recharge_us: int = 0
+
+
+def encode_volts(volts: NDArray[np.float64]) -> bytes:
+    """Return the payload of VOLTAGES: the source's voltage in each slot, (S,) V."""
+    return _u16(np.clip(np.rint(volts * _VOLT), 0, _U16_MAX))
+
+
+def decode_volts(payload: bytes) -> NDArray[np.float32]:
+    """Return the voltages in a payload of VOLTAGES, (S,) V; an odd byte is dropped."""
+    whole = payload[: len(payload) // 2 * 2]
+    return np.asarray(np.frombuffer(whole, "<u2") / np.float32(_VOLT), np.float32)
+
+
+def _u16(values: NDArray[Any]) -> bytes:
+    return values.astype("<u2", copy=False).tobytes()
+
+
+def source_of(current_ua: NDArray[np.int16]) -> NDArray[np.uint16]:
+    """Return the current of a switched board's one source in each slot, (S,) µA."""
+    source = np.maximum(current_ua, 0).sum(axis=1, dtype=np.int64)
+    strongest = int(source.max(initial=0))
+    if strongest > _U16_MAX:
+        raise BoardError(
+            f"a slot asks {strongest / 1000:.1f} mA of one source, the wire carries at most "
+            f"{_U16_MAX / 1000:.1f} mA: lower the currents",
+            about="source_ua",
+            slot=int(source.argmax()),
+        )
+    found: NDArray[np.uint16] = source.astype("<u2")
+    return found
+
+
+def pack_states(signs: NDArray[np.int16]) -> bytes:
+    slots, electrodes = signs.shape
+    row = -(-electrodes // 4)
+    codes = np.zeros((slots, row * 4), np.uint8)
+    codes[:, :electrodes] = np.where(signs < 0, 2, signs)
+    four = codes.reshape(slots, row, 4)
+    packed = four[..., 0] | four[..., 1] << 2 | four[..., 2] << 4 | four[..., 3] << 6
+    return bytes(packed.tobytes())
+
+
+def unpack_states(packed: NDArray[np.uint8], electrodes: int) -> NDArray[np.int8]:
+    codes = (packed[..., None] >> np.array([0, 2, 4, 6], np.uint8)) & 3
+    flat = codes.reshape(len(packed), packed.shape[1] * 4)[:, :electrodes]
+    return np.asarray(np.array([0, 1, -1, 2], np.int8)[flat])
+
+
+_HEAD = struct.Struct("<BQII")
+WHOLE_HEAD_BYTES = HEAD_BYTES + _HEAD.size  # bytes of a decoded packet before its payload
+ANSWERS = {
+    MessageKind.HELLO: MessageKind.CAPABILITIES,
+    MessageKind.BEGIN: MessageKind.BEGUN,
+    MessageKind.STOP: MessageKind.STOPPED,
+    MessageKind.STATUS: MessageKind.REPORT,
+    MessageKind.LIMITS: MessageKind.LIMITED,
+    MessageKind.KERNELS: MessageKind.KEPT,
+}
+_ANSWERS = frozenset(ANSWERS.values())
+
+
+@dataclass(frozen=True)
+class Message:
+    """Packet of this protocol; of an unknown version only ``kind`` and ``version`` are known."""
+
+    kind: int
+    number: int
+    session: int = 0
+    heard: int = 0
+    about: int = 0
+    payload: bytes = b""
+    version: int = VERSION
+    state: int = 0
+
+
+def encode(
+    kind: MessageKind,
+    session: int,
+    number: int,
+    heard: int = 0,
+    about: int = 0,
+    payload: bytes = b"",
+    state: int = 0,
+) -> bytes:
+    """Return a packet in its wire format."""
+    head = _HEAD.pack(state, session, heard, about)
+    return frame_packet(VERSION, kind, number, head, payload)
+
+
+def decode(packet: WirePacket) -> Message:
+    """Return a packet as a message; one that is too short has session 0, which is never valid."""
+    if packet.version != VERSION or len(packet.payload) < _HEAD.size:
+        return Message(packet.kind, packet.number, version=packet.version)
+    state, session, heard, about = _HEAD.unpack_from(packet.payload)
+    payload = packet.payload[_HEAD.size :]
+    return Message(packet.kind, packet.number, session, heard, about, payload, VERSION, state)
+
+
+def decode_head(head: bytes) -> Message:
+    """Return the message that begins with these `WHOLE_HEAD_BYTES`, before its CRC."""
+    return decode(parse_head(head))
+
+
+def draw_half() -> int:
+    """Return 32 random bits that are not all 0."""
+    return secrets.randbelow(HALF) + 1
+
+
+class HostSession:
+    """One session with a board, from before HELLO on; ``draw`` returns 32 random bits that are not
+    all 0."""
+
+    def __init__(self, draw: Callable[[], int] = draw_half) -> None:
+        self.number = draw()  # its upper half is 0 until the board has answered HELLO
+        self.begun = False  # whether the board has answered BEGIN
+        self.refused = 0  # number of packets
+        self._sent = self._taken = self._offered = 0
+        self._asked: dict[int, MessageKind] = {}
+
+    @property
+    def sent(self) -> int:
+        """Number of the packet sent last."""
+        return self._sent
+
+    def encode(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> bytes:
+        """Return the host's next packet."""
+        if self._sent == LAST_NUMBER:
+            raise LineLostError(f"the session of {LAST_NUMBER} packets is over", about="packets")
+        self._sent += 1
+        if kind in ANSWERS:
+            self._asked[self._sent] = ANSWERS[kind]
+        session = self.number & HALF if kind == MessageKind.HELLO else self.number
+        return encode(kind, session, self._sent, self._taken, about, payload)
+
+    def take(self, packet: WirePacket) -> Message | None:
+        """Return a packet as a message, or None if it is refused."""
+        message = decode(packet)
+        if message.kind == MessageKind.CAPABILITIES:
+            taken = self._take_capabilities(message)
+        elif taken := (
+            message.session == self.number
+            and message.number > self._taken
+            and message.version == VERSION
+        ):
+            self._taken = message.number
+            if message.kind in _ANSWERS:
+                taken = self._was_asked(message)
+                self.begun |= taken and message.kind == MessageKind.BEGUN
+        if not taken:
+            self.refuse()
+        return message if taken else None
+
+    def refuse(self) -> None:
+        """Count a refused packet; those before CAPABILITIES are of an earlier run."""
+        self.refused += self.number > HALF
+
+    def _take_capabilities(self, message: Message) -> bool:
+        if message.version != VERSION:
+            # A board of another version is reported by its version.
+            return not self.begun
+        if message.session & HALF != self.number & HALF or not self._was_asked(message):
+            return False
+        if self.begun or message.about < self._offered:
+            return message.session == self.number
+        self.number, self._offered = message.session, message.about
+        return True
+
+    def _was_asked(self, message: Message) -> bool:
+        return self._asked.pop(message.about, None) == message.kind

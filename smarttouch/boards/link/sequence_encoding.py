@@ -1,0 +1,266 @@
+"""Kernels, sequences and limits as payloads of ``link``: see ``docs/reference/link.md``."""
+
+import hashlib
+import math
+import struct
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import BoardError
+from smarttouch.boards.link import protocol as protocol
+from smarttouch.boards.link.protocol import IDENTITY_BYTES, pack_states, source_of
+from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, parts_per_billion
+from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence
+from smarttouch.stimulation.slot_sums import extent_us
+
+_IMAGE_HEAD = struct.Struct("<HH")
+_RUN = struct.Struct("<HH")
+_SHORTEST_GAP = 3  # zeros from which a new run is shorter than to write them out
+
+
+@dataclass(frozen=True, eq=False)
+class KernelImage:
+    """The kernels of a run, as bytes for a board."""
+
+    table: KernelTable
+    own: KernelTable  # the same, backed by bytes that stay whatever becomes of the table
+    count: int  # kernels that the board has room for: the first of the table
+    data: bytes
+    identity: bytes  # first 16 bytes of the SHA-256 of ``data``
+
+    @classmethod
+    def of(cls, table: KernelTable, room: int, most: int) -> Self:
+        """Return as many kernels as there is room for, in bytes and in number."""
+        flat = np.frombuffer(table.weights.tobytes(), np.int16)
+        site_of = np.frombuffer(table.site.tobytes(), np.uint16)
+        own = KernelTable(flat.reshape(table.weights.shape), site_of, {}, {})
+        parts, size = [b""], _IMAGE_HEAD.size
+        for weights, site in zip(own.weights[:most], own.site, strict=False):
+            record = _record(weights, int(site))
+            if size + len(record) > room:
+                break
+            parts.append(record)
+            size += len(record)
+        count = len(parts) - 1
+        parts[0] = _IMAGE_HEAD.pack(own.weights.shape[1], count)
+        data = b"".join(parts)
+        return cls(table, own, count, data, digest_of(data))
+
+    def proof(self, session: int) -> bytes:
+        """Return what a board that keeps just these kernels answers in a session."""
+        return digest_of(session.to_bytes(8, "little") + self.data)
+
+
+def digest_of(data: bytes) -> bytes:
+    return hashlib.sha256(data).digest()[:IDENTITY_BYTES]
+
+
+def _record(weights: NDArray[np.int16], site: int) -> bytes:
+    """Return a kernel as runs of weights; long gaps of zeros are left out."""
+    active = np.flatnonzero(weights)
+    if not len(active):
+        return _RUN.pack(site, 0)
+    breaks = np.flatnonzero(np.diff(active) > _SHORTEST_GAP)
+    starts = active[np.concatenate([[0], breaks + 1])].tolist()
+    ends = (active[np.concatenate([breaks, [len(active) - 1]])] + 1).tolist()
+    parts = [_RUN.pack(site, len(starts))]
+    for start, end in zip(starts, ends, strict=True):
+        parts += [_RUN.pack(start, end - start), weights[start:end].astype("<i2").tobytes()]
+    return b"".join(parts)
+
+
+_HEAD = struct.Struct("<IHHBB")
+_SHAPE = struct.Struct("<HH")
+_GROUP = struct.Struct("<BBH")
+_I16 = np.dtype("<i2")
+POINTS, SUM, CURRENTS, STATES = range(4)  # kinds of groups of slots
+FULL = 0xFFFF  # intensity 1
+MEASURE, RECHARGE = 1, 2
+_MOST_SHAPES = 0xFF
+_U16_MAX = 0xFFFF
+
+
+def encode_limits(limits: SafetyLimits) -> bytes:
+    """Return the payload of LIMITS: nothing in it allows more than the limits do."""
+    part, whole = limits.duty_ratio
+    head = protocol.LIMITS.pack(
+        limits.period_us, limits.total_ua, limits.pulse_whole_us, math.ceil(limits.full_ua),
+        math.ceil(limits.rounding_ua), math.ceil(limits.full_us or 0),
+        math.ceil(limits.ramp_ns / 1e6), min(_U16_MAX, math.ceil(limits.session_s)),
+        math.ceil(1000 * limits.session_mc), math.ceil(100 * part / whole),
+        0, limits.width_whole_us,
+    )  # fmt: skip
+    each = (limits.current_ua, "<u2"), (limits.felt_ua, "<u2"), (limits.charge_pc, "<u4")
+    return head + b"".join(values.astype(kind).tobytes() for values, kind in each)
+
+
+def encode_lists(
+    sequence: ScanSequence,
+    times: int,
+    measure: bool,
+    switched: bool,
+    image: KernelImage | None,
+    most_bytes: int,
+) -> bytes:
+    """Return the payload of a proved SEQUENCE, of at most ``most_bytes``.
+
+    Slots whose currents are just what the board makes of kernels that it keeps (``image``) become
+    lists of these; others are written as currents, or as states for a board with one source
+    (``switched``). ``measure`` requests voltages.
+    """
+    shapes, table, shape = _shapes(sequence)
+    if shapes > _MOST_SHAPES:
+        raise BoardError(
+            f"{shapes} pulse shapes in one sequence are above the limit of {_MOST_SHAPES}: "
+            "choose fewer pulse widths",
+            about="shapes",
+        )
+    recharge = sequence.recharge_ua
+    if switched and recharge is not None:
+        raise BoardError(
+            "a recharge phase needs a source for each electrode, and this board has one for all: "
+            "leave it out",
+            about="recharge_ua",
+        )
+    intensity = -(-parts_per_billion(sequence.intensity) * FULL // PPB)
+    flags = MEASURE * measure | RECHARGE * (recharge is not None)
+    # Bytes and arrays, copied only when they are joined.
+    parts: list[Any] = [
+        _HEAD.pack(sequence.period_us, times, intensity, flags, shapes),
+        table,
+    ]
+    if recharge is not None:
+        parts += [sequence.recharge_us.to_bytes(2, "little"), recharge.astype("<i2").tobytes()]
+    if len(sequence.width_us):
+        parts += _groups(sequence, shape, switched, image)
+    payload = b"".join(parts)
+    if len(payload) > most_bytes:
+        raise BoardError(
+            f"a sequence of {len(payload)} bytes is above the board's limit of {most_bytes}: scan "
+            "fewer points at once",
+            about="packet",
+        )
+    return payload
+
+
+def _shapes(sequence: ScanSequence) -> tuple[int, bytes, NDArray[np.intp] | None]:
+    """Return the number of pulse shapes, all of them, and that of each slot; None if of one."""
+    width_us, discharge_us = sequence.width_us, sequence.discharge_us
+    table = _one_shape(width_us.tobytes(), discharge_us.tobytes())
+    if table is not None:
+        return 1, table, None
+    times_us = width_us.astype(np.uint32) << 16 | discharge_us
+    each, shape = np.unique(times_us, return_inverse=True)
+    pairs = np.column_stack([each >> 16, each & 0xFFFF])
+    return len(pairs), pairs.astype("<u2").tobytes(), shape
+
+
+@lru_cache(maxsize=256)
+def _one_shape(width_us: bytes, discharge_us: bytes) -> bytes | None:
+    """Return the pulse shape of all slots; None if they have none, or several."""
+    least_us, most_us, _ = extent_us(width_us)
+    least_rest_us, most_rest_us, _ = extent_us(discharge_us)
+    if least_us == most_us > 0 and least_rest_us == most_rest_us:
+        return _SHAPE.pack(most_us, most_rest_us)
+    return None
+
+
+def _groups(
+    sequence: ScanSequence,
+    shape: NDArray[np.intp] | None,
+    switched: bool,
+    image: KernelImage | None,
+) -> list[Any]:
+    """Return the groups of slots that have a kind and a shape in common, as bytes and arrays."""
+    slots, usual = len(sequence.width_us), STATES if switched else CURRENTS
+    lists = None if switched or image is None else _kept(sequence, image)
+    if lists is None and shape is None:
+        if slots > _U16_MAX:
+            raise _too_many(slots)
+        return [_GROUP.pack(usual, 0, slots), _rows(sequence, switched)]
+    shape = np.zeros(slots, np.intp) if shape is None else shape
+    kind = np.full(slots, usual)
+    if lists is not None:
+        sums, listed = lists
+        size = np.diff(sums.first)
+        kind = np.where(listed, np.where(size == 1, POINTS, SUM), kind)
+        pairs = np.column_stack([sums.kernel, sums.amplitude]).astype("<u2")
+        first = sums.first.tolist()
+    rows = _rows(sequence, switched) if kind.max() >= CURRENTS else None
+    new = np.ones(slots, np.bool_)
+    new[1:] = (kind[1:] == SUM) | (np.diff(kind) != 0) | (np.diff(shape) != 0)
+    starts = np.flatnonzero(new).tolist()
+    parts: list[Any] = []
+    for start, end in zip(starts, [*starts[1:], slots], strict=True):
+        what, count = int(kind[start]), end - start
+        if what == SUM:
+            count = first[end] - first[start]
+        if count > _U16_MAX:
+            raise _too_many(count)
+        parts.append(_GROUP.pack(what, int(shape[start]), count))
+        if rows is not None and what >= CURRENTS:
+            parts.append(rows[start:end])
+        else:
+            parts.append(pairs[first[start] : first[end]])
+    return parts
+
+
+def _kept(
+    sequence: ScanSequence, image: KernelImage
+) -> tuple[KernelLists, NDArray[np.bool_]] | None:
+    """Return lists of kernels, and of which slots the board makes just the proved currents."""
+    sums = sequence.sums
+    if sums is None or sums.table is not image.table:
+        return None
+    # Copies: nothing may change between the check and the write.
+    own = KernelLists(image.own, *map(np.array, (sums.first, sums.kernel, sums.amplitude)))
+    if not _is_sound(own, sequence.slots):
+        return None
+    made_ua = own.current_ua()
+    same = (made_ua == sequence.current_ua).all(axis=1) & (own.site == sequence.site)
+    known = np.maximum.reduceat(own.kernel, own.first[:-1]) < image.count
+    # At most what the board adds up in 32 bits.
+    within = np.add.reduceat(own.amplitude, own.first[:-1], dtype=np.int64) <= _U16_MAX
+    return own, same & known & within
+
+
+def _is_sound(lists: KernelLists, slots: int) -> bool:
+    """Return whether lists have types and sizes that fit the wire; others would wrap around."""
+    first, kernel, amplitude = lists.first, lists.kernel, lists.amplitude
+    return bool(
+        first.dtype == np.intp
+        and kernel.dtype == amplitude.dtype == np.uint16
+        and len(first) == slots + 1
+        and (first[0], first[-1], len(amplitude)) == (0, len(kernel), len(kernel))
+        and (np.diff(first) > 0).all()
+        and kernel.max() < len(lists.table.weights)
+    )
+
+
+def _rows(sequence: ScanSequence, switched: bool) -> NDArray[np.int16] | NDArray[np.uint8]:
+    """Return each slot's site and currents, or site, source and states, a row each."""
+    current_ua = sequence.current_ua
+    slots, electrodes = current_ua.shape
+    if not switched:
+        rows = np.empty((slots, 1 + electrodes), _I16)
+        rows[:, 0] = sequence.site
+        rows[:, 1:] = current_ua
+        return rows
+    states = np.frombuffer(pack_states(np.sign(current_ua)), np.uint8)
+    columns = [
+        sequence.site[:, None].astype("<u2").view(np.uint8),
+        source_of(current_ua)[:, None].view(np.uint8),
+        states.reshape(slots, -(-electrodes // 4)),
+    ]
+    return np.concatenate(columns, axis=1)
+
+
+def _too_many(count: int) -> BoardError:
+    return BoardError(
+        f"{count} slots or points of one kind are above the limit of {_U16_MAX}: scan fewer points",
+        about="slots",
+    )

@@ -1,0 +1,253 @@
+"""What a board reports: its capabilities, delivery statistics and impedances."""
+
+from dataclasses import dataclass
+from itertools import compress
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import BoardError
+from smarttouch.stimulation.recharge import ChargeBalance
+from smarttouch.stimulation.scan_sequence import ScanSequence
+
+Polarity = Literal["anodic", "cathodic"]
+LONGEST_REPEAT = 0xFFFF
+BOTH: tuple[Polarity, ...] = ("anodic", "cathodic")
+
+
+@dataclass(frozen=True)
+class Capabilities:
+    """Capabilities of a board."""
+
+    electrodes: int
+    output: Literal["weighted", "three-state", "one-against-all", "vibration"]
+    max_current_ma: float
+    max_slots: int
+    time_to_zero_ms: float | None
+    """Longest time from the host's silence to zero current; None if it has no limit."""
+    firmware: str
+    polarities: tuple[Polarity, ...] = BOTH
+    clock: Literal["board", "host"] = "board"
+    """Clock by which pulses are timed."""
+    acknowledges: bool = True
+    measures: bool = False
+    """Whether it measures the voltage of each slot."""
+    force: bool = False
+    """Whether it measures the finger's force."""
+    compliance_v: float | None = None
+    """Compliance voltage of its source, if it is known."""
+    vibrates: bool = False
+    """Whether it has mechanical vibrators."""
+    recharges: bool = False
+    """Whether it can end a scan with a recharge phase."""
+    emergency_switch: bool = False
+    """Whether it has an emergency switch."""
+    protocol: str = ""
+    """Protocol that it speaks, with the version."""
+    kernel_bytes: int = 0
+    """Room for kernels that it keeps."""
+    most_kernels: int = 0
+    """Most kernels that it keeps."""
+    packet_bytes: int | None = None
+    """Largest packet that it takes, before it is encoded, if that has a limit."""
+    kept_ms: float | None = None
+    """Longest time from the end of this program to zero, if a keeper process ensures that."""
+
+    def require(self, sequence: ScanSequence, times: int) -> None:
+        """Raise BoardError unless the board can deliver a sequence a number of times."""
+        if (electrodes := sequence.current_ua.shape[1]) != self.electrodes:
+            raise BoardError(
+                f"the sequence is for {electrodes} electrodes, the board has "
+                f"{self.electrodes}: use the profile of this board",
+                about="electrodes",
+            )
+        if sequence.vibration is not None and not self.vibrates:
+            raise BoardError(
+                "the sequence asks for mechanical vibration, and this board has no vibrators: "
+                "give it some",
+                about="vibration",
+                remedy="vibrators",
+            )
+        if sequence.recharge_ua is not None and not self.recharges:
+            raise BoardError(
+                "the sequence ends with a recharge phase, and this board makes none: leave it out",
+                about="recharge_ua",
+            )
+        whole = isinstance(times, (int, np.integer)) and not isinstance(times, bool)
+        if not whole or not 1 <= times <= LONGEST_REPEAT:
+            raise BoardError(
+                f"{times} repetitions are not possible: a whole number from 1 to {LONGEST_REPEAT}",
+                about="times",
+            )
+
+    def describe(self) -> list[tuple[str, str]]:
+        """Return the capabilities as names and values, for display."""
+        silence = "goes on with its last pattern for ever: lift the finger before you unplug it"
+        if self.time_to_zero_ms is not None:
+            silence = f"no current {self.time_to_zero_ms:g} ms after the host falls silent"
+        if self.kept_ms is not None:
+            silence = (
+                f"zero {self.kept_ms:g} ms after the program ends or hangs; by itself {silence}"
+            )
+        names = ("acknowledgments", "voltages", "finger force")
+        reported = compress(names, (self.acknowledges, self.measures, self.force))
+        return [
+            ("firmware", self.firmware),
+            *([("protocol", self.protocol)] if self.protocol else []),
+            ("electrodes", f"{self.electrodes}, {self.output}, {' or '.join(self.polarities)}"),
+            ("current", f"at most {self.max_current_ma:.1f} mA"),
+            ("clock", f"the {self.clock}'s"),
+            ("host lost", silence),
+            *([("emergency", "switch, closed")] if self.emergency_switch else []),
+            ("while it scans", "tells of " + (", ".join(reported) or "nothing")),
+        ]
+
+
+@dataclass(frozen=True)
+class BoardReport:
+    """Report of what a board delivered since it was opened."""
+
+    sequences: int
+    slots: int
+    pulses: int
+    """Number of electrode pulses: one for each electrode with current in a slot."""
+    violations: int
+    max_current_ma: float
+    max_charge_uc: float
+    max_net_charge_uc: float
+    """Largest charge left on an electrode: after a discharge; in a host's report, of all pulses."""
+    refused_packets: int = 0
+    """Number of packets refused by the board, as old or of another session."""
+    by: Literal["board", "host"] = "board"
+    """Author of the report; a host reports what was scanned as far as it can know."""
+    most_pulses: int | None = None
+    """Upper bound, if a host knows only a range; pulses and slots are then lower bounds."""
+
+
+class HostStatistics:
+    """Delivery statistics kept by the host."""
+
+    def __init__(self, electrodes: int) -> None:
+        self._sequences = self._slots = self._pulses = self._most_pulses = 0
+        self._current_ma = self._charge_uc = self._net_uc = self._unsure_uc = 0.0
+        self._ledger = ChargeBalance(electrodes)
+
+    def add(
+        self, sequence: ScanSequence, times: int = 1, again: bool = False, most: int | None = None
+    ) -> None:
+        """Add a sequence that was scanned ``times`` times, or at least that and at most ``most``
+        times; ``again`` if the sequence itself has been counted before."""
+        most = times if most is None else most
+        self._sequences += not again
+        if not sequence.slots or not most:
+            return
+        pulses = int(np.count_nonzero(sequence.current_ua))
+        self._slots += times * sequence.slots
+        self._pulses += times * pulses
+        self._most_pulses += most * pulses
+        peaks = np.abs(sequence.current_ua.astype(np.int32)).max(axis=1)
+        self._current_ma = max(self._current_ma, float(peaks.max()) / 1000)
+        self._charge_uc = max(self._charge_uc, float((peaks * sequence.width_us).max()) / 1e6)
+        self._ledger.add(sequence, times)
+        self._unsure_uc += (most - times) * float((peaks * sequence.width_us).sum()) / 1e6
+        self._net_uc = max(self._net_uc, self._ledger.worst_uc + self._unsure_uc)
+
+    def report(self) -> BoardReport:
+        return BoardReport(
+            self._sequences,
+            self._slots,
+            self._pulses,
+            0,
+            self._current_ma,
+            self._charge_uc,
+            self._net_uc,
+            by="host",
+            most_pulses=self._most_pulses,
+        )
+
+
+SATURATED = 0.97  # part of the compliance at which a source counts as saturated
+OPEN_FACTOR = 5.0
+SHORT_FACTOR = 0.1
+"""Part of the median below which an electrode is shorted; good ones differ two- or threefold. An
+estimate of ours.
+"""
+
+Condition = Literal["good", "open", "short", "unsure"]
+
+
+@dataclass(frozen=True, eq=False)
+class Impedance:
+    """Impedances of all electrodes, measured once."""
+
+    # (E,): voltage over current at the end of the measuring pulse, each electrode to the skin;
+    # infinite where the board's voltage was not enough
+    kohm: NDArray[np.float64]
+    condition: tuple[Condition, ...]  # "unsure" where the reading fits more than one
+    current_ma: float  # of the measuring pulse
+
+    @property
+    def broken(self) -> tuple[int, ...]:
+        """Electrodes that are open or shorted."""
+        return tuple(i for i, each in enumerate(self.condition) if each in ("open", "short"))
+
+    @property
+    def lifted(self) -> bool:
+        """True if nothing touches the electrodes."""
+        return all(each == "open" for each in self.condition)
+
+    def figures(self) -> dict[str, Any]:
+        """Return the values for a JSON file; open electrodes have no number."""
+        kohm = [
+            None if condition == "open" else float(f"{each:.4g}")
+            for each, condition in zip(self.kohm, self.condition, strict=True)
+        ]
+        return {
+            "impedance_kohm": kohm,
+            "condition": self.condition,
+            "current_ma": self.current_ma,
+            "masked": self.broken,
+        }
+
+
+def judge(
+    volts: NDArray[np.float64],
+    current_ma: float | NDArray[np.float64],
+    compliance_v: float,
+    unsure: NDArray[np.bool_] | None = None,
+) -> Impedance:
+    """Return the impedances from the source's voltages (E,), each electrode against all others.
+
+    The voltage of electrode i is I (Zᵢ + 1 / Σⱼ≠ᵢ 1/Zⱼ), all others in parallel; solved by repeated
+    insertion, which converges as the return is small. ``unsure`` readings, (E,), may stand for
+    another voltage.
+    """
+    total = np.asarray(volts, np.float64) / np.asarray(current_ma, np.float64)
+    saturated = np.asarray(volts) >= SATURATED * compliance_v
+    kohm = np.where(saturated, np.inf, np.maximum(total, 1e-3))
+    for _ in range(20):
+        admittance = 1 / kohm
+        others = admittance.sum() - admittance
+        back = np.divide(1, others, out=np.zeros_like(others), where=others > 0)
+        kohm = np.where(saturated, np.inf, np.maximum(total - back, 1e-3))
+    return classify(kohm, float(np.mean(current_ma)), unsure)
+
+
+def classify(
+    kohm: NDArray[np.float64], current_ma: float, unsure: NDArray[np.bool_] | None = None
+) -> Impedance:
+    """Return which electrodes are open or shorted, by their impedances, (E,) kΩ."""
+    finite = kohm[np.isfinite(kohm)]
+    middle = float(np.median(finite)) if finite.size else np.inf
+    conditions: list[Condition] = []
+    for index, value in enumerate(kohm):
+        if unsure is not None and unsure[index]:
+            conditions.append("unsure")
+        elif not value <= OPEN_FACTOR * middle or not np.isfinite(value):
+            conditions.append("open")
+        elif value < SHORT_FACTOR * middle:
+            conditions.append("short")
+        else:
+            conditions.append("good")
+    return Impedance(kohm, tuple(conditions), current_ma)

@@ -1,0 +1,1 @@
+"""Mechanical vibrators as a board, alone or beside electrodes."""

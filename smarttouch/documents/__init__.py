@@ -1,1 +1,0 @@
-"""Pages of print: image files, printed texts, ink, and lines of text."""

@@ -1,1 +1,0 @@
-"""Patterns that a user draws, plays from a list, or sends from another program."""

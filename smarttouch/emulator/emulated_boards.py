@@ -1,0 +1,277 @@
+"""Emulated boards as drivers: in this process with simulated time, or in one of their own."""
+
+import os
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import BoardError, LineLostError, SilentBoardError
+from smarttouch.base.registry import refuse_rest
+from smarttouch.base.wire.framing import Deframer
+from smarttouch.boards.link import protocol as protocol
+from smarttouch.boards.link.handshake import reason_of
+from smarttouch.boards.link.link_board import LinkBoard
+from smarttouch.boards.link.link_host import LinkHost
+from smarttouch.boards.link.protocol import ANSWERS, HostSession, Message, MessageKind
+from smarttouch.emulator import rules_over_time
+from smarttouch.emulator.firmware import DeliveryLog
+from smarttouch.emulator.link_firmware import LinkFirmware
+from smarttouch.profile.device import Output
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence
+
+_BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest time that the host says nothing
+_LONGEST_GAP_NS = 1000 * (rules_over_time.KEPT_US + rules_over_time.SECOND_US)
+"""Gap after which a board has forgotten all but its session: a longer one is cut to this."""
+
+Pulses = tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]
+"""Sequence of each slot (N,), its width (N,) µs, and its delivered current (N, E) µA, positive
+cathodic.
+"""
+
+
+@dataclass
+class _KeptBooks(DeliveryLog):
+    """Delivery log that keeps every pulse in memory until it is taken."""
+
+    _kept: list[tuple[int, float, NDArray[np.int16]]] = field(default_factory=list, repr=False)
+
+    def keep(self, number: int, width_us: float, current_ua: NDArray[np.float64]) -> None:
+        self._kept.append((number, width_us, np.rint(current_ua).astype(np.int16)))
+
+    def take(self) -> Pulses:
+        kept, self._kept = self._kept, []
+        current_ua = np.array([each for _, _, each in kept], np.int16)
+        return (
+            np.array([number for number, _, _ in kept], np.uint32),
+            np.array([width for _, width, _ in kept], np.float32),
+            current_ua.reshape(len(kept), self.electrodes),
+        )
+
+
+class _Line:
+    """Line to firmware in the same thread, with the time that both go by."""
+
+    name = "simulated:"
+
+    def __init__(self, firmware: LinkFirmware, hear: Callable[[Message], None]) -> None:
+        self.session, self.now_ns, self._said_ns = HostSession(), 0, 0
+        self._firmware, self._hear, self._deframer = firmware, hear, Deframer()
+        self._answers: dict[int, Message] = {}
+
+    def ask(self, question: MessageKind, payload: bytes = b"") -> Message:
+        self.say(question, 0, payload)
+        if (answer := self._answers.pop(ANSWERS[question], None)) is None:
+            raise SilentBoardError(f"the board at {self.name} does not answer", about="board")
+        return answer
+
+    def say(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> None:
+        self._said_ns = self.now_ns
+        self._take(self._firmware.feed(self.session.encode(kind, about, payload), self.now_ns))
+
+    def wait_until(self, end_ns: int, go_on: Callable[[], None]) -> None:
+        """Let time pass, with heartbeats; ``go_on`` raises if the board is to be stopped."""
+        while end_ns - self._said_ns > _BEAT_NS:
+            go_on()
+            self.now_ns = self._said_ns + _BEAT_NS
+            self.say(MessageKind.HEARTBEAT)
+        self.now_ns = end_ns
+        self._take(self._firmware.advance(end_ns))
+
+    def _take(self, data: bytes) -> None:
+        for packet in self._deframer.feed(data):
+            message = self.session.take(packet)
+            if message is not None and message.kind in ANSWERS.values():
+                self._answers[message.kind] = message
+            elif message is not None:
+                self._hear(message)
+
+
+class SimulatedBoard(LinkHost):
+    """Emulated ``link`` board in the same thread: ``simulated:``. Its firmware, its packets and its
+    host are those of ``emulator:``, but time is simulated: a sequence begins when its time stamp
+    says, or at the end of the one before, and is over as soon as it has been computed."""
+
+    simulated_time = True
+    on_a_finger = False
+    _line: _Line
+
+    def __init__(
+        self, rest: str, limits: SafetyLimits, output: Output | None = None, **_: Any
+    ) -> None:
+        super().__init__(limits, output)
+        refuse_rest("simulated:", rest, BoardError)
+        self._kind = "weighted" if output is None else output.kind
+        self._power_up()
+
+    def _time(self) -> None:
+        """Return None: time is what sequences state, as no finger is on this board."""
+
+    def take_pulses(self) -> Pulses:
+        """Return all pulses delivered since the last call."""
+        return self._books.take()
+
+    def _open(self) -> None:
+        self._power_up()
+        self._take_offer(self._line.ask(MessageKind.HELLO))
+        self._line.ask(MessageKind.BEGIN)
+        self._set_up()
+        # Until it tells the finger's force.
+        self._wait_until(protocol.ALIVE_MS * 1_000_000)
+
+    def _power_up(self) -> None:
+        self._books = _KeptBooks(self._gate.limits.electrodes)
+        self._firmware = LinkFirmware(
+            self._books.electrodes, self._kind, self._books, ramp_ms=rules_over_time.RAMP_MS
+        )
+        self._line = _Line(self._firmware, self._hear)
+        self._number, self._suspicion = 0, ""
+        self._stamp_ns = self._ahead_ns = 0
+        """Time stamp of the last sequence, and by how much such stamps are ahead of time here."""
+
+    def _wait_until(self, end_ns: int) -> None:
+        self._line.wait_until(end_ns, self._go_on_unless_stopped)
+
+    def _send(self, sequence: ScanSequence, times: int) -> int:
+        line, self._number = self._line, self._number + 1
+        payload = self._encoded(sequence, times)
+        self._wait_until(self._start_ns(sequence.time_ns))
+        self._note_sent(sequence, times)
+        line.say(MessageKind.SEQUENCE, self._number, payload)
+        self._wait_until(line.now_ns + sequence.period_us * times * 1000)
+        if self._suspicion:
+            raise self._latch(self._suspicion)
+        return self._number
+
+    def _start_ns(self, stamp_ns: int) -> int:
+        """Return when a sequence with a time stamp begins."""
+        now_ns, before_ns, self._stamp_ns = self._line.now_ns, self._stamp_ns, stamp_ns
+        if self._number == 1 or stamp_ns < before_ns:
+            # Stamps have begun anew, as they may.
+            self._ahead_ns = stamp_ns - now_ns
+        gap_ns = stamp_ns - self._ahead_ns - now_ns
+        self._ahead_ns += max(0, gap_ns - _LONGEST_GAP_NS)
+        return now_ns + min(max(0, gap_ns), _LONGEST_GAP_NS)
+
+    def _hear(self, message: Message) -> None:
+        match message.kind:
+            case MessageKind.ACK:
+                self.acknowledged += 1
+            case MessageKind.NAK:
+                self.refused += 1
+                self._unsafe_refused += 1
+                _, _, words = reason_of(message)
+                raise BoardError(
+                    f"the simulated board refused sequence {message.about}: {words}", about="board"
+                )
+            case _:
+                super()._hear(message)
+
+    def _stop(self) -> None:
+        # A stop from another thread waits for the end of the sequence.
+        with self._writing:
+            self._line.say(MessageKind.STOP)
+
+
+_STARTS_WITHIN_S = 30.0  # time limit of the start, long enough for a busy computer
+_ENDS_WITHIN_S = 3.0
+_SPEAKS_WITHIN_S = 5.0  # longest silence: it may wait for a processor
+
+
+class EmulatorBoard(LinkBoard):
+    """Board emulated by a process of its own, which runs as long as it is open: ``emulator:``.
+    ``books`` is an existing folder for its delivery log, and ``events`` of the finger are as
+    ``smarttouch board emulate`` takes them."""
+
+    on_a_finger = False
+    device = None
+
+    def __init__(
+        self,
+        rest: str,
+        limits: SafetyLimits,
+        output: Output | None = None,
+        books: Path | None = None,
+        events: Sequence[str] = (),
+    ) -> None:
+        super().__init__("", limits, output)
+        refuse_rest("emulator:", rest, BoardError)
+        self._line.answer_s = self._line.silence_s = _SPEAKS_WITHIN_S
+        kind = "weighted" if output is None else output.kind
+        options = f"--electrodes={limits.electrodes} --output={kind} --linger=0.2 --port-only"
+        options += f" --ramp-ms={rules_over_time.RAMP_MS}"
+        self._command = [sys.executable, "-m", "smarttouch.emulator", "board", "link"]
+        self._command += options.split()
+        self._command += [f"--event={event}" for event in events]
+        if books is not None:
+            self.keep_books(books)
+
+    def keep_books(self, folder: Path) -> None:
+        """Set the existing folder of its delivery log, from the next opening on."""
+        self._command.append(f"--books={folder}")
+
+    @property
+    def process_id(self) -> int:
+        return self._process.pid
+
+    def _recover(self, lost: LineLostError) -> None:
+        if self._process.poll() is not None:
+            raise lost
+        super()._recover(lost)
+
+    def _open(self) -> None:
+        # A session of its own: the terminal's Ctrl-C must not reach the board.
+        self._process = subprocess.Popen(
+            self._command, stdout=subprocess.PIPE, start_new_session=True
+        )
+        try:
+            self._line.name = self._port_of_process()
+            super()._open()
+        except BaseException:
+            # No host will come.
+            self._process.terminate()
+            self._end()
+            raise
+
+    def _port_of_process(self) -> str:
+        """Return the name of the process's port, as soon as it is printed."""
+        assert self._process.stdout is not None
+        deadline, said = time.monotonic() + _STARTS_WITHIN_S, b""
+        with self._process.stdout as output:
+            while not said.endswith(b"\n"):
+                if time.monotonic() > deadline:
+                    raise BoardError(
+                        f"the emulator has not started within {_STARTS_WITHIN_S:g} s: this "
+                        "computer is too busy, try again",
+                        about="emulator",
+                    )
+                if not select.select([output], [], [], 0)[0]:
+                    self._pause(0.01)
+                    continue
+                if not (piece := os.read(output.fileno(), 256)):
+                    message = f"the emulator did not start (exit {self._process.wait()})"
+                    raise BoardError(message, about="emulator")
+                said += piece
+        return said.decode().strip()
+
+    def _close(self) -> None:
+        super()._close()
+        self._end()
+
+    def _end(self) -> None:
+        if self._halted:
+            # Its own time limit would take longer.
+            self._process.terminate()
+        try:
+            self._process.wait(_ENDS_WITHIN_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()

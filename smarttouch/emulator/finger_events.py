@@ -1,0 +1,198 @@
+"""Events of emulated devices, and the finger and its contact over time.
+
+Events are texts, a time in seconds and what happens then::
+
+    2.0 lift            the finger leaves all electrodes
+    3.0 touch           and is back
+    0 force 0.6         it presses with 0.6 N while it touches
+    0 drift 12 4 60     electrode 12's impedance goes to 4 times the healthy one in 60 s
+    5 peel 7 0.3        electrode 7 keeps 0.3 of its contact area
+    5 open 7            electrode 7 is cut off
+    5 short 7           electrode 7 has a few ohm to the tissue
+    5 heal 7            electrode 7 is as it was
+    6 emergency         the emergency switch is opened, by this finger's other hand
+    7 release           and closed
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from smarttouch.base.errors import BoardError, SmartTouchError
+from smarttouch.emulator.skin import SkinCircuit
+
+
+@dataclass(frozen=True)
+class DeviceEvent:
+    """One event of an emulated device."""
+
+    time_s: float
+    kind: str
+    electrode: int = 0
+    values: tuple[float, ...] = ()
+
+
+def parse(text: str, forms: Mapping[str, str], error: type[SmartTouchError]) -> DeviceEvent:
+    """Return the event of a text. ``forms`` maps each kind to the names of its numbers:
+    ``ELECTRODE`` comes first, one in brackets may be left out. Where the text cannot be understood,
+    ``error`` is raised."""
+    words = text.split()
+    kind = next((each for each in forms if words[1:2] == [each]), None)
+    if kind is None:
+        what = f" is none: write a time in s and one of {', '.join(forms)}"
+        raise bad_event(error, text, what)
+    form = f"TIME {kind} {forms[kind]}".strip()
+    try:
+        electrode = int(words.pop(2)) if "ELECTRODE" in form else 0
+        time_s, *values = (float(word) for word in (words[0], *words[2:]))
+    except (IndexError, ValueError):
+        what = f" has no number where one belongs: write {form}"
+        raise bad_event(error, text, what) from None
+    names = [name for name in forms[kind].split() if name != "ELECTRODE"]
+    if not len(names) - form.count("[") <= len(values) <= len(names):
+        what = f" has {len(values)} values after its name: write {form}"
+        raise bad_event(error, text, what)
+    if not all(0 <= value < math.inf for value in (time_s, *values)) or electrode < 0:
+        what = " has a number that is negative or not finite"
+        raise bad_event(error, text, what)
+    return DeviceEvent(time_s, kind, electrode, tuple(values))
+
+
+def bad_event(error: type[SmartTouchError], text: str, what: str) -> SmartTouchError:
+    """Return the error of an event's text."""
+    message = f"event {text!r}{what}"
+    return error(message, about="event")
+
+
+FORCE_N = 1.0  # default force: a firm reading pressure, which does not reduce the current
+OPEN_FACTOR = 5e5  # impedance factor of an open electrode: about 1 GΩ
+SHORT_FACTOR = 1e-4  # impedance factor of a shorted electrode: a few ohm to the tissue
+_FINEST = 0.005
+
+FORMS = {
+    "lift": "",
+    "touch": "",
+    "force": "NEWTON",
+    "drift": "ELECTRODE FACTOR SECONDS",
+    "peel": "ELECTRODE AREA",
+    "open": "ELECTRODE",
+    "short": "ELECTRODE",
+    "heal": "ELECTRODE",
+    "emergency": "",
+    "release": "",
+}
+
+
+@dataclass(frozen=True)
+class _Drift:
+    start_s: float
+    factor: float
+    target: float
+    lasts_s: float
+
+    def at(self, now_s: float) -> float:
+        """Return the factor at a time; equal times change it by equal ratios."""
+        share = 1.0
+        if now_s < self.start_s + self.lasts_s:
+            share = max(0.0, now_s - self.start_s) / self.lasts_s
+        return float(self.factor * (self.target / self.factor) ** share)
+
+
+def parse_event(text: str) -> DeviceEvent:
+    event = parse(text, FORMS, BoardError)
+    kind, values = event.kind, event.values
+    if (kind == "drift" and values[0] == 0) or (kind == "peel" and not 0 < values[0] <= 1):
+        limit = "above 0" if kind == "drift" else "above 0 and at most 1"
+        what = f": {values[0]:g} is out of range, it must be {limit}"
+        raise bad_event(BoardError, text, what)
+    return event
+
+
+class EmulatedFinger:
+    """Finger on the electrodes, with the state of each contact; events, see the module, come in any
+    order."""
+
+    def __init__(self, electrodes: int, events: Iterable[str] = ()) -> None:
+        parsed = sorted((parse_event(text) for text in events), key=lambda event: event.time_s)
+        for event in parsed:
+            if event.electrode >= electrodes:
+                raise BoardError(
+                    f"an event is of electrode {event.electrode}, the board has 0 to "
+                    f"{electrodes - 1}",
+                    about="event",
+                )
+        switch = ("emergency", "release")
+        self._due = deque(event for event in parsed if event.kind not in switch)
+        self._switched = [
+            (event.time_s, event.kind == "emergency") for event in parsed if event.kind in switch
+        ]
+        self._touches, self._pressure_n = True, FORCE_N
+        self._drifts: dict[int, _Drift] = {}
+        self._drifted, self._area = np.ones(electrodes), np.ones(electrodes)
+        self._open = np.zeros(electrodes, np.bool_)
+        self._shorted = np.zeros(electrodes, np.bool_)
+
+    @property
+    def force_n(self) -> float:
+        """Current force, 0 when lifted."""
+        return self._pressure_n if self._touches else 0.0
+
+    def opens_switch(self, now_s: float) -> bool:
+        """Return whether the emergency switch is open at a time."""
+        opened = False
+        for time_s, is_open in self._switched:
+            if time_s <= now_s:
+                opened = is_open
+        return opened
+
+    def at(self, now_s: float, skin: SkinCircuit) -> None:
+        """Apply all events to the skin that are due; times must not decrease."""
+        changed = False
+        while self._due and self._due[0].time_s <= now_s:
+            self._happen(self._due.popleft())
+            changed = True
+        for electrode, drift in list(self._drifts.items()):
+            factor = drift.at(now_s)
+            over = now_s >= drift.start_s + drift.lasts_s
+            # The circuit is solved again for each change: in steps too small to matter.
+            if over or abs(math.log(factor / self._drifted[electrode])) > _FINEST:
+                self._drifted[electrode] = factor
+                changed = True
+            if over:
+                del self._drifts[electrode]
+        if changed:
+            self._apply(skin)
+
+    def _happen(self, event: DeviceEvent) -> None:
+        electrode, values = event.electrode, event.values
+        match event.kind:
+            case "lift" | "touch":
+                self._touches = event.kind == "touch"
+            case "force":
+                self._pressure_n = values[0]
+            case "drift":
+                now = float(self._drifted[electrode])
+                if electrode in self._drifts:
+                    now = self._drifts[electrode].at(event.time_s)
+                self._drifts[electrode] = _Drift(event.time_s, now, *values)
+            case "peel":
+                self._area[electrode] = values[0]
+            case "open":
+                self._open[electrode] = True
+            case "short":
+                self._shorted[electrode] = True
+            case "heal":
+                self._drifts.pop(electrode, None)
+                self._drifted[electrode] = self._area[electrode] = 1.0
+                self._open[electrode] = self._shorted[electrode] = False
+
+    def _apply(self, skin: SkinCircuit) -> None:
+        resistance = self._drifted / self._area
+        capacitance = 1 / resistance
+        resistance[self._shorted] = SHORT_FACTOR
+        cut = self._open | (not self._touches)
+        resistance[cut], capacitance[cut] = OPEN_FACTOR, 1 / OPEN_FACTOR
+        skin.scale(resistance, capacitance)

@@ -1,0 +1,243 @@
+"""Base of the firmware of every emulated device, and the log of the current that flowed."""
+
+import json
+from abc import ABC, abstractmethod
+from dataclasses import asdict, dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.emulator.skin import Delivered
+
+STATE_FILE = "state.json"
+DELIVERED_FILE = "delivered.bin"
+SAFE_CURRENT_UA, SAFE_WIDTH_US, SAFE_CHARGE_UC = 5000, 200, 0.5
+"""Limits of a safe slot on any electrode, whatever the firmware allows."""
+SAFE_RECHARGE_UA, SAFE_RECHARGE_US, SAFE_RECHARGE_UC = 500, 20_000, 2.0
+"""Limits of a safe recharge phase."""
+_RECHARGE = 0xFFFF  # slot and site that mark a recharge phase among the records
+_ROUNDING = 1 + 1e-6
+_FLOWS_UA = 0.5
+
+
+@dataclass
+class DeliveryLog:
+    """Counters, maxima and state; with a folder they are kept on disk as well."""
+
+    electrodes: int
+    folder: Path | None = None
+    sequences: int = 0
+    slots: int = 0
+    pulses: int = 0
+    violations: int = 0  # number of sequences that the firmware refused
+    unsafe: int = 0  # number of delivered pulses above a safe value, one for each pulse of a slot
+    framing_errors: int = 0
+    old_packets: int = 0  # refused by a link board
+    foreign_packets: int = 0  # as `old_packets`, but of another session
+    max_current_ma: float = 0.0
+    max_charge_uc: float = 0.0
+    max_net_charge_uc: float = 0.0  # largest charge that was left on an electrode after a slot
+    max_volts: float = 0.0  # largest voltage of a source between its poles
+    recharges: int = 0  # recharge phases; not counted in slots, pulses or maxima
+    passed_uc: NDArray[np.float64] = field(init=False)
+    """Net charge that sources have driven through each electrode, (E,), positive cathodic:
+    pulses and recharge phases, without what flows back while all electrodes are shorted."""
+    state: str = "shorted"
+    reason: str = "start"
+    zero_after_ms: float = 0.0  # from the host's last sign of life to the last cut-off
+    stood_still_ms: float = 0.0  # for which the board's clock stood still with its process
+    _delivered: bytearray = field(default_factory=bytearray, repr=False)
+
+    def __post_init__(self) -> None:
+        self.passed_uc = np.zeros(self.electrodes)
+
+    def enter(
+        self,
+        number: int,
+        slot: int,
+        site: int,
+        delivered: Delivered,
+        width_us: float,
+        residual_uc: NDArray[np.float64],
+        time_us: float,
+        *,
+        more: bool = False,
+    ) -> None:
+        """Record one pulse of a slot, with the charge left on each electrode, (E,), after the
+        slot's discharge and its start by the board's clock; ``more`` if another pulse of the slot
+        follows."""
+        magnitude_ua = np.abs(delivered.current_ua)
+        peak_ua = float(magnitude_ua.max(initial=0))
+        charge_uc = peak_ua * width_us * 1e-6
+        self.slots += not more
+        self.pulses += int(np.count_nonzero(magnitude_ua >= _FLOWS_UA))
+        self.unsafe += (
+            peak_ua > SAFE_CURRENT_UA * _ROUNDING
+            or charge_uc > SAFE_CHARGE_UC * _ROUNDING
+            or (width_us > SAFE_WIDTH_US * _ROUNDING and peak_ua >= _FLOWS_UA)
+        )
+        self.max_current_ma = max(self.max_current_ma, peak_ua / 1000)
+        self.max_charge_uc = max(self.max_charge_uc, charge_uc)
+        self.max_volts = max(self.max_volts, delivered.source_v)
+        self.keep(number, width_us, delivered.current_ua)
+        self._record((number, slot, site, time_us), delivered, residual_uc, more)
+
+    def enter_recharge(
+        self,
+        number: int,
+        delivered: Delivered,
+        width_us: float,
+        residual_uc: NDArray[np.float64],
+        time_us: float,
+    ) -> None:
+        """Record a recharge phase, or the part of it before it was cut off."""
+        peak_ua = float(np.abs(delivered.current_ua).max(initial=0))
+        self.recharges += 1
+        self.unsafe += (
+            peak_ua > SAFE_RECHARGE_UA * _ROUNDING
+            or width_us > SAFE_RECHARGE_US
+            or peak_ua * width_us * 1e-6 > SAFE_RECHARGE_UC * _ROUNDING
+        )
+        self._record((number, _RECHARGE, _RECHARGE, time_us), delivered, residual_uc)
+
+    def _record(
+        self,
+        head: tuple[int, int, int, float],
+        delivered: Delivered,
+        residual_uc: NDArray[np.float64],
+        more: bool = False,
+    ) -> None:
+        """Add up charge, and add a record for the file."""
+        charge_uc = delivered.charge_pc * 1e-6
+        self.passed_uc += charge_uc
+        if not more:
+            left_uc = float(np.abs(residual_uc).max(initial=0))
+            self.max_net_charge_uc = max(self.max_net_charge_uc, left_uc)
+        if self.folder is not None:
+            record = (*head, np.rint(delivered.current_ua), charge_uc, delivered.volts, residual_uc)
+            self._delivered += np.array([record], _record(self.electrodes)).tobytes()
+
+    def keep(self, number: int, width_us: float, current_ua: NDArray[np.float64]) -> None:
+        """Take a pulse; for subclasses."""
+
+    def write(self) -> None:
+        if self.folder is None:
+            return
+        with (self.folder / DELIVERED_FILE).open("ab") as file:
+            file.write(self._delivered)
+        self._delivered.clear()
+        account = asdict(self)
+        account["folder"], account["passed_uc"] = None, self.passed_uc.tolist()
+        del account["_delivered"]
+        temporary = self.folder / (STATE_FILE + ".new")
+        temporary.write_text(json.dumps(account), encoding="utf-8")
+        temporary.replace(self.folder / STATE_FILE)
+
+
+def read_state(folder: Path) -> dict[str, object]:
+    """Return the last state that an emulator wrote."""
+    state: dict[str, object] = json.loads((folder / STATE_FILE).read_text(encoding="utf-8"))
+    return state
+
+
+def read_slots(folder: Path) -> NDArray[Any]:
+    """Return every pulse of a slot that an emulator delivered, a structured array (N,).
+
+    Its fields are ``number``, ``slot``, ``site``, ``time_us``, and per electrode (E,)
+    ``current_ua`` (mean over the pulse), ``charge_uc`` of the pulse, ``volts`` (against the tissue
+    at its end) and ``residual_uc`` (charge left after the discharge), all positive cathodic.
+    """
+    return _records(folder, recharges=False)
+
+
+def read_recharges(folder: Path) -> NDArray[Any]:
+    """Return every recharge phase an emulator delivered, as `read_slots` does; (N,)."""
+    return _records(folder, recharges=True)
+
+
+def _records(folder: Path, recharges: bool) -> NDArray[Any]:
+    kind = _record(int(str(read_state(folder)["electrodes"])))
+    data = (folder / DELIVERED_FILE).read_bytes()
+    records = np.frombuffer(data[: len(data) // kind.itemsize * kind.itemsize], kind)
+    return np.asarray(records[(records["slot"] == _RECHARGE) == recharges])
+
+
+def read_delivered(
+    folder: Path,
+) -> tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.int16]]:
+    """Return every pulse an emulator delivered: sequence number (N,), width (N,) µs and current (N,
+    E) int16 µA, positive cathodic and clipped."""
+    table = read_slots(folder)
+    limit = np.iinfo(np.int16)
+    current = np.clip(table["current_ua"], limit.min, limit.max).astype(np.int16)
+    peak_pc = 1e6 * np.abs(table["charge_uc"]).max(axis=1, initial=0)
+    peak_ua = np.abs(table["current_ua"]).max(axis=1, initial=0)
+    return table["number"], (peak_pc / np.maximum(peak_ua, 1)).astype(np.float32), current
+
+
+@cache
+def _record(electrodes: int) -> np.dtype[np.void]:
+    each = (electrodes,)
+    return np.dtype(
+        [
+            ("number", "<u4"),
+            ("slot", "<u2"),
+            ("site", "<u2"),
+            ("time_us", "<i8"),
+            ("current_ua", "<i4", each),
+            ("charge_uc", "<f4", each),
+            ("volts", "<f2", each),
+            ("residual_uc", "<f2", each),
+        ]
+    )
+
+
+class FirmwareClock(Protocol):
+    """The device's time."""
+
+    def now_ns(self) -> int: ...
+
+
+class Firmware(ABC):
+    """A device between its line and what it touches; it has no clock of its own."""
+
+    books: DeliveryLog | None = None
+    longest_step_ns = 10_000_000  # a process kept waiting for longer stops the device's time
+    backlog = 65536  # as soon as so many bytes wait for the host, messages are dropped
+    wrong: frozenset[str] = frozenset()  # faults at this time, other than those of the line
+
+    @property
+    def busy(self) -> bool:
+        """Whether something is due soon."""
+        return False
+
+    def wait_s(self, clock: FirmwareClock) -> float:
+        """Return how long to wait for bytes from the host, s."""
+        return 0.001 if self.busy else 0.004
+
+    def feed(self, data: bytes, now_ns: int) -> bytes:
+        """Process bytes from the host; return the answer."""
+        return self.advance(now_ns)
+
+    @abstractmethod
+    def advance(self, now_ns: int) -> bytes:
+        """Execute all that is due; return what there is to send."""
+
+    def idle(self, now_ns: int) -> None:
+        """Let time pass without a line; what would be sent is lost."""
+        self.advance(now_ns)
+
+    def hang_up(self, now_ns: int) -> None:
+        """Handle that the host has closed the line, which a device need not notice."""
+        self.idle(now_ns)
+
+    # Not abstract: sensors carry no current and leave it out.
+    def zero(self, reason: str, now_ns: int) -> None:  # noqa: B027, may be left out
+        """Lose power; sensors do nothing."""
+
+    def take_order(self, words: list[str]) -> bool:
+        """Execute a line of input; return whether it was an order."""
+        return False

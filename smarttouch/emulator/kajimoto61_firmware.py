@@ -1,0 +1,195 @@
+"""Emulated firmware of the 61-electrode ESP32 kit, exact in bytes, with its faults.
+
+It waits for ever for the rest of a short packet, checks nothing, and its readings wrap. From
+power-on until the first STIMULATE, which it executes, it tests its source without driving an
+electrode; a MEASURE is answered meanwhile. The test's last value stays in the converter until the
+end of the first pulse or MEASURE, also after a packet of zeros: the electrode that pulses first is
+connected to it until its own value has been loaded.
+"""
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from smarttouch.emulator.finger_events import EmulatedFinger
+from smarttouch.emulator.firmware import DeliveryLog, Firmware
+from smarttouch.emulator.kit_hardware import SingleSource
+from smarttouch.emulator.skin import COMPLIANCE_V
+
+ELECTRODES = 61
+STIMULATE, MEASURE = 0xFF, 0xFE
+PACKET = 1 + ELECTRODES
+LARGEST = 200
+UA_PER_STEP = 16 * 10_000 / 4096  # a step is 16 DAC counts; 4096 are nominally 10 mA
+WIDTH_US, GROUNDED_US, SWITCHING_US = 50, 150, 8
+TEST_UA, LOADING_US = 898 * 10_000 / 4096, 3  # left by the self-test, as observed; time to load
+MEASURE_UA, MEASURE_US = 2500, 25
+MEASURE_NS, WIRE_NS = 1_400_000, 670_000  # from a MEASURE to its reply; that on the wire
+BUFFER = 384  # bytes kept during a scan: 128 of the chip, 256 of its driver. An estimate.
+
+
+@dataclass
+class _Scan:
+    """Scan of one electrode after another, each with its current in µA, positive cathodic."""
+
+    number: int
+    pulses: list[tuple[int, float]]
+    start_ns: int
+    measures: bool = False
+    readings: list[int] = field(default_factory=list)
+
+    @property
+    def slot_ns(self) -> int:
+        if self.measures:
+            return MEASURE_US * 1000
+        return (WIDTH_US + GROUNDED_US + SWITCHING_US) * 1000
+
+    @property
+    def end_ns(self) -> int:
+        return self.start_ns + len(self.pulses) * self.slot_ns
+
+
+class Kajimoto61Firmware(Firmware):
+    """The kit between its serial line and its electrodes."""
+
+    books: DeliveryLog
+
+    def __init__(
+        self,
+        books: DeliveryLog,
+        finger: EmulatedFinger | None = None,
+        compliance_v: float = COMPLIANCE_V,
+    ) -> None:
+        self.books = books
+        books.state, self._testing = "self-test", True
+        self._source = SingleSource(books, finger, compliance_v)
+        self._received = bytearray()
+        self._fed_ns = self._free_ns = 0
+        self._scan: _Scan | None = None
+        self._replies: deque[tuple[int, bytes]] = deque()
+        self._commands = 0
+        self._loaded_ua = TEST_UA
+
+    @property
+    def busy(self) -> bool:
+        return self._scan is not None or bool(self._replies)
+
+    def feed(self, data: bytes, now_ns: int) -> bytes:
+        self._run(now_ns)
+        self._fed_ns = now_ns
+        self._received += data
+        self._run(now_ns)
+        # Whole packets wait only while a scan runs; what exceeds the buffer is lost.
+        del self._received[BUFFER:]
+        return self._take_replies(now_ns)
+
+    def advance(self, now_ns: int) -> bytes:
+        self._run(now_ns)
+        return self._take_replies(now_ns)
+
+    def zero(self, reason: str, now_ns: int) -> None:
+        """Drop everything that waits, as at a loss of power."""
+        self._scan = None
+        self._received.clear()
+        self._replies.clear()
+        self.books.state, self.books.reason = "shorted", reason
+        self.books.zero_after_ms = (now_ns - self._fed_ns) / 1e6
+
+    def _take_replies(self, now_ns: int) -> bytes:
+        taken = b""
+        while self._replies and self._replies[0][0] <= now_ns:
+            taken += self._replies.popleft()[1]
+        return taken
+
+    def _run(self, now_ns: int) -> None:
+        while True:
+            if self._scan is not None:
+                self._execute(self._scan, now_ns)
+                if self._scan is not None:
+                    return
+            command = self._next_command()
+            if command is None:
+                return
+            start_ns = max(self._free_ns, self._fed_ns)
+            if command[0] == STIMULATE:
+                self._stimulate(command[1:], start_ns)
+            else:
+                pulses = [(electrode, -float(MEASURE_UA)) for electrode in range(ELECTRODES)]
+                self._begin(pulses, start_ns, measures=True)
+
+    def _next_command(self) -> bytes | None:
+        received = self._received
+        skipped = 0
+        while skipped < len(received) and received[skipped] not in (STIMULATE, MEASURE):
+            skipped += 1
+        del received[:skipped]
+        length = PACKET if received[:1] == bytes([STIMULATE]) else 1
+        if len(received) < length:
+            return None
+        command = bytes(received[:length])
+        del received[:length]
+        return command
+
+    def _stimulate(self, intensities: bytes, start_ns: int) -> None:
+        self._testing = False
+        pulses = [
+            (electrode, -UA_PER_STEP * value)
+            for electrode, value in enumerate(intensities)
+            if 0 < value <= LARGEST
+        ]
+        self._begin(pulses, start_ns)
+
+    def _begin(
+        self, pulses: list[tuple[int, float]], start_ns: int, measures: bool = False
+    ) -> None:
+        self._commands += 1
+        self._scan = _Scan(self._commands, pulses, start_ns, measures)
+        if pulses:
+            self.books.state = "driving"
+
+    def _execute(self, scan: _Scan, now_ns: int) -> None:
+        while (done := len(scan.readings)) < len(scan.pulses):
+            start_ns = scan.start_ns + done * scan.slot_ns
+            if start_ns > now_ns:
+                return
+            electrode, current_ua = scan.pulses[done]
+            if self._loaded_ua and not scan.measures:
+                start_ns += self._connect_early(scan, electrode, start_ns)
+            self._loaded_ua = 0.0
+            reading = self._source.pulse(
+                scan.number,
+                electrode,
+                current_ua,
+                MEASURE_US if scan.measures else WIDTH_US,
+                start_ns,
+                among=ELECTRODES,
+                rest_us=0 if scan.measures else GROUNDED_US + SWITCHING_US,
+                slot=done,
+            )
+            scan.readings.append(reading)
+        if scan.end_ns > now_ns:
+            return
+        self._scan, self._free_ns = None, scan.end_ns
+        self.books.state, self.books.reason = ("self-test" if self._testing else "shorted"), "end"
+        if self._testing:
+            self._loaded_ua = TEST_UA
+        if scan.measures:
+            wrapped = bytes(min(254, (reading >> 2) % 256) for reading in scan.readings)
+            ready_ns = scan.start_ns + MEASURE_NS + WIRE_NS
+            self._replies.append((ready_ns, wrapped + bytes([0xFF])))
+        else:
+            self.books.sequences += 1
+
+    def _connect_early(self, scan: _Scan, electrode: int, start_ns: int) -> int:
+        """Deliver what the converter still holds; return its duration, ns."""
+        self._source.pulse(
+            scan.number,
+            electrode,
+            -self._loaded_ua,
+            LOADING_US,
+            start_ns,
+            among=ELECTRODES,
+            rest_us=0,
+            grounded=False,
+            more=True,
+        )
+        return 1000 * LOADING_US

@@ -1,0 +1,469 @@
+"""Emulated firmware of the ``link`` board: a state machine with no clock of its own.
+
+It checks every sequence again, by its own rules and in its own code: a host
+that proves its sequences safe must not be the only one who looks.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.wire.framing import Deframer
+from smarttouch.boards.link import protocol as protocol
+from smarttouch.boards.link.protocol import (
+    SILENCE_MS,
+    SWITCH_OPEN,
+    WHOLE_HEAD_BYTES,
+    Feature,
+    Message,
+    MessageKind,
+    Output,
+    Refusal,
+    Rule,
+    WireSequence,
+    decode,
+    encode_volts,
+)
+from smarttouch.emulator.finger_events import EmulatedFinger
+from smarttouch.emulator.firmware import DeliveryLog, Firmware
+from smarttouch.emulator.link_packets import BoardSession, KernelStore, decode_lists
+from smarttouch.emulator.link_rules import (
+    MAX_CURRENT_UA,
+    MAX_SLOTS,
+    BrokenRule,
+    Load,
+    SessionLimits,
+    complaint,
+)
+from smarttouch.emulator.rules_over_time import RAMP_MS, LastSecond, Ramp
+from smarttouch.emulator.skin import COMPLIANCE_V, SkinCircuit
+
+NAME = "SmartTouch board emulator 1"
+PACKET_BYTES = 1 << 20
+KERNEL_BYTES = 1 << 23
+MOST_KERNELS = 4096
+
+
+@dataclass
+class _Table:
+    """Sequence that executes, or waits to."""
+
+    number: int
+    sequence: WireSequence
+    load: Load | None
+    """Of a pass; None without slots."""
+    left: int
+    """Number of remaining scans, with the current one."""
+    start_ns: int = 0
+    starts_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    end_ns: int = 0
+    done: int = 0
+    volts: list[float] = field(default_factory=list)
+    recharge_ns: int | None = None
+    """Start of its recharge phase, until that has been recorded."""
+
+    @property
+    def over_ns(self) -> int:
+        """End of the last slot or recharge phase of the pass at hand."""
+        sequence = self.sequence
+        busy_us = int(
+            sequence.width_us.sum(dtype=np.int64) + sequence.discharge_us.sum(dtype=np.int64)
+        )
+        return self.start_ns + 1000 * (busy_us + sequence.recharge_us)
+
+    def begin(self, start_ns: int) -> None:
+        sequence = self.sequence
+        lengths = sequence.width_us.astype(np.int64) + sequence.discharge_us
+        self.start_ns, self.done = start_ns, 0
+        self.starts_ns = start_ns + 1000 * (np.cumsum(lengths) - lengths)
+        self.end_ns = start_ns + 1000 * sequence.period_us
+        recharges = sequence.recharge_ua is not None
+        self.recharge_ns = start_ns + 1000 * int(lengths.sum()) if recharges else None
+        self.volts.clear()
+
+
+class LinkFirmware(Firmware):
+    """The board between its serial line and its electrodes.
+
+    Parameters
+    ----------
+    electrodes : int
+        Number of outputs.
+    output : str
+        Kind of the outputs.
+    books : DeliveryLog
+        Delivery log.
+    finger : EmulatedFinger, optional
+        Events of the skin while it runs.
+    compliance_v : float, V
+        The most its sources can give.
+    session : BoardSession, optional
+        Session that filters packets.
+    ramp_ms : int
+        Least time from zero to full intensity; 0 for tests whose time is what they claim.
+    kernel_bytes : int
+        Room for kernels.
+
+    Attributes
+    ----------
+    switch_open : bool
+        Whether somebody holds its emergency switch open.
+    """
+
+    books: DeliveryLog
+
+    def __init__(
+        self,
+        electrodes: int,
+        output: Output,
+        books: DeliveryLog,
+        finger: EmulatedFinger | None = None,
+        compliance_v: float = COMPLIANCE_V,
+        session: BoardSession | None = None,
+        ramp_ms: int = RAMP_MS,
+        kernel_bytes: int = KERNEL_BYTES,
+    ) -> None:
+        self._electrodes, self._output, self.books = electrodes, output, books
+        self._kernel_bytes = kernel_bytes
+        self._keep = KernelStore(electrodes, kernel_bytes, MOST_KERNELS)
+        self._ramp, self._second = Ramp(ramp_ms), LastSecond(electrodes)
+        self._limits: SessionLimits | None = None
+        self.switch_open = False
+        self._skin = SkinCircuit(electrodes, compliance_v=compliance_v)
+        self._finger = finger or EmulatedFinger(electrodes)
+        self._compliance_v = compliance_v
+        self._recharging = Feature.RECHARGE if output == "weighted" else Feature(0)
+        self._deframer = Deframer()
+        self._session = session or BoardSession()
+        self._running: _Table | None = None
+        self._waiting: _Table | None = None
+        self._last = (-1, False)
+        """Number of the last sequence accepted, and whether it has begun."""
+        self._refusing: Refusal | None = Refusal.STOPPED
+        self._heard_ns = 0
+        """Time of the last sign of life."""
+        self._packet_ns = 0
+        """Time of the first byte of the present packet."""
+        self._alive_ns = 0
+        self._greeted = False
+        self._shorted_since_ns = 0
+        self._executed_ns = 0
+        self._answers: list[bytes] = []
+
+    @property
+    def busy(self) -> bool:
+        return self._running is not None
+
+    @property
+    def at_hand(self) -> int:
+        """Number of sequences that execute or wait."""
+        return (self._running is not None) + (self._waiting is not None)
+
+    def feed(self, data: bytes, now_ns: int) -> bytes:
+        """Process bytes from the host; return the answer."""
+        self._advance(now_ns)
+        garbled = self._deframer.errors
+        first, zero, rest = data.partition(b"\0")
+        for piece in (first + zero, rest):
+            if not self._deframer.waiting:
+                self._packet_ns = now_ns
+            for packet in self._deframer.feed(piece):
+                self._answer(decode(packet), now_ns)
+        if self._deframer.errors > garbled and self._greeted:
+            self._refuse(0, Refusal.GARBLED)
+        head = self._deframer.head(WHOLE_HEAD_BYTES)
+        if head is not None and self._session.promises(head, self._packet_ns, now_ns):
+            self._heard_ns = now_ns
+        self.books.framing_errors = self._deframer.errors
+        self.books.old_packets = self._session.old
+        self.books.foreign_packets = self._session.foreign
+        return self._take_answers()
+
+    def advance(self, now_ns: int) -> bytes:
+        """Execute all that is due, stop if the host is silent; return the answer."""
+        self._advance(now_ns)
+        return self._take_answers()
+
+    def _take_answers(self) -> bytes:
+        answers = b"".join(self._answers)
+        self._answers.clear()
+        return answers
+
+    def _advance(self, now_ns: int) -> None:
+        opened = self.switch_open or self._finger.opens_switch(now_ns / 1e9)
+        self._session.state = SWITCH_OPEN * opened
+        if opened and self._refusing is None:
+            running = self._running
+            recharge_ns = None if running is None else running.recharge_ns
+            if recharge_ns is not None and recharge_ns <= self._executed_ns:
+                # Nothing that was due since then begins, but this phase has gone on until now.
+                self._executed_ns = now_ns
+            self.zero("emergency", now_ns)
+            self._refuse(0, Refusal.EMERGENCY)
+            self._end(Refusal.EMERGENCY)
+        deadline_ns = self._heard_ns + SILENCE_MS * 1_000_000
+        self._execute(min(now_ns, deadline_ns))
+        if now_ns >= deadline_ns and self._refusing is None:
+            dropped = self._waiting
+            self.zero("silence", now_ns)
+            self._end(Refusal.SILENCE)
+            if dropped is not None:
+                self._refuse(dropped.number, Refusal.SILENCE)
+        if self._greeted and now_ns - self._alive_ns >= protocol.ALIVE_MS * 1_000_000:
+            self._alive_ns = now_ns
+            self._finger.at(now_ns / 1e9, self._skin)
+            force_mn = min(32767, round(1000 * self._finger.force_n))
+            alive = self._session.encode_alive(protocol.ALIVE.pack(force_mn), now_ns)
+            self._answers.append(alive)
+
+    def hang_up(self, now_ns: int) -> None:
+        """End the session, as the host has closed the line."""
+        self._advance(now_ns)
+        self._answers.clear()
+        if self._refusing is not Refusal.STOPPED:
+            self.zero("host closed", now_ns)
+        self._end(Refusal.STOPPED)
+        self._greeted = False
+
+    def _end(self, refusing: Refusal) -> None:
+        self._refusing, self._session.live = refusing, False
+
+    def zero(self, reason: str, now_ns: int) -> None:
+        """Drop everything that waits and short all electrodes."""
+        if self._running is not None:
+            self._recharge(self._running, self._executed_ns)
+            self._second.end(min(now_ns, self._running.over_ns) // 1000)
+        self._running = self._waiting = None
+        self.books.state, self.books.reason = "shorted", reason
+        self.books.zero_after_ms = (now_ns - self._heard_ns) / 1e6
+
+    def _execute(self, until_ns: int) -> None:
+        self._executed_ns = until_ns
+        while (table := self._running) is not None:
+            due = int(np.searchsorted(table.starts_ns, until_ns, side="right"))
+            for slot in range(table.done, due):
+                self._deliver(table, slot)
+            table.done = max(table.done, due)
+            if until_ns < table.end_ns:
+                return
+            self._recharge(table, until_ns)
+            self._end_scan(table)
+
+    def _end_scan(self, table: _Table) -> None:
+        if table.sequence.measure:
+            volts = encode_volts(np.array(table.volts))
+            self._say(MessageKind.VOLTAGES, table.number, volts)
+        table.left -= 1
+        self._second.end(table.over_ns // 1000)
+        if table.left and self._waiting is None:
+            self._begin_pass(table, table.end_ns)
+            return
+        self.books.sequences += 1
+        self._running, waiting = None, self._waiting
+        self._waiting = None
+        if waiting is None:
+            self.books.state, self.books.reason = "shorted", "end"
+        else:
+            self._begin(waiting, table.end_ns)
+
+    def _begin_pass(self, table: _Table, start_ns: int) -> None:
+        table.begin(start_ns)
+        self._second.begin(start_ns // 1000, table.sequence.period_us, table.load)
+
+    def _begin(self, table: _Table, start_ns: int) -> None:
+        self._begin_pass(table, start_ns)
+        self._running = table
+        self._last = (table.number, True)
+        self._say(MessageKind.ACK, table.number)
+
+    def _deliver(self, table: _Table, slot: int) -> None:
+        sequence, start_ns = table.sequence, int(table.starts_ns[slot])
+        self._finger.at(start_ns / 1e9, self._skin)
+        self._skin.short(max(0, start_ns - self._shorted_since_ns) / 1000)
+        width, discharge = int(sequence.width_us[slot]), int(sequence.discharge_us[slot])
+        if sequence.current_ua is not None:
+            delivered = self._skin.pulse(sequence.current_ua[slot].astype(np.float64), width)
+        else:
+            assert sequence.state is not None
+            assert sequence.source_ua is not None
+            delivered = self._skin.switched_pulse(
+                sequence.state[slot], float(sequence.source_ua[slot]), width
+            )
+        self._skin.short(discharge)
+        self._shorted_since_ns = start_ns + (width + discharge) * 1000
+        table.volts.append(delivered.source_v)
+        self.books.state = "driving"
+        self.books.enter(
+            table.number, slot, int(sequence.site[slot]), delivered, width,
+            self._skin.residual_uc, start_ns // 1000,
+        )  # fmt: skip
+
+    def _recharge(self, table: _Table, until_ns: int) -> None:
+        """Execute the recharge phase, or the part of it before it was cut off."""
+        sequence, start_ns = table.sequence, table.recharge_ns
+        if sequence.recharge_ua is None or start_ns is None or until_ns <= start_ns:
+            return
+        table.recharge_ns = None
+        width_us = min(sequence.recharge_us, (until_ns - start_ns) / 1000)
+        self._skin.short(max(0, start_ns - self._shorted_since_ns) / 1000)
+        delivered = self._skin.pulse(sequence.recharge_ua.astype(np.float64), width_us)
+        # Nothing else comes before the end of the scan, also where it is cut off.
+        self._skin.short((table.end_ns - start_ns) / 1000 - width_us)
+        self._shorted_since_ns = table.end_ns
+        residual_uc, time_us = self._skin.residual_uc, start_ns // 1000
+        self.books.enter_recharge(table.number, delivered, width_us, residual_uc, time_us)
+
+    def _answer(self, message: Message, now_ns: int) -> None:
+        if message.kind == MessageKind.HELLO:
+            if offer := self._session.offer(message, self._capabilities()):
+                self._answers.append(offer)
+            else:
+                self._turn_away(Refusal.FOREIGN)
+            return None
+        if (
+            message.kind == MessageKind.BEGIN
+            and self._session.state
+            and self._session.would_begin(message)
+        ):
+            self._answers.append(self._session.refuse_begin(message))
+            return None
+        if message.kind == MessageKind.BEGIN and self._session.begin(message):
+            # A new host starts from zero, whatever the one before left.
+            if self._running is not None:
+                self.zero("begin", now_ns)
+            self._refusing, self._last, self._greeted = None, (-1, False), True
+            self._limits = None
+            self._ramp.restart(0)
+            self._second.begin_session()
+        elif refusal := self._session.take(message, self._packet_ns):
+            return self._turn_away(refusal)
+        self._heard_ns = now_ns
+        if message.kind == MessageKind.BEGIN:
+            if self._refusing is None:
+                self._say(MessageKind.BEGUN, message.number)
+        elif message.kind == MessageKind.SEQUENCE:
+            self._accept(message, now_ns)
+        elif message.kind == MessageKind.STOP:
+            self._end(Refusal.STOPPED)
+            self.zero("stop", now_ns)
+            self._say(MessageKind.STOPPED, message.number)
+        elif message.kind == MessageKind.STATUS:
+            self._say(MessageKind.REPORT, message.number, self._report())
+        elif message.kind == MessageKind.LIMITS:
+            if self._limits is None:
+                limits = SessionLimits.of(message.payload, self._electrodes, self._output)
+                self._limits = limits
+                self._ramp.restart(0 if limits is None else limits.ramp_ms)
+            self._say(MessageKind.LIMITED, message.number, bytes([self._limits is not None]))
+        elif message.kind == MessageKind.KERNELS:
+            self._take_kernels(message)
+        return None
+
+    def _take_kernels(self, message: Message) -> None:
+        size, keep = protocol.KERNELS.size, self._keep
+        # What a sequence is made of stays as it is until that is over.
+        if len(message.payload) >= size and not self.at_hand and self._refusing is None:
+            identity, whole_size, offset = protocol.KERNELS.unpack_from(message.payload)
+            keep.take(identity, whole_size, offset, message.payload[size:])
+        whole, proof = keep.weights is not None, keep.proof(self._session.number)
+        kept = protocol.KEPT.pack(keep.identity, keep.received, whole, proof)
+        self._say(MessageKind.KEPT, message.number, kept)
+
+    def _accept(self, message: Message, now_ns: int) -> None:
+        number = message.about
+        if self._refusing is not None:
+            opened = bool(self._session.state & SWITCH_OPEN)
+            return self._refuse(number, Refusal.EMERGENCY if opened else self._refusing)
+        if number == self._last[0]:
+            if self._last[1]:
+                self._say(MessageKind.ACK, number)
+            return None
+        if number < self._last[0]:
+            self._session.old += 1
+            return self._turn_away(Refusal.OLD)
+        if self._waiting is not None:
+            return self._refuse(number, Refusal.BUSY)
+        table = self._judged(number, message.payload, now_ns)
+        if table is None:
+            self.books.violations += 1
+            return None
+        self._last = (number, False)
+        if self._running is None:
+            self._begin(table, now_ns)
+        else:
+            self._waiting = table
+        return self._execute(now_ns)
+
+    def _judged(self, number: int, payload: bytes, now_ns: int) -> _Table | None:
+        """Return what a payload asks for, or refuse it."""
+        try:
+            lists = decode_lists(payload, self._electrodes, self._output != "weighted")
+        except ValueError:
+            self._refuse(number, Refusal.MALFORMED)
+            return None
+        sequence, load = lists.sequence, None
+        start_ns = now_ns if self._running is None else max(now_ns, self._running.end_ns)
+        # Time that stood still with this process has passed on the skin.
+        rise_us = start_ns // 1000 + round(1000 * self.books.stood_still_ms)
+        if self._limits is None:
+            found: BrokenRule | None = BrokenRule(Rule.LIMITS)
+        else:
+            found, load = complaint(
+                lists, self._limits, self._keep, self._output, self._second.net_pc
+            )
+            allowed = self._ramp.allowed(rise_us)
+            strength = self._limits.strength(lists.intensity, load.peak_pc)
+            if found is None and strength > allowed:
+                found = BrokenRule(Rule.RISE, value=strength, allowed=allowed)
+            found = found or self._second.complaint(
+                start_ns // 1000, sequence.period_us, sequence.times,
+                load if lists.slots else None, self._limits,
+            )  # fmt: skip
+        if found is not None:
+            self._say(MessageKind.NAK, number, protocol.NAK.pack(Refusal.UNSAFE, *found))
+            return None
+        assert load is not None
+        span_us = sequence.times * sequence.period_us if load.peak_pc else 0
+        self._ramp.note(lists.intensity, strength, rise_us, span_us)
+        return _Table(number, sequence, load if lists.slots else None, sequence.times)
+
+    def _turn_away(self, reason: Refusal) -> None:
+        if self._session.live:
+            self._refuse(0, reason)
+
+    def _refuse(self, number: int, reason: Refusal) -> None:
+        self._say(MessageKind.NAK, number, protocol.NAK.pack(reason, *BrokenRule(Rule.NONE)))
+
+    def _say(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> None:
+        self._answers.append(self._session.encode(kind, about, payload))
+
+    def _capabilities(self) -> bytes:
+        able = Feature.VOLTAGE | Feature.FORCE | self._recharging
+        able |= Feature.KERNELS | Feature.EMERGENCY
+        return (
+            protocol.CAPABILITIES.pack(
+                self._electrodes, protocol.OUTPUTS.index(self._output), able, MAX_CURRENT_UA,
+                MAX_SLOTS, protocol.SILENCE_MS, round(self._compliance_v),
+            )
+            + protocol.KEEPING.pack(self._kernel_bytes, PACKET_BYTES, MOST_KERNELS)
+            + NAME.encode()
+        )  # fmt: skip
+
+    def account(self) -> tuple[int, int, int, int, float, float, float, int]:
+        """Return the counts of delivered and refused packets, as in `BoardReport`."""
+        books = self.books
+        return (
+            books.sequences, books.slots, books.pulses, books.violations, books.max_current_ma,
+            books.max_charge_uc, books.max_net_charge_uc, self._session.old + self._session.foreign,
+        )  # fmt: skip
+
+    def _report(self) -> bytes:
+        books, second = self.books, self._second
+        return protocol.REPORT.pack(
+            books.sequences, books.slots, books.pulses, books.violations,
+            round(1000 * books.max_current_ma), round(1e6 * books.max_charge_uc),
+            round(1e6 * books.max_net_charge_uc), self.at_hand, self._session.old,
+            self._session.foreign, second.most_net_pc, -(-second.session_us // 10**6),
+            -(-int(second.session_pc.max()) // 10**6),
+        )  # fmt: skip

@@ -1,0 +1,320 @@
+"""Packets of ``link`` as an emulated board reads them: sessions, kernels and sequences.
+
+Like its rules, written independently of the host, so that it checks what the host computes.
+"""
+
+import hashlib
+import struct
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.boards.link.protocol import (
+    ALIVE_MS,
+    HALF,
+    LATE_MS,
+    LONGEST_PACKET_MS,
+    NAK,
+    NOTHING,
+    VERSION,
+    Message,
+    MessageKind,
+    Refusal,
+    Rule,
+    WireSequence,
+    decode_head,
+    draw_half,
+    encode,
+    unpack_states,
+)
+
+MOST_HOSTS = 8  # number of hosts with separate HELLO records
+_MS = 1_000_000
+
+
+class BoardSession:
+    """The latest session, and the challenge for the next; ``draw`` returns 32 random bits, not all
+    0, new ones each time."""
+
+    def __init__(self, draw: Callable[[], int] = draw_half) -> None:
+        self.state = 0  # of the board, in each of its packets
+        # Of the session, 0 before the first; packets refused as old and as of another session.
+        self.number = self.old = self.foreign = 0
+        self.live = False  # whether its host is there; what ends it sets this to False
+        self._draw = draw
+        self._challenge = draw()
+        self._taken = self._said = 0
+        self._alive: deque[tuple[int, int]] = deque(maxlen=2 + LATE_MS // ALIVE_MS)
+        """Time in ns and number of each of the last ALIVE packets."""
+        self._hellos: dict[int, tuple[int, int]] = {}  # last number and count, by the host's half
+
+    def encode(self, kind: MessageKind, about: int = 0, payload: bytes = b"") -> bytes:
+        """Return the board's next packet of the session."""
+        self._said += 1
+        return encode(kind, self.number, self._said, self._taken, about, payload, self.state)
+
+    def encode_alive(self, payload: bytes, now_ns: int) -> bytes:
+        """Return the next ALIVE; its echo dates what the host has received."""
+        packet = self.encode(MessageKind.ALIVE, 0, payload)
+        self._alive.append((now_ns, self._said))
+        return packet
+
+    def offer(self, hello: Message, capabilities: bytes) -> bytes | None:
+        """Return the answer to HELLO; None if it is refused."""
+        half = hello.session & HALF
+        if self.live:
+            self.foreign += 1
+            return None
+        if hello.version == VERSION:
+            last, count = self._hellos.get(half, (0, 0))
+            if hello.number <= last:
+                self.old += 1
+                return None
+            if not last and len(self._hellos) == MOST_HOSTS:
+                self._count_strangers()
+            self._hellos[half] = hello.number, count + 1
+        session = self._challenge << 32 | half
+        return encode(
+            MessageKind.CAPABILITIES, session, 0, 0, hello.number, capabilities, self.state
+        )
+
+    def would_begin(self, begin: Message) -> bool:
+        """Return whether a BEGIN may open a session."""
+        fits = begin.session >> 32 == self._challenge and bool(begin.session & HALF)
+        return not self.live and fits and begin.version == VERSION
+
+    def refuse_begin(self, begin: Message) -> bytes:
+        """Return the answer to a BEGIN while the emergency switch is open; nothing changes."""
+        payload = NAK.pack(Refusal.EMERGENCY, Rule.NONE, NOTHING, NOTHING, 0, 0)
+        return encode(MessageKind.NAK, begin.session, 0, 0, begin.number, payload, self.state)
+
+    def begin(self, begin: Message) -> bool:
+        """Return whether a BEGIN opens a session, and open it."""
+        if not self.would_begin(begin):
+            return False
+        half = begin.session & HALF
+        self._hellos.pop(half, None)
+        self._count_strangers()
+        self._hellos[half] = begin.number, 0
+        self._challenge = self._draw()
+        self.number, self.live = begin.session, True
+        self._taken, self._said = begin.number, 0
+        self._alive.clear()
+        return True
+
+    def _count_strangers(self) -> None:
+        self.foreign += sum(count for _, count in self._hellos.values())
+        self._hellos.clear()
+
+    def take(self, message: Message, began_ns: int) -> Refusal | None:
+        """Take a packet of the session, or return why it is refused; ``began_ns`` is when its first
+        byte came."""
+        refusal = self._judge(message, began_ns)
+        if refusal is Refusal.OLD:
+            self.old += 1
+        elif refusal is not None:
+            self.foreign += 1
+        else:
+            self._taken = message.number
+        return refusal
+
+    def promises(self, head: bytes, began_ns: int, now_ns: int) -> bool:
+        """Return whether an incomplete packet is a sign of life, as those of long kinds are."""
+        message, early = decode_head(head), now_ns - began_ns <= LONGEST_PACKET_MS * _MS
+        fresh = self._judge(message, began_ns) is None
+        return message.kind in (MessageKind.SEQUENCE, MessageKind.KERNELS) and early and fresh
+
+    def _judge(self, message: Message, began_ns: int) -> Refusal | None:
+        if message.version != VERSION or not self.number or message.session != self.number:
+            return Refusal.FOREIGN
+        if message.number <= self._taken:
+            return Refusal.OLD
+        # A stop is never too late: it counts even from a host that receives nothing.
+        late = message.kind != MessageKind.STOP and message.heard <= self._faded(began_ns)
+        return Refusal.OLD if late else None
+
+    def _faded(self, now_ns: int) -> int:
+        """Return the number of the last ALIVE that is too old to confirm; -1 if none is."""
+        gone = (number for sent_ns, number in self._alive if sent_ns < now_ns - LATE_MS * _MS)
+        return max(gone, default=-1)
+
+
+_HEAD = struct.Struct("<IHHBB")
+_GROUP = struct.Struct("<BBH")
+_PAIR = struct.Struct("<HH")
+_NOTHING = bytes(16)
+MOST_AMPLITUDE = 0xFFFF  # largest sum of a slot's amplitudes
+
+
+@dataclass(frozen=True, eq=False)
+class SlotGroup:
+    """Slots of one kind and one pulse shape."""
+
+    kind: int  # 0 points, 1 one sum, 2 currents, 3 states
+    slots: int
+    kernel: NDArray[np.int64]  # (N,) of points and sums
+    amplitude: NDArray[np.int64]  # (N,)
+
+
+@dataclass(frozen=True, eq=False)
+class ReceivedSequence:
+    """Sequence as received, before kernels are looked up."""
+
+    intensity: int
+    groups: list[SlotGroup]
+    sequence: WireSequence  # currents of points and sums are zero until kernels are looked up
+
+    @property
+    def slots(self) -> int:
+        return len(self.sequence.width_us)
+
+
+def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSequence:
+    """Return the sequence in a payload; raise ValueError if that is not exactly one."""
+    if len(payload) < _HEAD.size:
+        raise ValueError("too short")
+    period_us, times, intensity, flags, count = _HEAD.unpack_from(payload)
+    if not times or flags > 3 or (switched and flags & 2):
+        raise ValueError("a head that is none")
+    at = _HEAD.size + 4 * count
+    shapes = np.frombuffer(_part(payload, _HEAD.size, at), "<u2").reshape(count, 2)
+    recharge_us, recharge = 0, None
+    if flags & 2:
+        recharge_us = int.from_bytes(_part(payload, at, at + 2), "little")
+        recharge = np.frombuffer(_part(payload, at + 2, at + 2 + 2 * electrodes), "<i2")
+        at += 2 + 2 * electrodes
+    groups, shape = [], []
+    site, current, source, state = [], [], [], []
+    packed = -(-electrodes // 4)
+    nothing = np.empty(0, np.int64)
+    while at < len(payload):
+        kind, index, number = _GROUP.unpack(_part(payload, at, at + _GROUP.size))
+        at += _GROUP.size
+        if kind > 3 or index >= count or not number:
+            raise ValueError("a group that is none")
+        row = (4, 4, 2 + 2 * electrodes, 4 + packed)[kind]
+        body = np.frombuffer(_part(payload, at, at + row * number), np.uint8).reshape(number, row)
+        at += row * number
+        slots, kernel, amplitude = 1 if kind == 1 else number, nothing, nothing
+        empty = np.zeros((slots, electrodes), np.int16)
+        if kind < 2:
+            kernel, amplitude = _u16(body[:, :2]), _u16(body[:, 2:])
+            site.append(np.zeros(slots, np.int64))
+        else:
+            site.append(_u16(body[:, :2]))
+        current.append(np.ascontiguousarray(body[:, 2:]).view("<i2") if kind == 2 else empty)
+        source.append(_u16(body[:, 2:4]) if kind == 3 else np.zeros(slots, np.int64))
+        state.append(unpack_states(body[:, 4:], electrodes) if kind == 3 else empty)
+        groups.append(SlotGroup(kind, slots, kernel, amplitude))
+        shape += [index] * slots
+    if not groups:
+        current, state = [np.zeros((0, electrodes), np.int16)], [np.zeros((0, electrodes))]
+        site = source = [nothing]
+    sequence = WireSequence(
+        period_us, times, bool(flags & 1), electrodes,
+        shapes[shape, 0], shapes[shape, 1], np.concatenate(site).astype(np.uint16),
+        None if switched else np.concatenate(current),
+        np.concatenate(source).astype(np.uint16) if switched else None,
+        np.concatenate(state).astype(np.int8) if switched else None,
+        recharge, recharge_us,
+    )  # fmt: skip
+    return ReceivedSequence(intensity, groups, sequence)
+
+
+def _part(payload: bytes, start: int, end: int) -> bytes:
+    if end > len(payload):
+        raise ValueError("cut short")
+    return payload[start:end]
+
+
+def _u16(columns: NDArray[np.uint8]) -> NDArray[np.int64]:
+    return np.ascontiguousarray(columns).view("<u2")[:, 0].astype(np.int64)
+
+
+def summed(
+    weights: NDArray[np.int16], kernel: NDArray[np.int64], amplitude: NDArray[np.int64]
+) -> NDArray[np.int16]:
+    """Return the current of every electrode in a slot, (E,) int16 µA: see the page of ``link``."""
+    return rounded((weights[kernel].astype(np.int64) * amplitude[:, None]).sum(axis=0))
+
+
+def rounded(every: NDArray[np.int64]) -> NDArray[np.int16]:
+    """Return weights times amplitudes, (…, E), as currents in whole µA that sum to zero."""
+    whole = (np.cumsum(every, axis=-1) + 65_536) // 131_072
+    return np.diff(whole, axis=-1, prepend=0).astype(np.int16)
+
+
+class KernelStore:
+    """Kernels that a board keeps from one session to the next."""
+
+    def __init__(self, electrodes: int, room: int, most: int) -> None:
+        self._electrodes, self._room, self._most = electrodes, room, most
+        self._data = bytearray()
+        # First 16 bytes of the SHA-256 of what is being kept; zeros if nothing.
+        self.identity, self.size = _NOTHING, 0
+        self.weights: NDArray[np.int16] | None = None  # (K, E), once all of it is there
+        self.site = np.zeros(0, np.uint16)  # (K,)
+
+    @property
+    def received(self) -> int:
+        return len(self._data)
+
+    def take(self, identity: bytes, size: int, offset: int, data: bytes) -> None:
+        """Take a part of the kernels; one that does not continue the part before is dropped."""
+        if (identity, size) != (self.identity, self.size):
+            self._forget()
+            if size > self._room:
+                return
+            self.identity, self.size = identity, size
+        if self.weights is not None or offset != len(self._data):
+            return
+        if offset + len(data) > size:
+            return
+        self._data += data
+        if len(self._data) == size:
+            try:
+                self._read(bytes(self._data))
+            except ValueError:
+                self._forget()
+
+    def proof(self, session: int) -> bytes:
+        """Return the digest that proves to a session's host which kernels are kept; zeros if they
+        are not complete."""
+        if self.weights is None:
+            return _NOTHING
+        return hashlib.sha256(session.to_bytes(8, "little") + self._data).digest()[:16]
+
+    def _forget(self) -> None:
+        self._data.clear()
+        self.identity, self.size = _NOTHING, 0
+        self.weights = None
+
+    def _read(self, data: bytes) -> None:
+        if hashlib.sha256(data).digest()[:16] != self.identity:
+            raise ValueError("another identity")
+        electrodes, count = _PAIR.unpack(_part(data, 0, 4))
+        if electrodes != self._electrodes or count > self._most:
+            raise ValueError("other electrodes, or too many kernels")
+        weights, site = np.zeros((count, electrodes), np.int16), np.zeros(count, np.uint16)
+        at = 4
+        for index in range(count):
+            site[index], runs = _PAIR.unpack(_part(data, at, at + 4))
+            at, end = at + 4, 0
+            for _ in range(runs):
+                first, length = _PAIR.unpack(_part(data, at, at + 4))
+                at += 4
+                if first < end or not length or first + length > electrodes:
+                    raise ValueError("a run that is none")
+                end = first + length
+                weights[index, first:end] = np.frombuffer(_part(data, at, at + 2 * length), "<i2")
+                at += 2 * length
+            if site[index] >= electrodes or int(weights[index].sum(dtype=np.int64)):
+                raise ValueError("a kernel that is none")
+            if (weights[index] == -32768).any():
+                raise ValueError("a weight below all others")
+        if at != len(data):
+            raise ValueError("too long")
+        self.weights, self.site = weights, site

@@ -1,0 +1,425 @@
+"""Rules of the ``link`` board for one sequence, in whole numbers and in the order of the page."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.boards.link.protocol import LIMITS, NOTHING, Output, Rule
+from smarttouch.emulator.link_packets import (
+    MOST_AMPLITUDE,
+    KernelStore,
+    ReceivedSequence,
+    rounded,
+    summed,
+)
+
+MAX_CURRENT_UA = 5000
+MAX_TOTAL_UA = 10_000
+MAX_WIDTH_US = 200
+MAX_CHARGE_PC = 500_000
+MIN_PERIOD_US = 5000
+MAX_SLOTS = 4096
+MIN_DISCHARGE_US = 20
+MAX_DUTY_PERCENT = 80
+MAX_MEAN_UA = 500
+MAX_FELT_UA = 2500
+MAX_PULSES_HZ = 1500
+BURST_US = 40_000
+MIN_RAMP_MS, MAX_RAMP_MS = 500, 10_000
+MAX_SESSION_S, MAX_SESSION_UC = 3600, 1_800_000
+MAX_RECHARGE_UA = 500
+"""Limit of a recharge phase, a tenth of the strongest pulse, as the board has no thresholds."""
+MAX_RECHARGE_US = 20_000
+MAX_RECHARGE_PC = 2_000_000
+FULL = 0xFFFF
+STRENGTH = 4
+"""Multiple of a pulse's share of a full one that its strength is at most."""
+
+
+class BrokenRule(NamedTuple):
+    """First rule that a sequence breaks."""
+
+    rule: Rule
+    slot: int = NOTHING
+    electrode: int = NOTHING
+    value: int = 0
+    allowed: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class SessionLimits:
+    """Limits of a session: the host's, or the board's own where these are stricter."""
+
+    period_us: int
+    total_ua: int
+    width_us: int
+    full_ua: int
+    rounding_ua: int
+    full_us: int
+    ramp_ms: int
+    session_us: int
+    session_pc: int
+    duty_percent: int
+    full_pc: int
+    current_ua: NDArray[np.int64]
+    felt_ua: NDArray[np.int64]
+    charge_pc: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, payload: bytes, electrodes: int, output: Output) -> "SessionLimits | None":
+        """Return the limits in a payload; None if it is none."""
+        if len(payload) != LIMITS.size + 8 * electrodes:
+            return None
+        (
+            period, total, width, full, rounding, full_us, ramp, session_s, session_uc, duty,
+            _, usual,
+        ) = LIMITS.unpack_from(payload)  # fmt: skip
+        at = LIMITS.size
+        current = np.frombuffer(payload, "<u2", electrodes, at).astype(np.int64)
+        felt = np.frombuffer(payload, "<u2", electrodes, at + 2 * electrodes).astype(np.int64)
+        charge = np.frombuffer(payload, "<u4", electrodes, at + 4 * electrodes).astype(np.int64)
+        most = MAX_TOTAL_UA if output == "weighted" else MAX_CURRENT_UA
+        return cls(
+            max(period, MIN_PERIOD_US), min(total, most), min(width, MAX_WIDTH_US),
+            min(full, MAX_CURRENT_UA), min(rounding, -(-electrodes // 2) + 1),
+            min(full_us, MAX_WIDTH_US), max(ramp or MAX_RAMP_MS, MIN_RAMP_MS),
+            10**6 * min(session_s, MAX_SESSION_S), 10**6 * min(session_uc, MAX_SESSION_UC),
+            min(duty, MAX_DUTY_PERCENT), min(full, MAX_CURRENT_UA) * min(usual, MAX_WIDTH_US),
+            np.minimum(current, MAX_CURRENT_UA),
+            np.minimum(felt, MAX_FELT_UA), np.minimum(charge, MAX_CHARGE_PC),
+        )  # fmt: skip
+
+    def strength(self, intensity: int, peak_pc: int) -> int:
+        """Return what an intensity amounts to with pulses of such a charge, of `FULL`."""
+        share = -(-peak_pc * FULL // self.full_pc) if self.full_pc else FULL * (peak_pc > 0)
+        return min(FULL, max(share, min(intensity, STRENGTH * share)))
+
+
+@dataclass(eq=False)
+class Load:
+    """What one pass of a sequence brings to each electrode, (E,) int64.
+
+    Attributes
+    ----------
+    felt : ndarray
+        Pulses that count as felt.
+    charge_pc, net_pc : ndarray, pC
+        Of either sign, and signed, positive cathodic; the recharge phase included.
+    peak_pc : int, pC
+        Largest charge of one pulse; 0 if no current flows.
+    """
+
+    felt: NDArray[np.int64]
+    charge_pc: NDArray[np.int64]
+    net_pc: NDArray[np.int64]
+    peak_pc: int = 0
+
+    @classmethod
+    def none(cls, electrodes: int) -> "Load":
+        return cls(*np.zeros((3, electrodes), np.int64))
+
+    def add(
+        self, signed_ua: NDArray[np.int64], width_us: NDArray[np.int64], felt_ua: NDArray[np.int64]
+    ) -> None:
+        """Add slots: currents (S, E) µA and widths (S,) µs."""
+        each = np.abs(signed_ua)
+        self.felt += ((each >= felt_ua) & (each > 0)).sum(axis=0)
+        self.charge_pc += width_us @ each
+        self.net_pc += width_us @ signed_ua
+
+
+def complaint(
+    lists: ReceivedSequence,
+    limits: SessionLimits,
+    keep: KernelStore,
+    output: Output,
+    carried_pc: NDArray[np.int64],
+) -> tuple[BrokenRule | None, Load]:
+    """Fill in what kernels make; return the first rule that is broken, if any, and the load.
+
+    Parameters
+    ----------
+    carried_pc : ndarray, (E,) int64, pC
+        Net charge of the session so far, positive cathodic.
+    """
+    sequence = lists.sequence
+    load = Load.none(sequence.electrodes)
+    width = sequence.width_us.astype(np.int64)
+    if found := _times(lists, limits, width):
+        return found, load
+    peaks = _all_at_once(lists, limits, keep, width, load) if output == "weighted" else None
+    if peaks is None:
+        load = Load.none(sequence.electrodes)
+        found, peaks = _slot_by_slot(lists, limits, keep, output, width, load)
+        if found:
+            return found, load
+    load.peak_pc = peaks[1]
+    return _whole(lists, limits, load, peaks, carried_pc), load
+
+
+def _times(
+    lists: ReceivedSequence, limits: SessionLimits, width: NDArray[np.int64]
+) -> BrokenRule | None:
+    """Return the first broken rule about times."""
+    sequence, slots = lists.sequence, lists.slots
+    period_us = sequence.period_us
+    if slots > MAX_SLOTS:
+        return BrokenRule(Rule.SLOTS, value=slots, allowed=MAX_SLOTS)
+    if period_us < limits.period_us:
+        return BrokenRule(Rule.PERIOD, value=_i32(period_us), allowed=_i32(limits.period_us))
+    discharge = sequence.discharge_us.astype(np.int64)
+    for slot in range(slots):
+        if not 0 < width[slot] <= limits.width_us:
+            return BrokenRule(Rule.WIDTH, slot, value=int(width[slot]), allowed=limits.width_us)
+        if discharge[slot] < MIN_DISCHARGE_US:
+            rest_us = int(discharge[slot])
+            return BrokenRule(Rule.DISCHARGE, slot, value=rest_us, allowed=MIN_DISCHARGE_US)
+    busy_us = int((width + discharge).sum())
+    if sequence.recharge_ua is not None:
+        busy_us += sequence.recharge_us + MIN_DISCHARGE_US
+    if busy_us > period_us:
+        return BrokenRule(Rule.FIT, value=_i32(busy_us), allowed=_i32(period_us))
+    pulses_us = int(width.sum()) + sequence.recharge_us
+    if 100 * pulses_us > limits.duty_percent * period_us:
+        allowed = period_us * limits.duty_percent // 100
+        return BrokenRule(Rule.DUTY, value=_i32(pulses_us), allowed=_i32(allowed))
+    return None
+
+
+def _slot_by_slot(
+    lists: ReceivedSequence,
+    limits: SessionLimits,
+    keep: KernelStore,
+    output: Output,
+    width: NDArray[np.int64],
+    load: Load,
+) -> tuple[BrokenRule | None, tuple[int, int]]:
+    """Return the first broken rule of a slot, and the strongest current and charge."""
+    sequence = lists.sequence
+    peak_ua = peak_pc = slot = 0
+    for group in lists.groups:
+        if (group.kind == 3) != (output != "weighted"):
+            return BrokenRule(Rule.KIND, slot, value=group.kind), (0, 0)
+        for index in range(group.slots):
+            if group.kind < 2:
+                every = slice(None) if group.kind else slice(index, index + 1)
+                kernel, amplitude = group.kernel[every], group.amplitude[every]
+                if found := _unkept(kernel, amplitude, keep, slot):
+                    return found, (0, 0)
+                assert keep.weights is not None
+                assert sequence.current_ua is not None
+                sequence.current_ua[slot] = summed(keep.weights, kernel, amplitude)
+                sequence.site[slot] = keep.site[kernel[0]]
+            charged_ua: NDArray[np.int64] | int
+            if group.kind == 3:
+                assert sequence.source_ua is not None
+                assert sequence.state is not None
+                state, source = sequence.state[slot], int(sequence.source_ua[slot])
+                found, signed = _switched(state, source, output, limits, slot)
+                # Any electrode may be the last that still touches the skin.
+                charged_ua = np.where(state == 0, 0, source)
+            else:
+                assert sequence.current_ua is not None
+                found, signed = _weighted(sequence.current_ua[slot], limits, slot)
+                charged_ua = np.abs(signed)
+            if found:
+                return found, (0, 0)
+            charge = charged_ua * int(width[slot])
+            if len(over := np.flatnonzero(charge > limits.charge_pc)):
+                electrode = int(over[0])
+                value, most_pc = int(charge[electrode]), int(limits.charge_pc[electrode])
+                return BrokenRule(Rule.CHARGE, slot, electrode, value, most_pc), (0, 0)
+            most = int(np.abs(signed).max(initial=0))
+            peak_ua, peak_pc = max(peak_ua, most), max(peak_pc, most * int(width[slot]))
+            load.add(signed[None], width[slot : slot + 1], limits.felt_ua)
+            slot += 1
+    return None, (peak_ua, peak_pc)
+
+
+def _all_at_once(
+    lists: ReceivedSequence,
+    limits: SessionLimits,
+    keep: KernelStore,
+    width_us: NDArray[np.int64],
+    load: Load,
+) -> tuple[int, int] | None:
+    """Return the strongest current and charge; None if a slot may break a rule.
+
+    Which one, and which rule, is then found slot by slot.
+    """
+    current_ua = lists.sequence.current_ua
+    if current_ua is None or any(group.kind == 3 for group in lists.groups):
+        return None
+    if not _filled_in(lists, keep, current_ua):
+        return None
+    signed = current_ua.astype(np.int64)
+    each = np.abs(signed)
+    charge_pc = each * width_us[:, None]
+    if (
+        signed.sum(axis=1).any()
+        or (each > limits.current_ua).any()
+        or int(each.sum(axis=1).max(initial=0)) // 2 > limits.total_ua
+        or (charge_pc > limits.charge_pc).any()
+    ):
+        return None
+    load.add(signed, width_us, limits.felt_ua)
+    return int(each.max(initial=0)), int(charge_pc.max(initial=0))
+
+
+def _filled_in(lists: ReceivedSequence, keep: KernelStore, current_ua: NDArray[np.int16]) -> bool:
+    """Return whether all kernels are kept and no sum is too large, and fill in what they make."""
+    slot = np.repeat([group.kind < 2 for group in lists.groups], [g.slots for g in lists.groups])
+    if not slot.any():
+        return True
+    of_kernels = [group for group in lists.groups if group.kind < 2]
+    kernel = np.concatenate([group.kernel for group in of_kernels])
+    amplitude = np.concatenate([group.amplitude for group in of_kernels])
+    size = np.concatenate(
+        [
+            [len(group.kernel)] if group.kind else np.ones(group.slots, np.int64)
+            for group in of_kernels
+        ]
+    )
+    first = np.cumsum(size) - size
+    if keep.weights is None or int(kernel.max()) >= len(keep.weights):
+        return False
+    if (np.add.reduceat(amplitude, first) > MOST_AMPLITUDE).any():
+        return False
+    every = keep.weights[kernel].astype(np.int64) * amplitude[:, None]
+    current_ua[slot] = rounded(np.add.reduceat(every, first, axis=0))
+    lists.sequence.site[slot] = keep.site[kernel[first]]
+    return True
+
+
+def _whole(
+    lists: ReceivedSequence,
+    limits: SessionLimits,
+    load: Load,
+    peaks: tuple[int, int],
+    carried_pc: NDArray[np.int64],
+) -> BrokenRule | None:
+    """Return the first broken rule of those about the whole sequence, by itself."""
+    sequence, (peak_ua, peak_pc) = lists.sequence, peaks
+    if sequence.recharge_ua is not None:
+        if found := _recharged(lists, limits, load, carried_pc):
+            return found
+        recharge_pc = sequence.recharge_ua.astype(np.int64) * sequence.recharge_us
+        load.charge_pc += np.abs(recharge_pc)
+        load.net_pc += recharge_pc
+    burst_us = min(sequence.period_us, BURST_US)
+    allowed = MAX_MEAN_UA * burst_us
+    over = np.flatnonzero(load.charge_pc > allowed)
+    if len(over):
+        electrode = int(over[0])
+        return BrokenRule(
+            Rule.MEAN, NOTHING, electrode, _i32(int(load.charge_pc[electrode])), allowed
+        )
+    over = np.flatnonzero(load.felt * 10**6 > MAX_PULSES_HZ * burst_us)
+    if len(over):
+        electrode = int(over[0])
+        allowed = MAX_PULSES_HZ * burst_us // 10**6
+        return BrokenRule(Rule.FELT, NOTHING, electrode, int(load.felt[electrode]), allowed)
+    strongest_ua = limits.full_ua + limits.rounding_ua
+    if limits.full_us:
+        allowed = strongest_ua * limits.full_us * 1001 * lists.intensity // (1000 * FULL)
+        if peak_pc > allowed:
+            return BrokenRule(Rule.INTENSITY, value=peak_pc, allowed=_i32(allowed))
+        allowed = strongest_ua
+    else:
+        allowed = limits.full_ua * lists.intensity // FULL + limits.rounding_ua
+    if peak_ua > allowed:
+        return BrokenRule(Rule.INTENSITY, value=peak_ua, allowed=allowed)
+    return None
+
+
+def _unkept(
+    kernel: NDArray[np.int64], amplitude: NDArray[np.int64], keep: KernelStore, slot: int
+) -> BrokenRule | None:
+    count = 0 if keep.weights is None else len(keep.weights)
+    beyond = np.flatnonzero(kernel >= count)
+    if len(beyond):
+        return BrokenRule(Rule.KERNEL, slot, value=int(kernel[beyond[0]]), allowed=count)
+    if (total := int(amplitude.sum())) > MOST_AMPLITUDE:
+        return BrokenRule(Rule.SUM, slot, value=total, allowed=MOST_AMPLITUDE)
+    return None
+
+
+def _weighted(
+    current_ua: NDArray[np.int16], limits: SessionLimits, slot: int
+) -> tuple[BrokenRule | None, NDArray[np.int64]]:
+    """Return the first broken rule of a slot's currents, and the currents."""
+    signed = current_ua.astype(np.int64)
+    each = np.abs(signed)
+    if net := int(current_ua.sum(dtype=np.int64)):
+        return BrokenRule(Rule.BALANCE, slot, value=net), signed
+    over = np.flatnonzero(each > limits.current_ua)
+    if len(over):
+        electrode = int(over[0])
+        most = int(limits.current_ua[electrode])
+        return BrokenRule(Rule.CURRENT, slot, electrode, int(each[electrode]), most), signed
+    if (total := int(each.sum()) // 2) > limits.total_ua:
+        return BrokenRule(Rule.TOTAL, slot, value=total, allowed=limits.total_ua), signed
+    return None, signed
+
+
+def _switched(
+    state: NDArray[np.int8], source_ua: int, output: Output, limits: SessionLimits, slot: int
+) -> tuple[BrokenRule | None, NDArray[np.int64]]:
+    """Return the first broken rule of a slot's states, and its currents, rounded away from 0."""
+    cathodes, anodes = int((state == 1).sum()), int((state == -1).sum())
+    wrong = bool((state == 2).any()) or not cathodes or not anodes
+    if output == "one-against-all":
+        wrong |= bool((state == 0).any()) or min(cathodes, anodes) != 1
+    each = np.zeros(len(state), np.int64)
+    if wrong:
+        return BrokenRule(Rule.STATES, slot), each
+    each[state == 1], each[state == -1] = -(-source_ua // cathodes), -(-source_ua // anodes)
+    signed = np.where(state == -1, -each, each)
+    over = np.flatnonzero(each > limits.current_ua)
+    if len(over):
+        electrode = int(over[0])
+        most = int(limits.current_ua[electrode])
+        return BrokenRule(Rule.CURRENT, slot, electrode, int(each[electrode]), most), signed
+    if source_ua > limits.total_ua:
+        return BrokenRule(Rule.TOTAL, slot, value=source_ua, allowed=limits.total_ua), signed
+    return None, signed
+
+
+def _recharged(
+    lists: ReceivedSequence, limits: SessionLimits, load: Load, carried_pc: NDArray[np.int64]
+) -> BrokenRule | None:
+    """Return the first broken rule of a recharge phase after slots of a load."""
+    sequence = lists.sequence
+    current_ua, width_us = sequence.recharge_ua, sequence.recharge_us
+    assert current_ua is not None
+    if not lists.slots or not 0 < width_us <= MAX_RECHARGE_US:
+        return BrokenRule(Rule.RECHARGE, value=width_us, allowed=MAX_RECHARGE_US)
+    signed = current_ua.astype(np.int64)
+    each = np.abs(signed)
+    if net := int(signed.sum()):
+        return BrokenRule(Rule.BALANCE, value=net)
+    allowed = np.minimum(min(MAX_RECHARGE_UA, MAX_RECHARGE_PC // width_us), limits.current_ua)
+    over = np.flatnonzero(each > allowed)
+    if len(over):
+        electrode = int(over[0])
+        value, most = int(each[electrode]), int(allowed[electrode])
+        return BrokenRule(Rule.CURRENT, NOTHING, electrode, value, most)
+    if (total := int(each.sum()) // 2) > limits.total_ua:
+        return BrokenRule(Rule.TOTAL, value=total, allowed=limits.total_ua)
+    phase_pc = signed * width_us
+    for passes in (0, sequence.times - 1):
+        before_pc = carried_pc + passes * (load.net_pc + phase_pc) + load.net_pc
+        after = np.abs(before_pc + phase_pc)
+        most_pc = np.maximum(np.abs(before_pc), MAX_RECHARGE_PC)
+        over = np.flatnonzero(after > most_pc)
+        if len(over):
+            electrode = int(over[0])
+            value, most = _i32(int(after[electrode])), _i32(int(most_pc[electrode]))
+            return BrokenRule(Rule.RECHARGE, NOTHING, electrode, value, most)
+    return None
+
+
+def _i32(value: int) -> int:
+    return min(value, 0x7FFFFFFF)

@@ -1,0 +1,206 @@
+"""What a ``link`` board counts between sequences: the last second, the session, the rise.
+
+All on the board's own clock, in whole microseconds and pC.
+"""
+
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.boards.link.protocol import NOTHING, Rule
+from smarttouch.emulator.link_rules import FULL, MAX_PULSES_HZ, BrokenRule, Load, SessionLimits
+
+BUCKET_US = 50_000
+BUCKETS = 20
+"""Whole buckets before the one at hand: a second, and up to a twentieth of one more."""
+SECOND_US = 1_000_000
+MOST_CHARGE_PC = 500_000_000
+MOST_NET_PC = 50_000_000
+RAMP_MS = 500
+"""Least time from zero to full."""
+CATCH_UP_US = 150_000
+"""Time by which a rise may be ahead of that, as packets may be late."""
+KEPT_US = 15_000_000
+"""Time without current after which a level is closed."""
+_LEEWAY = 2
+"""Of an intensity in 1/65,535, for its rounding."""
+_I32_MAX = 2**31 - 1
+
+
+class LastSecond:
+    """Passes of the last second, and the dose of the session.
+
+    Parameters
+    ----------
+    electrodes : int
+
+    Attributes
+    ----------
+    most_net_pc : int, pC
+        Largest net charge of an electrode within a second, of all passes that have begun.
+    net_pc : ndarray, (E,) int64, pC
+        Net charge of the session, positive cathodic.
+    """
+
+    def __init__(self, electrodes: int) -> None:
+        self._over: deque[tuple[int, Load]] = deque()
+        """Bucket and load of each pass that is over."""
+        self._running: Load | None = None
+        self._starts_us: deque[int] = deque()
+        self._electrodes = electrodes
+        self.most_net_pc = 0
+        self.begin_session()
+
+    def begin_session(self) -> None:
+        """Reset the dose of the session; the last second still counts."""
+        self.session_us = 0
+        self.session_pc = np.zeros(self._electrodes, np.int64)
+        self.net_pc = np.zeros(self._electrodes, np.int64)
+
+    def begin(self, start_us: int, period_us: int, load: Load | None) -> None:
+        """Enter a pass that begins; without a load it has no slots."""
+        self._starts_us.append(start_us)
+        while self._starts_us[0] < start_us - SECOND_US:
+            self._starts_us.popleft()
+        if load is None:
+            return
+        while self._over and self._over[0][0] < start_us // BUCKET_US - BUCKETS:
+            self._over.popleft()
+        before = self._nets(start_us)
+        self.most_net_pc = max(self.most_net_pc, int(_largest_net(before, load, 1).max()))
+        self._running = load
+        self.session_us += period_us
+        self.session_pc += load.charge_pc
+        self.net_pc += load.net_pc
+
+    def end(self, end_us: int) -> None:
+        """Take the pass that executes as over since a time."""
+        if self._running is not None:
+            self._over.append((end_us // BUCKET_US, self._running))
+            self._running = None
+
+    def _in_window(self, start_us: int) -> list[Load]:
+        first = start_us // BUCKET_US - BUCKETS
+        loads = [load for bucket, load in self._over if bucket >= first]
+        return loads if self._running is None else [*loads, self._running]
+
+    def _nets(self, start_us: int) -> NDArray[np.int64]:
+        """Return the net charge of each run of passes up to now, (N + 1, E); none comes first."""
+        nets = [load.net_pc for load in reversed(self._in_window(start_us))]
+        return np.cumsum([np.zeros(self._electrodes, np.int64), *nets], axis=0)
+
+    def complaint(
+        self, start_us: int, period_us: int, times: int, load: Load | None, limits: SessionLimits
+    ) -> BrokenRule | None:
+        """Return the first rule that a sequence breaks with what was before it, if any.
+
+        Parameters
+        ----------
+        start_us : int
+            When its first pass begins.
+        """
+        passes = range(min(times, -(-SECOND_US // period_us)))
+        if load is not None and (found := self._second(start_us, period_us, passes, load)):
+            return found
+        allowed = -(-SECOND_US // limits.period_us) + 1
+        most = 0
+        for index in passes:
+            at_us = start_us + index * period_us
+            before = sum(each >= at_us - SECOND_US for each in self._starts_us)
+            own = min(index, SECOND_US // period_us) + 1
+            most = max(most, before + own)
+        if most > allowed:
+            return BrokenRule(Rule.OFTEN, value=most, allowed=allowed)
+        if load is None:
+            return None
+        session_us = self.session_us + times * period_us
+        if session_us > limits.session_us:
+            seconds, allowed = -(-session_us // 10**6), limits.session_us // 10**6
+            return BrokenRule(Rule.SESSION_TIME, value=seconds, allowed=allowed)
+        session_pc = self.session_pc + times * load.charge_pc
+        over = np.flatnonzero(session_pc > limits.session_pc)
+        if len(over):
+            electrode = int(over[0])
+            value, most = -(-int(session_pc[electrode]) // 10**6), limits.session_pc // 10**6
+            return BrokenRule(Rule.SESSION_CHARGE, NOTHING, electrode, value, most)
+        return None
+
+    def _second(
+        self, start_us: int, period_us: int, passes: range, load: Load
+    ) -> BrokenRule | None:
+        felt, charge, net = np.zeros((3, self._electrodes), np.int64)
+        for index in passes:
+            at_us, own = start_us + index * period_us, index + 1
+            window = self._in_window(at_us)
+            # Sums of nothing are 0, of the right type all the same.
+            felt = np.maximum(felt, sum(each.felt for each in window) + own * load.felt)
+            charge = np.maximum(
+                charge, sum(each.charge_pc for each in window) + own * load.charge_pc
+            )
+            net = np.maximum(net, _largest_net(self._nets(at_us), load, own))
+        for rule, most, allowed in (
+            (Rule.FELT_IN_SECOND, felt, MAX_PULSES_HZ),
+            (Rule.CHARGE_IN_SECOND, charge, MOST_CHARGE_PC),
+            (Rule.NET_IN_SECOND, net, MOST_NET_PC),
+        ):
+            over = np.flatnonzero(most > allowed)
+            if len(over):
+                electrode = int(over[0])
+                value = min(int(most[electrode]), _I32_MAX)
+                return BrokenRule(rule, NOTHING, electrode, value, allowed)
+        return None
+
+
+def _largest_net(before: NDArray[np.int64], load: Load, own: int) -> NDArray[np.int64]:
+    """Return the largest magnitude of any run that ends with so many passes of a load, (E,) pC."""
+    whole = np.abs(before + own * load.net_pc).max(axis=0)
+    return np.asarray(np.maximum(whole, np.abs(own * load.net_pc)))
+
+
+class Ramp:
+    """Rise of intensity by delivered current, and no higher than its strength.
+
+    Parameters
+    ----------
+    ramp_ms : int
+        Least time from zero to full; 0 for tests whose time is what they claim.
+    """
+
+    def __init__(self, ramp_ms: int = RAMP_MS) -> None:
+        self._own_ms = ramp_ms
+        self.restart(ramp_ms)
+
+    def restart(self, ramp_ms: int) -> None:
+        """Begin at zero, with at least so long a ramp."""
+        self._ramp_us = 1000 * max(self._own_ms, ramp_ms) if self._own_ms else 0
+        self._level = self._strength = self._since_us = self._span_us = 0
+
+    def _on_us(self, now_us: int) -> int:
+        """Return for how long current has flowed since the last sequence."""
+        return max(0, min(now_us - self._since_us, self._span_us))
+
+    def _risen(self, now_us: int) -> int:
+        on_us = self._on_us(now_us)
+        if now_us - self._since_us - on_us > KEPT_US:
+            return 0
+        return max(self._level, min(self._strength, self._level + on_us * FULL // self._ramp_us))
+
+    def allowed(self, now_us: int) -> int:
+        """Return the largest strength that may begin at a time."""
+        if not self._ramp_us:
+            return FULL
+        ahead = CATCH_UP_US * FULL // self._ramp_us
+        return min(FULL, self._risen(now_us) + ahead + _LEEWAY)
+
+    def note(self, intensity: int, strength: int, now_us: int, span_us: int) -> None:
+        """Take down a sequence that begins at a time, and for how long its current flows."""
+        if not self._ramp_us:
+            return
+        risen, on_us = self._risen(now_us), self._on_us(now_us)
+        if span_us:
+            self._level, self._since_us = min(intensity, risen), now_us
+            self._strength = strength
+        else:
+            self._level, self._since_us = risen, self._since_us + on_us
+        self._span_us = span_us

@@ -1,0 +1,240 @@
+"""Electrical circuit of the electrodes on the skin.
+
+Each electrode is a series resistance and behind it the horny layer, a
+resistance and a capacitance side by side; all meet in one node, the tissue::
+
+    output ── R_s ──┬─ R_p ─┬── tissue
+                    └─ C_p ─┘
+
+Currents and voltages are positive cathodic, each electrode against the tissue.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+SERIES_OHM = 2.0e3
+"""Spreading resistance of a 1 mm disc on skin of 0.43 S/m, 1/(4 σ a) = 1.16 kΩ; the rest, the
+tissue below and the contact, is an estimate of ours."""
+PARALLEL_OHM = 50e3
+CAPACITANCE_F = 1.0e-9
+"""Horny layer under a 1 mm disc on a moist fingertip. Estimates of ours: 2.4 mA for 200 µs then
+needs about 125 V, what displays of this kind supply."""
+SPREAD = 0.15  # largest relative difference of electrodes of one array. An estimate of ours.
+COMPLIANCE_V = 300.0
+_SHARED = (6, 1.3, 0.6)
+_CAPPED = (24, 1.15, 1.0)
+"""Steps of a pulse, their growth ratio, and the place in each at which its current fits: the
+coarsest within 3 % of a fine solution, and the end where no step may pass the compliance."""
+_MOST_WIDTHS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class Delivered:
+    """Result of one pulse."""
+
+    current_ua: NDArray[np.float64]  # (E,): mean over the pulse, positive cathodic
+    charge_pc: NDArray[np.float64]
+    # (E,): each electrode against the tissue at the end of the pulse, positive cathodic
+    volts: NDArray[np.float64]
+    source_v: float  # between the poles of the source at the end of the pulse
+
+
+class _Steps(NamedTuple):
+    """A pulse cut into K steps of constant current, (K,) and (K, E) each; the last, of no length,
+    is its end. A step turns the capacitor's voltage v into v·decay + I·rise; its current is fitted
+    late in it, where an electrode has v·late + I/admittance."""
+
+    length_s: NDArray[np.float64]
+    decay: NDArray[np.float64]
+    rise_ohm: NDArray[np.float64]
+    late: NDArray[np.float64]
+    admittance: NDArray[np.float64]
+
+
+class _Modes(NamedTuple):
+    """The shorted circuit as E independent exponentials."""
+
+    rate: NDArray[np.float64]
+    basis: NDArray[np.float64]
+    root: NDArray[np.float64]
+
+
+class SkinCircuit:
+    """Charge on the E electrodes, updated pulse by pulse. Impedances differ between electrodes by
+    the share ``spread`` at most, drawn by ``seed``."""
+
+    def __init__(
+        self,
+        electrodes: int,
+        *,
+        compliance_v: float = COMPLIANCE_V,
+        spread: float = SPREAD,
+        seed: int = 0,
+    ) -> None:
+        differ = np.random.default_rng(seed).uniform(1 - spread, 1 + spread, (3, electrodes))
+        self._healthy = differ * np.array([[SERIES_OHM], [PARALLEL_OHM], [CAPACITANCE_F]])
+        self.electrodes, self.compliance_v = electrodes, compliance_v
+        self._volts = np.zeros(electrodes)
+        self.charge_uc = np.zeros(electrodes)  # net, that has passed and not come back
+        self.scale(np.ones(electrodes), np.ones(electrodes))
+
+    def scale(self, resistance: NDArray[np.float64], capacitance: NDArray[np.float64]) -> None:
+        """Set impedances to multiples (E,) of the healthy ones; voltages stay."""
+        series, parallel, capacity = self._healthy
+        self.series_ohm, self.parallel_ohm = series * resistance, parallel * resistance
+        self.capacitance_f = capacity * capacitance
+        self._steps: dict[tuple[float, int], _Steps] = {}
+        self._modes: _Modes | None = None
+
+    @property
+    def residual_uc(self) -> NDArray[np.float64]:
+        """Charge left on each electrode's capacitance, (E,) µC."""
+        return np.asarray(1e6 * self.capacitance_f * self._volts)
+
+    @property
+    def worst_uc(self) -> float:
+        """Largest charge left on an electrode, of either sign."""
+        return float(np.abs(self.residual_uc).max(initial=0))
+
+    def pulse(self, current_ua: NDArray[np.float64], width_us: float) -> Delivered:
+        """Drive the current (E,) of each electrode's own source for a time. Where that would exceed
+        the compliance, less flows; poles that differ in total carry the smaller one."""
+        asked_ua = _balance(np.asarray(current_ua, np.float64))
+        amps = asked_ua * 1e-6
+        decay = np.exp(-width_us * 1e-6 / (self.parallel_ohm * self.capacitance_f))
+        end = self._volts * decay + amps * self.parallel_ohm * (1 - decay)
+        drop = amps * self.series_ohm
+        # Between its ends the voltage of a constant current is monotonic.
+        need = max(np.abs(drop + self._volts).max(), np.abs(drop + end).max())
+        if need <= self.compliance_v:
+            self._volts = end
+            return self._delivered(asked_ua * width_us, drop + end, width_us, asked_ua)
+        return self._saturated_pulse(asked_ua, amps, width_us)
+
+    def _saturated_pulse(
+        self, asked_ua: NDArray[np.float64], asked: NDArray[np.float64], width_us: float
+    ) -> Delivered:
+        charge, amps, volts = np.zeros(self.electrodes), asked, self._volts
+        steps = self._steps_of(width_us, *_CAPPED)
+        for length, decay, rise, late, admittance in zip(*steps, strict=True):
+            rest = volts * late
+            most = (self.compliance_v - rest) * admittance
+            least = (-self.compliance_v - rest) * admittance
+            amps = _balance(np.clip(asked, least, most))
+            volts = volts * decay + rise * amps
+            charge += amps * length
+        self._volts = volts
+        ends_v = volts + amps * self.series_ohm
+        return self._delivered(charge * 1e12, ends_v, width_us, asked_ua)
+
+    def switched_pulse(
+        self,
+        state: NDArray[np.int8],
+        source_ua: float,
+        width_us: float,
+        shunt_ohm: float = np.inf,
+    ) -> Delivered:
+        """Drive one source for a time; its current divides by the impedances of each pole.
+        ``state`` is (E,): 1 cathode, −1 anode, 0 insulated; with one pole missing nothing flows. A
+        shunt beside the skin takes its part."""
+        poles = np.array([state > 0, state < 0])
+        if not poles.any(axis=1).all() or not width_us:
+            self.idle(width_us)
+            nothing = np.zeros(self.electrodes)
+            return Delivered(nothing, nothing, self._volts, 0.0)
+        steps = self._steps_of(width_us, *_SHARED)
+        # Per step: what each pole's node gives an electrode, and what its own voltage takes.
+        weights = steps.admittance[:, None, :] * poles
+        pulls = weights * steps.late[:, None, :]
+        lifts = weights * steps.rise_ohm[:, None, :]
+        linked = pulls[:, 0] + pulls[:, 1]
+        keeps = steps.decay - steps.rise_ohm * linked
+        volts, source, source_v = self._volts, source_ua * 1e-6, 0.0
+        history, nodes = np.empty(keeps.shape), np.empty((len(keeps), 2))
+        for step, (to_cathode, to_anode) in enumerate((1 / weights.sum(axis=2)).tolist()):
+            history[step] = volts
+            pull_cathode, pull_anode = (pulls[step] @ volts).tolist()
+            cathode_v, anode_v = pull_cathode * to_cathode, pull_anode * to_anode
+            ohm, before_v = to_cathode + to_anode, cathode_v - anode_v
+            total = (source - before_v / shunt_ohm) / (1 + ohm / shunt_ohm)
+            total = min(total, (self.compliance_v - before_v) / ohm)
+            source_v = before_v + total * ohm
+            nodes[step] = cathode_v + total * to_cathode, anode_v - total * to_anode
+            volts = keeps[step] * volts + nodes[step] @ lifts[step]
+        self._volts = volts
+        amps = (nodes[:, None, :] @ weights)[:, 0] - linked * history
+        charge_pc = (steps.length_s @ amps) * 1e12
+        self.charge_uc += charge_pc * 1e-6
+        ends_v = volts + amps[-1] * self.series_ohm
+        return Delivered(charge_pc / width_us, charge_pc, ends_v, source_v)
+
+    def idle(self, duration_us: float) -> None:
+        """Leave all electrodes unconnected; each capacitance discharges by its own resistance."""
+        self._volts = self._volts * np.exp(
+            -duration_us * 1e-6 / (self.parallel_ohm * self.capacitance_f)
+        )
+
+    def short(self, duration_us: float) -> None:
+        """Short all electrodes: each capacitance discharges by R_p, and R_s to the common node."""
+        if self._modes is None:
+            self._modes = self._find_modes()
+        rate, basis, root = self._modes
+        amount = (root * self._volts) @ basis
+        lost = np.expm1(rate * (duration_us * 1e-6)) * amount
+        change, integral = (np.array([lost, lost / rate]) @ basis.T) / root
+        self.charge_uc += 1e6 * (self.capacitance_f * change + integral / self.parallel_ohm)
+        self._volts = self._volts + change
+
+    def _find_modes(self) -> _Modes:
+        # C dv/dt = -(1/R_s + 1/R_p) v + (1/R_s) v_node, the node at the mean weighted by 1/R_s;
+        # in v √C the matrix is symmetric.
+        series, root = 1 / self.series_ohm, np.sqrt(self.capacitance_f)
+        matrix = np.outer(series, series) / series.sum()
+        matrix[np.diag_indices_from(matrix)] -= series + 1 / self.parallel_ohm
+        rate, basis = np.linalg.eigh(matrix / np.outer(root, root))
+        return _Modes(rate, basis, root)
+
+    def _steps_of(self, width_us: float, count: int, growth: float, late: float) -> _Steps:
+        key = (width_us, count)
+        if key not in self._steps:
+            if len(self._steps) >= _MOST_WIDTHS:
+                self._steps.clear()
+            share = np.append(growth ** np.arange(count, dtype=np.float64), 0)
+            length = share * (width_us * 1e-6 / share.sum())
+            spent = length[:, None] / (self.parallel_ohm * self.capacitance_f)
+            self._steps[key] = _Steps(
+                length,
+                np.exp(-spent),
+                -self.parallel_ohm * np.expm1(-spent),
+                np.exp(-late * spent),
+                1 / (self.series_ohm - self.parallel_ohm * np.expm1(-late * spent)),
+            )
+        return self._steps[key]
+
+    def _delivered(
+        self,
+        charge_pc: NDArray[np.float64],
+        volts: NDArray[np.float64],
+        width_us: float,
+        asked_ua: NDArray[np.float64],
+    ) -> Delivered:
+        self.charge_uc += charge_pc * 1e-6
+        cathodes, anodes = volts[asked_ua > 0], volts[asked_ua < 0]
+        source_v = float(cathodes.max() - anodes.min()) if len(cathodes) and len(anodes) else 0.0
+        current = charge_pc / width_us if width_us else np.zeros(self.electrodes)
+        return Delivered(current, charge_pc, volts, source_v)
+
+
+def _balance(current: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return currents that sum to zero: the stronger pole is lowered in proportion."""
+    cathodic, anodic = np.maximum(current, 0), np.maximum(-current, 0)
+    out, back = float(cathodic.sum()), float(anodic.sum())
+    if out == back:
+        return current
+    total = min(out, back)
+    return np.asarray(
+        cathodic * (total / out if out else 0) - anodic * (total / back if back else 0)
+    )

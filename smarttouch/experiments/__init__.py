@@ -1,0 +1,1 @@
+"""Psychophysics, calibration, and studies of many simulated fingers."""

@@ -1,0 +1,1 @@
+"""Calibration of one device on one finger, and the profile that stores it."""

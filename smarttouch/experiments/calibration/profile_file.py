@@ -1,0 +1,224 @@
+"""Editing of a profile: some keys changed, written beside the original in one atomic step."""
+
+import os
+from collections.abc import Mapping, MutableMapping, Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from smarttouch.base.errors import CalibrationError, ProfileError
+from smarttouch.base.files import (
+    MOST_TOML_BYTES,
+    read_text,
+    read_toml,
+    require_replaceable,
+    unwritable,
+    write_through,
+)
+from smarttouch.base.version import __version__
+from smarttouch.profile import Profile, load_profile
+from smarttouch.profile.toml_files import profile_of, profile_path
+from smarttouch.profile.toml_writer import difference, in_rows
+
+Value = str | float | Sequence[float]
+
+_LIBRARIES = {"opencv": "opencv-contrib-python-headless", "numpy": "numpy", "scipy": "scipy"}
+
+
+class ProfileFile:
+    """Edit of a profile from one file to another.
+
+    Everything but the keys that are set stays as it is, comments included.
+
+    Parameters
+    ----------
+    start : str
+        Name of a shipped profile, or a file.
+    output : Path
+        File to write, a ``.toml`` file.
+    overwrite : bool
+        Whether it may be there already.
+    update : bool
+        Whether the output is what it begins as: it is replaced unless it changes meanwhile.
+
+    Attributes
+    ----------
+    profile : Profile
+        What it began as.
+
+    Raises
+    ------
+    ProfileError
+        If the start is no profile.
+    CalibrationError
+        If the output may not be written: said before anything is measured.
+    """
+
+    def __init__(
+        self, start: str, output: Path, overwrite: bool = False, *, update: bool = False
+    ) -> None:
+        self._source = profile_path(start)
+        self._text, self._document, self.profile = _begin(self._source)
+        self._update = update
+        self.output = output
+        self._overwrite = overwrite
+        if output.suffix != ".toml":
+            raise CalibrationError(
+                f"the new profile {output} must end in .toml", about="file", remedy="output"
+            )
+        if not output.absolute().parent.is_dir():
+            raise CalibrationError(
+                f"cannot write {output}: its folder does not exist", about="file", remedy="output"
+            )
+        self._require_free(output)
+        self._keep_flat_field()
+
+    def beside(self, ending: str) -> Path:
+        """Return the path of a file that belongs to the output."""
+        return self.output.with_name(f"{self.output.stem}.{ending}")
+
+    def set(self, key: str, value: Value) -> None:
+        """Change one key, such as ``force.curve``."""
+        table, _, name = key.partition(".")
+        self._table(table)[name] = value if isinstance(value, str | int | float) else in_rows(value)
+
+    def note(self, what: str, found: str) -> None:
+        """Record time, versions and result of a calibration."""
+        used = [("smarttouch", __version__)]
+        used += [(name, version(package)) for name, package in _LIBRARIES.items()]
+        entry = tomlkit.table()
+        entry["when"] = datetime.now(UTC).replace(microsecond=0)
+        entry["versions"] = ", ".join(f"{name} {number}" for name, number in used)
+        entry["found"] = found
+        if "calibrated" not in self._document:
+            self._document["calibrated"] = tomlkit.table(is_super_table=True)
+        self._table("calibrated")[what] = entry
+
+    def write(self, others: Mapping[Path, bytes] | None = None) -> Profile:
+        """Write the profile and the files that go with it; return it as it loads."""
+        files = dict(others or {})
+        for path in (self.output, *files):
+            self._require_free(path)
+        # The profile comes last: the files it names are there before it is.
+        files[self.output] = tomlkit.dumps(self._document).encode()
+        drafts = {path: path.with_name(f".{path.stem}-draft{path.suffix}") for path in files}
+        try:
+            for path, content in files.items():
+                write_through(drafts[path], content)
+            self._prove(drafts[self.output])
+            for path, draft in drafts.items():
+                draft.replace(path)
+        except OSError as error:
+            raise unwritable(CalibrationError, self.output, error) from None
+        finally:
+            for draft in drafts.values():
+                draft.unlink(missing_ok=True)
+        return load_profile(self.output)
+
+    def _prove(self, draft: Path) -> None:
+        try:
+            load_profile(draft)
+        except ProfileError as error:
+            said = str(error).removeprefix(f"{draft}: ")
+            raise CalibrationError(
+                f"what was measured makes no profile, nothing was written: {said}",
+                about=error.about,
+                remedy=error.remedy,
+                electrode=error.electrode,
+            ) from None
+
+    def _require_free(self, path: Path) -> None:
+        require_replaceable(path, CalibrationError)
+        if self._update and path == self.output:
+            self._require_unchanged()
+            return
+        if path.exists() and not self._overwrite:
+            raise CalibrationError(
+                f"{path} exists already: give another file, or overwrite it",
+                about="file",
+                remedy="overwrite",
+            )
+
+    def _require_unchanged(self) -> None:
+        if read_text(self.output, CalibrationError, MOST_TOML_BYTES) != self._text:
+            raise CalibrationError(
+                f"{self.output} was changed meanwhile, nothing was written: repeat the command",
+                about="file",
+            )
+
+    def _table(self, name: str) -> MutableMapping[str, Any]:
+        table = self._document[name]
+        # A table, or the proxy of one whose parts are scattered over the file.
+        assert isinstance(table, MutableMapping)
+        return table
+
+    def _keep_flat_field(self) -> None:
+        """Adjust the path of the flat field to the place of the output."""
+        named = self._table("optics").get("flat_field")
+        if named is None:
+            return
+        found = (self._source.parent / str(named)).resolve()
+        self.set("optics.flat_field", os.path.relpath(found, self.output.absolute().parent))
+
+
+def file_to_calibrate(
+    part: str,  # calibration
+    # profile that was asked for; where the output is there, one that differs from it in
+    # calibrations only
+    start: str | None,
+    usual: str,  # what a new output begins as where no profile was asked for
+    output: Path,
+    overwrite: bool = False,  # whether the part may be there already
+    *,
+    # whether nothing real is measured: added to what was, only with ``overwrite``
+    simulated: bool = False,
+) -> ProfileFile:
+    """Return the profile that a calibration adds its part to, on its way to the output.
+
+    An output that exists is continued: all in it is kept but this part.
+    """
+    if not output.exists():
+        return ProfileFile(start or usual, output, overwrite)
+    require_replaceable(output, CalibrationError)
+    file = ProfileFile(str(output), output, overwrite, update=True)
+    key = None if start is None else difference(file.profile, _begin(profile_path(start))[-1])
+    if key is not None:
+        raise CalibrationError(
+            f"{output} is there, and differs from {start} in {key}: go on from "
+            "what is there, or write another file",
+            about=key,
+            remedy="output",
+        )
+    if part in file.profile.calibrated and not overwrite:
+        raise CalibrationError(
+            f"{output} has its {part} already: overwrite that, which keeps the rest, or "
+            "write another file",
+            about=part,
+            remedy="overwrite or output",
+        )
+    notes = file.profile.calibrated
+    measured = [name for name in notes if not notes[name].found.startswith("simulated")]
+    if simulated and measured and not overwrite:
+        raise CalibrationError(
+            f"{output} has its {measured[0]} from a real finger or sensor: write a "
+            "simulation to another file, or overwrite it",
+            about=part,
+            remedy="output or overwrite",
+        )
+    return file
+
+
+def _begin(path: Path) -> tuple[str, tomlkit.TOMLDocument, Profile]:
+    """Return a profile as text, as document and as it loads."""
+    # Refuses what no parser should be given.
+    read_toml(path, ProfileError)
+    text = read_text(path, ProfileError, MOST_TOML_BYTES)
+    try:
+        document = tomlkit.parse(text)
+        table = document.unwrap()
+    except (tomlkit.exceptions.TOMLKitError, ValueError, RecursionError) as error:
+        raise ProfileError(f"{path} cannot be changed: {error}", about="file") from None
+    return text, document, profile_of(table, path)

@@ -1,0 +1,243 @@
+"""White and dark reference of a sensor from collected images; a simulated patch and load cell."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import CalibrationError
+from smarttouch.experiments.calibration.force_curve import STANDARD_GRAVITY, Weighing, weigh
+from smarttouch.profile import Profile
+from smarttouch.sources import open_source
+from smarttouch.sources.preprocess import FlatField, mean_image
+from smarttouch.sources.source_contract import Source
+
+Images = list[NDArray[np.uint8]]
+
+SILENCE_S = 5.0
+"""Longest time without a new image, after which the source has ended."""
+_LOOK_S = 0.002
+
+
+def images_of(url: str, profile: Profile, count: int, *, corrected: bool) -> Images:
+    """Return the next images of a source by its URL; with the profile's flat field, or without."""
+    # What lies in files need not be waited for.
+    from_file = url.startswith(("frames:", "video:")) and "unpaced" not in url
+    seen_by = profile if corrected else uncorrected(profile)
+    with open_source(url, seen_by, unpaced=from_file or None) as source:
+        return collect_images(source, count)
+
+
+def collect_images(source: Source, count: int) -> Images:
+    """Return the next images of a source, each once; fewer where it ends before."""
+    images: Images = []
+    seen: set[int] = set()
+    start = time.perf_counter_ns()
+    last = time.monotonic()
+    while len(images) < count:
+        frame = source.read(time.perf_counter_ns() - start)
+        if frame is None:
+            break
+        if frame.number not in seen and not frame.stale and frame.image is not None:
+            seen.add(frame.number)
+            images.append(frame.image.copy())
+            last = time.monotonic()
+        elif time.monotonic() - last > SILENCE_S:
+            raise CalibrationError(
+                f"{source.title} gave {len(images)} of {count} frames, and none for "
+                f"{SILENCE_S:g} s: check the source",
+                about="frames",
+            )
+        else:
+            time.sleep(_LOOK_S)
+    if not images:
+        raise CalibrationError(f"{source.title} gave no frames: check the source", about="frames")
+    return images
+
+
+def uncorrected(profile: Profile) -> Profile:
+    """Return a profile whose sensors give raw images, without its flat field."""
+    optics = profile.optics.model_copy(update={"flat_field": None})
+    return profile.model_copy(update={"optics": optics})
+
+
+_Stack = Sequence[NDArray[np.uint8]]
+
+MOST_UNEVEN = 0.05
+"""Largest unevenness of white after correction; with more, the paper is not blank, or it moved."""
+
+
+@dataclass(frozen=True, eq=False)
+class OpticsFound:
+    """A flat field, and the figures of the sensor with it."""
+
+    field: FlatField
+    # uneven_before, uneven_after: standard deviation of blank paper over its mean. After the
+    # correction it is judged on frames that the correction was not made from, if there are two of
+    # each kind or more.
+    uneven_before: float
+    uneven_after: float
+    # from frame to frame, of the usual pixel, on white, grey levels; NaN of one frame
+    noise_levels: float
+    dark_level: float  # of the usual pixel, grey levels
+    # dead, hot: pixels that do not answer light, and that shine in the dark
+    dead: int
+    hot: int
+    frames: tuple[int, int]  # dark and white frames used
+
+    def sentence(self) -> str:
+        """Return the sentence for the profile."""
+        columns, rows = self.field.gain.shape[::-1]
+        return (
+            f"{columns} × {rows} pixels, blank paper uneven by {self.uneven_before:.1%} before and "
+            f"{self.uneven_after:.1%} after, noise {self.noise_levels:.1f} grey levels, "
+            f"{self.dead} dead and {self.hot} hot pixels, {self.frames[0]} dark and "
+            f"{self.frames[1]} white frames"
+        )
+
+
+def measure_optics(dark: _Stack, white: _Stack) -> OpticsFound:
+    """Return the flat field of a sensor from images in the dark and of blank paper."""
+    field = FlatField.measure(dark, white)
+    before = _uneven(mean_image(white) - mean_image(dark), field)
+    after = _held_out(dark, white, field)
+    if after > MOST_UNEVEN:
+        raise CalibrationError(
+            f"blank paper is still uneven by {after:.1%} after correction, above "
+            f"{MOST_UNEVEN:.0%}: use blank paper, hold it still, and give more frames",
+            about="unevenness",
+            remedy="frames",
+        )
+    stack = np.stack(list(white)).astype(np.float32)
+    noise = float(np.median(stack.std(axis=0, ddof=1))) if len(stack) > 1 else float("nan")
+    broken = field.gain == 0
+    hot = broken & (field.dark > np.median(field.dark) + 1)
+    span = mean_image(white) - mean_image(dark)
+    dead = broken & (span < 0.5 * np.median(span))
+    return OpticsFound(
+        field,
+        before,
+        after,
+        noise,
+        float(np.median(field.dark)),
+        int(dead.sum()),
+        int((hot & ~dead).sum()),
+        (len(dark), len(white)),
+    )
+
+
+def _held_out(dark: _Stack, white: _Stack, field: FlatField) -> float:
+    """Return the unevenness of paper after a correction made from every other frame only."""
+    if min(len(dark), len(white)) > 1:
+        field = FlatField.measure(dark[::2], white[::2])
+        white = white[1::2]
+    corrected = mean_image([field.correct(image) for image in white])
+    return _uneven(corrected, field)
+
+
+def _uneven(levels: NDArray[np.float64], field: FlatField) -> float:
+    good = levels[field.gain > 0]
+    return float(good.std() / good.mean())
+
+
+@dataclass
+class SimulatedCell:
+    """Simulated load cell."""
+
+    # counts_per_n, zero: scale and offset of an ideal cell
+    counts_per_n: float = 4.1e5
+    zero: float = 83_000.0
+    bend: float = 0.0  # deficit of the reading at full force, as a part; at half, a quarter of that
+    # lag of the reading on the way down, at half of the heaviest weight it has carried
+    hysteresis_n: float = 0.0
+    noise_n: float = 0.002  # of a single reading
+    garbage: float = 0.0  # part of the readings that are far off
+    missing: float = 0.0  # part of the readings that are NaN
+    full_n: float = 1.0
+    seed: int = 0
+    rate_hz: float = 80.0
+    grams: float = 0.0  # weight on it; set by `put`
+    _most_n: float = field(default=0.0, init=False)
+
+    def __post_init__(self) -> None:
+        self._random = np.random.default_rng(self.seed)
+
+    def put(self, grams: float) -> None:
+        """Put a weight on it."""
+        self.grams = grams
+        self._most_n = max(self._most_n, self._force_n)
+
+    @property
+    def _force_n(self) -> float:
+        return self.grams / 1000 * STANDARD_GRAVITY
+
+    def collect(self, seconds: float) -> NDArray[np.float64]:
+        """Return the readings of a duration, at once."""
+        force_n, random = self._force_n, self._random
+        count = round(seconds * self.rate_hz)
+        if force_n < self._most_n:
+            part = force_n / self._most_n
+            force_n += 4 * part * (1 - part) * self.hysteresis_n
+        seen_n = force_n * (1 - self.bend * force_n / self.full_n)
+        readings = seen_n + self.noise_n * random.standard_normal(count)
+        readings = self.zero + self.counts_per_n * readings
+        wild = random.random(count) < self.garbage
+        readings[wild] = random.uniform(-(2**23), 2**23, int(wild.sum()))
+        readings[random.random(count) < self.missing] = np.nan
+        return np.rint(readings)
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedPatch:
+    """Simulated sensor patch: uneven light, pixels of varied gain and dark level, some
+    broken.
+    """
+
+    shape: tuple[int, int] = (64, 64)
+    shade: float = 0.3
+    own_gain: float = 0.05
+    own_dark: float = 2.0
+    noise_levels: float = 2.0
+    dead: int = 0
+    hot: int = 0
+    level: float = 190.0
+    seed: int = 0
+
+    def images(self, count: int, *, light: bool) -> list[NDArray[np.uint8]]:
+        """Return images of blank paper, or in the dark."""
+        return self.see(np.full(self.shape, 1.0 if light else 0.0), count)
+
+    def see(self, scene: NDArray[np.float64], count: int = 1) -> list[NDArray[np.uint8]]:
+        """Return the image of a scene, (H, W) from 0 (no light) to 1 (white)."""
+        fixed = np.random.default_rng(self.seed)
+        y, x = np.meshgrid(*(np.linspace(-1, 1, side) for side in self.shape), indexing="ij")
+        gain = 1 + 0.1 * x - self.shade / 2 * (x * x + y * y)
+        gain *= 1 + self.own_gain * fixed.standard_normal(self.shape)
+        dark = 14 + self.own_dark * fixed.standard_normal(self.shape)
+        broken = fixed.permutation(gain.size)
+        gain.ravel()[broken[: self.dead]] = 0.02
+        dark.ravel()[broken[self.dead : self.dead + self.hot]] += 120
+        fresh = np.random.default_rng((self.seed, count, int(1e6 * scene.mean())))
+        return [
+            np.clip(
+                np.rint(
+                    dark
+                    + self.level * gain * scene
+                    + self.noise_levels * fresh.standard_normal(self.shape)
+                ),
+                0,
+                255,
+            ).astype(np.uint8)
+            for _ in range(count)
+        ]
+
+
+def weigh_simulated(listed: Sequence[float] | None, seconds: float) -> list[Weighing]:
+    """Weigh some grams, or a usual set, on a cell that does not exist."""
+    cell, found = SimulatedCell(bend=0.02, hysteresis_n=0.005), []
+    for grams in listed or (0, 20, 50, 100, 50, 20, 0):
+        cell.put(grams)
+        found.append(weigh(cell, grams, seconds))
+    return found

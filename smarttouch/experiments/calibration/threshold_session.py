@@ -1,0 +1,285 @@
+"""Threshold session: the trials of many electrodes, each result saved at once."""
+
+import json
+import math
+from collections.abc import Callable, Generator, Mapping, Sequence
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import CalibrationError
+from smarttouch.base.files import (
+    open_alone,
+    parse_json,
+    read_bytes,
+    sync_folder,
+    unwritable,
+    write_through,
+)
+from smarttouch.base.stopping import Closing
+from smarttouch.boards.board import Board
+from smarttouch.experiments.calibration.threshold_procedures import (
+    AdaptiveThreshold,
+    AscendingLimits,
+    Thresholds,
+    ceiling_ma,
+    measuring_profile,
+    slew_ma_s,
+)
+from smarttouch.experiments.psychophysics.observers import KnownObserver
+from smarttouch.experiments.psychophysics.procedures import Condition
+from smarttouch.experiments.psychophysics.trials import Answer, Stimuli, Train, Trial
+from smarttouch.profile import Profile
+
+
+class Progress(Closing):
+    """Results of a threshold session until now, by electrode, in a file beside the profile to come.
+
+    They count only where `settings` are the same. Until it is closed no other session can continue
+    the same file.
+    """
+
+    def __init__(self, path: Path, settings: Mapping[str, Any]) -> None:
+        self.path = path
+        # As JSON gives it back: a tuple becomes a list.
+        self._settings = json.loads(json.dumps(settings))
+        self.found: dict[int, Thresholds] = {}
+        # The file itself is another one after each electrode: one beside it keeps others out.
+        self._lock_path = path.with_name(f".{path.name}-lock")
+        self._lock = open_alone(self._lock_path, CalibrationError, path)
+        try:
+            if path.exists():
+                self.found = self._read()
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Release the lock of the file."""
+        if not self._lock.closed:
+            self._lock_path.unlink(missing_ok=True)
+            self._lock.close()
+
+    def keep(self, site: int, found: Thresholds) -> None:
+        """Add the result of an electrode, and write the file."""
+        self.found[site] = found
+        entries = {str(each): _plain(found) for each, found in sorted(self.found.items())}
+        text = json.dumps({"settings": self._settings, "found": entries}, indent=1)
+        draft = self.path.with_name(f".{self.path.name}-draft")
+        try:
+            write_through(draft, (text + "\n").encode())
+            draft.replace(self.path)
+            sync_folder(self.path.absolute().parent)
+        except OSError as error:
+            raise unwritable(CalibrationError, self.path, error) from None
+
+    def forget(self) -> None:
+        """Remove the file once the profile has the results."""
+        self.path.unlink(missing_ok=True)
+
+    def _read(self) -> dict[int, Thresholds]:
+        try:
+            stored = parse_json(read_bytes(self.path, CalibrationError))
+            settings = stored["settings"]
+            found = {int(site): _thresholds(entry) for site, entry in stored["found"].items()}
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
+            raise CalibrationError(
+                f"{self.path} is not the beginning of a threshold session: remove it to start over",
+                about="file",
+            ) from None
+        for key, value in self._settings.items():
+            before = settings.get(key) if isinstance(settings, dict) else None
+            if before != value:
+                raise CalibrationError(
+                    f"{self.path} was begun with {key} {before}, not {value}: go on with the same, "
+                    "or remove it to start over",
+                    about=key,
+                )
+        return found
+
+
+def _plain(found: Thresholds) -> dict[str, Any]:
+    """Return JSON values, which have no NaN."""
+    return {
+        name: None if isinstance(value, float) and math.isnan(value) else value
+        for name, value in asdict(found).items()
+    }
+
+
+def _thresholds(entry: Mapping[str, Any]) -> Thresholds:
+    values: dict[str, Any] = {}
+    for each in fields(Thresholds):
+        value = entry[each.name]
+        if each.type is int:
+            values[each.name] = int(value)
+        else:
+            values[each.name] = math.nan if value is None else float(value)
+    found = Thresholds(**values)
+    if found.felt and not 0 < found.threshold_ma <= found.comfort_ma:
+        raise ValueError("a threshold above comfort")
+    return found
+
+
+TRIAL_S = 0.8
+"""Time of a yes-no trial at its level."""
+_SLOWER = 0.98
+"""Part of the largest slope at which a current rises."""
+_ANY_KEY = {"\n": "y"}
+_FELT = {"y": "y", "n": "n", "Y": "y", "N": "n", " ": "y", "\n": "y", "\r": "y"}
+
+_Trials = Generator[Trial, Answer, Thresholds]
+
+
+class ThresholdSession:
+    """Trials that measure one electrode after the other."""
+
+    title = "thresholds"
+
+    def __init__(
+        self,
+        profile: Profile,  # to be measured
+        board: Board,  # its own largest current counts too, from when it is open
+        sites: Sequence[int],
+        # keeps each electrode as it is done; those that it has already are left out
+        progress: Progress,
+        *,
+        adaptive: bool = False,  # whether yes-or-no trials follow the rising current
+        repeats: int = 3,  # of the rising current
+        seed: int = 0,  # of all that is drawn
+        # given each electrode and its result
+        show: Callable[[int, Thresholds], None] = lambda _site, _found: None,
+    ) -> None:
+        self._profile, self._board = profile, board
+        self._measuring = measuring_profile(profile)
+        self._sites, self._progress = sites, progress
+        self._adaptive, self._repeats, self._seed, self._show = adaptive, repeats, seed, show
+        self._trials = self._measure_all()
+        self._next: Trial | None = None
+        self._begun = False
+
+    @property
+    def done(self) -> int:
+        """Number of electrodes that are over."""
+        return len(self._progress.found.keys() & set(self._sites))
+
+    @property
+    def total(self) -> int:
+        """Number of electrodes."""
+        return len(self._sites)
+
+    @property
+    def over(self) -> bool:
+        """True if all electrodes are measured."""
+        return self.done == self.total
+
+    def next(self) -> Trial | None:
+        """Return the next trial; None after the last."""
+        if not self._begun:
+            self._begun, self._next = True, next(self._trials, None)
+        return self._next
+
+    def record(self, trial: Trial, answer: Answer) -> None:
+        """Go on with an answer; a result is on disk after that."""
+        try:
+            self._next = self._trials.send(answer)
+        except StopIteration:
+            self._next = None
+
+    def _measure_all(self) -> Generator[Trial, Answer, None]:
+        for site in self._sites:
+            if site not in self._progress.found:
+                found = yield from self._measure(site)
+                self._progress.keep(site, found)
+                self._show(site, found)
+
+    def _measure(self, site: int) -> _Trials:
+        """Return the result of one electrode; a second attempt is made if it is implausible."""
+        found = yield from self._rise(site, 0)
+        if found.felt and not found.usable:
+            found = yield from self._rise(site, 1)
+        if self._adaptive and found.usable:
+            return (yield from self._refined(site, found))
+        return found
+
+    def _rise(self, site: int, attempt: int) -> _Trials:
+        course = AscendingLimits(
+            ceiling_ma(self._profile, site, self._board),
+            float(self._profile.threshold_ma[site]),
+            self._repeats,
+            _SLOWER * slew_ma_s(self._measuring, site),
+            (self._seed, site, attempt),
+        )
+        yield Trial(
+            Condition(0.0, np.nan, 0, attempt, site),
+            (self._train(site, TRIAL_S),),
+            task="felt",
+            question=f"electrode {site}: a key when you feel it, again when it is strong enough",
+            answers=_ANY_KEY,
+            target="",
+            success="",
+            words=f"electrode {site}, current rises",
+            unit="mA",
+            exact=True,
+            course=course,
+        )
+        return course.result()
+
+    def _refined(self, site: int, rising: Thresholds) -> _Trials:
+        """Return the threshold by yes-or-no trials, none stronger than was comfortable."""
+        procedure = AdaptiveThreshold(rising.threshold_ma, rising.comfort_ma, (self._seed, site, 2))
+        while not procedure.done:
+            level_ma = procedure.next()
+            shown_ma = level_ma or rising.threshold_ma
+            soft_s = shown_ma / (_SLOWER * slew_ma_s(self._measuring, site))
+            level = min(1.0, shown_ma / float(self._measuring.full_ma[site]))
+            train = replace(self._train(site, soft_s + TRIAL_S), level=level, soft_s=soft_s)
+            answer = yield Trial(
+                Condition(0.0, level_ma, 0, procedure.trials, site),
+                (train if level_ma else train.blank(),),
+                task="felt",
+                question="felt? y or n",
+                answers=_FELT,
+                target="y" if level_ma else "n",
+                success="y",
+                words=f"electrode {site}, {level_ma:.3f} mA",
+                unit="mA",
+                exact=True,
+            )
+            procedure.answer(answer.response == "y")
+        if not procedure.believable:
+            raise CalibrationError(
+                f"electrode {site}: {procedure.guessed} of {procedure.blanks} trials without any "
+                "current were called felt: explain the task again, then run the same command again",
+                about="blanks",
+                electrode=site,
+            )
+        return replace(rising, threshold_ma=procedure.threshold_ma, spread=procedure.spread)
+
+    def _train(self, site: int, seconds: float) -> Train:
+        pulse = self._measuring.pulse
+        # At two pulses a train begins.
+        longest_s = max(seconds, 2 / pulse.rate_hz)
+        return Stimuli(self._measuring, Afferent.RA, longest_s).train([site], pulse.rate_hz)
+
+
+def simulated_finger(
+    profile: Profile, measuring: Profile, ceilings_ma: Sequence[float], seed: int
+) -> KnownObserver:
+    """Return an observer with electrodes that differ, none above its ceiling."""
+    random = np.random.default_rng(seed)
+    threshold_ma, enough_ma = [], []
+    for usual_ma, top_ma in zip(profile.threshold_ma.tolist(), ceilings_ma, strict=True):
+        delivered_ma = min(usual_ma * float(np.exp(0.2 * random.standard_normal())), 0.6 * top_ma)
+        threshold_ma.append(delivered_ma)
+        enough_ma.append(min(delivered_ma * random.uniform(1.5, 2.2), 0.95 * top_ma))
+    return KnownObserver(
+        measuring,
+        np.array(threshold_ma, np.float32),
+        np.array(enough_ma, np.float32),
+        seed,
+        guess=0.005,
+        lapse=0.03,
+    )

@@ -1,0 +1,1 @@
+"""Fits of psychometric functions: thresholds, their intervals, and reasons why there is none."""

@@ -1,0 +1,223 @@
+"""Answers to be fitted, and their reader from CSV files."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import ExperimentError
+from smarttouch.base.files import read_text
+from smarttouch.base.tables import finite, parse_csv
+from smarttouch.experiments.fitting.psychometric import MOST_LAPSES, Guess, Model, Shape
+
+Array = NDArray[np.float64]
+
+
+class Counts(NamedTuple):
+    """Number of trials and successes at each comparison."""
+
+    stimulus: Array  # (K,): rising
+    # n, k: (K,), answers and successes
+    n: Array
+    k: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Answers:
+    """All trials of one standard, in their order."""
+
+    standard: float  # standard of the comparison; 0 if there is none
+    comparison: Array  # (N,): in the same unit
+    success: Array  # (N,): 1 judged higher, felt, or right; 0 not; NaN no answer
+    # (N,): of the comparison, 1 or 2; 0 where there are no two intervals
+    interval: NDArray[np.int64]
+    alternatives: int = 0  # number of alternatives; 0 if *yes* and *no*, or not known
+
+    @property
+    def presented(self) -> int:
+        """Number of trials."""
+        return len(self.success)
+
+    @property
+    def answered(self) -> int:
+        """Number of trials with an answer."""
+        return int(np.isfinite(self.success).sum())
+
+    @property
+    def chose_first(self) -> int:
+        """Number of answers for the first interval."""
+        chosen = np.where(self.success == 1, self.interval, 3 - self.interval)
+        return int((chosen[self._two] == 1).sum())
+
+    @property
+    def compared(self) -> int:
+        """Number of answers for one of two intervals."""
+        return int(self._two.sum())
+
+    def counts(self) -> Counts:
+        """Return trials and successes at each comparison; trials without an answer are left out."""
+        given = np.isfinite(self.success)
+        stimulus, which = np.unique(self.comparison[given], return_inverse=True)
+        n, k = np.zeros(len(stimulus)), np.zeros(len(stimulus))
+        np.add.at(n, which, 1.0)
+        np.add.at(k, which, self.success[given])
+        return Counts(stimulus, n, k)
+
+    @property
+    def _two(self) -> NDArray[np.bool_]:
+        return np.asarray(np.isfinite(self.success) & (self.interval > 0))
+
+
+def usual_model(
+    all_answers: Sequence[Answers],  # to all standards
+    # shape, at, most_lapses: as for `Model`
+    shape: Shape = Shape.NORMAL,
+    # if None: with a standard, or comparisons on both sides of 0, *equal*; else one of the
+    # alternatives; else of *felt*, free if some trials showed nothing, and 0 if none did
+    guess: Guess | None = None,
+    logarithmic: bool | None = None,  # if None: unless a comparison is negative
+    at: float | None = None,
+    most_lapses: float = MOST_LAPSES,
+) -> Model:
+    """Return the model that belongs to the answers of one experiment."""
+    stimulus = np.concatenate([each.comparison for each in all_answers])
+    signed = bool((stimulus < 0).any())
+    if guess is None:
+        alternatives = max(each.alternatives for each in all_answers)
+        if signed or any(each.standard for each in all_answers):
+            guess = "equal"
+        elif alternatives:
+            guess = 1 / alternatives
+        else:
+            guess = "free" if (stimulus == 0).any() else 0.0
+    return Model(shape, not signed if logarithmic is None else logarithmic, guess, at, most_lapses)
+
+
+_DELIMITERS = (",", ";", "\t")
+_YES = {"1", "1.0", "true", "yes", "y", "correct"}
+_NO = {"0", "0.0", "false", "no", "n", "incorrect", "wrong"}
+_NONE = {"", "nan", "na", "n/a", "none"}
+_Cells = dict[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class AnswerTable:
+    """The answers of one file."""
+
+    name: str  # of the file, without its ending
+    unit: str  # of standards and comparisons, if it says so
+    answers: tuple[Answers, ...]  # to each standard, rising
+
+
+def read_table(
+    path: Path,
+    # x, y, standard: columns of comparison, success and standard; the last need not be there. The
+    # interval of the comparison (`comparison_interval`) and the words answered (`response`) are
+    # used if there are such columns.
+    x: str = "comparison",
+    y: str = "success",
+    standard: str = "standard",
+) -> AnswerTable:
+    """Read comparisons and answers.
+
+    Comma, semicolon or tab separate the cells. With a semicolon a decimal comma is one. An answer
+    is 1, true, yes, correct or their contraries; an empty cell is none. If the file does not end
+    in a line break its last line was cut off where it has fewer cells than the others: it is
+    dropped.
+    """
+    head, lines = _cells(path)
+    for parameter, name in (("x", x), ("y", y), ("standard", standard)):
+        if name not in head and name != "standard":
+            raise ExperimentError(
+                f"{path} has no column {name!r} for {parameter}: choose {' or '.join(head)}",
+                about=parameter,
+            )
+    rows = []
+    for number, cells in lines:
+        where = f"{path}, line {number}"
+        interval = cells.get("comparison_interval", "")
+        rows.append(
+            (
+                _number(cells.get(standard, ""), where, standard) if cells.get(standard) else 0.0,
+                _number(cells[x], where, x),
+                _success(cells[y], where, y),
+                int(_number(interval, where, "comparison_interval")) if interval else 0,
+            )
+        )
+    if not rows:
+        raise ExperimentError(
+            f"{path} has no trials below its first line: give one that has", about="file"
+        )
+    table = np.array(rows, np.float64)
+    alternatives = _alternatives([cells for _, cells in lines])
+    found = []
+    for each in np.unique(table[:, 0]):
+        _, comparison, success, interval = table[table[:, 0] == each].T
+        found.append(
+            Answers(float(each), comparison, success, interval.astype(np.int64), alternatives)
+        )
+    units = {cells.get("unit", "") for _, cells in lines}
+    return AnswerTable(path.stem, units.pop() if len(units) == 1 else "", tuple(found))
+
+
+def _cells(path: Path) -> tuple[tuple[str, ...], list[tuple[int, _Cells]]]:
+    """Return names of columns, and the cells of each line with its number in the file."""
+    text = read_text(path, ExperimentError)
+    first = text.partition("\n")[0]
+    delimiter = max(_DELIMITERS, key=first.count)
+    table = parse_csv(text, path, ExperimentError, delimiter, strict=True)
+    head, rows = table.head, table.rows
+    if not head:
+        raise ExperimentError(f"{path} is empty: give a file of answers", about="file")
+    if rows and not text.endswith("\n") and len(rows[-1]) < len(head):
+        rows.pop()
+    found = []
+    for number, row in zip(table.lines, rows, strict=False):
+        if len(row) < len(head):
+            raise ExperimentError(
+                f"{path}, line {number}: {len(row)} cells, not {len(head)} as in the first line; "
+                "correct or delete it",
+                about="line",
+            )
+        cells = dict(zip(head, map(str.strip, row), strict=False))
+        if delimiter == ";":
+            cells = {name: cell.replace(",", ".") for name, cell in cells.items()}
+        found.append((number, cells))
+    return head, found
+
+
+def _number(text: str, where: str, column: str) -> float:
+    number = finite(text)
+    if math.isnan(number):
+        raise ExperimentError(
+            f"{where}: {column} is {text!r}, not a number; correct or delete it", about=column
+        )
+    return number
+
+
+def _success(text: str, where: str, column: str) -> float:
+    word = text.lower()
+    if word in _NONE:
+        return math.nan
+    if word not in _YES | _NO:
+        raise ExperimentError(
+            f"{where}: {column} is {text!r}, not 1 or 0; name another column for y",
+            about=column,
+            remedy="y",
+        )
+    return float(word in _YES)
+
+
+def _alternatives(lines: list[_Cells]) -> int:
+    """Return the number of alternatives; 0 if *yes* and *no*, or not known."""
+    if any(cells.get("comparison_interval") for cells in lines):
+        return 2
+    said = {cells.get("response", "") for cells in lines}
+    shown = {cells.get("target", "") for cells in lines} if said - {""} else set()
+    if said - {""} <= {"y", "n"}:
+        return 0
+    return max(2, len(said | shown - {""}))

@@ -1,0 +1,335 @@
+"""Threshold for the answers to one standard, or why there is none; its text and figures."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from smarttouch.experiments.fitting.answers import Answers, AnswerTable, Counts, usual_model
+from smarttouch.experiments.fitting.fit import (
+    BootstrapOptions,
+    Bounded,
+    Fit,
+    Uncertainty,
+    fit,
+    how_sure,
+)
+from smarttouch.experiments.fitting.psychometric import Estimate, Model
+from smarttouch.views.experiment_figures import JudgedSeries, JudgedStandard
+
+FEWEST_ANSWERS = 15
+MOST_UNANSWERED = 0.5
+"""Share of trials without an answer above which the answered ones may be a biased choice."""
+SAME_INTERVAL = 0.95
+"""Share of answers for the same interval above which answers do not depend on the stimulus."""
+FLAT = 0.02
+"""Significance level of the test against answers independent of the comparison."""
+POOR = 0.01
+"""Share of replicas that fit no better than the answers, below which the fit is called poor."""
+_FALLING = -2.58
+"""Trend, in standard deviations, of falling answers: one in two hundred by chance."""
+_SAMPLES = 200
+"""Replicas of a bootstrap that only estimates a standard deviation."""
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """Result for one standard."""
+
+    answers: Answers
+    model: Model
+    how: BootstrapOptions
+    fit: Fit | None  # none where there is no function to speak of
+    verdict: str | None = None  # why no threshold can be reported, in one sentence; None if one can
+    # the same for programs: "unanswered", "too few", "one interval", "always", "never", "one
+    # comparison", "falling", "flat" or "outside"; empty if one can
+    reason: str = ""
+    beyond: int = 0  # 1 or -1 where the threshold lies above or below all comparisons, 0 else
+
+    @cached_property
+    def sureness(self) -> Uncertainty | None:
+        """Uncertainty of the fit; None without a fit."""
+        return None if self.fit is None else how_sure(self.fit, self.how)
+
+    @cached_property
+    def threshold(self) -> Bounded | None:
+        """Stimulus at which the model's share of answers is reached."""
+        return self._at(self.model.level)
+
+    @cached_property
+    def middle(self) -> Bounded | None:
+        """Stimulus where F is a half: the point of subjective equality, if asymptotes are equal."""
+        return self._at(0.5)
+
+    @cached_property
+    def lower(self) -> Bounded | None:
+        """The other threshold, as rarely judged higher as the upper is often.
+
+        None if it lies below all comparisons, or the asymptotes are not equal.
+        """
+        if self.model.guess != "equal":
+            return None
+        found = self._at(1 - self.model.level)
+        return None if found is None or found.value < self.answers.comparison.min() else found
+
+    @property
+    def weber(self) -> Bounded | None:
+        """Upper threshold as a part of the standard, from it (Fig. 16, bottom)."""
+        return self._relative(self.threshold)
+
+    @property
+    def lower_weber(self) -> Bounded | None:
+        """Lower threshold as a part of the standard, from it; negative."""
+        return self._relative(self.lower)
+
+    @property
+    def goodness(self) -> float | None:
+        """Share of replicas that fit no better, 0 to 1; None where it is not informative."""
+        return None if self.verdict or self.sureness is None else self.sureness.goodness
+
+    @property
+    def notes(self) -> list[str]:
+        """Warnings about a threshold that is reported."""
+        if self.verdict or self.fit is None or self.sureness is None or self.threshold is None:
+            return []
+        notes = []
+        if self.sureness.sudden:
+            notes.append(
+                f"answers change too suddenly around {self.fit.at(0.5):.4g} to determine the "
+                "slope: the interval is that of the posterior"
+            )
+        elif self.sureness.sparse:
+            notes.append("few answers at some comparisons: the interval is that of the posterior")
+        lowest, highest = self.answers.comparison.min(), self.answers.comparison.max()
+        if self.threshold.low < lowest or self.threshold.high > highest:
+            notes.append(
+                f"the interval reaches beyond what was tested, {lowest:.4g} to {highest:.4g}"
+            )
+        if self.goodness is not None and self.goodness < POOR:
+            notes.append(
+                f"the curve fits poorly (deviance {self.fit.deviance:.1f}, "
+                f"p {self.goodness:.3f}): answers may have drifted, or follow another curve"
+            )
+        return notes
+
+    def _at(self, part: float) -> Bounded | None:
+        return None if self.verdict or self.sureness is None else self.sureness.at(part)
+
+    def _relative(self, found: Bounded | None) -> Bounded | None:
+        standard = self.answers.standard
+        if found is None or not standard:
+            return None
+        return Bounded(*(each / standard - 1 for each in found))
+
+
+def judge(answers: Answers, model: Model, how: BootstrapOptions | None = None) -> Finding:
+    """Fit the answers to one standard, or give the reason why not."""
+    how = how or BootstrapOptions()
+
+    def none(reason: str, why: str, beyond: int = 0, found: Fit | None = None) -> Finding:
+        return Finding(answers, model, how, found, why, reason, beyond)
+
+    unusable = _unusable(answers)
+    if unusable:
+        return none(*unusable)
+    counts = answers.counts()
+    low, high = float(counts.stimulus[0]), float(counts.stimulus[-1])
+    total, successes = int(counts.n.sum()), int(counts.k.sum())
+    said = what_was_said(answers, model)
+    if successes == total:
+        return none("always", f"always {said}, {total} times: a threshold lies below {low:.4g}", -1)
+    if successes == 0:
+        return none(
+            "never", f"never {said} in {total} answers: a threshold lies above {high:.4g}", 1
+        )
+    if len(counts.stimulus) == 1:
+        return none(
+            "one comparison",
+            f"{said} {successes / total:.0%} of {total} times, but all were at {low:.4g}",
+        )
+    found = fit(counts, model)
+    if _chance_of_flat(found, _guessing(answers, model)) > FLAT:
+        if _trend(counts) < _FALLING:
+            return none(
+                "falling",
+                f"the higher the comparison, the more rarely {said}: the keys, or comparison and "
+                "standard, are mixed up",
+            )
+        return none(
+            "flat",
+            f"answers do not depend on the comparison: {said} {successes / total:.0%} of {total} "
+            f"times, without a clear rise from {low:.4g} to {high:.4g}; more trials may show one",
+        )
+    threshold = found.threshold
+    if not low <= threshold <= high:
+        beyond = 1 if threshold > high else -1
+        end = f"above {high:.4g}" if beyond > 0 else f"below {low:.4g}"
+        why = f"{model.share:.0%} is not within the range tested: the threshold lies {end}"
+        return none("outside", why, beyond, found)
+    return Finding(answers, model, how, found)
+
+
+def estimate(answers: Answers) -> Estimate | None:
+    """Return threshold and spread of the answers to one standard; None if there is none."""
+    found = judge(answers, usual_model([answers]), BootstrapOptions(samples=_SAMPLES))
+    if found.threshold is None:
+        return None
+    value, low, high = found.threshold
+    # Of a normal distribution, between whose 2.5 and 97.5 % lie 3.92 standard deviations.
+    return Estimate(value, (high - low) / 3.92, answers.answered)
+
+
+def _unusable(answers: Answers) -> tuple[str, str] | None:
+    """Return the reason why answers cannot be fitted, as a short name and as a sentence."""
+    answered, presented = answers.answered, answers.presented
+    if answered < (1 - MOST_UNANSWERED) * presented:
+        return "unanswered", f"only {answered} of {presented} trials were answered"
+    if answered < FEWEST_ANSWERS:
+        why = f"{answered} answers are too few: at least {FEWEST_ANSWERS} are needed"
+        return "too few", why
+    compared, first = answers.compared, answers.chose_first
+    if compared >= FEWEST_ANSWERS and max(first, compared - first) > SAME_INTERVAL * compared:
+        same, word = max((first, "first"), (compared - first, "second"))
+        why = f"the {word} interval was chosen {same} of {compared} times, whatever came in it"
+        return "one interval", why
+    return None
+
+
+def what_was_said(answers: Answers, model: Model) -> str:
+    """Return the name of a success: *judged higher*, *felt* or *right*."""
+    if model.guess == "equal":
+        return "judged higher" if answers.standard else "judged more"
+    return "felt" if model.guess in ("free", 0) else "right"
+
+
+def _chance_of_flat(found: Fit, share: float) -> float:
+    """Return the probability that the fit gains as much on a constant share by chance.
+
+    Likelihood ratio; chi squared with the two degrees of freedom of threshold and spread.
+    """
+    n, k = found.counts.n, found.counts.k
+    constant = float(k.sum() * math.log(share) + (n - k).sum() * math.log1p(-share))
+    return math.exp(min(0.0, constant - float(found.best.log_likelihood[0])))
+
+
+def _guessing(answers: Answers, model: Model) -> float:
+    """Return the share of successes by guessing alone.
+
+    That is known where a success is to be right. Adaptive procedures keep the share of successes
+    nearly the same, so that the slope itself would be a weak proof.
+    """
+    if not isinstance(model.guess, str) and model.guess > 0:
+        return model.guess
+    if model.guess == "equal" and answers.comparison.min() >= answers.standard > 0:
+        return 0.5
+    return float(np.nanmean(answers.success))
+
+
+def _trend(counts: Counts) -> float:
+    """Return the Cochran-Armitage statistic of a rise with the rank of the comparison (1955)."""
+    rank = np.arange(len(counts.n)) * 1.0
+    total, share = counts.n.sum(), counts.k.sum() / counts.n.sum()
+    rank -= (counts.n @ rank) / total
+    return float(counts.k @ rank / math.sqrt(share * (1 - share) * (counts.n @ rank**2)))
+
+
+_CURVE_POINTS = 301
+
+
+def as_series(table: AnswerTable, findings: Sequence[Finding]) -> JudgedSeries:
+    """Return the chart's series of one file."""
+    first = findings[0]
+    said = what_was_said(first.answers, first.model)
+    return JudgedSeries(
+        table.name, table.unit, tuple(map(_judged, findings)), first.model.share, said
+    )
+
+
+def as_figures(findings: Sequence[Finding]) -> list[dict[str, Any]]:
+    """Return the JSON figures of each standard; an end that is not known is null."""
+    return [
+        {
+            "standard": each.answers.standard or None,
+            "presented": each.answers.presented,
+            "answered": each.answers.answered,
+            "function": each.model.shape.value,
+            "logarithmic": each.model.logarithmic,
+            "at": each.model.share,
+            "threshold": _ends(each.threshold),
+            "weber": _ends(each.weber),
+            "middle": _ends(each.middle),
+            "lower": _ends(each.lower),
+            "lower_weber": _ends(each.lower_weber),
+            "spread": each.fit and each.fit.spread,
+            "slope": each.fit and each.fit.slope,
+            "lapse": each.fit and each.fit.lapse,
+            "guess": each.fit and each.fit.guess,
+            "deviance": each.fit and each.fit.deviance,
+            "goodness": each.goodness,
+            "verdict": each.verdict,
+            "notes": each.notes,
+        }
+        for each in findings
+    ]
+
+
+def threshold_rows(findings: Sequence[Finding], compares: bool) -> list[list[str]]:
+    """Return a heading, and a row of words for each finding that has a threshold."""
+    share = findings[0].model.share if findings else 0.0
+    heading = ["n", f"{share:.0%} at", "slope", "lapse", "p"]
+    if compares:
+        heading = ["standard", *heading[:2], "Weber", "lower", "middle", *heading[2:]]
+    rows = [heading]
+    for each in findings:
+        assert each.fit is not None
+        goodness = "" if each.goodness is None else f"{each.goodness:.2f}"
+        cells = [str(each.answers.answered), in_words(each.threshold)]
+        if compares:
+            lower = "" if each.lower_weber is None else f"{each.lower_weber.value:.0%}"
+            cells += [in_percent(each.weber), lower, f"{each.fit.at(0.5):.3g}"]
+            cells.insert(0, f"{each.answers.standard:g}")
+        rows.append([*cells, f"{each.fit.slope:.2g}", f"{each.fit.lapse:.2f}", goodness])
+    return rows
+
+
+def in_words(found: Bounded | None) -> str:
+    """Return a figure with its interval as text; an end that is not known is an ellipsis."""
+    if found is None:
+        return ""
+    low, high = (f"{each:.3g}" if math.isfinite(each) else "…" for each in found[1:])
+    return f"{found.value:.3g} ({low}–{high})"
+
+
+def in_percent(found: Bounded | None) -> str:
+    """Return a part with its interval, in percent."""
+    if found is None:
+        return ""
+    low, high = (f"{round(100 * each)}" if math.isfinite(each) else "…" for each in found[1:])
+    return f"{found.value:.0%} ({low} to {high})"
+
+
+def _judged(found: Finding) -> JudgedStandard:
+    counts = found.answers.counts()
+    curve = None
+    if found.fit is not None:
+        x = found.model.axis(counts.stimulus)
+        x = x[np.isfinite(x)]
+        stimulus = found.model.stimulus(np.linspace(x[0], x[-1], _CURVE_POINTS))
+        curve = np.stack([stimulus, found.fit(stimulus)])
+    return JudgedStandard(
+        found.answers.standard,
+        *counts,
+        curve=curve,
+        threshold=found.threshold,
+        lower=found.lower,
+        beyond=found.beyond,
+    )
+
+
+def _ends(found: Bounded | None) -> dict[str, float | None] | None:
+    if found is None:
+        return None
+    return {name: each if math.isfinite(each) else None for name, each in found._asdict().items()}

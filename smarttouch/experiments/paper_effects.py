@@ -1,0 +1,272 @@
+"""Qualitative effects of the paper, as simulated fingers show them by themselves (Section III-B).
+
+Nothing here is fitted to the effects. Every figure is a median over fingers unless it says
+otherwise.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.kernels.bank import KernelBank, load_bank
+from smarttouch.physiology.anatomy import Anatomy, load_anatomy
+from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.profile import Profile, load_profile
+from smarttouch.profile.layouts import FreeLayout
+
+Array = NDArray[np.float64]
+Row = tuple[str, str, str]
+"""Effect, the paper's figure, the fingers'."""
+
+STAGES_MA = (0.2, 0.4, 0.6, 1.0)
+"""Currents of the central line electrode at which sensations changed (Section III-B.1)."""
+CLEAR_MA = 2.4
+"""Current that was clearly felt on a disc of 1.0 mm (Section III-C)."""
+CONCENTRIC_MM = ((1.0, 0.0), (8.0, 6.0))
+"""Disc of 1.0 mm, and a ring around it from 6.0 mm on (Section III-C); its outer diameter is
+ours."""
+_EASED = 20.0
+"""Factor by which thresholds on lines are lowered before fingers leave out what no legal current
+fires, and currents with them."""
+
+
+@dataclass(frozen=True)
+class Shift:
+    """Distance of what is felt from the electrode, mm."""
+
+    # x_mm, y_mm: means over the afferents that fire; y is negative toward the fingertip
+    x_mm: float
+    y_mm: float
+    away_mm: float  # root mean square distance
+    afferents: float  # number of afferents that fire, mean over electrodes and fingers
+
+
+def fired(finger: Finger, current_ma: Array) -> NDArray[np.bool_]:
+    """Return which afferents each of (S, E) currents fires, (A, S), without noise."""
+    width_us = np.full(len(current_ma), finger.profile.pulse.width_us)
+    return np.asarray(SpikeModel(finger).drive(1000 * current_ma, width_us) >= 1)
+
+
+def kernel_ma(profile: Profile, bank: KernelBank, afferent: Afferent) -> Array:
+    """Return each site's kernel for 1 mA at the site, (E, E), mA, positive cathodic."""
+    kernels = np.asarray(bank.kernels(afferent), np.float64)
+    own = np.abs(np.diag(kernels))
+    return np.divide(kernels, own[:, None], out=np.zeros_like(kernels), where=own[:, None] > 0)
+
+
+def against_all(profile: Profile, cathodic: bool) -> Array:
+    """Return 1 mA through each electrode against all others, (E, E), mA."""
+    count = len(profile.electrodes)
+    pattern = np.full((count, count), -1 / (count - 1))
+    np.fill_diagonal(pattern, 1.0)
+    return pattern if cathodic else -pattern
+
+
+def stages(anatomy: str | Anatomy, seeds: Sequence[int]) -> dict[Afferent, Array]:
+    """Return the current at which the n-th afferent of a class fires in SAI mode, (10,) mA.
+
+    Medians over fingers, for n from 1 to 10; infinite where there are fewer. On the paper's eight
+    lines, with axons that run across them, as in Fig. 7.
+    """
+    profile = load_profile("line-8")
+    is_like = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
+    across = {
+        each.name.lower(): is_like.of(each).model_copy(
+            update={"flat_deg": 0.0, "threshold_factor": is_like.of(each).threshold_factor / _EASED}
+        )
+        for each in Afferent
+    }
+    across_lines = is_like.model_copy(update=across)
+    pattern = kernel_ma(profile, load_bank(profile), Afferent.SAI)[3]
+    width_us = np.array([profile.pulse.width_us])
+    found: dict[Afferent, list[Array]] = {each: [] for each in Afferent}
+    for seed in seeds:
+        finger = Finger(profile, seed, across_lines)
+        drive = SpikeModel(finger).drive(1000 * pattern[None], width_us)[:, 0]
+        for each in Afferent:
+            highest = np.sort(drive[finger.classes == each])[::-1][:10]
+            with np.errstate(divide="ignore"):
+                current_ma = _EASED / np.maximum(highest, 0)
+            found[each].append(np.pad(current_ma, (0, 10 - len(highest)), constant_values=np.inf))
+    return {each: np.median(rows, axis=0) for each, rows in found.items()}
+
+
+def shift(
+    fingers: Sequence[Finger], current_ma: Array, sites: Sequence[int], classes: Sequence[Afferent]
+) -> Shift:
+    """Return where the afferents of some classes lie whose axons each site's currents, (E, E) mA,
+    fire."""
+    away, tried = [np.zeros((0, 2))], 0
+    for finger in fingers:
+        answers = fired(finger, current_ma[list(sites)])
+        mine = np.isin(finger.classes, [int(each) for each in classes])
+        for column, site in enumerate(sites):
+            who = answers[:, column] & mine
+            away.append(finger.receptor_mm[who] - finger.profile.electrodes.position_mm[site])
+            tried += 1
+    all_away = np.concatenate(away)
+    if not len(all_away):
+        return Shift(np.nan, np.nan, np.nan, 0.0)
+    x_mm, y_mm = all_away.mean(axis=0)
+    rms = float(np.sqrt((all_away**2).sum(axis=1).mean()))
+    return Shift(float(x_mm), float(y_mm), rms, len(all_away) / tried)
+
+
+def inner_sites(profile: Profile) -> list[int]:
+    """Return the electrodes within the middle half of an array."""
+    reach = np.abs(profile.electrodes.position_mm).max(axis=0) / 2 + 1e-9
+    within = (np.abs(profile.electrodes.position_mm) <= reach).all(axis=1)
+    return [int(each) for each in np.flatnonzero(within)]
+
+
+def concentric(sizes_mm: tuple[tuple[float, float], tuple[float, float]]) -> Profile:
+    """Return the electric mouse with one disc and a ring around it in place of its array."""
+    mouse = load_profile("electric-mouse")
+    array = FreeLayout(
+        layout="free",
+        positions_mm=((0.0, 0.0), (0.0, 0.0)),
+        shapes=("disc", "annulus"),
+        sizes_mm=sizes_mm,
+    )
+    return Profile.model_validate(mouse.model_dump() | {"array": array.model_dump()})
+
+
+def reached(
+    profile: Profile, center_ma: float, anatomy: str | Anatomy, seeds: Sequence[int]
+) -> Array:
+    """Return the mean number of RA, SAI and PC that the middle of a concentric electrode fires."""
+    pattern = np.array([[center_ma, -center_ma]])
+    rows = []
+    for seed in seeds:
+        finger = Finger(profile, seed, anatomy)
+        rows.append(np.bincount(finger.classes[fired(finger, pattern)[:, 0]], minlength=3))
+    return np.asarray(np.mean(rows, axis=0))
+
+
+def effects(
+    anatomy: str | Anatomy,  # of the fingers
+    seeds: Sequence[int],  # of the fingers
+    # called with the number of finished parts and of all
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> list[Row]:
+    """Return the paper's effects and the fingers' figures, as rows of a table."""
+    is_like = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
+    mouse = load_profile("electric-mouse")
+    bank, sites = load_bank(mouse), inner_sites(mouse)
+    parts = (_stage_rows, _blur_rows, _shift_rows, _selective_rows, _concentric_rows)
+    rows: list[Row] = []
+    fingers = [Finger(mouse, seed, is_like) for seed in seeds]
+    for done, part in enumerate(parts):
+        rows += part(is_like, fingers, bank, sites)
+        progress(done + 1, len(parts))
+    return rows
+
+
+def _stage_rows(
+    anatomy: Anatomy, fingers: Sequence[Finger], bank: KernelBank, sites: Sequence[int]
+) -> list[Row]:
+    first = {each: ma[0] for each, ma in stages(anatomy, [one.seed for one in fingers]).items()}
+    order = sorted(first, key=lambda each: float(first[each]))
+    least = first[order[0]]
+    shown = ", ".join(f"{each.name} {first[each] / least:.1f}" for each in order)
+    return [
+        (
+            "SAI mode on lines: classes in the order in which they join, currents over the first",
+            "pressure 1, vibration 1.5, masked 2.5",
+            shown,
+        ),
+        ("SAI mode on lines: the first of them, mA", f"{STAGES_MA[0]:g}", f"{least:.1f}"),
+    ]
+
+
+def _blur_rows(
+    anatomy: Anatomy, fingers: Sequence[Finger], bank: KernelBank, sites: Sequence[int]
+) -> list[Row]:
+    away = {}
+    for name, cathodic in (("anodic", False), ("cathodic", True)):
+        current_ma = CLEAR_MA * against_all(fingers[0].profile, cathodic)
+        found = shift(fingers, current_ma, sites, list(Afferent))
+        away[name] = f"{name} {found.away_mm:.1f}"
+    return [
+        (
+            f"one electrode, {CLEAR_MA:g} mA: receptors' distance from it, RMS, mm",
+            "anodic acute, cathodic blurred",
+            ", ".join(away.values()),
+        )
+    ]
+
+
+def _shift_rows(
+    anatomy: Anatomy, fingers: Sequence[Finger], bank: KernelBank, sites: Sequence[int]
+) -> list[Row]:
+    rows = []
+    profile = fingers[0].profile
+    current_ma = CLEAR_MA * kernel_ma(profile, bank, Afferent.PC)
+    for flat_mm in sorted({3.0, 5.0, anatomy.pc.flat_mm}):
+        none = {"density_per_cm2": 0.0}
+        alone = {
+            "ra": anatomy.ra.model_copy(update=none),
+            "sai": anatomy.sai.model_copy(update=none),
+            # Ten times as many as there are, for a mean that holds.
+            "pc": anatomy.pc.model_copy(update={"flat_mm": flat_mm, "density_per_cm2": 210.0}),
+        }
+        mine = anatomy.model_copy(update=alone)
+        found = shift(
+            [Finger(profile, one.seed, mine) for one in fingers], current_ma, sites, [Afferent.PC]
+        )
+        rows.append(
+            (
+                f"PC mode: shift of PC toward the fingertip, axons {flat_mm:g} mm flat, mm",
+                "1 to 3",
+                f"{-found.y_mm:.1f}",
+            )
+        )
+    return rows
+
+
+def _selective_rows(
+    anatomy: Anatomy, fingers: Sequence[Finger], bank: KernelBank, sites: Sequence[int]
+) -> list[Row]:
+    rows = []
+    for mode, said in (
+        (Afferent.RA, "RA alone"),
+        (Afferent.SAI, "SAI, alone in a narrow range"),
+        (Afferent.PC, "PC, with RA above it"),
+    ):
+        current_ma = CLEAR_MA * kernel_ma(fingers[0].profile, bank, mode)[list(sites)]
+        counts = np.mean(
+            [
+                np.bincount(one.classes, fired(one, current_ma).sum(axis=1), len(Afferent))
+                for one in fingers
+            ],
+            axis=0,
+        )
+        shown = ", ".join(f"{each.name} {counts[each] / len(sites):.1f}" for each in Afferent)
+        rows.append(
+            (f"{mode.name} mode, {CLEAR_MA:g} mA at a point: afferents that fire", said, shown)
+        )
+    return rows
+
+
+def _concentric_rows(
+    anatomy: Anatomy, fingers: Sequence[Finger], bank: KernelBank, sites: Sequence[int]
+) -> list[Row]:
+    rows, profile = [], concentric(CONCENTRIC_MM)
+    for name, current_ma, said in (
+        ("anodic", -CLEAR_MA, "RA, no PC"),
+        ("cathodic", CLEAR_MA, "–"),
+    ):
+        counts = reached(profile, current_ma, anatomy, [one.seed for one in fingers])
+        shown = ", ".join(f"{each.name} {counts[each]:.1f}" for each in Afferent)
+        rows.append(
+            (
+                f"disc 1 mm in a ring from 6 mm, {CLEAR_MA:g} mA {name}: afferents that fire",
+                said,
+                shown,
+            )
+        )
+    return rows

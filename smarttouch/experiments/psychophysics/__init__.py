@@ -1,0 +1,1 @@
+"""Experiments: trials, the procedures that choose them, and simulated observers."""

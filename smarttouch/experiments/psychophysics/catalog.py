@@ -1,0 +1,229 @@
+"""Catalog of experiments, and how to build each from the user's options."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import ExperimentError
+from smarttouch.experiments.psychophysics.procedures import (
+    REPETITIONS,
+    STANDARDS_HZ,
+    ConstantStimuli,
+    Procedure,
+    Repeats,
+    ratio_pairs,
+)
+from smarttouch.experiments.psychophysics.tasks import (
+    DetectionTask,
+    DiscomfortTask,
+    FrequencyTask,
+    LetterTask,
+    LocalizationTask,
+    TwoPointTask,
+)
+from smarttouch.experiments.psychophysics.trials import Stimuli, Task, require_site
+from smarttouch.profile import Profile
+
+CONSTANT, STAIRCASE, QUESTPLUS, LIMITS = "constant", "staircase", "questplus", "limits"
+ADAPTIVE = (CONSTANT, STAIRCASE, QUESTPLUS)
+PC_STANDARDS_HZ = (*STANDARDS_HZ, 90.0, 100.0)
+"""Standards of PC: those of RA, and the two at which the paper's thresholds change (Fig. 18)."""
+LEVELS = tuple(np.geomspace(0.5, 1.6, 7))
+"""Levels of the detection experiment, as parts of the profile's threshold (our own choice)."""
+_FARTHEST = 4
+"""Most steps of distance: to each side of a point, and between two points."""
+
+_IN_MA = ("detection", "discomfort")
+_SLOWER = 2.0
+"""Factor by which the rise of current is slower than the profile's ramp, in `discomfort`."""
+
+
+@dataclass(frozen=True)
+class ExperimentOptions:
+    """Options of an experiment; None means not given."""
+
+    afferent: Afferent = Afferent.RA
+    procedure: str | None = None
+    standards: tuple[float, ...] | None = None
+    # repetitions, trials: of each condition (constant), of each standard (adaptive)
+    repetitions: int | None = None
+    trials: int | None = None
+    site: int | None = None
+    train_s: float | None = None
+    rate_hz: float | None = None
+    letters: str | None = None
+    two_intervals: bool = False  # detection: in which of two, and not yes or no
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Design:
+    """An experiment ready to be run."""
+
+    task: Task
+    procedure: Procedure
+    method: str  # the procedure's name
+    again: bool = True  # whether a trial may be repeated
+    notes: list[str] = field(default_factory=list)  # warnings for the user
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One experiment of the catalog."""
+
+    about: str  # in one line
+    methods: tuple[str, ...]  # procedures that make sense, the usual one first
+    train_s: float  # default length of a train
+    make: Callable[[Stimuli, ExperimentOptions, str], Design]  # puts it together
+
+
+def design(name: str, profile: Profile, wanted: ExperimentOptions) -> Design:
+    """Build an experiment of the catalog."""
+    if name not in CATALOG:
+        raise ExperimentError(
+            f"there is no experiment {name!r}: choose {' or '.join(CATALOG)}", about="experiment"
+        )
+    entry = CATALOG[name]
+    method = wanted.procedure or entry.methods[0]
+    if method not in entry.methods:
+        raise ExperimentError(
+            f"the procedure {method!r} is not for {name}: choose {' or '.join(entry.methods)}",
+            about="procedure",
+        )
+    require_site(wanted.site, profile)
+    if name in _IN_MA and profile.pulse.carrier == "width":
+        raise ExperimentError(
+            f"{name} counts in mA, and intensity changes the width of this profile's pulses: set "
+            "pulse.carrier = 'height'",
+            about="pulse.carrier",
+        )
+    train_s = entry.train_s if wanted.train_s is None else wanted.train_s
+    return entry.make(Stimuli(profile, wanted.afferent, train_s), wanted, method)
+
+
+def _site(stimuli: Stimuli, wanted: ExperimentOptions) -> int:
+    return stimuli.middle if wanted.site is None else wanted.site
+
+
+def _rate_hz(stimuli: Stimuli, wanted: ExperimentOptions) -> float:
+    return stimuli.profile.pulse.rate_hz if wanted.rate_hz is None else wanted.rate_hz
+
+
+def _constant(
+    pairs: Sequence[tuple[float, float]], wanted: ExperimentOptions, two_intervals: bool, usual: int
+) -> ConstantStimuli:
+    repetitions = usual if wanted.repetitions is None else wanted.repetitions
+    return ConstantStimuli(pairs, repetitions, two_intervals, wanted.seed)
+
+
+def _frequency(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
+    standards = wanted.standards or (
+        PC_STANDARDS_HZ if stimuli.afferent is Afferent.PC else STANDARDS_HZ
+    )
+    highest_hz = stimuli.profile.limits.rate_hz
+    notes = []
+    if method == CONSTANT:
+        pairs = ratio_pairs(standards, highest=highest_hz)
+        left_out = len(ratio_pairs(standards)) - len(pairs)
+        if left_out:
+            notes.append(
+                f"{left_out} comparisons above the profile's limit of {highest_hz:g} Hz are not "
+                "offered"
+            )
+        procedure: Procedure = _constant(pairs, wanted, True, REPETITIONS)
+    else:
+        from smarttouch.experiments.psychophysics.adaptive_procedures import (
+            frequency_procedures,
+        )
+
+        procedure = frequency_procedures(method, standards, highest_hz, wanted.trials, wanted.seed)
+    return Design(FrequencyTask(stimuli, _site(stimuli, wanted)), procedure, method, notes=notes)
+
+
+def _detection(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
+    site = _site(stimuli, wanted)
+    threshold_ma, full_ma = (
+        float(each[site]) for each in (stimuli.profile.threshold_ma, stimuli.profile.full_ma)
+    )
+    if method == CONSTANT:
+        levels = sorted({min(round(threshold_ma * each, 3), full_ma) for each in LEVELS})
+        if not wanted.two_intervals:
+            levels = [0.0, *levels]
+        pairs = [(0.0, each) for each in levels]
+        procedure: Procedure = _constant(pairs, wanted, wanted.two_intervals, REPETITIONS)
+    else:
+        from smarttouch.experiments.psychophysics.adaptive_procedures import (
+            detection_procedure,
+        )
+
+        procedure = detection_procedure(
+            method, threshold_ma, full_ma, wanted.two_intervals, wanted.trials, wanted.seed
+        )
+    task = DetectionTask(stimuli, site, _rate_hz(stimuli, wanted))
+    # Feeling it again would give more than one presentation does.
+    return Design(task, procedure, method, again=False)
+
+
+def _discomfort(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
+    slowest_s = _SLOWER * stimuli.profile.limits.ramp_s
+    if stimuli.train_s < slowest_s:
+        raise ExperimentError(
+            f"a current that is enough in {stimuli.train_s:g} s comes too suddenly: let trains "
+            f"last {slowest_s:g} s or more",
+            about="train_s",
+        )
+    task = DiscomfortTask(stimuli, _site(stimuli, wanted), _rate_hz(stimuli, wanted))
+    return Design(task, Repeats(wanted.repetitions or 5), method, again=False)
+
+
+def _two_point(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
+    apart_mm = list(stimuli.pairs())
+    if not apart_mm:
+        raise ExperimentError(
+            f"no two electrodes of {stimuli.profile.name} lie beside each other: choose another "
+            "profile",
+            about="profile",
+        )
+    nearest = apart_mm[: 2 * _FARTHEST]
+    procedure = _constant([(0.0, each) for each in nearest], wanted, True, REPETITIONS)
+    return Design(TwoPointTask(stimuli, _rate_hz(stimuli, wanted)), procedure, method)
+
+
+def _localization(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
+    site = _site(stimuli, wanted)
+    beside = stimuli.beside(site)
+    far_mm = sorted({abs(each) for each in beside if -each in beside})[:_FARTHEST]
+    if not far_mm:
+        raise ExperimentError(
+            f"site {site} has no neighbors as far left as right: choose one in the middle of a row",
+            about="site",
+        )
+    pairs = [(0.0, sign * each) for each in far_mm for sign in (-1, 1)]
+    task = LocalizationTask(stimuli, site, _rate_hz(stimuli, wanted))
+    return Design(task, _constant(pairs, wanted, False, REPETITIONS), method)
+
+
+def _letters(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
+    from smarttouch.reading.letter_shapes import draw_letter, parse_letters
+
+    letters = parse_letters(wanted.letters)
+    drawn = {each: draw_letter(each, stimuli.profile) for each in letters}
+    pairs = [(0.0, float(place)) for place in range(len(letters))]
+    task = LetterTask(stimuli, drawn, _rate_hz(stimuli, wanted))
+    notes = [f"right by chance: 1 in {len(letters)}"]
+    return Design(task, _constant(pairs, wanted, False, 4), method, notes=notes)
+
+
+CATALOG = {
+    "frequency": Experiment("which of two is faster (paper, III-C)", ADAPTIVE, 1.0, _frequency),
+    "detection": Experiment("is it felt: threshold current, mA", ADAPTIVE, 0.5, _detection),
+    "discomfort": Experiment("when is a rising current enough, mA", (LIMITS,), 10.0, _discomfort),
+    "two-point": Experiment("which had two points: distance, mm", (CONSTANT,), 0.5, _two_point),
+    "localization": Experiment(
+        "was the second left or right: distance, mm", (CONSTANT,), 0.5, _localization
+    ),
+    "letters": Experiment("which letter was drawn", (CONSTANT,), 1.0, _letters),
+}  # fmt: skip
+"""All experiments by name."""

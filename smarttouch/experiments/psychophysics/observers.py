@@ -1,0 +1,300 @@
+"""Simulated observers: of known thresholds, of spikes, and some of no use."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import ExperimentError
+from smarttouch.experiments.psychophysics.perceived_spikes import FrequencySense, Interval, Nerve
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.physiology.finger import Finger
+from smarttouch.profile import Profile
+from smarttouch.running.delivered import strength
+
+__all__ = [
+    "Interval",
+    "KnownObserver",
+    "Observer",
+    "RandomObserver",
+    "SameObserver",
+    "SilentObserver",
+    "SimulatedObserver",
+    "chance_of_yes",
+]
+
+
+@dataclass
+class KnownObserver:
+    """Observer that says whether a current is felt, or enough, by given thresholds."""
+
+    profile: Profile
+    # (E,) mA: threshold_ma, enough_ma: strongest electrode's current that is felt, or enough, in
+    # half of the trials
+    threshold_ma: NDArray[np.float32]
+    enough_ma: NDArray[np.float32]
+    seed: int = 0
+    slope: float = 0.1  # standard deviation of both, in natural logarithms of current
+    # guess, lapse: rate of false detections, and rate at which what is felt is not noticed
+    guess: float = 0.02
+    lapse: float = 0.02
+
+    def __post_init__(self) -> None:
+        self._random = np.random.default_rng(self.seed)
+        self._middles_ma = {"felt": self.threshold_ma, "enough": self.enough_ma}
+
+    def respond(
+        self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
+    ) -> str | None:
+        """Return y or n, to the task felt or enough."""
+        return "y" if self._random.random() < self._chance_of(task, intervals) else "n"
+
+    def chance_felt(self, current_ma: float, electrode: int, task: str = "felt") -> float:
+        """Return the probability that a pulse is called felt, or with that task enough."""
+        middle_ma = float(self._middles_ma[task][electrode])
+        above = math.log(current_ma / middle_ma) if current_ma > 0 else -math.inf
+        return chance_of_yes(above / self.slope, task, self.guess, self.lapse)
+
+    def _chance_of(self, task: str, intervals: Sequence[Interval]) -> float:
+        """Return the probability of a yes to the strongest pulse of all."""
+        current_ua = np.concatenate([each.current_ua for each in intervals])
+        if not len(current_ua):
+            return self.chance_felt(0.0, 0, task)
+        width_us = np.concatenate([each.width_us for each in intervals])
+        magnitude = np.abs(current_ua) * strength(width_us, self.profile.pulse)[:, None]
+        strongest = magnitude.argmax(axis=1)
+        delivered_ma = magnitude[np.arange(len(magnitude)), strongest] / 1000
+        most = int((delivered_ma / self._middles_ma[task][strongest]).argmax())
+        return self.chance_felt(float(delivered_ma[most]), int(strongest[most]), task)
+
+
+def chance_of_yes(above: float, task: str, guess: float, lapse: float) -> float:
+    """Return the probability of a yes to a stimulus so many standard deviations above the middle.
+
+    Nothing is never enough, but may be called felt.
+    """
+    guess = guess if task == "felt" else 0.0
+    return guess + (1 - guess - lapse) * float(ndtr(above))
+
+
+_YES_OR_NO = ("felt", "enough")
+GRATING_LIMIT_MM = 0.94
+"""Finest grooves whose direction a fingertip identifies (Van Boven and Johnson, Neurology 44,
+1994). Ours: places are discriminated as well as grooves, in 75 % of trials."""
+
+
+class Observer(Protocol):
+    """Observer that answers trials."""
+
+    def respond(
+        self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
+    ) -> str | None:
+        """Return one of the alternatives, or None for no answer.
+
+        Tasks are ``faster`` and ``two`` (which interval: 1 or 2), ``felt`` and ``enough`` (y or n),
+        ``side`` (of the second point: l or r), ``which`` (a letter).
+        """
+        ...
+
+
+@dataclass
+class RandomObserver:
+    """Observer that guesses, whatever is delivered."""
+
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        self._random = np.random.default_rng(self.seed)
+
+    def respond(
+        self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
+    ) -> str | None:
+        return alternatives[int(self._random.integers(len(alternatives)))]
+
+
+@dataclass
+class SameObserver:
+    """Observer that always gives the first answer."""
+
+    def respond(
+        self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
+    ) -> str | None:
+        return alternatives[0]
+
+
+@dataclass
+class SilentObserver:
+    """Observer that never answers."""
+
+    def respond(
+        self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
+    ) -> str | None:
+        return None
+
+
+@dataclass
+class SimulatedObserver:
+    """Observer that judges the spikes of one finger, with noise and a criterion."""
+
+    finger: Finger
+    bank: KernelBank  # of the finger's profile
+    seed: int = 0
+    # model of the perceived frequency of trains
+    frequency: FrequencySense = field(default_factory=FrequencySense)
+    # afferents that fire in a slot, on average, where in half of the trials it is felt. Ours: one
+    # that answers every second slot (spikes of a single RA afferent can be felt, Vallbo et al.
+    # 1984).
+    felt_afferents: float = 0.5
+    # afferents where it is enough in half of the trials; if not given, as many as RA pulses of the
+    # profile's strongest comfortable current fire at three of four sites
+    enough_afferents: float | None = None
+    slope: float = 0.1  # standard deviation of both, in natural logarithms of afferents
+    # guess, lapse: rate of false detections, and rate at which the answer is not what was felt: of
+    # two or more alternatives any one
+    guess: float = 0.02
+    lapse: float = 0.02
+    # standard deviation of a felt place, and of a felt distance
+    place_mm: float = GRATING_LIMIT_MM / (math.sqrt(2) * float(ndtri(0.75)))
+    # standard deviation of each site of a remembered pattern, whose strongest is 1
+    letter_noise: float = 0.4
+    # (E,) in [0, 1]: the patterns it knows, by their names
+    templates: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._random = np.random.default_rng(self.seed)
+        self._nerve = Nerve(self.finger, self.seed)
+        self._judges: dict[str, Callable[[Sequence[Interval]], str | None]] = {
+            "faster": self._faster,
+            "two": self._two,
+            "side": self._side,
+        }
+
+    def respond(
+        self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
+    ) -> str | None:
+        """Return the answer to a trial."""
+        if task in _YES_OR_NO:
+            return "y" if self._random.random() < self._chance_of(task, intervals) else "n"
+        judged = (
+            self._which(intervals, alternatives)
+            if task == "which"
+            else self._judge(task)(intervals)
+        )
+        if judged is None or self._random.random() < self.lapse:
+            return alternatives[int(self._random.integers(len(alternatives)))]
+        return judged
+
+    # -- the truth ---------------------------------------------------------
+
+    def ratio(self, afferent: Afferent, site: int) -> float:
+        """Return the ratio of PC to RA spikes that a mode's pulses evoke at a site, see
+        `Response`."""
+        return self._nerve.of(self._train(afferent, [site])).ratio
+
+    def chance_higher(self, standard_hz: float, comparison_hz: float, ratio: float = 0.0) -> float:
+        """Return the chance that a comparison is judged faster than a standard, lapses included."""
+        chance = self.frequency.chance_higher(standard_hz, comparison_hz, ratio)
+        return self.lapse / 2 + (1 - self.lapse) * chance
+
+    def chance_felt(self, afferents: float, task: str = "felt") -> float:
+        """Return the probability that so many afferents a slot are called felt, or enough."""
+        middle = self.felt_afferents if task == "felt" else self._enough
+        above = math.log(afferents / middle) if afferents > 0 else -math.inf
+        return chance_of_yes(above / self.slope, task, self.guess, self.lapse)
+
+    # -- the tasks ---------------------------------------------------------
+
+    def _judge(self, task: str) -> Callable[[Sequence[Interval]], str | None]:
+        if task not in self._judges:
+            known = (*self._judges, *_YES_OR_NO, "which")
+            raise ExperimentError(
+                f"the simulated observer has no answer to {task!r}: it knows {', '.join(known)}",
+                about="task",
+            )
+        return self._judges[task]
+
+    @cached_property
+    def _enough(self) -> float:
+        """Afferents where it is enough in half of the trials."""
+        if self.enough_afferents is not None:
+            return self.enough_afferents
+        full = self._nerve.of(self._train(Afferent.RA, range(len(self.finger.profile.electrodes))))
+        most = float(np.quantile(full.fired.sum(axis=0), 0.25))
+        return max(most, 2 * self.felt_afferents)
+
+    def _train(self, afferent: Afferent, sites: Sequence[int], apart_s: float = 0.05) -> Interval:
+        """Return a full pulse at each of these sites, or many at one, as an interval."""
+        profile = self.finger.profile
+        which = np.resize(sites, max(20, len(sites)))
+        current_ua = 1000 * profile.full_ma[which, None] * self.bank.kernels(afferent)[which]
+        return Interval(
+            np.arange(len(which), dtype=np.float64) * apart_s,
+            np.full(len(which), profile.pulse.width_us, np.float32),
+            np.rint(current_ua).astype(np.int16),
+        )
+
+    def _chance_of(self, task: str, intervals: Sequence[Interval]) -> float:
+        """Return the probability of a yes to what fires the most afferents in a slot."""
+        most = max((self._nerve.of(each).per_slot for each in intervals), default=0.0)
+        return self.chance_felt(most, task)
+
+    def _faster(self, intervals: Sequence[Interval]) -> str | None:
+        felt = [self._nerve.of(each) for each in intervals]
+        if any(each.hz == 0 for each in felt):
+            return None
+        perceived = np.log([self.frequency.perceived_hz(each.hz, each.ratio) for each in felt])
+        return self._larger(perceived, self.frequency.spread)
+
+    def _two(self, intervals: Sequence[Interval]) -> str | None:
+        """Return the interval whose points are farther apart."""
+        wide_mm = [self._nerve.of(each).width_mm for each in intervals]
+        if any(math.isnan(each) for each in wide_mm):
+            return None
+        return self._larger(np.array(wide_mm), self.place_mm)
+
+    def _side(self, intervals: Sequence[Interval]) -> str | None:
+        """Return the side of the last point from the first, in one interval or in two."""
+        at_mm = [self._nerve.of(each).center_mm[0] for each in _first_and_last(intervals)]
+        if any(math.isnan(each) for each in at_mm):
+            return None
+        return "l" if self._larger(np.array(at_mm), self.place_mm) == "1" else "r"
+
+    def _which(self, intervals: Sequence[Interval], alternatives: Sequence[str]) -> str | None:
+        missing = [each for each in alternatives if each not in self.templates]
+        if missing:
+            raise ExperimentError(
+                f"the simulated observer does not know what {missing[0]!r} feels like: give it a "
+                "template of each alternative",
+                about="template",
+            )
+        nerve = self._nerve
+        felt = np.max([nerve.at_electrodes(nerve.of(each)) for each in intervals], axis=0)
+        if not felt.any():
+            return None
+        felt = felt / felt.max() + self.letter_noise * self._random.standard_normal(len(felt))
+        known = np.array([self.templates[each] for each in alternatives], np.float64)
+        known -= known.mean(axis=1, keepdims=True)
+        known /= np.maximum(np.linalg.norm(known, axis=1, keepdims=True), 1e-9)
+        return alternatives[int((known @ felt).argmax())]
+
+    def _larger(self, values: NDArray[np.float64], spread: float) -> str:
+        return str(1 + int((values + spread * self._random.standard_normal(len(values))).argmax()))
+
+
+def _first_and_last(intervals: Sequence[Interval]) -> tuple[Interval, Interval]:
+    """Return the first and last of several intervals, or one cut at its longest pause."""
+    first, last = intervals[0], intervals[-1]
+    if len(intervals) > 1 or len(first.time_s) < 2:
+        return first, last
+    cut = int(np.diff(first.time_s).argmax()) + 1
+    before, after = (
+        Interval(first.time_s[part], first.width_us[part], first.current_ua[part])
+        for part in (slice(None, cut), slice(cut, None))
+    )
+    return before, after

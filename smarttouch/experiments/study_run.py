@@ -1,0 +1,251 @@
+"""A study from its plan to its table and summary, finger by finger, on all cores, resumable."""
+
+import csv
+import hashlib
+import json
+import os
+import warnings
+from collections import defaultdict
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from statistics import fmean, median
+
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.files import make_folder, read_text, write_bytes
+from smarttouch.experiments.study_plan import Advance, Grid, Study, choices
+from smarttouch.experiments.study_rows import (
+    ShownPage,
+    StudyRow,
+    as_csv,
+    from_csv,
+    row_of_page,
+    rows_of_finger,
+)
+from smarttouch.physiology.anatomy import Anatomy, load_anatomy
+from smarttouch.physiology.response import ignore_nan
+from smarttouch.profile import Profile
+
+VERSION = 1
+"""Version of the rows, raised when the same study would get others."""
+ROWS_FILE = "rows.csv"
+_PARTS = "parts"
+_MOST_PART_BYTES = 100_000_000
+
+_Rows = Callable[[], list[StudyRow]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Work:
+    """One finger with all of its letters, or with one page."""
+
+    file: Path  # where its rows are kept
+    prepared: Callable[[], _Rows]  # returns what makes its rows, wherever that is done
+
+
+def run_study(
+    study: Study,
+    beside: Path,  # folder from which the study names files
+    folder: Path,  # where to; made if missing
+    # designing, progress: called with how many sites of a bank, and fingers, are done, of how many
+    designing: Advance | None = None,
+    progress: Advance | None = None,
+) -> list[StudyRow]:
+    """Run a study, or what is left of it, and return its table, which is also in ``rows.csv``.
+
+    Rows are by profile, anatomy, finger, choice and letter, then by page. The work goes through
+    `joblib.Parallel`: on all cores, or wherever ``joblib.parallel_config`` sends it. Rows of
+    finished fingers are kept in the folder, each finger's in a file of its own, and are used again
+    where all that they depend on is the same.
+    """
+    parts = folder / _PARTS
+    try:
+        make_folder(parts)
+    except OSError as error:
+        raise SmartTouchError(
+            f"cannot make the folder {folder}: {error.strerror}", about="output"
+        ) from None
+    grid = Grid(study, beside, designing)
+    work = [*_letters(grid, parts), *_pages(grid, parts)]
+    kept = {each.file: _kept(each.file) for each in work}
+    missing = [each for each in work if kept[each.file] is None]
+    done = len(work) - len(missing)
+    with closing(_made(missing)) as made:
+        for index, rows in made:
+            path = missing[index].file
+            # Two runs may share a folder.
+            half = path.with_suffix(f".{os.getpid()}.part")
+            write_bytes(half, as_csv(rows).encode())
+            half.replace(path)
+            kept[path] = rows
+            done += 1
+            if progress is not None:
+                progress(done, len(work))
+    found = [row for each in work for row in kept[each.file] or []]
+    write_bytes(folder / ROWS_FILE, as_csv(found).encode())
+    return found
+
+
+def _letters(grid: Grid, parts: Path) -> Iterator[_Work]:
+    if not grid.study.letters:
+        return
+    for name, profile in grid.profiles.items():
+        shown = grid.shown(name)
+        digest = " ".join(each.digest() for each in shown)
+        for course, anatomy, seed in _fingers(grid):
+            rows = partial(rows_of_finger, profile, anatomy, course, seed, shown)
+            # What is prepared here is ready.
+            yield _Work(_file(parts, digest, profile, anatomy, course, seed), partial(_same, rows))
+
+
+def _pages(grid: Grid, parts: Path) -> Iterator[_Work]:
+    for page in grid.study.pages:
+        for choice in choices(grid.study):
+            shown = ShownPage(grid, choice, page)
+            digest, profile = shown.digest(), grid.profiles[choice.profile]
+            for course, anatomy, seed in _fingers(grid):
+                yield _Work(
+                    _file(parts, digest, profile, anatomy, course, seed),
+                    partial(_page_rows, shown, anatomy, course, seed),
+                )
+
+
+def _page_rows(shown: ShownPage, anatomy: Anatomy, course: str, seed: int) -> _Rows:
+    found, reading = shown.delivered, shown.reading
+    return partial(row_of_page, found, reading, shown.choice, shown.page, anatomy, course, seed)
+
+
+def _same(rows: _Rows) -> _Rows:
+    return rows
+
+
+def _fingers(grid: Grid) -> Iterator[tuple[str, Anatomy, int]]:
+    for course in grid.study.anatomies:
+        anatomy = load_anatomy(grid.file(course))
+        for seed in range(1, grid.study.fingers + 1):
+            yield course, anatomy, seed
+
+
+def _file(
+    parts: Path, digest: str, profile: Profile, anatomy: Anatomy, course: str, seed: int
+) -> Path:
+    """Return the file of rows that depend on these, and on nothing else."""
+    depends_on = [
+        VERSION, digest, course, seed, profile.model_dump(mode="json"),
+        anatomy.model_dump(mode="json"),
+    ]  # fmt: skip
+    key = hashlib.sha256(json.dumps(depends_on, sort_keys=True).encode()).hexdigest()
+    return parts / f"{key[:24]}.csv"
+
+
+def _made(work: Sequence[_Work]) -> Generator[tuple[int, list[StudyRow]], None, None]:
+    """Yield rows as they are ready, with the index of what they are of."""
+    from joblib import Parallel, delayed
+
+    many = Parallel(n_jobs=-1, return_as="generator_unordered", max_nbytes=None)
+    made = many(delayed(_numbered)(index, each.prepared()) for index, each in enumerate(work))
+    try:
+        for each in made:  # noqa: UP028, as the other way would close it outside of this
+            yield each
+    finally:
+        with warnings.catch_warnings():
+            # That what was under way is thrown away is as it should be.
+            warnings.simplefilter("ignore", UserWarning)
+            made.close()
+
+
+def _numbered(index: int, rows: _Rows) -> tuple[int, list[StudyRow]]:
+    return index, rows()
+
+
+def _kept(path: Path) -> list[StudyRow] | None:
+    """Return the rows of a finished finger, if its file is whole."""
+    if not path.is_file():
+        return None
+    try:
+        return from_csv(read_text(path, SmartTouchError, _MOST_PART_BYTES))
+    except (SmartTouchError, ValueError, TypeError, csv.Error):
+        # It is computed again: slow, not wrong.
+        return None
+
+
+MEASURES = ("error", "silent_points", "wrong_class", "misplaced")
+NAMES = {
+    "error": "read wrongly",
+    "silent_points": "silent points",
+    "wrong_class": "spikes of another class",
+    "misplaced": "misplaced spikes",
+}
+_CHOSEN = ("profile", "kernels", "mode", "scan", "intensity")
+
+
+@dataclass(frozen=True)
+class Summed:
+    """One choice on the fingers of one anatomy."""
+
+    anatomy: str
+    label: str  # what the choice is, where choices of the study differ
+    fingers: dict[str, list[float]]  # mean over patterns of each of `MEASURES`, by finger
+    # part of the fingers on which no other choice is read with fewer errors; ties count for all
+    best: float
+    total_ma: float  # mean total current of a slot
+
+    def middle(self, measure: str) -> float:
+        """Return the median over fingers."""
+        return ignore_nan(median, self.fingers[measure])
+
+
+def summed(rows: Sequence[StudyRow]) -> list[Summed]:
+    """Return each choice on each anatomy, in the order of the rows."""
+    differ = [name for name in _CHOSEN if len({getattr(row, name) for row in rows}) > 1]
+    groups: dict[tuple[str, str], dict[int, list[StudyRow]]] = defaultdict(
+        lambda: defaultdict(list)
+    )
+    for row in rows:
+        label = ", ".join(_said(row, name) for name in differ) or row.kernels
+        groups[row.anatomy, label][row.finger].append(row)
+    errors = {
+        key: {seed: fmean(row.error for row in them) for seed, them in by_finger.items()}
+        for key, by_finger in groups.items()
+    }
+    least: dict[tuple[str, int], float] = {}
+    for (anatomy, _), each in errors.items():
+        for seed, error in each.items():
+            least[anatomy, seed] = min(error, least.get((anatomy, seed), error))
+    return [
+        Summed(
+            anatomy,
+            label,
+            {name: [_mean(them, name) for them in by_finger.values()] for name in MEASURES},
+            fmean(
+                error <= least[anatomy, seed] + 1e-9
+                for seed, error in errors[anatomy, label].items()
+            ),
+            fmean(row.total_ma for them in by_finger.values() for row in them),
+        )
+        for (anatomy, label), by_finger in groups.items()
+    ]
+
+
+def table_rows(found: Iterable[Summed]) -> tuple[list[str], list[list[str]]]:
+    """Return a heading, and the medians of each choice and anatomy in words."""
+    heading = ["anatomy", "choice", "errors", "silent", "wrong", "misplaced", "best on", "mA"]
+    rows = [
+        [
+            each.anatomy, each.label, *(f"{each.middle(name):.3f}" for name in MEASURES),
+            f"{each.best:.0%}", f"{each.total_ma:.2f}",
+        ]
+        for each in found
+    ]  # fmt: skip
+    return heading, rows
+
+
+def _said(row: StudyRow, name: str) -> str:
+    value = getattr(row, name)
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _mean(rows: Iterable[StudyRow], name: str) -> float:
+    return ignore_nan(fmean, (getattr(row, name) for row in rows))

@@ -1,0 +1,303 @@
+"""Responses of three classes mixed into one train of stimuli, at chosen electrodes.
+
+Each class keeps its own pulses: RA and PC locked to the phase of the vibration, at every
+cycle or, where cycles come faster than the board can follow, at every second, third ...;
+SAI at the rate that follows pressure. A sequence carries pulses of several classes.
+"""
+
+import math
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.electrodes import parse_ranges
+from smarttouch.base.errors import ScheduleError, SmartTouchError
+from smarttouch.instruments.receptor_responses import ReceptorResponse, split
+from smarttouch.instruments.skin_trace import Trace
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.profile import Profile
+from smarttouch.sources.source_contract import Stimulus
+from smarttouch.stimulation.point_slots import perceived_at
+from smarttouch.stimulation.pulse_rates import ScanTiming
+
+
+def disc(profile: Profile, radius_mm: float | None = None) -> NDArray[np.intp]:
+    """Return the driven electrodes in the middle of the array, (S,), ascending: the nearest, and
+    all within a radius, by default one pitch."""
+    electrodes = profile.electrodes
+    off_mm = electrodes.position_mm[profile.driven] - electrodes.position_mm.mean(axis=0)
+    away_mm = np.hypot(off_mm[:, 0], off_mm[:, 1])
+    radius = electrodes.pitch_mm if radius_mm is None else radius_mm
+    return np.asarray(profile.driven[away_mm <= max(radius, away_mm.min()) + 1e-9])
+
+
+def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the electrodes whose stimulation of a class is perceived at sites, (S',).
+
+    They differ from the sites where the profile shifts the class (paper, Section III-B.4), and are
+    fewer where the array ends.
+    """
+    places = perceived_at(profile, afferent)
+    if places is None:
+        return sites
+    there = np.flatnonzero(np.isin(places, sites))
+    return np.asarray(np.intersect1d(there, profile.driven))
+
+
+def chosen(profile: Profile, sites: Collection[int]) -> NDArray[np.intp]:
+    """Return the sites that were named, each once, (S,), ascending."""
+    if len(sites) == 0:
+        raise ScheduleError("no site is to pulse: choose at least one", about="site")
+    count, masked = len(profile.electrodes), profile.output.masked
+    for each in sites:
+        if not 0 <= each < count or each in masked:
+            without = f" without {', '.join(map(str, sorted(masked)))}" if masked else ""
+            raise ScheduleError(
+                f"site {each} cannot pulse: {profile.name} has sites 0 to {count - 1}{without}",
+                about="site",
+                electrode=each,
+            )
+    return np.unique(np.array(list(sites), np.intp))
+
+
+def parse_places(
+    profile: Profile, sites: str | None, radius_mm: float | None
+) -> NDArray[np.intp] | list[int]:
+    """Return the electrodes that a list such as 27,28,35-36 names, or all, or a `disc`."""
+    if sites is not None and radius_mm is not None:
+        message = "sites and a radius both say what pulses: give one of them"
+        raise SmartTouchError(message, about="sites")
+    if radius_mm is not None and not radius_mm >= 0:
+        message = f"a radius of {radius_mm:g} mm is not possible: give 0 or more"
+        raise SmartTouchError(message, about="radius_mm")
+    if sites is None:
+        return disc(profile, radius_mm)
+    if sites == "all":
+        return profile.driven
+    named: list[int] = []
+    for low, high in parse_ranges(sites, "sites"):
+        # The first site that there is not is refused; those after it need no room.
+        named += range(low, min(high, max(low, len(profile.electrodes))) + 1)
+    return named
+
+
+Times = NDArray[np.int64]
+
+
+def shortest_us(profile: Profile, slots: int, timing: ScanTiming) -> int:
+    """Return the shortest sequence with so many slots within the profile's limits, µs."""
+    pulse, limits = profile.pulse, profile.limits
+    busy_us = timing.shortest_period_us(
+        slots, len(profile.electrodes), pulse.width_us, pulse.discharge_us
+    )
+    within_us = max(slots * pulse.width_us / limits.duty, 1e6 / limits.rate_hz)
+    return max(busy_us, timing.possible_period_us(within_us))
+
+
+def thinned(time_us: Times, least_us: int) -> Times:
+    """Return as many of ascending times as possible that are at least an interval apart."""
+    kept, free_us = [], -math.inf
+    for each in time_us.tolist():
+        # Times are whole microseconds: a regular train may tremble by one.
+        if each >= free_us - 1:
+            kept.append(each)
+            free_us = each + least_us
+    return np.array(kept, np.int64)
+
+
+def merged(trains: list[Times], least_us: int) -> tuple[Times, list[NDArray[np.intp]]]:
+    """Return the starts of sequences, and for each train the sequence of each of its pulses.
+
+    A pulse that comes sooner than half of the shortest sequence after a sequence's start joins it,
+    any other starts a new one: when it is due, or when the sequence before is over. So none is
+    moved by more than half of the shortest sequence. Trains are (K,) int64, µs, rising; no two
+    times of one train are closer than `least_us`, less a microsecond.
+    """
+    events = sorted((each, row) for row, train in enumerate(trains) for each in train.tolist())
+    begins: list[int] = []
+    carried: list[list[int]] = [[] for _ in trains]
+    joined: set[int] = set()
+    for each, row in events:
+        if not begins or row in joined or 2 * (each - begins[-1]) >= least_us:
+            begins.append(max(each, begins[-1] + least_us) if begins else each)
+            joined = set()
+        joined.add(row)
+        carried[row].append(len(begins) - 1)
+    return np.array(begins, np.int64), [np.array(each, np.intp) for each in carried]
+
+
+PC_RATE_HZ = 150.0
+"""Most pulses of PC a second, so one for every second cycle at its best frequency. Ours; faster
+ones were of little use to the paper's subjects in PC mode (Section III-C.1, above 100 Hz)."""
+VIBRATION_US = 20_000
+"""Interval of new amplitudes of vibrators. Ours."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """A train of stimuli."""
+
+    time_us: Times  # (R,) int64, µs: when each is to be made, rising
+    drive: NDArray[np.float32]  # (R, 3) float32, in [0, 1]: of each class then; 0 is no pulse
+    sites: NDArray[np.intp]  # (S,): electrodes that pulse
+    electrodes: int  # E
+    end_us: int  # when all is over
+    least_us: int  # the shortest sequence that carries pulses of all classes
+    ideal_us: dict[Afferent, Times]  # (K,) int64, µs: when each pulse of a class should be
+    carried: dict[Afferent, NDArray[np.intp]]  # (K,): which stimulus carries it
+    left_out: tuple[Afferent, ...]  # classes that answer, but the board cannot drive
+    vibrated: bool  # whether the row of PC is for vibrators, held until the next stimulus
+
+    @property
+    def mode(self) -> Mode:
+        """Mode in which its stimuli are processed: of the class, where it is a single one."""
+        if len(self.ideal_us) == 1 and not self.vibrated:
+            return Mode[next(iter(self.ideal_us)).name]
+        return Mode.COLOR
+
+    @property
+    def stimuli(self) -> list[Stimulus]:
+        """All stimuli, of unknown force; each lasts until the next one."""
+        periods = np.diff(self.time_us, append=self.end_us)
+        return [
+            Stimulus(self.at_sites(drive), 1000 * int(time), math.nan, int(period))
+            for time, drive, period in zip(self.time_us, self.drive, periods, strict=True)
+        ]
+
+    def at_sites(self, drive: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the activation of each class's drive, (3,), at all sites, (3, E)."""
+        activation = np.zeros((len(Afferent), self.electrodes), np.float32)
+        activation[:, self.sites] = drive[:, None]
+        return activation
+
+    def error_us(self, afferent: Afferent) -> Times:
+        """Return the delay of each pulse of a class, (K,) µs."""
+        return self.time_us[self.carried[afferent]] - self.ideal_us[afferent]
+
+    def pulses(self, afferent: Afferent) -> int:
+        """Return the number of pulses of a class at each site."""
+        return len(self.ideal_us.get(afferent, ()))
+
+
+def mix_colors(
+    trace: Trace,
+    # its force law sets the pressure at which SAI is driven in full, its limits how fast sequences
+    # may follow one another
+    profile: Profile,
+    bank: KernelBank,  # its kernels say which classes the board can drive
+    sites: Collection[int] | None = None,  # electrodes that pulse; those of `disc` if not given
+    timing: ScanTiming | None = None,  # scan timing fixed by the board
+    vibrated: bool = False,  # whether mechanical vibrators do what PC is to feel
+    pc_rate_hz: float = PC_RATE_HZ,  # most pulses of PC a second
+) -> Mixture:
+    """Return the pulses that reproduce a trace.
+
+    Examples
+    --------
+    >>> from smarttouch.instruments.color_mix import mix_colors
+    >>> from smarttouch.instruments.skin_trace import open_trace
+    >>> from smarttouch.kernels.bank import load_bank
+    >>> from smarttouch.base.afferent import Afferent
+    >>> from smarttouch.profile import load_profile
+    >>> profile = load_profile("electric-mouse")
+    >>> trace = open_trace("tone:30Hz,8um+press:0.45N", seconds=1.0)
+    >>> mixture = mix_colors(trace, profile, load_bank(profile))
+    >>> [mixture.pulses(each) for each in Afferent]  # RA, SAI, PC
+    [27, 24, 0]
+    >>> mixture.stimuli[0].activation.shape
+    (3, 64)
+    """
+    answers = split(trace, sai_full_n=profile.force.full_n, sai_rate_hz=profile.pulse.sai_rate_hz)
+    return mix(answers, trace.duration_s, profile, bank, sites, timing, vibrated, pc_rate_hz)
+
+
+def mix(
+    answers: Mapping[Afferent, ReceptorResponse],
+    duration_s: float,
+    profile: Profile,
+    bank: KernelBank,
+    sites: Collection[int] | None = None,
+    timing: ScanTiming | None = None,
+    vibrated: bool = False,
+    pc_rate_hz: float = PC_RATE_HZ,
+) -> Mixture:
+    """Return the pulses of given responses, such as those of `split`; see `mix_colors`."""
+    timing = ScanTiming() if timing is None else timing
+    places = disc(profile) if sites is None else chosen(profile, sites)
+    pulsing, left_out = _drivable(answers, profile, bank, places, vibrated)
+    shaking = vibrated and Afferent.PC in pulsing
+    electrical = [each for each in pulsing if not (shaking and each is Afferent.PC)]
+    least_us = shortest_us(profile, len(places) * max(1, len(electrical)), timing)
+    apart_us = dict.fromkeys(Afferent, least_us)
+    apart_us[Afferent.PC] = max(least_us, math.ceil(1e6 / pc_rate_hz))
+    ideal = {
+        each: thinned(np.rint(answers[each].spike_s * 1e6).astype(np.int64), apart_us[each])
+        for each in electrical
+    }
+    if len(electrical) > 1 and (timing.whole_hz or timing.every_electrode or timing.in_index_order):
+        raise ScheduleError(
+            f"{' and '.join(each.name for each in electrical)} answer this, each at a rate of its "
+            "own, and this board scans all electrodes at one: choose another board, or something "
+            "that one class alone answers",
+            about="classes",
+        )
+    trains = list(ideal.values())
+    if shaking:
+        step_us = max(VIBRATION_US, least_us)
+        trains.append(np.arange(0, round(duration_s * 1e6), step_us))
+    time_us, given = merged(trains, least_us)
+    carried = dict(zip(ideal, given, strict=False))
+    drive = np.zeros((len(time_us), len(Afferent)), np.float32)
+    for each, which in carried.items():
+        drive[which, each] = _drive_at(answers[each], ideal[each], duration_s)
+    if shaking:
+        drive[:, Afferent.PC] = _drive_at(answers[Afferent.PC], time_us, duration_s)
+    over_us = int(time_us[-1]) + least_us if len(time_us) else 0
+    return Mixture(
+        time_us,
+        drive,
+        places,
+        len(profile.electrodes),
+        max(over_us, round(duration_s * 1e6)),
+        least_us,
+        ideal,
+        carried,
+        left_out,
+        shaking,
+    )
+
+
+def _drivable(
+    answers: Mapping[Afferent, ReceptorResponse],
+    profile: Profile,
+    bank: KernelBank,
+    places: NDArray[np.intp],
+    vibrated: bool,
+) -> tuple[list[Afferent], tuple[Afferent, ...]]:
+    """Return the classes that respond and can be driven, and those that cannot."""
+    made = [
+        each
+        for each in Afferent
+        if (vibrated and each is Afferent.PC)
+        or (each in bank.weights and len(stimulated(profile, each, places)))
+    ]
+    answering = [each for each in Afferent if len(answers[each].spike_s)]
+    left_out = tuple(each for each in answering if each not in made)
+    if left_out and len(left_out) == len(answering):
+        raise ScheduleError(
+            f"only {' and '.join(each.name for each in left_out)} would answer this, and the "
+            f"board of {profile.name} drives {' and '.join(each.name for each in made)} at these "
+            "sites: choose another profile, or something that others answer too",
+            about="classes",
+        )
+    return [each for each in answering if each in made], left_out
+
+
+def _drive_at(answer: ReceptorResponse, time_us: Times, duration_s: float) -> NDArray[np.float32]:
+    """Return the drive at some times, (K,)."""
+    last = len(answer.drive) - 1
+    sample = np.rint(time_us * ((last + 1) / duration_s / 1e6)).astype(np.intp)
+    return np.asarray(answer.drive[np.minimum(sample, last)], np.float32)

@@ -1,0 +1,272 @@
+"""The electric mouse: pulses where a texture passes under the electrodes, and their picture."""
+
+import math
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.errors import SmartTouchError, SourceError, require_within
+from smarttouch.base.events import Note
+from smarttouch.imaging.array_window import pixel_pitch_mm
+from smarttouch.instruments.hand_motion import HandMotion, open_motion, strokes_over
+from smarttouch.instruments.textures import Texture
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.profile import Profile
+from smarttouch.running.step import StepResult
+from smarttouch.sources.source_contract import DeviceWarnings, Pose, Stimulus, StimulusSource
+from smarttouch.views.delivered_drawing import DeliveredDrawing, Under
+
+SLIDES = 1.5
+"""Distance, in counts, at which a moving hand is followed: to and fro by one count, along both
+axes (2.8 counts from end to end), is then no motion back."""
+STICKS = 4.5
+"""Counts by which a resting hand must move: the distance behind, and the same to and fro."""
+
+_ROUNDING = 1 + 1e-6
+"""Tolerance for rounding, as a slide ends at exactly this distance."""
+
+
+class Deadband:
+    """Place that follows another as a block follows a rubber band: it sticks, then slides behind.
+
+    Once the place has stood still for one read, jitter by one count (`resolution_mm`; 0 follows
+    exactly) along both axes never moves it.
+    """
+
+    def __init__(self, resolution_mm: float) -> None:
+        self._slides_mm, self._sticks_mm = SLIDES * resolution_mm, STICKS * resolution_mm
+        self._moves = False
+        self._x_mm = self._y_mm = 0.0
+
+    def follow(self, x_mm: float, y_mm: float) -> tuple[float, float]:
+        """Return the steadied place of the hand, mm."""
+        by_x, by_y = x_mm - self._x_mm, y_mm - self._y_mm
+        far_mm = math.hypot(by_x, by_y)
+        far_enough_mm = self._slides_mm if self._moves else self._sticks_mm
+        self._moves = far_mm > far_enough_mm * _ROUNDING
+        if self._moves:
+            share = 1 - self._slides_mm / far_mm
+            self._x_mm += share * by_x
+            self._y_mm += share * by_y
+        return self._x_mm, self._y_mm
+
+
+class TexturePicture(DeliveredDrawing):
+    """Picture of the strongest response at every place: the pulses are too few to average."""
+
+    strongest, longest_px = True, 3000
+
+    def __init__(
+        self, profile: Profile, bank: KernelBank, afferents: tuple[Afferent, ...], texture: Texture
+    ) -> None:
+        super().__init__(profile, bank, afferents)
+        self._texture = texture
+        self._least, self._most = np.full(2, np.inf), np.full(2, -np.inf)
+
+    def watch(self, sent: StepResult) -> None:
+        """Store the pose of a step and the extent of the hand's motion."""
+        super().watch(sent)
+        place = (sent.input.pose.x_mm, sent.input.pose.y_mm)
+        self._least, self._most = np.minimum(self._least, place), np.maximum(self._most, place)
+
+    def under(self) -> Under:
+        """Return the part of the texture that the array passed over."""
+        if not np.isfinite(self._least).all():
+            raise SmartTouchError("the hand felt nothing: there is nothing to draw", about="felt")
+        half = np.abs(self._position_mm).max(axis=0) + np.array(self._cell_mm)
+        corner, end = self._least - half, self._most + half
+        left, top = corner.tolist()
+        wide, high = (end - corner).tolist()
+        title = f"Under the hand: {self._texture.title}"
+        return title, (left, top), (wide, high), partial(self._texture.draw, left, top)
+
+
+USUAL_RATE_HZ = 100.0
+FASTEST_HZ = 100.0
+"""Highest rate of pulses that is interpreted correctly (paper, Sections III-B.3 and V)."""
+SLOWEST_RATE_HZ = 10.0
+JUMP_MM = 20.0
+"""Between two frames: 2 m/s at 100 Hz. A place that changes by more was lost, and is found again;
+nothing has passed under the finger."""
+_EARLY = 1e-3
+"""Tolerance of the shortest time between two pulses: frames come at whole microseconds."""
+
+
+class PulseLimit:
+    """Limit of each electrode's pulse rate to a finger's resolution; counts the pulses left out."""
+
+    def __init__(self, electrodes: int, fastest_hz: float) -> None:
+        self._shortest_ns = int((1 - _EARLY) * 1e9 / fastest_hz)
+        self._last_ns = np.full(electrodes, -(10**15), np.int64)
+        self.left_out = 0
+
+    def keep(self, wanted: NDArray[np.float32], time_ns: int) -> NDArray[np.float32]:
+        """Return the pulses allowed now, (E,); zero elsewhere."""
+        active = wanted > 0
+        due = active & (time_ns - self._last_ns >= self._shortest_ns)
+        self._last_ns[due] = time_ns
+        self.left_out += int(active.sum()) - int(due.sum())
+        return wanted * due
+
+
+class MouseSource(StimulusSource):
+    """Source of a pulse at each electrode under which a ridge of the texture passes.
+
+    So each electrode pulses spatial frequency times speed times a second, the pattern stays where
+    it is in the world, and a hand at rest gets no pulses (paper, Section IV-C). The pose of a
+    stimulus is the middle of the array on the texture, its image what lies under the array.
+    """
+
+    ended = "the hand has stopped"
+
+    def __init__(
+        self,
+        texture: Texture,  # texture under the hand
+        motion: HandMotion,  # an open one, which is closed with this
+        # as `profile_for_reading` returns it: frames show what lies under the array
+        profile: Profile,
+        mode: Mode = Mode.RA,  # class that pulses: one of RA, SAI and PC
+        rate_hz: float = USUAL_RATE_HZ,  # frames a second
+        # pulses a second of each electrode; as many as a finger can resolve, and at most half the
+        # frames, if not given
+        fastest_hz: float | None = None,
+        scale: float = 1.0,  # millimeters of the texture for one of the hand
+        # force of a virtual finger, where the motion does not report it; boards that a finger may
+        # be on need another source
+        press_n: float | None = None,
+    ) -> None:
+        super().__init__(f"{texture.title} under {motion.title}")
+        if len(mode.afferents) != 1:
+            message = f"mode {mode} is more than one class: choose RA, SAI or PC"
+            raise SourceError(message, about="mode")
+        if not 0 < scale < math.inf:
+            raise SourceError(f"a scale of {scale:g} must be above 0", about="scale")
+        self.fastest_hz = _possible_hz(rate_hz, fastest_hz, profile.limits.rate_hz)
+        self.duration_s = motion.duration_s
+        self.knows_force = motion.knows_force or press_n is not None
+        self.measures_force = motion.measures_force
+        self.texture, self.motion, self.mode = texture, motion, mode
+        self.merged = 0
+        """Ridges that passed under an electrode in the same frame as another."""
+        self._electrodes = len(profile.electrodes)
+        self._limit = PulseLimit(self._electrodes, self.fastest_hz)
+        self._afferent: Afferent = mode.afferents[0]
+        self._period_us = round(1e6 / rate_hz)
+        self._scale, self._press_n = scale, press_n
+        self._steady = Deadband(motion.resolution_mm)
+        self._feeler = texture.feeler(profile.electrodes.position_mm)
+        self._pixel_mm = pixel_pitch_mm(profile)
+        self._shape = (profile.optics.sensor_rows, profile.optics.sensor_columns)
+        self._origin: tuple[float, float] | None = None
+        self._place = (math.nan, math.nan)
+        self._image = np.full(self._shape, 255, np.uint8)
+        self._said = DeviceWarnings(self.notes)
+        self._warned = False
+
+    def read(self, time_ns: int) -> Stimulus | None:
+        """Return what passes under the array at a time; None at the end of the motion."""
+        moved = self.motion.read(time_ns)
+        if moved is None:
+            self._sum_up()
+            return None
+        if self._origin is None:
+            self._origin = self.motion.origin_mm or self.texture.middle_mm
+        x, y = self._steady.follow(*moved)
+        place = (self._origin[0] + self._scale * x, self._origin[1] + self._scale * y)
+        activation = np.zeros((len(Afferent), self._electrodes), np.float32)
+        if place != self._place:
+            activation[self._afferent] = self._pulses(place, time_ns)
+            self._draw_image(place)
+        force_n = self.motion.force_n if self.motion.knows_force else self._press_n
+        return Stimulus(
+            activation,
+            time_ns,
+            math.nan if force_n is None else force_n,
+            self._period_us,
+            pose=Pose(*place),
+            number=self.frames - 1,
+            image=self._image,
+        )
+
+    def drawing(self, profile: Profile, bank: KernelBank) -> TexturePicture:
+        """Return the drawing of a run's pulses, which are too few to average."""
+        return TexturePicture(profile, bank, (self._afferent,), self.texture)
+
+    def close(self) -> None:
+        """Close the motion, and add a note on omitted pulses."""
+        self._sum_up()
+        self.motion.close()
+        for note in [*self.texture.notes, *self.motion.notes]:
+            self._said.put(note, note)
+
+    def _pulses(self, place: tuple[float, float], time_ns: int) -> NDArray[np.float32]:
+        before, self._place = self._place, place
+        # Also the first place: it is no distance from nowhere.
+        if not math.dist(place, before) <= JUMP_MM:
+            self._feeler.place(*place)
+            return np.zeros(self._electrodes, np.float32)
+        passed = self._feeler.move(*place)
+        self.merged += passed.merged
+        kept = self._limit.keep(passed.height, time_ns)
+        if self._limit.left_out and not self._warned:
+            self._warned = True
+            self.emit(
+                Note(
+                    time_ns,
+                    f"the texture passes faster than {self.fastest_hz:g} pulses a second "
+                    "can follow: some are left out",
+                )
+            )
+        return kept
+
+    def _draw_image(self, place: tuple[float, float]) -> None:
+        rows, columns = self._shape
+        left = place[0] - columns * self._pixel_mm / 2
+        top = place[1] - rows * self._pixel_mm / 2
+        self._image = self.texture.draw(left, top, self._shape, self._pixel_mm)
+        self.frames += 1
+
+    def _sum_up(self) -> None:
+        if self._limit.left_out:
+            self._said.put(
+                "left out",
+                f"{self._limit.left_out} pulses of single electrodes were left out, above "
+                f"{self.fastest_hz:g} a second: move more slowly, or raise rate and limit",
+            )
+        if self.merged:
+            self._said.put(
+                "merged",
+                f"{self.merged} ridges passed an electrode together with another in one frame: "
+                "move more slowly",
+            )
+
+
+def _possible_hz(rate_hz: float, fastest_hz: float | None, most_hz: float) -> float:
+    """Return the highest pulse rate, or raise if the rates are incompatible."""
+    words = f"a rate of {rate_hz:g} frames a second on this profile"
+    require_within(SourceError, "rate_hz", rate_hz, SLOWEST_RATE_HZ, most_hz, words)
+    if fastest_hz is None:
+        return min(FASTEST_HZ, rate_hz / 2)
+    if not 0 < fastest_hz <= rate_hz / 2:
+        raise SourceError(
+            f"{fastest_hz:g} pulses a second are not possible with {rate_hz:g} frames: give at "
+            f"most half of them, {rate_hz / 2:g}, or more frames",
+            about="fastest_hz",
+            remedy="rate_hz",
+        )
+    return fastest_hz
+
+
+def open_motion_over(texture: Texture, url: str, profile: Profile, **options: Any) -> HandMotion:
+    """Open a motion by its URL, with what its kind needs to know of the texture or the profile."""
+    kind = url.partition(":")[0]
+    if kind == "window":
+        options["texture"] = texture
+    elif kind == "sweep" and texture.size_mm is not None:
+        options |= strokes_over(texture.size_mm, profile.electrodes.extent_mm)
+    elif kind not in ("sweep", "path", "evdev"):
+        options["profile"] = profile
+    return open_motion(url, **options)

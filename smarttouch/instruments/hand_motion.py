@@ -1,0 +1,266 @@
+"""Motion of a hand, opened by URL: a recorded path, the pose of any source, or a virtual hand."""
+
+import math
+from abc import ABC, abstractmethod
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import SourceError, require_within
+from smarttouch.base.registry import given_options, known_names, unknown
+from smarttouch.base.tables import read_csv
+from smarttouch.base.url_options import joined_options, read_options
+from smarttouch.profile import DEFAULT_PROFILE, Profile, load_profile
+from smarttouch.sources import open_source
+from smarttouch.sources.source_contract import Device, Pose, Source
+
+_OPENERS = {
+    "evdev": ("smarttouch.instruments.evdev_motion", "open_evdev"),
+    "path": ("smarttouch.instruments.hand_motion", "open_path"),
+    "sweep": ("smarttouch.instruments.hand_motion", "open_sweep"),
+    "window": ("smarttouch.instruments.window_motion", "open_window"),
+}
+"""Module and function ``(rest, **options)`` of each kind; imported when one is opened."""
+_NOT_IN_URLS = ("span_mm", "lane_mm", "origin_mm")
+"""Options of a sweep that follow from the texture."""
+_ANY_SOURCE = ("smarttouch.instruments.hand_motion", "open_posed_source")
+
+
+class HandMotion(Device, ABC):
+    """Source of the displacement of a hand, opened by its URL.
+
+    It starts at `origin_mm` of a texture, from its top left corner, known after the first read; in
+    the middle if that is None. `force_n` is that of the finger at the last read, where
+    `knows_force`.
+    """
+
+    duration_s: float | None = None
+    """Duration of the motion; None if it never ends by itself."""
+    resolution_mm: float = 0.0
+    """Resolution of the motion: at rest it may jump to and fro by so much."""
+
+    def __init__(self, title: str) -> None:
+        super().__init__(title)
+        self.knows_force = self.measures_force = False
+        self.force_n = math.nan
+        self.origin_mm: tuple[float, float] | None = None
+
+    @abstractmethod
+    def read(self, time_ns: int) -> tuple[float, float] | None:
+        """Return the displacement from the start, right and down, mm; None at the end."""
+
+
+def open_motion(url: str, **options: Any) -> HandMotion:
+    """Open ``sweep:``, ``evdev:DEVICE``, ``window:``, ``path:CSV``, or any source with a pose.
+
+    Options may stand in the URL, as in ``sweep:?speed_mm_s=20``; None is an option not given.
+    """
+    kind, colon, rest = url.partition(":")
+    sources = known_names("smarttouch.sources")
+    if not colon or kind not in {*_OPENERS, *sources}:
+        raise unknown("motion", url, (*_OPENERS, *sources), SourceError)
+    module, function = _OPENERS.get(kind, _ANY_SOURCE)
+    opener = getattr(import_module(module), function)
+    given = given_options(opener, url, options, SourceError)
+    if kind not in _OPENERS:
+        motion: HandMotion = opener(url, **given)
+    else:
+        rest, in_url = read_options(opener, rest, SourceError, _NOT_IN_URLS)
+        motion = opener(rest, **joined_options(url, given, in_url, SourceError))
+    return motion
+
+
+_PATH_RESOLUTION_MM = 0.01
+"""Resolution of recorded paths; an estimate of ours."""
+_NEEDED = ("time_s", "x_mm", "y_mm")
+
+
+def open_path(rest: str) -> "PathMotion":
+    """Open ``path:CSV``."""
+    if not rest:
+        raise SourceError("path: names no file: give one, as in path:way.csv", about="file")
+    return PathMotion(Path(rest))
+
+
+class PathMotion(HandMotion):
+    """Motion along the points of a table, in straight lines.
+
+    The heading of the CSV file names the columns ``time_s``, ``x_mm`` and ``y_mm`` (on the texture,
+    from its top left corner) and may name ``force_n``; others are not used.
+    """
+
+    resolution_mm = _PATH_RESOLUTION_MM
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(f"the way of {path.name}")
+        read = read_csv(path, SourceError)
+        self.knows_force = "force_n" in read.head
+        table = read.numbers((*_NEEDED, "force_n") if self.knows_force else _NEEDED)
+        table[:, 0] -= table[0, 0]
+        self._table = table
+        self.duration_s = float(table[-1, 0])
+        self.origin_mm = (float(table[0, 1]), float(table[0, 2]))
+
+    def read(self, time_ns: int) -> tuple[float, float] | None:
+        """Return the displacement from the first point; None after the last."""
+        time_s, times = time_ns / 1e9, self._table[:, 0]
+        if time_s > times[-1]:
+            return None
+        x, y, *force = (float(np.interp(time_s, times, each)) for each in self._table.T[1:])
+        if force:
+            self.force_n = max(0.0, force[0])
+        assert self.origin_mm is not None
+        return x - self.origin_mm[0], y - self.origin_mm[1]
+
+
+_IMAGE_RESOLUTION_MM = 0.02
+"""Jitter at rest of motion found in images; an estimate of ours."""
+
+
+def open_posed_source(url: str, *, profile: Profile | None = None) -> "SourceMotion":
+    """Open any source that knows its pose; its optics are electric-mouse's if none are given."""
+    return SourceMotion(open_source(url, profile or load_profile(DEFAULT_PROFILE)))
+
+
+class SourceMotion(HandMotion):
+    """Motion by the pose of a source, which is closed with it."""
+
+    resolution_mm = _IMAGE_RESOLUTION_MM
+
+    def __init__(self, source: Source) -> None:
+        super().__init__(f"the motion of {source.title}")
+        self._source = source
+        self.notes = source.notes
+        self.knows_force = source.knows_force
+        self.measures_force = source.measures_force
+        self.duration_s = source.duration_s
+        self._first: Pose | None = None
+
+    def read(self, time_ns: int) -> tuple[float, float] | None:
+        """Return how far the source is from where it was first; None after its end."""
+        given = self._source.read(time_ns)
+        if given is None:
+            return None
+        if self._first is None:
+            self._first = given.pose
+        # What was seen last may be gone: whether the finger is still there is unknown.
+        self.force_n = math.nan if given.stale else given.force_n
+        return given.pose.x_mm - self._first.x_mm, given.pose.y_mm - self._first.y_mm
+
+    def close(self) -> None:
+        """Close the source."""
+        self._source.close()
+
+
+USUAL_MM_S = 40.0
+SLOWEST_MM_S, FASTEST_MM_S = 0.1, 1000.0
+START_S = 0.75
+"""Time of rest before the first stroke: the hand is there before it moves."""
+REST_S = 0.3
+"""Time of rest between two strokes."""
+USUAL_ROUNDS = 1
+_MOST_ROUNDS = 10_000
+_MOST_STROKES = 100_000
+_TREMOR_HZ = (8.3, 9.7, 11.6)
+"""Physiological tremor of hands lies between 8 and 12 Hz (Elble and Randall, 1976)."""
+_TREMOR_MM = 0.05
+"""Root mean square along each axis; an estimate of ours for a hand that lies on a mouse."""
+
+
+def open_sweep(
+    rest: str,
+    *,
+    speed_mm_s: float = USUAL_MM_S,
+    span_mm: tuple[float, float] = (60.0, 0.0),
+    lane_mm: float = 16.0,
+    origin_mm: tuple[float, float] | None = None,
+    seed: int | None = None,
+) -> "SweepMotion":
+    """Open ``sweep:`` or ``sweep:ROUNDS``; options are those of `SweepMotion`, and its origin."""
+    if rest and not (rest.isdecimal() and 0 < int(rest) <= _MOST_ROUNDS):
+        raise SourceError(
+            f"sweep:{rest} is no number of rounds: give 1 to {_MOST_ROUNDS}, as in sweep:3",
+            about="rounds",
+        )
+    motion = SweepMotion(speed_mm_s, span_mm, lane_mm, int(rest or USUAL_ROUNDS), seed)
+    motion.origin_mm = origin_mm
+    return motion
+
+
+def strokes_over(size_mm: tuple[float, float], array_mm: tuple[float, float]) -> dict[str, Any]:
+    """Return options of strokes that take every electrode over a texture, width by height."""
+    (width, height), (across, down) = size_mm, array_mm
+    return {
+        "span_mm": (width + across, height),
+        "lane_mm": down,
+        "origin_mm": (-across / 2, min(down, height) / 2),
+    }
+
+
+class SweepMotion(HandMotion):
+    """Strokes over an area, lane by lane, and back the same way; rests between strokes."""
+
+    def __init__(
+        self,
+        speed_mm_s: float = USUAL_MM_S,  # of every stroke
+        span_mm: tuple[float, float] = (60.0, 0.0),  # width and height of the area
+        lane_mm: float = 16.0,  # largest distance of lanes
+        rounds: int = USUAL_ROUNDS,  # number of rounds, forth and back
+        seed: int | None = None,  # of tremor; none if not given
+    ) -> None:
+        require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
+        super().__init__(f"a virtual hand at {speed_mm_s:g} mm/s")
+        points = _round_trip(span_mm, lane_mm)
+        if rounds * len(points) > _MOST_STROKES:
+            raise SourceError(
+                f"{rounds} rounds of {len(points) // 2} lanes are more strokes than "
+                f"{_MOST_STROKES}: ask for fewer",
+                about="strokes",
+            )
+        self._table = _timed(np.vstack([points[:1], *[points[1:]] * rounds]), speed_mm_s)
+        self.duration_s = float(self._table[-1, 0])
+        self._phases: NDArray[np.float64] | None = None
+        if seed is not None:
+            random = np.random.default_rng(seed)
+            self._phases = random.uniform(0, 2 * math.pi, (2, len(_TREMOR_HZ)))
+
+    def read(self, time_ns: int) -> tuple[float, float] | None:
+        """Return the position of the hand at a time; None after the last rest."""
+        time_s = time_ns / 1e9
+        if time_s > self._table[-1, 0]:
+            return None
+        x, y = (float(np.interp(time_s, self._table[:, 0], each)) for each in self._table.T[1:])
+        if self._phases is not None:
+            x, y = x + self._tremor(time_s, 0), y + self._tremor(time_s, 1)
+        return x, y
+
+    def _tremor(self, time_s: float, axis: int) -> float:
+        assert self._phases is not None
+        turns = 2 * math.pi * time_s * np.array(_TREMOR_HZ)
+        swing = np.sin(turns + self._phases[axis]) - np.sin(self._phases[axis])
+        return _TREMOR_MM * math.sqrt(2 / len(_TREMOR_HZ)) * float(swing.sum())
+
+
+def _round_trip(span_mm: tuple[float, float], lane_mm: float) -> NDArray[np.float64]:
+    """Return the corners of the path through all lanes and back, (N, 2) mm."""
+    width_mm, height_mm = span_mm
+    lanes = max(1, math.ceil(height_mm / lane_mm - 0.15)) if height_mm > lane_mm else 1
+    forth = [
+        (x, y)
+        for lane, y in enumerate(np.linspace(0, max(0.0, height_mm - lane_mm), lanes))
+        for x in ((0.0, width_mm) if lane % 2 == 0 else (width_mm, 0.0))
+    ]
+    return np.array(forth + forth[-2::-1])
+
+
+def _timed(points: NDArray[np.float64], speed_mm_s: float) -> NDArray[np.float64]:
+    """Return the times of arrival at and departure from each point, (2 N, 3): s, mm, mm."""
+    strokes_s = np.hypot(*np.diff(points, axis=0).T) / speed_mm_s
+    comes = np.concatenate([[0.0], START_S + np.cumsum(strokes_s + REST_S) - REST_S])
+    leaves = comes + REST_S
+    leaves[0] = START_S
+    times = np.column_stack([comes, leaves]).ravel()
+    return np.column_stack([times, np.repeat(points, 2, axis=0)])

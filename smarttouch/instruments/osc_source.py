@@ -1,0 +1,262 @@
+"""``osc:``: images and points from other programs, by Open Sound Control over UDP."""
+
+import ipaddress
+import math
+import re
+import select
+import socket
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import SourceError
+from smarttouch.imaging.array_window import reading_force_n
+from smarttouch.instruments.osc_senders import STAMP, Key, OwnPrograms, Packet, Verdict, received
+from smarttouch.profile import Profile
+from smarttouch.sources.source_contract import Stimulus, StimulusSource
+
+SILENT_S = 0.5  # silence after which nothing is felt
+MOST_PIXELS = 1_000_000
+_SIGNED = "/smarttouch/signed"
+_LOOK_S = 0.1
+_JOIN_S = 1.0
+
+
+def open_osc(rest: str, profile: Profile, key: Path | None = None) -> "OscSource":
+    """Open ``osc:PORT``, which listens on 127.0.0.1, or ``osc:ADDRESS:PORT?key=FILE``."""
+    host, _, port = rest.rpartition(":")
+    if not re.fullmatch(r"\d{1,5}", port) or not 0 < int(port) < 65536:
+        raise SourceError(
+            f"{rest!r} is no place to listen at: give osc:PORT or osc:ADDRESS:PORT, as in osc:9000",
+            about="address",
+        )
+    return OscSource(profile, host.strip("[]") or "127.0.0.1", int(port), key)
+
+
+class OscSource(StimulusSource):
+    """Source of what arrives as messages; half a second of silence is an empty pattern.
+
+    ========================================  ==================================================
+    ``/smarttouch/electrodes`` levels         of all electrodes: numbers, or a blob of bytes
+    ``/smarttouch/image`` width height grey   row by row, bright is active: numbers, or a blob
+    ``/smarttouch/point`` x y [level [mm]]    from the top left, 0 to 1; within a radius if given
+    ``/smarttouch/clear``                     no electrode is active
+    ========================================  ==================================================
+
+    Numbers are from 0 to 1, bytes from 0 to 255. Each packet is a pattern of its own: points of one
+    bundle belong together.
+
+    Without a key, packets of programs of this user on this machine are taken and no others, see
+    `OwnPrograms`. With the key of a file, needed where other machines can send, each comes within
+    ``/smarttouch/signed``, a blob: see `Key`. `wrong` counts packets that were not understood,
+    `refused` those of others.
+    """
+
+    knows_force = True
+
+    def __init__(self, profile: Profile, host: str, port: int, key: Path | None = None) -> None:
+        self._parse = _import_parser()
+        self._key = None if key is None else Key(key)
+        self._programs = OwnPrograms() if key is None else None
+        super().__init__(f"OSC at {host}:{port}")
+        self.wrong = self.refused = 0
+        self._electrodes = profile.electrodes
+        self._press_n = reading_force_n(profile)
+        self._level = np.zeros(len(profile.electrodes), np.float32)
+        self._received_s = -math.inf
+        self._given = 0
+        self._read: int | None = None
+        self._line = _bound(host, port, alone=key is None)
+        self._closing = False
+        self._thread = threading.Thread(target=self._listen, name="osc", daemon=True)
+        self._thread.start()
+
+    def read(self, time_ns: int) -> Stimulus:
+        """Return what came last; stale after a silence."""
+        level, given = self._level, self._given
+        since_s = time.monotonic() - self._received_s
+        if given != self._read:
+            self.frames += 1
+            self.dropped_frames += max(0, given - (self._read or 0) - 1)
+            self._read = given
+        stale = since_s > SILENT_S
+        activation = np.zeros((len(Afferent), len(level)), np.float32)
+        if not stale:
+            activation[:] = level
+        age_ns = 0 if stale else int(1e9 * max(0.0, since_s))
+        return Stimulus(
+            activation, time_ns, self._press_n, number=given, age_ns=age_ns, stale=stale
+        )
+
+    def close(self) -> None:
+        self._closing = True
+        self._thread.join(_JOIN_S)
+        self._line.close()
+        if self.wrong:
+            self.notes.append(f"{self.wrong} OSC packets were not understood")
+            self.wrong = 0
+        if self.refused:
+            self.notes.append(
+                f"{self.refused} OSC packets were refused: they were of other users, of programs "
+                "that had closed their socket, or without the key"
+            )
+            self.refused = 0
+
+    def _listen(self) -> None:
+        while not self._closing:
+            waits = select.select([self._line], [], [], _LOOK_S)[0]
+            packets = received(self._line) if waits else ()
+            if self._programs is not None:
+                try:
+                    self._programs.look()
+                except OSError:
+                    self.refused += len(packets)
+                    continue
+            for each in packets:
+                self._admit(each)
+
+    def _admit(self, packet: Packet) -> None:
+        """Take a packet from a program that may send."""
+        if self._programs is not None:
+            verdict = self._programs.verdict(packet)
+            self.refused += verdict is Verdict.FOREIGN
+            if verdict is Verdict.OURS:
+                self._take(packet.data)
+        elif self._key is not None:
+            data = self._unsigned(packet.data)
+            if data is None:
+                self.refused += 1
+            else:
+                self._take(data)
+
+    def _unsigned(self, data: bytes) -> bytes | None:
+        try:
+            ((address, (blob,)),) = self._parse(data)
+        except Exception:  # whatever the parser makes of what anybody may send
+            return None
+        if address != _SIGNED or not isinstance(blob, bytes) or self._key is None:
+            return None
+        return self._key.opened(blob)
+
+    def _take(self, data: bytes) -> None:
+        """Take the messages of one packet, all or none."""
+        level = np.zeros_like(self._level)
+        try:
+            messages = self._parse(data)
+            if not messages:
+                raise ValueError(data)
+            for address, values in messages:
+                level = self._changed(level, address, values)
+        except Exception:  # whatever the parser makes of what a program may send
+            self.wrong += 1
+            return
+        self._level, self._received_s = level, time.monotonic()
+        self._given += 1
+
+    def _changed(
+        self, level: NDArray[np.float32], address: str, values: Sequence[Any]
+    ) -> NDArray[np.float32]:
+        """Return the activation of the electrodes after a message."""
+        kind = address.removeprefix("/smarttouch/")
+        if kind == "clear":
+            return np.zeros_like(level)
+        if kind == "electrodes":
+            return _numbers(values, len(level))
+        if kind == "image":
+            width, height = int(values[0]), int(values[1])
+            if not (width > 0 and height > 0 and width * height <= MOST_PIXELS):
+                raise ValueError(values[:2])
+            return self._sampled(_numbers(values[2:], width * height).reshape(height, width))
+        if kind == "point":
+            return np.maximum(level, self._point(*map(float, values)))
+        raise ValueError(address)
+
+    def _sampled(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the mean of an image over the cell of each electrode; it fills the array."""
+        wide, high = self._electrodes.extent_mm
+        cell_x, cell_y = self._electrodes.cell_mm
+        columns, rows = (
+            4 * max(1, round(all_mm / mm)) for all_mm, mm in ((wide, cell_x), (high, cell_y))
+        )
+        fine = cv2.resize(
+            image,
+            (columns, rows),
+            interpolation=cv2.INTER_AREA if image.shape[0] > rows else cv2.INTER_NEAREST,
+        )
+        mean = cv2.blur(fine, (4, 4), borderType=cv2.BORDER_REPLICATE)
+        x, y = (self._electrodes.position_mm / (wide, high) + 0.5).T
+        at_x = np.clip(np.rint(x * columns), 0, columns - 1).astype(int)
+        at_y = np.clip(np.rint(y * rows), 0, rows - 1).astype(int)
+        return np.asarray(mean[at_y, at_x], np.float32)
+
+    def _point(
+        self, x: float, y: float, level: float = 1.0, radius_mm: float | None = None
+    ) -> NDArray[np.float32]:
+        """Return the electrodes within a radius of a place; the nearest if none is given."""
+        if not (0 <= x <= 1 and 0 <= y <= 1 and 0 <= level <= 1):
+            raise ValueError((x, y, level))
+        place = (np.array([x, y]) - 0.5) * self._electrodes.extent_mm
+        away = np.linalg.norm(self._electrodes.position_mm - place, axis=1)
+        on = away <= (away.min() if radius_mm is None else float(radius_mm))
+        return np.asarray(on * np.float32(level), np.float32)
+
+
+def _numbers(values: Sequence[Any], count: int) -> NDArray[np.float32]:
+    """Return ``count`` numbers from 0 to 1, given as such or as a blob of bytes."""
+    blob = len(values) == 1 and isinstance(values[0], bytes)
+    given = np.frombuffer(values[0], np.uint8) / 255 if blob else np.array(values, np.float64)
+    found = np.asarray(given, np.float32)
+    if found.shape != (count,) or not ((found >= 0) & (found <= 1)).all():
+        raise ValueError(count)
+    return found
+
+
+def _bound(host: str, port: int, alone: bool) -> socket.socket:
+    """Return a socket at an address, which other machines may reach only if it is not for this one
+    alone."""
+    try:
+        kind, *_, place = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+        if alone and not ipaddress.ip_address(str(place[0]).partition("%")[0]).is_loopback:
+            raise SourceError(
+                f"any program that reaches {host} could send: give a key, as in "
+                f"osc:{host}:{port}?key=FILE, or the port alone",
+                about="key",
+            )
+        line = socket.socket(kind, socket.SOCK_DGRAM)
+        try:
+            if alone:
+                line.setsockopt(socket.SOL_SOCKET, STAMP, 1)
+            line.bind(place)
+        except OSError:
+            line.close()
+            raise
+    except (OSError, UnicodeError) as error:
+        raise SourceError(
+            f"cannot listen at {host}:{port}: {getattr(error, 'strerror', None) or error}; give "
+            "another port, as in osc:9001",
+            about="address",
+        ) from None
+    return line
+
+
+def _import_parser() -> Any:
+    try:
+        from pythonosc.osc_packet import OscPacket
+    except ImportError:
+        raise SourceError(
+            "osc: needs the extra osc: pip install 'smarttouch[osc]'",
+            about="osc",
+            remedy="pip install 'smarttouch[osc]'",
+        ) from None
+
+    def parse(data: bytes) -> list[tuple[str, list[Any]]]:
+        return [(each.message.address, each.message.params) for each in OscPacket(data).messages]
+
+    return parse

@@ -1,0 +1,363 @@
+"""Reliefs: high ground, the pulses of electrodes that move over it, and their opening by name.
+
+A grating has a phase; what else is printed or woven has none. The rule here gives the
+same pulses on gratings and fills areas: **every pulse stands for one grain of way over
+high ground**. High is what exceeds its surroundings; its depth is the distance to where
+it ends, at most half a grain. An electrode pulses where the depth along its way is
+greatest: in the middle of a ridge narrower than a grain, half a grain inside the edge of
+an area, and from there on after each grain of way. Where a pitch dominates, ridges are
+silent along themselves, as a grating's are; strokes of shapes pulse along themselves, too.
+"""
+
+import math
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import PageError, require_within
+from smarttouch.base.url_options import joined_options, read_options
+from smarttouch.instruments.relief_heights import (
+    Heights,
+    dominant_pitch_mm,
+    load_heights,
+    print_heights,
+)
+from smarttouch.instruments.textures import (
+    COARSEST_PITCH_MM,
+    FINEST_PITCH_MM,
+    Grating,
+    RidgeCrossing,
+    Texture,
+    TextureSampler,
+)
+
+USUAL_GRAIN_MM = 2.0
+"""Default grain, where no pitch dominates: that of the paper's electrodes."""
+_PER_GRAIN = 20
+"""Pixels of the map per grain."""
+_FINEST_MM, _COARSEST_MM = 0.02, 0.1
+_MOST_PIXELS = 16_000_000
+_LONGEST_SIDE = 32_000
+"""Longest side of a map: OpenCV's sampling counts pixels in 16 bits."""
+_LOWEST, _HIGHEST = 0.25, 0.75
+"""Heights of shapes that are never and always high; between, the surroundings decide."""
+_FAINT = 0.03
+"""Least height of a ridge over its surroundings; the grain of an image is below it."""
+_AROUND = 2.5
+"""Width of the surroundings, in grains; their standard deviation is one grain."""
+_BLUR_MM = 0.2
+"""Blur against the noise of photographs of shapes; a line half as wide is still high."""
+
+
+class Relief(Texture):
+    """Heights on a map, and the depth of each place within high ground.
+
+    `height` is (H, W) in [0, 1]; `depth`, (H, W) mm, the distance to where the high ground ends, at
+    most half a grain; `woven` whether a pitch dominates; `pixel_mm` the pitch of the maps.
+    """
+
+    def __init__(
+        self,
+        heights: Heights,  # heights, drawn dark where high
+        # way between two pulses on wide high ground; the dominant pitch if not given, and 2 mm if
+        # there is none
+        grain_mm: float | None = None,
+        tiled: bool = False,  # repeat it without end
+        inverted: bool = False,  # turn high and low
+    ) -> None:
+        rows, columns = heights.height.shape
+        wide_mm, high_mm = columns * heights.mm_per_pixel, rows * heights.mm_per_pixel
+        size_mm = None if tiled else (wide_mm, high_mm)
+        super().__init__(heights.title, size_mm, (wide_mm / 2, high_mm / 2))
+        self.tiled = tiled
+        height = 1 - heights.height if inverted else heights.height
+        pitch_mm = dominant_pitch_mm(height, heights.mm_per_pixel) if heights.photo else None
+        self.woven = pitch_mm is not None
+        if grain_mm is None:
+            grain_mm = pitch_mm
+            if grain_mm is not None:
+                self.notes.append(
+                    f"{heights.title}: ridges were found {grain_mm:.2g} mm apart, and wide ground "
+                    "pulses as often unless a grain is given"
+                )
+            grain_mm = min(max(grain_mm or USUAL_GRAIN_MM, FINEST_PITCH_MM), COARSEST_PITCH_MM)
+        words = f"a grain of {grain_mm:g} mm"
+        require_within(PageError, "grain_mm", grain_mm, FINEST_PITCH_MM, COARSEST_PITCH_MM, words)
+        self.grain_mm = grain_mm
+        pixel_mm = min(max(grain_mm / _PER_GRAIN, _FINEST_MM), _COARSEST_MM)
+        pixel_mm = max(
+            pixel_mm,
+            math.sqrt(wide_mm * high_mm / _MOST_PIXELS),
+            max(wide_mm, high_mm) / _LONGEST_SIDE,
+        )
+        size = (max(2, round(wide_mm / pixel_mm)), max(2, round(high_mm / pixel_mm)))
+        # Where a tile is no whole number of pixels, it is stretched a little.
+        self.scale_mm = (wide_mm / size[0], high_mm / size[1])
+        self.pixel_mm = max(self.scale_mm)
+        method = cv2.INTER_AREA if size[0] <= columns else cv2.INTER_LINEAR
+        self.height = np.asarray(cv2.resize(height, size, interpolation=method), np.float32)
+        self.depth = self._measure_depth()
+        self._surface = np.asarray(np.rint(255 * (1 - self.height)), np.uint8)
+
+    def feeler(self, position_mm: NDArray[np.float64]) -> TextureSampler:
+        """Return a sampler of electrodes over it."""
+
+        return ReliefFeeler(self, position_mm)
+
+    def draw(
+        self, left_mm: float, top_mm: float, shape: tuple[int, int], pixel_mm: float
+    ) -> NDArray[np.uint8]:
+        """Return a part of it as ink on paper, (H, W) uint8."""
+        by_x, by_y = pixel_mm / self.scale_mm[0], pixel_mm / self.scale_mm[1]
+        left, top = left_mm / self.scale_mm[0], top_mm / self.scale_mm[1]
+        if self.tiled:
+            left, top = left % self._surface.shape[1], top % self._surface.shape[0]
+        to_map = np.array([[by_x, 0, left + by_x / 2 - 0.5], [0, by_y, top + by_y / 2 - 0.5]])
+        drawn = cv2.warpAffine(
+            self._surface,
+            to_map,
+            shape[::-1],
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_WRAP if self.tiled else cv2.BORDER_CONSTANT,
+            borderValue=255,
+        )
+        return np.asarray(drawn, np.uint8)
+
+    def _measure_depth(self) -> NDArray[np.float32]:
+        """Return the depth of each place within high ground, mm, at most half a grain."""
+        half = self.grain_mm / 2
+        margin = math.ceil(_AROUND * self.grain_mm / self.pixel_mm)
+        mode = cv2.BORDER_WRAP if self.tiled else cv2.BORDER_REPLICATE
+        # What is beyond an edge is low, but the surroundings there are as at the edge.
+        wide = cv2.copyMakeBorder(self.height, *(margin,) * 4, mode)
+        # Twice a mean over a square is nearly a Gaussian, and takes no longer where it is wide.
+        side = 2 * round(_AROUND * self.grain_mm / self.pixel_mm / 2) + 1
+        around = cv2.blur(cv2.blur(wide, (side, side)), (side, side))
+        blur_mm = self.grain_mm / 8 if self.woven else min(self.grain_mm / 10, _BLUR_MM)
+        wide = cv2.GaussianBlur(wide, (0, 0), blur_mm / self.pixel_mm)
+        if self.woven:
+            threshold = np.minimum(around + _FAINT, _HIGHEST)
+        else:
+            threshold = np.clip(around, _LOWEST, _HIGHEST)
+        high = np.asarray(wide > threshold, np.uint8)
+        if not self.tiled:
+            kept = np.zeros_like(high)
+            inside = (slice(margin, -margin), slice(margin, -margin))
+            kept[inside] = high[inside]
+            high = kept
+        depth = cv2.distanceTransform(high, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) * self.pixel_mm
+        depth = cv2.GaussianBlur(np.minimum(depth, half), (0, 0), 1.0)
+        return np.asarray(depth[margin:-margin, margin:-margin].copy(), np.float32)
+
+
+_STROKE = 0.15
+"""Depth of the thinnest stroke that pulses along itself, in grains."""
+_STEP = 1.25
+"""Distance of samples along the way, in pixels of the map."""
+_MOST_SAMPLES = 64
+_FULL = 0.96
+"""Share of half a grain from which the depth counts as full: beyond rounding, and the blur."""
+_RISEN = 0.5
+"""Part of its depth by which a ridge must rise, so that a way along its crest passes none."""
+
+
+class ReliefFeeler:
+    """Samples the depth along each electrode's path, from (E, 2) mm, and finds its maxima."""
+
+    # Places of the array's middle are complex numbers, x + iy in mm: one number for each
+    # electrode is twice as fast as two.
+
+    def __init__(self, relief: Relief, position_mm: NDArray[np.float64]) -> None:
+        self._relief = relief
+        x_mm, y_mm = relief.scale_mm
+        self._own_x = (position_mm[:, 0] / x_mm - 0.5).astype(np.float32)
+        self._own_y = (position_mm[:, 1] / y_mm - 0.5).astype(np.float32)
+        self._step_mm = _STEP * relief.pixel_mm
+        self._full_mm = np.float32(_FULL * relief.grain_mm / 2)
+        self._least_mm = relief.pixel_mm / 2
+        self._ground_mm = self._full_mm if relief.woven else np.float32(_STROKE * relief.grain_mm)
+        self._within_mm = 0.0 if relief.woven else relief.grain_mm / 2 - float(self._ground_mm)
+        """Distance of an electrode over this ground at its first pulse."""
+        self._all = np.arange(len(position_mm))
+        self._nothing = RidgeCrossing(np.zeros(len(position_mm), np.float32), 0)
+        self._nothing.height.flags.writeable = False
+        self.place(0.0, 0.0)
+
+    def place(self, x_mm: float, y_mm: float) -> None:
+        """Place the middle of the array; an area under it pulses after one grain of motion."""
+        self._place = complex(x_mm, y_mm)
+        x, y = self._on_map(np.array([self._place]))
+        self._before = np.repeat(self._depth(x, y), 2, axis=0)
+        self._lowest = self._before[0].copy()
+        """Lowest depth of each electrode since its last pulse."""
+        self._pulsed = np.full(len(self._all), self._place)
+        """Place of the array at the last pulse of each electrode."""
+        self._entered = self._pulsed.copy()
+        """Place of the array when each electrode came onto high ground."""
+
+    def move(self, x_mm: float, y_mm: float) -> RidgeCrossing:
+        """Move the middle of the array; motion shorter than a sample is kept for later."""
+        by = complex(x_mm, y_mm) - self._place
+        samples = int(abs(by) / self._step_mm)
+        if not samples:
+            return self._nothing
+        step = by * (self._step_mm / abs(by))
+        if samples > _MOST_SAMPLES:
+            samples, step = _MOST_SAMPLES, by / _MOST_SAMPLES
+        # The first two are those of before: a greatest depth shows one sample later.
+        places = self._place + step * np.arange(-1, samples + 1)
+        x, y = self._on_map(places)
+        depth = np.concatenate([self._before, self._depth(x[2:], y[2:])])
+        self._place = complex(places[-1])
+        self._before = depth[-2:]
+        if not depth.any():
+            self._lowest = depth[-1]
+            self._entered = np.full(len(self._all), self._place)
+            return self._nothing
+        return self._crossing(places, depth, abs(step), (x, y))
+
+    def _crossing(
+        self,
+        places: NDArray[np.complex128],
+        depth: NDArray[np.float32],
+        step_mm: float,
+        on_map: tuple[NDArray[np.float32], NDArray[np.float32]],
+    ) -> RidgeCrossing:
+        lowest = np.minimum.accumulate(np.minimum(depth, self._lowest), axis=0)
+        found, last, merged = self._crests(depth, lowest, step_mm)
+        inside = self._inside(places, depth) & ~found
+        pulsed = found | inside
+        if not pulsed.any():
+            self._lowest = lowest[-1]
+            return self._nothing
+        self._lowest = np.where(pulsed, depth[-1], lowest[-1])
+        # Frames come later than whole grains: what is over counts for the next.
+        gone, grain_mm = places[-1] - self._pulsed, self._relief.grain_mm
+        gone_mm = np.maximum(np.abs(gone), grain_mm)
+        over = gone_mm - grain_mm < step_mm * (len(places) - 2)
+        due = self._pulsed + gone * np.where(over, grain_mm / gone_mm, 1.0)
+        self._pulsed = np.where(found, places[last], np.where(inside, due, self._pulsed))
+        row = np.where(found, last, len(places) - 1)
+        x, y = (each[row, self._all][None] for each in on_map)
+        height = self._sample(self._relief.height, x, y)[0]
+        return RidgeCrossing(np.asarray(height * pulsed, np.float32), merged)
+
+    def _crests(
+        self,
+        depth: NDArray[np.float32],
+        lowest: NDArray[np.float32],
+        step_mm: float,
+    ) -> tuple[NDArray[np.bool_], NDArray[np.intp], int]:
+        """Return which electrodes passed a crest, the sample of the last, and how many more."""
+        middle = depth[1:-1]
+        # Level ground is no crest before it falls: what is as wide pulses by its way.
+        crest = (middle >= depth[:-2]) & (middle > depth[2:]) & (middle > self._least_mm)
+        crest &= middle - lowest[1:-1] >= _RISEN * middle
+        last = len(crest) - crest[::-1].argmax(axis=0)
+        found = crest[last - 1, self._all]
+        if not found.any():
+            return found, last, 0
+        own_mm = depth[last, self._all]
+        apart_mm = (last - 1 - crest.argmax(axis=0)) * step_mm
+        merged = int((found & (apart_mm >= np.maximum(own_mm, step_mm))).sum())
+        return found, last, merged
+
+    def _inside(
+        self, places: NDArray[np.complex128], depth: NDArray[np.float32]
+    ) -> NDArray[np.bool_]:
+        """Return which electrodes are a grain from their last pulse, and on high ground."""
+        low = depth[1:] < self._ground_mm
+        entered = places[len(low) - low[::-1].argmax(axis=0)]
+        self._entered = np.where(low.any(axis=0), entered, self._entered)
+        inside: NDArray[np.bool_] = ~low[-1]
+        if inside.any():
+            inside &= np.abs(places[-1] - self._pulsed) >= self._relief.grain_mm
+            inside &= np.abs(places[-1] - self._entered) >= self._within_mm
+        return inside
+
+    def _on_map(
+        self, places: NDArray[np.complex128]
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return the electrodes' places on the map for places of the array, (N, E) pixels each."""
+        x_mm, y_mm = self._relief.scale_mm
+        x, y = places.real / x_mm, places.imag / y_mm
+        if self._relief.tiled:
+            # All by the same whole tiles, so that what lies between places stays between them.
+            rows, columns = self._relief.height.shape
+            x, y = x - columns * np.floor(x[0] / columns), y - rows * np.floor(y[0] / rows)
+        return (
+            x.astype(np.float32)[:, None] + self._own_x,
+            y.astype(np.float32)[:, None] + self._own_y,
+        )
+
+    def _depth(self, x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the depth at places on the map, (N, E) mm; full depths are equal."""
+        return np.minimum(self._sample(self._relief.depth, x, y), self._full_mm)
+
+    def _sample(
+        self, values: NDArray[np.float32], x: NDArray[np.float32], y: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        mode = cv2.BORDER_WRAP if self._relief.tiled else cv2.BORDER_CONSTANT
+        sampled = cv2.remap(values, x, y, cv2.INTER_LINEAR, borderMode=mode, borderValue=0)
+        return np.asarray(sampled, np.float32)
+
+
+_NUMBER = r"([0-9]*\.?[0-9]+)"
+
+
+def open_texture(
+    spec: str,
+    *,
+    # dpi, width_mm: scale of a file that does not say; width of a text
+    dpi: float | None = None,
+    width_mm: float | None = None,
+    # way between two pulses on what is high and wide; measured if not given
+    grain_mm: float | None = None,
+    tiled: bool = False,  # repeat it without end
+    light_on_dark: bool = False,  # whether bright parts are high
+) -> Texture:
+    """Open a texture: a grating, a text, an image or a height map.
+
+    ``grating:4mm``, ``grating:4mm,30deg``, ``text:STRING``, or a file: an image (ink is high), or a
+    height map (16 bits or floating point, or .npy: bright is high). Options may stand behind it, as
+    in ``wood.png?dpi=300&tiled``.
+    """
+    place, in_url = read_options(open_texture, spec, PageError)
+    if in_url:
+        given = {
+            "dpi": dpi, "width_mm": width_mm, "grain_mm": grain_mm, "tiled": tiled or None,
+            "light_on_dark": light_on_dark or None,
+        }  # fmt: skip
+        given = {name: value for name, value in given.items() if value is not None}
+        return open_texture(place, **joined_options(spec, given, in_url, PageError))
+    kind, _, rest = spec.partition(":")
+    if kind == "grating" and ":" in spec:
+        given = {
+            "dpi": dpi, "width_mm": width_mm, "grain_mm": grain_mm, "tiled": tiled,
+            "light_on_dark": light_on_dark,
+        }  # fmt: skip
+        for name, value in given.items():
+            if value:
+                message = f"{name} is for images, and {spec} is exact: leave it out"
+                raise PageError(message, about=name)
+        return _grating(spec, rest)
+    if kind == "text" and ":" in spec:
+        if dpi is not None:
+            message = "dpi is for images, and a text has no resolution of its own: give its width"
+            raise PageError(message, about="dpi", remedy="width_mm")
+        heights = print_heights(rest, width_mm)
+    else:
+        heights = load_heights(Path(spec), dpi, width_mm)
+    return Relief(heights, grain_mm, tiled, light_on_dark)
+
+
+def _grating(spec: str, rest: str) -> Texture:
+    match = re.fullmatch(rf"\s*{_NUMBER}\s*(mm)?\s*(,\s*([-+]?){_NUMBER}\s*(deg|°)?)?\s*", rest)
+    if match is None:
+        message = f"{spec!r} is no grating: write grating:4mm or grating:4mm,30deg"
+        raise PageError(message, about="grating")
+    pitch_mm, sign, angle = float(match[1]), match[4], float(match[5] or 0)
+    return Grating(pitch_mm, -angle if sign == "-" else angle)

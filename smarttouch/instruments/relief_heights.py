@@ -1,0 +1,174 @@
+"""Heights of images, height maps and texts, and the pitch that dominates them."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import ImageOps
+
+from smarttouch.base.errors import PageError, UnknownSizeError
+from smarttouch.base.files import MOST_BANK_BYTES, open_file
+from smarttouch.base.tables import read_array
+from smarttouch.pages.page_image import (
+    check_scale_options,
+    open_image,
+    read_grey,
+    require_pixels,
+    require_size_mm,
+)
+from smarttouch.pages.prepared_page import print_text
+
+_SIDE = 512
+"""Pixels of the image for the spectrum."""
+_FEWEST_CYCLES = 5.0
+"""Fewest periods across the shorter side; with fewer it is a shape and no texture."""
+_PROMINENT = 0.25
+"""Share of the variance, but for that of the light, that a single one must carry to dominate: three
+directions at one pitch, as of a honeycomb, have a third each. An estimate of ours."""
+_LIGHT_CYCLES = 2.5
+"""Cycles across the longer side below which changes are of the light."""
+_COARSEST_MM = 10.0
+"""Coarsest pitch of a texture; beyond, ridges are felt one by one."""
+_AROUND = 2
+"""Bins of a peak on each side: the main lobe of a Hann window."""
+
+
+def dominant_pitch_mm(height: NDArray[np.float32], mm_per_pixel: float) -> float | None:
+    """Return the pitch that dominates a relief, (H, W), mm; None if none does.
+
+    By Welch's windowed periodogram (1967), in two dimensions: a pitch dominates if the main lobe of
+    one spatial frequency, and of its mirror image, carry at least a quarter of the variance.
+    """
+    shrink = min(1.0, _SIDE / max(height.shape))
+    if shrink < 1:
+        size = [max(2, round(side * shrink)) for side in height.shape[::-1]]
+        height = np.asarray(cv2.resize(height, size, interpolation=cv2.INTER_AREA), np.float32)
+        mm_per_pixel /= shrink
+    rows, columns = height.shape
+    window = np.hanning(rows)[:, None] * np.hanning(columns)
+    mean = float((height * window).sum() / max(window.sum(), 1e-12))
+    power = np.fft.fftshift(np.abs(np.fft.fft2((height - mean) * window, (_SIDE, _SIDE))) ** 2)
+    cycles = np.fft.fftshift(np.fft.fftfreq(_SIDE))
+    by_y, by_x = np.meshgrid(cycles, cycles, indexing="ij")
+    frequency = np.hypot(by_x, by_y)
+    searched = np.where(frequency * min(rows, columns) >= _FEWEST_CYCLES, power, 0.0)
+    row, column = divmod(int(searched.argmax()), _SIDE)
+    # Padding has widened the lobe.
+    lobe = np.hypot((by_x - by_x[row, column]) * columns, (by_y - by_y[row, column]) * rows)
+    own = power * (lobe <= _AROUND)
+    # Uneven light is not counted, however strong it is.
+    total = float(power[frequency * max(rows, columns) >= _LIGHT_CYCLES].sum())
+    if not total or 2 * float(own.sum()) < _PROMINENT * total:
+        return None
+    pitch_mm = mm_per_pixel * float(own.sum()) / float((own * frequency).sum())
+    return pitch_mm if pitch_mm <= _COARSEST_MM else None
+
+
+LETTER_MM = 12.0
+"""Height of printed letters: wide enough strokes for electrodes 2 mm apart."""
+_PRINTED_MM = 4.2
+"""Height of the letters of `print_text`, ascender to descender."""
+_MARGIN_MM = 4.0
+_SCALE = "dpi or width_mm"
+_LEAST_RANGE = 0.03
+"""Least range of heights, as a part of the file's range; with less, nothing is shown."""
+
+
+class Heights(NamedTuple):
+    """Heights of a relief before its grain is known."""
+
+    title: str
+    height: NDArray[np.float32]  # (H, W) in [0, 1]
+    mm_per_pixel: float
+    photo: bool = True  # whether it may show a texture that has a pitch; print has none
+
+
+def load_heights(path: Path, dpi: float | None = None, width_mm: float | None = None) -> Heights:
+    """Load an image, whose ink is high, or a height map, whose bright parts are high.
+
+    An image of 16 bits or of floating point, or a .npy file of two axes, is a height map. The scale
+    is needed where the file has none.
+    """
+    check_scale_options(dpi, width_mm, "width_mm")
+    if path.suffix.lower() == ".npy":
+        values, mm_per_pixel = _load_array(path, dpi, width_mm)
+        height = _stretched(path.name, values, 0.0)
+    else:
+        with open_image(path) as image:
+            grey, scale = read_grey(path, image, dpi, width_mm)
+            deep = image.mode.startswith("I") or image.mode == "F"
+            if deep:
+                values = np.asarray(ImageOps.exif_transpose(image), np.float64)
+        if scale is None:
+            raise _unscaled(path)
+        mm_per_pixel = scale
+        if deep:
+            height = _stretched(path.name, _like(values, grey.shape), 0.0)
+        else:
+            height = _stretched(path.name, 255 - grey.astype(np.float64), 255 * _LEAST_RANGE)
+    rows, columns = height.shape
+    require_size_mm(str(path), columns * mm_per_pixel, rows * mm_per_pixel, _SCALE)
+    return Heights(path.name, height, mm_per_pixel)
+
+
+def print_heights(text: str, width_mm: float | None = None) -> Heights:
+    """Print a text in large letters, 12 mm high unless the width of the whole is given."""
+    check_scale_options(None, width_mm, "width_mm")
+    page = print_text(text)
+    mm_per_pixel = page.mm_per_pixel * LETTER_MM / _PRINTED_MM
+    ink = page.grey < 128
+    rows, columns = (np.flatnonzero(ink.any(axis=axis)) for axis in (1, 0))
+    grey = page.grey[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    grey = np.asarray(np.pad(grey, round(_MARGIN_MM / mm_per_pixel), constant_values=255))
+    if width_mm is not None:
+        mm_per_pixel = width_mm / grey.shape[1]
+    require_size_mm(
+        "the text", grey.shape[1] * mm_per_pixel, grey.shape[0] * mm_per_pixel, "width_mm"
+    )
+    return Heights(f"“{text}”", np.asarray(1 - grey / 255, np.float32), mm_per_pixel, photo=False)
+
+
+def _load_array(
+    path: Path, dpi: float | None, width_mm: float | None
+) -> tuple[NDArray[np.float64], float]:
+    with open_file(path, PageError, MOST_BANK_BYTES) as file:
+        try:
+            heights = np.asarray(read_array(file, path.stat().st_size), np.float64)
+        except (OSError, ValueError, TypeError) as error:
+            message = f"cannot read the height map {path}: it is not an array of numbers ({error})"
+            raise PageError(message, about="file") from None
+    if heights.ndim != 2:
+        message = f"{path} has {heights.ndim} axes: a height map has two, rows and columns"
+        raise PageError(message, about="axes")
+    require_pixels(str(path), heights.shape[1], heights.shape[0])
+    if dpi is not None:
+        return heights, 25.4 / dpi
+    if width_mm is None:
+        raise _unscaled(path)
+    return heights, width_mm / heights.shape[1]
+
+
+def _unscaled(path: Path) -> UnknownSizeError:
+    message = f"{path} does not say how large it is: give {_SCALE}"
+    return UnknownSizeError(message, about="size_mm", remedy=_SCALE)
+
+
+def _like(values: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Return values at the size of an image whose pixels were made square."""
+    if values.shape == shape:
+        return values
+    return np.asarray(cv2.resize(values, shape[::-1], interpolation=cv2.INTER_LINEAR))
+
+
+def _stretched(name: str, values: NDArray[np.float64], least: float) -> NDArray[np.float32]:
+    """Return values stretched to 0 to 1, without the few outliers."""
+    values = np.nan_to_num(values, posinf=0.0, neginf=0.0)
+    low, high = np.percentile(values, (0.5, 99.5))
+    if high - low <= max(least, 1e-12):
+        low, high = values.min(), values.max()
+    if high - low <= max(least, 1e-12):
+        message = f"{name} is flat: there is nothing on it that could be felt"
+        raise PageError(message, about="texture")
+    return np.asarray(np.clip((values - low) / (high - low), 0, 1), np.float32)

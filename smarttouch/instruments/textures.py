@@ -1,0 +1,124 @@
+"""Textures under the hand, and gratings by formula."""
+
+import math
+from abc import ABC, abstractmethod
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import PageError, require_within
+
+FINEST_PITCH_MM = 0.1
+COARSEST_PITCH_MM = 200.0
+
+
+class RidgeCrossing(NamedTuple):
+    """Ridges that passed under the electrodes since the last call."""
+
+    height: NDArray[np.float32]
+    """Height of the last ridge that passed each electrode, (E,) in [0, 1]; 0 where none did."""
+    merged: int
+    """Number of ridges that passed together with another one of the same electrode."""
+
+
+class TextureSampler(Protocol):
+    """Sampler of electrodes over a texture, which stores their last place."""
+
+    def place(self, x_mm: float, y_mm: float) -> None:
+        """Place the middle of the array; no ridge counts as passed."""
+
+    def move(self, x_mm: float, y_mm: float) -> RidgeCrossing:
+        """Move the middle of the array in a straight line."""
+
+
+class Texture(ABC):
+    """Surface with ridges that stays in place.
+
+    `size_mm` is its width and height, None where it has no ends; `middle_mm` the middle of it or of
+    one tile; `notes` are assumptions that were made, a sentence each.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        size_mm: tuple[float, float] | None,
+        middle_mm: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        self.title = title
+        self.size_mm = size_mm
+        self.middle_mm = middle_mm
+        self.notes: list[str] = []
+
+    @abstractmethod
+    def feeler(self, position_mm: NDArray[np.float64]) -> TextureSampler:
+        """Return a sampler for electrodes at (E, 2) mm from the middle of the array."""
+
+    @abstractmethod
+    def draw(
+        self, left_mm: float, top_mm: float, shape: tuple[int, int], pixel_mm: float
+    ) -> NDArray[np.uint8]:
+        """Return a part of it as ink on paper, (H, W) uint8: dark is high."""
+
+
+_LEVELS = 256
+_WAVE = np.asarray(
+    np.rint(127.5 * (1 - np.cos(2 * np.pi * (np.arange(_LEVELS) + 0.5) / _LEVELS))), np.uint8
+)
+"""Grey levels of one period, dark on the ridge."""
+
+
+class Grating(Texture):
+    """Unbounded ridges at one pitch, turned clockwise from upright; one is at the origin."""
+
+    def __init__(self, pitch_mm: float, angle_deg: float = 0.0) -> None:
+        words = f"a grating of {pitch_mm:g} mm"
+        require_within(PageError, "pitch_mm", pitch_mm, FINEST_PITCH_MM, COARSEST_PITCH_MM, words)
+        require_within(PageError, "angle_deg", angle_deg, -360, 360)
+        turned = f", turned by {angle_deg:g}°" if angle_deg else ""
+        super().__init__(f"grating of {pitch_mm:g} mm{turned}", None)
+        angle = math.radians(angle_deg)
+        self.pitch_mm = pitch_mm
+        self.per_mm = np.array([math.cos(angle), math.sin(angle)]) / pitch_mm
+        """Cycles for each mm to the right and down, (2,)."""
+
+    def feeler(self, position_mm: NDArray[np.float64]) -> "GratingFeeler":
+        """Return a sampler of electrodes over it."""
+        return GratingFeeler(self.per_mm, position_mm)
+
+    def draw(
+        self, left_mm: float, top_mm: float, shape: tuple[int, int], pixel_mm: float
+    ) -> NDArray[np.uint8]:
+        """Return a part of it as ink on paper, (H, W) uint8."""
+        rows, columns = shape
+        across = (left_mm + pixel_mm * (np.arange(columns) + 0.5)) * self.per_mm[0]
+        down = (top_mm + pixel_mm * (np.arange(rows) + 0.5)) * self.per_mm[1]
+        # Sums of bytes go round as phases do.
+        across, down = ((each % 1 * _LEVELS).astype(np.uint8) for each in (across, down))
+        return np.asarray(_WAVE[across[None] + down[:, None]])
+
+
+class GratingFeeler:
+    """Sampler of a grating: a ridge passes an electrode, (E, 2) mm, at whole numbers of its phase.
+
+    The phase is the spatial frequency, (2,) cycles/mm, times the place in the world, so that an
+    electrode pulses spatial frequency times speed times a second (paper, Section IV-C), at places
+    that do not move with the hand.
+    """
+
+    def __init__(self, per_mm: NDArray[np.float64], position_mm: NDArray[np.float64]) -> None:
+        self._per_x, self._per_y = per_mm.tolist()
+        self._own = position_mm @ per_mm
+        self._before = np.floor(self._own)
+
+    def place(self, x_mm: float, y_mm: float) -> None:
+        """Place the middle of the array."""
+        self._before = np.floor(self._own + (x_mm * self._per_x + y_mm * self._per_y))
+
+    def move(self, x_mm: float, y_mm: float) -> RidgeCrossing:
+        """Move the middle of the array; the order of ridges on the way does not matter."""
+        before = self._before
+        self.place(x_mm, y_mm)
+        ridges = np.abs(self._before - before)
+        height = np.minimum(ridges, 1).astype(np.float32)
+        return RidgeCrossing(height, int(ridges.sum() - height.sum()))

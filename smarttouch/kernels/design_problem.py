@@ -1,0 +1,325 @@
+"""The design problem: AF rows of a kernel's target and of all else, and their symmetries.
+
+A problem holds one set of rows, or under a spread one for each skin that the
+finger might have; a kernel is as good as it is on the worst of them.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.array_picture import cells_svg, titled
+from smarttouch.base.errors import DesignError
+from smarttouch.base.one_line import one_line
+from smarttouch.physiology.activating_function import (
+    Afferents,
+    af_matrix,
+    along_axon,
+    directions,
+    everywhere,
+    flat_directions,
+    skin_variants,
+    targets,
+    tilted_directions,
+)
+from smarttouch.profile import Profile, Skin
+
+_SQUARE = [
+    np.array(matrix)
+    for matrix in (
+        [[1, 0], [0, 1]],
+        [[-1, 0], [0, 1]],
+        [[1, 0], [0, -1]],
+        [[-1, 0], [0, -1]],
+        [[0, 1], [1, 0]],
+        [[0, -1], [1, 0]],
+        [[0, 1], [-1, 0]],
+        [[0, -1], [-1, 0]],
+    )
+]
+"""Symmetries of a square; the further ones of a hexagon do not keep the node lattice."""
+
+
+def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
+    """Return permutations that keep the problem, identity first: e goes to ``permutation[e]``."""
+    array = profile.electrodes
+    kept = []
+    upright = any(shape == "rectangle" and size[0] != size[1] for shape, size in array.kinds)
+    kind = np.zeros(len(array))
+    for number, which in enumerate(array.kinds.values()):
+        kind[which] = number
+    for matrix in _SQUARE:
+        if upright and matrix[0, 0] == 0:
+            continue
+        moved = array.position_mm @ matrix.T
+        gaps = np.linalg.norm(moved[:, None, :] - array.position_mm[None, :, :], axis=2)
+        gaps[kind[:, None] != kind] = np.inf
+        if gaps.min(axis=1).max() > 1e-6:
+            continue
+        aims = targets(profile, afferent).direction
+        if _keeps(aims, matrix) and all(
+            _keeps(directions(profile.skin, each), matrix) for each in Afferent
+        ):
+            kept.append(np.asarray(gaps.argmin(axis=1), np.intp))
+    return [
+        move for move in kept if all(np.array_equal(each[move], each) for each in _own(profile))
+    ]
+
+
+def _own(profile: Profile) -> list[NDArray[np.float64]]:
+    """Return properties by which an electrode may differ from its mirror image, (E,) each."""
+    limits, own = profile.limits, [profile.admittance]
+    if profile.output.masked:
+        own.append(np.isin(np.arange(len(profile.electrodes)), profile.driven).astype(np.float64))
+    if limits.electrode_ma is not None:
+        own.append(np.array(limits.electrode_ma))
+    if limits.electrode_ma is not None or profile.design_total_ma is not None:
+        # Limits are multiples of a site's full current.
+        own.append(np.asarray(profile.threshold_ma, np.float64))
+    return own
+
+
+def _keeps(axons: NDArray[np.float64], matrix: NDArray[np.int_]) -> bool:
+    """Return whether a set of directions is unchanged by a symmetry; an axon has no sense."""
+    moved = axons.copy()
+    moved[:, :2] = axons[:, :2] @ matrix.T
+    alike = np.abs(moved @ axons.T)
+    return bool(np.all(alike.max(axis=1) > 1 - 1e-9))
+
+
+Array = NDArray[np.float64]
+Kind = Literal["weighted", "three-state", "one-of-n"]
+
+_ALIKE = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Kernel:
+    """Current pattern that stimulates one class of afferents at one site."""
+
+    __repr__ = one_line
+
+    weights: Array  # (E,) mA per V/mm², positive cathodic, for an AF of 1 at the target
+    off_target: float  # largest activation of another class, over the target's
+    off_target_class: Afferent  # class of that activation
+    spill: float  # largest activation of the own class beyond one pitch, over the target's
+    node: int = 0  # index of the activated node on its axon; 0 is under the electrode
+    kind: Kind = "weighted"
+    gap: float = 0.0  # largest relative distance from the optimum; 0 is proven
+
+    @property
+    def peak_normalized(self) -> Array:
+        """Weights with a largest magnitude of 1, as the paper draws them (Fig. 8)."""
+        return np.asarray(self.weights / np.abs(self.weights).max())
+
+    def _repr_html_(self) -> str:
+        """Return its currents as cells, electrode by electrode, for notebooks."""
+        title = (
+            f"{self.kind} kernel: {self.off_target:.3g} of the target at "
+            f"{self.off_target_class.name}, spill {self.spill:.3g}"
+        )
+        return titled(title, cells_svg(self.weights))
+
+
+def masked_site(site: int) -> DesignError:
+    """Return the error of a site that has no kernel."""
+    return DesignError(
+        f"site {site} is masked: its electrode is not driven; choose another, or take it out of "
+        "output.masked of the profile",
+        about="site",
+        remedy="output.masked",
+        electrode=site,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """AF rows of one skin, in V/mm² per mA."""
+
+    # (S, E, E): rows [:, s] are the possible targets under electrode s, nominal first
+    target: Array
+    other: Array  # (N, E), every node of the other classes
+    own: Array  # (M, E), every node of the own class
+
+
+class Problem:
+    """Rows of one class against others, by default both (Eq. 10 has one, Eq. 16 two), shared by all
+    sites of a profile; with `spread` over the skins of ``skin.spread``."""
+
+    def __init__(
+        self,
+        profile: Profile,
+        afferent: Afferent,
+        others: Collection[Afferent] | None = None,
+        spread: bool = False,
+    ) -> None:
+        self.profile, self.afferent, self.spread = profile, afferent, spread
+        if others is None:
+            others = [each for each in Afferent if each is not afferent]
+        if afferent in others or not others:
+            raise DesignError(
+                f"{afferent.name} must be selected against one or two other classes, not against "
+                f"{', '.join(each.name for each in others) or 'none'}",
+                about="others",
+            )
+        sets = {each: self._might_be(everywhere(profile, each)) for each in Afferent}
+        aims = self._might_be(targets(profile, afferent))
+        self.rows = [
+            Rows(
+                np.concatenate([self._by_direction(aim, skin) for aim in aims]),
+                np.concatenate([self._matrix(one, skin) for e in others for one in sets[e]]),
+                np.concatenate([self._matrix(one, skin) for one in sets[afferent]]),
+            )
+            for skin in (skin_variants(profile.skin) if spread else [profile.skin])
+        ]
+        self.other_class = np.concatenate(
+            [
+                np.full(self._layers(one) * len(one.position_mm), each, np.int8)
+                for each in others
+                for one in sets[each]
+            ]
+        )
+        self.grids = [
+            (one.grid, self._layers(one)) for each in others for one in sets[each]
+        ]  # fmt: skip
+        self._own_position_mm = np.concatenate(
+            [np.tile(one.position_mm, (self._layers(one), 1)) for one in sets[afferent]]
+        )
+
+    @property
+    def target(self) -> Array:
+        """Nominal target row of every site, (E, E)."""
+        return np.asarray(self.rows[0].target[0])
+
+    @property
+    def electrodes(self) -> int:
+        return len(self.profile.electrodes)
+
+    @cached_property
+    def symmetries(self) -> list[NDArray[np.intp]]:
+        return symmetries(self.profile, self.afferent)
+
+    @property
+    def driven(self) -> NDArray[np.intp]:
+        """Electrodes that may carry current, which are the sites that have kernels."""
+        return self.profile.driven
+
+    def describe(self, site: int) -> str:
+        return f"{self.afferent.name} at site {site} of {self.profile.name or 'this profile'}"
+
+    def check_site(self, site: int) -> None:
+        """Raise a DesignError unless the array has such a site, and it is not masked."""
+        if not 0 <= site < self.electrodes:
+            last = self.electrodes - 1
+            message = f"site {site} is out of range: the array has sites 0 to {last}"
+            raise DesignError(message, about="site", electrode=site)
+        if site in self.profile.output.masked:
+            raise masked_site(site)
+
+    def beyond_a_pitch(self, site: int) -> NDArray[np.bool_]:
+        """Return which own rows are farther than one pitch from a site's target, (M,)."""
+        electrodes = self.profile.electrodes
+        away = np.linalg.norm(self._own_position_mm - electrodes.position_mm[site], axis=1)
+        return np.asarray(away > electrodes.pitch_mm + 1e-9)
+
+    def full_ma(self, site: int) -> float:
+        """Return the strongest comfortable current at a site, mA."""
+        return float(self.profile.full_ma[site])
+
+    @cached_property
+    def limits_ma(self) -> tuple[float, Array]:
+        """Limits of all cathodes together and of each electrode, infinite if unlimited."""
+        limits = self.profile.limits
+        # Sequences hold whole µA: leave every electrode room to be rounded up.
+        room = self.electrodes / 1000
+        electrode = np.array(limits.electrode_ma or np.full(self.electrodes, np.inf)) - room
+        return (self.profile.design_total_ma or np.inf) - room, electrode
+
+    def axon(self, site: int) -> Array:
+        """Return the rows of the target's own axon, the node under the electrode first."""
+        sets = along_axon(self.profile, self.afferent, site)
+        return np.concatenate([self._matrix(one, self.profile.skin) for one in sets])
+
+    def axon_mm(self, site: int) -> Array:
+        """Return the places of the nodes of the target's own axon, (K, 3) x, y and depth."""
+        sets = along_axon(self.profile, self.afferent, site)
+        return np.concatenate(
+            [np.c_[one.position_mm, np.full(len(one.position_mm), one.depth_mm)] for one in sets]
+        )
+
+    def representative(self, site: int) -> tuple[int, NDArray[np.intp]]:
+        """Return the site that represents this one by symmetry, and the permutation to here."""
+        moves = [(int(np.flatnonzero(move == site)[0]), move) for move in self.symmetries]
+        return min(moves, key=lambda pair: pair[0])
+
+    def orbits(self, site: int) -> Array:
+        """Return the patterns that a site's own symmetries allow, (E, O) of 0 and 1, masked 0."""
+        mirrors = np.array([move for move in self.symmetries if move[site] == site])
+        _, orbit = np.unique(mirrors.min(axis=0)[self.driven], return_inverse=True)
+        patterns = np.zeros((self.electrodes, orbit.max() + 1))
+        patterns[self.driven, orbit] = 1.0
+        return patterns
+
+    def judge(
+        self, weights: Array, site: int, node: int = 0, kind: Kind = "weighted", gap: float = 0.0
+    ) -> Kernel:
+        """Return weights scaled to an activation of 1, with their figures on the worst skin;
+        DesignError if they do not activate the target in one of them."""
+        far = self.beyond_a_pitch(site)
+        worst, spill, whose, smallest = -np.inf, 0.0, 0, np.inf
+        for rows in self.rows:
+            aims = rows.target[:, site] if node == 0 else self.axon(site)[node][None]
+            own_af = float((aims @ weights).min())
+            if own_af <= 0:
+                message = f"the pattern for {self.describe(site)} does not activate its target"
+                raise DesignError(message, about="pattern", electrode=site)
+            others = rows.other @ weights
+            highest = float(others.max())
+            if highest / own_af > worst:
+                worst = highest / own_af
+                # An optimum often presses two classes alike: let no last bit choose between them.
+                alike = others >= highest - _ALIKE * abs(highest)
+                whose = int(self.other_class[alike].min())
+            if far.any():
+                spill = max(spill, float((rows.own[far] @ weights).max() / own_af))
+            smallest = min(smallest, own_af)
+        scaled = weights / smallest
+        # The last bits of the solver: currents sum to zero.
+        if kind == "weighted":
+            scaled[self.driven] -= scaled[self.driven].mean()
+        return Kernel(scaled, worst, Afferent(whose), spill, node, kind, gap)
+
+    def _might_be(self, one: Afferents) -> list[Afferents]:
+        """Return a set of nodes at every depth and direction of the spread, nominal first."""
+        if not self.spread:
+            return [one]
+        spread = self.profile.skin.spread
+        class_name = one.afferent.name.lower()
+        depth_spread = getattr(spread, f"{class_name}_depth_mm")
+        if one.ending is not None:
+            direction = tilted_directions(spread.angle_deg)
+        else:
+            angles = np.degrees(np.arctan2(one.direction[:, 1], one.direction[:, 0]))
+            turns = np.array([0.0, spread.angle_deg, -spread.angle_deg])
+            direction = flat_directions(tuple((angles[None, :] + turns[:, None]).ravel()))
+        shifts = [0.0, depth_spread, -depth_spread] if depth_spread else [0.0]
+        return [
+            replace(one, depth_mm=one.depth_mm + shift, direction=direction) for shift in shifts
+        ]
+
+    def _by_direction(self, aim: Afferents, skin: Skin) -> Array:
+        count = self.electrodes
+        return self._matrix(aim, skin).reshape(-1, count, count)
+
+    def _matrix(self, nodes: Afferents, skin: Skin) -> Array:
+        """Return the rows of a set of nodes, layer by layer."""
+        return af_matrix(self.profile, nodes, skin)
+
+    def _layers(self, nodes: Afferents) -> int:
+        """Return how many rows a set has for each place."""
+        return len(nodes.direction)

@@ -1,0 +1,252 @@
+"""Effects of the finished currents of a slot, of one class or of several, on targets and all else.
+
+RA wants an anode over its receptor and SAI a cathode (paper, Fig. 10), so that
+an RA point and an SAI point may be each other's return: together they need
+little more current than one of them alone.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import DesignError
+from smarttouch.kernels.frame_fields import (
+    Bounded,
+    FieldMap,
+    FrameBounds,
+    FrameFigures,
+    Single,
+    no_active_site,
+)
+from smarttouch.physiology.activating_function import Afferents, af_matrix, everywhere, targets
+from smarttouch.profile import Profile, Skin
+
+Array = NDArray[np.float64]
+
+_SAME_MM = 1e-9
+
+
+class FrameJudge:
+    """Judge of currents that are to fire one class, on the nodes of one skin.
+
+    A level of 1 requests activation `wish_af`, (E,) V/mm², at each target. `vary` replaces sets of
+    nodes, by other directions say; `others` are fields of the other classes computed already.
+    """
+
+    def __init__(
+        self,
+        profile: Profile,
+        afferent: Afferent,
+        wish_af: Array,
+        skin: Skin | None = None,
+        vary: Callable[[Afferents], Afferents] = lambda one: one,
+        others: list[FieldMap] | None = None,
+    ) -> None:
+        if skin is not None:
+            profile = profile.model_copy(update={"skin": skin})
+        if np.shape(wish_af) != (len(profile.electrodes),):
+            raise DesignError(
+                f"wish_af has {np.size(wish_af)} values, the array {len(profile.electrodes)} "
+                "electrodes: give one for each",
+                about="wish_af",
+            )
+        self.profile, self.afferent = profile, afferent
+        self.wish_af = np.asarray(wish_af, np.float64)
+        self.target = af_matrix(profile, vary(targets(profile, afferent)))
+        """Row s is the activating function of the target under electrode s, (E, E)."""
+        self.others = others or [
+            FieldMap(profile, vary(everywhere(profile, each)))
+            for each in Afferent
+            if each is not afferent
+        ]
+        place = vary(everywhere(profile, afferent))
+        self.own = FieldMap(profile, place)
+        self.wanted, self.unwanted = [self.own], self.others
+        self._near = _near(place.position_mm, profile)
+
+    @cached_property
+    def full_ma(self) -> Array:
+        """Largest current of each electrode at intensity 1, (E,) mA in whole µA, 0 where masked."""
+        limits = self.profile.limits
+        most = np.minimum(np.asarray(self.profile.full_ma, np.float64), limits.current_ma)
+        if limits.electrode_ma is not None:
+            most = np.minimum(most, np.asarray(limits.electrode_ma))
+        most = np.floor(1000 * most + 1e-6) / 1000
+        return np.where(np.isin(np.arange(len(most)), self.profile.driven), most, 0.0)
+
+    @cached_property
+    def uneven_af(self) -> tuple[float, float]:
+        """Largest sum of a row's steps between electrodes: of other classes, of the own."""
+        count = len(self.wish_af)
+        steps = np.eye(count - 1, count) - np.eye(count - 1, count, 1)
+        other = max(float(np.abs(field(steps)).sum(axis=0).max()) for field in self.others)
+        return other, float(np.abs(self.own(steps)).sum(axis=0).max())
+
+    def far(self, active: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Return which own nodes are more than a pitch from every active target, (D·N,)."""
+        mask = np.ones(self.own.places_n + 1, np.bool_)
+        mask[self._near[active]] = False
+        return np.tile(mask[:-1], self.own.directions_n)
+
+    def strongest_far(self, own: Single, active: NDArray[np.intp]) -> float:
+        """Return the largest activation of the own class far from all active targets."""
+        away = np.empty(self.own.places_n + 1, own.dtype)
+        np.maximum.reduce(own.reshape(self.own.directions_n, -1), axis=0, out=away[:-1])
+        # The last one is nowhere, as is what is near.
+        away[-1] = -np.inf
+        away[self._near[active]] = -np.inf
+        return float(away.max())
+
+    def reference(self, current: Array, level: Array) -> tuple[float, Array]:
+        """Return the weakest target's activation scaled to level 1, and all over wishes, (A,)."""
+        active = np.flatnonzero(level)
+        reached = self.target[active] @ current / level[active]
+        return float(reached.min()), reached / self.wish_af[active]
+
+    @property
+    def by_class(self) -> dict[Afferent, FieldMap]:
+        """Fields of the other classes."""
+        names = (each for each in Afferent if each is not self.afferent)
+        return dict(zip(names, self.others, strict=True))
+
+    def reached(self, current: Array) -> list[Single]:
+        """Return the AF, V/mm², of each other class, then of the own, for currents ([S,] E) mA."""
+        return reached([*self.others, self.own], current)
+
+    def limits(self, active: NDArray[np.intp], bounds: FrameBounds, aimed: float) -> list[Bounded]:
+        """Return the bound of each field of `reached` if points (A,) get `aimed` of a wish."""
+        smallest = aimed * float(self.wish_af[active].min())
+        others: list[Bounded] = [(field, bounds.other * smallest, None) for field in self.others]
+        return [*others, (self.own, bounds.spill * smallest, self.far(active))]
+
+    def judge(
+        self, current: Array, level: Array, reached: Sequence[Single] | None = None
+    ) -> FrameFigures:
+        """Return the figures of currents (E,) mA that are to activate sites with level (E,) > 0.
+
+        Ratios are infinite if a target is not activated at all. No active site is a DesignError.
+        What `reached` returned for the currents is used if given.
+        """
+        active = np.flatnonzero(level)
+        if not len(active):
+            raise no_active_site()
+        smallest, ratio = self.reference(current, level)
+        *others, own = self.reached(current) if reached is None else reached
+        other = max(float(field.max()) for field in others)
+        spill = max(self.strongest_far(own, active), 0.0)
+        total, most = float(np.abs(current).sum() / 2), float(np.abs(current).max())
+        if smallest <= 0:
+            return FrameFigures(np.inf, np.inf, ratio.min(), ratio.max(), total, most)
+        return FrameFigures(
+            other / smallest, spill / smallest, float(ratio.min()), float(ratio.max()), total, most
+        )
+
+
+def reached(fields: Sequence[FieldMap], current: Array) -> list[Single]:
+    """Return the values of fields for currents (E,) or (S, E) mA."""
+    current = np.asarray(current)
+    many = np.atleast_2d(current)
+    return [field(many).reshape(*current.shape[:-1], -1) for field in fields]
+
+
+def full_wish(profile: Profile, kernels: Array, receptor: Array) -> Array:
+    """Return the activation of single kernels at full comfortable current, (E,) V/mm², from
+    `KernelBank.kernels` and `KernelBank.receptor` of the class, (E, E)."""
+    return np.asarray(profile.full_ma * (receptor * kernels).sum(axis=1), np.float64)
+
+
+def _near(position_mm: Array, profile: Profile) -> NDArray[np.intp]:
+    """Return the places within a pitch of each electrode, (E, K), padded with N."""
+    array = profile.electrodes
+    found = []
+    for center in array.position_mm:
+        away = np.hypot(*(position_mm - center).T)
+        found.append(np.flatnonzero(away <= array.pitch_mm + _SAME_MM))
+    near = np.full((len(found), max(map(len, found))), len(position_mm), np.intp)
+    for row, places in zip(near, found, strict=True):
+        row[: len(places)] = places
+    return near
+
+
+class MixedJudge:
+    """Judge of currents that are to fire K different classes at once, from a judge of each.
+
+    A point is a site of a class: points 0 to E − 1 are the sites of the first judge's class, the
+    next E those of the second one's. For each class with active points, whatever other classes get
+    far from their own points is `FrameFigures.off_target`, relative to its own weakest target.
+    """
+
+    def __init__(self, judges: Sequence[FrameJudge]) -> None:
+        self.judges = tuple(judges)
+        classes = [each.afferent for each in judges]
+        if not classes or len(set(classes)) < len(classes):
+            message = "a mixed frame needs one judge for each of its classes"
+            raise DesignError(message, about="judges")
+        self.target = np.concatenate([each.target for each in judges])
+        self.wish_af = np.concatenate([each.wish_af for each in judges])
+        self.wanted: list[FieldMap] = [each.own for each in judges]
+        self.unwanted = [
+            field for afferent, field in judges[0].by_class.items() if afferent not in classes
+        ]
+
+    @property
+    def profile(self) -> Profile:
+        return self.judges[0].profile
+
+    @property
+    def full_ma(self) -> Array:
+        return self.judges[0].full_ma
+
+    def reached(self, current: Array) -> list[Single]:
+        """Return the activation of each wanted class, then of the others; see `FrameJudge`."""
+        return reached([*self.wanted, *self.unwanted], current)
+
+    def limits(self, active: NDArray[np.intp], bounds: FrameBounds, aimed: float) -> list[Bounded]:
+        """Return the bound of each field of `reached`; see `FrameJudge.limits`."""
+        count = len(self.judges)
+        owner, site = active // self.full_ma.size, active % self.full_ma.size
+        smallest = np.full(count, np.inf)
+        np.minimum.at(smallest, owner, aimed * self.wish_af[active])
+        found: list[Bounded] = []
+        for index, judge in enumerate(self.judges):
+            beside = bounds.other * float(np.delete(smallest, index).min(initial=np.inf))
+            if np.isinf(smallest[index]):
+                found.append((judge.own, beside, None))
+            else:
+                most = min(beside, bounds.spill * float(smallest[index]))
+                found.append((judge.own, most, judge.far(site[owner == index])))
+        return found + [
+            (field, bounds.other * float(smallest.min()), None) for field in self.unwanted
+        ]
+
+    def judge(
+        self, current: Array, level: Array, reached: Sequence[Single] | None = None
+    ) -> FrameFigures:
+        """Return the figures of currents (E,) mA for points with level (K·E,) > 0."""
+        if not level.any():
+            raise no_active_site()
+        count = len(self.judges)
+        fields = self.reached(current) if reached is None else reached
+        rest = max((float(field.max()) for field in fields[count:]), default=0.0)
+        smallest, ratios, far = np.full(count, np.nan), [], np.empty(count)
+        for index, judge in enumerate(self.judges):
+            mine = level.reshape(count, -1)[index]
+            active = np.flatnonzero(mine)
+            far[index] = max(judge.strongest_far(fields[index], active), 0.0)
+            if len(active):
+                smallest[index], ratio = judge.reference(current, mine)
+                ratios.append(ratio)
+        other = spill = 0.0
+        for index in np.flatnonzero(np.isfinite(smallest)).tolist():
+            if smallest[index] <= 0:
+                other = spill = np.inf
+                break
+            beside = max(rest, np.delete(far, index).max(initial=0.0))
+            other = max(other, beside / float(smallest[index]))
+            spill = max(spill, float(far[index] / smallest[index]))
+        ratio = np.concatenate(ratios)
+        total, most = float(np.abs(current).sum() / 2), float(np.abs(current).max())
+        return FrameFigures(other, spill, float(ratio.min()), float(ratio.max()), total, most)

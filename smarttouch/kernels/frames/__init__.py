@@ -1,1 +1,0 @@
-"""All points of a slot at once: currents, side effects, and assignment of points to slots."""

@@ -1,0 +1,187 @@
+"""Optimal kernels: the paper's min–max program, confined to its site.
+
+For a target node with activating-function row a, and rows A of every other
+afferent (Eq. 10 to 18)::
+
+    minimize t   such that   A w ≤ t,   a·w = 1,   Σw = 0
+
+and no node of the target's own axon above 1 (Eq. 11). Beyond the paper, rows of
+the target's own class farther than one pitch may reach at most `SPILL` of the
+target: on a grid the paper's program alone lets neighbors of the same class
+nearly fire. On a problem with a spread every row stands for all that it might
+be, and a kernel is as good as it is on the worst finger.
+"""
+
+import numpy as np
+from scipy.ndimage import maximum_filter
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import DesignError
+from smarttouch.kernels.design_problem import Array, Kernel, Problem
+from smarttouch.kernels.linear_program import Chooser, LinearProgram, Options
+
+SPILL = 0.2
+"""Largest own-class activation beyond one pitch, as a part of the target's."""
+_WORTHWHILE = 1e-6
+_LOOSE_ROWS = 40
+"""Broken rows off any lattice added per round."""
+
+
+def design_kernel(
+    problem: Problem,
+    site: int,
+    spill: float | None = SPILL,
+    node: int = 0,
+    options: Options | None = None,
+) -> Kernel:
+    """Design the weighted kernel of one site; DesignError if there is none within the limits.
+
+    Among equally selective kernels one with all the symmetries of its site is taken, of those the
+    one of least total current, and of those the one whose currents are nearest to the site and to
+    the array's middle, so that the answer does not depend on the solver. Where electrodes stand
+    closer than afferents lie deep, the bound `spill` on own-class activation beyond one pitch
+    cannot be met, or only by losing the target; the larger of worst other and spill is then made as
+    small as possible, and `Kernel.spill` is what is left. None is the paper's unconfined program.
+    No electrode carries more than a thousand times what alone would fire the target. Node 0 of the
+    target's axon is under the electrode.
+    """
+    problem.check_site(site)
+    rows = _Assembled(problem, site, spill, node)
+    if spill is None:
+        ways = [False]
+    else:
+        # PC can hardly ever be confined: try first what will be needed.
+        ways = [True, False] if problem.afferent is Afferent.PC else [False, True]
+    program = rows.program(ways[0], options)
+    best = program.most_selective()
+    if spill is not None and (best > spill) != ways[0]:
+        other = rows.program(ways[1], options)
+        found = other.most_selective()
+        if found < best - _WORTHWHILE:
+            program, best = other, found
+    if best == np.inf:
+        raise DesignError(
+            f"no kernel for {problem.describe(site)}: the target cannot be activated; change the "
+            "array, or the depths of its profile",
+            about="site",
+            electrode=site,
+        )
+    if not (program.unique and rows.within_limits(program.pattern)) and rows.limit(program):
+        best = program.most_selective()
+        if best == np.inf:
+            raise DesignError(
+                f"no kernel for {problem.describe(site)} keeps limits.total_ma and "
+                "limits.electrode_ma of the profile: raise them, or lower the strongest current",
+                about="limits",
+                remedy="limits.total_ma or limits.electrode_ma",
+                electrode=site,
+            )
+    weights = rows.orbits @ program.settled()
+    return problem.judge(weights, site, node)
+
+
+def design_any_node(problem: Problem, site: int) -> Kernel:
+    """Return the best design over the nodes of the target's axon that are nearest (Eq. 13 to
+    15)."""
+    problem.check_site(site)
+    nodes = problem.axon_mm(site)
+    near = np.linalg.norm(nodes - nodes[0], axis=1) <= problem.profile.electrodes.pitch_mm / 2
+    kernels = []
+    for node in np.flatnonzero(near):
+        try:
+            kernels.append(design_kernel(problem, site, SPILL, int(node)))
+        except DesignError:
+            if node == 0:
+                raise
+    return min(kernels, key=lambda kernel: max(kernel.off_target, kernel.spill))
+
+
+class _Assembled:
+    """Rows of one site for all skins of a spread, scaled to a lone electrode's AF."""
+
+    def __init__(self, problem: Problem, site: int, spill: float | None, node: int) -> None:
+        self._problem, self._site = problem, site
+        alone = np.eye(problem.electrodes)[:, problem.driven]
+        self.orbits = problem.orbits(site) if node == 0 else alone
+        far = problem.beyond_a_pitch(site) if spill is not None else np.zeros(0, np.intp)
+        axon = problem.axon(site)
+        scale = [float(np.abs(rows.target[0, site]).max()) for rows in problem.rows]
+        others = [rows.other / each for rows, each in zip(problem.rows, scale, strict=True)]
+        own = [rows.own[far] / each for rows, each in zip(problem.rows, scale, strict=True)]
+        aims = [rows.target[:, site] / each for rows, each in zip(problem.rows, scale, strict=True)]
+        if node:
+            aims = [axon[node][None] / scale[0]]
+        # Eq. 11: of the target's own axon no other node may fire first.
+        eq11 = np.delete(axon, node, axis=0) / scale[0]
+        if problem.spread:
+            eq11 = eq11[:0]
+        self._rows = np.concatenate([*others, *own, eq11]) @ self.orbits
+        self._aims = np.concatenate(aims) @ self.orbits
+        counts = [sum(map(len, others)), sum(map(len, own)), len(eq11)]
+        self._slope = np.repeat([1.0, 0.0, 0.0], counts)
+        self._even_slope = np.repeat([1.0, 1.0, 0.0], counts)
+        self._bound = np.repeat([0.0, spill or 0.0, 1.0], counts)
+        self._even_bound = np.repeat([0.0, 0.0, 1.0], counts)
+
+    def program(self, even: bool, options: Options | None) -> LinearProgram:
+        slope, bound = (self._even_slope, self._even_bound) if even else (self._slope, self._bound)
+        size = self.orbits.sum(axis=0)
+        array = self._problem.profile.electrodes
+        # Least current in all; of that, near the site; of that, near the array's middle.
+        from_site = array.distance_mm[self._site] @ self.orbits
+        from_middle = np.linalg.norm(array.position_mm, axis=1) @ self.orbits
+        ties, peaks = (size, from_site, from_middle), _peaks(self._problem)
+        return LinearProgram(self._rows, slope, bound, self._aims, size, ties, peaks, options)
+
+    def limit(self, program: LinearProgram) -> bool:
+        """Bound the currents by the profile's limits; False if there are none."""
+        reference, factors, total = self._limits()
+        if np.isinf(total) and np.isinf(factors).all():
+            return False
+        program.limit(reference, factors, None if np.isinf(total) else total)
+        return True
+
+    def within_limits(self, pattern: Array) -> bool:
+        """Return whether a pattern keeps the limits unchanged."""
+        reference, factors, total = self._limits()
+        current, magnitude = float(reference @ pattern), np.abs(pattern)
+        in_all = float(self.orbits.sum(axis=0) @ magnitude)
+        return (
+            current > 0
+            and bool((magnitude <= factors * current).all())
+            and in_all <= (total * current)
+        )
+
+    def _limits(self) -> tuple[Array, Array, float]:
+        """Return the current of the site's own electrode, and the limits as multiples of it."""
+        total, electrode = self._problem.limits_ma
+        site, full = self._site, self._problem.full_ma(self._site)
+        reference = np.sign(self._problem.target[site, site]) * self.orbits[site]
+        factors = np.where(self.orbits > 0, electrode[:, None], np.inf).min(axis=0) / full
+        # The own electrode has its full current, which the profile has checked.
+        factors[self.orbits[site].argmax()] = np.inf
+        # Cathodes and anodes carry half of all magnitudes each.
+        return reference, factors, 2 * total / full
+
+
+def _peaks(problem: Problem) -> Chooser:
+    """Return a function that selects broken rows that are local maxima of their lattice.
+
+    Neighboring rows are nearly alike, so one of each hill represents its other broken rows.
+    """
+    blocks = [(grid, count) for _ in problem.rows for grid, count in problem.grids]
+
+    def choose(excess: Array) -> np.ndarray:
+        chosen, start = [], 0
+        for (high, wide), count in blocks:
+            stop = start + count * high * wide
+            hill = excess[start:stop].reshape(count, high, wide)
+            if (hill > 1e-7).any():
+                top = hill == maximum_filter(hill, size=(1, 3, 3), mode="constant", cval=-np.inf)
+                chosen.append(start + np.flatnonzero(top & (hill > 1e-7)))
+            start = stop
+        loose = start + np.flatnonzero(excess[start:] > 1e-7)
+        chosen.append(loose[np.argsort(excess[loose])[::-1][:_LOOSE_ROWS]])
+        return np.concatenate(chosen)
+
+    return choose

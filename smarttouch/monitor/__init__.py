@@ -1,1 +1,0 @@
-"""A run in a terminal: screen, keys, signals, progress, and files at its end."""

@@ -1,0 +1,1 @@
+"""Image files and documents become pages in millimeters, with their lines of text in order."""

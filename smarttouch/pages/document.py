@@ -1,0 +1,229 @@
+"""Documents: a PDF, a TIFF of many pages or one image, loaded page by page."""
+
+import contextlib
+import math
+import re
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from smarttouch.base.errors import PageError
+from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file, unreadable
+from smarttouch.base.stopping import Closing
+from smarttouch.pages.page_image import (
+    INCH_MM,
+    LARGEST_MM,
+    Page,
+    check_scale_options,
+    open_image,
+    read_grey,
+    require_pixels,
+    require_size_mm,
+)
+
+if TYPE_CHECKING:
+    import pypdfium2
+
+PDF_DPI = 300.0
+MOST_RENDERED_PIXELS = 36_000_000
+"""Most pixels of a PDF's page, A2 at 300 dots per inch. Larger ones are rendered coarser: most are
+scans whose size in points is that in pixels, without finer detail."""
+GUESSED_WIDTH_MM = 210.0
+"""Width of an A4 page, for images without a stated size."""
+_POINT_MM = INCH_MM / 72
+_DOCUMENT = "a readable document: give a PDF, PNG, JPEG or TIFF"
+_SIGNATURE = b"%PDF-"
+_SIGNATURE_WITHIN = 1024
+"""Bytes at a file's start in which readers look for the signature (ISO 32000-1, Annex H.3.4.1)."""
+
+
+def open_document(
+    path: Path,
+    *,
+    dpi: float | None = None,
+    page_width_mm: float | None = None,
+    password: str | None = None,
+) -> "Document":
+    """Open a PDF, a TIFF of one or many pages, or any other image, recognized by its content.
+
+    ``dpi`` replaces an image's own resolution, or the 300 at which a PDF is rendered;
+    ``page_width_mm`` replaces the file's own scale.
+    """
+    check_scale_options(dpi, page_width_mm)
+    if _is_pdf(path):
+        return PdfDocument(path, dpi, page_width_mm, password)
+    return ImageDocument(path, dpi, page_width_mm)
+
+
+def parse_pages(text: str, count: int) -> list[int]:
+    """Return the indices, from 0, of pages in a list such as ``1,3-5`` or ``7-``, in its order."""
+    indexes: list[int] = []
+    for part in text.split(","):
+        # Python refuses to convert very long numbers.
+        match = re.fullmatch(r"\s*([0-9]{1,9})\s*(-\s*([0-9]{1,9})?\s*)?", part)
+        if match is None:
+            message = f"pages {text}: {part.strip()!r} is not a page: write 1,3-5 or 7-"
+            raise PageError(message, about="pages")
+        first = int(match[1])
+        last = int(match[3] or count) if match[2] else first
+        for number in (first, last):
+            if not 1 <= number <= count:
+                raise PageError(
+                    f"pages {text}: the document {_absent(number, count)}", about="pages"
+                )
+        if last < first:
+            raise PageError(
+                f"pages {text}: {first} is after {last}: write {last}-{first}",
+                about="pages",
+                remedy=f"{last}-{first}",
+            )
+        indexes += range(first - 1, last)
+    return indexes
+
+
+class Document(Closing, ABC):
+    """Pages loaded on request, by one thread at a time; ``notes`` lists what was assumed."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.notes: list[str] = []
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """Return the number of pages."""
+
+    def page(self, index: int) -> Page:
+        """Return a page by its index from 0."""
+        if not 0 <= index < len(self):
+            raise PageError(f"{self.path} {_absent(index + 1, len(self))}", about="page")
+        return self._load(index)
+
+    @abstractmethod
+    def _load(self, index: int) -> Page: ...
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the file."""
+
+    def _note(self, sentence: str) -> None:
+        if sentence not in self.notes:
+            self.notes.append(sentence)
+
+
+class ImageDocument(Document):
+    """An image file, or the pages of a TIFF."""
+
+    def __init__(self, path: Path, dpi: float | None, page_width_mm: float | None) -> None:
+        super().__init__(path)
+        self._dpi, self._page_width_mm = dpi, page_width_mm
+        with open_image(path, _DOCUMENT) as image:
+            # Frames of other formats are animations.
+            self._count = getattr(image, "n_frames", 1) if image.format == "TIFF" else 1
+
+    def __len__(self) -> int:
+        return self._count
+
+    def close(self) -> None:
+        """Do nothing: the file is open only while a page is loaded."""
+
+    def _load(self, index: int) -> Page:
+        with open_image(self.path, _DOCUMENT) as image:
+            image.seek(index)
+            grey, mm_per_pixel = read_grey(self.path, image, self._dpi, self._page_width_mm)
+        height, width = grey.shape
+        if mm_per_pixel is None:
+            mm_per_pixel = min(GUESSED_WIDTH_MM / width, LARGEST_MM / height)
+            self._note(
+                f"{self.path} does not state its size: "
+                f"assumed to be {width * mm_per_pixel:.0f} mm wide"
+            )
+        require_size_mm(str(self.path), width * mm_per_pixel, height * mm_per_pixel)
+        return Page(grey, mm_per_pixel)
+
+
+class PdfDocument(Document):
+    """A PDF; its pages are rendered, with filled-in forms."""
+
+    def __init__(
+        self, path: Path, dpi: float | None, page_width_mm: float | None, password: str | None
+    ) -> None:
+        super().__init__(path)
+        self._dpi = PDF_DPI if dpi is None else dpi
+        self._page_width_mm = page_width_mm
+        self._pdf = _open_pdf(path, password)
+
+    def __len__(self) -> int:
+        return len(self._pdf)
+
+    def close(self) -> None:
+        self._pdf.close()
+
+    def _load(self, index: int) -> Page:
+        import pypdfium2
+
+        name = f"page {index + 1} of {self.path}"
+        try:
+            sheet = self._pdf[index]
+        except pypdfium2.PdfiumError:
+            raise PageError(f"{name} cannot be read: the file is damaged", about="page") from None
+        with contextlib.closing(sheet):
+            return self._render(sheet, name)
+
+    def _render(self, sheet: "pypdfium2.PdfPage", name: str) -> Page:
+        width, height = sheet.get_size()
+        mm = _POINT_MM if self._page_width_mm is None else self._page_width_mm / width
+        require_size_mm(name, width * mm, height * mm, "page_width_mm")
+        finest_dpi = INCH_MM * math.sqrt(MOST_RENDERED_PIXELS / (width * height)) / mm
+        dpi = min(self._dpi, finest_dpi)
+        if dpi < self._dpi:
+            self._note(
+                f"{name} is {width * mm:.0f} x {height * mm:.0f} mm: "
+                f"rendered at {dpi:.0f} dots per inch"
+            )
+        mm_per_pixel = INCH_MM / dpi
+        scale = mm / mm_per_pixel
+        require_pixels(name, math.ceil(width * scale), math.ceil(height * scale))
+        with contextlib.closing(sheet.render(scale=scale, grayscale=True)) as bitmap:
+            # A copy, as the bitmap frees its memory.
+            grey = np.array(bitmap.to_numpy(), np.uint8).reshape(bitmap.height, bitmap.width)
+            return Page(grey, mm_per_pixel)
+
+
+def _is_pdf(path: Path) -> bool:
+    try:
+        with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file:
+            return _SIGNATURE in file.read(_SIGNATURE_WITHIN)
+    except OSError as error:
+        raise unreadable(PageError, path, error) from None
+
+
+def _open_pdf(path: Path, password: str | None) -> "pypdfium2.PdfDocument":
+    try:
+        import pypdfium2
+    except ImportError:
+        raise PageError(
+            f"{path}: a PDF needs the extra pdf: pip install 'smarttouch[pdf]'",
+            about="pypdfium2",
+            remedy="pip install 'smarttouch[pdf]'",
+        ) from None
+    try:
+        pdf = pypdfium2.PdfDocument(path, password)
+    except pypdfium2.PdfiumError as error:
+        if "password" not in str(error).lower():
+            message = f"{path} is damaged, or has no pages: save it again"
+            raise PageError(message, about="file") from None
+        message = f"{path} is encrypted: give its password"
+        if password is not None:
+            message = f"{path} is encrypted: this is not its password"
+        raise PageError(message, about="password") from None
+    # Needed to render filled-in fields, before any page is opened.
+    if pdf.get_formtype() == pypdfium2.raw.FORMTYPE_ACRO_FORM:
+        pdf.init_forms()
+    return pdf
+
+
+def _absent(number: int, count: int) -> str:
+    pages = "1 page" if count == 1 else f"{count} pages"
+    return f"has {pages}, there is no page {number}"

@@ -1,0 +1,172 @@
+"""Pages: image files with a physical scale."""
+
+import struct
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from smarttouch.base.errors import PageError, UnknownSizeError
+from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file
+
+MOST_PIXELS = 100_000_000
+FEWEST_PIXELS = 8
+"""Least side of a page."""
+LARGEST_MM = 2000.0
+SMALLEST_MM = 2.0
+INCH_MM = 25.4
+IMAGE = "a readable image: give a PNG, JPEG or TIFF"
+_SCALE = "dpi or page_width_mm"
+_LEAST_BELIEVED_DPI = 50.0
+"""Lowest plausible resolution; files state less (1 or 72 by default) where it is unknown."""
+_EVEN = 1.02  # ratio of resolutions across and down below which they are equal
+_MOST_UNEVEN = 4.0
+"""Largest plausible ratio: the coarsest kind of fax has 2.1; more is an error of the file."""
+_ORIENTATION = 0x0112  # EXIF tag; 5 and above lay the rows of the file upright
+_DAMAGES = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, struct.error)
+"""Exceptions that Pillow raises on damaged files."""
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    """Page as grey levels, (H, W) uint8, bright is white, with its scale."""
+
+    grey: NDArray[np.uint8]
+    mm_per_pixel: float
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """Width and height, mm."""
+        height, width = self.grey.shape
+        return width * self.mm_per_pixel, height * self.mm_per_pixel
+
+
+def load_page(path: Path, dpi: float | None = None, page_width_mm: float | None = None) -> Page:
+    """Load an image of a page, of any color mode, at the given or its own scale."""
+    check_scale_options(dpi, page_width_mm)
+    with open_image(path) as image:
+        grey, mm_per_pixel = read_grey(path, image, dpi, page_width_mm)
+    if mm_per_pixel is None:
+        message = f"{path} does not state its size: give {_SCALE}"
+        raise UnknownSizeError(message, about="size_mm", remedy=_SCALE)
+    height, width = grey.shape
+    require_size_mm(str(path), width * mm_per_pixel, height * mm_per_pixel)
+    return Page(grey, mm_per_pixel)
+
+
+def check_scale_options(
+    dpi: float | None, width_mm: float | None, width: str = "page_width_mm"
+) -> None:
+    """Raise a PageError if the user's scale is invalid; ``width`` names the second."""
+    if dpi is not None and width_mm is not None:
+        raise PageError(f"dpi and {width} are both given: give one of them", about="dpi")
+    for name, value in (("dpi", dpi), (width, width_mm)):
+        if value is not None and not 0 < value < float("inf"):
+            raise PageError(f"{name} {value:g} must be above 0", about=name)
+
+
+@contextmanager
+def open_image(path: Path, kind: str = IMAGE) -> Iterator[Image.Image]:
+    """Open an image file; any exception of Pillow, here or inside, becomes a PageError."""
+    try:
+        with warnings.catch_warnings():
+            # Sizes are checked later; damage is raised, or does no harm.
+            warnings.filterwarnings("ignore", module=r"PIL\.")
+            # Opened here: Pillow 13 maps a path to memory, and reads rotated TIFFs wrongly.
+            with open_file(path, PageError, MOST_DOCUMENT_BYTES) as file, Image.open(file) as image:
+                yield image
+    except Image.DecompressionBombError:
+        message = f"{path} is above {MOST_PIXELS // 10**6} megapixels: make it smaller first"
+        raise PageError(message, about="pixels") from None
+    except UnidentifiedImageError:
+        raise PageError(f"{path} is not {kind}", about="file") from None
+    except _DAMAGES as error:
+        raise PageError(f"{path} cannot be read: {error}", about="file") from None
+
+
+def read_grey(
+    path: Path, image: Image.Image, dpi: float | None = None, page_width_mm: float | None = None
+) -> tuple[NDArray[np.uint8], float | None]:
+    """Return an open image in grey, (H, W) uint8, and its scale in mm per pixel; None if unknown.
+
+    Pixels that are not square, as in a fax, are stretched until they are.
+    """
+    require_pixels(str(path), *image.size)
+    across, down = _stated_dpi(image)
+    finer = max(across, down)
+    grey = _to_grey(image)
+    if finer > _EVEN * min(across, down):
+        height, width = grey.shape
+        size = (round(width * finer / across), round(height * finer / down))
+        require_pixels(str(path), *size)
+        grey = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_LINEAR), np.uint8)
+    if dpi is not None:
+        return grey, INCH_MM / dpi
+    if page_width_mm is not None:
+        return grey, page_width_mm / grey.shape[1]
+    return grey, INCH_MM / finer if finer else None
+
+
+def require_pixels(name: str, width: int, height: int) -> None:
+    """Raise a PageError if a page has too many or too few pixels."""
+    if width * height > MOST_PIXELS:
+        raise PageError(
+            f"{name} has {width} x {height} pixels, above the limit of "
+            f"{MOST_PIXELS // 10**6} megapixels: make it smaller first",
+            about="pixels",
+        )
+    if min(width, height) < FEWEST_PIXELS:
+        raise PageError(
+            f"{name} has {width} x {height} pixels: a page needs at least "
+            f"{FEWEST_PIXELS} x {FEWEST_PIXELS}",
+            about="pixels",
+        )
+
+
+def require_size_mm(name: str, width_mm: float, height_mm: float, options: str = _SCALE) -> None:
+    """Raise a PageError if a page is larger or smaller than paper can be."""
+    if max(width_mm, height_mm) > LARGEST_MM or min(width_mm, height_mm) < SMALLEST_MM:
+        raise PageError(
+            f"{name} would be {width_mm:.4g} x {height_mm:.4g} mm: give a {options} "
+            f"that makes it {SMALLEST_MM:g} to {LARGEST_MM:g} mm",
+            about="size_mm",
+            remedy=options,
+        )
+
+
+def _stated_dpi(image: Image.Image) -> tuple[float, float]:
+    """Return pixels per inch across and down the upright page; 0 if implausible."""
+    stated = image.info.get("dpi")
+    if not isinstance(stated, tuple):
+        return 0.0, 0.0
+    across, down = (float(each) for each in stated)
+    if not all(each >= _LEAST_BELIEVED_DPI and each != 72 for each in (across, down)):
+        return 0.0, 0.0
+    if max(across, down) > _MOST_UNEVEN * min(across, down):
+        return 0.0, 0.0
+    return (down, across) if image.getexif().get(_ORIENTATION, 1) >= 5 else (across, down)
+
+
+def _to_grey(image: Image.Image) -> NDArray[np.uint8]:
+    image = ImageOps.exif_transpose(image)
+    if image.mode.startswith("I") or image.mode == "F":
+        return _from_deep(np.asarray(image, np.float64))
+    if image.has_transparency_data:
+        image = image.convert("RGBA")
+        white = Image.new("RGBA", image.size, (255, 255, 255, 255))
+        image = Image.alpha_composite(white, image)
+    return np.array(image.convert("L"))
+
+
+def _from_deep(values: NDArray[np.float64]) -> NDArray[np.uint8]:
+    values = np.nan_to_num(values)
+    peak = values.max(initial=0)
+    # A deep file does not state its white: the smallest usual one that fits is assumed.
+    full = next((each for each in (1.0, 255.0, 65535.0) if peak <= each), peak)
+    return np.asarray(np.clip(np.rint(values * (255 / full)), 0, 255), np.uint8)

@@ -1,0 +1,189 @@
+"""Pages ready to be read: straight, dark on white, their lines in order and cut out as strips."""
+
+import math
+import textwrap
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from smarttouch.base.errors import PageError
+from smarttouch.pages.page_image import INCH_MM, LARGEST_MM, Page
+from smarttouch.pages.straighten import straighten
+from smarttouch.pages.text_lines import TextLine, ink_of_lines, lines_in_ink
+
+_AROUND = 0.8  # extent of the page considered above and below a line, in heights of the line
+SIDES = 0.25
+"""Paper kept before and after a line, in heights of the line."""
+_INK = 128  # level below which is ink, when the spots of neighboring lines are located
+_FADED = 2  # samples by which the grey edge of a spot reaches beyond its ink
+
+
+def cut_strip(
+    cleaned: NDArray[np.uint8], mm_per_pixel: float, line: TextLine, height_px: int
+) -> NDArray[np.uint8]:
+    """Return a line cut out of a page and straightened along its baseline, (height_px, W) uint8.
+
+    Its print, from ascenders to descenders, fills the height; `SIDES` of paper stay at each end.
+    What reaches in from the lines above and below is left out.
+    """
+    line_px = line.height_mm / mm_per_pixel
+    # A smaller strip is sampled as finely as the page, then averaged.
+    steps = max(1, math.ceil(line_px / height_px))
+    rows = steps * height_px
+    scale_mm = line.height_mm / rows
+    along_mm = _places(line, scale_mm * steps, steps)
+    above = round(_AROUND * rows)
+    across_mm = (np.arange(-above, rows + above) + 0.5) * scale_mm - line.ascent_mm
+    # Columns are not tilted: strokes stay upright on a curved page.
+    x_mm = np.broadcast_to(along_mm, (len(across_mm), len(along_mm)))
+    y_mm = line.baseline_mm(along_mm) + across_mm[:, None]
+    wide = cv2.remap(
+        cleaned,
+        np.asarray(x_mm / mm_per_pixel - 0.5, np.float32),
+        np.asarray(y_mm / mm_per_pixel - 0.5, np.float32),
+        cv2.INTER_CUBIC if rows > line_px else cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT,
+        borderValue=255,
+    )
+    own = _without_neighbors(np.asarray(wide, np.uint8), above, rows)
+    size = (len(along_mm) // steps, height_px)
+    return np.asarray(cv2.resize(own, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def _places(line: TextLine, pixel_mm: float, steps: int) -> NDArray[np.float64]:
+    """Return the x of every column, at equal distances along the baseline, mm."""
+    sides_mm = SIDES * line.height_mm
+    x_mm = np.linspace(line.left_mm - sides_mm, line.right_mm + sides_mm, 400)
+    passed_mm = np.cumsum(np.hypot(np.diff(x_mm), np.diff(line.baseline_mm(x_mm))))
+    passed_mm = np.concatenate([[0.0], passed_mm])
+    columns = max(1, round(float(passed_mm[-1]) / pixel_mm)) * steps
+    wanted_mm = (np.arange(columns) + 0.5) * float(passed_mm[-1]) / columns
+    return np.interp(wanted_mm, passed_mm, x_mm)
+
+
+def _without_neighbors(wide: NDArray[np.uint8], above: int, rows: int) -> NDArray[np.uint8]:
+    """Return the middle rows of a wider cut, without spots that lie mostly beyond them."""
+    ink = (wide < _INK).view(np.uint8)
+    own = slice(above, above + rows)
+    count, labels = cv2.connectedComponents(ink, connectivity=8)
+    whole = np.bincount(labels.ravel(), minlength=count)
+    inside = np.bincount(labels[own].ravel(), minlength=count)
+    foreign = (2 * inside < whole) & (inside > 0)
+    foreign[0] = False
+    strip = wide[own]
+    if not foreign.any():
+        return strip
+    side = 2 * _FADED + 1
+    spots = foreign.astype(np.uint8)[labels[own]]
+    faded = cv2.dilate(spots, np.ones((side, side), np.uint8)) > 0
+    # Ink of this line nearby is kept.
+    faded &= (labels[own] == 0) | (spots > 0)
+    return np.where(faded, np.uint8(255), strip)
+
+
+LEFT_OUT = "left out: "
+"""Beginning of the note on what is not among the lines."""
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedPage:
+    """Page straightened and cleaned to dark on white, its paper 255, with lines in reading
+    order.
+    """
+
+    page: Page
+    cleaned: NDArray[np.uint8]
+    lines: tuple[TextLine, ...]
+    light_on_dark: bool
+    notes: tuple[str, ...]
+
+    def strip(self, index: int, height_px: int) -> NDArray[np.uint8]:
+        """Return a line straightened, (height_px, W) uint8, ascenders to descenders filling it."""
+        return cut_strip(self.cleaned, self.page.mm_per_pixel, self.lines[index], height_px)
+
+
+def prepare_page(
+    page: Page,
+    light_on_dark: bool | None = None,
+    straightened: bool = True,
+    quarter: bool = True,
+) -> PreparedPage:
+    """Prepare a scan, photograph or picture of print for reading, detecting its polarity if not
+    given.
+
+    ``quarter`` allows a turn by 90° where the text runs up or down the page.
+    """
+    notes: list[str] = []
+    if straightened:
+        page, notes = straighten(page, quarter)
+    page, paper = ink_of_lines(page, light_on_dark)
+    lines, left_out = lines_in_ink(paper, page.mm_per_pixel)
+    if left_out:
+        notes.append(f"{LEFT_OUT}{left_out}")
+    return PreparedPage(page, paper.cleaned, tuple(lines), paper.light_on_dark, tuple(notes))
+
+
+PRINT_DPI = 300
+_PRINT_WIDTH_MM = 92.0
+_MARGIN_MM = 7.0
+_LINE_MM = 4.2  # height of a line, ascender to descender
+_LINE_STEP_MM = 8.0
+_COLUMNS = 30
+_INK_LEVEL = 15
+_PER_MM = PRINT_DPI / INCH_MM
+_SIZE_PX = _LINE_MM * _PER_MM * 1.26
+
+
+def print_text(text: str) -> Page:
+    """Print a text as black on white at 300 dots per inch."""
+    lines = _wrapped(text)
+    height_mm = 2 * _MARGIN_MM + (len(lines) - 1) * _LINE_STEP_MM + _LINE_MM
+    if height_mm > LARGEST_MM:
+        raise PageError(
+            f"the text has {len(lines)} lines, a page of {height_mm:.0f} mm, above the "
+            f"{LARGEST_MM:g} that are possible: shorten it",
+            about="text",
+        )
+    size = (round(_PRINT_WIDTH_MM * _PER_MM), round(height_mm * _PER_MM))
+    sheet = Image.new("L", size, 255)
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(size=_SIZE_PX)
+    for index, line in enumerate(lines):
+        draw.text((_MARGIN_MM * _PER_MM, _top_px(index)), line, fill=_INK_LEVEL, font=font)
+    return Page(np.asarray(sheet), 1 / _PER_MM)
+
+
+def prepare_text(text: str) -> PreparedPage:
+    """Print a text and return it ready to be read, with its known lines."""
+    page, font = print_text(text), ImageFont.load_default(size=_SIZE_PX)
+    # Boxes from the baseline.
+    high, low, x_high = (font.getbbox(letters, anchor="ls") for letters in ("dlA", "gpy", "x"))
+    below_top_px = font.getbbox("x", anchor="la")[1] - x_high[1]
+    lines = []
+    for index, line in enumerate(_wrapped(text)):
+        if line.strip():
+            left, _, right, _ = font.getbbox(line)
+            lines.append(
+                TextLine(
+                    left_mm=_MARGIN_MM + left / _PER_MM,
+                    right_mm=_MARGIN_MM + right / _PER_MM,
+                    baseline=((_top_px(index) + below_top_px) / _PER_MM,),
+                    x_height_mm=-x_high[1] / _PER_MM,
+                    ascent_mm=-high[1] / _PER_MM,
+                    descent_mm=low[3] / _PER_MM,
+                )
+            )
+    return PreparedPage(page, page.grey, tuple(lines), light_on_dark=False, notes=())
+
+
+def _wrapped(text: str) -> list[str]:
+    lines = [line for part in text.splitlines() for line in textwrap.wrap(part, _COLUMNS) or [""]]
+    if not any(line.strip() for line in lines):
+        raise PageError("text: has nothing to print: give some words after the colon", about="text")
+    return lines
+
+
+def _top_px(index: int) -> float:
+    return (_MARGIN_MM + index * _LINE_STEP_MM) * _PER_MM

@@ -1,0 +1,254 @@
+"""Straightening of pages: a photographed sheet seen from above, text turned level."""
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.pages.ink import Grey, reduced, separate_ink
+from smarttouch.pages.letter_rows import neighbors
+from smarttouch.pages.page_image import Page
+from smarttouch.pages.spots import Spots, letters_alone
+
+Corners = NDArray[np.float64]
+
+_SIDE_PX = 480  # longer side of the image in which a sheet is detected
+_LEAST_PART = 0.2  # least part of the photograph covered by a sheet
+_MOST_PART = 0.97  # part above which the image is the sheet itself, scanned
+_THRESHOLDS = (1.0, 0.75, 0.5)
+"""Multiples of Otsu's threshold: a shadow on the sheet may be as dark as its background."""
+_LEAST_FILLED = 0.93  # least common part of the quadrilateral and the bright area
+_LEAST_STEP = 25.0
+"""Least drop in grey level from the paper to its background, across each visible edge."""
+_EDGE_PX = 6.0  # distance from an edge at which both sides of it are compared, in that image
+_LEAST_SIDES = 3  # fewest visible edges; the fourth may be the edge of the photograph
+_ROUGH = 0.02  # tolerance of an outline with four corners, as a part of its length
+_LOOSE_PX = 5.0  # largest distance of a side's points from it, in that image
+_INSET = 0.006  # part of the sheet left out at its blurred edges
+_MOST_ANGLE = 35.0  # largest deviation of a corner from a right angle, in degrees
+
+
+def find_sheet(grey: Grey) -> Corners | None:
+    """Return the corners of a bright sheet, (4, 2) px, clockwise from the top left, or None."""
+    factor = _SIDE_PX / max(grey.shape)
+    size = (max(8, round(grey.shape[1] * factor)), max(8, round(grey.shape[0] * factor)))
+    small = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
+    # Print on the sheet is bridged first.
+    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (15, 15))
+    paper = np.asarray(cv2.morphologyEx(small, cv2.MORPH_CLOSE, around), np.uint8)
+    otsu, _ = cv2.threshold(paper, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
+    for part in _THRESHOLDS:
+        _, bright = cv2.threshold(paper, part * otsu, 255, cv2.THRESH_BINARY)
+        outlines, _ = cv2.findContours(bright, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        if not outlines:
+            continue
+        outline = np.asarray(max(outlines, key=cv2.contourArea), np.int32)
+        if not _LEAST_PART < cv2.contourArea(outline) / small.size < _MOST_PART:
+            continue
+        corners = _quadrilateral(outline)
+        if corners is not None and _is_sheet(corners, outline, paper):
+            return np.asarray((corners + 0.5) / factor)
+    return None
+
+
+def flattened(grey: Grey, corners: Corners) -> Grey:
+    """Return a sheet as seen from straight above, at its finest resolution."""
+    middle = corners.mean(axis=0)
+    corners = middle + (1 - _INSET) * (corners - middle)
+    across, down = np.roll(corners, -1, axis=0) - corners, corners - np.roll(corners, 1, axis=0)
+    width = max(2, round(max(math.hypot(*across[0]), math.hypot(*across[2]))))
+    height = max(2, round(max(math.hypot(*down[0]), math.hypot(*down[2]))))
+    target = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
+    matrix = cv2.getPerspectiveTransform(corners.astype(np.float32), target)
+    flat = cv2.warpPerspective(
+        grey, matrix, (width, height), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(flat, np.uint8)
+
+
+def _quadrilateral(outline: NDArray[np.int32]) -> Corners | None:
+    """Return the corners of an outline that has four, each where two straight sides meet."""
+    hull = cv2.convexHull(outline)
+    length = cv2.arcLength(hull, True)
+    rough = cv2.approxPolyDP(hull, _ROUGH * length, True).reshape(-1, 2).astype(np.float64)
+    if len(rough) != 4:
+        return None
+    rough = rough[np.argsort(np.arctan2(*(rough - rough.mean(axis=0)).T[::-1]))]
+    # Clockwise as seen, from the one nearest to the top left.
+    rough = np.roll(rough, -int(rough.sum(axis=1).argmin()), axis=0)
+    points = outline.reshape(-1, 2).astype(np.float64)
+    lines = [_side(points, rough[k], rough[(k + 1) % 4]) for k in range(4)]
+    return np.array([_meeting(lines[k - 1], lines[k]) for k in range(4)])
+
+
+def _side(points: Corners, start: Corners, end: Corners) -> NDArray[np.float64]:
+    """Return the line through the points of an outline along a side, as a x + b y + c = 0."""
+    along = (end - start) / np.hypot(*(end - start))
+    normal = np.array([-along[1], along[0]])
+    passed = (points - start) @ along / np.hypot(*(end - start))
+    near = (np.abs((points - start) @ normal) < _LOOSE_PX) & (passed > 0.05) & (passed < 0.95)
+    if near.sum() < 2:
+        return np.array([*normal, -normal @ start])
+    x, y, x0, y0 = cv2.fitLine(points[near].astype(np.float32), cv2.DIST_HUBER, 0, 0.01, 0.01)[:, 0]
+    return np.array([-y, x, y * x0 - x * y0])
+
+
+def _meeting(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    x, y, w = np.cross(first, second)
+    return np.array([x / w, y / w]) if abs(w) > 1e-9 else np.full(2, np.nan)
+
+
+def _is_sheet(corners: Corners, outline: NDArray[np.int32], paper: Grey) -> bool:
+    """Return whether four corners are those of a sheet with a darker background."""
+    if not np.isfinite(corners).all():
+        return False
+    area = cv2.contourArea(corners.astype(np.float32))
+    if not _LEAST_FILLED < cv2.contourArea(outline) / max(area, 1.0) < 2 - _LEAST_FILLED:
+        return False
+    sides = np.roll(corners, -1, axis=0) - corners
+    angle = np.degrees(np.arctan2(sides[:, 1], sides[:, 0]))
+    turn = (np.roll(angle, -1) - angle) % 360
+    if np.abs(turn - 90).max() > _MOST_ANGLE:
+        return False
+    height, width = paper.shape
+    seen = 0
+    for corner, side in zip(corners, sides, strict=True):
+        along = corner + np.linspace(0.1, 0.9, 40)[:, None] * side
+        outwards = np.array([side[1], -side[0]]) / np.hypot(*side) * _EDGE_PX
+        outside = np.rint(along + outwards).astype(int)
+        inside = np.rint(along - outwards).astype(int)
+        within = (outside >= 0).all(axis=1) & (outside < (width, height)).all(axis=1)
+        within &= (inside >= 0).all(axis=1) & (inside < (width, height)).all(axis=1)
+        if within.mean() < 0.5:
+            continue
+        steps = paper[*inside[within].T[::-1]].astype(float) - paper[*outside[within].T[::-1]]
+        if np.percentile(steps, 20) < _LEAST_STEP:
+            return False
+        seen += 1
+    return seen >= _LEAST_SIDES
+
+
+MOST_SKEW_DEG = 15.0
+QUARTER = "the text ran up or down the page, which was turned by 90°"
+"""Note of a turn by a quarter, counterclockwise."""
+LEAST_SKEW_DEG = 0.2
+"""Least skew worth correcting: lines are followed through less."""
+_REDUCED_PIXELS = 2_000_000
+"""Size of the image in which skew is measured: letters of an A4 page are 10 pixels high."""
+_COARSE_DEG, _FINE_DEG = 0.5, 0.05
+_POINTS = 30_000
+_FEWEST_LETTERS = 8  # fewest letters that determine the direction of the text
+_BINS = 5.0  # rows per letter height in which ink is counted
+_FAR = 3.2  # gap assumed where there is none, in letter heights
+_TOUCHING = 0.1  # gap of touching letters, in letter heights
+_EDGE_MEANS = 40  # places across a page at which the grey of its edges is averaged
+_LEAST_RISE = 0.3  # least rise of a line over its whole length, in letter heights
+_LEAST_CONTRAST = 3.2
+"""Least contrast of rows along the text, relative to other directions; pictures have up to 2.9."""
+_CLEARLY = 0.6  # least log ratio by which letters are closer in columns than in rows
+
+
+def straighten(page: Page, quarter: bool = True) -> tuple[Page, list[str]]:
+    """Return a page with its text level, and the corrections, one sentence each.
+
+    The sheet of a photograph is laid flat; text that runs up or down is turned by a quarter, if
+    allowed; what is left of skew, up to 15°, is turned level. A page that needs no correction is
+    returned as it is. Whether it is upside down is not examined.
+    """
+    notes = []
+    corners = find_sheet(page.grey)
+    if corners is not None:
+        page = Page(flattened(page.grey, corners), page.mm_per_pixel)
+        notes.append("the sheet of paper was cut out of the photograph and laid flat")
+    found = letters_alone(separate_ink(reduced(page.grey, _REDUCED_PIXELS)).ink)
+    if found is None or len(found[1].area) < _FEWEST_LETTERS:
+        return page, notes
+    ink, letters, height = found
+    downwards = quarter and _runs_downwards(letters)
+    if downwards:
+        ink, letters = np.rot90(ink), letters.transposed
+        height = letters.usual_height
+    skew_deg, contrast = measure_skew(ink, height)
+    if contrast < _LEAST_CONTRAST:
+        return page, notes
+    if abs(skew_deg) < _least_skew_deg(letters, height):
+        skew_deg = 0.0
+    if not (downwards or skew_deg):
+        return page, notes
+    if downwards:
+        notes.append(QUARTER)
+    if skew_deg:
+        notes.append(f"the text was tilted by {abs(skew_deg):.1f}° and was turned level")
+    return Page(_turned(page.grey, downwards, skew_deg), page.mm_per_pixel), notes
+
+
+def measure_skew(ink: NDArray[np.bool_], height: float) -> tuple[float, float]:
+    """Return the clockwise skew of the ink of letters, (H, W) bool, at most 15°, and its contrast.
+
+    Ink is counted in rows along many directions: along the lines of text, full and empty rows
+    differ most (projection profiles, Postl 1986). How much more than along the usual direction
+    shows whether there is text at all.
+    """
+    points = np.argwhere(ink)
+    points = points[:: max(1, len(points) // _POINTS)]
+    down, across = (points * (_BINS / height)).T
+
+    def contrast(degrees: float) -> float:
+        turned = down - across * math.tan(math.radians(degrees))
+        rows = np.bincount((turned - turned.min()).astype(np.intp)).astype(np.float64)
+        return float(np.square(np.diff(rows)).sum())
+
+    coarse = np.arange(-MOST_SKEW_DEG, MOST_SKEW_DEG + _COARSE_DEG / 2, _COARSE_DEG)
+    found = np.array([contrast(degrees) for degrees in coarse])
+    fine = coarse[found.argmax()] + np.arange(-_COARSE_DEG, _COARSE_DEG, _FINE_DEG)
+    finest = np.array([contrast(degrees) for degrees in fine])
+    return float(fine[finest.argmax()]), float(finest.max() / max(np.median(found), 1.0))
+
+
+def _runs_downwards(letters: Spots) -> bool:
+    """Return whether letters follow each other down the page instead of across it.
+
+    Letters of a word are closest along the line; words that have run together are long.
+    """
+    gaps = []
+    for each in (letters, letters.transposed):
+        links = neighbors(each)
+        taller = np.maximum(each.height[links.first], each.height[links.second])
+        apart = np.maximum(links.gap, 0) / taller
+        gaps.append(float(np.median(apart)) if len(apart) else _FAR)
+    along, down = (math.log(gap + _TOUCHING) for gap in gaps)
+    longer = float(np.average(np.log(letters.width / letters.height), weights=letters.area))
+    return down - along + 2 * longer < -_CLEARLY
+
+
+def _least_skew_deg(letters: Spots, height: float) -> float:
+    """Return the least measurable skew: little text determines its direction poorly."""
+    left, right = np.percentile(letters.left, 2), np.percentile(letters.right, 98)
+    return max(LEAST_SKEW_DEG, math.degrees(_LEAST_RISE * height / max(float(right - left), 1.0)))
+
+
+def _turned(grey: Grey, quarter: bool, skew_deg: float) -> Grey:
+    """Rotate a page back; it grows, and the new area is filled with its paper."""
+    if quarter:
+        grey = np.ascontiguousarray(np.rot90(grey))
+    if not skew_deg:
+        return grey
+    height, width = grey.shape
+    angle = math.radians(skew_deg)
+    cos, sin = math.cos(angle), abs(math.sin(angle))
+    size = (math.ceil(width * cos + height * sin), math.ceil(height * cos + width * sin))
+    matrix = cv2.getRotationMatrix2D(((width - 1) / 2, (height - 1) / 2), skew_deg, 1)
+    matrix[:, 2] += (size[0] - width) / 2, (size[1] - height) / 2
+    turned = cv2.warpAffine(
+        _softly_edged(grey), matrix, size, flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+    )
+    return np.asarray(turned, np.uint8)
+
+
+def _softly_edged(grey: Grey) -> Grey:
+    """Return a page whose outermost pixels are local means, for repetition as a border."""
+    coarse = cv2.resize(grey, (_EDGE_MEANS, _EDGE_MEANS), interpolation=cv2.INTER_AREA)
+    soft = cv2.resize(coarse, grey.shape[::-1], interpolation=cv2.INTER_LINEAR)
+    soft[1:-1, 1:-1] = grey[1:-1, 1:-1]
+    return np.asarray(soft, np.uint8)

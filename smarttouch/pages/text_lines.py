@@ -1,0 +1,345 @@
+"""Lines of text on a page: their size of print and reading order."""
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.polynomial import polynomial
+from numpy.typing import NDArray
+
+from smarttouch.pages.baselines import Baseline, Floats, curve_at, follow_baseline, with_marks
+from smarttouch.pages.ink import Paper, separate_ink, turn_panels
+from smarttouch.pages.letter_rows import find_rows
+from smarttouch.pages.page_image import Page
+from smarttouch.pages.spots import (
+    Spots,
+    find_dividers,
+    find_pictures,
+    find_rules,
+    find_spots,
+    like_letters,
+    part_lines,
+    usual_height,
+)
+from smarttouch.pages.text_tests import credible_lines, is_text, is_too_small, outside_pictures
+
+ASCENT, DESCENT = 1.5, 0.45
+"""Usual heights of a b above and of a p below the baseline, in x-heights."""
+_SAME = 0.15  # difference of x-heights that may be a measurement error
+_NEAREST = 9  # number of neighboring lines with which a line shares its x-height
+_LOW_EDGE = 0.12  # ink at the end of the ascenders, relative to their middle
+_FEWEST = 0.03
+"""Least ink of ascenders or descenders, relative to the line, by which they are measured."""
+_FARTHER = 1.2
+"""Ratio by which tall letters reach beyond the usual ascenders, and are those of other scripts."""
+_CAPITALS = 0.08
+"""Ink above its letters below which a line has no ascenders: it is capitals or figures."""
+
+
+def reach_of_print(baselines: list[Baseline]) -> tuple[float, float]:
+    """Return the reach of ascenders and descenders from the baseline, in x-heights.
+
+    It is measured over all lines of a page: few single ones have enough of either.
+    """
+    length = np.array([(each.right - each.left) / each.x_height for each in baselines])
+    height = np.arange(-1.0, 2.2, 0.02)
+    profiles = [np.interp(height, each.heights[::-1], each.profile[::-1]) for each in baselines]
+    ink = np.average(profiles, axis=0, weights=length)
+    zone = ink[(height > 0.05) & (height < 0.95)].mean()
+    ascent = _end(height, ink, (1.2, 1.35), zone)
+    descent = _end(-height[::-1], ink[::-1], (0.15, 0.3), zone)
+    reach = np.array([each.reach for each in baselines]).T
+    tall, deep = (_weighted_median(each, length) for each in reach)
+    # Other scripts reach farther, with ink at any height.
+    ascent, descent = ascent or ASCENT, descent or DESCENT
+    return (
+        tall if tall > _FARTHER * ascent else ascent,
+        deep if deep > _FARTHER * descent + _SAME else descent,
+    )
+
+
+def _end(height: Floats, ink: Floats, middle: tuple[float, float], zone: float) -> float | None:
+    """Return where ink ends outward from some height."""
+    there = float(ink[(height >= middle[0]) & (height <= middle[1])].mean())
+    if there < _FEWEST * zone:
+        return None
+    outside = (height > middle[1]) & (ink < _LOW_EDGE * there)
+    return float(height[outside][0]) if outside.any() else None
+
+
+def shared_x_heights(baselines: list[Baseline], ascent: float) -> Floats:
+    """Return the x-height of each line, shared with neighbors of the same print, (N,) px.
+
+    Lines of capitals and figures measure taller: they get the x-height of their print.
+    """
+    size = np.array([baseline.x_height for baseline in baselines])
+    length = np.array([baseline.right - baseline.left for baseline in baselines])
+    y = np.array([baseline.middle_y for baseline in baselines])
+    above = np.array(
+        [
+            baseline.ink_between(1.1, 1.4) / baseline.ink_between(0.05, 0.95)
+            for baseline in baselines
+        ]
+    )
+    most = _weighted_median(size, length)
+    capitals = (above < _CAPITALS) & (np.abs(size / most / ascent - 1) < _SAME)
+    size = np.where(capitals, size / ascent, size)
+    shared = np.empty_like(size)
+    for k in range(len(size)):
+        near = np.flatnonzero(np.abs(size / size[k] - 1) < _SAME)
+        near = near[np.argsort(np.abs(y[near] - y[k]))][:_NEAREST]
+        shared[k] = _weighted_median(size[near], length[near])
+    return shared
+
+
+def _weighted_median(values: Floats, weight: Floats) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2)])
+
+
+Flags = NDArray[np.bool_]
+
+_LEAST_SHARED = 0.2
+"""Least overlap of lines, one above the other, as a part of the shorter one's length."""
+_HEADLINE, _SAME_SIZE = 1.3, 0.15
+"""Least height of a headline, in usual ones of the page, and difference between its lines."""
+_LEVEL = 1.5  # distance, in line heights, within which two lines are side by side
+_SAME_LEVEL = 0.5  # difference of baselines, in line heights, of parts of one title or foot
+
+
+def reading_order(left: Floats, right: Floats, y: Floats, height: Floats) -> list[int]:
+    """Return the indices of lines in reading order, from their ends, baselines and heights, (N,).
+
+    Two rules give the order of two lines (after Breuel, High performance document layout analysis,
+    2003): the upper one comes first where one is above the other; the left one where they are in
+    columns side by side and no line between them spans both.
+    """
+    left, right = _of_headlines(left, right, y, height)
+    shared = np.minimum(right[:, None], right) - np.maximum(left[:, None], left)
+    shorter = np.minimum((right - left)[:, None], right - left)
+    over = shared > _LEAST_SHARED * shorter
+    first = over & (y[:, None] < y)
+    first |= _left_column(left, y, height, over)
+    _put_outermost(first, left, y, height)
+    return _sorted(first, np.lexsort((left, y)))
+
+
+def _put_outermost(first: Flags, left: Floats, y: Floats, height: Floats) -> None:
+    """Put a title far above all columns first, and numbers far below them last."""
+    above = _far_above(y, height)
+    first[above], first[:, above] = True, False
+    below = _far_above(-y, height)
+    first[:, below], first[below] = True, False
+    for far in (above, below):
+        first[np.ix_(far, far)] = left[far][:, None] < left[far]
+
+
+def _far_above(y: Floats, height: Floats) -> Flags:
+    """Return the uppermost line and those on its level, if they stand far above the others."""
+    top = int(y.argmin())
+    level = y < y[top] + _SAME_LEVEL * height[top]
+    if level.all():
+        return np.zeros(len(y), np.bool_)
+    others = np.where(level, np.inf, y)
+    far = float(others.min() - y[level].max()) > _LEVEL * height[int(others.argmin())]
+    return np.asarray(level & far)
+
+
+def _of_headlines(left: Floats, right: Floats, y: Floats, height: Floats) -> tuple[Floats, Floats]:
+    """Return the ends of lines; the lines of one headline all reach as far as those above."""
+    left, right = left.copy(), right.copy()
+    large = height > _HEADLINE * np.median(height)
+    for line in np.flatnonzero(large)[np.argsort(y[large])]:
+        above = large & (y < y[line]) & (y > y[line] - _LEVEL * height[line])
+        above &= (left < right[line]) & (right > left[line])
+        above &= np.abs(height / height[line] - 1) < _SAME_SIZE
+        if above.any():
+            left[line] = min(left[line], left[above].min())
+            right[line] = max(right[line], right[above].max())
+    return left, right
+
+
+def _left_column(left: Floats, y: Floats, height: Floats, over: Flags) -> Flags:
+    """Return for each pair, (N, N), whether one is read first because it is on the left."""
+    beside = ~over & (left[:, None] < left)
+    level = np.abs(y[:, None] - y) < _LEVEL * np.maximum(height[:, None], height)
+    # Each column must have lines beside the other one.
+    columns = (over.astype(np.uint8) @ level.astype(np.uint8)) > 0
+    columns |= columns.T
+    first = beside & columns
+    for line in np.flatnonzero(first.any(axis=1)):
+        between = (np.minimum(y[line], y)[:, None] < y) & (y < np.maximum(y[line], y)[:, None])
+        # Rows: the other line; columns: a line that may separate the two.
+        first[line] &= ~(between & over[line] & over).any(axis=1)
+    return first
+
+
+def _sorted(first: Flags, usual: NDArray[np.int_]) -> list[int]:
+    """Return an order that keeps the given precedence, and otherwise the usual one."""
+    waiting = list(map(int, usual))
+    order = []
+    while waiting:
+        blocked = first[np.ix_(waiting, waiting)].any(axis=0)
+        # Contradictory rules leave none free: the usual order decides.
+        order.append(waiting.pop(int(blocked.argmin())))
+    return order
+
+
+_HOPELESS, _MISSES = 60, 3
+"""Failed rows, and additional ones per line of text, after which the rest is a picture's."""
+_SMALL_PX, _MOST_PIXELS = 9.0, 40_000_000
+"""Usual height of spots below which a page is enlarged, and the largest it may become."""
+_LONG_ROW = 10.0  # least length of a row, in letter heights, that determines its slope
+
+
+@dataclass(frozen=True)
+class TextLine:
+    """Line of text, mm from the page's top left corner."""
+
+    left_mm: float
+    right_mm: float
+    baseline: tuple[float, ...]  # coefficients of y, lowest first, over the distance from left_mm
+    x_height_mm: float
+    ascent_mm: float  # of all lines of one print, whichever letters they have
+    descent_mm: float
+
+    def baseline_mm(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the baseline's y at x, mm; straight beyond the line's ends."""
+        length = self.right_mm - self.left_mm
+        return curve_at(np.array(self.baseline), x_mm - self.left_mm, length)
+
+    def slope(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the slope of the baseline at x, positive if it falls."""
+        inside = np.clip(x_mm - self.left_mm, 0, self.right_mm - self.left_mm)
+        return np.asarray(polynomial.polyval(inside, polynomial.polyder(self.baseline)))
+
+    @property
+    def height_mm(self) -> float:
+        """Height from the lowest to the highest print."""
+        return self.ascent_mm + self.descent_mm
+
+    @property
+    def top_mm(self) -> float:
+        """Top of its print, on average over the line."""
+        return self._mean_mm - self.ascent_mm
+
+    @property
+    def bottom_mm(self) -> float:
+        """Bottom of its print, on average over the line."""
+        return self._mean_mm + self.descent_mm
+
+    @property
+    def _mean_mm(self) -> float:
+        length = self.right_mm - self.left_mm
+        return sum(c * length**k / (k + 1) for k, c in enumerate(self.baseline))
+
+
+def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]:
+    """Return the lines of text in reading order; find the polarity of the page if it is None."""
+    page, paper = ink_of_lines(page, light_on_dark)
+    return lines_in_ink(paper, page.mm_per_pixel)[0]
+
+
+def ink_of_lines(page: Page, light_on_dark: bool | None) -> tuple[Page, Paper]:
+    """Return a page and its ink, dark panels turned light.
+
+    Small print is enlarged until its lines can be followed.
+    """
+    paper = separate_ink(page.grey, light_on_dark)
+    height = usual_height(find_spots(paper.ink), paper.ink.shape)
+    factor = 1 if height is None else math.ceil(_SMALL_PX / height)
+    if 1 < factor**2 <= _MOST_PIXELS / page.grey.size:
+        grey = cv2.resize(page.grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
+        page = Page(np.asarray(grey, np.uint8), page.mm_per_pixel / factor)
+        paper = separate_ink(page.grey, paper.light_on_dark)
+    return page, turn_panels(paper)
+
+
+def lines_in_ink(paper: Paper, mm_per_pixel: float) -> tuple[list[TextLine], str]:
+    """Return the lines of text on a page with separated ink, and what is left out, in words."""
+    spots = find_spots(paper.ink)
+    height = usual_height(spots, paper.ink.shape)
+    if height is None:
+        return [], ""
+    rules = find_rules(paper.ink, height)
+    dividers = find_dividers(paper.ink, height)
+    parted = part_lines(paper.ink & ~rules & ~dividers, spots, height)
+    spots, pictures, count = find_pictures(parted, height)
+    density = np.where(rules | dividers, np.uint8(0), 255 - paper.cleaned)
+    found, small = _followed_rows(density, spots, height, dividers | pictures)
+    baselines = with_marks(found, spots)
+    left_out = _left_out(small, count)
+    if not baselines:
+        return [], left_out
+    ascent, descent = reach_of_print(baselines)
+    x_height = shared_x_heights(baselines, ascent)
+    order = reading_order(
+        np.array([baseline.left for baseline in baselines]),
+        np.array([baseline.right for baseline in baselines]),
+        np.array([baseline.middle_y for baseline in baselines]),
+        (ascent + descent) * x_height,
+    )
+    lines = [_line(baselines[k], float(x_height[k]), ascent, descent, mm_per_pixel) for k in order]
+    return lines, left_out
+
+
+def _left_out(small: int, pictures: int) -> str:
+    """Return in words what of a page is not among its lines; empty if nothing."""
+    counts = ((small, "line", "too small"), (pictures, "picture", ""))
+    return ", ".join(f"{n} {what}{'s' * (n > 1)} {why}".strip() for n, what, why in counts if n)
+
+
+def _followed_rows(
+    density: NDArray[np.uint8], spots: Spots, height: float, dividers: NDArray[np.bool_]
+) -> tuple[list[Baseline], int]:
+    """Return the baselines of rows that are text, and the number of those too small to be read."""
+    small = 0
+    letters = spots.of(like_letters(spots, height))
+    rows = [letters.of(row) for row in find_rows(letters, spots, dividers)]
+    rows.sort(key=_length, reverse=True)
+    lines: list[tuple[Baseline, Spots]] = []
+    guides: list[Baseline] = []
+    for tried, row in enumerate(rows):
+        if tried > _HOPELESS + _MISSES * len(lines):
+            break
+        is_long = _length(row) > _LONG_ROW
+        baseline = follow_baseline(density, row, None if is_long else _slope_around(row, guides))
+        small += is_too_small(baseline, row)
+        if is_text(baseline, row):
+            lines.append((baseline, row))
+            if is_long:
+                guides.append(baseline)
+    return credible_lines(outside_pictures(lines, spots), int(spots.area.sum())), small
+
+
+def _length(row: Spots) -> float:
+    return float(row.right.max() - row.left.min()) / row.usual_height
+
+
+def _slope_around(row: Spots, guides: list[Baseline]) -> float:
+    """Return the slope of the line nearest to a short row; level if there is none."""
+    x = float(row.left.min() + row.right.max()) / 2
+    y = float((row.top + row.bottom).mean()) / 2
+
+    def away(guide: Baseline) -> float:
+        beyond = max(guide.left - x, x - guide.right, 0.0)
+        # Columns bend differently: lines above and below are more reliable.
+        return abs(float(guide.at(np.array(x))) - y) + 2 * beyond
+
+    return min(guides, key=away).slope_at(x) if guides else 0.0
+
+
+def _line(
+    baseline: Baseline, x_height: float, ascent: float, descent: float, mm_per_pixel: float
+) -> TextLine:
+    scales = mm_per_pixel ** (1.0 - np.arange(len(baseline.baseline)))
+    return TextLine(
+        left_mm=baseline.left * mm_per_pixel,
+        right_mm=baseline.right * mm_per_pixel,
+        baseline=tuple(map(float, baseline.baseline * scales)),
+        x_height_mm=x_height * mm_per_pixel,
+        ascent_mm=ascent * x_height * mm_per_pixel,
+        descent_mm=descent * x_height * mm_per_pixel,
+    )

@@ -1,0 +1,196 @@
+"""Response of one finger to scan sequences: spikes, their picture, and measures of them."""
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import isnan, nan
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.afferent import CLASS_COLORS, Afferent
+from smarttouch.base.array_picture import titled
+from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.spikes import SlotCurrents, SpikeModel, Spikes
+
+
+@dataclass(frozen=True)
+class ResponseQuality:
+    """What a pattern fired in a finger."""
+
+    spikes: int  # of all classes
+    afferents: dict[Afferent, int]  # number that fired, of each class
+    # fraction of active electrodes without a firing receptor of a wanted class within half a pitch
+    silent_points: float
+    wrong_class: float  # fraction of spikes of other classes; NaN without a spike
+    # fraction of spikes with a receptor beyond a pitch of every active electrode; or NaN
+    misplaced: float
+
+
+def response_quality(
+    finger: Finger,
+    counts: NDArray[np.intp],
+    active: NDArray[np.bool_],
+    wanted: Collection[Afferent],
+) -> ResponseQuality:
+    """Return what spike counts (A,) mean for active electrodes (E,) and the classes wanted."""
+    electrodes = finger.profile.electrodes
+    places = electrodes.position_mm[active]
+    fired = counts > 0
+    right = np.isin(finger.classes, [int(each) for each in wanted])
+    away = np.linalg.norm(finger.receptor_mm[:, None] - places, axis=2)
+    near = away <= electrodes.pitch_mm
+    reached = ((away <= electrodes.pitch_mm / 2) & (fired & right)[:, None]).any(axis=0)
+    total = int(counts.sum())
+    share = 1 / total if total else nan
+    return ResponseQuality(
+        total,
+        {each: int((fired & (finger.classes == each)).sum()) for each in Afferent},
+        float(1 - reached.mean()) if len(places) else 0.0,
+        float(counts[~right].sum() * share),
+        float(counts[~near.any(axis=1)].sum() * share),
+    )
+
+
+def ignore_nan(how: Callable[[list[float]], float], values: Iterable[float]) -> float:
+    """Return a mean or median of the values that are numbers; NaN if none is."""
+    numbers = [each for each in values if not isnan(each)]
+    return how(numbers) if numbers else nan
+
+
+def response_map(
+    finger: Finger, counts: NDArray[np.intp], places_mm: NDArray[np.float64], blur_mm: float = 1.0
+) -> NDArray[np.float32]:
+    """Return spikes of each class around places (P, 2) mm, (3, P), blurred by the standard
+    deviation of a receptive field. Ours."""
+    fired = counts > 0
+    away = places_mm[None] - finger.receptor_mm[fired, None]
+    weight = np.exp(-(away**2).sum(axis=2) / (2 * blur_mm**2)) * counts[fired, None]
+    classes = finger.classes[fired]
+    return np.stack([weight[classes == each].sum(axis=0) for each in Afferent]).astype(np.float32)
+
+
+def in_color(spikes: NDArray[Any], most: float) -> NDArray[np.float32]:
+    """Return spikes (3, ...) as inks on white, (..., 3), with full color at `most` in total."""
+    image = np.ones((*spikes.shape[1:], 3), np.float32)
+    for afferent, color in CLASS_COLORS.items():
+        ink = 1 - np.array([int(color[at : at + 2], 16) for at in (1, 3, 5)]) / 255
+        image -= spikes[afferent][..., None] / max(most, 1e-9) * ink.astype(np.float32)
+    return np.clip(image, 0, 1)
+
+
+_AT_ONCE = 16
+"""Slots whose drives are computed together."""
+_PX_PER_MM = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Feeling:
+    """Spikes of a finger under scan sequences that follow each other."""
+
+    finger: Finger
+    spikes: tuple[Spikes, ...]  # one for each sequence
+    active: NDArray[np.bool_]  # (E,) electrodes that were meant to stimulate
+    # classes that were meant to fire; all for sequences without their steps
+    wanted: tuple[Afferent, ...]
+
+    @cached_property
+    def counts(self) -> NDArray[np.intp]:
+        """Number of spikes of each afferent, (A,)."""
+        counts = np.zeros(len(self.finger.classes), np.intp)
+        for each in self.spikes:
+            counts += each.counts
+        return counts
+
+    @cached_property
+    def felt(self) -> ResponseQuality:
+        """Afferents that fired, silent points, and spikes of other classes and elsewhere."""
+        return response_quality(self.finger, self.counts, self.active, self.wanted)
+
+    def _repr_html_(self) -> str:
+        """Return the receptors that fired, by class, among the electrodes, for notebooks."""
+        fired = ", ".join(f"{count} {each.name}" for each, count in self.felt.afferents.items())
+        title = f"{self.felt.spikes} spikes of {fired} afferents"
+        return titled(title, finger_svg(self.finger, self.counts, self.active))
+
+
+def feel(finger: Finger, given: Any, seed: int = 1) -> Feeling:
+    """Return a finger's spikes under a Step, StepResult or ScanSequence, or several in order."""
+    parts = list(given) if isinstance(given, Iterable) else [given]
+    steps = [getattr(each, "step", each) for each in parts]
+    sequences: list[SlotCurrents] = [getattr(each, "sequence", each) for each in steps]
+    active = np.zeros(len(finger.profile.electrodes), np.bool_)
+    wanted: set[Afferent] = set()
+    for each in steps:
+        if hasattr(each, "tactile"):
+            active |= each.tactile.activation.any(axis=0)
+            wanted.update(each.mode.afferents)
+        else:
+            active[getattr(each, "site", [])] = True
+            wanted.update(Afferent)
+    model = SpikeModel(finger, seed)
+    return Feeling(finger, tuple(fire_all(model, sequences)), active, tuple(sorted(wanted)))
+
+
+def fire_all(model: SpikeModel, sequences: Sequence[SlotCurrents]) -> Iterator[Spikes]:
+    """Yield the spikes of sequences that follow each other; equal slots are computed once."""
+    if not sequences:
+        return
+    current_ua = np.concatenate([each.current_ua for each in sequences])
+    width_us = np.concatenate([each.width_us for each in sequences])
+    first, which = distinct_slots(current_ua, width_us)
+    parts = np.split(first, range(_AT_ONCE, len(first), _AT_ONCE))
+    above = np.hstack([model.drive(current_ua[part], width_us[part]) for part in parts])
+    begin = 0
+    for each in sequences:
+        end = begin + len(each.width_us)
+        yield model.fire(each, above[:, which[begin:end]])
+        begin = end
+
+
+def distinct_slots(
+    current_ua: NDArray[np.int16], width_us: NDArray[Any]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the index of the first of each distinct slot, and each slot's number among these, as
+    trains repeat the same few pulses."""
+    width = np.ascontiguousarray(width_us, np.float32).view(np.int16).reshape(-1, 2)
+    rows = np.hstack([current_ua.astype(np.int16, copy=False), width])
+    whole = np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))
+    _, first, which = np.unique(rows.view(whole)[:, 0], return_index=True, return_inverse=True)
+    return first, which
+
+
+def finger_svg(
+    finger: Finger,
+    counts: NDArray[np.intp] | None = None,
+    active: NDArray[np.bool_] | None = None,
+) -> str:
+    """Return a finger from above: receptors by class, larger with spikes, (A,), and electrodes,
+    (E,) active ones filled."""
+    reach = finger.reach_mm
+    wide, high = np.ceil(2 * reach * _PX_PER_MM).astype(int)
+
+    def dot(place_mm: NDArray[Any], radius_mm: float, style: str) -> str:
+        x, y = (place_mm + reach) * _PX_PER_MM
+        return f'<circle cx="{x:.0f}" cy="{y:.0f}" r="{radius_mm * _PX_PER_MM:.1f}" {style}/>'
+
+    electrodes = finger.profile.electrodes
+    lit = np.zeros(len(electrodes), np.bool_) if active is None else active
+    drawn = [
+        dot(
+            place, electrodes.pitch_mm / 4, f'fill="{"#c8c8c8" if on else "none"}" stroke="#707070"'
+        )
+        for place, on in zip(electrodes.position_mm, lit, strict=True)
+    ]
+    colors = [CLASS_COLORS[Afferent(each)] for each in finger.classes]
+    fires = np.zeros(len(colors), np.intp) if counts is None else counts
+    order = np.argsort(fires, kind="stable")
+    drawn += [
+        dot(finger.receptor_mm[each], 0.25 if fires[each] else 0.08, f'fill="{colors[each]}"')
+        for each in order
+    ]
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide}" height="{high}" '
+        f'style="max-width:100%">{"".join(drawn)}</svg>'
+    )

@@ -1,0 +1,131 @@
+"""Vibration thresholds of each class of receptor by frequency.
+
+The curves of the paper's Fig. 2 as simple analytic ones. RA and PC are valleys in
+log-log coordinates, flat at their best frequency and straight far from it; SAI is flat
+up to a few hertz. They are tied down by
+
+- the best frequencies and bands of the paper (Sections I and III-C): RA best at 30 Hz,
+  20 to 70 Hz; PC best at 250 Hz, 60 to 800 Hz; SAI static. RA's band is taken as where
+  its threshold is at most 3 dB above its best. PC's threshold is as high at 800 as at
+  60 Hz;
+- the fingertip, where both are alike at 40 Hz (Güçlü and Bolanowski). The paper lets PC
+  come in at 60 and RA end at 70 Hz, as its reviews of other skin had it;
+- the slopes of the four-channel model (Bolanowski, Gescheider, Verrillo and Checkosky,
+  J. Acoust. Soc. Am. 84, 1988): about -12 dB per octave below the best frequency of the
+  Pacinian channel, about -5 below that of NP I (RA), none for NP III (SAI);
+- two levels. PC at its best: -10 dB re 1 µm under the 0.3 cm² of a finger pad. That is an
+  extrapolation: -20 dB under 2.9 cm² of the thenar (the same), 3 dB for each halving of the
+  area (Verrillo, J. Acoust. Soc. Am. 35, 1963); on the fingertip these 3 dB are shown from
+  0.025 to 0.1 cm² only (Gescheider 2002). SAI: 28 dB (Bolanowski et al.). RA's level
+  follows from where the curves meet.
+
+RA and SAI then meet at about 5 Hz. Recordings from human afferents agree on the order
+(Johansson, Landström and Lundström, Brain Res. 244, 1982: RA 8 to 64 Hz, PC above, SAI
+below). How round the valleys are is ours. These are thresholds of feeling; a single
+afferent needs more (`smarttouch.instruments.receptor_spikes`).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from smarttouch.base.afferent import Afferent
+
+Array = NDArray[np.float64]
+
+RA_BEST_HZ, RA_BAND_HZ = 30.0, (20.0, 70.0)
+PC_BEST_HZ, PC_BAND_HZ = 250.0, (60.0, 800.0)
+"""Best frequency and band of PC (paper, Section III-C)."""
+BAND_DB = 3.0
+"""Rise of RA's threshold from its best to the edges of its band: half the power. Ours."""
+MEETING_HZ = 40.0
+"""Frequency of equal thresholds of RA and PC on the fingertip (Güçlü and Bolanowski)."""
+PC_BEST_DB, SAI_DB = -10.0, 28.0
+"""Thresholds, dB re 1 µm of amplitude: see above."""
+SAI_CORNER_HZ = 5.0
+"""Frequency from which SAI's threshold rises, at first order. Ours, for "below a few hertz"."""
+PC_DB_PER_OCTAVE = 12.0
+"""Slope of PC's threshold (Bolanowski et al. 1988)."""
+
+
+@dataclass(frozen=True)
+class _Flank:
+    """One side of a valley: dB above the best, ``octaves`` away from it."""
+
+    db_per_octave: float
+    roundness: float
+
+    def rise_db(self, octaves: Array) -> Array:
+        """Return the rise above the best: a hyperbola, flat at the best frequency."""
+        w = self.roundness
+        return np.asarray(self.db_per_octave * (np.hypot(octaves, w) - w))
+
+
+def _flank_through(frequency_hz: float, best_hz: float, rise_db: float, round_: float) -> _Flank:
+    octaves = abs(np.log2(frequency_hz / best_hz))
+    return _Flank(float(rise_db / (np.hypot(octaves, round_) - round_)), round_)
+
+
+@dataclass(frozen=True)
+class _Valley:
+    """A threshold curve with one best frequency."""
+
+    best_hz: float
+    best_db: float
+    below: _Flank
+    above: _Flank
+
+    def threshold_db(self, frequency_hz: Array) -> Array:
+        octaves = np.log2(frequency_hz / self.best_hz)
+        rise = np.where(octaves < 0, self.below.rise_db(octaves), self.above.rise_db(octaves))
+        return np.asarray(self.best_db + rise)
+
+
+def _valleys() -> dict[Afferent, _Valley]:
+    pc_below = _Flank(PC_DB_PER_OCTAVE, 0.5)
+    edge_db = float(pc_below.rise_db(np.log2(np.array(PC_BAND_HZ[0] / PC_BEST_HZ))))
+    pc = _Valley(
+        PC_BEST_HZ,
+        PC_BEST_DB,
+        pc_below,
+        _flank_through(PC_BAND_HZ[1], PC_BEST_HZ, edge_db, 0.5),
+    )
+    # 6.1 dB per octave far below, 8.7 far above.
+    below, above = (
+        _flank_through(edge_hz, RA_BEST_HZ, BAND_DB, round_)
+        for edge_hz, round_ in zip(RA_BAND_HZ, (0.1, 2.0), strict=True)
+    )
+    meeting = np.array(MEETING_HZ)
+    rise_db = above.rise_db(np.log2(meeting / RA_BEST_HZ))
+    ra = _Valley(RA_BEST_HZ, float(pc.threshold_db(meeting) - rise_db), below, above)
+    return {Afferent.RA: ra, Afferent.PC: pc}
+
+
+_VALLEYS = _valleys()
+
+
+def threshold_um(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
+    """Return the smallest amplitude of vibration, µm, to which a class responds at a frequency, Hz.
+
+    The amplitude is half of peak to peak. 0 Hz is a static indentation, to which RA and PC never
+    respond; below it is a ValueError.
+    """
+    frequency = np.asarray(frequency_hz, np.float64)
+    if np.any(frequency < 0):
+        raise ValueError(f"a frequency of {frequency.min():g} Hz: give 0 or more")
+    if afferent is Afferent.SAI:
+        return np.asarray(10 ** (SAI_DB / 20) * np.hypot(1, frequency / SAI_CORNER_HZ))
+    with np.errstate(divide="ignore", over="ignore"):
+        return np.asarray(10 ** (_VALLEYS[afferent].threshold_db(frequency) / 20))
+
+
+def sensitivity(afferent: Afferent, frequency_hz: ArrayLike) -> Array:
+    """Return the sensitivity at a frequency, Hz: 1 at 30 Hz (RA), 250 Hz (PC) or rest (SAI)."""
+    best = threshold_um(afferent, best_hz(afferent))
+    return np.asarray(best / threshold_um(afferent, frequency_hz))
+
+
+def best_hz(afferent: Afferent) -> float:
+    """Return the frequency at which a class has its lowest threshold, Hz."""
+    return 0.0 if afferent is Afferent.SAI else _VALLEYS[afferent].best_hz

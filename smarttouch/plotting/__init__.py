@@ -1,1 +1,0 @@
-"""Figures: the paper's, kernels and their activation, fibers, experiments."""

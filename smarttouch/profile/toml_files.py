@@ -1,0 +1,84 @@
+"""Profiles by name, and as TOML files."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from smarttouch.base.errors import ProfileError
+from smarttouch.base.files import data_folder, read_toml
+from smarttouch.profile.profile import Profile
+from smarttouch.profile.toml_tables import table_error
+
+DEFAULT_PROFILE = "electric-mouse"
+
+
+def list_profiles() -> list[str]:
+    """Return the names of the shipped profiles.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> "electric-mouse" in st.list_profiles()
+    True
+    """
+    return sorted(path.stem for path in data_folder("calibration").glob("*.toml"))
+
+
+def load_profile(name: str | Path) -> Profile:
+    """Load a shipped profile by name, or any profile by its file.
+
+    Raises
+    ------
+    ProfileError
+        If there is none, or it has unknown keys or impossible values.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> len(st.load_profile("electric-mouse").electrodes)
+    64
+    """
+    path = profile_path(name)
+    return profile_of(read_toml(path, ProfileError), path)
+
+
+def profile_path(name: str | Path) -> Path:
+    """Return the file of a profile, by its name or as it is given."""
+    path = data_folder("calibration") / f"{name}.toml"
+    if str(name) not in list_profiles():
+        path = Path(name)
+        if not _is_there(path):
+            raise ProfileError(
+                f"no profile {str(name)!r}: give a TOML file or one of "
+                f"{', '.join(list_profiles())}",
+                about="profile",
+            )
+    return path
+
+
+def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
+    """Return the profile that the table of a file says; files beside it are found from there."""
+    try:
+        profile = Profile.model_validate({**table, "name": path.stem})
+    except ProfileError as error:
+        # Of the array alone, which names no file.
+        message = f"{path}: {error}"
+        error.args, error.complaints = (message,), ((error.about, message),)
+        raise
+    except ValidationError as error:
+        raise table_error(ProfileError, path, error) from None
+    if profile.optics.flat_field is None:
+        return profile
+    beside = str(path.parent / profile.optics.flat_field)
+    optics = profile.optics.model_copy(update={"flat_field": beside})
+    return profile.model_copy(update={"optics": optics})
+
+
+def _is_there(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:
+        # Reading it will say what is wrong.
+        return True

@@ -1,0 +1,129 @@
+"""Base of all tables of a profile, and all that is wrong in a file, in words."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Self, TypeVar
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+
+from smarttouch.base.errors import ProfileError, TableError
+from smarttouch.base.files import read_toml
+
+
+class UnfitError(ValueError):
+    """A value in a profile that does not fit the rest of it. Reading a file makes a `ProfileError`
+    of it with the same attributes; the key and its value need not be given where pydantic knows
+    them."""
+
+    def __init__(self, message: str, **attributes: Any) -> None:
+        super().__init__(message)
+        self.attributes = attributes
+
+
+class AllUnfitError(ValueError):
+    """All values in a profile that do not fit."""
+
+    def __init__(self, errors: tuple[UnfitError, ...]) -> None:
+        super().__init__("; ".join(map(str, errors)))
+        self.errors = errors
+
+
+def raise_all(errors: Iterable[UnfitError]) -> None:
+    """Raise all errors together, if there are any."""
+    found = tuple(errors)
+    if found:
+        raise AllUnfitError(found)
+
+
+def _require_sensible(value: float) -> float:
+    if not SMALLEST <= value <= LARGEST:
+        raise UnfitError(f"{value:g} is of no use: give a number from {SMALLEST:g} to {LARGEST:g}")
+    return value
+
+
+SMALLEST, LARGEST = 1e-9, 1e9
+"""Range of plausible lengths, currents, impedances and times, in the units of profiles."""
+Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+Positive = Annotated[float, Field(gt=0), AfterValidator(_require_sensible)]
+
+
+class Table(BaseModel):
+    """Table of the file: read only, without unknown keys, NaN or infinite numbers."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, ser_json_inf_nan="strings"
+    )
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return a copy with other values, checked as those of a file are."""
+        if not update:
+            return super().model_copy(deep=deep)
+        kept = {name: getattr(self, name) for name in self.model_fields_set}
+        return self.model_validate(kept | dict(update))
+
+
+_LAYOUTS = ("grid", "hexagon-61", "lines", "free")
+_KINDS = ("constrained-", "function-", "tuple[", "str-enum[")
+_WHOLE_KINDS = ("bool", "int", "float", "str", "SlotPolicy")
+"""Kinds of value that pydantic names between the keys of the file."""
+_NOT_OF_KIND = ("float_type", "tuple_type")
+"""Choices that are named for each kind that a value fails to be."""
+_MOST_IN_A_SENTENCE = 8
+
+_Error = TypeVar("_Error", bound=TableError)
+_Table = TypeVar("_Table", bound=BaseModel)
+Found = tuple[str, dict[str, Any]]  # words on a fault, and attributes of its error
+
+
+def load_model(path: Path, kind: type[_Table], **more: object) -> _Table:
+    """Load a TOML file as a model, with further values."""
+    table = read_toml(path, ProfileError)
+    try:
+        return kind.model_validate(table | more)
+    except ValidationError as error:
+        raise table_error(ProfileError, path, error) from None
+
+
+def table_error(kind: type[_Error], name: object, error: ValidationError) -> _Error:
+    """Return the error that lists all that is wrong in a file."""
+    found = [*_complaints(error)]
+    told = [words for words, _ in found[:_MOST_IN_A_SENTENCE]]
+    if len(found) > len(told):
+        told.append(f"and {len(found) - len(told)} more")
+    complaints = [(each["about"], f"{name}: {words}") for words, each in found]
+    return kind(f"{name}: {'; '.join(told)}", complaints=complaints, **found[0][1])
+
+
+def _complaints(error: ValidationError) -> Iterator[Found]:
+    keyed = [(_key(each), each) for each in error.errors()]
+    for index, (key, each) in enumerate(keyed):
+        before = any(key == other for other, _ in keyed[:index])
+        deeper = any(other.startswith(f"{key}.") for other, _ in keyed)
+        if before or (each["type"] in _NOT_OF_KIND and deeper):
+            continue
+        unfit = each.get("ctx", {}).get("error")
+        if isinstance(unfit, AllUnfitError):
+            for one in unfit.errors:
+                yield str(one), {"about": key} | one.attributes
+        else:
+            yield _in_words(key, each), {"about": key} | getattr(unfit, "attributes", {})
+
+
+def _key(error: Mapping[str, Any]) -> str:
+    parts = [str(part) for part in error["loc"] if part not in (*_LAYOUTS, *_WHOLE_KINDS)]
+    key = ".".join(each for each in parts if not each.startswith(_KINDS))
+    return f"{key}.layout" if error["type"].startswith("union_tag") else key
+
+
+def _in_words(key: str, error: Mapping[str, Any]) -> str:
+    kind, given = error["type"], error["input"]
+    words = error["msg"].removeprefix("Value error, ").replace("valid tuple", "list")
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
+        return f"unknown key {key!r}: remove it or correct its spelling"
+    if kind in ("missing", "union_tag_not_found"):
+        return f"key {key!r} is missing: add it (any shipped profile shows how)"
+    if kind == "union_tag_invalid":
+        return f"{key} = {repr(error['ctx']['tag'])[:60]}: choose one of {', '.join(_LAYOUTS)}"
+    if isinstance(given, dict) and key:
+        return f"{key}: {words}"
+    return f"{key} = {repr(given)[:60]}: {words}" if key else words

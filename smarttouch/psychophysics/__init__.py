@@ -1,1 +1,0 @@
-"""Psychophysics: procedures, trials, answers, and the psychometric functions fitted to them."""

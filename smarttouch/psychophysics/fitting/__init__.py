@@ -1,1 +1,0 @@
-"""Fits of psychometric functions: thresholds, intervals, and diagnostics."""

@@ -1,1 +1,0 @@
-"""Simulated observers, which answer in place of a person."""

@@ -1,0 +1,341 @@
+"""Lines of Braille under the finger: cells of texts, files and pages, on an array of electrodes."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.electrodes import ElectrodeArray
+from smarttouch.base.errors import ReadingError
+from smarttouch.braille.cell_pages import TEXT, load_cells
+from smarttouch.braille.cells import (
+    BLANK,
+    POSITION,
+    SIX_DOT_PATTERNS,
+    cells_to_dots,
+    dots_to_cells,
+    pattern,
+)
+from smarttouch.braille.code_tables import DEFAULT_TABLE, BrailleTable, open_table
+from smarttouch.braille.photo import looks_like_braille, read_braille
+from smarttouch.imaging.array_window import pixel_pitch_mm, usual_speed_mm_s
+from smarttouch.imaging.tactile_mapper import Tone
+from smarttouch.pages.page_image import Page
+from smarttouch.pages.text_lines import TextLine
+from smarttouch.profile import Profile
+from smarttouch.reading.line_source import LineMotion, Place, TouchLine
+from smarttouch.reading.material import (
+    EmptyPages,
+    ReadingMaterial,
+    recognized_lines,
+    recognized_text,
+    upright_page,
+)
+from smarttouch.running.delivered_line import LinePicture
+
+DOT_MM, CELL_MM, LINE_MM = 2.34, 6.2, 10.0
+"""Distances from dot to dot, cell to cell and line to line (NLS Specification 800)."""
+TONE = Tone(0.5, 0.5, prepared=True)
+"""Tone curve of dots: one electrode each, on or off."""
+
+
+@dataclass(frozen=True)
+class CellLayout:
+    """Places of the dots of cells on a grid of electrodes; distances are counted in electrodes."""
+
+    rows: int
+    columns: int
+    dot_x: int  # from dot to dot
+    dot_y: int
+    cell: int  # from cell to cell
+    line: int  # from line to line
+    lines: int  # under the finger at once
+    eight: bool  # dots a cell, or six
+    pitch_mm: tuple[float, float]  # of the electrodes, across and down
+    pixel_mm: float  # of the images that are drawn
+
+    @property
+    def height(self) -> int:
+        """Number of rows of the lines."""
+        return (3 if self.eight else 2) * self.dot_y + 1 + (self.lines - 1) * self.line
+
+    @property
+    def cell_mm(self) -> float:
+        return self.cell * self.pitch_mm[0]
+
+    @property
+    def width_mm(self) -> float:
+        """Width of the array."""
+        return self.columns * self.pitch_mm[0]
+
+    def dots_of(
+        self, lines: tuple[str, ...], cell: int
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return rows and columns of the dots of cells that are ``cell`` electrodes apart."""
+        rows, columns = [], []
+        top = (self.rows - self.height) // 2
+        for number, cells in enumerate(lines):
+            index, dot = np.nonzero(cells_to_dots(cells))
+            right, down = POSITION[dot].T
+            rows.append(top + number * self.line + down * self.dot_y)
+            columns.append(index * cell + right * self.dot_x)
+        return np.concatenate(rows), np.concatenate(columns)
+
+    def moving(
+        self, lines: tuple[str, ...], text: str = "", place: Place | None = None
+    ) -> TouchLine:
+        """Return cells at their true distances, to be moved under the finger gradually."""
+        longest = max(map(len, lines))
+        image = self._draw(*self.dots_of(lines, self.cell), longest * self.cell)
+        half_mm, length_mm = self.width_mm / 2, longest * self.cell_mm
+        return TouchLine(image, -half_mm, length_mm + half_mm, text, lines, place)
+
+    def one_by_one(self, lines: tuple[str, ...], text: str = "") -> TouchLine:
+        """Return cells so far apart that the array shows one at a time, in its middle."""
+        longest = max(map(len, lines))
+        rows, columns = self.dots_of(lines, self.columns)
+        columns = columns + (self.columns - self.dot_x - 1) // 2
+        image = self._draw(rows, columns, longest * self.columns)
+        first_mm = self.width_mm / 2
+        # The last one stays as long as those before it.
+        end_mm = first_mm + longest * self.width_mm * (1 - 1e-6)
+        return TouchLine(image, first_mm, end_mm, text, lines)
+
+    def decode(self, picture: LinePicture, lines: tuple[str, ...], apart: bool) -> tuple[str, ...]:
+        """Return the delivered cells in place of those of ``lines``; ``apart`` if they came one by
+        one.
+        """
+        found = []
+        count = 8 if self.eight else 6
+        for number, cells in enumerate(lines):
+            every = (*[""] * number, dots_to_cells(np.ones((len(cells), count), bool)))
+            rows, columns = self.dots_of(every, self.columns if apart else self.cell)
+            if apart:
+                columns = columns + (self.columns - self.dot_x - 1) // 2
+            across, down = self.pitch_mm
+            dots = picture.at((columns + 0.5) * across, (rows + 0.5) * down) > 0.5
+            found.append(dots_to_cells(dots.reshape(len(cells), count)))
+        return tuple(found)
+
+    def _draw(
+        self, rows: NDArray[np.intp], columns: NDArray[np.intp], width: int
+    ) -> NDArray[np.uint8]:
+        across, down = (pitch / self.pixel_mm for pitch in self.pitch_mm)
+        image = np.full((round(self.rows * down), max(1, round(width * across))), 255, np.uint8)
+        for row, column in zip(rows.tolist(), columns.tolist(), strict=True):
+            image[
+                round(row * down) : round((row + 1) * down),
+                round(column * across) : round((column + 1) * across),
+            ] = 0
+        return image
+
+
+def cell_layout(profile: Profile, lines: int = 1, eight: bool = False) -> CellLayout:
+    """Return the layout of Braille on an array, at the distances of Braille on paper."""
+    electrodes = profile.electrodes
+    rows, columns = _grid_of(electrodes, profile.name)
+    pitch_x, pitch_y = electrodes.cell_mm
+    dot_x, dot_y = max(1, round(DOT_MM / pitch_x)), max(1, round(DOT_MM / pitch_y))
+    layout = CellLayout(
+        rows=rows,
+        columns=columns,
+        dot_x=dot_x,
+        dot_y=dot_y,
+        # Cells must be farther apart than their dots to be distinguishable.
+        cell=max(2 * dot_x + 1, round(CELL_MM / pitch_x)),
+        line=max(3 * dot_y + 1, round(LINE_MM / pitch_y)),
+        lines=lines,
+        eight=eight,
+        pitch_mm=(pitch_x, pitch_y),
+        pixel_mm=pixel_pitch_mm(profile),
+    )
+    if lines < 1:
+        raise ReadingError(
+            f"{lines} lines of Braille at once are not possible: give 1 or more", about="lines"
+        )
+    if layout.height > rows or dot_x + 1 > columns:
+        fewer = lines > 1 and replace(layout, lines=1).height <= rows
+        raise ReadingError(
+            f"{profile.name} has {rows} x {columns} electrodes, {lines} line{'s' * (lines > 1)} of "
+            f"Braille with {8 if eight else 6} dots need {layout.height} x {dot_x + 1}: choose "
+            + ("fewer lines" if fewer else "another profile"),
+            about="profile",
+            remedy="lines" if fewer else "",
+        )
+    return layout
+
+
+def _grid_of(electrodes: ElectrodeArray, name: str) -> tuple[int, int]:
+    """Return rows and columns of a grid that is numbered row by row."""
+    x, y = (np.unique(np.round(electrodes.position_mm[:, axis], 6)) for axis in (0, 1))
+    if len(x) * len(y) != len(electrodes):
+        raise ReadingError(
+            f"the electrodes of {name} are no grid of rows and columns, dots would fall between "
+            "them: choose another profile, or read letter shapes",
+            about="profile",
+        )
+    return len(y), len(x)
+
+
+Cells = tuple[str, str, Place]
+"""A line of cells, its text if known, and its place."""
+
+
+class Presentation(StrEnum):
+    """Presentations of cells under the finger."""
+
+    LINE = "line"
+    """A line moves through, electrode by electrode."""
+    CELL = "cell"
+    """One cell at a time, in the middle of the array."""
+
+
+@dataclass(frozen=True)
+class Braille:
+    """Braille presentation: cells under the finger, by a table of `open_table`.
+
+    Whether images show raised dots, and where their light comes from, is detected if not given.
+    """
+
+    table: str = DEFAULT_TABLE
+    presentation: Presentation = Presentation.LINE
+    at_once: int = 1
+    embossed: bool | None = None
+    light_from_deg: float | None = None
+
+    @property
+    def tone(self) -> Tone:
+        """Tone curve from dots to activation."""
+        return TONE
+
+    def motion(
+        self, profile: Profile, speed_mm_s: float | None = None, rate_hz: float | None = None
+    ) -> LineMotion:
+        """Return the motion of cells: as fast as shapes, in steps of an electrode or a cell."""
+        speed_mm_s = usual_speed_mm_s(profile, rate_hz) if speed_mm_s is None else speed_mm_s
+        layout = self.layout(profile)
+        if self.presentation is Presentation.LINE:
+            return LineMotion(speed_mm_s, layout.pitch_mm[0])
+        # A cell stays for as long as a line would take to move on by one.
+        return LineMotion(speed_mm_s * layout.width_mm / layout.cell_mm, layout.width_mm, gaps=True)
+
+    def layout(self, profile: Profile, cells: tuple[str, ...] = ()) -> CellLayout:
+        """Return the places of the dots of lines of cells on an array."""
+        eight = any(pattern(each) >= SIX_DOT_PATTERNS for line in cells for each in line)
+        return cell_layout(profile, self.at_once, eight)
+
+    def lines(self, source: ReadingMaterial, profile: Profile) -> Iterator[TouchLine]:
+        """Yield lines of cells."""
+        self.layout(profile)
+        group: list[Cells] = []
+        for each in self._cells_of(source):
+            group.append(each)
+            if len(group) == self.at_once:
+                yield self._touch_line(group, profile)
+                group.clear()
+        if group:
+            yield self._touch_line(group, profile)
+
+    def _touch_line(self, group: list[Cells], profile: Profile) -> TouchLine:
+        cells = tuple(each for each, _, _ in group)
+        text = "\n".join(each for _, each, _ in group)
+        layout = self.layout(profile, cells)
+        if self.presentation is Presentation.CELL:
+            return layout.one_by_one(cells, text)
+        return layout.moving(cells, text, group[0][2])
+
+    def _cells_of(self, source: ReadingMaterial) -> Iterator[Cells]:
+        if source.words is not None or source.holds_cells:
+            yield from self._given(source)
+            return
+        empty, table = EmptyPages(source.note), open_table(self.table)
+        if table.note:
+            source.note(table.note)
+        for number, page in source.pages():
+            found = False
+            for each in self._seen(source, number, page):
+                found = True
+                yield each
+            empty.add(number, found)
+        empty.conclude()
+
+    def _given(self, source: ReadingMaterial) -> Iterator[Cells]:
+        """Yield the cells of a text, or of a file of cells."""
+        words = source.words
+        loaded = load_cells(
+            source.name if words is None else TEXT + words, open_table(self.table), leave_out=True
+        )
+        for note in loaded.notes:
+            source.note(note)
+        texts = (words or "").splitlines()
+        for index, cells in enumerate(loaded.paragraphs):
+            if cells.strip(BLANK):
+                text = texts[index] if len(texts) == len(loaded.paragraphs) else ""
+                yield cells, text, _place_on_paper(index, cells)
+
+    def paragraphs(self, source: ReadingMaterial) -> list[str]:
+        """Return a document as cells, a line for each paragraph of print or line of embossed
+        Braille.
+        """
+        table = open_table(self.table)
+        empty, paragraphs = EmptyPages(source.note), []
+        for number, page in source.pages():
+            if self._shows_dots(page):
+                found = self._decoded(source, number, page)
+            else:
+                prepared = upright_page(number, page, source.options, source.note)
+                text = recognized_text(prepared, source.options, source.note)
+                _note_missing(source, number, table, table.missing(text))
+                found = table.to_cells(text, leave_out=True).split("\n")
+            empty.add(number, any(each.strip(BLANK) for each in found))
+            paragraphs += found
+        empty.conclude()
+        return paragraphs
+
+    def _seen(self, source: ReadingMaterial, number: int, page: Page) -> Iterator[Cells]:
+        """Yield the cells of a page, whether it shows Braille or print."""
+        if self._shows_dots(page):
+            for index, cells in enumerate(self._decoded(source, number, page)):
+                if cells.strip(BLANK):
+                    yield cells, "", _place_on_paper(index, cells)
+            return
+        table = open_table(self.table)
+        prepared = upright_page(number, page, source.options, source.note)
+        missing = ""
+        for index, text in recognized_lines(prepared, source.options, source.note):
+            missing += "".join(each for each in table.missing(text) if each not in missing)
+            cells = table.to_cells(text, leave_out=True)
+            if cells.strip(BLANK):
+                yield cells, text, _place_on_page(prepared.lines[index], cells)
+        _note_missing(source, number, table, missing)
+
+    def _shows_dots(self, page: Page) -> bool:
+        return looks_like_braille(page) if self.embossed is None else self.embossed
+
+    def _decoded(self, source: ReadingMaterial, number: int, page: Page) -> list[str]:
+        found = read_braille(page, self.light_from_deg)
+        for note in found.notes:
+            source.note(f"page {number}: {note}")
+        return found.lines
+
+
+def _note_missing(source: ReadingMaterial, number: int, table: BrailleTable, missing: str) -> None:
+    if missing:
+        source.note(
+            f"page {number}: left out, as table {table.name} has no cells for them: "
+            + " ".join(missing)
+        )
+
+
+def _place_on_page(line: TextLine, cells: str) -> Place:
+    """Return the place of a line of print that became cells: its letters are narrower."""
+    width_mm = max(line.right_mm - line.left_mm, 1.0)
+    middle_mm = (line.top_mm + line.bottom_mm) / 2
+    return Place(line.left_mm, line.right_mm, middle_mm, len(cells) * CELL_MM / width_mm)
+
+
+def _place_on_paper(index: int, cells: str) -> Place:
+    """Return the place of a line of cells on paper."""
+    return Place(0.0, len(cells) * CELL_MM, index * LINE_MM, 1.0)

@@ -1,0 +1,193 @@
+"""Lines delivered through the whole chain to an emulated board, and as nerves respond to them."""
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from statistics import fmean, median
+
+import cv2
+import numpy as np
+from joblib import Parallel, delayed
+from numpy.typing import NDArray
+
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.imaging.array_window import pixel_pitch_mm, reading_force_n
+from smarttouch.imaging.registration import Registration
+from smarttouch.imaging.tactile_mapper import Tone
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.response import ignore_nan, response_quality
+from smarttouch.profile import Profile
+from smarttouch.reading.line_source import (
+    LineFeed,
+    LineMotion,
+    ReadingSource,
+    SweepingCursor,
+    TouchLine,
+)
+from smarttouch.running.config import RunConfig
+from smarttouch.running.delivered import FIELD_MM, DeliveredResponses, delivered_spikes
+from smarttouch.running.delivered_line import LinePicture
+from smarttouch.running.display import Display
+from smarttouch.running.runner import Runner
+from smarttouch.sources.source_contract import Pose
+from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
+
+
+@dataclass(frozen=True)
+class LineDelivery:
+    """Presentation of lines under the finger, for a profile of `profile_for_reading`."""
+
+    profile: Profile
+    bank: KernelBank
+    tone: Tone  # from ink to activation
+    motion: LineMotion
+    mode: Mode = Mode.RA
+    sharing: SlotPolicy = NO_SHARING
+    intensity: float = 1.0  # in [0, 1], of the highest comfortable current
+
+
+@dataclass(frozen=True, eq=False)
+class DeliveredLine:
+    """A line as it was delivered to the skin, sequence by sequence."""
+
+    picture: LinePicture
+    length_mm: float
+    poses: dict[int, Pose]  # by number of the sequence
+    answers: dict[int, NDArray[np.float32]]  # (E,) in [0, 1], by number of the sequence
+    numbers: NDArray[np.uint32]  # (N,), sequence of each delivered slot
+    width_us: NDArray[np.float32]  # (N,)
+    current_ua: NDArray[np.int16]  # (N, E), positive is cathodic
+
+
+def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
+    """Read a line with a virtual finger on a simulated board.
+
+    Frames, kernels, pressure gate, soft start, the proof of safety, the bytes and the board's own
+    check are those of a live run; only the clock is virtual.
+    """
+    profile = reading.profile
+    feed = LineFeed(iter([line])).start()
+    cursor = SweepingCursor(feed, reading.motion, reading_force_n(profile))
+    source = ReadingSource("a line", profile, feed, cursor)
+    feed.wait_for_end()
+    answers = DeliveredResponses(profile, reading.bank, reading.mode.afferents)
+    config = RunConfig(
+        mode=reading.mode, tone=reading.tone, scan=reading.sharing, intensity=reading.intensity
+    )
+    with Display("simulated:", profile) as display:
+        Runner(
+            source,
+            display,
+            config,
+            listeners=[answers.watch],
+            load_kernels=lambda _: reading.bank,
+        ).run()
+        board = display.board
+        assert isinstance(board, SimulatedBoard)
+        pulses = board.take_pulses()
+        answers.deliver(*pulses)
+    length_mm = _length_mm(line, profile)
+    picture = LinePicture(profile.electrodes, length_mm)
+    for pose, answer in answers:
+        picture.add(pose.x_mm, answer)
+    return DeliveredLine(picture, length_mm, answers.poses, answers.answer, *pulses)
+
+
+def deliver_lines(lines: Sequence[TouchLine], reading: LineDelivery) -> Iterator[DeliveredLine]:
+    """Deliver many lines on all cores; yield each as it is ready."""
+    # A process takes longer to start than one line to deliver.
+    work = Parallel(n_jobs=-1 if len(lines) > 1 else 1, return_as="generator", max_nbytes=None)
+    yield from work(delayed(deliver_pulses)(line, reading) for line in lines)
+
+
+def ideal_picture(line: TouchLine, profile: Profile, step_mm: float) -> LinePicture:
+    """Return the best that an array could deliver of a line: the ink in each electrode's cell.
+
+    Nothing is lost to kernels, thresholds or whole microamperes; what is left
+    is the pitch of the electrodes and the distance between two pulses.
+    """
+    optics, pixel_mm = profile.optics, pixel_pitch_mm(profile)
+    shape = (optics.sensor_rows, optics.sensor_columns)
+    registration = Registration(profile.electrodes, optics, shape)
+    picture = LinePicture(profile.electrodes, _length_mm(line, profile))
+    paper = cv2.copyMakeBorder(
+        line.image, 0, 0, shape[1] + 1, shape[1] + 1, cv2.BORDER_CONSTANT, value=255
+    )
+    for x_mm in np.arange(line.start_mm, line.end_mm + step_mm, step_mm):
+        left = round(float(x_mm) / pixel_mm - shape[1] / 2) + shape[1] + 1
+        window = paper[:, max(0, left) : max(0, left) + shape[1]]
+        if window.shape == shape:
+            ink = np.asarray(cv2.bitwise_not(np.ascontiguousarray(window)), np.uint8)
+            picture.add(float(x_mm), registration.sample(ink))
+    return picture
+
+
+def _length_mm(line: TouchLine, profile: Profile) -> float:
+    return int(line.image.shape[1]) * pixel_pitch_mm(profile)
+
+
+_FULL_QUANTILE = 0.99
+
+
+@dataclass(frozen=True, eq=False)
+class NerveReading:
+    """Lines as one finger responded to them, and means over the sequences that had slots.
+
+    The means are NaN if none of these fired. Active are the electrodes at which the board's own
+    response is above the threshold.
+    """
+
+    pictures: list[LinePicture]
+    silent_points: float
+    wrong_class: float
+    misplaced: float
+
+
+def read_at_nerve(
+    lines: Sequence[DeliveredLine], finger: Finger, wanted: Collection[Afferent]
+) -> NerveReading:
+    """Return the response of a finger to delivered lines that were meant for some classes.
+
+    Each electrode has the spikes of the receptors around it, of all classes, relative to nearly the
+    most that any electrode has.
+    """
+    profile = finger.profile
+    places = profile.electrodes.position_mm
+    away = finger.receptor_mm[:, None] - places
+    field = np.exp(-(away**2).sum(axis=2) / (2 * FIELD_MM**2)).astype(np.float32)
+    silent = np.zeros(len(field), np.intp)
+    found, values = [], []
+    for line in lines:
+        periods = dict.fromkeys(line.poses, round(1e6 / profile.pulse.rate_hz))
+        spikes = delivered_spikes(finger, line.numbers, line.width_us, line.current_ua, periods)
+        for number, pose in line.poses.items():
+            counts = spikes.get(number, silent)
+            values.append((line, pose.x_mm, counts @ field))
+            if number in line.answers:
+                found.append(response_quality(finger, counts, line.answers[number] > 0, wanted))
+    full = float(np.quantile([each.max() for _, _, each in values], _FULL_QUANTILE))
+    pictures = {id(line): LinePicture(profile.electrodes, line.length_mm) for line in lines}
+    for line, x_mm, each in values:
+        shown = np.clip(each / max(full, 1e-9), 0, 1).astype(np.float32)
+        pictures[id(line)].add(x_mm, shown)
+    measures = (
+        ignore_nan(fmean, (getattr(each, name) for each in found))
+        for name in ("silent_points", "wrong_class", "misplaced")
+    )
+    return NerveReading(list(pictures.values()), *measures)
+
+
+def nerve_figures(
+    readings: Sequence[NerveReading], errors: Sequence[float]
+) -> dict[str, float | dict[str, float]]:
+    """Return medians over fingers, and error rates at the nerve, for a JSON file."""
+    ranked = sorted(errors)
+    worst = ranked[-max(1, len(ranked) // 10) :]
+    return {
+        "at_nerve": {"median": median(ranked), "worst_tenth": fmean(worst)},
+        **{
+            name: ignore_nan(median, (getattr(each, name) for each in readings))
+            for name in ("wrong_class", "misplaced", "silent_points")
+        },
+    }

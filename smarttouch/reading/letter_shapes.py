@@ -1,0 +1,176 @@
+"""Letter shapes: single letters on an array, and lines of print, plain, thinned or graded."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+from skimage.morphology import skeletonize
+
+from smarttouch.base.errors import ExperimentError, ReadingError
+from smarttouch.imaging.array_window import (
+    FEWEST_ROWS,
+    pixel_pitch_mm,
+    profile_for_reading,
+    rows_of,
+    usual_speed_mm_s,
+)
+from smarttouch.imaging.registration import PIXELS_PER_CELL, Registration
+from smarttouch.imaging.tactile_mapper import Tone
+from smarttouch.pages.prepared_page import SIDES, PreparedPage
+from smarttouch.profile import Profile
+from smarttouch.reading.line_source import LineMotion, Place, TouchLine
+from smarttouch.reading.material import Note, ReadingMaterial
+
+ENOUGH_ROWS = 8
+"""Sufficient rows: on 4 half of the characters are lost, on 8 hardly one in a hundred."""
+INK_LEVEL = 128
+"""Level of prepared paper below which is ink."""
+NIB_PIXELS = PIXELS_PER_CELL - 1
+"""Width of a thinned stroke."""
+_PLAIN, _THINNED = 0.3, 0.35
+"""Least ink of an active cell. Half of it, the obvious choice, loses thin strokes: of print in
+8 rows 8 to 20 % of the characters then cannot be read, here 1 to 3 %."""
+
+
+class Style(StrEnum):
+    """Styles of letter shapes: mappings from ink to activation."""
+
+    PLAIN = "plain"
+    """On or off."""
+    THINNED = "thinned"
+    """On or off, every stroke as wide as a cell: thin ones stay whole, and holes of thick ones
+    open."""
+    GRADED = "graded"
+    """Activation in proportion to the ink in a cell."""
+
+
+_TONES = {
+    Style.PLAIN: Tone(_PLAIN, _PLAIN, prepared=True),
+    Style.THINNED: Tone(_THINNED, _THINNED, prepared=True),
+    Style.GRADED: Tone(0.0, 1.0, prepared=True),
+}
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """Letter-shape presentation: lines of print under the finger."""
+
+    style: Style = Style.GRADED
+
+    @property
+    def tone(self) -> Tone:
+        """Tone curve from ink to activation."""
+        return _TONES[self.style]
+
+    def motion(
+        self, profile: Profile, speed_mm_s: float | None = None, rate_hz: float | None = None
+    ) -> LineMotion:
+        """Return the motion of lines: smooth, so that every edge passes every electrode."""
+        return LineMotion(usual_speed_mm_s(profile, rate_hz) if speed_mm_s is None else speed_mm_s)
+
+    def lines(self, source: ReadingMaterial, profile: Profile) -> Iterator[TouchLine]:
+        """Yield lines of letter shapes."""
+        require_rows(profile, source.note)
+        if source.holds_cells:
+            raise ReadingError(
+                f"{source.name} holds Braille, not letters: read it as Braille", about="kind"
+            )
+        for prepared in source.prepared():
+            for index in range(len(prepared.lines)):
+                yield shape_line(prepared, index, profile, self.style)
+
+
+def require_rows(profile: Profile, note: Note) -> None:
+    """Raise unless an array has enough rows for letters; add a note if they are few."""
+    rows = rows_of(profile)
+    if rows < FEWEST_ROWS:
+        raise ReadingError(
+            f"{profile.name} has {rows} row{'s' * (rows > 1)} of electrodes, letter shapes need at "
+            f"least {FEWEST_ROWS}: choose another profile, for example electric-mouse",
+            about="profile",
+        )
+    if rows < ENOUGH_ROWS:
+        note(
+            f"{profile.name} has {rows} rows of electrodes: many letters are indistinguishable on "
+            f"fewer than {ENOUGH_ROWS}, read Braille instead"
+        )
+
+
+def shape_line(prepared: PreparedPage, index: int, profile: Profile, style: Style) -> TouchLine:
+    """Return a line of print, magnified so that ascender to descender fills the array."""
+    line = prepared.lines[index]
+    rows = profile.optics.sensor_rows
+    strip = prepared.strip(index, rows)
+    if style is Style.THINNED:
+        strip = thin(strip)
+    pixel_mm = pixel_pitch_mm(profile)
+    half_mm = profile.optics.field_width_mm / 2
+    # A strip begins and ends with some paper.
+    margin_mm = SIDES * line.height_mm
+    place = Place(
+        line.left_mm - margin_mm,
+        line.right_mm + margin_mm,
+        (line.top_mm + line.bottom_mm) / 2,
+        rows * pixel_mm / line.height_mm,
+    )
+    return TouchLine(strip, -half_mm, strip.shape[1] * pixel_mm + half_mm, place=place)
+
+
+def thin(strip: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a strip with one cell's width along the middle of each stroke."""
+    middle = skeletonize(strip < INK_LEVEL).astype(np.uint8)
+    nib = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (NIB_PIXELS, NIB_PIXELS))
+    return np.asarray(255 * (1 - cv2.dilate(middle, nib)), np.uint8)
+
+
+ALPHABET = "ABCDEFGHIJKLMNOPQRSTUVWXYZ"
+_DRAWN_PX = 400
+
+
+def parse_letters(text: str | None) -> str:
+    """Return the letters that ``ABC`` names, each once, two or more of A to Z; the alphabet if
+    None."""
+    letters = ALPHABET if text is None else "".join(dict.fromkeys(text.upper().replace(",", "")))
+    strange = [each for each in letters if each not in ALPHABET]
+    if strange or len(letters) < 2:
+        raise ExperimentError(
+            f"letters {text!r} must be two or more letters from A to Z, as in AEIOU",
+            about="letters",
+        )
+    return letters
+
+
+def draw_letter(letter: str, profile: Profile) -> NDArray[np.float32]:
+    """Return the activation, (E,) float32, 0 or 1, that draws a letter as large as the array.
+
+    Drawn in the middle of an array with rows and columns, in its own proportions, with strokes one
+    electrode wide.
+    """
+    rows = rows_of(profile)
+    if rows < FEWEST_ROWS:
+        raise ExperimentError(
+            f"{profile.name} has {rows} row{'s' * (rows > 1)} of electrodes, letters need at least "
+            f"{FEWEST_ROWS}: choose another profile, for example electric-mouse",
+            about="profile",
+        )
+    window = profile_for_reading(profile)
+    shape = (window.optics.sensor_rows, window.optics.sensor_columns)
+    sheet = Image.new("L", (2 * _DRAWN_PX, 2 * _DRAWN_PX), 255)
+    font = ImageFont.load_default(size=_DRAWN_PX)
+    ImageDraw.Draw(sheet).text((_DRAWN_PX // 2, _DRAWN_PX // 4), letter, fill=0, font=font)
+    cut = sheet.crop(Image.eval(sheet, lambda grey: 255 - grey).getbbox())
+    scale = min(shape[0] / cut.height, shape[1] / cut.width)
+    size = (max(1, round(cut.width * scale)), max(1, round(cut.height * scale)))
+    image = np.full(shape, 255, np.uint8)
+    top, left = (shape[0] - size[1]) // 2, (shape[1] - size[0]) // 2
+    fitted = cut.resize(size, Image.Resampling.BOX)
+    image[top : top + size[1], left : left + size[0]] = np.asarray(fitted)
+    ink = 255 - thin(image)
+    activation = Registration(profile.electrodes, window.optics, shape).sample(ink)
+    Shapes(Style.THINNED).tone.apply(activation)
+    activation[list(profile.output.masked)] = 0
+    return activation

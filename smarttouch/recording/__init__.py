@@ -1,1 +1,0 @@
-"""Recordings of runs: write, read, replay, check, repair and export."""

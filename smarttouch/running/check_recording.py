@@ -1,0 +1,230 @@
+"""The offline test: recorded inputs through today's pipeline, slot by slot, to the bit."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from smarttouch.base.errors import RecordingError
+from smarttouch.kernels.bank import KernelBank, load_bank
+from smarttouch.profile import Profile
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.recording_reader import Recording
+from smarttouch.running.regulation import Regulator
+from smarttouch.running.step import Measured
+from smarttouch.running.step_decoder import RecordedStep
+from smarttouch.stimulation.adaptation import Adaptation
+from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
+from smarttouch.stimulation.scan_sequence import ScanSequence
+
+KEPT = 20
+"""Differences listed in a report; all are counted."""
+
+_SCALARS = (
+    ("slots", ""), ("period_us", "µs"), ("intensity", ""), ("time_ns", "ns"), ("recharge_us", "µs"),
+)  # fmt: skip
+_ROWS = (("vibration", "vibration", ""), ("recharge current", "recharge_ua", "µA"))
+_COLUMNS = (("site", ""), ("width_us", "µs"), ("discharge_us", "µs"))
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A quantity of a sequence that differs from the recorded one, in which slot and electrode.
+
+    ``frame`` is the number of the input at its source, ``step`` that of the recording, from 0.
+    """
+
+    frame: int
+    step: int
+    time_ns: int
+    what: str
+    unit: str
+    recorded: float
+    new: float
+    slot: int | None = None
+    electrode: int | None = None
+
+    def describe(self) -> str:
+        """Return the difference as a line of text."""
+        where = f"frame {self.frame} at {self.time_ns / 1e9:.3f} s"
+        where += "" if self.slot is None else f", slot {self.slot}"
+        where += "" if self.electrode is None else f", electrode {self.electrode}"
+        unit = self.unit and f" {self.unit}"
+        return f"{where}: {self.what} {self.recorded!r}{unit} recorded, {self.new!r}{unit} now"
+
+
+@dataclass
+class CheckReport:
+    """Result of a check: what was compared, the first `KEPT` differences, and the number of all.
+
+    ``left_out`` says which part of the recording could not be compared; empty if none.
+    """
+
+    frames: int = 0
+    sequences: int = 0
+    slots: int = 0
+    differences: list[Difference] = field(default_factory=list)
+    different: int = 0
+    left_out: str = ""
+
+    @property
+    def exact(self) -> bool:
+        """True if all that was compared is the same to the bit."""
+        return not self.different
+
+    def describe(self) -> str:
+        """Return the result as text, with a line for each listed difference."""
+        head = f"{self.sequences:,} sequences, {self.slots:,} slots: "
+        head += "identical" if self.exact else f"{self.different:,} differences"
+        lines = [head + (f" ({self.left_out})" if self.left_out else "")]
+        lines += [each.describe() for each in self.differences]
+        if self.different > len(self.differences):
+            lines.append(f"and {self.different - len(self.differences):,} more")
+        return "\n".join(lines)
+
+
+def check_recording(
+    path: Path | str, *, bank: KernelBank | None = None, profile: Profile | None = None
+) -> CheckReport:
+    """Run the recorded frames and stimuli through today's pipeline and compare the sequences.
+
+    Kernels and profile are today's and the recorded one if not given. Raises RecordingError if the
+    recording cannot be read, holds no sequence, or does not say how it was made.
+    """
+    recording = Recording(Path(path))
+    profile = recording.profile if profile is None else profile
+    pipeline, regulator = rebuild_pipeline(
+        recording, profile, load_bank(profile) if bank is None else bank
+    )
+    report, image = CheckReport(), None
+    for recorded in recording.steps():
+        if recorded.index != report.sequences:
+            # Whatever is missing would have changed what comes after it.
+            report.left_out = f"all after {recorded.step.input.time_ns / 1e9:.1f} s follows a gap"
+            break
+        was, now = recorded.step.sequence, _again(recorded, pipeline, regulator)
+        before, image = image, recorded.step.input.image
+        report.frames += image is not None and image is not before
+        report.sequences += 1
+        report.slots += was.slots
+        for difference in _differences(recorded, was, now):
+            report.different += 1
+            if len(report.differences) < KEPT:
+                report.differences.append(difference)
+    if not report.sequences:
+        raise RecordingError(f"{path} holds no sequence: there is nothing to check", about="file")
+    if not recording.whole:
+        report.left_out = report.left_out or "the recording is cut"
+    return report
+
+
+def assert_replays(path: Path | str, **same: Any) -> None:
+    """Raise AssertionError unless a recording's sequences are reproduced; see `check_recording`."""
+    __tracebackhide__ = True
+    report = check_recording(path, **same)
+    if not report.exact:
+        raise AssertionError(f"{path}: {report.describe()}")
+
+
+def rebuild_pipeline(
+    recording: Recording, profile: Profile, bank: KernelBank
+) -> tuple[Pipeline, Regulator]:
+    """Return a pipeline and a regulator in their state at the start of a recording."""
+    run = recording.run
+    pipeline = Pipeline(
+        profile,
+        bank,
+        RunConfig(
+            mode=run.mode,
+            rate_hz=run.rate_hz,
+            light_on_dark=run.light_on_dark,
+            softness=run.softness,
+            tone=run.tone,
+            scan=run.sharing,
+            balance=run.balance,
+        ),
+        run.timing,
+        vibrated=run.vibrated,
+        in_sums=run.in_sums,
+    )
+    adaptation = ledger = recharge = None
+    if run.hold is not None:
+        if run.compliance_v is None:
+            raise RecordingError(
+                f"the settings in {recording.path} do not say how it was made: compliance_v is "
+                "missing, which hold needs",
+                about="settings.compliance_v",
+            )
+        adaptation = Adaptation(profile, run.hold, run.compliance_v, run.timing)
+    if run.balance:
+        ledger = ChargeBalance(len(profile.electrodes))
+        if run.carried_pc:
+            if len(run.carried_pc) != len(ledger.charge_pc):
+                raise RecordingError(
+                    f"the settings in {recording.path} name the charge of {len(run.carried_pc)} "
+                    f"electrodes, and the profile has {len(ledger.charge_pc)}: compare with the "
+                    "recorded profile",
+                    about="settings.carried_pc",
+                )
+            ledger.charge_pc[:] = run.carried_pc
+        if run.recharge:
+            recharge = RechargeRules.of(profile, run.timing)
+    return pipeline, Regulator(adaptation, ledger, recharge)
+
+
+class _RecordedBoard:
+    """Stand-in for the board, with its recorded measurements."""
+
+    def __init__(self, observed: tuple[Measured, ...]) -> None:
+        self._observed = observed
+
+    def take_volts(self) -> list[Measured]:
+        return list(self._observed)
+
+
+def _again(recorded: RecordedStep, pipeline: Pipeline, regulator: Regulator) -> ScanSequence:
+    """Return the sequence that the present pipeline makes of a recorded step's inputs."""
+    step = recorded.step
+    if step.mode is not pipeline.mode:
+        pipeline.change_mode(step.mode)
+    if step.restarted:
+        pipeline.restart_softly()
+    board: Any = _RecordedBoard(step.observed)
+    made = regulator.regulate(pipeline.process(step.input, step.level), board).sequence
+    if recorded.sent.number is None:
+        regulator.lost(made)
+    return made
+
+
+def _differences(
+    recorded: RecordedStep, was: ScanSequence, now: ScanSequence
+) -> Iterator[Difference]:
+    frame, step = recorded.step.input, recorded.index
+
+    def difference(what: str, unit: str, *values: Any, **where: int) -> Difference:
+        old, new = (float(v) if isinstance(v, float) else int(v) for v in values)
+        return Difference(frame.number, step, frame.time_ns, what, unit, old, new, **where)
+
+    for name, unit in _SCALARS:
+        old, new = getattr(was, name), getattr(now, name)
+        if old != new:
+            yield difference(name, unit, old, new)
+    for what, name, unit in _ROWS:
+        rows = [getattr(each, name) for each in (was, now)]
+        old_row, new_row = (np.zeros(was.electrodes) if row is None else row for row in rows)
+        for electrode in np.flatnonzero(old_row != new_row).tolist():
+            old, new = old_row[electrode].item(), new_row[electrode].item()
+            yield difference(what, unit, old, new, electrode=electrode)
+    if was.current_ua.shape != now.current_ua.shape:
+        # Slots that moved would differ in everything.
+        return
+    for name, unit in _COLUMNS:
+        old, new = getattr(was, name), getattr(now, name)
+        for slot in np.flatnonzero(old != new).tolist():
+            yield difference(name, unit, old[slot], new[slot], slot=slot)
+    for slot, electrode in np.argwhere(was.current_ua != now.current_ua).tolist():
+        old, new = was.current_ua[slot, electrode], now.current_ua[slot, electrode]
+        yield difference("current", "µA", old, new, slot=slot, electrode=electrode)

@@ -1,0 +1,181 @@
+"""Responses to delivered pulses: of receptors under the electrodes, and spikes of one finger."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.response import fire_all, in_color
+from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.profile import Profile
+from smarttouch.profile.device import Pulse
+from smarttouch.running.step import StepResult
+from smarttouch.sources.source_contract import Pose
+
+Floats = NDArray[np.float32]
+
+
+class Perception:
+    """Response of the receptors under the electrodes, by their activating function.
+
+    Each delivered slot activates the receptors under all electrodes by the activating function at
+    their nodes; a response counts from the detection threshold on, and is 1 at the strongest
+    comfortable pulse. Of several classes the strongest response counts.
+    """
+
+    def __init__(self, profile: Profile, bank: KernelBank, afferents: tuple[Afferent, ...]) -> None:
+        self._pulse = profile.pulse
+        full_ua = profile.full_ma * 1000
+        self._receptors = []
+        for afferent in afferents:
+            receptor = bank.receptor[afferent]
+            full = full_ua * (receptor * bank.kernels(afferent)).sum(axis=1)
+            # Masked sites have no kernel: there is no response.
+            self._receptors.append((receptor.T, np.where(full > 0, full, np.inf)))
+        self._threshold = profile.threshold_ma / profile.full_ma
+
+    def answers(
+        self, numbers: NDArray[np.uint32], width_us: Floats, current_ua: NDArray[np.int16]
+    ) -> dict[int, Floats]:
+        """Return the strongest response at each site to the slots of each sequence, (E,) in [0, 1].
+        Slots of one sequence, by ``numbers`` (N,), follow each other, with their ``width_us`` (N,)
+        and ``current_ua`` (N, E), positive cathodic. Sequences without a slot are left out."""
+        if not len(numbers):
+            return {}
+        current = current_ua * strength(width_us, self._pulse)[:, None]
+        activation = np.maximum.reduce([current @ axons / full for axons, full in self._receptors])
+        answers = np.clip((activation - self._threshold) / (1 - self._threshold), 0, 1)
+        starts = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
+        strongest = np.maximum.reduceat(answers, starts, axis=0)
+        return dict(zip(numbers[starts].tolist(), strongest, strict=True))
+
+
+class DeliveredResponses(Perception):
+    """Poses of the sequences of a run and, after it, the responses to them. Iterating yields pose
+    and response, (E,) in [0, 1], of each sequence delivered while the finger touched."""
+
+    def __init__(self, profile: Profile, bank: KernelBank, afferents: tuple[Afferent, ...]) -> None:
+        super().__init__(profile, bank, afferents)
+        self.poses: dict[int, Pose] = {}
+        self.period_us: dict[int, int] = {}
+        self.answer: dict[int, Floats] = {}
+        self._silent = np.zeros(len(profile.electrodes), np.float32)
+
+    def watch(self, sent: StepResult) -> None:
+        """Record the pose of a step, and its duration."""
+        if sent.number is not None and sent.sequence.intensity > 0:
+            self.poses[sent.number] = sent.input.pose
+            self.period_us[sent.number] = sent.sequence.period_us
+
+    def deliver(
+        self, numbers: NDArray[np.uint32], width_us: Floats, current_ua: NDArray[np.int16]
+    ) -> None:
+        """Take delivered slots, see `answers`."""
+        self.answer = self.answers(numbers, width_us, current_ua)
+
+    def __iter__(self) -> Iterator[tuple[Pose, Floats]]:
+        for number, pose in self.poses.items():
+            yield pose, self.answer.get(number, self._silent)
+
+
+def strength(width_us: Floats, pulse: Pulse) -> Floats:
+    """Return the effect of pulses of given widths, (N,), relative to the profile's full pulse, by
+    Weiss's law."""
+    chronaxie_us = pulse.chronaxie_us
+    full = 1 + chronaxie_us / pulse.width_us
+    return np.asarray(full / (1 + chronaxie_us / np.maximum(width_us, 1)), np.float32)
+
+
+Counts = dict[int, NDArray[np.intp]]  # spikes of each afferent, (A,), by sequence number
+Places = NDArray[np.floating]
+
+FIELD_MM = 1.0  # standard deviation of a receptive field. Ours.
+MOST_SLOTS = 10_000  # slots that are looked at; of more, sequences are left out evenly
+_DARK_QUANTILE = 0.999
+_SIDE_MM = 0.5  # distance of the places by which passes of the finger are counted
+
+
+@dataclass(frozen=True, eq=False)
+class DeliveredSlots:
+    """Slots of one delivered sequence, as `SpikeModel` takes them."""
+
+    current_ua: NDArray[np.int16]
+    width_us: NDArray[np.uint16]
+    discharge_us: NDArray[np.uint16]
+    period_us: int
+
+
+def delivered_spikes(
+    finger: Finger,
+    numbers: NDArray[np.uint32],
+    width_us: NDArray[np.float32],
+    current_ua: NDArray[np.int16],
+    period_us: Mapping[int, int],
+    most_slots: int | None = None,
+) -> Counts:
+    """Return the spikes of a finger under delivered slots (see `Perception.answers`), of the
+    sequences that ``period_us`` names; above ``most_slots``, sequences are left out evenly."""
+    begins = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
+    parts = zip(begins, np.append(begins[1:], len(numbers)), strict=False)
+    sequences = {}
+    for begin, end in parts:
+        number, part = int(numbers[begin]), slice(begin, end)
+        if number in period_us:
+            width = width_us[part].astype(np.uint16)
+            discharge = np.full(len(width), finger.profile.pulse.discharge_us, np.uint16)
+            sequences[number] = DeliveredSlots(
+                current_ua[part], width, discharge, period_us[number]
+            )
+    every = 1 if most_slots is None else 1 + len(numbers) // most_slots
+    kept = dict(list(sequences.items())[::every])
+    spikes = fire_all(SpikeModel(finger), list(kept.values()))
+    return {number: each.counts for number, each in zip(kept, spikes, strict=True)}
+
+
+def spikes_in_color(
+    finger: Finger,
+    felt: Iterable[tuple[Pose, NDArray[np.intp]]],
+    placed: Callable[[Places, Pose], Places],
+    shape: tuple[int, int],
+    pixel_mm: float,
+    field_mm: float = FIELD_MM,
+    *,
+    mean: bool = True,
+) -> NDArray[np.uint8]:
+    """Return spikes where the receptors were, in the color of each class, (H, W, 3) on white.
+
+    ``felt`` yields the spikes of each afferent at poses of the finger; ``placed`` returns where
+    places of the finger are at a pose, (N, 2) mm from the picture's corner; ``field_mm`` is the
+    standard deviation of a receptive field. With ``mean`` a place shows its spikes for each pass.
+    """
+    spikes, passes = np.zeros((len(Afferent), *shape), np.float32), np.zeros(shape, np.float32)
+    sides = [np.arange(-side, side, _SIDE_MM) + _SIDE_MM / 2 for side in finger.reach_mm]
+    skin = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
+    for pose, counts in felt:
+        fired = np.flatnonzero(counts)
+        row, column, on = _pixels(placed(finger.receptor_mm[fired], pose), shape, pixel_mm)
+        np.add.at(spikes, (finger.classes[fired[on]], row, column), counts[fired[on]])
+        row, column, _ = _pixels(placed(skin, pose), shape, pixel_mm)
+        passes[row, column] += 1
+    sigma = field_mm / pixel_mm
+    spread = np.stack([cv2.GaussianBlur(each, (0, 0), sigma) for each in spikes])
+    if mean:
+        wide = cv2.GaussianBlur(passes, (0, 0), sigma)
+        spread = spread / np.maximum(wide, wide.max(initial=0) / 20 + 1e-9)
+    total = spread.sum(axis=0)
+    dark = float(np.quantile(total[total > 0], _DARK_QUANTILE)) if total.any() else 1.0
+    return np.asarray(np.rint(255 * in_color(spread, dark)), np.uint8)
+
+
+def _pixels(
+    places_mm: Places, shape: tuple[int, int], pixel_mm: float
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
+    """Return rows and columns of the places that are on a picture, and which these are."""
+    column, row = np.floor(places_mm / pixel_mm).astype(np.intp).T
+    on = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+    return row[on], column[on], on

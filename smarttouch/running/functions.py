@@ -1,0 +1,255 @@
+"""The front door for programs: run, step through, replay, and design, each by one function."""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, Unpack
+
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.stopping import StopRequest
+from smarttouch.kernels.bank import KernelBank, kernels_at_nodes, load_bank
+from smarttouch.kernels.design_problem import Kernel, Problem
+from smarttouch.kernels.driving_problem import DrivingProblem
+from smarttouch.kernels.finger_kernels import FingerKernels
+from smarttouch.kernels.switched_design import designer
+from smarttouch.profile import Profile
+from smarttouch.running.config import RunConfig, RunOptions
+from smarttouch.running.display import Display, open_display
+from smarttouch.running.listener import Listener
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.recorded_source import RecordedControls, RecordingSource
+from smarttouch.running.recording_reader import Recording
+from smarttouch.running.runner import Runner
+from smarttouch.running.step import RunStatistics, Step, StepResult
+from smarttouch.sources.force import ForceSource
+from smarttouch.sources.given_sources import Given, Imaging, OwnImaging, checked_input, source_of
+
+Listeners = Iterable[Listener | Callable[[StepResult], object]]
+
+
+def run(
+    source: Given,
+    display: Display | str,
+    *,
+    mode: Mode | str = Mode.RA,
+    listeners: Listeners = (),
+    force: ForceSource | str | None = None,
+    imaging: Imaging | None = None,
+    stop: StopRequest | None = None,
+    **settings: Unpack[RunOptions],
+) -> RunStatistics:
+    """Run a source on a display until the source ends, or `Display.stop` ends the run.
+
+    Parameters
+    ----------
+    source : Source, str, Path, ndarray or iterable
+        A source, closed at the end; or its URL; the path of an image, document, video or recording;
+        images (N, H, W) uint8; or an iterable of images, one for each sequence.
+    display : Display or str
+        A display, or the URL of its board.
+    mode : Mode or str
+        Which afferents are driven: RA, SAI, PC or natural.
+    listeners : iterable of Listener or callable
+        Follow the run; a plain function is given each `StepResult`.
+    force : ForceSource or str, optional
+        Finger force, or its URL. On boards that a finger may be on, it must be measured by the
+        source, the board or this, or be stated (``"fixed:0.9"``, also as the profile's
+        ``force.source``); elsewhere that of the source or board if not given.
+    imaging : callable, optional
+        Function of a `Frame` and the electrodes that returns the activation of RA, SAI and PC at
+        each, (3, E) in [0, 1], in place of binarization.
+    stop : StopRequest, optional
+        Ends the run from elsewhere; so does `Display.stop`.
+    **settings
+        Other settings of `RunConfig`: ``seconds``, ``intensity``, ``rate_hz``, ``scan`` …
+
+    Returns
+    -------
+    RunStatistics
+
+    Raises
+    ------
+    SmartTouchError
+        Whatever keeps the run from beginning or going on; the display is at zero.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> st.run("text:a", "simulated:", seconds=0.5).frames
+    25
+    """
+    config = RunConfig(mode=mode, **settings)
+    display = open_display(display) if isinstance(display, str) else display
+    opened = source_of(source, display.profile, light_on_dark=config.light_on_dark)
+    if imaging is not None:
+        opened = OwnImaging(opened, imaging, display.profile)
+    return Runner(opened, display, config, force=force, listeners=listeners, stop=stop).run()
+
+
+def steps(
+    source: Given,
+    profile: Profile,
+    *,
+    mode: Mode | str = Mode.RA,
+    kernels: KernelBank | None = None,
+    **settings: Unpack[RunOptions],
+) -> Iterator[Step]:
+    """Yield each frame of a source with its tactile image and sequence: no board, no clock.
+
+    Sequences are those for a board that keeps kernels, as ``emulator:`` and ``simulated:`` do.
+
+    Parameters
+    ----------
+    source : Source, str, Path, ndarray or iterable
+        See `run`.
+    profile : Profile
+        Device and finger.
+    mode : Mode or str
+        Which afferents are driven.
+    kernels : KernelBank, optional
+        Those of the profile if not given.
+    **settings
+        Other settings of `RunConfig`; ``intensity`` is 1 if not given.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> profile = st.load_profile("electric-mouse")
+    >>> first = next(st.steps(st.open_source("text:a", profile), profile))
+    >>> first.tactile.activation.shape
+    (3, 64)
+    """
+    config = RunConfig(mode=mode, **settings)
+    level = 1.0 if config.intensity is None else config.intensity
+    pipeline = Pipeline(profile, kernels or load_bank(profile), config, in_sums=True)
+    most_ns = float("inf") if config.seconds is None else config.seconds * 1e9
+    elapsed_ns = 0
+    with source_of(source, profile, light_on_dark=config.light_on_dark) as opened:
+        who = opened.url or opened.title
+        while elapsed_ns < most_ns and (given := opened.read(elapsed_ns)) is not None:
+            frame = checked_input(given, who, pipeline.electrodes)
+            if frame.stale:
+                frame = replace(frame, force_n=0.0)
+            step = pipeline.process(frame, level)
+            yield step
+            elapsed_ns += 1000 * step.sequence.period_us
+
+
+def replay(
+    path: Path | str,
+    display: Display,
+    *,
+    listeners: Listeners = (),
+    force: ForceSource | str | None = None,
+    stop: StopRequest | None = None,
+    **settings: Unpack[RunOptions],
+) -> RunStatistics:
+    """Run what a recording holds on a display once more, with its modes and levels.
+
+    Parameters
+    ----------
+    path : Path or str
+        The recording.
+    display : Display
+        Its profile may be another than the recorded one. Where a finger may be on the board, the
+        recording lowers its limits, never raises them, and the recorded force presses nothing.
+    listeners, force, stop
+        See `run`.
+    **settings
+        Settings of `RunConfig` in place of the recorded ones; ``intensity`` is a part of the
+        recorded.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such recording, or the board does not offer its modes.
+    SmartTouchError
+        See `run`.
+
+    Examples
+    --------
+    >>> import smarttouch as st, tempfile, pathlib
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "run.mcap"
+    >>> display = st.open_display("simulated:")
+    >>> source = st.open_source("text:a", display.profile)
+    >>> first = st.run(source, display, seconds=0.5, listeners=[st.Recorder(path)])
+    >>> st.replay(path, display).slots == first.slots
+    True
+    """
+    recording = Recording(Path(path))
+    source = RecordingSource(recording)
+    source.url = f"recording:{path}"
+    config = recording_config(recording, **settings)
+    controls = partial(RecordedControls, recording)
+    return Runner(
+        source, display, config, force=force, listeners=listeners, controls=controls, stop=stop
+    ).run()
+
+
+def recording_config(recording: Recording, **settings: Unpack[RunOptions]) -> RunConfig:
+    """Return the configuration of a recorded run, changed by settings of `RunConfig`."""
+    was = recording.run
+    recorded: dict[str, Any] = {
+        "mode": was.mode,
+        "rate_hz": was.rate_hz,
+        "light_on_dark": was.light_on_dark,
+        "softness": was.softness,
+        "scan": was.sharing,
+        "tone": was.tone,
+    }
+    recorded.update(settings)
+    return RunConfig(**recorded)
+
+
+def load_kernels(profile: Profile) -> KernelBank:
+    """Return the kernels of a profile's array: shipped, from the user's cache, or designed now.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> kernels = st.load_kernels(st.load_profile("electric-mouse"))
+    >>> kernels.weights[st.Afferent.RA].shape
+    (64, 64)
+    """
+    return load_bank(profile)
+
+
+def design_kernel(
+    profile: Profile,
+    afferent: Afferent | str,
+    site: int,
+    model: Literal["activating", "driving"] = "activating",
+) -> Kernel:
+    """Design the kernel of one site, of the kind that the profile's board can make.
+
+    Parameters
+    ----------
+    profile : Profile
+    afferent : Afferent or str
+        Afferent class: RA, SAI or PC.
+    site : int
+        Electrode over the target.
+    model : {"activating", "driving"}
+        What fires a fiber: the activating function at a node, as in the paper, or a driving
+        function fitted to a cable model; weights are then in mA at the target's threshold. A
+        profile whose objective is the finger has its own, by driving functions: weights are then
+        parts of the full current.
+
+    Raises
+    ------
+    DesignError
+        If no kernel exists.
+
+    Examples
+    --------
+    >>> import smarttouch as st
+    >>> kernel = st.design_kernel(st.load_profile("line-8"), "RA", 3)
+    >>> bool(kernel.off_target < 0.3)
+    True
+    """
+    afferent = afferent if isinstance(afferent, Afferent) else Afferent[afferent]
+    if profile.kernels.objective == "finger" and model == "activating":
+        return FingerKernels(profile, kernels_at_nodes(profile)).kernels(afferent, [site])[0][0]
+    problem = (DrivingProblem if model == "driving" else Problem)(profile, afferent)
+    return designer(profile)(problem, site)

@@ -1,0 +1,262 @@
+"""A recording as arrays, for programs that analyze it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import RecordingError, SmartTouchError
+from smarttouch.profile import Profile
+from smarttouch.running.recording_reader import Recording
+from smarttouch.running.step_decoder import RecordedStep
+
+if TYPE_CHECKING:
+    import pandas
+
+
+@dataclass(frozen=True, eq=False)
+class RunArrays:
+    """All numbers of a run: N steps, S slots one after another, E electrodes.
+
+    Attributes
+    ----------
+    step, time_ns : ndarray, (N,) int64
+        Number from 0, and start since that of the run.
+    number : ndarray, (N,) int64
+        Of the image or stimulus at its source: the same is the same again.
+    mode : ndarray, (N,) str
+    level, intensity : ndarray, (N,) float64, in [0, 1]
+        What the user asked for, and what was reached.
+    period_us : ndarray, (N,) int64
+    force_n, x_mm, y_mm : ndarray, (N,) float64
+        Force that counted, and the place on the page.
+    latency_us : ndarray, (N,) float64
+        From the input in hand to the last byte written.
+    activation : ndarray, (N, 3, E) float32
+        Of RA, SAI and PC.
+    first_slot : ndarray, (N + 1,) int64
+        The slots of step n are ``first_slot[n]`` to ``first_slot[n + 1]``.
+    current_ua : ndarray, (S, E) int16
+        Positive cathodic.
+    width_us, discharge_us, site : ndarray, (S,) uint16
+    recharge_us, recharge_ua : ndarray, (N,) int64 and (N, E) int16
+        Recharge phases; zero where there is none.
+    volts, volts_step : ndarray, (V,) float32, and int64
+        Measured voltage of each slot of some steps, and these steps; -1 if unknown.
+    """
+
+    step: NDArray[np.int64]
+    time_ns: NDArray[np.int64]
+    number: NDArray[np.int64]
+    mode: NDArray[np.str_]
+    level: NDArray[np.float64]
+    intensity: NDArray[np.float64]
+    period_us: NDArray[np.int64]
+    force_n: NDArray[np.float64]
+    x_mm: NDArray[np.float64]
+    y_mm: NDArray[np.float64]
+    latency_us: NDArray[np.float64]
+    activation: NDArray[np.float32]
+    first_slot: NDArray[np.int64]
+    current_ua: NDArray[np.int16]
+    width_us: NDArray[np.uint16]
+    discharge_us: NDArray[np.uint16]
+    site: NDArray[np.uint16]
+    recharge_us: NDArray[np.int64]
+    recharge_ua: NDArray[np.int16]
+    volts: NDArray[np.float32]
+    volts_step: NDArray[np.int64]
+
+
+_SLOTS = ("current_ua", "width_us", "discharge_us", "site")
+_REAL = ("level", "intensity", "force_n", "x_mm", "y_mm", "latency_us")
+
+
+class ArrayCollector:
+    """Collects the arrays of a run step by step."""
+
+    def __init__(self, electrodes: int) -> None:
+        self._electrodes = electrodes
+        self._columns: dict[str, list[Any]] = {each.name: [] for each in fields(RunArrays)}
+        self._columns["first_slot"] = [0]
+        self._step_at: dict[int, int] = {}
+
+    def add(self, recorded: RecordedStep) -> None:
+        """Add a step."""
+        step, columns = recorded.step, self._columns
+        sequence, given = step.sequence, step.input
+        none = np.zeros(self._electrodes, np.int16)
+        for name, value in {
+            "step": recorded.index,
+            "time_ns": given.time_ns,
+            "number": given.number,
+            "mode": step.mode.value,
+            "level": step.level,
+            "intensity": sequence.intensity,
+            "period_us": sequence.period_us,
+            "force_n": given.force_n,
+            "x_mm": given.pose.x_mm,
+            "y_mm": given.pose.y_mm,
+            "latency_us": recorded.sent.latency_us,
+            "activation": step.tactile.activation,
+            "first_slot": columns["first_slot"][-1] + sequence.slots,
+            "recharge_us": sequence.recharge_us,
+            "recharge_ua": none if sequence.recharge_ua is None else sequence.recharge_ua,
+        }.items():
+            columns[name].append(value)
+        for name in _SLOTS:
+            columns[name].append(getattr(sequence, name))
+        self._step_at[sequence.time_ns] = recorded.index
+        for measured, volts in step.observed:
+            columns["volts"].append(volts)
+            columns["volts_step"].append(self._step_at.get(measured.time_ns, -1))
+
+    def arrays(self) -> RunArrays:
+        """Return what was collected."""
+        columns, count = self._columns, self._electrodes
+        one_by_one = np.empty(0, np.uint16)
+        joined = {
+            "current_ua": np.empty((0, count), np.int16), "width_us": one_by_one,
+            "discharge_us": one_by_one, "site": one_by_one, "volts": np.empty(0, np.float32),
+        }  # fmt: skip
+        made: dict[str, Any] = {
+            name: np.concatenate([none, *columns[name]]) for name, none in joined.items()
+        }
+        made["activation"] = np.array(columns["activation"], np.float32).reshape(-1, 3, count)
+        made["recharge_ua"] = np.array(columns["recharge_ua"], np.int16).reshape(-1, count)
+        for name in columns.keys() - made.keys():
+            kind: Any = np.float64 if name in _REAL else np.str_ if name == "mode" else np.int64
+            made[name] = np.array(columns[name], kind)
+        return RunArrays(**made)
+
+
+class RecordedRun:
+    """A recording, with its numbers as arrays: returned by `smarttouch.load_recording`.
+
+    Attributes
+    ----------
+    path : Path
+    arrays : RunArrays
+        All numbers of the run; read when they are first asked for.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self._recording = Recording(self.path)
+
+    def __repr__(self) -> str:
+        return f"RecordedRun({str(self.path)!r}, {self.seconds:.1f} s)"
+
+    @property
+    def profile(self) -> Profile:
+        """Device and finger of the run."""
+        return self._recording.profile
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings of the run."""
+        return self._recording.settings
+
+    @property
+    def seconds(self) -> float:
+        """Time from the start of the run to its last message, s."""
+        return self._recording.duration_s
+
+    @property
+    def whole(self) -> bool:
+        """Whether it ended properly, and everything read so far was intact."""
+        return self._recording.whole
+
+    @cached_property
+    def arrays(self) -> RunArrays:
+        """All numbers of the run."""
+        collector = ArrayCollector(len(self.profile.electrodes))
+        for each in self._recording.steps():
+            collector.add(each)
+        return collector.arrays()
+
+    @cached_property
+    def events(self) -> list[tuple[int, str]]:
+        """Time of each event since the start of the run, ns, and its words."""
+        return [*self._recording.events()]
+
+    def images(self) -> Iterator[NDArray[np.uint8] | None]:
+        """Yield the image of each step, (H, W) uint8; None where there is none."""
+        for each in self._recording.steps():
+            yield each.step.input.image
+
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """Return a table with a row for each step, and its slots and strongest current, µA.
+
+        Needs pandas, the extra ``data``.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise SmartTouchError(
+                "tables need pandas: pip install 'smarttouch[data]'", about="extra", remedy="data"
+            ) from None
+        arrays, own = self.arrays, vars(self.arrays)
+        count = len(arrays.step)
+        of_slots = (*_SLOTS, "volts", "volts_step")
+        table = {
+            name: each
+            for name, each in own.items()
+            if each.shape == (count,) and name not in of_slots
+        }
+        table["slots"] = np.diff(arrays.first_slot)
+        of_slot = np.abs(arrays.current_ua.astype(np.int32)).max(axis=1, initial=0)
+        strongest = np.zeros(count, np.int32)
+        np.maximum.at(strongest, np.repeat(np.arange(count), table["slots"]), of_slot)
+        return pandas.DataFrame(table | {"strongest_ua": strongest})
+
+    def compare(self, other: "RecordedRun") -> dict[str, float]:
+        """Return the largest difference of each array that differs; empty if they are the same.
+
+        Infinite where shapes or words differ.
+        """
+        found = {}
+        for each in fields(RunArrays):
+            mine, theirs = getattr(self.arrays, each.name), getattr(other.arrays, each.name)
+            if each.name == "latency_us":
+                continue
+            if mine.shape != theirs.shape:
+                found[each.name] = float("inf")
+            elif mine.dtype.kind == "U":
+                if (mine != theirs).any():
+                    found[each.name] = float("inf")
+            elif not np.array_equal(mine, theirs, equal_nan=mine.dtype.kind == "f"):
+                away = np.abs(mine.astype(np.float64) - theirs.astype(np.float64))
+                found[each.name] = float(np.nanmax(away, initial=0)) or float("inf")
+        return found
+
+
+def load_recording(path: Path | str) -> RecordedRun:
+    """Open a recording as arrays: currents, activation, times, force, events, settings.
+
+    Parameters
+    ----------
+    path : Path or str
+
+    Raises
+    ------
+    RecordingError
+        If there is no such file, or it is no recording.
+
+    Examples
+    --------
+    >>> import smarttouch as st, tempfile, pathlib
+    >>> path = pathlib.Path(tempfile.mkdtemp()) / "run.mcap"
+    >>> statistics = st.run("text:a", "simulated:", seconds=0.5, listeners=[st.Recorder(path)])
+    >>> run = st.load_recording(path).arrays
+    >>> run.activation.shape, run.current_ua.shape[1]
+    ((25, 3, 64), 64)
+    """
+    try:
+        return RecordedRun(path)
+    except IsADirectoryError:
+        raise RecordingError(f"{path} is a folder: give a file", about="file") from None

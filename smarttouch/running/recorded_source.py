@@ -1,0 +1,166 @@
+"""A recording as a source, with the user's modes and levels."""
+
+import bisect
+from dataclasses import replace
+from pathlib import Path
+
+from smarttouch.base.afferent import Mode
+from smarttouch.base.clock import LATE_NS
+from smarttouch.base.errors import RecordingError, SourceError
+from smarttouch.profile import Profile
+from smarttouch.profile.profile import stricter
+from smarttouch.running.inputs import Controls, ControlState
+from smarttouch.running.mcap_chunks import parse_message
+from smarttouch.running.recording_reader import Recording
+from smarttouch.running.step_decoder import RecordedStep
+from smarttouch.sources.source_contract import Input, Source, Stimulus
+
+
+def open_recording(rest: str, profile: Profile, *, unpaced: bool = False) -> "RecordingSource":
+    """Open ``recording:FILE``; options are those of `RecordingSource`."""
+    if not rest:
+        raise SourceError(
+            "recording: needs a file: give recording:FILE.mcap",
+            about="file",
+            remedy="recording:FILE.mcap",
+        )
+    return RecordingSource(Recording(Path(rest)), unpaced)
+
+
+class RecordingSource(Source):
+    """Frames or stimuli of a recording with pose and force, at the times at which they were sent.
+
+    One that was sent as several sequences counts once; one that was stale stays so. Unpaced, each
+    read returns the next step, whatever time it is.
+    """
+
+    knows_force = True
+    """Only where no finger is: on a board with one the force is live."""
+
+    def __init__(self, recording: Recording, unpaced: bool = False) -> None:
+        super().__init__(recording.path.name)
+        self._recording = recording
+        self.duration_s = recording.duration_s
+        self._unpaced = unpaced
+        self._steps = recording.steps()
+        self._ahead = next(self._steps, None)
+        self._now: RecordedStep | None = None
+        self._seen = True
+        if self._ahead is None:
+            raise SourceError(
+                f"{recording.path} holds no steps: nothing can be played from it", about="file"
+            )
+        if not recording.whole:
+            self.notes.append(f"{recording.path} is cut: it is played as far as it goes")
+
+    def read(self, time_ns: int) -> Input | None:
+        """Return the newest recorded input that is not later than a time; None after the last."""
+        if self._unpaced:
+            if self._ahead is None:
+                return None
+            self._advance()
+        else:
+            while self._ahead and (not self._now or self._ahead.step.input.time_ns <= time_ns):
+                self._advance()
+            if self._ahead is None and self._now is not None and time_ns >= _end_ns(self._now):
+                return None
+        assert self._now is not None
+        self._seen = True
+        given = self._now.step.input
+        age_ns = 0 if self._unpaced else max(0, time_ns - given.time_ns)
+        # Where steps are missing there is no current.
+        stale = given.stale or (not self._unpaced and time_ns > _end_ns(self._now) + LATE_NS)
+        number = self.frames - 1
+        return replace(given, time_ns=time_ns, number=number, age_ns=age_ns, stale=stale)
+
+    def narrowed(self, profile: Profile) -> Profile:
+        """Return a profile whose limits are within those of the recorded one, too.
+
+        Raises RecordingError if it holds stimuli for another number of electrodes.
+        """
+        was = self._recording.profile
+        count, recorded = len(profile.electrodes), len(was.electrodes)
+        first = self._ahead or self._now
+        if count != recorded and first is not None and isinstance(first.step.input, Stimulus):
+            raise RecordingError(
+                f"{self.title} holds stimuli for {recorded} electrodes, the profile {profile.name} "
+                f"has {count}: give the profile of the display that they are to go to",
+                about="electrodes",
+                remedy="profile",
+            )
+        return stricter(profile, was)
+
+    def close(self) -> None:
+        """Let go of the file; what was passed and not read is dropped."""
+        self._steps.close()
+        self._drop()
+
+    def _advance(self) -> None:
+        """Go to the next step; its input may be the same."""
+        before, self._now = self._now, self._ahead
+        assert self._now is not None
+        if before is None or _is_other(self._now.step.input, before.step.input):
+            self._drop()
+            self.frames += 1
+            self._seen = False
+        self._ahead = next(self._steps, None)
+
+    def _drop(self) -> None:
+        self.dropped_frames += not self._seen
+        self._seen = True
+
+
+def _is_other(given: Input, before: Input) -> bool:
+    """Return whether an input is not that of the step before, by its number or image."""
+    return given.number != before.number or given.image is not before.image
+
+
+def _end_ns(recorded: RecordedStep) -> int:
+    return recorded.step.input.time_ns + 1000 * recorded.step.sequence.period_us
+
+
+class RecordedControls(Controls):
+    """Modes and levels of a recording; the present user can still lower the level and pause.
+
+    The user's level is a part of the recorded one. Raises RecordingError if the board does not
+    offer a mode of the recording.
+    """
+
+    def __init__(self, recording: Recording, state: ControlState, modes: tuple[Mode, ...]) -> None:
+        super().__init__(state, modes)
+        self._times_ns: list[int] = []
+        self._recorded: list[ControlState] = []
+        for topic, message in recording.messages():
+            if topic != "/sequence":
+                continue
+            try:
+                step = parse_message(message.data)
+                recorded = ControlState(Mode(step["mode"]), float(step["level"]))
+                time_ns = int(step["time_ns"])
+            except (ValueError, KeyError, TypeError, OverflowError):
+                continue
+            if not self._recorded or recorded != self._recorded[-1]:
+                self._times_ns.append(time_ns)
+                self._recorded.append(recorded)
+        for recorded in self._recorded:
+            if recorded.mode not in modes:
+                raise RecordingError(
+                    f"{recording.path} has steps in mode {recorded.mode}, which this board does "
+                    "not offer: choose a board and profile that do",
+                    about="mode",
+                )
+
+    def state(self, time_ns: int) -> ControlState:
+        """Return the recorded state at a time of the run, limited by the present user."""
+        today = super().state(time_ns)
+        if not self._recorded:
+            return today
+        at = max(0, bisect.bisect_right(self._times_ns, time_ns) - 1)
+        recorded = self._recorded[at]
+        return replace(today, mode=recorded.mode, level=today.level * recorded.level)
+
+    def next_mode(self) -> None:
+        """Do nothing: the modes are the recording's."""
+
+    def choose_mode(self, mode: Mode) -> None:
+        """Do nothing: the modes are the recording's."""

@@ -1,1 +1,0 @@
-"""Sources of finger force: fixed, recorded, or a load cell."""

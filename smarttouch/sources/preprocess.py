@@ -1,0 +1,281 @@
+"""Preprocessing of every incoming image: flat field, motion and pose."""
+
+import math
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from io import BytesIO
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import CalibrationError, SourceError
+from smarttouch.base.files import MOST_BANK_BYTES, open_file, write_bytes
+from smarttouch.base.tables import read_arrays
+from smarttouch.profile import Optics, Profile
+from smarttouch.sources.image_match import Matcher, Shift
+from smarttouch.sources.source_contract import Pose
+
+DEAD_SHARE = 0.25
+"""Part of the median response to light below which a pixel is dead."""
+HOT_LEVELS = 24.0
+"""Grey levels above the median dark level from which a pixel is hot."""
+LEAST_SPAN = 40.0
+"""Least difference of white and dark, in grey levels."""
+SATURATED = 254.0
+MOST_SATURATED = 0.01
+MOST_BROKEN = 0.02
+"""Largest part of broken pixels."""
+
+
+class FlatField:
+    """Dark level and gain of every pixel, (H, W) float32; the gain of dead and hot ones is 0.
+
+    Such a pixel shows the value of the nearest good one.
+    """
+
+    def __init__(self, dark: NDArray[np.float32], gain: NDArray[np.float32]) -> None:
+        if dark.ndim != 2 or dark.shape != gain.shape or not dark.size:
+            raise _no_field(
+                f"the dark level of shape {dark.shape} and the gain of shape {gain.shape} are no "
+                "flat field: calibrate the optics again"
+            )
+        if not (np.isfinite(dark).all() and np.isfinite(gain).all() and (gain >= 0).all()):
+            raise _no_field(
+                "the flat field has values that are negative or not finite: calibrate the optics "
+                "again"
+            )
+        if not gain.any():
+            raise _no_field("every pixel is dead in the flat field: calibrate the optics again")
+        self.dark = np.ascontiguousarray(dark, np.float32)
+        self.gain = np.ascontiguousarray(gain, np.float32)
+
+    @property
+    def broken(self) -> int:
+        """Number of dead or hot pixels."""
+        return int((self.gain == 0).sum())
+
+    @cached_property
+    def _stand_ins(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Broken pixels, and the nearest good one of each, as flat indices."""
+        if not self.broken:
+            none = np.empty(0, np.intp)
+            return none, none
+        # Slow to import, and few sensors have broken pixels.
+        from scipy.ndimage import distance_transform_edt
+
+        broken = self.gain == 0
+        rows, columns = distance_transform_edt(broken, return_distances=False, return_indices=True)
+        return np.flatnonzero(broken), (rows * self.gain.shape[1] + columns)[broken]
+
+    def correct(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return a corrected image, with the same response of every pixel."""
+        if image.shape != self.gain.shape:
+            (rows, columns), (height, width) = image.shape[:2], self.gain.shape
+            raise _no_field(
+                f"the flat field is for frames of {width} × {height}, this one has {columns} × "
+                f"{rows}: calibrate the optics again, or remove optics.flat_field"
+            )
+        level = np.subtract(image, self.dark, dtype=np.float32)
+        level *= self.gain
+        level += 0.5
+        np.clip(level, 0, 255, out=level)
+        corrected = level.astype(np.uint8)
+        broken, good = self._stand_ins
+        if len(broken):
+            corrected.ravel()[broken] = corrected.ravel()[good]
+        return corrected
+
+    @classmethod
+    def measure(
+        cls, dark_images: Sequence[NDArray[np.uint8]], white_images: Sequence[NDArray[np.uint8]]
+    ) -> Self:
+        """Return the flat field by images in the dark and of blank white paper.
+
+        White stays as bright as it was on most pixels.
+        """
+        dark, white = mean_image(dark_images), mean_image(white_images)
+        if dark.shape != white.shape:
+            raise CalibrationError(
+                f"the dark frames are {dark.shape[1]} × {dark.shape[0]}, the white ones "
+                f"{white.shape[1]} × {white.shape[0]}: use one source for both",
+                about="frames",
+            )
+        span = white - dark
+        usual = float(np.median(span))
+        if usual < LEAST_SPAN:
+            raise CalibrationError(
+                f"white is only {usual:.0f} grey levels brighter than dark, {LEAST_SPAN:.0f} are "
+                "needed: is the light on, the sensor covered for the dark and on white paper "
+                "after?",
+                about="white",
+            )
+        saturated = float((white >= SATURATED).mean())
+        if saturated > MOST_SATURATED:
+            raise CalibrationError(
+                f"{saturated:.0%} of the pixels are saturated on white paper: lower the exposure "
+                "or the light",
+                about="white",
+            )
+        broken = (span < DEAD_SHARE * usual) | (dark > np.median(dark) + HOT_LEVELS)
+        if broken.mean() > MOST_BROKEN:
+            raise CalibrationError(
+                f"{int(broken.sum())} of {broken.size} pixels are dead or hot: is the field of "
+                "view free, lit evenly enough and really dark when covered?",
+                about="pixels",
+            )
+        level = float(np.median(white[~broken]))
+        gain = np.where(broken, 0.0, level / np.where(broken, 1.0, span))
+        return cls(dark.astype(np.float32), gain.astype(np.float32))
+
+    def to_bytes(self) -> bytes:
+        """Return the flat field as the bytes of its file."""
+        file = BytesIO()
+        np.savez_compressed(file, dark=self.dark, gain=self.gain)
+        return file.getvalue()
+
+    def save(self, path: str | Path) -> None:
+        """Write the flat field to an ``.npz`` file."""
+        write_bytes(Path(path), self.to_bytes(), SourceError)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Return the flat field of a file."""
+        if not Path(path).exists():
+            message = (
+                f"no flat field {path}: put it beside the profile, or remove optics.flat_field"
+            )
+            raise _no_field(message)
+        with open_file(Path(path), SourceError, MOST_BANK_BYTES) as file:
+            try:
+                stored = read_arrays(file)
+                dark, gain = (np.asarray(stored[name], np.float32) for name in ("dark", "gain"))
+            except (OSError, ValueError, TypeError, KeyError):
+                raise _no_field(
+                    f"{path} is not a flat field: calibrate the optics again, or remove "
+                    "optics.flat_field"
+                ) from None
+        return cls(dark, gain)
+
+
+def _no_field(message: str) -> SourceError:
+    key = "optics.flat_field"
+    return SourceError(message, about=key, remedy=key)
+
+
+def mean_image(images: Sequence[NDArray[np.uint8]]) -> NDArray[np.float64]:
+    """Return the mean of images of one shape."""
+    if not len(images):
+        raise CalibrationError("no frames arrived: check the source", about="frames")
+    shapes = {image.shape for image in images}
+    if len(shapes) > 1:
+        raise CalibrationError(
+            f"the frames differ in shape, {sorted(shapes)}: use one source", about="frames"
+        )
+    total = np.zeros(images[0].shape)
+    for image in images:
+        total += image
+    return total / len(images)
+
+
+_SQUARE = 1.03  # ratio of the sides of pixels below which they are square
+
+
+class MotionTracker:
+    """Tracks the motion of a patch over the page by its images.
+
+    Motion that cannot be measured counts as none: on blank paper, along a straight edge that fills
+    the patch, or where two images have too little in common.
+    """
+
+    def __init__(self, profile: Profile) -> None:
+        self.turn_rad = 0.0
+        self._optics = profile.optics
+        self._matcher: Matcher | None = None
+        self._shape = (0, 0)
+        self._page_mm = ((0.0, 0.0), (0.0, 0.0))
+        self._first = True
+
+    def follow(self, image: NDArray[np.uint8]) -> Shift:
+        """Return the motion of the patch on the page since the last image, mm along its rows and
+        columns.
+
+        When the print moves left in the image, the patch has moved right. An image of another size
+        starts again.
+        """
+        if self._matcher is None or image.shape != self._shape:
+            self._shape = (image.shape[0], image.shape[1])
+            self._matcher = Matcher(self._shape)
+            self._page_mm = page_per_pixel(self._optics, self._matcher.shape)
+            self._matcher.turns = _is_even(self._page_mm)
+            self._first = True
+        x, y, turn_rad = self._matcher.match(image, self._first)
+        self._first = False
+        (x_by_x, x_by_y), (y_by_x, y_by_y) = self._page_mm
+        self.turn_rad = -turn_rad
+        return -(x_by_x * x + x_by_y * y), -(y_by_x * x + y_by_y * y)
+
+    def forget(self) -> None:
+        """Restart: the motion to the next image is unknown."""
+        self._first = True
+
+
+def page_per_pixel(
+    optics: Optics, shape: tuple[int, int]
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the motion on the page that shifts the image by one pixel, (2, 2) mm.
+
+    ``shape`` is that of the image that spans the field of view; a homography counts as in its
+    middle.
+    """
+    rows, columns = shape
+    if optics.homography is None:
+        turn = math.radians(optics.rotation_deg)
+        x_mm, y_mm = optics.field_width_mm / columns, optics.field_height_mm / rows
+        # From image to page: the transpose of the turn in imaging.registration.
+        cos, sin = math.cos(turn), math.sin(turn)
+        return (cos * x_mm, sin * y_mm), (-sin * x_mm, cos * y_mm)
+    to_pixel = np.reshape(optics.homography, (3, 3))
+    middle = to_pixel[:2, 2] / to_pixel[2, 2]
+    slope = (to_pixel[:2, :2] - np.outer(middle, to_pixel[2, :2])) / to_pixel[2, 2]
+    slope *= np.array([[columns / optics.sensor_columns], [rows / optics.sensor_rows]])
+    (a, b), (c, d) = np.linalg.inv(slope).tolist()
+    return (a, b), (c, d)
+
+
+def _is_even(page_mm: tuple[tuple[float, float], tuple[float, float]]) -> bool:
+    """Return whether pixels are square on the page, so that a turn of it is one of the image."""
+    across, down = np.array(page_mm).T
+    lengths = math.hypot(*across), math.hypot(*down)
+    askew = abs(float(across @ down)) / (lengths[0] * lengths[1])
+    return max(lengths) < _SQUARE * min(lengths) and askew < _SQUARE - 1
+
+
+class FramePreprocessor:
+    """Corrects images by the profile's flat field, and sums the motion between them to a pose."""
+
+    def __init__(self, profile: Profile) -> None:
+        self._correct: Callable[[NDArray[np.uint8]], NDArray[np.uint8]] | None = None
+        if profile.optics.flat_field is not None:
+            flat_field = FlatField.load(Path(profile.optics.flat_field))
+            # The first call may import scipy, which must not delay the first image of a run.
+            flat_field.correct(np.zeros(flat_field.gain.shape, np.uint8))
+            self._correct = flat_field.correct
+        self._tracker = MotionTracker(profile)
+        self._x_mm = self._y_mm = self._angle_rad = 0.0
+
+    def take(self, image: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], Pose]:
+        """Return the corrected image, and its pose."""
+        if self._correct is not None:
+            image = self._correct(image)
+        x_mm, y_mm = self._tracker.follow(image)
+        self._angle_rad += self._tracker.turn_rad
+        cos, sin = math.cos(self._angle_rad), math.sin(self._angle_rad)
+        self._x_mm += cos * x_mm - sin * y_mm
+        self._y_mm += sin * x_mm + cos * y_mm
+        return image, Pose(self._x_mm, self._y_mm, self._angle_rad)
+
+    def interrupt(self) -> None:
+        """Ignore the motion to the next image, after an unknown time."""
+        self._tracker.forget()

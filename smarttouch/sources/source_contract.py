@@ -1,0 +1,249 @@
+"""Contract of sources: frames, stimuli, poses and warnings."""
+
+import math
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.events import Emit, drop_event
+from smarttouch.base.one_line import one_line
+from smarttouch.base.stopping import Closing
+from smarttouch.base.tactile_image import TactileImage
+from smarttouch.profile import Profile
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Position of the sensor patch's center on the page.
+
+    ``x_mm`` runs right and ``y_mm`` down from the page's top left corner;
+    ``angle_rad`` turns the patch clockwise as seen on the page.
+    """
+
+    x_mm: float
+    y_mm: float
+    angle_rad: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One image of an optical source.
+
+    Attributes
+    ----------
+    image : ndarray, (H, W) uint8
+        Grey levels, bright is white.
+    time_ns : int
+        Requested time, since the start of the run.
+    pose : Pose
+        Pose of the sensor.
+    force_n : float, N
+        Force of the finger; NaN if unknown.
+    number : int
+        Of the image at its source, from 0; the same number is the same image again.
+    age_ns : int
+        Age of the image when it was read.
+    stale : bool
+        Whether the source has gone silent and the image may be outdated.
+    """
+
+    __repr__ = one_line
+
+    image: NDArray[np.uint8]
+    time_ns: int
+    pose: Pose = Pose(0.0, 0.0)
+    force_n: float = math.nan
+    number: int = 0
+    age_ns: int = 0
+    stale: bool = False
+
+
+_ORIGIN = Pose(0.0, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Stimulus(TactileImage):
+    """Tactile image of a source, with an optional period of its own: see `TactileImage`.
+
+    Attributes
+    ----------
+    activation, time_ns, force_n, level
+        See `TactileImage`; the force is NaN if unknown.
+    period_us : int, µs, optional
+        Time to the next read, in which every active class pulses once. None: the mode's
+        classes pulse at the profile's rates.
+    pose : Pose
+        Pose of the finger.
+    number : int
+        Number at its source, from 0; equal numbers mean the same place or part.
+    age_ns : int
+        Age when it was read.
+    stale : bool
+        Whether the source has gone silent; such a stimulus makes no current.
+    image : ndarray, (H, W) uint8, optional
+        Grey levels under the finger, for display.
+    """
+
+    __repr__ = one_line
+
+    pose: Pose = _ORIGIN
+    number: int = 0
+    age_ns: int = 0
+    stale: bool = False
+    image: NDArray[np.uint8] | None = None
+
+
+Input = Frame | Stimulus
+"""Input of a run, read once for each sequence."""
+
+
+class Device(Closing):
+    """Base of sources that are opened by URL, closed, and have notes for the user.
+
+    Parameters
+    ----------
+    title : str
+        Name in a few words.
+
+    Attributes
+    ----------
+    url : str
+        URL by which it was opened.
+    notes : list of str
+        Warnings after a run, a sentence each.
+    """
+
+    def __init__(self, title: str) -> None:
+        self.title = title
+        self.url = ""
+        self.notes: list[str] = []
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.url or self.title!r})"
+
+
+class DeviceWarnings:
+    """Warnings that are updated instead of being repeated, in a list to which others may append."""
+
+    def __init__(self, notes: list[str]) -> None:
+        self._notes = notes
+        self._places: dict[str, int] = {}
+
+    def put(self, cause: str, sentence: str) -> None:
+        """Set the warning of a cause, in the place of the earlier one."""
+        if cause in self._places:
+            self._notes[self._places[cause]] = sentence
+        else:
+            self._notes.append(sentence)
+            self._places[cause] = len(self._notes) - 1
+
+
+class OutageTracker:
+    """Number and total duration of outages, described as in "the load cell was silent"."""
+
+    def __init__(self, notes: DeviceWarnings, words: str, remedy: str = "") -> None:
+        self._notes = notes
+        self._words = words
+        self._remedy = f": {remedy}" if remedy else ""
+        self._since_ns: int | None = None
+        self._past_ns = 0
+        self.times = 0
+
+    @property
+    def is_on(self) -> bool:
+        return self._since_ns is not None
+
+    def update(self, is_on: bool, now_ns: int, since_ns: int | None = None) -> None:
+        """Update the present state; ``since_ns`` is its start, if known."""
+        if is_on and self._since_ns is None:
+            self._since_ns = now_ns if since_ns is None else since_ns
+            self.times += 1
+        if self._since_ns is None:
+            return
+        lasted_ns = self._past_ns + now_ns - self._since_ns
+        if not is_on:
+            self._past_ns, self._since_ns = lasted_ns, None
+        often = f" in all, {self.times} times" if self.times > 1 else ""
+        seconds = f"{lasted_ns / 1e9:.1f} s{often}"
+        self._notes.put(self._words, f"{self._words} for {seconds}{self._remedy}")
+
+
+class Canvas(Protocol):
+    """Part of a source that a page of the window draws on; ``changes`` counts what it shows."""
+
+    changes: int
+
+    def draw(self, words: str) -> None:
+        """Do what a page asks for; ValueError if it cannot be understood."""
+
+    def message(self) -> dict[str, Any]:
+        """Return all that a page shows of it, with ``changes``; for JSON."""
+
+
+class Source(Device, ABC):
+    """Base of all sources.
+
+    Everything that a source delivers is either read or dropped: at the end ``frames``
+    is the number of distinct inputs read plus ``dropped_frames``.
+    """
+
+    canvas: Canvas | None = None
+    """What a page of the window draws on, if anything."""
+    duration_s: float | None = None
+    """Duration; None if it never ends by itself."""
+    ended: ClassVar[str] = "the source has ended"
+    """Message at its end."""
+    emit: Emit = staticmethod(drop_event)
+    """Receives events of the source; set by the run."""
+    knows_force: bool = False
+    """Whether its inputs have a force."""
+    measures_force: bool = False
+    """Whether that force is measured on a finger during the run. Any other force counts only on
+    boards that no finger can touch."""
+    frames: int = 0
+    """Distinct frames or stimuli that it delivered."""
+    dropped_frames: int = 0
+    """Frames or stimuli that arrived but were never read."""
+    keys_help: ClassVar[str] = ""
+    """Help text for its keys."""
+
+    news: threading.Event | None = None
+    """Set when it has something new, for sources that `patience_ns` lets the loop wait for."""
+
+    def patience_ns(self, time_ns: int) -> int:
+        """Return how long the next read may wait for `news`, ns."""
+        return 0
+
+    def narrowed(self, profile: Profile) -> Profile:
+        """Return the profile used to plan this source's stimulation; never with wider limits."""
+        return profile
+
+    @property
+    def keys(self) -> Mapping[str, Callable[[], None]]:
+        """Functions of single keys, callable from any thread; none if it has no controls."""
+        return {}
+
+    @abstractmethod
+    def read(self, time_ns: int) -> Input | None:
+        """Return the input at ``time_ns`` since the start; None at the end."""
+
+
+class OpticalSource(Source):
+    """Source of frames, which imaging turns into tactile images."""
+
+    @abstractmethod
+    def read(self, time_ns: int) -> Frame | None:
+        """Return the frame at ``time_ns`` since the start; None at the end."""
+
+
+class StimulusSource(Source):
+    """Source of stimuli, which also chooses the classes that they drive."""
+
+    @abstractmethod
+    def read(self, time_ns: int) -> Stimulus | None:
+        """Return the stimulus at ``time_ns`` since the start; None at the end."""

@@ -1,0 +1,357 @@
+"""A virtual finger over a page: its path, and frames like those of a photo-sensor patch."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import PageError, SourceError, UnknownSizeError, require_within
+from smarttouch.base.tables import read_csv
+from smarttouch.pages.document import open_document
+from smarttouch.pages.ink import separate_ink
+from smarttouch.pages.page_image import Page, load_page
+from smarttouch.pages.prepared_page import print_text
+from smarttouch.pages.text_lines import TextLine, find_lines
+from smarttouch.profile import Profile
+from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
+
+Floats = NDArray[np.float64]
+
+RETURN_MM_S = 200.0
+"""Speed of the lifted finger on its way to the next line."""
+SETTLE_S = 0.6
+"""Time of rest at the start of a line."""
+LIFT_S = 0.15
+SLOWEST_MM_S, FASTEST_MM_S = 0.1, 500.0
+_PRESS = 1.1  # reading force, relative to the profile's full force
+_WAVER = 0.08  # slow variation of the reading force
+_STEP_MM = 2.0  # distance of the points of a path along a line: its bend between them is negligible
+_COLUMNS = ("time_s", "x_mm", "y_mm", "angle_deg", "force_n")
+
+
+class Path2D(Protocol):
+    """Pose and force of the finger at any time."""
+
+    duration_s: float
+
+    def at(self, time_s: float) -> tuple[Pose, float]:
+        """Return the pose and the force in newtons."""
+
+
+class ReadingPath:
+    """Path along the lines of a page, one after another; in strips if it has no lines.
+
+    The seed is that of the slow variation of the force.
+    """
+
+    def __init__(
+        self,
+        page: Page,
+        profile: Profile,
+        speed_mm_s: float,
+        seed: int = 0,
+        light_on_dark: bool = False,
+    ) -> None:
+        require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
+        field = (profile.optics.field_width_mm, profile.optics.field_height_mm)
+        lines = find_lines(page, light_on_dark) or [_printed(page, light_on_dark)]
+        self.lines = [sweep for line in lines for sweep in _sweeps(line, field[1])]
+        self._force_n = _PRESS * profile.force.full_n
+        self._phases = np.random.default_rng(seed).uniform(0, 2 * math.pi, 2).tolist()
+        rows: list[tuple[float, float, float, float, float]] = []
+        time_s = 0.0
+        for line in self.lines:
+            x, y, angle, passed_mm = _middle_path(line, field[0])
+            if rows:
+                x_before, y_before = rows[-1][1:3]
+                time_s += math.hypot(x[0] - x_before, y[0] - y_before) / RETURN_MM_S
+            rows.append((time_s, x[0], y[0], angle[0], 0.0))
+            rows.append((time_s + LIFT_S, x[0], y[0], angle[0], 1.0))
+            sweep_at = time_s + SETTLE_S
+            time_s = sweep_at + float(passed_mm[-1]) / speed_mm_s
+            lifting_at = max(sweep_at, time_s - LIFT_S / 3)
+            passing = sweep_at + passed_mm / speed_mm_s
+            times = np.sort(np.append(passing, lifting_at))
+            places = (np.interp(times, passing, each) for each in (x, y, angle))
+            press = np.interp(times, (lifting_at, time_s), (1.0, 0.0))
+            rows.extend(zip(times, *places, press, strict=True))
+        self._table = np.array(rows).T.copy()
+        self.duration_s = time_s
+
+    def at(self, time_s: float) -> tuple[Pose, float]:
+        """Return the pose and the force in newtons."""
+        x, y, angle, press = _at(self._table, time_s)
+        first, second = self._phases
+        slow = math.sin(2 * math.pi * 0.7 * time_s + first)
+        slow += math.sin(2 * math.pi * 1.9 * time_s + second)
+        return Pose(x, y, angle), press * self._force_n * (1 + _WAVER / 2 * slow)
+
+
+class RecordedPath:
+    """A path from a CSV file with the columns time_s, x_mm, y_mm, angle_deg, force_n."""
+
+    def __init__(self, path: Path) -> None:
+        self._table = read_csv(path, SourceError).numbers(_COLUMNS).T.copy()
+        self._table[0] -= self._table[0, 0]
+        self.duration_s = float(self._table[0, -1])
+
+    def at(self, time_s: float) -> tuple[Pose, float]:
+        """Return the pose and the force in newtons."""
+        x, y, angle, force = _at(self._table, time_s)
+        return Pose(x, y, math.radians(angle)), force
+
+
+def _at(table: Floats, time_s: float) -> Iterator[float]:
+    """Interpolate the other rows of a table at a time of its first row."""
+    return map(float, map(partial(np.interp, time_s, table[0]), table[1:]))
+
+
+def _printed(page: Page, light_on_dark: bool) -> TextLine:
+    """Return all print of a page without lines as one line; all of a page without print."""
+    width_mm, height_mm = page.size_mm
+    y, x = separate_ink(page.grey, light_on_dark).ink.nonzero()
+    left, right, top, bottom = 0.0, width_mm, 0.0, height_mm
+    if len(x):
+        ends = (x.min(), x.max() + 1, y.min(), y.max() + 1)
+        left, right, top, bottom = (float(end) * page.mm_per_pixel for end in ends)
+    return TextLine(left, right, (bottom,), bottom - top, bottom - top, 0.0)
+
+
+def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:
+    """Cut a line that is taller than the field into parallel strips."""
+    # Ascenders that reach just beyond the field need no second pass.
+    count = max(1, math.ceil(line.height_mm / height_mm - 0.15))
+    step = line.height_mm / count
+    return [
+        replace(
+            line,
+            baseline=(line.baseline[0] - line.ascent_mm + (k + 1) * step, *line.baseline[1:]),
+            ascent_mm=step,
+            descent_mm=0.0,
+        )
+        for k in range(count)
+    ]
+
+
+def _middle_path(line: TextLine, field_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return x, y, angle of a finger along the middle of a line, and the distance covered."""
+    start, end = line.left_mm - field_mm / 2, line.right_mm + field_mm / 2
+    x = np.linspace(start, end, max(2, math.ceil((end - start) / _STEP_MM)))
+    y = line.baseline_mm(x) + (line.descent_mm - line.ascent_mm) / 2
+    passed_mm = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+    return x, y, np.arctan(line.slope(x)), passed_mm
+
+
+OVERSAMPLING = 2
+"""Samples per pixel and axis; their mean is the pixel's aperture."""
+BLUR_MM = 0.06
+"""Standard deviation of the optics' blur."""
+NOISE_LEVELS = 2.0
+"""Standard deviation of the read noise, in grey levels."""
+USUAL_MM_S = 40.0
+LEAST_MAGNIFIED, MOST_MAGNIFIED = 0.1, 10.0
+"""Range of the magnification of a page beyond the profile's."""
+_SHADE = 0.1  # relative loss of light at the corners of the patch
+_SLOPE = 0.03
+_MARGIN_MM = 4.0
+_MARGIN_BLUR_MM = 1.0  # blur of the paper beyond the page's edges, which removes the page's texture
+_MOST_PIXELS = 60_000_000
+
+
+def open_page(
+    rest: str,
+    profile: Profile,
+    *,
+    dpi: float | None = None,
+    page_width_mm: float | None = None,
+    seed: int = 0,
+    speed_mm_s: float = USUAL_MM_S,
+    path: Path | None = None,
+    light_on_dark: bool = False,
+    magnify: str = "1",
+) -> "PageSource":
+    """Open ``page:FILE``; options are those of `PageSource`, its scale, and its magnification.
+
+    The page is magnified beyond the profile's scale; ``auto`` makes its usual lines fill the
+    array.
+    """
+    page, notice = load_or_guess(Path(rest), dpi, page_width_mm)
+    factor = _magnification(magnify, page, profile, light_on_dark)
+    if factor != 1:
+        page = Page(page.grey, page.mm_per_pixel * factor)
+        notice = f"{notice + '; ' if notice else ''}it is magnified {factor:.3g} times"
+    title = Path(rest).name
+    return PageSource(page, profile, title, seed, speed_mm_s, path, light_on_dark, notice)
+
+
+def _magnification(text: str, page: Page, profile: Profile, light_on_dark: bool) -> float:
+    """Return a factor as given, or the one by which the usual lines of a page fill the array."""
+    if text != "auto":
+        try:
+            factor = float(text)
+        except ValueError:
+            factor = math.nan
+        if not LEAST_MAGNIFIED <= factor <= MOST_MAGNIFIED:
+            raise PageError(
+                f"magnify {text} is not possible: give auto, or a number from "
+                f"{LEAST_MAGNIFIED:g} to {MOST_MAGNIFIED:g}",
+                about="magnify",
+            )
+        return factor
+    lines = find_lines(page, light_on_dark)
+    if not lines:
+        return 1.0
+    # Long lines are the text; headings are larger.
+    length = [line.right_mm - line.left_mm for line in lines]
+    height = [line.height_mm for line in lines]
+    order = np.argsort(height)
+    total = np.cumsum(np.array(length)[order])
+    usual_mm = height[order[np.searchsorted(total, total[-1] / 2)]]
+    seen_mm = profile.electrodes.extent_mm[1] / profile.optics.magnification
+    return float(np.clip(seen_mm / usual_mm, LEAST_MAGNIFIED, MOST_MAGNIFIED))
+
+
+def load_or_guess(path: Path, dpi: float | None, width_mm: float | None) -> tuple[Page, str]:
+    """Return a page, and a sentence if its scale is guessed; empty if it is known."""
+    try:
+        return load_page(path, dpi=dpi, page_width_mm=width_mm), ""
+    except UnknownSizeError:
+        pass
+    with open_document(path) as document:
+        return document.page(0), f"{document.notes[-1]}; give dpi or page_width_mm if you know it"
+
+
+def open_text(
+    rest: str,
+    profile: Profile,
+    *,
+    seed: int = 0,
+    speed_mm_s: float = USUAL_MM_S,
+    path: Path | None = None,
+    light_on_dark: bool = False,
+) -> "PageSource":
+    """Open ``text:STRING``, a page printed from a text."""
+    page = print_text(rest)
+    return PageSource(page, profile, "printed text", seed, speed_mm_s, path, light_on_dark)
+
+
+class PageSource(OpticalSource):
+    """Frames of a finger that moves over a page line by line, or along a recorded path.
+
+    The seed is that of noise and force: the same one gives the same frames, in whatever order they
+    are read.
+    """
+
+    ended = "end of the page"
+    knows_force = True
+
+    def __init__(
+        self,
+        page: Page,
+        profile: Profile,
+        title: str,
+        seed: int = 0,
+        speed_mm_s: float = USUAL_MM_S,
+        path: Path | None = None,
+        light_on_dark: bool = False,
+        notice: str = "",
+    ) -> None:
+        super().__init__(title)
+        self.page = page
+        self.notes = [notice] if notice else []
+        self.path: Path2D = (
+            ReadingPath(page, profile, speed_mm_s, seed, light_on_dark)
+            if path is None
+            else RecordedPath(path)
+        )
+        self.duration_s = self.path.duration_s
+        self._seed = seed
+        optics = profile.optics
+        self._shape = (optics.sensor_rows, optics.sensor_columns)
+        pixel_mm = (
+            optics.field_width_mm / optics.sensor_columns / OVERSAMPLING,
+            optics.field_height_mm / optics.sensor_rows / OVERSAMPLING,
+        )
+        self._surface, self._surface_mm, self._margin = _surface(page, min(pixel_mm))
+        self._step = pixel_mm[0] / self._surface_mm, pixel_mm[1] / self._surface_mm
+        fine = (self._shape[0] * OVERSAMPLING, self._shape[1] * OVERSAMPLING)
+        self._fine = np.empty(fine, np.uint8)
+        self._coarse = np.empty(self._shape, np.uint8)
+        self._light = _light(self._shape)
+
+    def read(self, time_ns: int) -> Frame | None:
+        """Return the frame at a time since the start; None when the path is over."""
+        if time_ns / 1e9 > self.path.duration_s:
+            return None
+        pose, force_n = self.path.at(time_ns / 1e9)
+        cos, sin = np.cos(pose.angle_rad), np.sin(pose.angle_rad)
+        step_x, step_y = self._step
+        rows, columns = self._fine.shape
+        to_page = np.array(
+            [
+                [cos * step_x, -sin * step_y, pose.x_mm / self._surface_mm + self._margin - 0.5],
+                [sin * step_x, cos * step_y, pose.y_mm / self._surface_mm + self._margin - 0.5],
+            ]
+        )
+        to_page[:, 2] -= to_page[:, :2] @ [(columns - 1) / 2, (rows - 1) / 2]
+        cv2.warpAffine(
+            self._surface,
+            to_page,
+            (columns, rows),
+            dst=self._fine,
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_REPLICATE,
+        )
+        cv2.resize(self._fine, self._shape[::-1], dst=self._coarse, interpolation=cv2.INTER_AREA)
+        random = np.random.default_rng((self._seed & 0xFFFFFFFF, time_ns))
+        lit = random.standard_normal(self._shape, np.float32)
+        lit *= NOISE_LEVELS
+        lit += self._coarse * self._light
+        image = np.clip(np.rint(lit, out=lit), 0, 255).astype(np.uint8)
+        self.frames += 1
+        return Frame(image, time_ns, pose, force_n, number=self.frames - 1)
+
+
+def _surface(page: Page, finest_mm: float) -> tuple[NDArray[np.uint8], float, int]:
+    """Return the page blurred by the optics, its scale, and the margin around it."""
+    height, width = page.grey.shape
+    scale = page.mm_per_pixel / finest_mm
+    scale = min(scale, np.sqrt(_MOST_PIXELS / (height * width)))
+    size = (max(2, round(width * scale)), max(2, round(height * scale)))
+    method = cv2.INTER_AREA if scale < 1 else cv2.INTER_CUBIC
+    surface = np.asarray(cv2.resize(page.grey, size, interpolation=method), np.uint8)
+    surface_mm = page.mm_per_pixel * width / size[0]
+    surface = np.asarray(
+        cv2.GaussianBlur(surface, (0, 0), BLUR_MM / surface_mm, borderType=cv2.BORDER_REPLICATE),
+        np.uint8,
+    )
+    # The paper continues beyond its edges, in its grey there.
+    margin, soft = round(_MARGIN_MM / surface_mm), _MARGIN_BLUR_MM / surface_mm
+    whole = np.pad(surface, margin)
+    whole[:margin] = np.pad(_soft_edge(surface, soft), margin, mode="edge")
+    whole[-margin:] = np.pad(_soft_edge(surface[::-1], soft), margin, mode="edge")
+    whole[margin:-margin, :margin] = _soft_edge(surface.T, soft)[:, None]
+    whole[margin:-margin, -margin:] = _soft_edge(surface.T[::-1], soft)[:, None]
+    return whole, surface_mm, margin
+
+
+def _soft_edge(grey: NDArray[np.uint8], sigma: float) -> NDArray[np.uint8]:
+    """Return the first row of an image as it would be if all of it were blurred."""
+    reach = math.ceil(3 * sigma)
+    weights = cv2.getGaussianKernel(2 * reach + 1, sigma)[:, 0]
+    # The first and last rows are repeated beyond the edges.
+    rows = np.arange(-reach, reach + 1).clip(0, len(grey) - 1)
+    soft = np.convolve(np.pad(weights @ grey[rows], reach, mode="edge"), weights, "valid")
+    return np.rint(soft).astype(np.uint8)
+
+
+def _light(shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Return the light on each pixel: a vignette and a slope, fixed to the sensor."""
+    y, x = np.meshgrid(*(np.linspace(-1, 1, side) for side in shape), indexing="ij")
+    return np.asarray(0.97 - _SHADE / 2 * (x * x + y * y) + _SLOPE * x, np.float32)

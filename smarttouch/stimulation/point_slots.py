@@ -1,0 +1,261 @@
+"""Slots of one afferent class: a scaled kernel at each active point."""
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import ScheduleError
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.profile import Profile
+from smarttouch.stimulation.pulse_rates import ScanTiming
+from smarttouch.stimulation.scan_sequence import (
+    PER_UA,
+    KernelLists,
+    KernelTable,
+    SelectivityReport,
+    largest_amplitude,
+)
+from smarttouch.stimulation.slot_sums import round_charge_balanced, rows_of_block
+
+SHORTEST_PULSE_US = 10
+"""Shortest pulse that is felt, where pulse width carries intensity."""
+
+
+class Slots(NamedTuple):
+    """Slots of one class."""
+
+    site: NDArray[np.uint16]  # (S,)
+    current_ua: NDArray[np.int16]  # (S, E)
+    width_us: NDArray[np.uint16]  # (S,)
+    proof: SelectivityReport | None = None  # of shared slots
+    sums: KernelLists | None = None  # kernels that the currents are sums of
+
+
+class PointSlots:
+    """Factory of the slots of one class, one kernel each; with a `table` in whole numbers."""
+
+    def __init__(
+        self,
+        profile: Profile,
+        bank: KernelBank,
+        afferent: Afferent,
+        timing: ScanTiming,
+        table: KernelTable | None = None,
+    ) -> None:
+        weights = np.asarray(bank.kernels(afferent), np.float32)
+        masked = list(profile.output.masked)
+        if weights[:, masked].any():
+            raise ScheduleError(
+                f"the kernels drive an electrode that output.masked {masked} lists: design the "
+                "bank of this very profile",
+                about="output.masked",
+            )
+        self._kernels_ua = weights * (profile.full_ma * 1000)[:, None]
+        self._strongest = np.abs(weights).argmax(axis=1)
+        limits, pulse_us = profile.limits, profile.pulse.width_us
+        highest_ma = min(limits.current_ma, 1000 * limits.charge_uc / pulse_us)
+        most_ma = np.full(len(weights), highest_ma)
+        if limits.electrode_ma is not None:
+            most_ma = np.minimum(most_ma, limits.electrode_ma)
+        self._most_ua = np.floor(1000 * most_ma[self._strongest] + 1e-6)
+        self._table = table
+        if table is not None:
+            self._base = table.points[afferent]
+            own = table.weights[self._base : self._base + len(weights)]
+            self._largest = largest_amplitude(own, np.floor(1000 * most_ma + 1e-6))
+            # The table's rows all have the same peak; kernels designed on fingers have less than 1.
+            peak_ua = np.abs(self._kernels_ua).max(axis=1)
+            self._full = np.asarray(PER_UA * peak_ua, np.float32)
+        self._prove_totals(profile)
+        rounding_ua = len(weights) / 2
+        self._tight = bool((1000 * profile.full_ma + rounding_ua > self._most_ua).any())
+        self._faintest = np.asarray(profile.threshold_ma / profile.full_ma, np.float32)
+        self._range = 1 - self._faintest
+        self._weakest_level = self._weakest_that_switches(profile.output.kind)
+        self._weakest_level[masked] = np.inf
+        self._always_switches = not self._weakest_level.any()
+        count = len(weights)
+        self._scratch = np.empty((min(rows_of_block(count), count), count), np.float32)
+        self._ones = np.ones(count, np.float32)
+        self._row_starts = count * np.arange(count)
+        self._widths_all_us = constant_us(count, profile.pulse.width_us)
+        self._single = bank.single
+        self._perceived_at = None if bank.single else perceived_at(profile, afferent)
+        self._pulse = profile.pulse
+        self._by_width = profile.pulse.carrier == "width" and not bank.single
+        self._in_index_order = timing.in_index_order
+
+    def _prove_totals(self, profile: Profile) -> None:
+        """Raise a ScheduleError if a kernel at full strength has more in total than a slot may."""
+        most_ma = profile.total_ma
+        total_ma = np.abs(self._kernels_ua).sum(axis=1) / 2000
+        # In single precision; the gate proves what is sent in whole numbers.
+        if total_ma.max() > most_ma * (1 + 1e-6):
+            site = int(total_ma.argmax())
+            raise ScheduleError(
+                f"the kernel of electrode {site} carries {total_ma[site]:.2f} mA in all at full "
+                f"strength, above the {most_ma:g} mA of a slot: lower perception.comfort_ratio, or "
+                "set limits.total_ma below it and kernels are designed within",
+                about="limits.total_ma",
+                remedy="perception.comfort_ratio",
+                electrode=site,
+            )
+
+    def _weakest_that_switches(self, kind: str) -> NDArray[np.float32]:
+        """Level per site below which a switched electrode would round to insulated."""
+        if kind == "weighted":
+            return np.zeros(len(self._kernels_ua), np.float32)
+        magnitude = np.abs(self._kernels_ua)
+        return np.asarray(1 / np.where(magnitude > 0, magnitude, np.inf).min(axis=1))
+
+    def slots(self, activation: NDArray[np.float32], intensity: float) -> Slots:
+        """Return the slots of a row (E,) of a tactile image, in [0, 1], at an intensity in [0, 1].
+
+        An active point gets its threshold current times intensity at the faintest activation and
+        its strongest comfortable current times intensity at full activation; where width is the
+        carrier, the strongest current for as short as has the same effect. Currents are whole µA
+        that sum to zero in every slot: the remainder of rounding goes to the strongest electrode of
+        the kernel, or is carried on from electrode to electrode where that would be above its
+        limit. A masked electrode has no slot.
+        """
+        if self._perceived_at is not None:
+            # The last one stands for nowhere.
+            activation = np.append(activation, np.float32(0))[self._perceived_at]
+        site = activation.nonzero()[0] if intensity > 0 else np.empty(0, np.intp)
+        if not self._in_index_order:
+            site = site.take(spread_order(len(site)))
+        level = activation.take(site)
+        level *= self._range.take(site)
+        level += self._faintest.take(site)
+        level *= intensity
+        width_us = kept = None
+        if self._by_width:
+            width_us = self._widths_us(level)
+            level = np.where(width_us >= SHORTEST_PULSE_US, np.float32(1), np.float32(0))
+            kept = level > 0
+        elif not self._always_switches:
+            kept = level >= self._weakest_level[site]
+        if kept is not None and not kept.all():
+            site, level = site[kept], level[kept]
+            width_us = None if width_us is None else width_us[kept]
+        slots = len(site)
+        if width_us is None:
+            width_us = self._widths_all_us[:slots]
+        if self._table is not None:
+            sums = self._sums(self._table, site, level)
+            return Slots(site.astype(np.uint16), sums.current_ua(), width_us, None, sums)
+        if self._single:
+            full_ua = np.abs(self._kernels_ua[site]).max(axis=1)
+            whole = np.rint(level * full_ua) / full_ua
+            return Slots(site.astype(np.uint16), self._carried(site, whole), width_us)
+        current_ua, surplus = self._rounded(site, level)
+        strongest = self._row_starts[:slots] + self._strongest.take(site)
+        flat = current_ua.reshape(-1)
+        own_ua = flat[strongest] - surplus
+        flat[strongest] = own_ua
+        if self._tight and (over := np.abs(own_ua) > self._most_ua[site]).any():
+            current_ua[over] = self._carried(site[over], level[over])
+        return Slots(site.astype(np.uint16), current_ua, width_us)
+
+    def _rounded(
+        self, site: NDArray[np.intp], level: NDArray[np.float32]
+    ) -> tuple[NDArray[np.int16], NDArray[np.int16]]:
+        """Return each kernel times its level in whole µA, (S, E), and each imbalance, (S,)."""
+        slots, rows = len(site), len(self._scratch)
+        current_ua = np.empty((slots, len(self._ones)), np.int16)
+        surplus = np.empty(slots, np.float32)
+        for first in range(0, slots, rows):
+            part = slice(first, min(slots, first + rows))
+            block = self._scratch[: part.stop - first]
+            # With "raise", numpy would fill a copy of the block first.
+            np.take(self._kernels_ua, site[part], axis=0, out=block, mode="clip")
+            block *= level[part, None]
+            np.rint(block, out=block)
+            # Whole numbers far below 2^24: exact in single precision.
+            block.dot(self._ones, out=surplus[part])
+            np.copyto(current_ua[part], block, casting="unsafe")
+        return current_ua, surplus.astype(np.int16)
+
+    def _sums(
+        self, table: KernelTable, site: NDArray[np.intp], level: NDArray[np.float32]
+    ) -> KernelLists:
+        """Return slots of one kernel each, none above the limit of an electrode."""
+        amplitude = np.minimum(np.rint(level * self._full[site]), self._largest[site])
+        kernel = (self._base + site).astype(np.uint16)
+        return KernelLists(table, np.arange(len(site) + 1), kernel, amplitude.astype(np.uint16))
+
+    def _carried(self, site: NDArray[np.intp], level: NDArray[np.float32]) -> NDArray[np.int16]:
+        """Return slots with the imbalance spread: each under a µA, within its limit, (S, E)."""
+        exact_ua = self._kernels_ua[site].astype(np.float64) * level[:, None]
+        # A little below the limit, which is whole: what is carried cannot lift it above.
+        peak_ua = np.abs(exact_ua).max(axis=1)
+        exact_ua *= np.minimum(1, (self._most_ua[site] - 1e-3) / peak_ua)[:, None]
+        return round_charge_balanced(exact_ua)
+
+    def _widths_us(self, level: NDArray[np.float32]) -> NDArray[np.uint16]:
+        """Return the width at which full current equals a fraction of it over a whole pulse, µs.
+
+        By Weiss's law a pulse of width w needs a current in proportion to 1 + c/w, c the chronaxie.
+        """
+        full, chronaxie = self._pulse.width_us, self._pulse.chronaxie_us
+        width = chronaxie * level / (1 + chronaxie / full - level)
+        return np.asarray(np.floor(width + 1e-3), np.uint16)
+
+
+def perceived_at(profile: Profile, afferent: Afferent) -> NDArray[np.intp] | None:
+    """Return the electrode at which each electrode's point is perceived, (E,), E if at none; None
+    without ``perception.pc_shift_mm`` and the like (paper, Section III-B.4)."""
+    shifts = profile.perception
+    shift_mm = (shifts.ra_shift_mm, shifts.sai_shift_mm, shifts.pc_shift_mm)[afferent]
+    if not any(shift_mm):
+        return None
+    place_mm = profile.electrodes.position_mm
+    away_mm = np.abs(place_mm[:, None] + shift_mm - place_mm)
+    nearest = np.hypot(*away_mm.transpose(2, 0, 1)).argmin(axis=1)
+    # Half a cell away it is still that electrode's.
+    half_mm = np.array(profile.electrodes.cell_mm) / 2 + 1e-9
+    here = (away_mm[np.arange(len(nearest)), nearest] <= half_mm).all(axis=1)
+    return np.asarray(np.where(here, nearest, len(nearest)), np.intp)
+
+
+def constant_us(count: int, time_us: int) -> NDArray[np.uint16]:
+    """Return the same time for many slots, (count,): frames use the first of it unchanged."""
+    times = np.full(count, time_us, np.uint16)
+    times.setflags(write=False)
+    return times
+
+
+@lru_cache(maxsize=4096)
+def spread_order(count: int) -> NDArray[np.intp]:
+    """Return an order of ``count`` points that keeps successive ones apart.
+
+    It steps through the row-by-row list by about the golden section of its length, the stride whose
+    neighbors in time are evenly far in the list.
+    """
+    stride = round(count * 0.382)
+    while stride > 1 and math.gcd(stride, count) > 1:
+        stride += 1
+    return np.asarray(np.arange(count) * max(1, stride) % max(1, count), np.intp)
+
+
+def joined(parts: list[Slots]) -> Slots:
+    """Return the slots of several classes one after another."""
+    site = np.concatenate([each.site for each in parts])
+    current_ua = np.concatenate([each.current_ua for each in parts])
+    width_us = np.concatenate([each.width_us for each in parts])
+    proof = None
+    if any(each.proof is not None for each in parts):
+        proofs = [each.proof or SelectivityReport.of_nothing(len(each.site)) for each in parts]
+        proof = SelectivityReport(
+            np.concatenate([each.points for each in proofs]),
+            np.concatenate([each.off_target for each in proofs]),
+            np.concatenate([each.spill for each in proofs]),
+        )
+    sums = parts[0].sums
+    for each in parts[1:]:
+        sums = None if sums is None or each.sums is None else sums.joined(each.sums)
+    return Slots(site, current_ua, width_us, proof, sums)

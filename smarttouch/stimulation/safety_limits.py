@@ -1,0 +1,379 @@
+"""Limits of every scan sequence, in whole microamperes, picocoulombs and nanoseconds."""
+
+import math
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.errors import SafetyError
+from smarttouch.base.one_line import one_line
+from smarttouch.profile import Profile
+from smarttouch.profile.ceilings import (
+    CEILING_AREA_MM2,
+    CEILING_CHARGE_UC,
+    CEILING_DENSITY_UC_CM2,
+    CEILING_DUTY,
+    CEILING_ELECTRODES,
+    CEILING_MA,
+    CEILING_PULSE_US,
+    CEILING_RATE_HZ,
+    CEILING_SESSION_MC,
+    CEILING_SESSION_S,
+    CEILING_SHANNON_K,
+    CEILING_TOTAL_MA,
+    SHORTEST_RAMP_S,
+)
+from smarttouch.profile.device import Output
+from smarttouch.stimulation.scan_sequence import ScanSequence
+
+PPB = 1_000_000_000
+"""Parts per billion in 1, the unit in which intensity is compared."""
+STRENGTH = 4
+"""Intensity that a pulse counts for at most, in multiples of its share of a full pulse's charge.
+The faintest gray of the shipped kernels carries 0.39 of a full pulse: 3 would do for these, and 4
+leaves room for sites that are more sensitive than others."""
+LONGEST_RAMP_S = 10.0
+RECHARGE_UA = 500
+"""Largest current of a recharge phase, whatever the threshold: a tenth of the 5 mA ceiling."""
+_DISC_MM2 = math.pi / 4
+
+Each = float | tuple[float, ...]
+"""One value for all electrodes, or one for each."""
+
+
+@dataclass(frozen=True)
+class SafetyLimits:
+    """Limits of every sequence for one finger on one board.
+
+    Parameters
+    ----------
+    electrodes : int
+    current_ma, pulse_us, charge_uc : float
+        Of one pulse of one electrode.
+    rate_hz, duty : float
+        Sequences a second, and the share of the time in which current flows.
+    ramp_s : float
+        Shortest time from zero intensity to full.
+    full_ma : float
+        The strongest current at intensity 1; intensity bounds current in proportion.
+    total_ma : float
+        Of all cathodes together in one slot.
+    electrode_ma : tuple of float, optional
+        Of each electrode by itself.
+    full_us : float, optional
+        The longest pulse at intensity 1, where width carries intensity: it then bounds charge.
+    area_mm2 : float or tuple of float
+        Of the electrodes; a disc of 1 mm if not given.
+    threshold_ma : float or tuple of float, optional
+        Detection thresholds, half of which makes a pulse count as felt; half of ``full_ma`` if
+        not given.
+    density_uc_cm2 : float
+        Charge of a pulse over the electrode's area.
+    session_s, session_mc : float
+        Time with current and charge through an electrode, from opening a board to closing it.
+    one_source : bool
+        Whether one source drives all electrodes: the whole current then counts as if it flowed
+        through one of them, since the others may have come off the skin.
+    masked : tuple of int
+        Electrodes that carry no current at all.
+    width_us : float, optional
+        Of a full pulse, whose charge strength is a share of; ``pulse_us`` if not given.
+
+    Raises
+    ------
+    SafetyError
+        If one of them is no positive number, or above the project's own ceilings.
+    """
+
+    __repr__ = one_line
+
+    electrodes: int
+    current_ma: float
+    pulse_us: float
+    charge_uc: float
+    rate_hz: float
+    duty: float
+    ramp_s: float
+    full_ma: float
+    total_ma: float = CEILING_TOTAL_MA
+    electrode_ma: tuple[float, ...] | None = None
+    full_us: float | None = None
+    area_mm2: Each = _DISC_MM2
+    threshold_ma: Each | None = None
+    density_uc_cm2: float = CEILING_DENSITY_UC_CM2
+    session_s: float = CEILING_SESSION_S
+    session_mc: float = CEILING_SESSION_MC
+    one_source: bool = False
+    masked: tuple[int, ...] = ()
+    width_us: float | None = None
+
+    def __post_init__(self) -> None:
+        self._check_electrodes()
+        for name, ceiling in (
+            ("current_ma", CEILING_MA),
+            ("pulse_us", CEILING_PULSE_US),
+            ("charge_uc", CEILING_CHARGE_UC),
+            ("rate_hz", CEILING_RATE_HZ),
+            ("duty", CEILING_DUTY),
+            ("full_ma", self.current_ma),
+            ("total_ma", CEILING_TOTAL_MA),
+            ("full_us", CEILING_PULSE_US),
+            ("width_us", CEILING_PULSE_US),
+            ("density_uc_cm2", CEILING_DENSITY_UC_CM2),
+            ("session_s", CEILING_SESSION_S),
+            ("session_mc", CEILING_SESSION_MC),
+            ("electrode_ma", CEILING_MA),
+            ("area_mm2", CEILING_AREA_MM2),
+            ("threshold_ma", CEILING_MA),
+        ):
+            for value in self._values(name):
+                # Nothing is above NaN: such a limit would be none.
+                if not 0 < value <= ceiling or math.isinf(value):
+                    raise SafetyError(
+                        f"limit {name} = {value} must be above 0 and at most {ceiling:g}",
+                        limit=name,
+                        value=value,
+                        allowed=ceiling,
+                    )
+        if not SHORTEST_RAMP_S <= self.ramp_s <= LONGEST_RAMP_S:
+            raise SafetyError(
+                f"limit ramp_s = {self.ramp_s} must be from {SHORTEST_RAMP_S:g} to "
+                f"{LONGEST_RAMP_S:g}",
+                limit="ramp_s",
+                value=self.ramp_s,
+                allowed=SHORTEST_RAMP_S,
+            )
+
+    def _check_electrodes(self) -> None:
+        """Raise unless the number of electrodes is possible, and all masked ones exist."""
+        for name, values, least, most in (
+            ("electrodes", (self.electrodes,), 1, CEILING_ELECTRODES),
+            ("masked", self.masked, 0, self.electrodes - 1),
+        ):
+            for value in values:
+                whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+                if not whole or not least <= value <= most:
+                    raise SafetyError(
+                        f"limit {name} = {value!r} must be a whole number from {least} to {most}",
+                        limit=name,
+                        value=value,
+                        allowed=most,
+                    )
+
+    def _values(self, name: str) -> tuple[float, ...]:
+        """Return the values of a field, one or one for each electrode; none if not given."""
+        value = getattr(self, name)
+        if value is None:
+            return ()
+        if not isinstance(value, tuple):
+            return (value,)
+        if len(value) != self.electrodes:
+            raise SafetyError(
+                f"limit {name} lists {len(value)} of {self.electrodes} electrodes",
+                limit=name,
+                value=len(value),
+                allowed=self.electrodes,
+            )
+        return value
+
+    @classmethod
+    def of(cls, profile: Profile) -> "SafetyLimits":
+        """Return the limits of a profile."""
+        limits = profile.limits
+        return cls(
+            electrodes=len(profile.electrodes),
+            current_ma=limits.current_ma,
+            pulse_us=limits.pulse_us,
+            width_us=profile.pulse.width_us,
+            charge_uc=limits.charge_uc,
+            rate_hz=limits.rate_hz,
+            duty=limits.duty,
+            ramp_s=limits.ramp_s,
+            full_ma=float(profile.full_ma.max()),
+            total_ma=CEILING_TOTAL_MA if limits.total_ma is None else limits.total_ma,
+            electrode_ma=limits.electrode_ma,
+            full_us=profile.pulse.width_us if profile.pulse.carrier == "width" else None,
+            area_mm2=tuple(profile.electrodes.area_mm2.tolist()),
+            threshold_ma=tuple(profile.threshold_ma.tolist()),
+            density_uc_cm2=limits.density_uc_cm2,
+            session_s=limits.session_s,
+            session_mc=limits.session_mc,
+            one_source=profile.output.kind != "weighted",
+            masked=profile.output.masked,
+        )
+
+    def on(self, output: Output | None) -> "SafetyLimits":
+        """Return the same limits, on a board with such an output."""
+        if output is None or output.kind == "weighted" or self.one_source:
+            return self
+        return replace(self, one_source=True)
+
+    # -- in whole numbers --------------------------------------------------
+
+    @cached_property
+    def current_ua(self) -> NDArray[np.float64]:
+        """Largest current of each electrode, (E,) µA."""
+        own = self.electrode_ma or (self.current_ma,) * self.electrodes
+        most = decimal(self.current_ma)
+        whole = [math.floor(1000 * min(most, decimal(each))) for each in own]
+        return self._unmasked(np.array(whole, np.float64))
+
+    @cached_property
+    def least_current_ua(self) -> int:
+        """Current that every electrode may carry that is not masked."""
+        return int(np.delete(self.current_ua, self.masked).min(initial=0xFFFF))
+
+    def _unmasked(self, each: NDArray[np.generic]) -> NDArray[Any]:
+        """Return limits of each electrode with those of masked ones set to zero."""
+        each[list(self.masked)] = 0
+        return each
+
+    @cached_property
+    def charge_pc(self) -> NDArray[np.float64]:
+        """Largest charge of a pulse of each electrode, (E,) pC: by itself, by area, by Shannon."""
+        area = np.broadcast_to(np.asarray(self.area_mm2, np.float64), (self.electrodes,))
+        charge = float(decimal(self.charge_uc) * 10**6)
+        density = self.density_uc_cm2 * area * 1e4
+        shannon = np.sqrt(10**CEILING_SHANNON_K * area / 100) * 1e6
+        return np.floor(np.minimum(charge, np.minimum(density, shannon)))
+
+    @cached_property
+    def least_charge_pc(self) -> int:
+        """Charge that a pulse of any electrode may carry."""
+        return int(self.charge_pc.min())
+
+    @cached_property
+    def total_ua(self) -> int:
+        """Largest current of all cathodes of a slot, µA."""
+        most = decimal(self.total_ma)
+        return math.floor(1000 * (min(most, decimal(self.current_ma)) if self.one_source else most))
+
+    @cached_property
+    def pulse_whole_us(self) -> int:
+        return math.floor(decimal(self.pulse_us))
+
+    @cached_property
+    def period_us(self) -> int:
+        """Shortest period, µs."""
+        return math.ceil(10**6 / decimal(self.rate_hz))
+
+    @cached_property
+    def duty_ratio(self) -> tuple[int, int]:
+        """Duty as a fraction of whole numbers."""
+        return decimal(self.duty).as_integer_ratio()
+
+    @cached_property
+    def ramp_ns(self) -> int:
+        return round(decimal(self.ramp_s) * 10**9)
+
+    @cached_property
+    def rounding_ua(self) -> Fraction:
+        """Largest shift, by rounding to whole µA, of the electrode that keeps the balance."""
+        return Fraction(self.electrodes, 2) + 1
+
+    @cached_property
+    def full_ua(self) -> Fraction:
+        return Fraction(self.full_ma) * 1000
+
+    @cached_property
+    def most_ua_line(self) -> tuple[int, int, int]:
+        """Largest current at an intensity, with rounding: a line in whole numbers a, b, c.
+
+        At p parts per billion it is (a p + b) // c µA.
+        """
+        full, rounding = self.full_ua / PPB, self.rounding_ua
+        below = full.denominator * rounding.denominator
+        return (
+            full.numerator * rounding.denominator,
+            rounding.numerator * full.denominator,
+            below,
+        )
+
+    @cached_property
+    def width_whole_us(self) -> int:
+        """Width of a full pulse."""
+        width_us = self.pulse_us if self.width_us is None else self.width_us
+        return max(1, math.floor(decimal(min(width_us, self.pulse_us))))
+
+    @cached_property
+    def full_pc(self) -> Fraction:
+        """Charge of a full pulse."""
+        return self.full_ua * self.width_whole_us
+
+    @cached_property
+    def _full_pc_ratio(self) -> tuple[int, int]:
+        """Parts per billion of a full pulse in a picocoulomb, as a ratio."""
+        return PPB * self.full_pc.denominator, self.full_pc.numerator
+
+    def strength_ppb(self, ppb: int, peak_pc: int) -> int:
+        """Return the intensity that a sequence counts for by its strongest pulse.
+
+        What it claims, up to `STRENGTH` times the pulse's share of a full one, and never less than
+        that share.
+
+        Parameters
+        ----------
+        ppb : int
+            Intensity that it claims, parts per billion.
+        peak_pc : int, pC
+            Largest charge of a pulse of one electrode.
+        """
+        part, whole = self._full_pc_ratio
+        share = -(-peak_pc * part // whole)
+        return min(PPB, max(share, min(ppb, STRENGTH * share)))
+
+    def strength_of(self, sequence: ScanSequence) -> int:
+        """Return `strength_ppb` of a whole sequence."""
+        return self.strength_ppb(parts_per_billion(sequence.intensity), sequence.peak_pc)
+
+    @cached_property
+    def felt_ua(self) -> NDArray[np.float32]:
+        """Current from which a pulse of each electrode counts as felt, (E,) µA."""
+        whole = [math.ceil(Fraction(each) * 500) for each in self._thresholds]
+        return np.array(whole, np.float32)
+
+    @cached_property
+    def faint_ua(self) -> NDArray[np.int64]:
+        """Limit of a recharge phase, (E,) µA: see `recharge_most_ua`."""
+        return self._unmasked(recharge_most_ua(np.array(self._thresholds)))
+
+    @property
+    def _thresholds(self) -> tuple[float, ...]:
+        given = self.full_ma / 2 if self.threshold_ma is None else self.threshold_ma
+        return given if isinstance(given, tuple) else (given,) * self.electrodes
+
+
+def recharge_most_ua(threshold_ma: NDArray[np.floating]) -> NDArray[np.int64]:
+    """Return the largest recharge current of each electrode, (E,) µA.
+
+    A tenth of its threshold, and `RECHARGE_UA` at most.
+
+    Parameters
+    ----------
+    threshold_ma : ndarray, (E,) mA
+    """
+    whole = [min(RECHARGE_UA, math.floor(Fraction(float(each)) * 100)) for each in threshold_ma]
+    return np.array(whole, np.int64)
+
+
+def rms_ma_cm2(profile: Profile) -> float:
+    """Return the root mean square density of the strongest electrode's own pulses, mA/cm²."""
+    share = profile.pulse.width_us * 1e-6 * profile.pulse.rate_hz
+    densest = float((profile.full_ma / (profile.electrodes.area_mm2 / 100)).max())
+    return densest * math.sqrt(share)
+
+
+def decimal(value: float) -> Fraction:
+    """Return a number by its decimal notation: 2.4 is 12/5, not its nearest binary."""
+    return Fraction(repr(float(value)))
+
+
+@lru_cache(maxsize=256)
+def parts_per_billion(intensity: float) -> int:
+    """Return an intensity in parts per billion, rounded up."""
+    above, below = float(intensity).as_integer_ratio()
+    return -(-above * PPB // below)

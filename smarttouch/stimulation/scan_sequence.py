@@ -1,0 +1,317 @@
+"""The scan sequence: all pulses of one frame, as sums of kernels in whole numbers.
+
+A weight is an int16, 32,767 the largest of its kernel; an amplitude counts quarters of a µA. What
+flows is defined to the bit, by `KernelLists.current_ua`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.one_line import one_line
+from smarttouch.profile import Profile
+
+
+class SlotPolicy(NamedTuple):
+    """Policy of sharing slots between points."""
+
+    afferents: tuple[Afferent, ...] = ()
+    # Whether each frame's currents are searched for, for as few slots as possible, which takes
+    # milliseconds; else kernels are summed of which no subset breaks a bound.
+    planned: bool = True
+
+
+NO_SHARING = SlotPolicy()
+
+
+def unsupported_reason(profile: Profile) -> tuple[str, str] | None:
+    """Return a profile's key and the reason why its board shows only single points, or None."""
+    if (kind := profile.output.kind) != "weighted":
+        return "output.kind", f"the board is {kind}, with one source for all electrodes"
+    if profile.kernels.objective == "finger":
+        return "kernels.objective", (
+            "kernels.objective is 'finger', and what points do together is proved at nodes"
+        )
+    if profile.pulse.carrier == "width":
+        return "pulse.carrier", "pulse.carrier is 'width', one for all points of a slot"
+    if not profile.shares:
+        return "frames.share", (
+            "frames.share is not on, or limits.total_ma is not set, which bounds their current"
+        )
+    return None
+
+
+PEAK = 32_767
+"""Largest magnitude of a kernel's weights."""
+PER_UA = 4
+"""Amplitudes are in quarters of a µA."""
+SHIFT = 17
+"""A weight of 2^15 times an amplitude of 4 is one µA: 2^17."""
+MOST_KERNELS = 0xFFFF
+_BLOCK = 1 << 15
+_ABOVE = 1 << 30
+"""Above what any slot's electrodes carry together, µA; a multiple of 2^16."""
+
+Shared = Mapping[Afferent, tuple[NDArray[np.float64], NDArray[np.intp]]]
+
+
+@dataclass(frozen=True, eq=False)
+class KernelTable:
+    """Kernels of a run in whole numbers."""
+
+    # (K, E) positive cathodic, peak `PEAK`, sum zero; rows of masked sites are zero
+    weights: NDArray[np.int16]
+    site: NDArray[np.uint16]  # (K,) electrode of each
+    points: dict[Afferent, int]  # row of electrode 0 of each class
+    shared: dict[Afferent, int]  # first row of the kernels of each class that share slots
+
+    @cached_property
+    def ua_so_far(self) -> NDArray[np.float64]:
+        """Sum of each kernel's currents from electrode 0 to each, (K, E) µA, at amplitude 1."""
+        summed = np.cumsum(self.weights, axis=1, dtype=np.float64)
+        # By a power of two: exact.
+        summed *= 2.0**-SHIFT
+        summed.setflags(write=False)
+        return summed
+
+    @classmethod
+    def of(cls, weights: Mapping[Afferent, NDArray[np.float64]], shared: Shared) -> "KernelTable":
+        """Return a bank's kernels, (E, E), and those that share slots, (A, E), and their sites
+        (A,), of any scale, in whole numbers."""
+        every = {each: (own, np.arange(len(own))) for each, own in weights.items()}
+        parts: list[NDArray[np.float64]] = []
+        sites: list[NDArray[np.intp]] = []
+        points: dict[Afferent, int] = {}
+        sharing: dict[Afferent, int] = {}
+        # Those in use first: a board may not have room for all.
+        for first, kernels in ((sharing, shared), (points, every)):
+            for afferent in sorted(kernels):
+                first[afferent] = sum(map(len, parts))
+                parts.append(np.asarray(kernels[afferent][0], np.float64))
+                sites.append(kernels[afferent][1])
+        site = np.concatenate(sites).astype(np.uint16)
+        return cls(quantized(np.concatenate(parts)), site, points, sharing)
+
+
+def quantized(kernels: NDArray[np.float64]) -> NDArray[np.int16]:
+    """Return kernels (K, E) as whole numbers, each row with sum zero; zero stays zero."""
+    peak = np.abs(kernels).max(axis=1, keepdims=True, initial=0)
+    carried = np.cumsum(kernels * (PEAK / np.where(peak > 0, peak, 1)), axis=1)
+    carried[:, -1:] = 0
+    # Halves upward: to even, the peak of (-0.5, 1, -0.5) would be 32,768. Sums of doubles are
+    # exact to far less than the sixth decimal.
+    whole = np.floor(carried.round(6) + 0.5)
+    return np.asarray(np.diff(whole, axis=1, prepend=0), np.int16)
+
+
+@dataclass(frozen=True, eq=False)
+class KernelLists:
+    """Slots as lists of kernels with amplitudes."""
+
+    table: KernelTable
+    # (S + 1,) start of each slot's list, and the last one's end; none is empty
+    first: NDArray[np.intp]
+    kernel: NDArray[np.uint16]  # (N,) row in the table
+    amplitude: NDArray[np.uint16]  # (N,) in quarters of a µA; those of a slot sum to at most 65,535
+
+    @property
+    def site(self) -> NDArray[np.uint16]:
+        """Site of each slot, (S,): that of its first kernel."""
+        return self.table.site[self.kernel[self.first[:-1]]]
+
+    def current_ua(self) -> NDArray[np.int16]:
+        """Return the currents that flow, (S, E) µA, positive cathodic.
+
+        Of weights times amplitudes, added up, the sum from electrode 0 to each one is rounded to
+        whole µA, halves upward; an electrode gets the difference of two of these.
+        """
+        first, slots, so_far = self.first, len(self.first) - 1, self.table.ua_so_far
+        found = np.empty((slots, so_far.shape[1]), np.int16)
+        amplitude = self.amplitude.astype(np.float64)[:, None]
+        # By as many slots as stay in the processor's cache.
+        step = max(1, _BLOCK // so_far.shape[1])
+        for start in range(0, slots, step):
+            rows = slice(start, min(start + step, slots))
+            pairs = slice(first[start], first[rows.stop])
+            # In doubles all of it is exact: sums stay far below 2^36, in parts of 2^-17.
+            scaled = so_far[self.kernel[pairs]]
+            scaled *= amplitude[pairs]
+            if len(scaled) > rows.stop - start:
+                scaled = np.add.reduceat(scaled, first[rows] - first[start], axis=0)
+            scaled += _ABOVE + 0.5
+            # Nothing is negative now, and cut off is rounded down; what is above 16 bits cancels.
+            whole = scaled.astype(np.int64).astype(np.int16)
+            found[rows, 0] = whole[:, 0]
+            np.subtract(whole[:, 1:], whole[:, :-1], out=found[rows, 1:])
+        return found
+
+    def joined(self, other: "KernelLists") -> "KernelLists":
+        """Return these slots, and then others of the same table."""
+        return KernelLists(
+            self.table,
+            np.concatenate([self.first, self.first[-1] + other.first[1:]]),
+            np.concatenate([self.kernel, other.kernel]),
+            np.concatenate([self.amplitude, other.amplitude]),
+        )
+
+
+def largest_amplitude(
+    weights: NDArray[np.int16], most_ua: NDArray[np.float64]
+) -> NDArray[np.uint16]:
+    """Return the largest amplitude of each kernel (K, E) that keeps whole limits (E,) µA."""
+    room = np.floor(most_ua) * 2.0**SHIFT / np.maximum(np.abs(weights.astype(np.float64)), 1)
+    return np.asarray(np.minimum(np.floor(room.min(axis=1)), 0xFFFF), np.uint16)
+
+
+@dataclass(frozen=True, eq=False)
+class SelectivityReport:
+    """Selectivity of each slot: side effects of its finished currents.
+
+    Of several points computed from the currents as they are sent, after all rounding, or,
+    of kernels that are proved for all frames, what no sum of them is above; of a single
+    one that of its kernel. Activation is a ratio to that of the slot's
+    weakest target, scaled to level 1.
+
+    Attributes
+    ----------
+    points : ndarray, (S,) uint16
+        Number of points of each slot; 0 for slots without proof.
+    off_target : ndarray, (S,) float32
+        Largest activation of any other class; NaN where nothing is proved.
+    spill : ndarray, (S,) float32
+        Largest activation of the own class more than a pitch from every target.
+    """
+
+    points: NDArray[np.uint16]
+    off_target: NDArray[np.float32]
+    spill: NDArray[np.float32]
+
+    @property
+    def shared(self) -> tuple[float, float] | None:
+        """Worst other and worst spill of slots of several points; None if there are none."""
+        several = self.points > 1
+        if not several.any():
+            return None
+        return float(self.off_target[several].max()), float(self.spill[several].max())
+
+    @classmethod
+    def of_nothing(cls, slots: int) -> "SelectivityReport":
+        unknown = np.full(slots, np.nan, np.float32)
+        return cls(np.zeros(slots, np.uint16), unknown, unknown)
+
+
+@dataclass(frozen=True, eq=False)
+class ScanSequence:
+    """One pass over the active points of a tactile image.
+
+    Slots follow one another without a gap; each is a pulse followed by a
+    short circuit of all electrodes. After the last slot comes the recharge phase, if
+    there is one: a long weak pulse that brings charge back and that nobody feels.
+    Then the electrodes stay shorted until ``period_us`` is over.
+
+    Attributes
+    ----------
+    current_ua : ndarray, (S, E) int16, µA
+        Current of every electrode in every slot; **positive is cathodic**,
+        negative anodic, zero insulated. On a board with one source it is the
+        nominal division of the source's current.
+    width_us : ndarray, (S,) uint16, µs
+        Pulse width of each slot.
+    discharge_us : ndarray, (S,) uint16, µs
+        Short circuit after each pulse.
+    site : ndarray, (S,) uint16
+        Electrode whose point each slot stimulates.
+    period_us : int, µs
+        Length of the whole sequence.
+    intensity : float, in [0, 1]
+        Pressure gate times soft start that the currents were scaled with.
+    time_ns : int
+        Time of the frame it came from.
+    vibration : ndarray, (E,) float32, in [0, 1], optional
+        Amplitude of mechanical vibration of the skin under each site for the whole
+        period; none if not given.
+    proof : SelectivityReport, optional
+        Selectivity of shared slots.
+    recharge_ua : ndarray, (E,) int16, µA, optional
+        Current of every electrode in the recharge phase, **positive cathodic**, sum zero;
+        none if not given.
+    recharge_us : int, µs
+        Length of the recharge phase; 0 without one.
+    sums : KernelLists, optional
+        Kernels that the currents are sums of. No more than a hint: the currents are what is
+        proved and delivered.
+    """
+
+    __repr__ = one_line
+
+    current_ua: NDArray[np.int16]
+    width_us: NDArray[np.uint16]
+    discharge_us: NDArray[np.uint16]
+    site: NDArray[np.uint16]
+    period_us: int
+    intensity: float
+    time_ns: int
+    vibration: NDArray[np.float32] | None = None
+    proof: SelectivityReport | None = None
+    recharge_ua: NDArray[np.int16] | None = None
+    recharge_us: int = 0
+    sums: KernelLists | None = None
+
+    @property
+    def slots(self) -> int:
+        return len(self.width_us)
+
+    @property
+    def drives(self) -> bool:
+        """Whether any slot has current."""
+        current_ua = self.current_ua
+        if not current_ua.size:
+            return False
+        # The first slot's own electrode nearly always has.
+        return bool(current_ua[0, self.site[0] % self.electrodes] or current_ua.any())
+
+    @property
+    def peak_pc(self) -> int:
+        """Largest charge of one pulse of one electrode, pC."""
+        return peak_pc(self.current_ua, self.width_us)
+
+    @property
+    def points(self) -> int:
+        """Number of points that its slots stimulate."""
+        if self.proof is None:
+            return self.slots
+        return int(np.maximum(self.proof.points, 1).sum(dtype=np.int64))
+
+    @property
+    def electrodes(self) -> int:
+        return int(self.current_ua.shape[1])
+
+    @property
+    def rate_hz(self) -> float:
+        return 1e6 / self.period_us
+
+    @property
+    def state(self) -> NDArray[np.int8]:
+        """State of each electrode in each slot: 1 cathode, −1 anode, 0 insulated."""
+        return np.sign(self.current_ua).astype(np.int8)
+
+    @property
+    def source_ua(self) -> NDArray[np.int32]:
+        """Total current of all cathodes in each slot, (S,) µA: one source's current."""
+        return np.asarray(np.abs(self.current_ua.astype(np.int32)).sum(axis=1) // 2)
+
+
+def peak_pc(current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> int:
+    """Return the largest charge of one electrode in slots of (S, E) µA and (S,) µs, pC."""
+    if not current_ua.size:
+        return 0
+    longest_us = int(width_us.max())
+    if longest_us == width_us.min():
+        return max(int(current_ua.max()), -int(current_ua.min())) * longest_us
+    high_ua, low_ua = current_ua.max(axis=1), current_ua.min(axis=1).astype(np.int64)
+    return int((np.maximum(high_ua, -low_ua) * width_us).max())

@@ -1,0 +1,323 @@
+"""Tactile image times kernels times intensity: the slots of one frame."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import ScheduleError
+from smarttouch.base.tactile_image import TactileImage
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.profile import Profile
+from smarttouch.stimulation.exposure import (
+    BURST_US,
+    MOST_PER_US,
+    PER_PC,
+    PER_PULSE,
+    PLANNED,
+    Load,
+    shortest_period_us,
+)
+from smarttouch.stimulation.frame_slots import FrameSlots
+from smarttouch.stimulation.net_plan import NetPlan
+from smarttouch.stimulation.point_slots import PointSlots, Slots, constant_us, joined
+from smarttouch.stimulation.pulse_rates import PulseRates, ScanTiming, rate_share, rates_of
+from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
+from smarttouch.stimulation.scan_sequence import (
+    NO_SHARING,
+    KernelTable,
+    ScanSequence,
+    SlotPolicy,
+    peak_pc,
+)
+from smarttouch.stimulation.slot_sums import SlotAdder, extent_us
+
+_PULSE_US = PER_PULSE / (PLANNED * MOST_PER_US)
+"""Period planned for each pulse of an electrode."""
+_Maker = tuple[PointSlots, Afferent] | tuple[FrameSlots, list[Afferent]]
+"""Maker of slots, and the rows of an activation that it takes."""
+_BOTH = (Afferent.RA, Afferent.SAI)
+"""Classes of opposite polarity: if both are due, points of one are the return of the other's."""
+
+
+class ScanScheduler:
+    """Scheduler of one slot for each active point (paper, Section IV-A, Fig. 19), or fewer.
+
+    Each of several classes has its own pulse rate; `rate_hz` is that of a single one. Softness, in
+    [0, 1], reduces the effect of force on the rate of SAI pulses. If `vibrated`, mechanical
+    vibrators stimulate PC, without current. Slots shared by classes are taken from `frames` or
+    added to it; with a `table` slots are sums of kernels in whole numbers. `net` bounds periods by
+    net charge, unless recharge phases return it. `net_slowed` and `net_emptied` count sequences
+    made longer or left without slots for it; `asked_us` is the period of the last one if its slots
+    fit. An impossible rate, pulses that the board does not have, and a bank that drives a masked
+    electrode raise a ScheduleError.
+    """
+
+    def __init__(
+        self,
+        profile: Profile,
+        bank: KernelBank,
+        afferents: tuple[Afferent, ...],
+        rate_hz: float | None = None,
+        timing: ScanTiming | None = None,
+        softness: float = 1.0,
+        vibrated: bool = False,
+        sharing: SlotPolicy = NO_SHARING,
+        frames: dict[tuple[Afferent, ...], FrameSlots] | None = None,
+        table: KernelTable | None = None,
+        net: NetPlan | None = None,
+    ) -> None:
+        timing = ScanTiming() if timing is None else timing
+        timing.check(profile)
+        pulse, limits = profile.pulse, profile.limits
+        rates_hz = rates_of(profile, afferents, rate_hz, timing)
+        self._vibrated = vibrated
+        self._driven = driven = tuple(e for e in afferents if not vibrated or e is not Afferent.PC)
+        self._points = {
+            each: PointSlots(profile, bank, each, timing, table)
+            for each in driven
+            if each not in sharing.afferents
+        }
+        frames = {} if frames is None else frames
+        self._frames = _shared_slots(profile, bank, driven, sharing, frames)
+        self.asked_us = 0
+        self._first = driven[0]
+        self._softness = softness
+        self._least_us = math.ceil(1e6 / limits.rate_hz)
+        self._rates = PulseRates(rates_hz, self._least_us)
+        self._one_rate_hz = rates_hz[afferents[0]] if len(afferents) == 1 else None
+        self._always: tuple[tuple[Afferent, ...], int] | None = None
+        """Classes that are due and their period, where neither ever changes."""
+        if self._one_rate_hz and (self._first is not Afferent.SAI or softness == 1):
+            self._always = (self._first,), timing.possible_period_us(1e6 / self._one_rate_hz)
+        self._makers: dict[tuple[Afferent, ...], list[_Maker]] = {}
+        self._discharge_us = pulse.discharge_us
+        # At most one slot for each point of each class.
+        most = len(profile.electrodes) * len(afferents)
+        self._discharges_us = constant_us(most, pulse.discharge_us)
+        self._duty = limits.duty
+        self._timing = timing
+        self._electrodes = len(profile.electrodes)
+        self._limits = SafetyLimits.of(profile)
+        self._adder = SlotAdder(self._limits.felt_ua)
+        # Before anything is sent: the longest scan must be possible too.
+        self._shortest_us(self._electrodes, self._electrodes * pulse.width_us)
+        self._shortest: list[int] = []
+        """Shortest period by the number of slots, where all have one width."""
+        if bank.single or pulse.carrier != "width":
+            self._shortest = [
+                self._shortest_us(slots, slots * pulse.width_us)
+                for slots in range(self._electrodes + 1)
+            ]
+        self.net_slowed = self.net_emptied = 0
+        self._net = net
+        self._felt_us, self._charge_us, self._net_at_most_pc = (math.inf,) * 3
+        if not bank.single:
+            self._bound_exposure(pulse.width_us)
+
+    def restart(self) -> None:
+        """Restart: all classes are due."""
+        self._rates.restart()
+
+    def schedule(
+        self,
+        image: TactileImage,
+        intensity: float,
+        pressure: float = 1.0,
+        most_ppb: int | None = None,
+    ) -> ScanSequence:
+        """Return the sequence of one tactile image at an intensity and a pressure in [0, 1].
+
+        Where the slots do not fit the period asked for, the period grows. At intensity 0 there are
+        none. The rate of SAI pulses follows pressure. Intensity is lowered until strength
+        (`SafetyLimits.strength_ppb`) is at most `most_ppb`, if given. If the image has a period,
+        every active class pulses now, and not again before it has passed. One that the profile's
+        limits forbid, or a class that cannot be driven, raises a ScheduleError.
+        """
+        if image.period_us is not None:
+            due, asked_us = self._active(image.activation, image.period_us), image.period_us
+        else:
+            due, asked_us = self._always or self._due(image.time_ns, pressure)
+        self.asked_us = asked_us
+        # None is due where the rate has fallen since this time was set.
+        classes, scale = (due, intensity) if due else ((self._first,), 0.0)
+        makers = self._makers.get(classes) or self._makers_of(classes)
+        made = _slots_of(makers, image.activation, scale)
+        if most_ppb is not None:
+            charge_pc = peak_pc(made.current_ua, made.width_us)
+            strength_ppb = self._limits.strength_ppb(parts_per_billion(intensity), charge_pc)
+            if strength_ppb > most_ppb:
+                intensity *= most_ppb / strength_ppb
+                made = _slots_of(makers, image.activation, intensity)
+        site, current_ua, width_us, proof, sums = made
+        slots = len(site)
+        if slots < len(self._shortest):
+            shortest_us = self._shortest[slots]
+        else:
+            shortest_us = self._shortest_us(slots, extent_us(width_us.tobytes())[2])
+        if self._timing.whole_hz:
+            asked_us = self._timing.possible_period_us(asked_us)
+        period_us = max(asked_us, shortest_us)
+        # No electrode gets more pulses than there are slots.
+        felt_us = min(self._felt_us, _PULSE_US * slots)
+        if max(self._charge_us, felt_us) > min(period_us, BURST_US):
+            needed_us = self._checked_us(self._load(current_ua, width_us))
+            period_us = max(period_us, self._timing.possible_period_us(needed_us))
+        if self._net is not None and slots:
+            period_us, admitted = self._within_net(
+                self._net, current_ua, width_us, period_us, image
+            )
+            if not admitted:
+                slots, site, current_ua, width_us = 0, site[:0], current_ua[:0], width_us[:0]
+                proof = sums = None
+        return ScanSequence(
+            current_ua=current_ua,
+            width_us=width_us,
+            discharge_us=self._discharges_us[:slots],
+            site=site,
+            period_us=period_us,
+            intensity=float(intensity),
+            time_ns=image.time_ns,
+            vibration=image.activation[Afferent.PC] * np.float32(intensity)
+            if self._vibrated
+            else None,
+            proof=proof,
+            sums=sums,
+        )
+
+    def _makers_of(self, classes: tuple[Afferent, ...]) -> list[_Maker]:
+        """Return the makers of slots of each class, or of two together; cached."""
+        groups: list[tuple[Afferent, ...]] = [(each,) for each in classes]
+        if _BOTH in self._frames and set(_BOTH) <= set(classes):
+            groups = [_BOTH, *(each for each in groups if each[0] not in _BOTH)]
+        makers = self._makers[classes] = [
+            (self._frames[group], list(group))
+            if group in self._frames
+            else (self._points[group[0]], group[0])
+            for group in groups
+        ]
+        return makers
+
+    def _active(self, activation: NDArray[np.float32], period_us: int) -> tuple[Afferent, ...]:
+        """Return the classes that an image with its own period lets pulse."""
+        if period_us < self._least_us:
+            raise ScheduleError(
+                f"pulses {period_us} µs apart are not possible: the profile's limit of "
+                f"{1e6 / self._least_us:g} Hz asks for {self._least_us} µs or more",
+                about="period_us",
+                remedy="limits.rate_hz",
+            )
+        driven = []
+        for each in np.flatnonzero(activation.any(axis=1)).tolist():
+            if each in self._driven:
+                driven.append(Afferent(each))
+            elif not (self._vibrated and each == Afferent.PC):
+                offered = ", ".join(afferent.name for afferent in self._driven) or "none"
+                raise ScheduleError(
+                    f"{Afferent(each).name} was asked for and cannot be driven here: choose of "
+                    f"{offered}",
+                    about="mode",
+                )
+        return tuple(driven)
+
+    def _due(self, time_ns: int, pressure: float) -> tuple[tuple[Afferent, ...], int]:
+        """Return the classes that pulse now, and the time until the next is due, µs."""
+        share = rate_share(pressure, self._softness)
+        if self._one_rate_hz is None:
+            return self._rates.due(time_ns, {Afferent.RA: 1.0, Afferent.SAI: share})
+        slowed_hz = self._one_rate_hz * (share if self._first is Afferent.SAI else 1.0)
+        return (self._first,), self._timing.possible_period_us(1e6 / slowed_hz)
+
+    def _bound_exposure(self, width_us: int) -> None:
+        """Find periods that keep the exposure of any image; infinite where slots are planned."""
+        load = np.zeros((2, self._electrodes))
+        everywhere = np.ones(self._electrodes, np.float32)
+        for points in self._points.values():
+            all_points = points.slots(everywhere, 1.0)
+            load += self._load(all_points.current_ua, all_points.width_us)
+        self._checked_us(load)
+        for frames in self._frames.values():
+            load[0] = math.inf
+            load[1] += frames.most_ua * width_us * PER_PC
+        most_felt, most_charge = load.max(axis=1).tolist()
+        self._felt_us = most_felt / (PLANNED * MOST_PER_US)
+        self._charge_us = most_charge / (PLANNED * MOST_PER_US)
+        # In whole pC: what is added up is taken away again without a rest.
+        self._net_at_most_pc = float(np.ceil(most_charge / PER_PC))
+
+    def _within_net(
+        self,
+        net: NetPlan,
+        current_ua: NDArray[np.int16],
+        width_us: NDArray[np.uint16],
+        period_us: int,
+        image: TactileImage,
+    ) -> tuple[int, bool]:
+        """Return a period that keeps the limit of net current, and whether slots keep it now."""
+        time_us = image.time_ns / 1000
+        if net.spares(self._net_at_most_pc, time_us, period_us):
+            return period_us, True
+        net_pc = (width_us.astype(np.float32) @ current_ua.astype(np.float32)).astype(np.float64)
+        if not net.admits(net_pc, time_us):
+            self.net_emptied += 1
+            return period_us, False
+        busy_us = extent_us(width_us.tobytes())[2] + len(width_us) * self._discharge_us
+        needed_us = net.period_us(net_pc, time_us, period_us, busy_us)
+        if needed_us <= period_us:
+            return period_us, True
+        self.net_slowed += 1
+        return self._timing.possible_period_us(needed_us), True
+
+    def _load(self, current_ua: NDArray[np.int16], width_us: NDArray[np.uint16]) -> Load:
+        if not len(width_us):
+            return np.zeros((2, self._electrodes))
+        return self._adder.add_up(current_ua, width_us).load
+
+    def _checked_us(self, load: Load) -> int:
+        needed_us = shortest_period_us(load)
+        if needed_us > BURST_US:
+            raise ScheduleError(
+                f"the points of one frame expose an electrode as much as {needed_us / 1000:.0f} ms "
+                f"allow, and one sequence may bring at most {BURST_US / 1000:.0f} ms of it: lower "
+                "perception.comfort_ratio or pulse.width_us, or choose another mode",
+                about="period_us",
+                remedy="perception.comfort_ratio",
+            )
+        return needed_us
+
+    def _shortest_us(self, slots: int, pulses_us: int) -> int:
+        """Return the shortest period of slots whose pulses take so long together, µs."""
+        timing = self._timing
+        mean_us = pulses_us / slots if slots else 0.0
+        shortest = timing.shortest_period_us(slots, self._electrodes, mean_us, self._discharge_us)
+        return max(shortest, timing.possible_period_us(pulses_us / self._duty))
+
+
+def _slots_of(makers: list[_Maker], activation: NDArray[np.float32], intensity: float) -> Slots:
+    """Return the slots of all classes that are due."""
+    (maker, rows), *others = makers
+    made = maker.slots(activation[rows], intensity)
+    if others:
+        made = joined([made, *(one.slots(activation[of], intensity) for one, of in others)])
+    return made
+
+
+def _shared_slots(
+    profile: Profile,
+    bank: KernelBank,
+    afferents: Sequence[Afferent],
+    sharing: SlotPolicy,
+    frames: dict[tuple[Afferent, ...], FrameSlots],
+) -> dict[tuple[Afferent, ...], FrameSlots]:
+    """Return the shared slots of classes, alone and together, from `frames` or added to it."""
+    shared: list[tuple[Afferent, ...]] = [
+        (each,) for each in afferents if each in sharing.afferents
+    ]
+    if sharing.planned and {(each,) for each in _BOTH} <= set(shared):
+        shared.append(_BOTH)
+    for classes in shared:
+        if classes not in frames:
+            frames[classes] = FrameSlots(profile, bank, classes, sharing.planned)
+    return {classes: frames[classes] for classes in shared}

@@ -1,1 +1,0 @@
-"""Studies: many fingers, kernels, scans and patterns in a table, on one machine or many."""

@@ -1,0 +1,27 @@
+"""Pytest fixture for a user's own recordings: ``def test_it(replays): replays("run.mcap")``."""
+
+from collections.abc import Callable
+
+import pytest
+
+# So that the asserts of the contracts say what they compared.
+pytest.register_assert_rewrite(
+    *(f"smarttouch.testing.{each}" for each in ("board_contract", "source_contracts"))
+)
+
+
+@pytest.fixture(scope="session")
+def replays() -> Callable[..., None]:
+    """Return a function that fails unless a recording's sequences are reproduced to the bit.
+
+    It takes the path of a recording, and what `smarttouch.running.check_recording.check_recording`
+    takes.
+    """
+
+    def assert_it_replays(path: str, **same: object) -> None:
+        __tracebackhide__ = True
+        from smarttouch.running.check_recording import assert_replays
+
+        assert_replays(path, **same)
+
+    return assert_it_replays

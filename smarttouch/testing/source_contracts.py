@@ -1,0 +1,234 @@
+"""Contract tests of sources of frames and of finger force: subclass those of yours."""
+
+import contextlib
+import math
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from smarttouch.base.errors import SmartTouchError, SourceError
+from smarttouch.base.registry import fault_of
+from smarttouch.profile import DEFAULT_PROFILE, Profile, load_profile
+from smarttouch.sources.force import ForceSource
+from smarttouch.sources.source_contract import Frame, OpticalSource, Source
+
+READS = 30  # of a source
+
+
+class SourceContract:
+    """Contract of every source: subclass it as ``TestMine``, with `make`.
+
+    Attributes
+    ----------
+    ends : bool
+        Whether it ends within `longest_s`, by the time that it is asked for.
+    longest_s : float, s
+    step_s : float, s
+        From one frame to the next.
+    quickest_s : float, s
+        The quickest of many reads takes no longer: it waits for nothing.
+    """
+
+    ends = True
+    longest_s = 120.0
+    step_s = 0.02
+    quickest_s = 0.01
+
+    def make(self, profile: Profile) -> OpticalSource:
+        """Return a new source, from its beginning."""
+        # Not abstract: pytest could not make the class to run what needs no device.
+        raise NotImplementedError("return your source")
+
+    def make_impossible(self, profile: Profile) -> None:
+        """Open one that is not there, as a file without a name; replace it."""
+        pytest.skip("make_impossible is not given")
+
+    def pause(self) -> None:
+        """Do what is to be done between two reads: nothing, or wait for a device."""
+
+    @pytest.fixture
+    def profile(self) -> Profile:
+        """Optics and force that it is made for."""
+        return load_profile(DEFAULT_PROFILE)
+
+    @pytest.fixture
+    def source(self, profile: Profile) -> Iterator[OpticalSource]:
+        """Return a new source, closed after the test."""
+        with self.make(profile) as source:
+            yield source
+
+    def read(self, source: OpticalSource, reads: int = READS) -> list[Frame]:
+        """Return what it gives, until it ends or has been read often enough."""
+        frames: list[Frame] = []
+        for number in range(reads):
+            frame = source.read(round(number * self.step_s * 1e9))
+            if frame is None:
+                break
+            frames.append(frame)
+            self.pause()
+        return frames
+
+    # -- what is kept ------------------------------------------------------
+
+    def test_its_class_keeps_the_contract(self, source: OpticalSource) -> None:
+        assert fault_of(type(source), Source) is None
+        assert source.title
+        assert source.ended
+        assert source.duration_s is None or source.duration_s > 0
+        assert all(isinstance(note, str) and note for note in source.notes)
+
+    def test_frames_are_what_they_are_to_be(self, source: OpticalSource) -> None:
+        frames = self.read(source)
+        assert frames
+        for number, frame in enumerate(frames):
+            assert isinstance(frame, Frame)
+            assert frame.image.dtype == np.uint8
+            assert frame.image.shape == frames[0].image.shape
+            assert frame.image.ndim == 2
+            assert frame.time_ns == round(number * self.step_s * 1e9)
+            assert frame.age_ns >= 0
+            assert math.isnan(frame.force_n) or frame.force_n >= 0
+            pose = frame.pose
+            assert np.isfinite([pose.x_mm, pose.y_mm, pose.angle_rad]).all()
+        assert source.knows_force or not source.measures_force
+        if source.knows_force:
+            assert not all(math.isnan(frame.force_n) for frame in frames)
+
+    def test_every_frame_is_counted(self, source: OpticalSource) -> None:
+        frames = self.read(source)
+        source.close()
+        numbers = [frame.number for frame in frames]
+        assert numbers == sorted(numbers)
+        assert numbers[0] >= 0
+        assert source.frames == len(set(numbers)) + source.dropped_frames
+
+    def test_one_number_is_one_image_and_stays_it(self, source: OpticalSource) -> None:
+        frames: list[Frame] = []
+        copies = []
+        for number in range(READS):
+            frame = source.read(round(number * self.step_s * 1e9))
+            if frame is None:
+                break
+            frames.append(frame)
+            copies.append(frame.image.copy())
+            self.pause()
+        for frame, copy in zip(frames, copies, strict=True):
+            np.testing.assert_array_equal(frame.image, copy)
+        for one, next_one in pairwise(frames):
+            if one.number == next_one.number:
+                np.testing.assert_array_equal(one.image, next_one.image)
+
+    def test_it_ends_and_stays_at_its_end(self, source: OpticalSource) -> None:
+        if not self.ends:
+            pytest.skip("it never ends by itself")
+        time_s, frame = 0.0, source.read(0)
+        while frame is not None:
+            assert time_s <= self.longest_s, "it does not end"
+            time_s += max(self.step_s, self.longest_s / 1000)
+            self.pause()
+            frame = source.read(round(time_s * 1e9))
+        assert source.read(round(time_s * 1e9) + 1) is None
+
+    def test_it_can_be_closed_twice(self, profile: Profile) -> None:
+        source = self.make(profile)
+        source.read(0)
+        source.close()
+        source.close()
+        self.make(profile).close()
+
+    def test_reading_it_when_closed_is_no_fault(self, source: OpticalSource) -> None:
+        source.read(0)
+        source.close()
+        frame = None
+        with contextlib.suppress(SmartTouchError):
+            frame = source.read(round(self.step_s * 1e9))
+        assert frame is None or isinstance(frame, Frame)
+
+    def test_reading_waits_for_nothing(self, source: OpticalSource) -> None:
+        # The first may wait for a device that starts; one of the others may meet a busy computer.
+        source.read(0)
+        took_s = []
+        for number in range(1, READS):
+            start = time.perf_counter()
+            frame = source.read(round(number * self.step_s * 1e9))
+            took_s.append(time.perf_counter() - start)
+            if frame is None:
+                break
+        assert min(took_s) < self.quickest_s
+
+    def test_one_that_is_not_there_is_an_error_with_a_sentence(self, profile: Profile) -> None:
+        with pytest.raises(SmartTouchError) as error:
+            self.make_impossible(profile)
+        assert str(error.value)
+        assert "\n" not in str(error.value)
+
+
+class ForceContract:
+    """Contract of every source of force: subclass it as ``TestMine``, with `make`.
+
+    Attributes
+    ----------
+    quickest_s : float, s
+        The quickest of many reads takes no longer: it waits for nothing.
+    largest_n : float, N
+        No finger presses harder.
+    """
+
+    quickest_s = 0.005
+    largest_n = 100.0
+
+    def make(self, profile: Profile) -> ForceSource:
+        """Return a new source of force."""
+        # Not abstract: pytest could not make the class to run what needs no device.
+        raise NotImplementedError("return your source of force")
+
+    def make_impossible(self, profile: Profile) -> None:
+        """Open one that is not there, as a file without a name; replace it."""
+        pytest.skip("make_impossible is not given")
+
+    @pytest.fixture
+    def profile(self) -> Profile:
+        """Profile of the finger."""
+        return load_profile(DEFAULT_PROFILE)
+
+    @pytest.fixture
+    def force(self, profile: Profile) -> Iterator[ForceSource]:
+        """Return a new source of force, closed after the test."""
+        with self.make(profile) as force:
+            yield force
+
+    def test_its_class_keeps_the_contract(self, force: ForceSource) -> None:
+        assert fault_of(type(force), ForceSource) is None
+        assert force.title
+        assert all(isinstance(note, str) and note for note in force.notes)
+
+    def test_it_is_a_force_or_not_known(self, force: ForceSource) -> None:
+        for time_ns in (*range(0, 10**9, 10**8), 10**12, 0):
+            force_n = force.read(time_ns)
+            assert isinstance(force_n, float)
+            assert math.isnan(force_n) or 0 <= force_n <= self.largest_n
+
+    def test_reading_waits_for_nothing(self, force: ForceSource) -> None:
+        force.read(0)
+        took_s = []
+        for number in range(1, 30):
+            start = time.perf_counter()
+            force.read(number * 10**7)
+            took_s.append(time.perf_counter() - start)
+        assert min(took_s) < self.quickest_s
+
+    def test_it_can_be_closed_twice_and_still_be_read(self, force: ForceSource) -> None:
+        force.read(0)
+        force.close()
+        force.close()
+        force_n = force.read(10**8)
+        assert math.isnan(force_n) or force_n >= 0
+
+    def test_one_that_is_not_there_is_an_error_with_a_sentence(self, profile: Profile) -> None:
+        with pytest.raises(SourceError) as error:
+            self.make_impossible(profile)
+        assert str(error.value)
+        assert "\n" not in str(error.value)

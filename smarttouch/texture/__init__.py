@@ -1,1 +1,0 @@
-"""The electric mouse: a texture that stays in place while the hand moves (paper, Section IV-C)."""

@@ -1,1 +1,0 @@
-"""Tactile primary colors: a vibration split into responses of RA, SAI and PC, and mixed again."""

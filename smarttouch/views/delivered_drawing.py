@@ -1,0 +1,227 @@
+"""Pictures of the touch that the skin received, below what was touched."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from io import BytesIO
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from smarttouch.base.afferent import CLASS_COLORS, Afferent
+from smarttouch.base.files import write_bytes
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.pages.page_image import INCH_MM, Page
+from smarttouch.physiology.finger import Finger
+from smarttouch.profile import Profile
+from smarttouch.running.delivered import (
+    FIELD_MM,
+    MOST_SLOTS,
+    Counts,
+    DeliveredResponses,
+    Floats,
+    Places,
+    delivered_spikes,
+    spikes_in_color,
+)
+from smarttouch.running.delivered_line import Raster, as_ink
+from smarttouch.running.step import StepResult
+from smarttouch.sources.source_contract import Pose
+from smarttouch.views.mosaic import Mosaic
+
+FINEST_MM = 0.1
+_WIDTH = (900, 1400)  # pixels that a picture is drawn wide at least, and at most
+_MARGIN, _LABEL = 24, 28
+_SCALE_PART = 0.2  # largest part of a picture's width that its scale bar takes
+_SCALES_MM = (100, 50, 20, 10, 5, 2, 1, 0.5)
+Grey = NDArray[np.uint8]
+Place = tuple[float, float]
+Ink = int | tuple[int, int, int]
+Under = tuple[str, Place, Place, Callable[[tuple[int, int], float], Grey] | None]
+"""Title, top left corner, width and height in mm; and a function that draws it for a shape and a
+pixel size in mm, None where there is nothing to see."""
+
+
+class DeliveredDrawing(DeliveredResponses, ABC):
+    """Delivered pulses at the electrodes' places, below what they touched. A place shows the mean
+    response of the electrodes that passed it, or the strongest (see `Perception`);
+    ``magnification`` is mm of the array per mm touched."""
+
+    strongest = False  # whether a place shows the strongest response, not the mean
+    longest_px = 4000
+
+    def __init__(
+        self,
+        profile: Profile,
+        bank: KernelBank,
+        afferents: tuple[Afferent, ...],
+        magnification: float = 1.0,
+    ) -> None:
+        super().__init__(profile, bank, afferents)
+        self._magnification = magnification
+        self._position_mm = profile.electrodes.position_mm / magnification
+        self._cell_mm = tuple(side / magnification for side in profile.electrodes.cell_mm)
+        self._names = " and ".join(each.name for each in afferents)
+        self._finger: Finger | None = None
+        self._spikes: Counts = {}
+
+    @abstractmethod
+    def under(self) -> Under:
+        """Return what was touched; raises if nothing was."""
+
+    def deliver(
+        self,
+        numbers: NDArray[np.uint32],
+        width_us: Floats,
+        current_ua: NDArray[np.int16],
+        finger: Finger | None = None,
+    ) -> None:
+        """Take delivered slots, see `answers`; with a finger its spikes are drawn, too."""
+        super().deliver(numbers, width_us, current_ua)
+        self._finger = finger
+        if finger is not None:
+            self._spikes = delivered_spikes(
+                finger, numbers, width_us, current_ua, self.period_us, MOST_SLOTS
+            )
+
+    def places_mm(self, pose: Pose) -> NDArray[np.float64]:
+        """Return where the electrodes are at a pose, (E, 2) mm."""
+        return self._placed(self._position_mm, pose)
+
+    def _placed(self, places_mm: Places, pose: Pose) -> NDArray[np.float64]:
+        cos, sin = np.cos(pose.angle_rad), np.sin(pose.angle_rad)
+        x, y = places_mm.T
+        return np.column_stack([pose.x_mm + x * cos - y * sin, pose.y_mm + x * sin + y * cos])
+
+    def picture(self, corner_mm: Place, shape: tuple[int, int], pixel_mm: float) -> Grey:
+        """Return the touch of an area as grey levels, (H, W); 255 is nothing, 0 the strongest."""
+        raster = Raster(shape, self.strongest)
+        for pose, answer in self:
+            place = self.places_mm(pose) - corner_mm
+            pixel = place // pixel_mm if self.strongest else np.rint(place / pixel_mm)
+            column, row = pixel.astype(np.intp).T
+            raster.add(row, column, answer)
+        wide, high = (max(1, round(side / pixel_mm)) for side in self._cell_mm)
+        if self.strongest:
+            cell = np.ones((high, wide), np.uint8)
+            return as_ink(np.asarray(cv2.dilate(raster.value, cell), np.float32))
+        return as_ink(raster.mean(lambda each: np.asarray(cv2.blur(each, (wide, high)))))
+
+    def felt_picture(
+        self, corner_mm: Place, shape: tuple[int, int], pixel_mm: float
+    ) -> NDArray[np.uint8]:
+        """Return the spikes of a finger where its receptors were, (H, W, 3)."""
+        assert self._finger is not None
+        scale = self._magnification
+        return spikes_in_color(
+            self._finger,
+            ((self.poses[number], counts) for number, counts in self._spikes.items()),
+            lambda places, pose: self._placed(places / scale, pose) - corner_mm,
+            shape,
+            pixel_mm,
+            FIELD_MM / scale,
+            mean=not self.strongest,
+        )
+
+    def save(self, path: Path) -> None:
+        """Write what was touched and the touch below it as one PNG in true size."""
+        title, corner_mm, (width_mm, height_mm), draw_under = self.under()
+        pixel_mm = max(FINEST_MM, max(width_mm, height_mm) / self.longest_px)
+        height, width = round(height_mm / pixel_mm), round(width_mm / pixel_mm)
+        area = (corner_mm, (height, width), pixel_mm)
+        rows = [(f"Delivered: {self._names} pulses where the electrodes were", self.picture(*area))]
+        finger = self._finger
+        if finger is not None:
+            words = (
+                f"Felt by finger {finger.seed}, {finger.anatomy.name}: spikes where receptors were"
+            )
+            rows.append((words, self.felt_picture(*area)))
+        if draw_under is not None:
+            rows.insert(0, (title, draw_under((height, width), pixel_mm)))
+        scale = min(max(1.0, _WIDTH[0] / width), _WIDTH[1] / width)
+        size = (round(width * scale), round(height * scale))
+        step = size[1] + _LABEL + _MARGIN
+        sheet = Image.new(
+            "L" if finger is None else "RGB",
+            (size[0] + 2 * _MARGIN, len(rows) * step + _MARGIN),
+            226 if finger is None else (226, 226, 226),
+        )
+        ink: Ink = 40 if finger is None else (40, 40, 40)
+        draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(17)
+        for index, (title, image) in enumerate(rows):
+            top = _MARGIN + index * step
+            draw.text((_MARGIN, top), title, fill=ink, font=font)
+            resized = Image.fromarray(image).resize(size, Image.Resampling.LANCZOS)
+            sheet.paste(resized, (_MARGIN, top + _LABEL))
+        if finger is not None:
+            _draw_classes(draw, font, (_MARGIN + size[0], _MARGIN + (len(rows) - 1) * step))
+        per_mm = size[0] / width_mm
+        _draw_scale(draw, font, (_MARGIN + size[0], _MARGIN), per_mm, ink)
+        content = BytesIO()
+        sheet.save(content, format="PNG", dpi=(per_mm * INCH_MM, per_mm * INCH_MM))
+        write_bytes(path, content.getvalue())
+
+
+def _draw_scale(
+    draw: ImageDraw.ImageDraw,
+    font: ImageFont.ImageFont | ImageFont.FreeTypeFont,
+    end: tuple[int, int],
+    per_mm: float,
+    ink: Ink,
+) -> None:
+    """Draw a bar of whole millimeters with its length, above the right end of a picture."""
+    right, top = end
+    most_mm = _SCALE_PART * (right - _MARGIN) / per_mm
+    length_mm = next((each for each in _SCALES_MM if each <= most_mm), _SCALES_MM[-1])
+    left, middle = right - round(length_mm * per_mm), top + _LABEL // 2 - 2
+    draw.rectangle((left, middle - 2, right - 1, middle + 1), fill=ink)
+    draw.text((left - 8, middle), f"{length_mm:g} mm", fill=ink, font=font, anchor="rm")
+
+
+def _draw_classes(
+    draw: ImageDraw.ImageDraw,
+    font: ImageFont.ImageFont | ImageFont.FreeTypeFont,
+    end: tuple[int, int],
+) -> None:
+    """Write the name of each class in its color, above the right end of a picture."""
+    right, top = end
+    for afferent, color in reversed(CLASS_COLORS.items()):
+        draw.text((right, top), afferent.name, fill=color, font=font, anchor="ra")
+        right -= round(draw.textlength(afferent.name, font=font)) + _LABEL // 2
+
+
+class PageDrawing(DeliveredDrawing):
+    """Shows the mean response at every place of a page, a mosaic of the frames if it is not
+    given."""
+
+    def __init__(
+        self, profile: Profile, bank: KernelBank, afferents: tuple[Afferent, ...], page: Page | None
+    ) -> None:
+        super().__init__(profile, bank, afferents, profile.optics.magnification)
+        self._page = page
+        self._mosaic = Mosaic(profile.optics) if page is None else None
+        self._seen = False
+
+    def watch(self, sent: StepResult) -> None:
+        """Record the pose of a step, and its frame if the page is not known."""
+        super().watch(sent)
+        if self._mosaic is not None and sent.number in self.poses:
+            self._mosaic.add(sent.input)
+            self._seen |= sent.input.image is not None
+
+    def under(self) -> Under:
+        """Return the whole page; if nothing was seen, the area that the electrodes touched."""
+        title, page, corner_mm = "The page, as it lies under the finger", self._page, (0.0, 0.0)
+        if self._mosaic is not None and not self._seen and self.poses:
+            places_mm = np.concatenate([self.places_mm(each) for each in self.poses.values()])
+            corner = places_mm.min(axis=0) - self._cell_mm
+            wide, high = np.ptp(places_mm, axis=0) + 2 * np.array(self._cell_mm)
+            return "", (float(corner[0]), float(corner[1])), (float(wide), float(high)), None
+        if self._mosaic is not None:
+            title = "The frames that passed under the finger, put together"
+            page, corner_mm = self._mosaic.page()
+        assert page is not None
+        grey = page.grey
+        return title, corner_mm, page.size_mm, lambda _shape, _pixel_mm: grey

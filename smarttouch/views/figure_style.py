@@ -1,0 +1,68 @@
+"""Common style of all figures: colors for color-blind readers, axes, and file formats."""
+
+import sys
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from smarttouch.base.array_picture import ANODIC as _ANODIC_RGB
+from smarttouch.base.array_picture import CATHODIC as _CATHODIC_RGB
+from smarttouch.base.array_picture import hex_color
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.files import write_bytes
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CATHODIC, ANODIC = hex_color(_CATHODIC_RGB), hex_color(_ANODIC_RGB)
+SIGNED_MAP = "PuOr_r"
+"""Color map: orange for cathodic or depolarizing, purple for the other sign."""
+GREY = "#707070"
+DPI = 200
+
+FORMATS = ("png", "pdf", "svg")
+
+
+def new_figure(width_in: float, height_in: float) -> "Figure":
+    """Return an empty figure; one of pyplot where a program or notebook has imported that."""
+    try:
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise SmartTouchError(
+            "figures need matplotlib: install it with the extra, pip install 'smarttouch[plot]'",
+            about="matplotlib",
+            remedy="pip install 'smarttouch[plot]'",
+        ) from None
+    pyplot = sys.modules.get("matplotlib.pyplot")
+    make: Any = Figure if pyplot is None else pyplot.figure
+    figure: Figure = make(figsize=(width_in, height_in), layout="constrained")
+    return figure
+
+
+def require_drawable(path: Path) -> None:
+    """Raise at once if a figure could not be drawn in the end: its format, or no matplotlib."""
+    if path.suffix.lower().lstrip(".") not in FORMATS:
+        raise SmartTouchError(
+            f"cannot draw {path}: name it {', '.join('*.' + f for f in FORMATS)}", about="file"
+        )
+    new_figure(1, 1)
+
+
+def plain(axes: Any, title: str = "", x: str = "", y: str = "") -> None:
+    """Label axes, and leave only the two lines with numbers."""
+    axes.set_title(title, loc="left", fontsize=9, pad=9)
+    axes.set_xlabel(x, fontsize=8)
+    axes.set_ylabel(y, fontsize=8)
+    axes.tick_params(labelsize=7)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
+def save(figure: "Figure", path: Path) -> None:
+    """Write a figure in the format of its name's ending."""
+    require_drawable(path)
+    from matplotlib import rc_context
+
+    content = BytesIO()
+    with rc_context({"svg.fonttype": "none"}):  # text stays text, to be searched and edited
+        figure.savefig(content, dpi=DPI, format=path.suffix.removeprefix("."))
+    write_bytes(path, content.getvalue())

@@ -1,0 +1,137 @@
+"""A simulated finger's response during a run, in a process of its own that never delays it."""
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection
+from typing import Any
+
+import numpy as np
+
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.response import Feeling, fire_all
+from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.running.delivered import DeliveredSlots
+from smarttouch.running.listener import Listener, RunContext
+from smarttouch.running.step import StepResult
+
+_SERVE = "import sys; from smarttouch.views.live_finger import serve; serve(int(sys.argv[1]))"
+_POLITE = 5  # niceness of the process: the sending of packets goes first
+_ENDS_WITHIN_S = 5.0
+
+
+class LiveFinger(Listener):
+    """Simulates a finger's response to the newest step of a run whenever the one before is done.
+
+    The loop never waits: it hands a step only to an idle process. A thread would not do, as it
+    could be held up while it has the interpreter. ``draw`` is called with each `Feeling` in that
+    process, which must be able to import it; its result is ``drawn``. ``simulated`` and ``skipped``
+    count steps that were simulated, and that came meanwhile.
+    """
+
+    def __init__(self, finger: Finger, draw: Callable[[Feeling], Any] | None = None) -> None:
+        super().__init__()
+        self.newest: Feeling | None = None
+        self.drawn: Any = None
+        self.simulated = self.skipped = 0
+        self._finger, self._draw = finger, draw
+        self._line: Connection | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._given: Feeling | None = None  # what the process is at, without its spikes
+
+    def prepare(self, run: RunContext) -> None:
+        """Start the process, and wait until it has computed what drives its afferents."""
+        ours, theirs = socket.socketpair()
+        with theirs:
+            command = [sys.executable, "-c", _SERVE, str(theirs.fileno())]
+            environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+            self._process = subprocess.Popen(
+                command, pass_fds=[theirs.fileno()], env=environment, stdin=subprocess.DEVNULL
+            )
+        self._line = Connection(ours.detach())
+        with self._alive() as line:
+            line.send((self._finger, self._draw))
+        self._receive()
+
+    def step(self, result: StepResult) -> None:
+        """Take a finished response, and hand over a step if the process is idle."""
+        assert self._line is not None
+        if self._given is not None and self._line.poll():
+            self._take()
+        if self._given is not None:
+            self.skipped += 1
+            return
+        sequence, active = result.sequence, np.asarray(result.tactile.activation.any(axis=0))
+        self._given = Feeling(self._finger, (), active, result.step.mode.afferents)
+        slots = DeliveredSlots(
+            sequence.current_ua, sequence.width_us, sequence.discharge_us, sequence.period_us
+        )
+        with self._alive() as line:
+            line.send((slots, active, self._given.wanted))
+
+    def finish(self, run: RunContext) -> None:
+        """Take the last response: the board is closed."""
+        if self._given is not None:
+            self._take()
+
+    def close(self) -> None:
+        line, process = self._line, self._process
+        self._line = self._process = self._given = None
+        if line is not None:
+            line.close()
+        if process is not None:
+            try:
+                process.wait(_ENDS_WITHIN_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def abandon(self) -> None:
+        """Kill the process, from any thread."""
+        process = self._process
+        if process is not None:
+            process.kill()
+
+    def _take(self) -> None:
+        assert self._given is not None
+        spikes, self.drawn = self._receive()
+        self.newest = Feeling(self._finger, (spikes,), self._given.active, self._given.wanted)
+        self._given = None
+        self.simulated += 1
+
+    def _receive(self) -> Any:
+        with self._alive() as line:
+            return line.recv()
+
+    @contextlib.contextmanager
+    def _alive(self) -> Iterator[Connection]:
+        assert self._line is not None
+        try:
+            yield self._line
+        except (EOFError, OSError):
+            raise SmartTouchError(
+                "the process that simulates the finger has ended: see what it wrote, and run again",
+                about="finger",
+            ) from None
+
+
+def serve(number: int) -> None:
+    """Simulate responses to slots from a socket until it is closed."""
+    os.nice(_POLITE)
+    with Connection(number) as line:
+        finger, draw = line.recv()
+        model = SpikeModel(finger)
+        line.send(None)
+        while True:
+            try:
+                slots, active, wanted = line.recv()
+            except (EOFError, OSError):
+                return
+            model.begin_anew()
+            (spikes,) = fire_all(model, [slots])
+            feeling = Feeling(finger, (spikes,), active, wanted)
+            line.send((spikes, None if draw is None else draw(feeling)))

@@ -1,0 +1,148 @@
+"""Outputs of a run as listeners: recordings, pictures of what was delivered, streams."""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+from smarttouch.base.errors import DesignError, SmartTouchError
+from smarttouch.emulator.emulated_boards import EmulatorBoard, SimulatedBoard
+from smarttouch.running.listener import Listener, RunContext
+from smarttouch.running.step import StepResult
+
+if TYPE_CHECKING:
+    from smarttouch.emulator.emulated_boards import Pulses
+    from smarttouch.physiology.finger import Finger
+    from smarttouch.profile import Profile
+    from smarttouch.views.delivered_drawing import DeliveredDrawing
+    from smarttouch.views.pattern_files import PatternFile
+
+
+class DeliveredPicture(Listener):
+    """Draws what was delivered, and the response of a finger, below what the finger passed over.
+
+    Needs a board that reports every pulse: ``emulator:`` or ``simulated:``. Where no finger can be
+    made of a profile, a note says so, and what was delivered is drawn alone.
+    """
+
+    def __init__(self, path: Path, finger: int = 1, anatomy: str | Path = "branched") -> None:
+        super().__init__()
+        self.path = path
+        self._seed, self._anatomy = finger, anatomy
+        self._open = contextlib.ExitStack()
+        self._drawing: DeliveredDrawing | None = None
+        self._pulses: Callable[[], Pulses] | None = None
+
+    def prepare(self, run: RunContext) -> None:
+        """Begin the picture, and make the board log its pulses."""
+        from smarttouch.physiology.anatomy import load_anatomy
+
+        load_anatomy(self._anatomy)
+        board = getattr(run.board, "electric", run.board)
+        if isinstance(board, EmulatorBoard):
+            from smarttouch.emulator.firmware import read_delivered
+
+            folder = Path(self._open.enter_context(TemporaryDirectory(prefix="smarttouch-")))
+            board.keep_books(folder)
+            self._pulses = partial(read_delivered, folder)
+        elif isinstance(board, SimulatedBoard):
+            self._pulses = board.take_pulses
+        else:
+            raise SmartTouchError(
+                "this picture needs a board that reports every pulse, and this one "
+                "does not: use the board emulator:",
+                about="felt",
+                remedy="board emulator:",
+            )
+        own = getattr(run.source, "drawing", None)
+        if own is not None:
+            self._drawing = own(run.profile, run.bank)
+        else:
+            from smarttouch.views.delivered_drawing import PageDrawing
+
+            afferents = run.controls.state(0).mode.afferents
+            page = getattr(run.source, "page", None)
+            self._drawing = PageDrawing(run.profile, run.bank, afferents, page)
+
+    def step(self, result: StepResult) -> None:
+        """Store the place of the finger."""
+        if self._drawing is not None:
+            self._drawing.watch(result)
+
+    def finish(self, run: RunContext) -> None:
+        """Draw the delivered pulses."""
+        assert self._drawing is not None
+        assert self._pulses is not None
+        self._drawing.deliver(*self._pulses(), self._finger(run.profile))
+        self._drawing.save(self.path)
+
+    def _finger(self, profile: "Profile") -> "Finger | None":
+        from smarttouch.physiology.finger import Finger
+
+        try:
+            finger = Finger(profile, self._seed, self._anatomy)
+            _ = finger.rows
+        except DesignError as error:
+            self.notes.append(f"the picture shows what was delivered, and no finger: {error}")
+            return None
+        return finger
+
+    def close(self) -> None:
+        """Remove the log."""
+        self._open.close()
+
+
+class Patterns(Listener):
+    """Writes the activation of each step as film, numbers or pictures; see `PatternFile`."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__()
+        self.path = path
+        self._file: PatternFile | None = None
+
+    def prepare(self, run: RunContext) -> None:
+        """Refuse what cannot be written, before the display is opened."""
+        from smarttouch.views.pattern_files import PatternFile
+
+        self._file = PatternFile(self.path, run.profile)
+
+    def step(self, result: StepResult) -> None:
+        """Keep the activation of a step."""
+        if self._file is not None:
+            self._file.watch(result)
+
+    def finish(self, run: RunContext) -> None:
+        """Write them."""
+        assert self._file is not None
+        self._file.save()
+
+
+def output_listeners(
+    *,
+    felt: Path | None = None,
+    finger: int = 1,
+    anatomy: str = "branched",
+    frames: Path | None = None,
+    record: Path | None = None,
+    markers: bool = False,
+    foxglove: int | None = None,
+) -> Iterator[Listener]:
+    """Yield a listener for each output that is wanted."""
+    if markers:
+        from smarttouch.views.streams import Markers
+
+        yield Markers()
+    if felt is not None:
+        yield DeliveredPicture(felt, finger, anatomy)
+    if frames is not None:
+        yield Patterns(frames)
+    if foxglove is not None:
+        from smarttouch.views.streams import FoxgloveServer
+
+        yield FoxgloveServer(foxglove)
+    if record is not None:
+        from smarttouch.running.recorder import Recorder
+
+        yield Recorder(record)

@@ -1,0 +1,350 @@
+"""Terminal screens of a run, for readers and for participants, and their pictures of characters."""
+
+import sys
+import textwrap
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Group
+from rich.live import Live
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+from smarttouch.base import terminal
+from smarttouch.base.events import Advice, Event
+from smarttouch.profile import Profile
+from smarttouch.running.listener import Listener, RunContext
+from smarttouch.running.step import StepResult, summary_lines
+
+MOST_ROWS, MOST_COLUMNS = 16, 64  # of a picture, in characters: drawing takes the loop's time
+
+_DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
+_DITHER = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) + 0.5) * 16
+"""Grey value above which each dot of two signs side by side is bright."""
+
+
+def image_text(image: NDArray[np.uint8], columns: int, rows: int, *, color: bool) -> Text:
+    """Draw a grey image within a number of columns and rows: in color as half blocks, two pixels to
+    a character, else as Braille characters of eight dots."""
+    height, width = image.shape
+    rows, columns = min(rows, MOST_ROWS), min(columns, MOST_COLUMNS)
+    wide = max(2, round(2 * rows * width / height))
+    if wide > columns:
+        rows, wide = max(1, round(columns * height / width / 2)), columns
+    if not color:
+        return _dots(image, wide, rows)
+    small = cv2.resize(image, (wide, 2 * rows), interpolation=cv2.INTER_AREA)
+    text = Text()
+    for upper, lower in zip(small[::2], small[1::2], strict=True):
+        for above, below in zip(upper.tolist(), lower.tolist(), strict=True):
+            style = f"rgb({above},{above},{above}) on rgb({below},{below},{below})"
+            text.append("▀", style=style)
+        text.append("\n")
+    text.right_crop(1)
+    return text
+
+
+def _dots(image: NDArray[np.uint8], columns: int, rows: int) -> Text:
+    small = cv2.resize(image, (2 * columns, 4 * rows), interpolation=cv2.INTER_AREA)
+    bright = small > np.tile(_DITHER, (rows, -(-columns // 2)))[:, : 2 * columns]
+    signs = np.einsum("rickd,id->rc", bright.reshape(rows, 4, columns, 1, 2), _DOTS)
+    return Text("\n".join("".join(chr(0x2800 + each) for each in row) for row in signs.tolist()))
+
+
+class ArrayPicture:
+    """Array of electrodes as a picture of characters."""
+
+    def __init__(self, profile: Profile) -> None:
+        position = profile.electrodes.position_mm
+        step_x, step_y = _finest(position[:, 0]), _finest(position[:, 1])
+        self._column = np.rint((position[:, 0] - position[:, 0].min()) / step_x).astype(int)
+        self._row = np.rint((position[:, 1] - position[:, 1].min()) / step_y).astype(int)
+        self._columns, self._rows = int(self._column.max()) + 1, int(self._row.max()) + 1
+        self._spread = 3 if step_x >= step_y else 2
+
+    def merged(self, columns: int, rows: int) -> int:
+        """Return how many columns and rows of electrodes a character covers."""
+        return max(-(-self._columns // columns), -(-self._rows // rows))
+
+    def draw(self, parts: NDArray[np.float32], columns: int, rows: int) -> Text:
+        """Draw electrodes, (E,) as parts of the strongest, within a number of columns and rows; a
+        character shows its strongest electrode."""
+        merged = self.merged(columns, rows)
+        shape = -(-self._rows // merged), -(-self._columns // merged)
+        most = np.full(shape, -1.0)
+        np.maximum.at(most, (self._row // merged, self._column // merged), parts.clip(0, 1))
+        spread = min(self._spread, columns // shape[1])
+        text = Text()
+        for line in most.tolist():
+            for part in line:
+                text.append(*_sign(part, spread))
+            text.append("\n")
+        text.right_crop(1)
+        return text
+
+
+def _sign(part: float, spread: int) -> tuple[str, str]:
+    """Return the sign of an electrode, or of none if below 0, and its style."""
+    if part <= 0:
+        return ("·" if part == 0 else " ").ljust(spread), "grey42"
+    glow = round(90 + 165 * part)
+    mark = "○◔◑◕●"[min(4, int(part * 5))]
+    return mark.ljust(spread), f"rgb({glow},{round(glow * 0.75)},40)"
+
+
+def _finest(values: NDArray[np.float64]) -> float:
+    steps = np.diff(np.unique(values.round(6)))
+    return float(steps.min()) if steps.size else 1.0
+
+
+_REFRESH_PER_S = 10
+_KEYS = "+ − intensity    0 none    space pause    m mode    q, Esc end"
+_ROOMY = 20  # rows of a terminal from which an event has two of them
+_LEAST_PICTURE = 9  # fewest rows of the pictures and their title beside the numbers
+_NAME = 9
+
+Rows = tuple[tuple[str, str], ...]
+
+
+class Screen(Listener):
+    """Shows a run from a thread of its own, and summarizes it. Where nothing can be drawn, or if
+    plain, it prints a line for each event and each new title of the source; if quiet, nothing."""
+
+    def __init__(self, url: str, quiet: bool, keys_help: str = "", plain: bool = False) -> None:
+        super().__init__()
+        self._url, self._quiet = url, quiet
+        self._console = terminal.console()
+        drawn = self._console.is_terminal and not self._console.is_dumb_terminal
+        self._plain = not quiet and (plain or not drawn)
+        self._title = ""
+        self._early: list[str] | None = []  # lines on what happened before the board was open
+        self._latest: StepResult | None = None
+        self._event = ""
+        self._keys = keys_help + _KEYS
+        self._live: Live | None = None
+
+    def prepare(self, run: RunContext) -> None:
+        self._source, self._profile, self._controls = run.source, run.profile, run.controls
+        self._board, self._statistics = run.board, run.statistics
+        self._array = ArrayPicture(run.profile)
+        self._full_ma = float(run.profile.full_ma.max())
+        if self._quiet or self._plain:
+            return
+        # Drawing must not hold the loop up for a whole default interval of 5 ms.
+        self._interval = sys.getswitchinterval()
+        sys.setswitchinterval(0.0005)
+        self._live = Live(
+            console=self._console,
+            get_renderable=self._render,
+            refresh_per_second=_REFRESH_PER_S,
+            transient=True,
+        )
+        self._live.start()
+
+    def start(self, run: RunContext) -> None:
+        """If plain, print what runs, and its keys."""
+        if self._plain:
+            self._title = run.source.title
+            self._print(f"{self._title}, {run.profile.title}, {self._url}")
+            if sys.stdin.isatty():
+                keys = (" ".join(each.split()) for each in self._keys.split("    "))
+                self._print(f"keys: {', '.join(keys)}")
+            early, self._early = self._early or [], None
+            for line in early:
+                self._print(line)
+
+    def step(self, result: StepResult) -> None:
+        """Keep the newest step for the screen's own thread."""
+        self._latest = result
+        title = self._source.title
+        if self._plain and title != self._title:
+            self._title = title
+            self._print(f"{result.step.input.time_ns / 1e9:.1f} s: {title}")
+
+    def event(self, event: Event) -> None:
+        """Show the newest event; advice stays."""
+        self._event = f"{event.time_ns / 1e9:.1f} s: {event}"
+        if isinstance(event, Advice) and not self._quiet:
+            console = terminal.console(stderr=True) if self._live is None else self._console
+            console.print(str(event), soft_wrap=True, highlight=False, markup=False)
+        elif self._plain and self._early is not None:
+            self._early.append(self._event)
+        elif self._plain:
+            self._print(self._event)
+
+    def hides(self, event: Event) -> bool:
+        """Return whether an event is hidden from whoever sees the screen."""
+        return False
+
+    def finish(self, run: RunContext) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Restore the terminal."""
+        live, self._live = self._live, None
+        if live is not None:
+            live.stop()
+            sys.setswitchinterval(self._interval)
+
+    def _print(self, line: str) -> None:
+        line = line.replace("\n", " ")
+        self._console.print(line, soft_wrap=True, highlight=False, markup=False)
+
+    def _render(self) -> Group | Text:
+        """Draw all of it, in a constant number of rows that fits the terminal."""
+        sent = self._latest
+        if sent is None:
+            return Text("waiting for the first frame")
+        width, height = self._console.size
+        event_rows = 2 if height >= _ROOMY else 1
+        event = textwrap.wrap(self._event, width, max_lines=event_rows, placeholder=" …")
+        texts = (*self._keys_lines(width), *event, *[""] * (event_rows - len(event)))
+        # The last row stays free: a terminal would scroll when something is printed.
+        left = height - 4 - len(texts)
+        numbers = self._numbers(sent)
+        rows = max(0, min(-(-len(numbers) // 2), left - _LEAST_PICTURE))
+        return Group(
+            _line(f"{self._source.title}  →  {self._profile.title}  →  {self._url}", "bold"),
+            _columns(self._gauges(sent, width // 2 - 1), width),
+            *(_line(text, "dim") for text in texts),
+            self._pictures(sent, width, max(2, min(left - rows, 1 + MOST_ROWS))),
+            _columns(numbers[: 2 * rows], width),
+        )
+
+    def _keys_lines(self, width: int) -> list[str]:
+        if not sys.stdin.isatty():
+            return []
+        # The words on a key stay beside it.
+        groups = (each.replace(" ", "\xa0") for each in self._keys.split("    "))
+        lines = textwrap.wrap("   ".join(groups), width)
+        return [line.replace("\xa0", " ") for line in lines]
+
+    def _pictures(self, sent: StepResult, width: int, rows: int) -> Table:
+        image, half = sent.step.input.image, max(2, (width - 3) // 2)
+        electrodes, rows = sent.delivered_ma / self._full_ma, rows - 1
+        if image is None:
+            title = "asked for"
+            asked = sent.step.tactile.activation.max(axis=0)
+            given = self._array.draw(asked, half, rows)
+        else:
+            title = "source sees"
+            given = image_text(image, half, rows, color=not self._console.no_color)
+        beside = max(2, width - 3 - max(len(title), *map(len, given.split())))
+        merged = self._array.merged(beside, rows)
+        what = f"{sent.step.mode} electrodes" + f", {merged} × {merged} each" * (merged > 1)
+        table = Table.grid(padding=(0, 3, 0, 0))
+        table.add_row(Text(title, style="dim"), _line(what, "dim"))
+        # Always as high as it may be.
+        given.append("\n" * (rows - len(given.split())))
+        table.add_row(given, self._array.draw(electrodes, beside, rows))
+        return table
+
+    def _gauges(self, sent: StepResult, width: int) -> Rows:
+        """Return the values that limit the stimulus, each with a bar, in half the width."""
+        frame, sequence, limits = sent.step.input, sent.step.sequence, self._profile.limits
+        peak_ma = float(np.abs(sequence.current_ua.astype(np.int32)).max(initial=0)) / 1000
+        charge_uc = peak_ma * float(sequence.width_us.max(initial=0)) / 1000
+        full_n, wish = self._profile.force.full_n, self._controls.state(frame.time_ns)
+        asked = "paused" if wish.paused else f"of {wish.level:.2f}"
+        gauges = (
+            ("intensity", sequence.intensity, f"{sequence.intensity:.2f} {asked}"),
+            ("current", peak_ma / limits.current_ma, f"{peak_ma:.2f}/{limits.current_ma:g} mA"),
+            ("pressure", frame.force_n / full_n, f"{frame.force_n:.2f} N"),
+            ("charge", charge_uc / limits.charge_uc, f"{charge_uc:.2f}/{limits.charge_uc:g} µC"),
+        )
+        room = max(3, width - _NAME - 15)
+        return tuple((name, f"{bar(part, room)} {value}") for name, part, value in gauges)
+
+    def _numbers(self, sent: StepResult) -> Rows:
+        frame, sequence, statistics = sent.step.input, sent.step.sequence, self._statistics
+        limits, dose, pose = self._profile.limits, self._board.dose, frame.pose
+        dropped = self._source.dropped_frames + statistics.seen - statistics.felt
+        length = "" if self._source.duration_s is None else f" of {self._source.duration_s:.0f}"
+        slots = f"{sequence.slots} slots"
+        charge = f"{dose.most_mc:.1f}/{limits.session_mc:.0f} mC"
+        return (
+            ("time", f"{frame.time_ns / 1e9:.1f}{length} s"),
+            ("rate", f"{sequence.rate_hz:.0f} Hz, {sequence.points} points, {slots}"),
+            ("latency", f"{frame.age_ns / 1e6 + sent.latency_us / 1e3:.1f} ms, image to last byte"),
+            ("session", f"{dose.seconds:.0f}/{limits.session_s:.0f} s, {charge}"),
+            ("net", f"{dose.most_net_uc:.0f} µC of one sign"),
+            ("finger", f"x {pose.x_mm:.1f}  y {pose.y_mm:.1f} mm"),
+            ("beside", _beside(sequence.proof.shared if sequence.proof else None)),
+            ("frames", f"{statistics.felt} felt, {dropped} dropped of {self._source.frames}"),
+            ("board", f"{self._board.acknowledged} of {statistics.frames} acknowledged"),
+            ("own work", f"{sent.work_us:.0f} µs, {statistics.work_share:.1%} of the scans"),
+        )
+
+    def summarize(self, figures: dict[str, Any], notes: list[str], files: list[Path]) -> None:
+        """Print how the run went."""
+        lines = summary_lines(figures, acknowledges=self._board.capabilities.acknowledges)
+        wrote = (f"wrote {path}" for path in files)
+        for line in (lines[0], *(f"  {each}" for each in (*lines[1:], *notes, *wrote))):
+            self._print(line)
+
+
+def _beside(shared: tuple[float, float] | None) -> str:
+    """Return the unwanted activation by points that share slots, in words."""
+    if not shared:
+        return "no points share a slot"
+    return f"others {shared[0]:.2f}, elsewhere {shared[1]:.2f}"
+
+
+def bar(part: float, width: int = 10) -> str:
+    filled = round(max(0.0, min(1.0, part)) * width)
+    return "█" * filled + "░" * (width - filled)
+
+
+def _line(text: str, style: str = "") -> Text:
+    """Return a text that stays in one row."""
+    return Text(text, style=style, no_wrap=True, overflow="ellipsis")
+
+
+def _columns(rows: Rows, width: int) -> Table:
+    """Return names and values, two pairs in a row."""
+    table = Table.grid(padding=(0, 1, 0, 0))
+    for each in (_NAME, max(1, width // 2 - _NAME - 2)) * 2:
+        table.add_column(width=each, no_wrap=True, overflow="ellipsis")
+    for left, right in zip_longest(rows[::2], rows[1::2], fillvalue=("", "")):
+        cells = zip((*left, *right), ("dim", "") * 2, strict=True)
+        table.add_row(*(Text(text, style) for text, style in cells))
+    return table
+
+
+_BLIND_KEYS = "+ − amplitude    0 none    space pause    q, Esc end, goes on another time"
+
+
+class BlindScreen(Screen):
+    """Shows question, amplitude and pressure; no electrodes, rates or currents."""
+
+    def event(self, event: Event) -> None:
+        if not self.hides(event):
+            super().event(event)
+
+    def hides(self, event: Event) -> bool:
+        return event.reveals
+
+    def _render(self) -> Group | Text:
+        sent = self._latest
+        if sent is None:
+            return Text("waiting for the first frame")
+        frame = sent.step.input
+        table = Table.grid(padding=(0, 1))
+        for name, part in (
+            ("amplitude", self._controls.state(frame.time_ns).level),
+            ("pressure", frame.force_n / self._profile.force.full_n),
+        ):
+            table.add_row(Text(name, style="dim"), Text(bar(part, 20)))
+        where, _, now = self._source.title.partition(": ")
+        return Group(
+            Text(where, style="dim"),
+            Panel(Text(now or " ", style="bold", justify="center"), width=72, padding=(1, 2)),
+            table,
+            Text(_BLIND_KEYS, style="dim"),
+            Text(self._event, style="dim"),
+        )

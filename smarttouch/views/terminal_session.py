@@ -1,0 +1,217 @@
+"""One run in a terminal: screen, keys, signals, and its printed and written results."""
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from smarttouch.base.files import write_json
+from smarttouch.base.stopping import ENDS_WITHIN_S, StopRequest
+from smarttouch.boards.board import Board
+from smarttouch.kernels.bank import KernelBank, load_bank
+from smarttouch.profile import Profile
+from smarttouch.running.config import RunConfig
+from smarttouch.running.display import Display
+from smarttouch.running.inputs import STEP, Controls
+from smarttouch.running.listener import Listener, RunContext
+from smarttouch.running.runner import MakeControls, Runner
+from smarttouch.sources.force import ForceSource
+from smarttouch.sources.source_contract import Source
+from smarttouch.views.keys_and_signals import (
+    LOST,
+    command_stop,
+    ending_in_order,
+    keyboard_listener,
+    opened,
+)
+from smarttouch.views.outputs import output_listeners
+from smarttouch.views.progress import bank_progress
+from smarttouch.views.screen import BlindScreen, Screen
+
+DRAWN_WITHIN_S = 30.0  # to the end after a signal where pictures are drawn, unless a second comes
+
+Keys = Mapping[str, Callable[[], None]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outputs:
+    """Files of a run, and how it is shown."""
+
+    felt: Path | None = None
+    finger: int = 1
+    anatomy: str = "branched"
+    frames: Path | None = None
+    record: Path | None = None
+    markers: bool = False
+    foxglove: int | None = None
+    json_file: Path | None = None
+    window: int | None = None
+    quiet: bool = False
+    plain: bool = False
+
+    @property
+    def files(self) -> list[Path]:
+        """Files that are written at the end."""
+        outputs = (self.felt, self.frames, self.record, self.json_file)
+        return [each for each in outputs if each is not None]
+
+    @property
+    def patience_s(self) -> float:
+        """Time that the end of a stopped run may take; drawing takes long."""
+        drawn = self.felt is not None or self.frames is not None
+        return DRAWN_WITHIN_S if drawn else ENDS_WITHIN_S
+
+    def listeners(self) -> list[Listener]:
+        """Return the listeners that write these files."""
+        return list(
+            output_listeners(
+                felt=self.felt,
+                finger=self.finger,
+                anatomy=self.anatomy,
+                frames=self.frames,
+                record=self.record,
+                markers=self.markers,
+                foxglove=self.foxglove,
+            )
+        )
+
+
+def run_in_terminal(
+    source: Source,
+    display: Display,
+    config: RunConfig,
+    outputs: Outputs,
+    *,
+    force: ForceSource | None = None,
+    screen: type[Screen] = Screen,
+    keys: Keys | None = None,
+    keys_help: str = "",
+    controls: MakeControls = Controls,
+    listeners: Iterable[Listener] = (),
+) -> None:
+    """Run a source on a display until it ends or the user ends it, and print a summary. Arguments
+    are those of `Runner`; ``keys`` are functions of further keys, and ``keys_help`` describes them
+    on the screen."""
+    stop = command_stop()
+    shown = screen(display.url, outputs.quiet, keys_help, outputs.plain)
+    typed = sys.stdin.isatty()
+    # Before the window, which takes a port, as an output may be impossible.
+    followers = outputs.listeners()
+    # A drawing source needs a page.
+    port = 0 if outputs.window is None and source.canvas is not None else outputs.window
+    windows: list[Listener] = []
+    if port is not None:
+        blind = issubclass(screen, BlindScreen)
+        windows.append(_window(port, stop, outputs, keys, keys_help, alone=not typed, blind=blind))
+    runner = Runner(
+        source,
+        display,
+        config,
+        force=force,
+        listeners=[
+            *windows,  # before the screen: they say their address
+            shown,
+            _Keyboard(stop, keys or {}),
+            *followers,
+            *listeners,
+            _Orderly(outputs.patience_s),
+        ],
+        controls=controls,
+        # On a finger, intensity starts at zero where there are controls.
+        first_level=0.0 if display.on_a_finger and (typed or windows) else None,
+        most=config.intensity if display.on_a_finger else None,
+        stop=stop,
+        load_kernels=partial(_load_kernels, quiet=outputs.quiet),
+        opened=partial(_opened, display),
+    )
+    try:
+        runner.run()
+    finally:
+        if outputs.json_file is not None and runner.statistics.figures:
+            write_json(outputs.json_file, runner.statistics.figures)
+    if not outputs.quiet:
+        shown.summarize(runner.statistics.figures, runner.statistics.notes, outputs.files)
+
+
+def _window(
+    port: int,
+    stop: StopRequest,
+    outputs: Outputs,
+    keys: Keys | None,
+    keys_help: str,
+    *,
+    alone: bool,
+    blind: bool,
+) -> Listener:
+    from smarttouch.views.window import Window
+
+    return Window(
+        stop,
+        port,
+        keys=keys,
+        keys_help=keys_help,
+        alone=alone,
+        blind=blind,
+        finger=outputs.finger,
+        anatomy=outputs.anatomy,
+    )
+
+
+def _load_kernels(profile: Profile, quiet: bool) -> KernelBank:
+    with bank_progress(quiet) as progress:
+        return load_bank(profile, progress)
+
+
+def _opened(display: Display, stop: StopRequest) -> AbstractContextManager[Board]:
+    return opened(display.board, stop)
+
+
+class _Orderly(Listener):
+    """Lets a run end by itself on a signal, from when its board may be open."""
+
+    def __init__(self, patience_s: float) -> None:
+        super().__init__()
+        self._patience_s = patience_s
+        self._stack = contextlib.ExitStack()
+
+    def prepare(self, run: RunContext) -> None:
+        # Until here, with no board open, a signal ends the program anywhere.
+        self._stack.enter_context(ending_in_order(self._patience_s))
+
+    def close(self) -> None:
+        self._stack.close()
+
+
+class _Keyboard(Listener):
+    """Lets keys control a run."""
+
+    def __init__(self, stop: StopRequest, keys: Keys) -> None:
+        super().__init__()
+        self._run_stop, self._keys = stop, keys
+        self._stack = contextlib.ExitStack()
+
+    def prepare(self, run: RunContext) -> None:
+        controls, stop = run.controls, self._run_stop
+        does: dict[str, Callable[[], None]] = {
+            "+": lambda: controls.change_level(STEP),
+            "-": lambda: controls.change_level(-STEP),
+            "0": controls.silence,
+            " ": controls.toggle_pause,
+            "m": controls.next_mode,
+            "q": lambda: stop.ask("key q"),
+            "\x1b": lambda: stop.ask("key Esc"),
+            LOST: lambda: stop.ask("the terminal is gone"),
+        }
+        does |= {"=": does["+"], "up": does["+"], "down": does["-"], "_": does["-"]}
+
+        def on_key(key: str) -> None:
+            for each in (does, self._keys):
+                each.get(key, lambda: None)()
+
+        self._stack.enter_context(keyboard_listener(on_key))
+
+    def close(self) -> None:
+        self._stack.close()

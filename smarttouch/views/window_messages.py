@@ -1,0 +1,113 @@
+"""Messages to pages: the run as it begins, and each step as a picture of numbers."""
+
+import base64
+import math
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.base.afferent import CLASS_COLORS, Afferent
+from smarttouch.base.array_picture import disc_radius_mm
+from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.response import Feeling
+from smarttouch.profile import Profile
+from smarttouch.running.step import StepResult
+from smarttouch.stimulation.scan_sequence import ScanSequence
+
+MOST_PIXELS = 160  # longer side of an image of what a sensor sees; larger ones are made smaller
+_DIGITS = 4
+Message = dict[str, Any]
+
+
+def array_message(profile: Profile) -> Message:
+    """Return the array and limits of a profile, as a page draws them."""
+    electrodes, limits = profile.electrodes, profile.limits
+    return {
+        "profile": profile.title,
+        "place_mm": electrodes.position_mm.round(_DIGITS).tolist(),
+        "extent_mm": [round(each, _DIGITS) for each in electrodes.extent_mm],
+        "radius_mm": round(disc_radius_mm(electrodes), _DIGITS),
+        "full_ma": float(profile.full_ma.max()),
+        "full_n": float(profile.force.full_n),
+        "limits": {
+            "current_ma": float(limits.current_ma),
+            "charge_uc": float(limits.charge_uc),
+            "session_s": float(limits.session_s),
+            "session_mc": float(limits.session_mc),
+        },
+        "colors": {each.name: CLASS_COLORS[each] for each in Afferent},
+    }
+
+
+def finger_message(finger: Finger) -> Message:
+    """Return where the receptors of a finger are, and their classes."""
+    return {
+        "reach_mm": finger.reach_mm.round(_DIGITS).tolist(),
+        "receptor_mm": _base64(np.rint(100 * finger.receptor_mm).astype("<i2")),
+        "classes": _base64(finger.classes.astype(np.uint8)),
+    }
+
+
+def response_message(feeling: Feeling) -> Message:
+    """Return the spikes of each afferent, and the quality of the response."""
+    quality = feeling.felt
+    return {
+        "counts": _base64(np.minimum(feeling.counts, 255).astype(np.uint8)),
+        "spikes": quality.spikes,
+        "afferents": {each.name: count for each, count in quality.afferents.items()},
+        "silent_points": _number(quality.silent_points),
+        "wrong_class": _number(quality.wrong_class),
+        "misplaced": _number(quality.misplaced),
+    }
+
+
+def picture_message(sent: StepResult) -> Message:
+    """Return what was seen, meant and delivered in one step."""
+    step, given, sequence = sent.step, sent.step.input, sent.step.sequence
+    picture = {
+        "time_s": given.time_ns / 1e9,
+        "number": sent.number,
+        "mode": str(step.mode),
+        "tactile": _base64(np.rint(255 * step.driven).clip(0, 255).astype(np.uint8)),
+        "force_n": _number(given.force_n),
+        "age_ms": given.age_ns / 1e6,
+        "latency_ms": given.age_ns / 1e6 + sent.latency_us / 1e3,
+        **sequence_message(sequence),
+    }
+    if given.image is not None:
+        picture["image"] = _image(given.image)
+    return picture
+
+
+def sequence_message(sequence: ScanSequence) -> Message:
+    """Return the currents of a sequence; positive is cathodic."""
+    peak_ma = float(np.abs(sequence.current_ua.astype(np.int32)).max(initial=0)) / 1000
+    return {
+        "slots": sequence.slots,
+        "points": sequence.points,
+        "period_us": sequence.period_us,
+        "intensity": float(sequence.intensity),
+        "peak_ma": peak_ma,
+        "charge_uc": peak_ma * float(sequence.width_us.max(initial=0)) / 1000,
+        "current_ua": _base64(sequence.current_ua.astype("<i2")),
+        "width_us": sequence.width_us.tolist(),
+        "site": sequence.site.tolist(),
+    }
+
+
+def _image(image: NDArray[np.uint8]) -> Message:
+    longer = max(image.shape)
+    if longer > MOST_PIXELS:
+        height, width = (max(1, round(each * MOST_PIXELS / longer)) for each in image.shape)
+        image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA))
+    return {"height": image.shape[0], "width": image.shape[1], "grey": _base64(image)}
+
+
+def _base64(values: NDArray[Any]) -> str:
+    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

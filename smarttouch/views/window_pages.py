@@ -1,0 +1,274 @@
+"""Pages that are connected to a run: each is sent the newest state, one steers, any can stop it."""
+
+import asyncio
+import contextlib
+import itertools
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+from smarttouch.base.afferent import Mode
+from smarttouch.base.stopping import StopRequest
+from smarttouch.running.inputs import STEP, Controls
+from smarttouch.running.step import StepResult
+from smarttouch.sources.source_contract import Source
+from smarttouch.views.window_server import import_server
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+    from starlette.routing import BaseRoute
+    from starlette.websockets import WebSocket
+
+LOST_S = 0.7  # silence after which a page loses control
+
+
+class Steering:
+    """Passes one page's requests to the controls of a run, as keys do. A page takes control by a
+    request if no other has it. A run that no page controls any more is paused unless it has other
+    controls (not ``alone``)."""
+
+    def __init__(
+        self,
+        controls: Controls,
+        stop: StopRequest,
+        keys: Mapping[str, Callable[[], None]],
+        *,
+        alone: bool,
+    ) -> None:
+        self.controls, self._stop, self._keys, self._alone = controls, stop, keys, alone
+        self._page: int | None = None
+        self._alive_s = 0.0
+        self._lock = threading.Lock()
+        self._does: dict[str, Callable[[], None]] = {
+            "more": lambda: controls.change_level(STEP),
+            "less": lambda: controls.change_level(-STEP),
+            "none": controls.silence,
+            "pause": controls.pause,
+            "resume": controls.resume,
+        }
+
+    @property
+    def page(self) -> int | None:
+        """Number of the page that steers; None if none does."""
+        return self._page
+
+    def stop(self) -> None:
+        """End the run with all electrodes at zero; any page may."""
+        self._stop.ask("the window")
+
+    def steer(self, page: int) -> bool:
+        """Return whether a page has control; it takes it if no other has."""
+        with self._lock:
+            if self._page is None:
+                self._alive_s, self._page = time.monotonic(), page
+            return self._page == page
+
+    def leave(self, page: int) -> None:
+        """Release control, if this page has it."""
+        with self._lock:
+            if self._page != page:
+                return
+            self._page = None
+        if self._alone:
+            self.controls.pause()
+
+    def note_alive(self, page: int) -> None:
+        if self._page == page:
+            self._alive_s = time.monotonic()
+
+    def look_after(self) -> None:
+        """Release the control of a page that has fallen silent; from any thread."""
+        page = self._page
+        if page is not None and time.monotonic() - self._alive_s > LOST_S:
+            self.leave(page)
+
+    def act(self, page: int, what: str) -> bool:
+        """Execute a page's request; return False if another has control, raise ValueError if it is
+        unknown."""
+        kind, _, name = what.partition(":")
+        if what in self._does:
+            does = self._does[what]
+        elif kind == "mode" and name in {str(each) for each in self.controls.modes}:
+            mode = Mode(name)
+
+            def does() -> None:
+                self.controls.choose_mode(mode)
+
+        elif kind == "key" and name in self._keys:
+            does = self._keys[name]
+        else:
+            raise ValueError(what)
+        if not self.steer(page):
+            return False
+        does()
+        return True
+
+
+MOST_PAGES = 16
+MOST_HZ = 60
+MOST_MESSAGES_PER_S = 400  # limit for one page; one that sends more loses its connection
+_BEAT_S = 0.2  # longest time without a message to a page: its answer says that it is alive
+_INFORMED_WITHIN_S = 0.5
+
+
+@dataclass
+class ConnectedPage:
+    """One connected page, and what it has seen."""
+
+    number: int
+    waits: bool = True  # whether it has drawn what it was sent last
+    shown: StepResult | None = None
+    events: int = 0
+    felt: str = ""
+    drawn: int = 0  # changes of the drawing that it has seen
+    received: int = 0  # messages of this second
+    second: int = 0
+
+
+class PageState(Protocol):
+    """State of a run as JSON messages to pages."""
+
+    @property
+    def steering(self) -> Steering: ...
+    @property
+    def source(self) -> Source: ...
+    @property
+    def hello(self) -> str:
+        """The first message."""
+
+    @property
+    def ended(self) -> str:
+        """The last message."""
+
+    def has_seen(self, page: ConnectedPage) -> bool:
+        """Return whether there is nothing new for a page."""
+
+    def update(self, page: ConnectedPage) -> str:
+        """Return a message with all that a page has not seen yet."""
+
+
+class Pages:
+    """Connections of all pages of a run; ``over`` is set once the run is over."""
+
+    def __init__(self, state: PageState) -> None:
+        import_server()
+        self._state = state
+        self._pages: dict[int, ConnectedPage] = {}
+        self._numbers = itertools.count(1)
+        self.over, self._all_informed = threading.Event(), threading.Event()
+
+    def __len__(self) -> int:
+        return len(self._pages)
+
+    def routes(self) -> "list[BaseRoute]":
+        """Return the addresses that pages talk to."""
+        from starlette.routing import Route, WebSocketRoute
+
+        return [
+            WebSocketRoute("/socket", self._connected),
+            Route("/stop", self._stopped, methods=["POST"]),
+        ]
+
+    def wait(self) -> None:
+        """Wait briefly until all pages know that the run is over."""
+        if self._pages:
+            self._all_informed.wait(_INFORMED_WITHIN_S)
+
+    async def _stopped(self, request: "Request") -> "Response":
+        """Stop for a page that has lost its connection."""
+        from starlette.responses import Response
+
+        # The run, and with it the server, may end first.
+        with contextlib.suppress(asyncio.CancelledError):
+            await self._stop()
+        return Response(status_code=204)
+
+    async def _stop(self) -> None:
+        # A board may wait for its line, which must not block other pages.
+        await asyncio.to_thread(self._state.steering.stop)
+
+    async def _connected(self, socket: "WebSocket") -> None:
+        from starlette.websockets import WebSocketDisconnect
+
+        await socket.accept()
+        if len(self._pages) >= MOST_PAGES or self.over.is_set():
+            await socket.close(1013, "too many pages")
+            return
+        page = ConnectedPage(next(self._numbers))
+        self._pages[page.number] = page
+        feeding = asyncio.create_task(self._feed(socket, page))
+        try:
+            while True:
+                message = await socket.receive()
+                if message["type"] == "websocket.disconnect":
+                    break
+                text = message.get("text")
+                if text is None or not await self._take(page, text):
+                    await socket.close(1008, "not understood")
+                    break
+        except (WebSocketDisconnect, RuntimeError):
+            pass
+        finally:
+            feeding.cancel()
+            del self._pages[page.number]
+            self._state.steering.leave(page.number)
+            if not self._pages and self.over.is_set():
+                self._all_informed.set()
+            # It may have failed on the lost connection.
+            await asyncio.gather(feeding, return_exceptions=True)
+
+    async def _take(self, page: ConnectedPage, text: str) -> bool:
+        """Execute a page's message; return False if it is none."""
+        steering, second = self._state.steering, int(time.monotonic())
+        page.received = page.received + 1 if second == page.second else 1
+        page.second = second
+        if page.received > MOST_MESSAGES_PER_S:
+            return False
+        steering.note_alive(page.number)
+        verb, _, rest = text.partition(" ")
+        if text == "seen":
+            page.waits = True
+        elif text == "stop":
+            await self._stop()
+        elif text == "steer":
+            steering.steer(page.number)
+        elif text == "leave":
+            steering.leave(page.number)
+        elif verb in ("do", "draw"):
+            try:
+                await self._act(page, verb, rest)
+            except ValueError:
+                return False
+        else:
+            return False
+        return True
+
+    async def _act(self, page: ConnectedPage, verb: str, rest: str) -> None:
+        canvas, steering = self._state.source.canvas, self._state.steering
+        if verb == "do" and rest.startswith("key:"):
+            # It may wait for the source's line, which must not block a stop.
+            await asyncio.to_thread(steering.act, page.number, rest)
+        elif verb == "do":
+            steering.act(page.number, rest)
+        elif canvas is None:
+            raise ValueError(rest)
+        elif steering.steer(page.number):
+            await asyncio.to_thread(canvas.draw, rest)
+
+    async def _feed(self, socket: "WebSocket", page: ConnectedPage) -> None:
+        """Send a page the newest state whenever it has drawn the last one."""
+        await socket.send_text(self._state.hello)
+        sent_s = 0.0
+        while True:
+            await asyncio.sleep(1 / MOST_HZ)
+            over, idle = self.over.is_set(), self._state.has_seen(page)
+            if over or (page.waits and not (idle and time.monotonic() - sent_s < _BEAT_S)):
+                sent_s, page.waits = time.monotonic(), False
+                await socket.send_text(self._state.update(page))
+            if over:
+                await socket.send_text(self._state.ended)
+                await socket.close(1000)
+                return

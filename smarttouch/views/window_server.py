@@ -1,0 +1,199 @@
+"""Server of a page, for this machine alone, with a secret in its address and a thread of its
+own."""
+
+import atexit
+import contextlib
+import html
+import os
+import secrets
+import shutil
+import socket
+import sys
+import tempfile
+import threading
+import time
+import webbrowser
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from smarttouch.base.clock import prioritized
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.files import write_bytes
+
+if TYPE_CHECKING:
+    import uvicorn
+    from starlette.routing import BaseRoute
+
+HOST = "127.0.0.1"
+MOST_MESSAGE_BYTES = 65_536  # longest message that a page may send; longer ones end its connection
+PAGE_FOLDER = Path(__file__).parent / "page"
+_JOIN_S = 1.0
+_FILE_KEPT_S = 60.0  # how long a browser may take to start and read the file that it is given
+_LEADS_TO = (
+    '<!doctype html><meta charset="utf-8"><meta name="referrer" content="no-referrer">'
+    '<meta http-equiv="refresh" content="0;url={0}"><title>SmartTouch</title>'
+    '<a href="{0}">SmartTouch</a>\n'
+)
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; base-uri 'none'; "
+    "form-action 'none'; frame-ancestors 'none'"
+)
+_HEADERS = {
+    "cache-control": "no-store",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "referrer-policy": "no-referrer",
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+}
+
+
+class PageServer:
+    """Serves the files of a page and some routes until it is closed. Requests for another host,
+    from another origin or without the secret are refused. Routes are relative to the secret; port 0
+    of 127.0.0.1 is a free one."""
+
+    def __init__(self, port: int, routes: "Sequence[BaseRoute]", name: str = "live.html") -> None:
+        server = import_server()
+        from starlette.applications import Starlette
+        from starlette.routing import Mount
+        from starlette.staticfiles import StaticFiles
+
+        self._socket = _bound(port)
+        self.port = int(self._socket.getsockname()[1])
+        self._prefix = f"/{secrets.token_urlsafe(24)}/"
+        self.address = f"http://{HOST}:{self.port}{self._prefix}{name}"
+        self._hosts = {f"{each}:{self.port}" for each in (HOST, "localhost")}
+        # Not all browsers count a socket of the same host as 'self'.
+        sockets = " ".join(f"ws://{each}" for each in sorted(self._hosts))
+        policy = f"{_POLICY}; connect-src 'self' {sockets}"
+        self._headers = {"content-security-policy": policy, **_HEADERS}
+        self._inner = Starlette(routes=[*routes, Mount("/", StaticFiles(directory=PAGE_FOLDER))])
+        config = server.Config(
+            self._guarded,
+            interface="asgi3",
+            http="h11",
+            ws="websockets-sansio",
+            ws_max_size=MOST_MESSAGE_BYTES,
+            ws_per_message_deflate=False,
+            loop="asyncio",
+            lifespan="off",
+            log_config=None,
+            log_level="critical",
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=1,
+        )
+        self._server: uvicorn.Server = server.Server(config)
+        self._thread = threading.Thread(target=self._serve, name="window", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def close(self) -> None:
+        """End all connections."""
+        self._server.should_exit = self._server.force_exit = True
+        if self._thread.is_alive():
+            self._thread.join(_JOIN_S)
+        self._socket.close()
+
+    # A thread of lower priority that holds the interpreter would hold up the loop.
+    @prioritized()
+    def _serve(self) -> None:
+        self._server.run([self._socket])
+
+    async def _guarded(self, scope: Any, receive: Any, send: Any) -> None:
+        """Serve what is allowed, with headers that restrict the page."""
+        headers = {name.decode("latin-1"): value for name, value in scope["headers"]}
+        if not self._allows(scope, headers):
+            await _refuse(scope, send)
+            return
+
+        async def send_with_headers(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                own = [(name.encode(), value.encode()) for name, value in self._headers.items()]
+                message["headers"] = [*message["headers"], *own]
+            await send(message)
+
+        path = scope["path"][len(self._prefix) - 1 :]
+        await self._inner({**scope, "path": path, "root_path": ""}, receive, send_with_headers)
+
+    def _allows(self, scope: Any, headers: dict[str, bytes]) -> bool:
+        origin = headers.get("origin", b"").decode("latin-1")
+        # Links may open pages; requests that act must come from our pages.
+        acts = scope["type"] == "websocket" or scope["method"] not in ("GET", "HEAD")
+        ours = origin in {f"http://{each}" for each in self._hosts} or not (origin or acts)
+        path = scope["path"][: len(self._prefix)].encode()
+        return (
+            headers.get("host", b"").decode("latin-1") in self._hosts
+            and ours
+            and secrets.compare_digest(path, self._prefix.encode())
+        )
+
+
+async def _refuse(scope: Any, send: Any) -> None:
+    if scope["type"] == "websocket":
+        # Before it is accepted: the server then answers with 403.
+        await send({"type": "websocket.close", "code": 1008})
+        return
+    await send({"type": "http.response.start", "status": 403, "headers": []})
+    await send({"type": "http.response.body", "body": b"forbidden"})
+
+
+def import_server() -> Any:
+    """Return uvicorn; raises if the extra is missing."""
+    try:
+        # All three are parts of the extra.
+        import starlette  # noqa: F401
+        import uvicorn
+        import websockets  # noqa: F401
+    except ImportError:
+        raise SmartTouchError(
+            "a window needs the extra window: pip install 'smarttouch[window]'",
+            about="window",
+            remedy="pip install 'smarttouch[window]'",
+        ) from None
+    return uvicorn
+
+
+def open_browser(address: str) -> None:
+    """Open an address in the desktop's browser, if there is one, without waiting. Every user can
+    read the arguments of a program, and the address holds a secret: so the browser gets a file that
+    leads there and that only this user can read."""
+    shown = sys.platform in ("win32", "darwin") or any(
+        os.environ.get(each) for each in ("DISPLAY", "WAYLAND_DISPLAY")
+    )
+    if not shown:
+        return
+
+    def show() -> None:
+        with contextlib.suppress(webbrowser.Error, OSError, SmartTouchError):
+            folder = Path(tempfile.mkdtemp(prefix="smarttouch-"))
+            # At the end of the program, if that comes before the end of this thread.
+            atexit.register(shutil.rmtree, folder, ignore_errors=True)
+            page = folder / "window.html"
+            write_bytes(page, _LEADS_TO.format(html.escape(address)).encode())
+            webbrowser.open(page.as_uri())
+            time.sleep(_FILE_KEPT_S)
+            shutil.rmtree(folder, ignore_errors=True)
+
+    threading.Thread(target=show, name="browser", daemon=True).start()
+
+
+def _bound(port: int) -> socket.socket:
+    found = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        found.bind((HOST, port))
+        # From now on connections wait, and are not refused.
+        found.listen(128)
+    except (OSError, OverflowError) as error:
+        found.close()
+        raise SmartTouchError(
+            f"the window cannot have port {port}: {getattr(error, 'strerror', None) or error}; "
+            "give another one, or none for one that is free",
+            about="window",
+            remedy="window",
+        ) from None
+    return found

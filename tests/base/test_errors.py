@@ -1,0 +1,33 @@
+"""Checks that numbers are in their ranges, and names among their choices."""
+
+import math
+from contextlib import nullcontext
+
+import pytest
+
+from smarttouch.base.errors import SourceError, not_offered, require_within
+
+from ..raising import assert_says, raises
+
+
+@pytest.mark.parametrize(
+    ("value", "lowest", "highest", "above", "within"),
+    [
+        *((value, 1, 4, False, True) for value in (1, 2.5, 4)),
+        *((value, 1, 4, False, False) for value in (0.999, 4.001, -math.inf, math.inf)),
+        (math.nan, -math.inf, math.inf, False, False),
+        # Without its lower end.
+        (1e-9, 0, 1, True, True),
+        (0, 0, 1, True, False),
+    ],
+)
+def test_numbers_and_ranges(value, lowest, highest, above, within):
+    ends = (lowest, highest)
+    with nullcontext() if within else raises(SourceError, about="hz", value=value, allowed=ends):
+        require_within(SourceError, "hz", value, lowest, highest, above=above)
+
+
+def test_a_name_that_is_none_of_the_choices():
+    error = not_offered("scan", "all", iter(["points", "auto"]), SourceError)
+    assert type(error) is SourceError
+    assert_says(error, about="scan", value="all", allowed=("points", "auto"))

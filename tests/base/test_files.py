@@ -1,0 +1,303 @@
+"""Paths of users are opened only if they are files, and read and parsed no further than a limit."""
+
+import errno
+import os
+import socket
+import stat
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from smarttouch.base import files as module
+from smarttouch.base.errors import PageError, ProfileError
+from smarttouch.base.files import (
+    make_folder,
+    open_alone,
+    open_file,
+    parse_json,
+    parse_toml,
+    read_bytes,
+    read_text,
+    require_file,
+    require_replaceable,
+    write_bytes,
+    write_through,
+)
+
+from ..raising import raises
+
+
+@pytest.fixture
+def pipe(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    return tmp_path / "pipe"
+
+
+def test_what_is_a_file_is_read(tmp_path):
+    (tmp_path / "a").write_bytes(b"\xef\xbb\xbfabc")
+    (tmp_path / "link").symlink_to("a")
+    assert read_bytes(tmp_path / "link", PageError) == b"\xef\xbb\xbfabc"
+    assert read_text(tmp_path / "a", PageError) == "abc"
+    with open_file(tmp_path / "a", PageError, 6) as file:
+        assert not os.get_inheritable(file.fileno())
+        assert file.read() == b"\xef\xbb\xbfabc"
+
+
+def test_what_is_no_file_is_not_opened(tmp_path, pipe, monkeypatch):
+    listening = socket.socket(socket.AF_UNIX)
+    listening.bind(str(tmp_path / "socket"))
+    (tmp_path / "loop").symlink_to("loop")
+
+    def refuse(*_):
+        raise AssertionError("opened")
+
+    monkeypatch.setattr(os, "open", refuse)
+    names = ("socket", "loop", "none", "nul\0", "long" * 100, "none/x", "/dev/zero", "/dev/full")
+    for path in (pipe, tmp_path, *(tmp_path / name for name in names)):
+        with raises(ProfileError, about="file", value=path):
+            read_bytes(path, ProfileError)
+    listening.close()
+
+
+def test_a_file_that_becomes_a_pipe_on_the_way_does_not_hold_up(tmp_path, pipe, monkeypatch):
+    (tmp_path / "a").write_bytes(b"abc")
+    really_open = os.open
+    monkeypatch.setattr(os, "open", lambda _, flags: really_open(pipe, flags))
+    with raises(PageError, about="file", value=tmp_path / "a"):
+        open_file(tmp_path / "a", PageError, 9)
+
+
+def test_sizes(tmp_path):
+    sparse = tmp_path / "sparse"
+    with sparse.open("wb") as file:
+        file.truncate(2**40)
+    for check in (require_file, read_bytes):
+        with raises(PageError, value=2**40, allowed=10**6) as error:
+            check(sparse, PageError, 10**6)
+        assert "1,099,511.6 MB" in str(error.value)
+    (tmp_path / "a").write_bytes(b"abc")
+    assert read_bytes(tmp_path / "a", PageError, 3) == b"abc"
+    with raises(PageError, about="file"):
+        read_bytes(tmp_path / "a", PageError, 2)
+    maps = Path("/proc/self/maps")
+    if maps.exists():
+        # A file that says it is empty, and is not.
+        with raises(PageError, about="file"):
+            read_bytes(maps, PageError, 2)
+
+
+def test_what_is_no_text(tmp_path):
+    (tmp_path / "a").write_bytes(b"abc\xff")
+    with raises(PageError, about="file", value=tmp_path / "a") as error:
+        read_text(tmp_path / "a", PageError)
+    assert "byte 4" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a." * 30_000 + "a = 1",
+        "'a' . " * 30_000 + "a = 1",
+        "[" + "a." * 300_000 + "a]",
+        "a = " + "[" * 100_000,
+        "a = " + "{a = " * 5_000 + "1" + "}" * 5_000,
+        "a = 0x" + "f" * 10_000,
+        "a = " + "9" * 10_000,
+        "a = 9223372036854775808",
+        "a = [{b = [1, 0x10000000000000000]}]",
+        "a = 9999-99-99",
+        "\x00",
+    ],
+)
+def test_toml_that_no_table_of_ours_needs(text):
+    with pytest.raises(ValueError):
+        parse_toml(text)
+
+
+def test_toml_of_ours_passes():
+    text = "a.b.c.d = 0x7fffffffffffffff\n[x.y]\nz = 'a.b.c.d.e.f.g.h.i.j, 1.5e3 ...'\n"
+    assert parse_toml(text) == {
+        "a": {"b": {"c": {"d": 2**63 - 1}}},
+        "x": {"y": {"z": "a.b.c.d.e.f.g.h.i.j, 1.5e3 ..."}},
+    }
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000, "9" * 10_000, "", b"\xff"])
+def test_json_that_cannot_be_parsed(text):
+    with pytest.raises(ValueError):
+        parse_json(text)
+
+
+def test_writing(tmp_path, pipe):
+    write_bytes(tmp_path / "a", b"longer")
+    write_bytes(tmp_path / "a", b"abc")
+    assert (tmp_path / "a").read_bytes() == b"abc"
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    write_bytes(pipe, b"through")
+    assert os.read(reader, 99) == b"through"
+    os.close(reader)
+
+
+def test_what_cannot_be_written(tmp_path, pipe):
+    places = (
+        (tmp_path, errno.EISDIR),
+        (tmp_path / "none" / "a", errno.ENOENT),
+        (tmp_path / "nul\0", None),
+        (Path("/dev/full"), errno.ENOSPC),
+        (pipe, None),
+    )
+    for path, number in places:
+        with raises(PageError, about="file", value=path) as error:
+            write_bytes(path, b"abc", PageError)
+        assert number is None or os.strerror(number) in str(error.value)
+
+
+def test_a_device_is_not_replaced_by_a_file(tmp_path, pipe):
+    (tmp_path / "a").touch()
+    require_replaceable(tmp_path / "a", PageError)
+    require_replaceable(tmp_path / "none", PageError)
+    for path in (pipe, tmp_path, Path("/dev/null")):
+        with pytest.raises(PageError):
+            require_replaceable(path, PageError)
+
+
+@pytest.fixture
+def umask():
+    """Let new files be readable and writable by all, if nothing else is asked for."""
+    before = os.umask(0)
+    yield
+    os.umask(before)
+
+
+def through_a_draft(path, data):
+    write_through(path.with_name("draft"), data)
+    path.with_name("draft").replace(path)
+
+
+def alone(path, data):
+    with open_alone(path, PageError) as file:
+        file.write(data)
+
+
+@pytest.mark.parametrize("write", [write_bytes, write_through, through_a_draft, alone])
+@pytest.mark.parametrize("before", [None, 0o600, 0o644, 0o666])
+def test_what_is_written_is_for_its_owner_alone(tmp_path, umask, write, before):
+    path = tmp_path / "a"
+    if before is not None:
+        path.write_bytes(b"old, and longer")
+        path.chmod(before)
+        (tmp_path / "link").symlink_to(path)
+        path = path if write is through_a_draft else tmp_path / "link"
+    write(path, b"new")
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert path.read_bytes().startswith(b"new")
+
+
+def test_whoever_has_the_old_file_open_does_not_read_the_new_one(tmp_path, umask):
+    path = tmp_path / "a"
+    path.write_bytes(b"old")
+    with path.open("rb") as other:
+        write_bytes(path, b"new")
+        assert other.read() == b"old"
+    assert path.read_bytes() == b"new"
+
+
+def test_folders_are_for_their_owner_alone(tmp_path, umask):
+    tmp_path.chmod(0o755)
+    for _ in range(2):
+        make_folder(tmp_path / "a" / "b")
+    modes = [stat.S_IMODE((tmp_path / each).stat().st_mode) for each in (".", "a", "a/b")]
+    assert modes == [0o755, 0o700, 0o700]
+    (tmp_path / "file").touch()
+    for path in (tmp_path / "file", tmp_path / "file" / "b"):
+        with pytest.raises(OSError):
+            make_folder(path)
+
+
+HOLDER = """
+import sys
+from pathlib import Path
+from smarttouch.base.errors import ProfileError
+from smarttouch.base.files import open_alone
+
+try:
+    file = open_alone(Path(sys.argv[1]), ProfileError)
+except ProfileError as error:
+    sys.exit(str(error))
+print("has it", flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.fixture
+def hold(tmp_path):
+    """Return a starter of processes that open a file alone, until their input ends."""
+    started = []
+
+    def start(path):
+        process = subprocess.Popen(
+            [sys.executable, "-c", HOLDER, path],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        started.append(process)
+        return process, process.stdout.readline().strip()
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_a_file_is_one_program_s_alone_until_it_ends(tmp_path, hold, killed):
+    path = tmp_path / "a.csv"
+    path.write_bytes(b"precious")
+    first, said = hold(path)
+    assert said == "has it"
+    second, said = hold(path)
+    assert said == ""
+    assert second.wait() == 1
+    assert str(path) in second.stderr.read()
+    with raises(PageError, about="file", value=tmp_path / "b.json"):
+        open_alone(path, PageError, tmp_path / "b.json")
+    for other in (tmp_path / "none" / "a", tmp_path):
+        with raises(PageError, about="file", value=other):
+            open_alone(other, PageError)
+    if killed:
+        first.kill()
+        first.wait()
+    else:
+        first.communicate()
+    with open_alone(path, PageError) as file:
+        assert file.read() == b"precious"
+        assert not os.get_inheritable(file.fileno())
+
+
+def test_a_lock_on_a_file_that_was_removed_keeps_nobody_out(tmp_path, hold, monkeypatch):
+    """Removed by its holder between opening and locking: the next one has the new file."""
+    path, flock = tmp_path / "lock", module.fcntl.flock
+    path.write_bytes(b"old")
+    removed = []
+
+    def late(file, how):
+        if not removed:
+            removed.append(path.unlink())
+        flock(file, how)
+
+    monkeypatch.setattr(module.fcntl, "flock", late)
+    with open_alone(path, PageError) as file:
+        assert removed
+        assert file.read() == b""
+        assert os.path.samestat(os.fstat(file.fileno()), path.stat())
+        assert hold(path)[1] == ""
+
+
+def test_a_file_system_without_locks_lets_everybody_in(tmp_path, monkeypatch):
+    def without(*_):
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr(module.fcntl, "flock", without)
+    with open_alone(tmp_path / "a", PageError), open_alone(tmp_path / "a", PageError) as second:
+        assert second.writable()

@@ -1,0 +1,165 @@
+"""Real-time priority is taken where it is allowed, and given back."""
+
+import os
+import resource
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+from smarttouch.base import clock
+from smarttouch.base import clock as clock_module
+from smarttouch.base.clock import (
+    LOOP,
+    SPIN_NS,
+    MonotonicClock,
+    Pace,
+    is_prioritized,
+    paced,
+    prioritized,
+)
+
+
+def in_a_thread(work):
+    """Return what a fresh thread finds: one whose priority no test has changed."""
+    found = []
+    thread = threading.Thread(target=lambda: found.append(work()))
+    thread.start()
+    thread.join()
+    return found[0]
+
+
+def allowed():
+    def has_it():
+        with prioritized() as given:
+            return given
+
+    return in_a_thread(has_it)
+
+
+needs_priority = pytest.mark.skipif(not allowed(), reason="no real-time priority for this user")
+
+
+@needs_priority
+def test_it_is_given_and_given_back():
+    def policies():
+        found = [is_prioritized()]
+        with prioritized() as given:
+            found += [given, is_prioritized(), os.sched_getparam(0).sched_priority == LOOP]
+        return [*found, is_prioritized()]
+
+    assert in_a_thread(policies) == [False, True, True, True, False]
+
+
+@needs_priority
+def test_it_is_given_back_after_a_fault():
+    def faulty():
+        with pytest.raises(RuntimeError), prioritized():
+            raise RuntimeError
+        return is_prioritized()
+
+    assert in_a_thread(faulty) is False
+
+
+@needs_priority
+def test_what_begins_meanwhile_is_as_usual():
+    def begun():
+        with prioritized():
+            command = [sys.executable, "-c", "import os; print(os.sched_getscheduler(0))"]
+            child = subprocess.run(command, capture_output=True, check=True)
+            return in_a_thread(is_prioritized), int(child.stdout)
+
+    assert in_a_thread(begun) == (False, os.SCHED_OTHER)
+
+
+def refuse(*_):
+    raise PermissionError
+
+
+def test_where_it_is_not_allowed_work_goes_on(monkeypatch):
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+
+    def work():
+        with paced() as pace:
+            return pace.real_time, len(pace.notes), is_prioritized()
+
+    assert in_a_thread(work) == (False, 1, False)
+    assert Pace(real_time=True).notes == []
+
+
+def test_on_systems_without_it_work_goes_on(monkeypatch):
+    monkeypatch.setattr(clock, "_FIFO", None)
+    with prioritized() as given:
+        assert not given
+        assert not is_prioritized()
+
+
+def test_what_an_administrator_allows_is_used(monkeypatch):
+    asked, limits = [], [(0, 5)]
+
+    def give(process, policy, parameters):
+        asked.append(parameters.sched_priority)
+        if limits[-1][0] < parameters.sched_priority:
+            raise PermissionError
+
+    monkeypatch.setattr(os, "sched_setscheduler", give)
+    monkeypatch.setattr(resource, "getrlimit", lambda _: limits[-1])
+    monkeypatch.setattr(resource, "setrlimit", lambda _, new: limits.append(new))
+    assert clock._give(LOOP)
+    assert limits[-1] == (LOOP, 5)
+    assert asked == [LOOP, LOOP]
+    limits[:] = [(0, 0)]
+    assert not clock._give(LOOP)
+    assert limits == [(0, 0)]
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become nobody")
+def test_nobody_may_not_and_runs_all_the_same():
+    code = (
+        "import os, resource; from smarttouch.base.clock import paced\n"
+        "resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))\n"
+        "resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))\n"
+        "os.setuid(65534)\n"
+        "with paced() as pace: print(pace.real_time, pace.locked, len(bytes(2**24)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "False", "16777216"]
+
+
+def locked_kib():
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith("VmLck"))
+
+
+def test_memory_is_locked_where_all_of_it_may_be():
+    before = locked_kib()
+    with paced() as pace:
+        assert (locked_kib() > before) is pace.locked
+    assert locked_kib() == before
+
+
+class Event:
+    """Keeps how long it was waited for."""
+
+    waited_s = None
+
+    def wait(self, timeout_s):
+        self.waited_s = timeout_s
+        return True
+
+    def is_set(self):
+        return False
+
+
+@pytest.mark.parametrize(
+    ("spin_ns", "real_time", "spun_ns"),
+    [(None, False, 0), (None, True, SPIN_NS), (0, True, 0), (2_000_000, False, 2_000_000)],
+)
+def test_only_where_it_has_priority_a_wait_is_spun(monkeypatch, spin_ns, real_time, spun_ns):
+    monkeypatch.setattr(clock_module, "is_prioritized", lambda: real_time)
+    clock, event = MonotonicClock(spin_ns), Event()
+    monkeypatch.setattr(clock, "now_ns", lambda: 1_000_000)
+    clock.wait_until(11_000_000, event)
+    assert event.waited_s == pytest.approx((10_000_000 - spun_ns) / 1e9)

@@ -1,0 +1,126 @@
+"""No sign that a terminal would obey gets to one, whoever wrote it."""
+
+import errno
+import io
+import os
+import sys
+import unicodedata
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.base import terminal
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.terminal import PlainStream, guarded_output, printable
+
+from ..raising import raises
+
+OBEYED = (
+    *range(0x20), *range(0x7F, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x2028, 0x202F),
+    *range(0x2066, 0x206A), 0xFEFF, *range(0xE0000, 0xE0080), 0xD800, 0xDFFF,
+)  # fmt: skip
+EVIL = "a\x1b]0;owned\x07\x1b[2J\x9b31m\u202eb\x7f\r\x08"
+
+
+class Screen(io.StringIO):
+    """Stream that says it is a terminal, and keeps its text."""
+
+    def isatty(self):
+        return True
+
+
+def test_all_that_a_terminal_obeys_has_a_visible_stand_in():
+    for code in OBEYED:
+        shown = printable(f"a{chr(code)}b")
+        assert len(shown) == 3
+        if chr(code) in "\n\t":
+            assert shown[1] == chr(code)
+        else:
+            assert unicodedata.category(shown[1]) == "So"
+    assert printable("\x1b\x07\x7f\x9b") == "␛␇␡�"
+
+
+def test_words_stay_as_they_are():
+    # With joiners, marks and signs beyond the basic plane, which writing needs.
+    for text in ("naïve Ω", "می‌خواهم", "क्‍ष", "ਸ਼", "👩‍🔬", "⠓⠑⠇⠇⠕", "a\tb\nc", "−µ×"):
+        assert printable(text) == text
+
+
+@given(st.text())
+def test_once_is_enough(text):
+    assert printable(printable(text)) == printable(text)
+
+
+def test_plain_output():
+    screen = Screen()
+    output = PlainStream(screen, "standard output")
+    print(EVIL, file=output, flush=True)
+    assert screen.getvalue() == printable(EVIL) + "\n"
+    assert not output.isatty()
+    assert output.encoding == screen.encoding
+
+
+def test_a_console_draws_and_shows_nothing_else(monkeypatch):
+    from rich.panel import Panel
+    from rich.table import Table
+    from rich.text import Text
+
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    screen = Screen()
+    monkeypatch.setattr(sys, "stdout", PlainStream(screen, "standard output"))
+    console = terminal.console(highlight=False)
+    table = Table(EVIL, title=EVIL)
+    table.add_row("[red]:smile:[/nothing]", Text(EVIL, "bold"))
+    for each in (EVIL, table, Panel(EVIL, title=EVIL), Text(EVIL, "red")):
+        console.print(each)
+    with console.status(EVIL):
+        pass
+    written = screen.getvalue()
+    assert "\x1b[31m" in written
+    for evil in ("\x1b]0;", "\x1b[2J", "\x9b", "\u202e", "\x07", "\x7f", "\x08"):
+        assert evil not in written
+    assert "[red]:smile:[/nothing]" in written
+
+
+class Full(io.StringIO):
+    def write(self, text):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def test_what_cannot_be_written_is_one_sentence_and_what_cannot_be_complained_of_nothing():
+    name = "standard output"
+    with raises(SmartTouchError, about="stream", value=name) as error:
+        print("x", file=PlainStream(Full(), name))
+    assert os.strerror(errno.ENOSPC) in str(error.value)
+    print("x", file=PlainStream(Full(), ""))
+
+
+def test_streams_are_as_before_at_the_end():
+    before = sys.stdout, sys.stderr
+    with guarded_output():
+        assert isinstance(sys.stdout, PlainStream)
+        assert isinstance(sys.stderr, PlainStream)
+    assert (sys.stdout, sys.stderr) == before
+
+
+def test_a_closed_stream_leads_nowhere_and_no_file_takes_its_place(monkeypatch):
+    kept = os.dup(0)
+    os.close(0)
+    monkeypatch.setattr(sys, "stdin", None)
+    try:
+        with guarded_output():
+            assert sys.stdin.read() == ""
+            assert not sys.stdin.isatty()
+            assert os.read(0, 9) == b""
+            sys.stdin.close()
+    finally:
+        os.dup2(kept, 0)
+        os.close(kept)
+
+
+def test_a_sentence_at_the_left_leaves_room_beside_it(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    terminal.print_table([("many words " * 9, "beside", "them")], ["effect", "paper", "fingers"])
+    printed = capsys.readouterr().out
+    assert all(each in printed for each in ("paper", "fingers", "beside", "them"))

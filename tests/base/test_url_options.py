@@ -1,0 +1,154 @@
+"""Options in the URLs of sources and boards."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from smarttouch.base.errors import BoardError, PageError, SourceError
+from smarttouch.base.url_options import parse_size, read_options
+from smarttouch.boards.open import make_board
+from smarttouch.cli.source_options import DocumentOptions
+from smarttouch.instruments.hand_motion import open_motion
+from smarttouch.instruments.relief import open_texture
+from smarttouch.profile import load_profile
+from smarttouch.sources import open_source
+from smarttouch.stimulation.safety_gate import SafetyLimits
+
+from ..raising import raises
+
+
+def opener(
+    rest: str,
+    *,
+    size: tuple[int, int] | None = None,
+    fps: float | None = None,
+    seed: int = 0,
+    path: Path | None = None,
+    unpaced: bool = False,
+    events: Sequence[str] = (),
+    light_on_dark: bool = False,
+    other: np.ndarray | None = None,
+):
+    """Take options of every type."""
+
+
+@pytest.mark.parametrize(
+    ("url", "rest", "options"),
+    [
+        ("0?size=640x480&fps=12.5", "0", {"size": (640, 480), "fps": 12.5}),
+        ("a?seed=3&path=b%20c.csv", "a", {"seed": 3, "path": Path("b c.csv")}),
+        ("a?unpaced", "a", {"unpaced": True}),
+        ("a?unpaced=0", "a", {"unpaced": False}),
+        ("?events=1 lift&events=2 press", "", {"events": ["1 lift", "2 press"]}),
+        ("a?b?seed=1", "a?b", {"seed": 1}),
+    ],
+)
+def test_options_in_their_types(url, rest, options):
+    assert read_options(opener, url, SourceError) == (rest, options)
+
+
+@pytest.mark.parametrize("url", ["", "a", "Why?", "Is it so? Yes", "a?b.png", "a?", "a?Seed=1"])
+def test_a_question_mark_need_not_begin_options(url):
+    assert read_options(opener, url, SourceError) == (url, {})
+
+
+def test_an_opener_without_options_reads_its_own():
+    url = "/dev/ttyUSB0?slow&firmware=newest"
+    assert read_options(lambda rest, limits: None, url, BoardError) == (url, {})
+
+
+@pytest.mark.parametrize(
+    ("url", "about", "value"),
+    [
+        ("a?speed=1", "?speed", "speed"),
+        ("a?other=1", "?other", "other"),
+        ("a?light_on_dark=1", "?light_on_dark", "light_on_dark"),
+        ("a?seed=x", "?seed", "x"),
+        ("a?seed=1.5", "?seed", "1.5"),
+        ("a?fps=", "?fps", ""),
+        ("a?unpaced=maybe", "?unpaced", "maybe"),
+        ("a?size=640", "?size", "640"),
+        ("a?seed=1&seed=2", "?seed", None),
+    ],
+)
+def test_options_that_are_none(url, about, value):
+    with raises(SourceError, about=about, value=value):
+        read_options(opener, url, SourceError, but=("light_on_dark",))
+    if value == "speed":
+        offered = "events, fps, light_on_dark, path, seed, size, unpaced"
+        with raises(SourceError, about=about, allowed=offered):
+            read_options(opener, url, SourceError)
+
+
+def test_pages_by_url(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Image.fromarray(np.full((200, 300), 255, np.uint8)).save("a?dpi=300.png")
+    Path("a?dpi=300.png").rename("a?dpi=50")
+    Image.fromarray(np.full((200, 300), 255, np.uint8)).save("page.png")
+    profile = load_profile("electric-mouse")
+    assert open_source("page:page.png?dpi=300&seed=4", profile)
+    # A file of that name has no options; nothing says how large its page is, which is told.
+    for url in ("page:a?dpi=50", "page:page.png"):
+        guessed = open_source(url, profile)
+        assert guessed.page.size_mm[0] == pytest.approx(210)
+        assert len(guessed.notes) == 1
+    with raises(SourceError, about="dpi", value="?dpi=300"):
+        open_source("page:page.png?dpi=300", profile, dpi=200)
+
+
+def test_boards_by_url(tmp_path):
+    profile = load_profile("electric-mouse")
+    limits = SafetyLimits.of(profile)
+    with make_board(f"emulator:?books={tmp_path}", limits, profile.output):
+        pass
+    assert (tmp_path / "state.json").exists()
+    with raises(BoardError, about="?firmware", allowed="books, events"):
+        make_board("emulator:?firmware=1", limits)
+
+
+@pytest.mark.parametrize("text", ["", "640", "640x", "0x5", "6_4x4", "640x480x3", "123456x1"])
+def test_sizes_that_are_none(text):
+    with raises(SourceError, about="--size", value=repr(text)):
+        parse_size(text, SourceError, "--size")
+
+
+def test_a_motion_with_its_options():
+    told = open_motion("sweep:2?speed_mm_s=20&seed=3")
+    given = open_motion("sweep:2", speed_mm_s=20.0, seed=3)
+    for time_ns in (0, 100_000_000, 1_000_000_000):
+        assert told.read(time_ns) == given.read(time_ns)
+    with raises(SourceError, about="speed_mm_s", value="speed_mm_s=20"):
+        open_motion("sweep:?speed_mm_s=20", speed_mm_s=30.0)
+    with raises(SourceError, about="?span_mm"):
+        open_motion("sweep:?span_mm=20x30")
+
+
+def test_a_texture_with_its_options(tmp_path):
+    path = tmp_path / "wood.png"
+    Image.fromarray(np.tile(np.arange(64, dtype=np.uint8), (32, 1))).save(path)
+    told = open_texture(f"{path}?dpi=254&tiled&light_on_dark")
+    given = open_texture(str(path), dpi=254.0, tiled=True, light_on_dark=True)
+    assert told.size_mm == given.size_mm
+    assert open_texture(f"{path}?width_mm=5").size_mm == pytest.approx((5.0, 2.5))
+    with raises(PageError, about="dpi", value="dpi=254"):
+        open_texture(f"{path}?dpi=254", dpi=300.0)
+
+
+def test_a_document_with_its_options(tmp_path):
+    path = tmp_path / "page.png"
+    path.write_bytes(b"")
+    place, how = DocumentOptions(pages="2").recognition(
+        f"{path}?dpi=300&languages=deu&light_on_dark=0"
+    )
+    assert place == str(path)
+    assert (how.dpi, how.languages, how.light_on_dark, how.pages) == (300, "deu", False, "2")
+    with raises(PageError, about="pages"):
+        DocumentOptions(pages="2").recognition(f"{path}?pages=3")
+    # A password is kept with no settings and told by no recording, as names are.
+    with raises(PageError, about="?password"):
+        DocumentOptions().recognition(f"{path}?password=secret")
+    assert DocumentOptions().recognition("text:what?dpi=3")[0] == "text:what?dpi=3"
+    assert DocumentOptions().recognition("text:a")[1].languages == "eng"

@@ -1,0 +1,215 @@
+"""Ports are opened, or the reason is one a user can act on."""
+
+import contextlib
+import os
+import socket
+import threading
+
+import pytest
+
+from smarttouch.base.errors import BoardError, OtherDeviceError
+from smarttouch.base.wire.port import (
+    LINE_ERRORS,
+    UsbIdentity,
+    identity_of,
+    open_port,
+    reopen_port,
+    write_before,
+)
+
+from ...raising import raises
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["/dev/nowhere", "/dev/null", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", "nonsense://x"],
+)
+def test_what_cannot_be_opened_is_named(name):
+    with raises(BoardError, about="port", value=name) as error:
+        open_port(name)
+    assert name in str(error.value)
+
+
+def test_an_address_where_nobody_listens():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+    name = f"tcp://127.0.0.1:{port}"
+    with raises(BoardError, about="port", value=name):
+        open_port(name)
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "socket"])
+def test_short_writes_over_tcp_do_not_wait(scheme):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = open_port(f"{scheme}://127.0.0.1:{server.getsockname()[1]}")
+        board, _ = server.accept()
+        with board:
+            assert port._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+            port.write(b"ab")
+            assert board.recv(10) == b"ab"
+            port.close()
+
+
+def test_a_port_that_stays_away_is_not_waited_for_longer_than_asked():
+    with raises(BoardError, about="port", value="/dev/nowhere"):
+        reopen_port("/dev/nowhere", 0.12, None)
+
+
+@pytest.fixture
+def plugged(tmp_path, usb_ports):
+    """Return a maker of devices at one name, each with what USB tells of it, and their far ends."""
+    ends, name = [], tmp_path / "port"
+
+    def plug(**usb):
+        far, near = os.openpty()
+        os.set_blocking(far, False)
+        ends.extend((far, near))
+        name.unlink(missing_ok=True)
+        if usb:
+            usb_ports(os.ttyname(near), **usb)
+        name.symlink_to(os.ttyname(near))
+        return str(name), far
+
+    yield plug
+    for end in ends:
+        os.close(end)
+
+
+def heard(far):
+    try:
+        return os.read(far, 100)
+    except BlockingIOError:
+        return b""
+
+
+def test_usb_tells_who_is_behind_a_port_whatever_its_name(plugged):
+    name, _ = plugged(vid=0x303A, pid=0x1001, serial_number="A1B2C3", location="1-2:1.2")
+    with open_port(name) as port:
+        assert identity_of(port) == UsbIdentity(0x303A, 0x1001, "A1B2C3", "1.2")
+
+
+@pytest.mark.parametrize("usb", [{}, {"vid": 0x1A86, "pid": 0x7523, "serial_number": None}])
+def test_without_a_serial_number_nobody_is_known(plugged, usb):
+    name, _ = plugged(**usb)
+    with open_port(name) as port:
+        assert identity_of(port) is None
+
+
+KNOWN = {"vid": 1, "pid": 2, "serial_number": "3", "location": "1-1:1.0"}
+
+
+@pytest.mark.parametrize(("before", "after"), [
+    *((KNOWN, KNOWN | change) for change in ({"vid": 7}, {"pid": 7}, {"serial_number": "7"})),
+    (KNOWN, KNOWN | {"location": "1-1:1.2"}),
+    (KNOWN, {}),
+    ({}, KNOWN),
+])  # fmt: skip
+def test_another_device_in_a_ports_place_is_not_opened_for_writing(plugged, before, after):
+    name, _ = plugged(**before)
+    with open_port(name) as port:
+        identity = identity_of(port)
+    _, far = plugged(**after)
+    with raises(OtherDeviceError, about="board", value=name):
+        reopen_port(name, 0.12, identity)
+    assert heard(far) == b""
+
+
+def test_the_same_device_is_waited_for_while_another_is_there(plugged):
+    name, _ = plugged(**KNOWN)
+    with open_port(name) as port:
+        identity = identity_of(port)
+    plugged(**KNOWN | {"serial_number": "7"})
+    # At another place of the bus, and under another system name: it is the same.
+    back = threading.Timer(0.2, plugged, kwargs=KNOWN | {"location": "3-4:1.0"})
+    back.start()
+    with reopen_port(name, 20, identity) as port:
+        assert identity_of(port) == identity
+    back.join()
+
+
+def test_a_network_address_is_nobodys_identity():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = open_port(f"tcp://127.0.0.1:{server.getsockname()[1]}")
+        assert identity_of(port) is None
+        port.close()
+
+
+class Pipe:
+    """The port of a pipe."""
+
+    def __init__(self):
+        self.end, self._number = os.pipe()
+        os.set_blocking(self._number, False)
+        self.rest = b""
+
+    def fileno(self):
+        return self._number
+
+    def write(self, data):
+        self.rest += data
+
+    def close(self):
+        os.close(self.end)
+        os.close(self._number)
+
+
+@pytest.fixture
+def pipe():
+    pipe = Pipe()
+    yield pipe
+    pipe.close()
+
+
+@pytest.mark.parametrize(("now_ns", "goes"), [(4, True), (5, True), (6, False)])
+def test_bytes_go_in_time_or_not_at_all(pipe, now_ns, goes):
+    assert write_before(pipe, b"packet", 5, lambda: now_ns) is goes
+    write_before(pipe, b".", 1, lambda: 0)
+    assert os.read(pipe.end, 100) == (b"packet." if goes else b".")
+
+
+def test_a_port_without_a_descriptor_is_written_to_in_time(monkeypatch, pipe):
+    def none():
+        raise OSError("no descriptor")
+
+    monkeypatch.setattr(pipe, "fileno", none)
+    in_time = [write_before(pipe, b"packet", 5, lambda now=now: now) for now in (5, 6)]
+    assert in_time == [True, False]
+    assert pipe.rest == b"packet"
+
+
+def fill(pipe):
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(pipe.fileno(), bytes(4096))
+
+
+def test_a_line_that_takes_nothing_is_a_fault(pipe):
+    fill(pipe)
+    with pytest.raises(LINE_ERRORS):
+        write_before(pipe, b"packet", 5, lambda: 0, 0.01)
+
+
+def test_what_had_to_wait_for_the_line_is_looked_at_again(pipe):
+    """It was in time when it began to wait, and is too late when there is room."""
+    fill(pipe)
+    times = iter([0, 6])
+
+    def now_ns():
+        now = next(times)
+        if now == 0:
+            threading.Timer(0.05, os.read, (pipe.end, 1 << 20)).start()
+        return now
+
+    assert write_before(pipe, b"packet", 5, now_ns, 20.0) is False
+    assert pipe.rest == b""
+
+
+def test_waiting_for_a_port_ends_when_the_waiter_is_stopped():
+    class StoppedError(Exception):
+        pass
+
+    def stop(_seconds):
+        raise StoppedError
+
+    with pytest.raises(StoppedError):
+        reopen_port("/dev/nowhere", 600.0, None, stop)

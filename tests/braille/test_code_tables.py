@@ -1,0 +1,137 @@
+"""Tables by name, with liblouis and without; texts with whatever stands in texts."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.base.errors import BrailleError
+from smarttouch.braille import louis
+from smarttouch.braille.code_tables import MISSING_NOTE, known_tables, open_table
+from smarttouch.braille.grade1 import Grade1
+
+from ..raising import raises
+from .liblouis import needs_liblouis
+
+TABLES = ["en-1", "ja", *(["en-2", "de-1", "fr-1"] if louis.version() else [])]
+
+
+@needs_liblouis
+@pytest.mark.parametrize("name", known_tables())
+def test_each_name_opens(name):
+    table = open_table(name)
+    assert (table.name, table.title, table.note) == (name, known_tables()[name], None)
+    text = "ほんを" if name == "ja" else "Text"
+    assert len(table.to_cells(text)) >= 2
+    if table.code.goes_back:
+        assert table.to_text(table.to_cells(text)).lower() == text.lower()
+
+
+def test_without_liblouis_there_is_grade_1(no_liblouis):
+    table = open_table()
+    assert table.name == "en-1"
+    assert isinstance(table.code, Grade1)
+    assert table.note == MISSING_NOTE
+    assert table.to_text(table.to_cells("Hello")) == "Hello"
+    assert open_table("ja").note is None
+    remedy = "apt install liblouis20 liblouis-data"
+    with raises(BrailleError, about="liblouis", value="en-2", remedy=remedy):
+        open_table("en-2")
+    with raises(BrailleError, about="table", value="es-g1.ctb"):
+        open_table("es-g1.ctb")
+
+
+@needs_liblouis
+def test_any_table_of_liblouis():
+    table = open_table("es-g1.ctb")
+    assert table.to_cells("año") == "⠁⠻⠕"
+    assert table.to_text("⠁⠻⠕") == "año"
+
+
+@needs_liblouis
+@pytest.mark.parametrize(
+    ("tag", "name", "cells"),
+    [
+        ("en", "en-1", "⠍"),
+        ("fr-CA", "fr-1", "⠍"),
+        ("pt-BR", "pt-pt-g1.utb", "⠍"),
+        ("ru", "ru-litbrl.ctb", "⠍"),
+        ("ja", "ja", None),
+    ],
+)
+def test_a_language_has_a_table(tag, name, cells):
+    table = open_table(tag)
+    assert table.name == name
+    assert "liblouis" not in table.title
+    assert cells is None or table.to_cells("м" if tag == "ru" else "m") == cells
+
+
+def test_only_languages_of_our_own_without_liblouis(no_liblouis):
+    assert open_table("en-GB").name == "en-1"
+    with raises(BrailleError, about="table", value="pt"):
+        open_table("pt")
+
+
+@needs_liblouis
+def test_a_word_that_is_unknown_leaves_the_others_as_they_are():
+    table = open_table("en-1")
+    line = table.to_cells("NASA and") + "⠀⣿⠀" + table.to_cells("McCoy 3.5 o'clock")
+    assert table.to_text(line) == "NASA and ⣿ McCoy 3.5 o'clock"
+
+
+@pytest.mark.parametrize("name", ["", "xx", "xx-YY", "nonsense.ctb", "../../etc/passwd", "en-1 "])
+def test_unknown_names(name):
+    with raises(BrailleError, about="table", value=name, allowed=("en-1", "en-2", "ja")):
+        open_table(name)
+
+
+@pytest.mark.parametrize("name", ["en-1", "ja"])
+def test_lines_stay_lines(name):
+    table = open_table(name)
+    assert table.to_cells("1\r\n\n2\t\u00a02\n") == "⠼⠁\n\n⠼⠃⠀⠀⠼⠃\n"
+    assert table.to_text("⠼⠁\n\n⠼⠃\n") == "1\n\n2\n"
+
+
+def test_accents_may_come_apart_and_invisible_characters_go():
+    table = open_table("en-1")
+    assert table.to_cells("cafe\u0301") == table.to_cells("café")
+    assert open_table("ja").to_cells("ｶﾞﾗｽ") == "⠐⠡⠑⠹"
+    assert table.to_cells("\ufefftou\u00adch\u200b") == table.to_cells("touch")
+
+
+def test_what_has_no_cells():
+    with raises(BrailleError, about="text", value="中") as caught:
+        open_table().to_cells("a中")
+    assert all(each in str(caught.value) for each in ("en-1", "U+4E2D"))
+    with raises(BrailleError, about="text", value="漢") as caught:
+        open_table("ja").to_cells("漢字")
+    assert all(each in str(caught.value) for each in ("ja", "U+6F22", "1 more"))
+    table = open_table()
+    assert table.missing("a中b\n😀中") == "中😀"
+    assert table.to_cells("a中b\n😀c", leave_out=True) == "⠁⠃\n⠉"
+
+
+def test_letters_are_not_cells():
+    with raises(BrailleError, about="cell", value="x") as caught:
+        open_table().to_text("⠁\n⠁x")
+    assert "position 2" in str(caught.value)
+
+
+@needs_liblouis
+def test_some_tables_cannot_go_back():
+    with raises(BrailleError, about="table", value="de-2"):
+        open_table("de-2").to_text("⠁")
+
+
+@pytest.mark.parametrize("name", TABLES)
+@settings(deadline=None)
+@given(text=st.text())
+def test_any_text_becomes_cells(name, text):
+    cells = open_table(name).to_cells(text, leave_out=True)
+    assert all(0x2800 <= ord(each) <= 0x28FF or each == "\n" for each in cells)
+
+
+@pytest.mark.parametrize("name", TABLES)
+@settings(deadline=None)
+@given(cells=st.text(st.characters(min_codepoint=0x2800, max_codepoint=0x28FF), max_size=40))
+def test_any_cells_become_text(name, cells):
+    assert isinstance(open_table(name).to_text(cells), str)

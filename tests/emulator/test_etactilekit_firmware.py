@@ -1,0 +1,414 @@
+"""The eTactileKit, to the byte, on a clock of the test's own."""
+
+import time
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
+from smarttouch.emulator.finger_events import EmulatedFinger
+from smarttouch.emulator.firmware import DeliveryLog, read_slots
+
+MS = 1_000_000
+SECOND = 1000 * MS
+
+
+class Rig:
+    """A board of some outputs, and its books; without the dummy load unless asked for."""
+
+    def __init__(self, folder, outputs=4, **options):
+        self.books = DeliveryLog(outputs, folder)
+        self.board = ETactileKitFirmware(self.books, **{"dummy_ohm": np.inf} | options)
+
+    def say(self, now_ms, text):
+        return self.board.feed(bytes.fromhex(text), int(now_ms * MS))
+
+    def feed(self, now_ms, data):
+        return self.board.feed(data, int(now_ms * MS))
+
+    def advance(self, now_ms):
+        assert self.board.advance(int(now_ms * MS)) == b""
+        return self.books.slots
+
+    @property
+    def slots(self):
+        self.books.write()
+        return read_slots(self.books.folder)
+
+    def after(self, now_ms, text):
+        """Let time pass after something was said at zero."""
+        self.say(0, text)
+        self.advance(now_ms)
+        return self
+
+
+@pytest.fixture
+def rig(tmp_path):
+    return Rig(tmp_path)
+
+
+@pytest.fixture
+def make_rig(tmp_path):
+    return lambda *arguments, **options: Rig(tmp_path, *arguments, **options)
+
+
+EXAMPLE = "FC04 FB00 FD01 FA6400 F732 F63C00 F900 F800 F4"
+ONE = "FE 0000 DC00 0000 0000"
+
+
+def test_its_own_example(rig):
+    assert rig.say(0, EXAMPLE) == b"\x04"
+    assert rig.say(1, ONE) == b""
+    rig.advance(1000)
+    assert rig.books.sequences == pytest.approx(60, abs=1)
+    slots = rig.slots
+    assert set(slots["site"].tolist()) == {1}
+    np.testing.assert_allclose(slots["current_ua"][:, 1], -220 * 9.99, atol=1)
+    assert (np.delete(slots["current_ua"], 1, axis=1) > 0).all()
+    assert rig.books.max_charge_uc == pytest.approx(220 * 9.99e-6 * 100)
+    period_us = np.diff(slots["time_us"])
+    np.testing.assert_allclose(period_us, 1e6 / 60, atol=2)
+
+
+def test_it_goes_on_for_ever_also_without_a_host(rig):
+    rig.say(0, EXAMPLE + ONE)
+    rig.board.hang_up(100 * MS)
+    rig.advance(10_000)
+    assert rig.books.sequences == pytest.approx(600, abs=1)
+    assert (rig.books.state, rig.board.busy) == ("driving", True)
+
+
+def test_zeros_end_it(rig):
+    rig.after(105, EXAMPLE + ONE)
+    rig.say(105, "FE" + "0000" * 4)
+    slots = rig.books.slots
+    assert rig.advance(1000) == slots
+    assert (rig.books.state, rig.books.reason, rig.board.busy) == ("shorted", "pattern", False)
+
+
+def test_at_boot_there_is_no_pulse_width_but_a_pulse_and_the_rate_is_100_hz(rig):
+    rig.say(0, "FC04" + ONE)
+    assert rig.advance(1005) == 100
+    assert rig.books.max_charge_uc == pytest.approx(2.1978 * 6.6e-3)
+    assert rig.board.busy
+    rig.say(1005, "FA6400")
+    rig.advance(2005)
+    assert rig.books.max_charge_uc == pytest.approx(0.21978)
+
+
+def test_a_rate_of_zero_is_ignored(rig):
+    rig.say(0, "FC04 FA6400 F60000" + ONE)
+    assert rig.advance(1000) == pytest.approx(100, abs=1)
+
+
+@pytest.mark.parametrize(("polarity", "sign"), [("FD00", 1), ("FD01", -1), ("", -1)])
+def test_polarity(rig, polarity, sign):
+    assert np.sign(rig.after(50, "FC04 FA6400" + polarity + ONE).slots["current_ua"][0, 1]) == sign
+
+
+def test_a_slot_is_width_discharge_and_switching_also_for_idle_electrodes(rig):
+    slots = rig.after(15, "FC04 FA6400 F732" + "FE 0A00 0000 0000 0A00").slots
+    assert slots["site"].tolist() == [0, 3]
+    assert np.diff(slots["time_us"]).tolist() == [3 * 160]
+
+
+def test_biphasic_pulses_are_two_of_opposite_sign(rig):
+    slots = rig.after(15, "FC04 FB01 FD01 FA6400 F732" + "FE 6400 6400 0000 0000").slots
+    assert slots["site"].tolist() == [0, 0, 1, 1]
+    assert np.diff(slots["time_us"]).tolist() == [110, 160, 110]
+    own = slots["current_ua"][range(4), slots["site"]]
+    assert own.tolist() == [-999, 999, -999, 999]
+    assert (rig.books.slots, rig.books.sequences) == (2, 1)
+    # What the first pulse left is mostly taken back by the second.
+    residual = np.abs(slots["residual_uc"].astype(float)).max(axis=1)
+    assert residual[1] < residual[0]
+
+
+def test_sense_pulses_go_to_every_electrode_whatever_the_pattern(rig):
+    slots = rig.after(15, "FC04 FB02 FA6400 F732 F964 F832" + ONE).slots
+    assert slots["site"].tolist() == [0, 1, 2, 3]
+    assert slots["current_ua"][range(4), range(4)].tolist() == [-999] * 4
+    assert np.diff(slots["time_us"]).tolist() == [110] * 3
+    assert rig.books.max_charge_uc == pytest.approx(0.999 * 0.05)
+
+
+def test_without_a_height_there_are_no_sense_pulses_without_a_width_short_ones(rig):
+    rig.say(0, "FC04 FB02 FA6400 F964 F832" + ONE + "F900")
+    assert rig.advance(1005) == 0
+    rig.say(1005, "F964 F800")
+    assert rig.advance(1015) == 4
+    assert rig.books.max_charge_uc == pytest.approx(0.999 * 6.6e-3)
+
+
+def test_readings_are_the_volts_of_the_last_slots(rig):
+    rig.say(0, "FC04 F60A00 FA6400 F732" + "FE 0000 6400 0000 C800")
+    assert rig.say(10.5, "FF") == bytes(8)
+    rig.advance(350)
+    volts = np.frombuffer(rig.say(350, "FF"), "<u2") * 0.0893
+    slots = rig.slots
+    source = [row["volts"].max() - row["volts"].min() for row in slots[-2:]]
+    np.testing.assert_allclose(volts, [0, source[0], 0, source[1]], rtol=0.02, atol=0.1)
+    rig.say(360, "FE" + "0000" * 4)
+    # The pattern is zero, but no scan has shown it.
+    assert rig.say(361, "FF") != bytes(8)
+    assert rig.say(705, "FF") == bytes(8)
+
+
+def test_readings_change_while_a_scan_passes_where_the_parser_does_not_wait(make_rig):
+    rig = make_rig(firmware="newest")
+    rig.say(0, "FC04 FA6400 F732" + "FE 6400 6400 6400 6400")
+    # Slots of 160 µs from 10 ms on: two have passed.
+    readings = np.frombuffer(rig.say(10.3, "FF"), "<u2")
+    assert (readings > 0).tolist() == [True, True, False, False]
+
+
+@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2"])
+def test_nothing_is_parsed_during_a_scan(make_rig, firmware):
+    rig = make_rig(firmware=firmware)
+    rig.say(0, "FC04 FAC800 F7C8" + "FE 01010101" * (firmware == "936c6c0"))
+    assert rig.say(10.1, "F5") == b""
+    # Four slots of 410 or 417 µs from 10 ms on.
+    assert rig.board.advance(int(11.6 * MS)) == b""
+    assert rig.board.advance(int(11.7 * MS)) == b"\x01"
+
+
+def test_what_a_scan_does_is_settled_when_it_starts(make_rig):
+    rig = make_rig(firmware="newest")
+    rig.say(0, "FC04 FA6400 F732" + "FE 0000 0000 0000 6400")
+    rig.say(10.1, "FE" + "0000" * 4 + "FB02 FD00 FAC800")
+    assert rig.advance(15) == 1
+    assert rig.slots["current_ua"][0, 3] == -999
+    assert rig.books.max_charge_uc == pytest.approx(0.0999)
+    assert rig.advance(100) == 1
+
+
+@pytest.mark.parametrize("order", ["early", "late"])
+def test_a_pattern_that_does_not_stay_for_a_period_may_never_be_scanned(rig, order):
+    rig.say(0, "FC04 FA6400 F732")
+    at_ms = {"early": 101, "late": 93}[order]
+    rig.say(at_ms, ONE)
+    rig.say(at_ms + 8, "FE" + "0000" * 4)
+    assert rig.advance(200) == (order == "late")
+
+
+def test_an_open_electrode_reads_the_compliance(make_rig):
+    rig = make_rig(8, finger=EmulatedFinger(8, ["0 lift"]), compliance_v=200.0)
+    rig.after(100, "FC08 FB02 F964 F832 F764")
+    readings = np.frombuffer(rig.say(100, "FF"), "<u2")
+    assert (readings == int(200 / 0.0893)).all()
+    assert rig.books.pulses == 0
+
+
+def test_a_dummy_load_takes_its_share(make_rig):
+    rig = make_rig(4, dummy_ohm=66e3)
+    (slot,) = rig.after(15, "FC04 FA6400" + ONE).slots
+    missing_ua = 2197.8 + slot["current_ua"][1]
+    # The load sees the voltage of the pulse's end only at its end.
+    assert 0.3 < missing_ua / (rig.books.max_volts / 66e3 * 1e6) < 1
+
+
+def test_outputs_beyond_the_array_drive_nothing(rig):
+    rig.after(25, "FC06 FA6400" + "FE" + "0000" * 4 + "0A00" * 2)
+    assert rig.books.pulses == 0
+    assert np.frombuffer(rig.say(25, "FF"), "<u2").tolist()[4:] == [int(300 / 0.0893)] * 2
+
+
+def test_electrodes_beyond_the_count_are_left_out(rig):
+    slots = rig.after(15, "FC02 FA6400" + "FE 0A00 0000").slots
+    assert slots["current_ua"][0, 2:].tolist() == [0, 0]
+
+
+@pytest.mark.parametrize(("outputs", "chips"), [(32, 4), (1, 1), (8, 1), (9, 2), (255, 32)])
+def test_it_tells_chips_and_echoes_its_count(make_rig, outputs, chips):
+    rig = make_rig(outputs)
+    assert rig.say(0, "F5") == bytes([chips])
+    assert rig.say(1, "FC11 F4 FC12 F4") == b"\x11\x12"
+
+
+def test_version_1_knows_bytes_only(make_rig):
+    rig = make_rig(32, firmware="v1.0")
+    assert rig.say(0, "F4 F5 FC11 F4") == b"\x04"
+    assert rig.say(1, "FF") == bytes(17)
+    # One byte of height, times four, for all electrodes whose code is not zero.
+    rig.say(2, "FC04 FB19 FA64 F632 FE 00010002")
+    rig.advance(50)
+    slots = rig.slots
+    assert set(slots["site"]) == {1, 3}
+    assert (slots["current_ua"][:, [1, 3]].min(axis=1) == -999).all()
+
+
+def test_hardware_version_2_has_one_height_and_codes(make_rig):
+    rig = make_rig(firmware="936c6c0")
+    assert rig.say(0, "F4 F5 FC04 F4 FF") == b"\x01" + bytes(8)
+    rig.say(1, "FB6400 FA6400 F732 F90A F832 FE 00010203")
+    rig.advance(15)
+    slots = rig.slots
+    # Sense pulses of four counts to a unit, a monophasic one, both phases, and sense.
+    assert slots["site"].tolist() == [0, 1, 2, 2, 3]
+    own = slots["current_ua"][range(5), slots["site"]]
+    assert own.tolist() == [-400, -999, -999, 999, -400]
+
+
+def test_hardware_version_2_waits_for_ever_for_the_rest_of_a_command(make_rig):
+    rig = make_rig(firmware="936c6c0")
+    rig.say(0, "FC04 FE 01")
+    assert rig.say(60_000, "F5 F5") == b""
+    assert rig.say(60_001, "00 F5") == b"\x01"
+
+
+def test_hardware_version_2_is_lost_with_a_pattern_for_no_electrodes(make_rig):
+    rig = make_rig(firmware="936c6c0")
+    assert rig.say(0, "F5 FE F5") == b"\x01"
+    assert rig.feed(1000, bytes(600) + b"\xf5") == b""
+
+
+@pytest.mark.parametrize(
+    ("firmware", "text", "charge_uc"),
+    [
+        # The shortest pulse has a length, and 936c6c0 keeps its width where zero is asked for.
+        ("71adee2", "FC04 FA0100" + ONE, 2.1978 * 6.6e-3),
+        ("936c6c0", "FC04 FA6400 FA0000 FB6400 FE 01000000", 0.0999),
+    ],
+)
+def test_the_width_of_a_pulse(make_rig, firmware, text, charge_uc):
+    rig = make_rig(firmware=firmware).after(15, text)
+    assert rig.books.max_charge_uc == pytest.approx(charge_uc)
+
+
+def test_the_newest_stops_half_a_second_after_its_host(make_rig):
+    rig = make_rig(firmware="newest")
+    rig.say(0, EXAMPLE + ONE + "FA")
+    assert rig.advance(495) > 0
+    slots = rig.advance(505)
+    assert (rig.books.state, rig.books.reason) == ("shorted", "silence")
+    assert rig.advance(2000) == slots
+    # Half a command is gone too, the number of electrodes is not.
+    assert rig.say(2000, "F4") == b"\x04"
+
+
+def test_half_a_command_is_forgotten_after_2_s_with_all_that_waits(rig):
+    rig.say(0, EXAMPLE)
+    assert rig.say(100, "FE 0000 DC00 00") == b""
+    # Nothing is answered in between: it is all taken for heights.
+    assert rig.say(2099, "F4") == b""
+    assert rig.say(2101, "F4") == b"\x04"
+    assert rig.books.slots == 0
+
+
+def test_the_rest_of_a_half_command_completes_it_in_time(rig):
+    rig.say(0, EXAMPLE)
+    rig.say(100, "FE 0000 DC00 00")
+    assert rig.say(2005, "0000 00 F4") == b"\x04"
+    assert rig.advance(2100) > 0
+
+
+def test_a_lost_byte_means_another_current(rig):
+    rig.say(0, EXAMPLE)
+    # The first byte is lost, the next command's completes it: 0xDC has become a high byte.
+    rig.say(1, "FE 00 DC00 0000 0000" + "FE")
+    rig.advance(100)
+    assert rig.books.unsafe > 0
+    assert rig.books.max_current_ma > 5
+
+
+def test_unknown_op_codes_are_skipped(rig):
+    assert rig.say(0, "00 01 7F F0 F3" + EXAMPLE) == b"\x04"
+
+
+def test_heights_are_cut_at_4095(rig):
+    rig.after(15, "FC04 FA0A00 FE 0000 FFFF 0000 0000")
+    # 41 mA are asked for; the volts allow less.
+    assert rig.books.max_current_ma > 20
+    assert rig.books.max_volts == pytest.approx(300)
+    rig = Rig(None, compliance_v=1e4)
+    rig.after(15, "FC04 FA0A00 FE 0000 FFFF 0000 0000")
+    assert rig.books.max_current_ma == pytest.approx(4095 * 9.99e-3)
+
+
+@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2"])
+def test_too_much_for_the_period_stops_the_parser_for_good(make_rig, firmware):
+    rig = make_rig(firmware=firmware)
+    code = {"936c6c0": "FB0A00 FE 01010101", "71adee2": "FE" + "0A00" * 4}[firmware]
+    rig.after(1000, "FC04 FAC800 F7FF F6F401" + code)
+    # 4 slots of 465 µs are less than 2 ms; at 1 kHz they are not.
+    assert rig.books.sequences == pytest.approx(499, abs=1)
+    rig.say(1000, "F6E803")
+    rig.advance(2000)
+    assert rig.say(2000, "F60A00 FC00" + "FE00000000" * 3 + "F5 F4") == b""
+    slots = rig.books.slots
+    assert rig.advance(3_000) > slots
+
+
+def test_the_newest_parses_beside_a_scan_that_never_ends(make_rig):
+    rig = make_rig(firmware="newest")
+    rig.after(100, "FC04 FAC800 F7FF F6E803" + "FE" + "0A00" * 4)
+    assert rig.say(100, "FE" + "0000" * 4 + "F4") == b"\x04"
+    slots = rig.advance(103)
+    assert rig.advance(200) == slots
+
+
+def test_without_a_discharge_charge_stays(make_rig):
+    rig = make_rig(4)
+    rig.after(20, "FC04 FA6400 F6E803 F700" + ONE)
+    left = rig.books.max_net_charge_uc
+    rig.say(20, "F7C8")
+    rig.advance(40)
+    assert abs(rig.slots["residual_uc"][-1]).max() < 0.1 * left
+
+
+def test_without_power_nothing_flows(rig):
+    rig.after(50, EXAMPLE + ONE)
+    rig.board.zero("signal", 50 * MS)
+    slots = rig.books.slots
+    assert rig.advance(1000) == slots
+    assert (rig.books.state, rig.books.reason) == ("shorted", "signal")
+
+
+def test_an_hour_without_pulses_passes_at_once(rig):
+    rig.after(1, "FC00 F6FFFF")
+    began = time.thread_time()
+    rig.advance(3_600_000)
+    rig.say(3_600_000, EXAMPLE)
+    rig.advance(7_200_000)
+    assert time.thread_time() - began < 0.5
+
+
+def test_a_scan_of_64_takes_less_time_than_it_lasts(tmp_path):
+    rig = Rig(tmp_path, 64)
+    rig.feed(0, bytes.fromhex("FC40 FA6400 F732 F63200 FE") + b"\x64\x00" * 64)
+    began = time.thread_time()
+    rig.advance(1000)
+    seconds = time.thread_time() - began
+    assert rig.books.sequences == pytest.approx(50, abs=1)
+    assert seconds / 50 < 0.02
+
+
+BYTES = st.one_of(
+    st.binary(max_size=20),
+    st.sampled_from([bytes.fromhex(text) for text in (EXAMPLE, ONE, "FB02", "FB01", "F6FFFF")]),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(pieces=st.lists(BYTES, max_size=8), step_us=st.integers(0, 2000))
+def test_any_bytes_are_survived(pieces, step_us):
+    books = DeliveryLog(4)
+    board = ETactileKitFirmware(books)
+    for step, piece in enumerate(pieces):
+        board.feed(piece, step * step_us * 1000)
+    board.advance(len(pieces) * step_us * 1000)
+    assert books.max_current_ma <= 4095 * 9.99e-3 * (1 + 1e-9)
+    assert books.max_volts <= 300 * (1 + 1e-9)
+    unsafe = books.max_current_ma > 5.001 or books.max_charge_uc > 0.5001
+    assert not unsafe or books.unsafe > 0
+
+
+@settings(max_examples=30, deadline=None)
+@given(pieces=st.lists(BYTES, max_size=8), cut=st.integers(1, 9))
+def test_how_the_bytes_are_cut_does_not_matter(pieces, cut):
+    data = b"".join(pieces)
+    whole, parts = ETactileKitFirmware(DeliveryLog(4)), ETactileKitFirmware(DeliveryLog(4))
+    answer = whole.feed(data, 0)
+    assert answer == b"".join(parts.feed(data[at : at + cut], 0) for at in range(0, len(data), cut))

@@ -1,0 +1,258 @@
+"""The kit of 61 electrodes, to the byte, on a clock of the test's own."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.emulator.finger_events import EmulatedFinger
+from smarttouch.emulator.firmware import DeliveryLog, read_slots
+from smarttouch.emulator.kajimoto61_firmware import BUFFER, ELECTRODES, Kajimoto61Firmware
+
+MS = 1_000_000
+ZERO = b"\xff" + bytes(ELECTRODES)
+SLOT_MS = 0.208
+
+
+def frame(**intensities):
+    data = bytearray(ZERO)
+    for electrode, value in intensities.items():
+        data[1 + int(electrode[1:])] = value
+    return bytes(data)
+
+
+@pytest.fixture
+def books(tmp_path):
+    return DeliveryLog(ELECTRODES, tmp_path)
+
+
+@pytest.fixture
+def board(books):
+    """A board whose self-test is over, and what it left in the converter."""
+    board = Kajimoto61Firmware(books)
+    assert board.feed(ZERO, 0) == b""
+    board._loaded_ua = 0.0
+    return board
+
+
+def play(board, *steps):
+    """Let times come, in milliseconds, and bytes at them."""
+    now_ns = 0
+    for step in steps:
+        if isinstance(step, bytes):
+            board.feed(step, now_ns)
+        else:
+            now_ns = int(step * MS)
+            board.advance(now_ns)
+
+
+def delivered(books):
+    books.write()
+    return read_slots(books.folder)
+
+
+def test_a_pulse_is_anodic_and_all_others_are_its_return(board, books):
+    play(board, 1, frame(e30=26), 2)
+    (slot,) = delivered(books)
+    assert (slot["site"], slot["time_us"]) == (30, 1000)
+    assert slot["current_ua"][30] == -round(26 * 39.0625)
+    others = np.delete(slot["current_ua"], 30)
+    assert (others > 0).all()
+    assert others.sum() == pytest.approx(26 * 39.0625, abs=30)
+    assert books.max_charge_uc == pytest.approx(26 * 1.953e-3, rel=1e-3)
+
+
+def test_electrodes_come_in_order_and_only_those_that_are_on(board, books):
+    play(board, 0, frame(e60=10, e2=20, e5=0, e9=201, e10=255, e11=200), 10)
+    slots = delivered(books)
+    assert slots["site"].tolist() == [2, 11, 60]
+    assert slots["time_us"].tolist() == [0, 208, 416]
+    assert slots["slot"].tolist() == [0, 1, 2]
+
+
+def test_a_packet_is_one_scan(board, books):
+    play(board, 0, frame(e1=50, e2=50), 1000)
+    assert (books.slots, books.sequences) == (2, 2)
+    assert (books.state, books.reason) == ("shorted", "end")
+    assert not board.busy
+
+
+def test_a_scan_goes_slot_after_slot(board, books):
+    board.feed(frame(e1=50, e2=50, e3=50), 0)
+    for now_ms, slots in ((0, 1), (0.207, 1), (0.209, 2), (0.5, 3)):
+        board.advance(int(now_ms * MS))
+        assert books.slots == slots
+    assert books.state == "driving"
+    board.advance(int(0.625 * MS))
+    assert books.state == "shorted"
+
+
+def test_a_packet_waits_until_the_scan_is_over(board, books):
+    full = b"\xff" + bytes([20] * ELECTRODES)
+    play(board, 0, full, 1, frame(e0=50), 12)
+    assert books.sequences == 1
+    board.advance(13 * MS)
+    assert books.sequences == 3
+    assert delivered(books)["time_us"][-1] == pytest.approx(61 * SLOT_MS * 1000, abs=1)
+
+
+def test_what_its_buffer_cannot_hold_is_lost(board, books):
+    play(board, 0, frame(e0=50) * 20, 1000)
+    whole = 1 + BUFFER // 62
+    assert books.slots == whole
+    # What is left of the next one waits for its end for ever.
+    play(board, 1001, bytes(61), 1002, frame(e3=50), 2000)
+    assert books.slots == whole + 2
+
+
+def test_a_short_packet_waits_for_ever_and_zeros_are_the_way_out(board, books):
+    play(board, 0, frame(e60=50)[:-1], 3_600_000)
+    board.hang_up(3_600_000 * MS)
+    assert books.slots == 0
+    # The next packet's first byte completes it, and the rest is ignored.
+    play(board, 3_600_001, frame(e0=50)[:1] + bytes(30), 3_600_010)
+    assert books.slots == 0
+    play(board, 3_600_011, frame(e0=50), 3_600_012)
+    assert books.slots == 1
+    play(board, 3_600_013, b"\xff\x01", 3_600_014, bytes(61), 3_600_020, 3_600_030, ZERO)
+    assert books.slots == 2
+    play(board, 3_600_040, frame(e1=50), 3_600_050)
+    assert books.slots == 3
+
+
+@pytest.mark.parametrize("junk", [b"\x00", bytes(range(254)), b"\xfd" * 1000])
+def test_other_bytes_are_ignored(board, books, junk):
+    play(board, 0, junk + frame(e7=50), 5)
+    assert (books.slots, delivered(books)["site"].tolist()) == (1, [7])
+
+
+def test_in_the_self_test_it_measures_and_any_first_packet_stimulates():
+    books = DeliveryLog(ELECTRODES)
+    board = Kajimoto61Firmware(books)
+    assert books.state == "self-test"
+    board.feed(b"\xfe", 1 * MS)
+    assert len(board.advance(100 * MS)) == 62
+    assert (books.slots, books.state) == (61, "self-test")
+    play(board, 101, frame(e1=50), 110)
+    assert (books.slots, books.state) == (62, "shorted")
+
+
+@pytest.mark.parametrize("first", [b"", ZERO, ZERO * 3])
+def test_what_the_self_test_left_flows_for_a_moment_in_the_first_pulse(tmp_path, first):
+    books = DeliveryLog(ELECTRODES, tmp_path)
+    board = Kajimoto61Firmware(books)
+    play(board, 0, first, 10, frame(e1=1, e2=1), 20, frame(e1=1), 30)
+    slots = delivered(books)
+    assert slots["site"].tolist() == [1, 1, 2, 1]
+    # 898 counts for 3 µs, then its own value: no zero packet loads anything.
+    own = -slots["current_ua"][range(4), slots["site"]]
+    assert own.tolist() == [2192, 39, 39, 39]
+    charge = np.abs(slots["charge_uc"]).max(axis=1)
+    assert charge[0] == pytest.approx(2.192e-3 * 3, rel=1e-2)
+    assert (books.slots, books.unsafe) == (3, 0)
+
+
+def test_after_a_measurement_the_converter_is_empty(tmp_path):
+    books = DeliveryLog(ELECTRODES, tmp_path)
+    board = Kajimoto61Firmware(books)
+    play(board, 0, ZERO + b"\xfe" + frame(e1=1), 30)
+    assert delivered(books)["site"].tolist() == [*range(61), 1]
+
+
+def test_a_measurement_takes_its_time_and_its_readings_are_volts(board, books):
+    assert board.feed(b"\xfe", 0) == b""
+    assert board.advance(int(2.06 * MS)) == b""
+    assert board.busy
+    reply = board.advance(int(2.08 * MS))
+    assert len(reply) == 62
+    assert reply[-1] == 0xFF
+    assert 0xFF not in reply[:-1]
+    slots = delivered(books)
+    assert slots["site"].tolist() == list(range(61))
+    np.testing.assert_array_equal(slots["current_ua"][range(61), range(61)], -2500)
+    own = -slots["volts"][range(61), range(61)].astype(float)
+    volts = np.frombuffer(reply[:-1], np.uint8) * (4 * 0.0893)
+    # The return through sixty others adds a little.
+    assert ((volts > own - 1) & (volts < 1.2 * own + 2)).all()
+    assert books.unsafe == 0
+
+
+def test_a_reading_wraps_and_never_looks_like_the_end():
+    board = Kajimoto61Firmware(
+        DeliveryLog(ELECTRODES), EmulatedFinger(ELECTRODES, ["0 open 5", "0 short 6"])
+    )
+    play(board, 0, ZERO, 1, b"\xfe")
+    reply = board.advance(10 * MS)
+    # 300 V are 3,359 counts, 839 after the shift, and 839 - 3 * 256 = 71 in a byte.
+    assert reply[5] == 71
+    assert reply[6] < 10
+    readings = set()
+    for percent in range(30, 100):
+        event = f"0 peel 5 {percent / 100}"
+        board = Kajimoto61Firmware(
+            DeliveryLog(ELECTRODES), EmulatedFinger(ELECTRODES, [event]), 2000.0
+        )
+        board.feed(ZERO + b"\xfe", 0)
+        readings.add(board.advance(10 * MS)[5])
+    assert 255 not in readings
+    assert len(readings) > 50
+
+
+def test_a_command_after_a_measurement_waits_for_it(board, books):
+    play(board, 0, b"\xfe" + frame(e3=50), 10)
+    assert delivered(books)["time_us"][-1] == 61 * 25
+
+
+def test_a_lost_host_leaves_everything_as_it_is(board, books):
+    board.feed(frame(e1=50, e2=50), 0)
+    board.hang_up(int(0.1 * MS))
+    board.advance(1 * MS)
+    assert books.slots == 2
+    play(board, 500, frame(e1=50), 501)
+    assert books.slots == 3
+
+
+def test_without_power_nothing_flows(board, books):
+    board.feed(frame(e1=50, e2=50), 0)
+    board.zero("signal", 1000)
+    board.advance(100 * MS)
+    assert (books.slots, books.state, books.reason) == (1, "shorted", "signal")
+
+
+@pytest.mark.parametrize(("value", "unsafe"), [(1, 0), (128, 0), (129, 1), (200, 1), (201, 0)])
+def test_from_129_on_a_byte_is_more_than_5_ma(board, books, value, unsafe):
+    play(board, 0, frame(e30=value), 1)
+    assert books.unsafe == unsafe
+    assert books.max_current_ma <= 7.8126
+
+
+@settings(max_examples=60, deadline=None)
+@given(pieces=st.lists(st.binary(max_size=70) | st.sampled_from([b"\xff", b"\xfe"]), max_size=8))
+def test_any_bytes_are_survived_and_only_their_intensities_flow(pieces):
+    books = DeliveryLog(ELECTRODES)
+    board = Kajimoto61Firmware(books)
+    board.feed(ZERO, 0)
+    for step, piece in enumerate(pieces):
+        board.feed(piece, step * MS)
+    board.advance(100 * MS)
+    assert books.max_current_ma <= 7.8126
+    assert books.max_charge_uc <= 7.8126 * 0.050001
+    if not any(129 <= byte <= 200 for piece in pieces for byte in piece):
+        assert books.unsafe == 0
+
+
+@settings(max_examples=30, deadline=None)
+@given(data=st.binary(max_size=200), cuts=st.lists(st.integers(0, 200), max_size=5))
+def test_how_the_bytes_are_cut_does_not_matter(data, cuts):
+    whole, pieces = DeliveryLog(ELECTRODES), DeliveryLog(ELECTRODES)
+    board = Kajimoto61Firmware(whole)
+    play(board, 0, ZERO + data, 100)
+    board = Kajimoto61Firmware(pieces)
+    board.feed(ZERO, 0)
+    edges = sorted({0, *(min(cut, len(data)) for cut in cuts), len(data)})
+    for start, end in pairwise(edges):
+        board.feed(data[start:end], 0)
+    board.advance(100 * MS)
+    assert (pieces.slots, pieces.sequences) == (whole.slots, whole.sequences)

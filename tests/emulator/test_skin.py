@@ -1,0 +1,208 @@
+"""The circuit against one solved in fine steps, and what no circuit may break."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.integrate import solve_ivp, trapezoid
+
+from smarttouch.emulator.skin import CAPACITANCE_F, PARALLEL_OHM, SERIES_OHM, SkinCircuit
+
+
+def unequal(electrodes, seed, **options):
+    skin = SkinCircuit(electrodes, **options)
+    generator = np.random.default_rng(seed)
+    skin.scale(generator.uniform(0.3, 4, electrodes), 1 / generator.uniform(0.3, 4, electrodes))
+    return skin
+
+
+def solve(skin, currents, duration_us, volts=0.0):
+    """Return charge (pC) and capacitor voltages after a time, by the equations themselves."""
+    count = skin.electrodes
+
+    def change(_, y):
+        current = currents(y[:count])
+        leak = y[:count] / skin.parallel_ohm
+        return np.concatenate([(current - leak) / skin.capacitance_f, current])
+
+    start = np.concatenate([volts + np.zeros(count), np.zeros(count)])
+    answer = solve_ivp(
+        change, (0, duration_us * 1e-6), start, "LSODA", rtol=1e-8, atol=1e-14, max_step=1e-6
+    )
+    return answer.y[count:, -1] * 1e12, answer.y[:count, -1]
+
+
+def switched(skin, state, source_ua, shunt_ohm=np.inf):
+    def currents(volts):
+        out = np.zeros(skin.electrodes)
+        admittance, ends, ohm = 1 / skin.series_ohm, [], 0.0
+        for pole in (state > 0, state < 0):
+            ohm += 1 / admittance[pole].sum()
+            ends.append((volts * admittance)[pole].sum() / admittance[pole].sum())
+        before = ends[0] - ends[1]
+        total = (source_ua * 1e-6 - before / shunt_ohm) / (1 + ohm / shunt_ohm)
+        total = min(total, (skin.compliance_v - before) / ohm)
+        for pole, end, sign in ((state > 0, ends[0], 1), (state < 0, ends[1], -1)):
+            node = end + sign * total / admittance[pole].sum()
+            out[pole] = ((node - volts) * admittance)[pole]
+        return out
+
+    return currents
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("width_us", [50, 200])
+@pytest.mark.parametrize(("compliance_v", "shunt_ohm"), [(300, np.inf), (60, np.inf), (300, 66e3)])
+def test_a_switched_pulse_divides_as_the_equations_say(seed, width_us, compliance_v, shunt_ohm):
+    skin = unequal(12, seed, compliance_v=compliance_v)
+    state = np.random.default_rng(seed).integers(-1, 2, 12).astype(np.int8)
+    state[:2] = 1, -1
+    charge_pc, volts = solve(skin, switched(skin, state, 3000, shunt_ohm), width_us)
+    delivered = skin.switched_pulse(state, 3000, width_us, shunt_ohm)
+    np.testing.assert_allclose(delivered.charge_pc, charge_pc, rtol=0.03, atol=0.003 * 3000 * 50)
+    np.testing.assert_allclose(
+        skin.residual_uc, skin.capacitance_f * volts * 1e6, rtol=0.03, atol=2e-4
+    )
+    assert delivered.source_v <= compliance_v * (1 + 1e-9)
+    assert delivered.source_v == pytest.approx(
+        delivered.volts[state > 0].max() - delivered.volts[state < 0].min()
+    )
+
+
+def test_a_weighted_pulse_is_what_was_asked_and_exact():
+    skin = unequal(6, 3)
+    current = np.array([900.0, -100, -200, -300, -400, 100])
+    _, volts = solve(skin, lambda _: current * 1e-6, 150)
+    delivered = skin.pulse(current, 150)
+    np.testing.assert_array_equal(delivered.current_ua, current)
+    expected = volts + current * 1e-6 * skin.series_ohm
+    np.testing.assert_allclose(delivered.volts, expected, rtol=1e-4)
+    assert delivered.source_v == pytest.approx(expected[0] - expected.min(), rel=1e-4)
+
+
+def test_a_saturated_source_delivers_what_fits():
+    skin = SkinCircuit(4, spread=0, compliance_v=50)
+    current = np.array([3000.0, -1000, -1000, -1000])
+
+    def currents(volts):
+        most = (50 - volts[0]) / skin.series_ohm[0]
+        return min(1.0, most / 3e-3) * current * 1e-6
+
+    charge_pc, _ = solve(skin, currents, 200)
+    delivered = skin.pulse(current, 200)
+    np.testing.assert_allclose(delivered.charge_pc, charge_pc, rtol=0.03)
+    assert delivered.charge_pc[0] < 0.5 * 3000 * 200
+    assert delivered.volts[0] == pytest.approx(50)
+
+
+def test_a_short_circuit_is_solved_exactly():
+    skin = unequal(6, 5)
+    skin.pulse(np.array([900.0, -100, -200, -300, -400, 100]), 150)
+    before, passed = skin.residual_uc, skin.charge_uc.copy()
+    admittance = 1 / skin.series_ohm
+
+    def currents(volts):
+        return ((volts * admittance).sum() / admittance.sum() - volts) * admittance
+
+    charge_pc, volts = solve(skin, currents, 12, before / skin.capacitance_f / 1e6)
+    skin.short(12)
+    np.testing.assert_allclose(skin.residual_uc, skin.capacitance_f * volts * 1e6, rtol=1e-4)
+    np.testing.assert_allclose(skin.charge_uc - passed, charge_pc * 1e-6, rtol=1e-4, atol=1e-9)
+
+
+def test_charge_of_equal_electrodes_goes_with_their_time_constant():
+    skin = SkinCircuit(4, spread=0)
+    skin.pulse(np.array([300.0, -100, -100, -100]), 100)
+    before = skin.worst_uc
+    parallel = 1 / (1 / SERIES_OHM + 1 / PARALLEL_OHM)
+    skin.short(parallel * CAPACITANCE_F * 1e6)
+    assert skin.worst_uc == pytest.approx(before / np.e, rel=1e-3)
+    skin.short(1000)
+    assert skin.worst_uc < 1e-9
+
+
+def test_without_a_leak_what_passed_is_what_is_left():
+    skin = unequal(5, 1)
+    skin.parallel_ohm = np.full(5, 1e13)
+    skin.switched_pulse(np.array([1, -1, -1, 0, 1], np.int8), 500, 100)
+    skin.pulse(np.array([50.0, -20, -20, -20, 10]), 80)
+    skin.short(3)
+    np.testing.assert_allclose(skin.residual_uc, skin.charge_uc, rtol=1e-5, atol=1e-9)
+
+
+def test_the_source_pays_for_what_is_stored_and_lost():
+    """Constant current: the work is the series loss, the leak's loss and what is stored."""
+    skin = SkinCircuit(2, spread=0)
+    delivered = skin.pulse(np.array([1000.0, -1000]), 100)
+    amps, seconds, tau = 1e-3, 100e-6, PARALLEL_OHM * CAPACITANCE_F
+    time = np.linspace(0, seconds, 20_001)
+    volts = amps * PARALLEL_OHM * (1 - np.exp(-time / tau))
+    work = 2 * trapezoid(amps * (amps * SERIES_OHM + volts), time)
+    lost = 2 * trapezoid(amps**2 * SERIES_OHM + volts**2 / PARALLEL_OHM, time)
+    stored = float((skin.residual_uc**2 / skin.capacitance_f).sum()) * 1e-12 / 2
+    assert work == pytest.approx(lost + stored, rel=1e-6)
+    assert delivered.source_v == pytest.approx(2 * (amps * SERIES_OHM + volts[-1]))
+
+
+def test_2_4_ma_for_200_us_needs_about_125_v():
+    current = np.full(64, -2400 / 63)
+    current[0] = 2400
+    assert SkinCircuit(64, spread=0).pulse(current, 200).volts[0] == pytest.approx(125, abs=5)
+
+
+@pytest.mark.parametrize("state", [[0, 0, 0], [1, 1, 0], [-1, 0, 0]])
+def test_with_one_pole_nothing_flows(state):
+    delivered = SkinCircuit(3).switched_pulse(np.array(state, np.int8), 1000, 100)
+    assert not delivered.charge_pc.any()
+    assert delivered.source_v == 0
+
+
+def test_an_insulated_electrode_stays_out():
+    delivered = SkinCircuit(4).switched_pulse(np.array([1, 0, -1, -1], np.int8), 1000, 100)
+    assert delivered.current_ua[1] == 0
+    assert delivered.current_ua[0] == pytest.approx(1000)
+
+
+def test_electrodes_differ_a_little_and_always_in_the_same_way():
+    skin = SkinCircuit(64)
+    assert np.abs(skin.series_ohm / SERIES_OHM - 1).max() <= 0.15
+    assert np.ptp(skin.series_ohm) > 0.2 * SERIES_OHM
+    np.testing.assert_array_equal(skin.series_ohm, SkinCircuit(64).series_ohm)
+    assert (SkinCircuit(64, seed=1).series_ohm != skin.series_ohm).any()
+
+
+PULSES = st.lists(
+    st.tuples(
+        arrays(np.int8, 6, elements=st.integers(-1, 1)),
+        arrays(np.float64, 6, elements=st.floats(-2e4, 2e4)),
+        st.floats(0.5, 500),
+        st.floats(0, 300),
+    ),
+    min_size=1,
+    max_size=5,
+)
+
+
+@given(pulses=PULSES, seed=st.integers(0, 9), compliance_v=st.sampled_from([5.0, 300.0]))
+def test_currents_sum_to_zero_and_never_pass_the_compliance(pulses, seed, compliance_v):
+    skin = unequal(6, seed, compliance_v=compliance_v)
+    for state, current, width_us, short_us in pulses:
+        for delivered in (
+            skin.switched_pulse(state, abs(current[0]), width_us),
+            skin.pulse(current, width_us),
+        ):
+            size = np.abs(delivered.charge_pc).sum()
+            assert abs(delivered.charge_pc.sum()) <= 1e-9 * size + 1e-9
+            assert np.isfinite(delivered.volts).all()
+        assert np.abs(delivered.volts).max() <= compliance_v * (1 + 1e-9) + 1e-9
+        skin.short(short_us)
+        assert abs(skin.charge_uc.sum()) <= 1e-9 * (1 + np.abs(skin.charge_uc).sum())
+
+
+@given(state=arrays(np.int8, 8, elements=st.integers(-1, 1)), source_ua=st.floats(0, 4e4))
+def test_one_source_gives_no_more_than_asked(state, source_ua):
+    skin = unequal(8, 2)
+    delivered = skin.switched_pulse(state, source_ua, 100)
+    assert delivered.current_ua[state > 0].sum() <= source_ua * (1 + 1e-9) + 1e-12
+    assert delivered.source_v <= skin.compliance_v * (1 + 1e-9)

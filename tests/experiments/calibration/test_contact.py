@@ -1,0 +1,130 @@
+"""Repeated measurements say together what touches, and how well."""
+
+import contextlib
+
+import numpy as np
+import pytest
+
+from smarttouch.base.errors import CalibrationError, LineLostError
+from smarttouch.boards.reports import Impedance, judge
+from smarttouch.experiments.calibration.contact import (
+    MOST_LOSSES,
+    judge_contact,
+    measure_contact,
+    show_contact,
+)
+from smarttouch.profile import load_profile
+
+from ...raising import raises
+
+
+def measured(kohm, condition):
+    return Impedance(np.array(kohm, float), tuple(condition), 0.5)
+
+
+GOOD = ["good"] * 6
+
+
+def test_medians_spreads_and_most_conditions():
+    usual = ["good", "good", "open", "good", "short", "good"]
+    once = ["good", "good", "open", "open", "short", "good"]
+    runs = [
+        measured([30, 31, np.inf, 30, 0.1, 29], usual),
+        measured([32, 31, np.inf, np.inf, 0.1, 31], once),
+        measured([34, 31, np.inf, 32, 0.2, 33], usual),
+    ]
+    found = judge_contact(runs)
+    assert found.kohm.tolist() == [32, 31, np.inf, 32, 0.1, 31]
+    assert found.condition == ("good", "good", "open", "good", "short", "good")
+    assert found.broken == [2, 4]
+    assert found.spread_kohm[0] == pytest.approx(1.4826 * 2)
+    assert found.spread_kohm[1] == 0
+    assert np.isnan(found.spread_kohm[[2, 3]]).all()
+    assert found.sentence().startswith("4 good, 1 open, 1 short of 6 electrodes, the good ones 31")
+
+
+def test_what_they_disagree_on_is_unsure_and_not_masked():
+    half = [measured([30] * 6, GOOD), measured([30] * 5 + [np.inf], [*GOOD[:5], "open"])]
+    found = judge_contact(half)
+    assert found.condition[5] == "unsure"
+    assert found.broken == []
+
+
+def test_what_goes_into_the_profile(profile, changed):
+    masked = changed(profile, {"output.masked": (7, 20)})
+    kohm = np.linspace(30, 40, 64)
+    kohm[[3, 20]] = np.inf, 0.2
+    condition = ["good"] * 64
+    condition[3], condition[20] = "open", "short"
+    found = judge_contact([measured(kohm, condition)])
+    assert found.masked(masked) == [3, 7, 20]
+    values = found.impedances(masked)
+    usual = np.median(np.delete(kohm, [3, 20]))
+    assert values[3] == values[20] == pytest.approx(usual, rel=1e-3)
+    assert values[0] == 30
+
+
+LIFTED = {"about": "finger"}
+
+
+@pytest.mark.parametrize(
+    ("runs", "attributes"),
+    [
+        ([measured([np.inf] * 6, ["open"] * 6)], LIFTED),
+        ([measured([30] * 6, GOOD), measured([np.inf] * 6, ["open"] * 6)], LIFTED),
+        (
+            [measured([30, 30] + [np.inf] * 4, ["good"] * 2 + ["open"] * 4)],
+            {"about": "contact", "value": 4},
+        ),
+        ([measured([30] * 6, ["unsure"] * 6)], {"about": "contact", "value": 0}),
+        ([measured([10 * 4**i] * 6, GOOD) for i in range(3)], {"about": "contact"}),
+    ],
+)
+def test_no_contact_is_one_sentence(runs, attributes):
+    with raises(CalibrationError, **attributes):
+        judge_contact(runs)
+
+
+def test_the_map_shows_each_electrode_where_it_lies(capsys):
+    profile = load_profile("kajimoto-61")
+    volts = np.linspace(5, 9, 61)
+    volts[60] = 200.0
+    found = judge_contact([judge(volts, 0.5, 60.0)])
+    show_contact(found, profile.electrodes)
+    lines = capsys.readouterr().out.splitlines()
+    assert [len(line.split()) for line in lines[:9]] == [5, 6, 7, 8, 9, 8, 7, 6, 5]
+    # The board counts from the right: its last electrode is the first of the last row.
+    assert lines[8].split()[0] == "open"
+    assert float(lines[0].split()[-1]) == pytest.approx(found.kohm[0], abs=0.1)
+    assert len(lines[0]) - len(lines[0].lstrip()) > len(lines[4]) - len(lines[4].lstrip())
+
+
+class Lossy:
+    """A board that is lost at some of its measurements."""
+
+    def __init__(self, lost_at):
+        self.lost_at, self.opened, self.measured = lost_at, 0, 0
+
+    @contextlib.contextmanager
+    def __call__(self):
+        self.opened += 1
+        yield self
+
+    def measure(self):
+        self.measured += 1
+        if self.measured in self.lost_at:
+            raise LineLostError("gone", about="board")
+        return self.measured
+
+
+def test_a_board_that_is_lost_is_opened_anew_and_measured_on():
+    board = Lossy({2, 4})
+    assert measure_contact(board, 4) == [1, 3, 5, 6]
+    assert board.opened == 3
+
+
+def test_a_board_that_is_lost_again_and_again_is_given_up():
+    board = Lossy(set(range(1, 100)))
+    with pytest.raises(LineLostError):
+        measure_contact(board, 4)
+    assert board.opened == MOST_LOSSES + 1

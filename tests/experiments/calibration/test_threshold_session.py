@@ -1,0 +1,458 @@
+"""A session drives a board within its limits, keeps what is done, and stops at once."""
+
+import contextlib
+import json
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smarttouch.base.clock import SimulatedClock
+from smarttouch.base.errors import CalibrationError, ExperimentError, LineLostError
+from smarttouch.base.stopping import StopRequest
+from smarttouch.boards.open import MemoryBoard
+from smarttouch.experiments.calibration.profile_file import file_to_calibrate
+from smarttouch.experiments.calibration.threshold_procedures import (
+    TICK_S,
+    Thresholds,
+    ceiling_ma,
+    measuring_profile,
+    slew_ma_s,
+)
+from smarttouch.experiments.calibration.threshold_session import (
+    Progress,
+    ThresholdSession,
+    simulated_finger,
+)
+from smarttouch.experiments.calibration.thresholds import (
+    STOP_KEYS,
+    ThresholdProcedure,
+    filled,
+    parse_electrodes,
+    sentence,
+)
+from smarttouch.experiments.psychophysics.experiment_source import ExperimentSource
+from smarttouch.experiments.psychophysics.trials import TrialTiming
+from smarttouch.kernels.bank import single_bank
+from smarttouch.profile import list_profiles, load_profile
+from smarttouch.running.config import RunConfig
+from smarttouch.running.display import Display
+from smarttouch.running.listener import Listener, OnStep
+from smarttouch.running.runner import Runner
+from smarttouch.stimulation.safety_gate import SafetyLimits
+
+from ...raising import raises
+from .subject import SimulatedSubject
+
+
+@pytest.fixture
+def begun():
+    """Return a beginner of sessions' progress, one after another: the one before has ended."""
+    open_ones = []
+
+    def begin(path, settings):
+        for each in open_ones:
+            each.close()
+        open_ones.append(Progress(path, settings))
+        return open_ones[-1]
+
+    yield begin
+    for each in open_ones:
+        each.close()
+
+
+class Finger(Listener):
+    """Feels what was sent, whichever board it was sent to, and presses keys."""
+
+    def __init__(self, source, subjects):
+        super().__init__()
+        self.source, self.subjects, self.asked = source, subjects, None
+
+    def step(self, result):
+        source, asking = self.source, self.source.asking
+        if source.rising is not None:
+            site = source.rising.condition.index
+            level_ma = level_of(result.sequence)
+            if self.subjects[site].presses(level_ma, result.sequence.period_us / 1e6):
+                source.press("x")
+        elif asking is not None and asking is not self.asked:
+            condition = asking.condition
+            felt = self.subjects[condition.index].says_felt(condition.comparison, 0.8)
+            source.press("y" if felt else "n")
+        self.asked = asking
+
+
+def level_of(sequence):
+    return float(sequence.source_ua.max(initial=0)) / 1000
+
+
+def subjects(profile, **options):
+    return [SimulatedSubject(1.1, 1.9, seed=i, **options) for i in range(len(profile.electrodes))]
+
+
+def silent(profile):
+    return [SimulatedSubject(1e3, 1e4, guess=0)] * len(profile.electrodes)
+
+
+def display_of(profile, kind=MemoryBoard):
+    return Display(kind, measuring_profile(profile))
+
+
+def run(display, profile, felt_by, sites, progress, stop=None, listeners=(), **options):
+    """Run a session in simulated time; return the electrodes that were shown."""
+    shown, measuring = [], display.profile
+    session = ThresholdSession(
+        profile, display.board, sites, progress,
+        show=lambda site, _found: shown.append(site), **options,
+    )  # fmt: skip
+    timing = TrialTiming(answer_s=None, again=False, patience_s=10.0, most_spoiled=3)
+    source = ExperimentSource(session, measuring, timing, measuring.force.full_n)
+    Runner(
+        source,
+        display,
+        RunConfig(scan="points"),
+        listeners=[Finger(source, felt_by), *listeners],
+        first_level=1.0,
+        stop=stop,
+        load_kernels=single_bank,
+        clock=SimulatedClock(),
+    ).run()
+    return shown
+
+
+@pytest.mark.parametrize("adaptive", [False, True])
+def test_every_sequence_goes_through_one_electrode_and_rises_by_the_ramp(
+    profile, tmp_path, begun, adaptive
+):
+    progress, display = begun(tmp_path / "p.json", {}), display_of(profile)
+    # Of the threshold by trials, rising only says where they begin.
+    repeats = 1 if adaptive else 3
+    run(display, profile, subjects(profile), [3, 9], progress, adaptive=adaptive, repeats=repeats)
+    last_ma, last_ns, sites = 0.0, 0, set()
+    slew = float(profile.full_ma.max()) / profile.limits.ramp_s
+    for sequence in display.board.sequences:
+        level_ma = level_of(sequence)
+        rise_ma = slew * (sequence.time_ns - last_ns) / 1e9
+        # To the rounding of a microampere.
+        assert level_ma - last_ma <= rise_ma + 1.1e-3
+        last_ma, last_ns = level_ma, sequence.time_ns
+        sites |= set(sequence.site.tolist())
+        assert sequence.slots <= 1
+    assert sites == {3, 9}
+    assert last_ma == 0
+    for site in (3, 9):
+        assert progress.found[site].threshold_ma == pytest.approx(1.1, rel=0.2)
+        assert progress.found[site].comfort_ma == pytest.approx(1.9, rel=0.2)
+
+
+def test_runs_begin_at_zero_however_long_the_pause(profile, tmp_path, begun):
+    display = display_of(profile)
+    run(display, profile, subjects(profile), [0], begun(tmp_path / "p.json", {}))
+    levels = np.array([level_of(each) for each in display.board.sequences])
+    starts = levels[1:][(levels[:-1] == 0) & (levels[1:] > 0)]
+    assert len(starts) >= 3
+    assert starts.max() <= slew_ma_s(display.profile, 0) * 2 * TICK_S
+
+
+@pytest.mark.parametrize("name", list_profiles())
+def test_the_ceiling_of_every_profile_is_one_that_its_board_sends(name, tmp_path, begun):
+    """Nothing is ever felt: the current goes up to the ceiling, and every proof holds."""
+    profile = load_profile(name)
+    display, site = display_of(profile), len(profile.electrodes) - 1
+    progress = begun(tmp_path / "p.json", {})
+    run(display, profile, silent(profile), [site], progress, repeats=1)
+    strongest_ma = max(level_of(each) for each in display.board.sequences)
+    assert strongest_ma == pytest.approx(ceiling_ma(profile, site, display.board), abs=1.1e-3)
+    assert strongest_ma <= profile.limits.current_ma
+    assert strongest_ma * profile.pulse.width_us / 1000 <= profile.limits.charge_uc
+    assert not progress.found[site].felt
+
+
+@pytest.mark.parametrize("name", list_profiles())
+def test_only_comfort_is_another_limit_while_it_is_measured(name):
+    profile = load_profile(name)
+    usual, limits = SafetyLimits.of(profile), SafetyLimits.of(measuring_profile(profile))
+    assert limits.full_ma / limits.ramp_s == pytest.approx(usual.full_ma / usual.ramp_s)
+    for field in ("current_ma", "pulse_us", "charge_uc", "rate_hz", "duty", "total_ma",
+                  "electrode_ma", "session_s", "session_mc"):  # fmt: skip
+        assert getattr(limits, field) == getattr(usual, field), field
+
+
+def test_a_ramp_that_cannot_be_slower_leaves_less_to_reach(profile, changed):
+    slow = changed(profile, {"limits.ramp_s": 10.0})
+    measuring = measuring_profile(slow)
+    assert measuring.limits.ramp_s == 10.0
+    assert measuring.full_ma.max() == pytest.approx(slow.full_ma.max(), abs=1e-3)
+
+
+def test_single_electrodes_keep_their_own_limit(profile, changed, tmp_path, begun):
+    own = [2.45] * 64
+    own[5] = 2.4
+    limited = changed(profile, {"limits.electrode_ma": own})
+    display = display_of(limited)
+    run(display, limited, silent(limited), [5], begun(tmp_path / "p.json", {}))
+    assert max(level_of(each) for each in display.board.sequences) == 2.4
+
+
+def test_an_interrupted_session_goes_on_where_it_was(profile, tmp_path, begun):
+    first, stop = begun(tmp_path / "p.json", {"repeats": 1}), StopRequest()
+
+    def stop_after_two(_result):
+        if len(first.found) >= 2:
+            stop.ask("enough")
+
+    stopping = [OnStep(stop_after_two)]
+    run(display_of(profile), profile, subjects(profile), range(3), first, stop, stopping, repeats=1)
+    assert list(first.found) == [0, 1]
+    again = begun(tmp_path / "p.json", {"repeats": 1})
+    assert again.found == first.found
+    second = display_of(profile)
+    shown = run(second, profile, subjects(profile), range(3), again, repeats=1)
+    assert shown == [2]
+    assert {int(s) for each in second.board.sequences for s in each.site} == {2}
+
+
+def test_a_stop_comes_at_once_and_nothing_is_sent_after(profile, tmp_path, begun):
+    stop, display, sent = StopRequest(), display_of(profile), []
+
+    def stop_at_a_level(result):
+        sent.append(result)
+        if level_of(result.sequence) > 0.8:
+            stop.ask("enough")
+
+    progress = begun(tmp_path / "p.json", {})
+    run(display, profile, subjects(profile), [0], progress, stop, [OnStep(stop_at_a_level)])
+    assert level_of(sent[-1].sequence) > 0.8
+    assert len(display.board.sequences) == len(sent)
+    assert display.board._stopped.is_set()
+    assert not progress.found
+
+
+class Losing(MemoryBoard):
+    """A board that is lost, and back, at these sends."""
+
+    at = ()
+
+    def _send(self, sequence, times):
+        if len(self.sequences) in self.at:
+            self.at = [each for each in self.at if each != len(self.sequences)]
+            raise LineLostError("the line broke")
+        return super()._send(sequence, times)
+
+    def _recover(self, lost):
+        pass
+
+
+@pytest.mark.parametrize("adaptive", [False, True])
+def test_a_board_that_was_lost_begins_again_at_zero(profile, tmp_path, begun, adaptive):
+    progress, display = begun(tmp_path / "p.json", {}), display_of(profile, Losing)
+    # While it rises, twice, and in the trials.
+    display.board.at = lost = [300, 700, 2600] if adaptive else [300, 700]
+    run(display, profile, subjects(profile), [0], progress, adaptive=adaptive)
+    sequences = display.board.sequences
+    for each in lost:
+        assert level_of(sequences[each - 1]) > 0
+        assert [sequence.slots for sequence in sequences[each : each + 10]] == [0] * 10
+    assert len(display.board.notes) == len(lost)
+    assert progress.found[0].threshold_ma == pytest.approx(1.1, rel=0.2)
+
+
+def test_a_board_that_is_lost_all_the_time(profile, tmp_path, begun):
+    display, progress = display_of(profile, Losing), begun(tmp_path / "p.json", {})
+    display.board.at = range(0, 5000, 200)
+    with raises(ExperimentError, about="trial", value=4, allowed=3):
+        run(display, profile, subjects(profile), [0], progress)
+    assert display.board._stopped.is_set()
+    assert not progress.found
+
+
+@pytest.fixture
+def procedure(tmp_path):
+    def make(**options):
+        file = file_to_calibrate(
+            "thresholds", None, "electric-mouse", tmp_path / "mine.toml", False, simulated=False
+        )
+        return ThresholdProcedure(
+            start="electric-mouse", file=file, board_url="memory:", sites=[5], **options
+        )
+
+    return make
+
+
+def measured(procedure, key_at=lambda _line: None):
+    """Measure; a key is pressed when a line is shown that asks for it. Return the lines."""
+    heeding, said = [], []
+
+    @contextlib.contextmanager
+    def keys(heed):
+        heeding.append(heed)
+        yield
+
+    def say(line):
+        said.append(line)
+        if (key := key_at(line)) is not None:
+            heeding[0](key)
+
+    with procedure.progress() as progress:
+        try:
+            procedure.measure(progress, keys, say, StopRequest(), lambda board, _stop: board)
+        finally:
+            found = dict(progress.found)
+    return said, found
+
+
+@pytest.mark.parametrize("key", STOP_KEYS)
+def test_a_person_is_told_what_to_do_and_stops(procedure, key):
+    """By a key; an empty one means that the terminal is gone."""
+    said = []
+
+    def press(line):
+        said.append(line)
+        return key if line.startswith("electrode 5") else None
+
+    with raises(CalibrationError, about="thresholds", value=1):
+        measured(procedure(), press)
+    assert "2.50 mA" in said[0]
+    assert len(said) == 2
+
+
+def test_a_simulated_subject_answers_for_a_person(procedure, profile):
+    """Over 48 electrodes: bias 0 %, spread 4 %; comfort -1 and 4 %."""
+    said, found = measured(procedure(simulate=True, adaptive=True))
+    assert [each.partition(":")[0] for each in said] == ["electrode 5"]
+    measuring = measuring_profile(profile)
+    tops_ma = measuring.full_ma.tolist()
+    truth = simulated_finger(profile, measuring, tops_ma, 0)
+    assert found[5].threshold_ma == pytest.approx(truth.threshold_ma[5], rel=0.12)
+    assert found[5].comfort_ma == pytest.approx(truth.enough_ma[5], rel=0.12)
+
+
+def found(threshold=1.0, comfort=2.0):
+    return Thresholds(threshold, comfort, 0.05, 3, 1)
+
+
+def test_what_was_not_measured_stays_as_it_was(profile, changed):
+    measured = {
+        0: found(),
+        1: found(np.nan, np.nan),
+        2: found(1.5, 1.5),
+        3: found(0.71234, 2.5),
+    }
+    threshold, comfort = filled(profile, measured)
+    assert threshold == [1.0, 1.2, 1.2, 0.712] + [1.2] * 60
+    assert comfort == [2.0, 2.4, 2.4, 2.5] + [2.4] * 60
+    own = changed(
+        profile, {"perception.threshold_ma": [1.1] * 64, "perception.comfort_ma": [2.2] * 64}
+    )
+    assert filled(own, {5: found()})[1] == [2.2] * 5 + [2.0] + [2.2] * 58
+    assert sentence(measured, adaptive=False).startswith("2 ")
+    assert "[1, 2]" in sentence(measured, adaptive=True)
+    with raises(CalibrationError, about="thresholds"):
+        filled(profile, {1: found(np.nan, np.nan)})
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("0-3,12", [0, 1, 2, 3, 12]), (" 5 , 5-6", [5, 6]), ("63", [63])],
+)
+def test_electrodes_by_number_and_range(profile, text, expected):
+    assert parse_electrodes(text, profile) == expected
+
+
+@pytest.mark.parametrize("text", ["", "a", "3-", "-3", "1;2", "5-2", "64", "0-64"])
+def test_electrodes_that_are_none(profile, text):
+    with raises(CalibrationError, about="electrodes", value=text):
+        parse_electrodes(text, profile)
+
+
+def test_masked_electrodes_are_left_out(profile, changed):
+    masked = changed(profile, {"output.masked": (1, 2)})
+    assert parse_electrodes(None, masked)[:3] == [0, 3, 4]
+    with raises(CalibrationError, about="electrodes", value=2):
+        parse_electrodes("2-4", masked)
+
+
+def test_progress_is_read_back_and_its_settings_count(tmp_path, begun):
+    path = tmp_path / "p.json"
+    kept = begun(path, {"repeats": 3, "board": "emulator:"})
+    kept.keep(4, found())
+    kept.keep(1, found(np.nan, np.nan))
+    again = begun(path, {"repeats": 3, "board": "emulator:"})
+    assert again.found[4] == kept.found[4]
+    assert not again.found[1].felt
+    with raises(CalibrationError, about="repeats", value=(3, 5)):
+        begun(path, {"repeats": 5, "board": "emulator:"})
+    again.forget()
+    assert begun(path, {}).found == {}
+
+
+def test_two_programs_do_not_go_on_with_one_session(tmp_path):
+    path = tmp_path / "p.json"
+    code = (
+        "import sys; from pathlib import Path; from "
+        "smarttouch.experiments.calibration.threshold_session import Progress\n"
+        "with Progress(Path(sys.argv[1]), {}): print('has it', flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as other:
+        assert other.stdout.readline() == "has it\n"
+        with raises(CalibrationError, about="file", value=path):
+            Progress(path, {})
+        other.communicate()
+    assert other.returncode == 0
+    with Progress(path, {}) as mine:
+        mine.keep(4, found())
+        # The file is another one now, and still taken.
+        with raises(CalibrationError, about="file", value=path):
+            Progress(path, {})
+    assert [each.name for each in tmp_path.iterdir()] == ["p.json"]
+    with Progress(path, {}) as again:
+        assert list(again.found) == [4]
+        again.forget()
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "", "[]", "null", "{}", '{"settings": {}, "found": []}',
+        '{"settings": {}, "found": {"a": 1}}',
+        '{"settings": 1, "found": {"1": {"threshold_ma": 1}}}', "\ud800", "[" * 5000,
+        json.dumps({"settings": {}, "found": {"1": {
+            "threshold_ma": 3, "comfort_ma": 2, "spread": 0, "runs": 1, "false_presses": 0}}}),
+    ],
+)  # fmt: skip
+def test_progress_that_is_none(tmp_path, begun, content):
+    path = tmp_path / "p.json"
+    path.write_bytes(content.encode("utf-8", "surrogatepass"))
+    with raises(CalibrationError, about="file", value=path):
+        begun(path, {})
+
+
+def test_progress_of_version_0_1_goes_on(procedure, tmp_path):
+    """As its file was written, electrode 5 of two done."""
+    settings = {
+        "profile": "electric-mouse", "electrodes": 64, "board": "memory", "pulse_us": 200,
+        "adaptive": False, "repeats": 3, "simulate": True,
+    }  # fmt: skip
+    before = {
+        "threshold_ma": 1.1, "comfort_ma": 1.9, "spread": 0.05, "runs": 3, "false_presses": 0
+    }  # fmt: skip
+    path = tmp_path / "mine.thresholds.json"
+    path.write_text(json.dumps({"settings": settings, "found": {"5": before}}))
+    going_on = replace(procedure(simulate=True), sites=[5, 6])
+    said, found = measured(going_on)
+    assert [each.partition(":")[0] for each in said] == ["electrode 6"]
+    assert found[5] == Thresholds(**before)
+    assert found[6].usable
+
+
+def test_a_simulated_finger_stays_below_the_ceiling(profile):
+    measuring = measuring_profile(profile)
+    made = simulated_finger(profile, measuring, [2.4] * 64, 3)
+    assert (made.threshold_ma < made.enough_ma).all()
+    assert (made.enough_ma < 2.4).all()
+    assert len(set(made.threshold_ma.tolist())) > 30

@@ -1,0 +1,200 @@
+"""A threshold where there is one, and a sentence where there is none."""
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.experiments.fitting.answers import Answers, usual_model
+from smarttouch.experiments.fitting.findings import POOR, estimate, judge
+from smarttouch.experiments.fitting.fit import BootstrapOptions
+from smarttouch.experiments.fitting.psychometric import Model, Shape
+from smarttouch.experiments.psychophysics.procedures import ConstantStimuli, ratio_pairs
+
+from ..psychophysics.simulated import Subject, answer_all, as_answers, of_counts
+
+HOW = BootstrapOptions(samples=120)
+RATIO = 2 ** (np.arange(-9, 10, 2) / 9)
+
+
+def session(answers, standard=30.0, repetitions=10, seed=0):
+    """Return the answers that a function of the condition gives."""
+    procedure = ConstantStimuli(ratio_pairs([standard]), repetitions, seed=seed)
+    shown = []
+    while not procedure.done:
+        shown.append(procedure.next())
+        procedure.answer(True)
+    return as_answers(shown, [answers(each, n) for n, each in enumerate(shown)])
+
+
+def numbers(sentence):
+    return [float(each) for each in re.findall(r"\d+(?:\.\d+)?", sentence)]
+
+
+def verdict(answers):
+    found = judge(answers, usual_model([answers]), HOW)
+    assert found.verdict
+    assert found.reason
+    assert found.threshold is found.weber is found.middle is found.lower is None
+    assert found.notes == []
+    return found
+
+
+def test_a_good_subject():
+    subject = Subject(36.0, 0.25)
+    answers = answer_all(ConstantStimuli(ratio_pairs([30.0]), 30), subject.probability, 3)
+    found = judge(answers, usual_model([answers]), HOW)
+    assert (found.verdict, found.reason) == (None, "")
+    assert found.threshold.low < 36 < found.threshold.high
+    assert found.weber.value == pytest.approx(found.threshold.value / 30 - 1)
+    assert found.lower_weber.value < 0 < found.weber.value
+    assert found.lower.value < found.middle.value < found.threshold.value
+    assert found.goodness > 0.01
+    assert found.notes == []
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_at_random(seed):
+    random = np.random.default_rng(seed)
+    found = verdict(session(lambda each, n: random.random() < 0.5))
+    assert found.reason == "flat"
+    assert found.beyond == 0
+
+
+NO_THRESHOLD = {
+    "first": (lambda each, n: each.comparison_interval == 1, "one interval", ["first", 100, 100]),
+    "second, but once": (
+        lambda each, n: each.comparison_interval == 2 or n == 3, "one interval", ["second", 99, 100]
+    ),
+    "in turn": (lambda each, n: (n % 2 == 0) == (each.comparison_interval == 1), "flat", []),
+    "all felt": (of_counts([1, 2, 3], [10] * 3, [10] * 3), "always", [30, 1], -1),
+    "none felt": (of_counts([1, 2, 3], [10] * 3, [0] * 3), "never", [30, 3], 1),
+    "few answers": (
+        lambda each, n: None if n % 5 else each.comparison > 30, "unanswered", [20, 100]
+    ),
+    "no answers": (lambda each, n: None, "unanswered", [0, 100]),
+    "few trials": (
+        session(lambda each, n: each.comparison > 30, repetitions=1), "too few", [10, 15]
+    ),
+    "one comparison": (of_counts([3], [40], [17]), "one comparison", [42, 40, 3]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NO_THRESHOLD)
+def test_no_threshold(name):
+    answers, reason, said, *beyond = NO_THRESHOLD[name]
+    found = verdict(session(answers) if callable(answers) else answers)
+    assert found.reason == reason
+    words = [each for each in said if isinstance(each, str)]
+    assert all(each in found.verdict for each in words)
+    assert not said or numbers(found.verdict) == said[len(words) :]
+    assert not beyond or beyond == [found.beyond]
+
+
+def test_upside_down():
+    subject = Subject(30.0, 0.25, 0.5)
+    random = np.random.default_rng(1)
+    swapped = session(lambda each, n: random.random() > subject.probability(each.comparison))
+    assert verdict(swapped).reason == "falling"
+
+
+def test_beyond_the_range():
+    subject = Subject(90.0, 0.8)
+    answers = answer_all(ConstantStimuli(ratio_pairs([30.0]), 60), subject.probability, 2)
+    found = verdict(answers)
+    assert found.reason == "outside"
+    assert numbers(found.verdict) == [75, 60]
+    assert found.beyond == 1
+    assert found.fit.threshold > 60
+    low = of_counts([5, 6, 7, 8, 10], [60] * 5, [40, 44, 50, 55, 60])
+    assert (verdict(low).reason, verdict(low).beyond) == ("outside", -1)
+
+
+def test_separated_answers_say_so():
+    sharp = session(lambda each, n: each.comparison > 30)
+    found = judge(sharp, usual_model([sharp]), HOW)
+    assert found.verdict is None
+    low, high = ratio_pairs([30.0])[4][1], ratio_pairs([30.0])[5][1]
+    assert found.threshold.high - found.threshold.low > 0.6 * (high - low)
+    # All curves with their middle between the two fit alike.
+    assert low < found.fit.at(0.5) < high
+    assert found.sureness.sudden
+    assert f"{found.fit.at(0.5):.4g}" in found.notes[0]
+
+
+def test_one_sided_and_of_two_intervals_are_tested_against_guessing():
+    """Adaptive answers keep close to 75 %, and yet are no guesses."""
+    stimulus = [32.0, 33, 34, 35, 36]
+    share = of_counts(stimulus, [12] * 5, [8, 9, 9, 9, 10], standard=30.0)
+    assert judge(share, usual_model([share]), HOW).verdict is None
+    guessed = of_counts(stimulus, [12] * 5, [6, 5, 7, 6, 7], standard=30.0)
+    assert verdict(guessed).reason == "flat"
+    right = of_counts(stimulus, [12] * 5, [8, 9, 9, 9, 10], alternatives=2)
+    assert judge(right, usual_model([right]), HOW).verdict is None
+    felt = of_counts(stimulus, [12] * 5, [8, 9, 9, 9, 10])
+    assert verdict(felt).reason == "flat"
+
+
+def test_an_interval_beyond_the_range_is_told():
+    answers = of_counts(30 * RATIO, [10] * 10, [2, 3, 2, 4, 3, 6, 5, 6, 7, 8], standard=30.0)
+    found = judge(answers, usual_model([answers]), HOW)
+    assert found.threshold.high > 60
+    assert any(numbers(each) == [15, 60] for each in found.notes)
+
+
+def test_a_poor_fit_is_told():
+    answers = of_counts(30 * RATIO, [20] * 10, [0, 9, 0, 9, 1, 19, 8, 20, 9, 20], standard=30.0)
+    found = judge(answers, usual_model([answers]), HOW)
+    assert found.goodness < POOR
+    assert any(f"{found.fit.deviance:.1f}" in each for each in found.notes)
+
+
+@settings(deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from([0.0, 1.0, 2.0, 2.5, 7.0]),
+            st.sampled_from([0.0, 1.0, np.nan]),
+            st.integers(0, 2),
+        ),
+        min_size=1,
+        max_size=40,
+    ),
+    st.sampled_from([0.0, 2.0]),
+    st.sampled_from([None, "equal", "free", 0.5]),
+)
+def test_nothing_crashes_it(trials, standard, guess):
+    comparison, success, interval = (np.array(each) for each in zip(*trials, strict=True))
+    answers = Answers(standard, comparison, success, interval.astype(np.int64))
+    if not comparison.any():
+        answers = Answers(standard, comparison + 1, success, interval.astype(np.int64))
+    found = judge(answers, usual_model([answers], guess=guess), BootstrapOptions(samples=20))
+    assert (found.verdict is None) == (found.threshold is not None) == (not found.reason)
+    if found.threshold is not None:
+        assert found.threshold.low <= found.threshold.high
+        assert found.threshold.high > found.threshold.low or found.notes
+    assert all(isinstance(each, str) for each in found.notes)
+
+
+def test_which_model():
+    frequency = of_counts([20, 40], [1, 1], [0, 1], standard=30.0)
+    assert usual_model([frequency]) == Model(guess="equal")
+    side = of_counts([-2, 2], [1, 1], [0, 1])
+    assert usual_model([side]) == Model(guess="equal", logarithmic=False)
+    assert usual_model([of_counts([1, 2], [1, 1], [0, 1])]) == Model(guess=0.0)
+    assert usual_model([of_counts([0, 2], [1, 1], [0, 1])]) == Model(guess="free")
+    assert usual_model([of_counts([1, 2], [1, 1], [0, 1], alternatives=26)]).guess == 1 / 26
+    chosen = usual_model([frequency], Shape.WEIBULL, 0.5, None, 0.8, 0.02)
+    assert chosen == Model(Shape.WEIBULL, True, 0.5, 0.8, 0.02)
+    assert not usual_model([frequency], logarithmic=False).logarithmic
+
+
+def test_estimate():
+    answers = of_counts(30 * RATIO, [20] * 10, [0, 0, 1, 3, 6, 11, 16, 18, 20, 20], standard=30.0)
+    found = estimate(answers)
+    assert found.trials == 200
+    assert 33 < found.threshold < 40
+    assert 0.5 < found.spread < 4
+    assert estimate(of_counts([1, 2], [20, 20], [0, 0])) is None

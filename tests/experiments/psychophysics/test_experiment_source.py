@@ -1,0 +1,362 @@
+"""Trials reach the skin as they are asked for, or are presented again."""
+
+import re
+
+import numpy as np
+import pytest
+
+from smarttouch.base.afferent import Mode
+from smarttouch.base.errors import ExperimentError
+from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, design
+from smarttouch.experiments.psychophysics.experiment_source import AGAIN, ExperimentSource
+from smarttouch.experiments.psychophysics.observers import SilentObserver
+from smarttouch.experiments.psychophysics.trial_rows import read_rows
+from smarttouch.experiments.psychophysics.trials import TrialTiming
+from smarttouch.kernels.bank import load_bank
+from smarttouch.running.config import RunConfig
+from smarttouch.running.inputs import Controls, ControlState
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.step import StepResult
+
+from ...raising import raises
+from .sitting import Perfect, sit
+
+FEW = ExperimentOptions(repetitions=1, standards=(30.0,), train_s=0.15)
+DETECTION = ExperimentOptions(repetitions=1, train_s=0.1)
+
+
+@pytest.fixture
+def take(profile, bank, tmp_path):
+    """Return a runner of an experiment, to what came of it and its rows."""
+
+    def run_it(observer, wanted=FEW, name="frequency", **how):
+        path = tmp_path / "rows.csv"
+        sat = sit(design(name, profile, wanted), profile, bank, path, observer, **how)
+        return sat, read_rows(path)
+
+    return run_it
+
+
+def test_trains_have_the_asked_frequency_to_the_microsecond(profile, take):
+    """Two standards, ten comparisons each; times and pulses by the board's account."""
+    observer = Perfect()
+    wanted = ExperimentOptions(repetitions=1, standards=(20.0, 60.0), train_s=0.27)
+    sat, rows = take(observer, wanted)
+    assert len(rows) == len(observer.felt) == 20
+    for row, (_, intervals) in zip(rows, observer.felt, strict=True):
+        order = (row.comparison, row.standard)
+        for hz, felt in zip(order if row.comparison_interval == 1 else order[::-1], intervals,
+                            strict=True):  # fmt: skip
+            assert len(felt.time_s) == round(0.27 * hz)
+            assert np.diff(felt.time_s) * 1e6 == pytest.approx(round(1e6 / hz), abs=1e-3)
+            # The kernel of the middle, at full strength in every pulse.
+            strongest = np.abs(felt.current_ua).max(axis=1) / 1000
+            assert strongest == pytest.approx(profile.full_ma[27], abs=0.005)
+            assert felt.width_us == pytest.approx(200)
+            assert felt.time_s[0] == 0
+    assert sat.report.violations == 0
+    assert sat.source.notes == []
+    assert sat.source.spoiled == 0
+
+
+def test_between_the_intervals_there_is_silence_as_long_as_asked(take):
+    steps = []
+    take(
+        Perfect(),
+        course=TrialTiming(gap_s=0.333),
+        watch=lambda sent, source, _: steps.append((source.playing, sent.step.sequence)),
+    )
+    at = {}
+    for playing, sequence in steps:
+        if playing is not None:
+            at.setdefault(playing, []).append(sequence)
+        else:
+            # The level is opened once, by pulses of threshold.
+            assert sequence.slots == 0 or not at
+    for presentation in range(1, 11):
+        first, second = at[presentation, 0], at[presentation, 1]
+        over_ns = first[-1].time_ns + 1000 * first[-1].period_us
+        assert (second[0].time_ns - over_ns) / 1e9 == pytest.approx(0.333, abs=1e-6)
+
+
+def test_before_a_trial_intensity_is_there(profile, take):
+    """The level is opened by pulses of threshold; those of trials come at full intensity."""
+    steps, of_trials = [], []
+    take(
+        Perfect(),
+        watch=lambda sent, source, _: (
+            steps.append(sent.step.sequence),
+            of_trials.append(source.playing is not None),
+        ),
+    )
+    assert steps[0].intensity == 0
+    felt = [each for each, playing in zip(steps, of_trials, strict=True) if playing and each.slots]
+    assert felt[0].time_ns >= 1e9
+    assert {each.intensity for each in felt} == {1.0}
+    opening = [each for each, playing in zip(steps, of_trials, strict=True) if not playing]
+    strongest_ma = max(np.abs(each.current_ua).max(initial=0) for each in opening) / 1000
+    assert 0 < strongest_ma <= 1.02 * profile.threshold_ma[27]
+
+
+@pytest.mark.parametrize("how", ["pause", "silence"])
+def test_a_trial_whose_current_was_lost_is_presented_again(take, how):
+    done = []
+
+    def watch(sent, source, controls):
+        if source.playing == (3, 1) and not done:
+            done.append(sent)
+            controls.toggle_pause() if how == "pause" else controls.silence()
+        elif done and source.playing is None and controls.state(0).current_level == 0:
+            controls.toggle_pause() if how == "pause" else controls.change_level(1)
+
+    observer = Perfect()
+    sat, rows = take(observer, watch=watch, controls=Controls(ControlState(Mode.RA)))
+    assert sat.source.spoiled == 1
+    assert len(rows) == len(observer.felt) == 10
+    assert all(row.response == row.target for row in rows)
+    presented = [words for _, words in sat.told if words.startswith("trial ")]
+    assert [words.split()[1].rstrip(":") for words in presented] == [
+        "1", "2", "3", "3", *map(str, range(4, 11))
+    ]  # fmt: skip
+
+
+def test_the_user_regulates_the_amplitude_and_rows_tell(profile, take):
+    def watch(_, source, controls):
+        if source.playing == (5, 0):
+            controls.change_level(-0.01)
+
+    observer = Perfect()
+    _, rows = take(observer, watch=watch, controls=Controls(ControlState(Mode.RA)))
+    levels = [row.level for row in rows]
+    assert levels[:4] == [1.0] * 4
+    assert levels[4] == levels[-1] < 1
+    last = np.abs(observer.felt[-1][1][0].current_ua).max() / 1000
+    assert last == pytest.approx(levels[-1] * profile.full_ma[27], abs=0.005)
+
+
+def test_currents_that_count_wait_for_full_intensity(profile, take):
+    """Detection at half the user's own level would be another current."""
+    titles = []
+
+    def watch(sent, source, controls):
+        titles.append(source.title)
+        if sent.step.sequence.time_ns > 2e9 and controls.state(0).level < 1:
+            assert not any(before)
+            controls.change_level(0.5)
+        before.append(source.playing is not None)
+
+    before = []
+    observer = Perfect()
+    controls = Controls(ControlState(Mode.RA, 0.5))
+    _, rows = take(observer, DETECTION, "detection", watch=watch, controls=controls)
+    # The key that raises intensity is shown as long as it is missing.
+    assert any("+" in title for title in titles)
+    assert "+" not in titles[-1]
+    for row, (_, (felt,)) in zip(rows, observer.felt, strict=True):
+        strongest_ma = np.abs(felt.current_ua).max(initial=0) / 1000
+        # Whole microamperes of 64 electrodes are balanced by the strongest.
+        assert strongest_ma == pytest.approx(row.comparison, abs=0.02)
+        assert row.success == (row.comparison > 0)
+
+
+def test_where_currents_count_no_key_changes_one_unnoticed(take):
+    def watch(_, source, controls):
+        if source.playing == (4, 0):
+            controls.change_level(-0.05)
+        elif source.playing is None and source.spoiled:
+            controls.change_level(1)
+
+    controls = Controls(ControlState(Mode.RA))
+    sat, rows = take(Perfect(), DETECTION, "detection", watch=watch, controls=controls)
+    assert sat.source.spoiled == 1
+    assert {row.level for row in rows} == {1.0}
+
+
+def test_a_trial_that_cannot_begin_is_not_waited_for_where_nobody_is(take):
+    with raises(ExperimentError, about="trial", value=3, remedy="intensity or force"):
+        take(
+            Perfect(),
+            controls=Controls(ControlState(Mode.RA, 0.0)),
+            course=TrialTiming(patience_s=3),
+        )
+
+
+def test_nobody_answers(take):
+    """Every trial comes again once, at the end."""
+    sat, rows = take(SilentObserver(), course=TrialTiming(answer_s=0.2))
+    assert len(rows) == 20
+    assert {(row.response, row.success, row.rt) for row in rows} == {("", None, None)}
+    assert [words for _, words in sat.told if words.startswith("response 2:")] == [
+        "response 2: none"
+    ]
+
+
+class OneTrial:
+    """A frequency trial, and its answers; on a run without board and loop."""
+
+    title, done, total = "try", 0, 1
+
+    def __init__(self, profile, name="frequency", train_s=0.1):
+        made = design(name, profile, ExperimentOptions(train_s=train_s))
+        self.trial = made.task.trial(made.procedure.next())
+        self.answers = []
+
+    def next(self):
+        return None if self.answers else self.trial
+
+    def record(self, trial, answer):
+        self.answers.append(answer)
+
+
+class Loop:
+    """Asks a source for frames as the loop does, with everything in order."""
+
+    def __init__(self, source, pipeline):
+        self.source, self.pipeline, self.time_ns = source, pipeline, 0
+        self.frames = []
+
+    def step(self):
+        frame = self.source.read(self.time_ns)
+        if frame is None:
+            return False
+        self.frames.append(frame)
+        step = self.pipeline.process(frame)
+        self.source.step(StepResult(step, 1, 0.0))
+        self.time_ns += 1000 * step.sequence.period_us
+        return True
+
+    def until(self, what):
+        while not what() and self.step():
+            assert len(self.frames) < 5000
+
+
+@pytest.fixture
+def begin(profile, bank):
+    """Return a maker of loops over one trial."""
+
+    def begin_it(name="frequency", train_s=0.1, clock=None, **timing):
+        trials = OneTrial(profile, name, train_s)
+        source = ExperimentSource(trials, profile, TrialTiming(**timing), press_n=1.0, clock=clock)
+        pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points"))
+        return Loop(source, pipeline), trials
+
+    return begin_it
+
+
+def test_keys_before_the_question_do_not_count(begin):
+    loop, trials = begin(answer_s=5.0)
+    loop.until(lambda: loop.source.playing == (1, 1))
+    loop.source.keys["1"]()
+    loop.until(lambda: loop.source.asking)
+    asked_ns = loop.time_ns
+    while loop.time_ns < asked_ns + 1e9:
+        loop.step()
+    assert trials.answers == []
+    assert f"{trials.trial.question}, {AGAIN} " in loop.source.title
+    loop.source.keys["x" if "x" in loop.source.keys else "y"]()
+    loop.step()
+    assert trials.answers == []
+    loop.source.keys["right"]()
+    loop.until(lambda: trials.answers)
+    (answer,) = trials.answers
+    assert answer.response == "2"
+    assert answer.rt_s == pytest.approx(1.0, abs=0.05)
+    assert not loop.step()
+
+
+def test_a_trial_is_felt_again_on_request(begin):
+    loop, trials = begin(answer_s=5.0)
+    loop.until(lambda: loop.source.asking)
+    pulses = sum(each.activation.max() == 1 for each in loop.frames)
+    loop.source.keys["r"]()
+    loop.step()
+    loop.until(lambda: loop.source.asking)
+    assert sum(each.activation.max() == 1 for each in loop.frames) == 2 * pulses > 0
+    assert loop.source.repeats == 1
+    loop.source.keys["1"]()
+    loop.until(lambda: trials.answers)
+    assert trials.answers[0].response == "1"
+
+
+def test_an_experiment_may_forbid_to_feel_again(begin):
+    loop, trials = begin(again=False)
+    source = loop.source
+    loop.until(lambda: source.asking)
+    source.keys["r"]()
+    for _ in range(20):
+        loop.step()
+    assert source.asking is trials.trial
+    assert source.repeats == 0
+    assert source.title.endswith(trials.trial.question)
+
+
+def test_reaction_times_are_of_the_key_and_not_of_the_next_frame(begin):
+    class Clock:
+        ns = 0
+
+        def now_ns(self):
+            return self.ns
+
+    clock = Clock()
+    loop, trials = begin(clock=clock)
+    loop.until(lambda: loop.source.asking)
+    clock.ns += 7_000_000
+    loop.source.press("1")
+    clock.ns += 13_000_000
+    loop.until(lambda: trials.answers)
+    assert trials.answers[0].rt_s == pytest.approx(0.007)
+
+
+def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, begin):
+    loop, trials = begin("discomfort", 2.0)
+    loop.until(lambda: loop.source.playing)
+    for _ in range(20):
+        loop.step()
+    level = loop.frames[-1].level
+    assert 0 < level < 1
+    loop.source.keys["\n"]()
+    loop.step()
+    (answer,) = trials.answers
+    assert (answer.response, answer.rt_s, answer.level) == ("y", None, 1.0)
+    assert answer.time_s == pytest.approx(loop.time_ns / 1e9)
+    assert answer.reached == pytest.approx(level * profile.full_ma[27], abs=0.02)
+
+
+def test_a_current_that_is_never_enough_stops_at_the_ceiling(profile, take):
+    wanted = ExperimentOptions(repetitions=2, train_s=1.0)
+    sat, rows = take(SilentObserver(), wanted, "discomfort", experiment="d")
+    full_ma = profile.full_ma[27]
+    assert [row.response for row in rows] == ["n", "n"]
+    assert [row.comparison for row in rows] == pytest.approx([full_ma] * 2, abs=0.005)
+    assert sat.report.max_current_ma == pytest.approx(full_ma, abs=0.01)
+
+
+def test_every_stimulus_is_numbered_and_none_has_an_image(begin):
+    loop, _ = begin()
+    loop.until(lambda: loop.source.asking)
+    assert [each.number for each in loop.frames] == list(range(loop.source.frames))
+    assert {each.image for each in loop.frames} == {None}
+    # Silence, pulses of threshold that open the level, and those of the trial.
+    assert len({each.activation.tobytes() for each in loop.frames}) == 3
+
+
+@pytest.mark.parametrize(
+    "arguments", [{"gap_s": -1}, {"gap_s": float("nan")}, {"answer_s": 0}, {"answer_s": 1e9}]
+)
+def test_courses_that_cannot_be(arguments):
+    ((name, value),) = arguments.items()
+    value = pytest.approx(value, nan_ok=True)
+    with raises(ExperimentError, about=name, value=value):
+        TrialTiming(**arguments)
+
+
+def test_a_board_that_cannot_keep_a_frequency_is_noted(profile, changed, tmp_path):
+    """A profile whose slots take longer than the period asked for."""
+    slow = changed(profile, {"pulse.discharge_us": 5000})
+    made = design("letters", slow, ExperimentOptions(letters="EF", repetitions=1, train_s=0.1))
+    sat = sit(made, slow, load_bank(slow), tmp_path / "rows.csv", Perfect(), experiment="l",
+              course=TrialTiming(answer_s=0.1))  # fmt: skip
+    (note,) = sat.source.notes
+    asked_hz, sent_hz = map(float, re.findall(r"([\d.]+) Hz", note))
+    assert asked_hz == 50
+    assert sent_hz < 50

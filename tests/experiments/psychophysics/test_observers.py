@@ -1,0 +1,352 @@
+"""An observer that judges spikes, one of known thresholds, and some of no use."""
+
+import math
+from dataclasses import astuple, replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.special import ndtr
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import ExperimentError
+from smarttouch.experiments.psychophysics.observers import (
+    GRATING_LIMIT_MM,
+    Interval,
+    KnownObserver,
+    RandomObserver,
+    SameObserver,
+    SilentObserver,
+    SimulatedObserver,
+)
+from smarttouch.experiments.psychophysics.perceived_spikes import FrequencySense, Nerve
+from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.vibration_thresholds import sensitivity
+
+from ...raising import raises
+from .weber import weber_fraction
+
+RA, SAI, PC = Afferent
+MIDDLE = 27
+
+
+def chance_apart(subject, distance_mm):
+    """Return the probability that places or distances so different are put in order."""
+    chance = float(ndtr(distance_mm / (math.sqrt(2) * subject.place_mm)))
+    return subject.lapse / 2 + (1 - subject.lapse) * chance
+
+
+@pytest.fixture(scope="module")
+def pulse(profile, bank):
+    """Return a maker of one pulse's currents, (E,) µA, from the kernels of the bank."""
+
+    def make(afferent=RA, site=MIDDLE, level=1.0):
+        current_ua = 1000 * level * profile.full_ma[site] * bank.kernels(afferent)[site]
+        return np.rint(current_ua).astype(np.int16)
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def train(pulse):
+    """Return a maker of an interval: pulses of one kind at a frequency."""
+
+    def make(hz, afferent=RA, site=MIDDLE, level=1.0, seconds=0.5, width_us=200):
+        time_s = np.arange(0, seconds, 1 / hz)
+        current = np.tile(pulse(afferent, site, level), (len(time_s), 1))
+        return Interval(time_s, np.full(len(time_s), width_us, np.float32), current)
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def points(pulse):
+    """Return a maker of an interval that scans several sites at 50 Hz."""
+
+    def make(*sites):
+        current = np.tile([pulse(RA, site) for site in sites], (10, 1))
+        time_s = np.repeat(np.arange(10) / 50, len(sites)) + np.tile(
+            np.arange(len(sites)) * 3e-4, 10
+        )
+        return Interval(time_s, np.full(len(time_s), 200, np.float32), current)
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def finger(profile):
+    """Return the finger that is simulated where none is asked for."""
+    return Finger(profile, 1, "paper")
+
+
+@pytest.fixture
+def observer(finger, bank):
+    def make(**parameters):
+        return SimulatedObserver(finger, bank, **parameters)
+
+    return make
+
+
+NOTHING = Interval(np.zeros(0), np.zeros(0, np.float32), np.zeros((0, 64), np.int16))
+
+
+def joined(*intervals):
+    return Interval(*map(np.concatenate, zip(*map(astuple, intervals), strict=True)))
+
+
+def share(count, ask, wanted):
+    return sum(ask() == wanted for _ in range(count)) / count
+
+
+class TestNerve:
+    def test_ra_mode_reaches_no_pc(self, finger, train):
+        response = Nerve(finger).of(train(30))
+        assert response.hz == pytest.approx(30)
+        assert response.ratio == 0
+        assert response.per_slot == pytest.approx(1, abs=0.1)
+
+    def test_pc_mode_reaches_both_and_more_pc_with_more_current(self, finger, train):
+        """Paper, Section III-C: RA are activated, too, as they lie above."""
+        found = [Nerve(finger).of(train(50, PC, level=level)) for level in (0.5, 0.6, 0.8, 1.0)]
+        spikes = [
+            {each: response.counts[finger.classes == each].sum() for each in Afferent}
+            for response in found
+        ]
+        for each in Afferent:
+            assert [one[each] for one in spikes] == sorted(one[each] for one in spikes)
+        assert spikes[-1][RA] > spikes[-1][PC] > 0
+        assert found[-1].ratio > 0.5
+
+    def test_a_shorter_pulse_fires_fewer(self, finger, train):
+        nerve = Nerve(finger)
+        short, full, weak = (
+            nerve.of(train(50, PC, **how)).per_slot
+            for how in ({"width_us": 100}, {}, {"level": 0.5})
+        )
+        assert weak < short < full
+
+    def test_the_frequency_is_that_of_ra_where_sai_pulses_between(self, finger, train):
+        slow, fast = train(20), train(80, SAI, level=0.5)
+        both = joined(slow, replace(fast, time_s=fast.time_s + 0.003))
+        order = np.argsort(both.time_s)
+        sorted_ = Interval(both.time_s[order], both.width_us[order], both.current_ua[order])
+        assert Nerve(finger).of(sorted_).hz == pytest.approx(20)
+
+    def test_pulses_within_the_refractory_time_are_one(self, finger, train):
+        one = train(50)
+        twice = Interval(
+            np.repeat(one.time_s, 2) + np.tile([0, 0.001], len(one.time_s)),
+            np.repeat(one.width_us, 2),
+            np.repeat(one.current_ua, 2, axis=0),
+        )
+        alone, doubled = (Nerve(finger).of(each).counts for each in (one, twice))
+        assert np.abs(alone - doubled).max() <= 1
+        assert alone.max() == len(one.time_s)
+
+    def test_silence_has_no_frequency_and_no_place(self, finger, train):
+        for interval in (NOTHING, train(50, level=0.01)):
+            response = Nerve(finger).of(interval)
+            assert (response.hz, response.ratio, response.per_slot) == (0, 0, 0)
+            assert np.isnan([*response.center_mm, response.width_mm]).all()
+        assert Nerve(finger).of(train(50, seconds=0.01)).hz == 0
+
+    def test_places_are_those_of_the_receptors(self, finger, profile, points):
+        nerve = Nerve(finger)
+        for site in (9, 27, 54):
+            found = nerve.of(points(site)).center_mm
+            assert np.linalg.norm(found - profile.electrodes.position_mm[site]) < 1.0
+        far = [nerve.of(points(24, 24 + steps)).width_mm for steps in (1, 3, 6)]
+        assert far == sorted(far)
+        assert far == pytest.approx([2.0, 6.0, 12.0], abs=1.0)
+
+
+class TestFrequencySense:
+    def test_without_pc_nothing_above_where_the_curves_meet_is_believed(self):
+        assert FrequencySense().believable_hz(0) == pytest.approx(65)
+
+    @pytest.mark.parametrize("hz", [70, 100, 125, 200])
+    def test_a_ratio_is_believed_as_the_vibration_that_causes_it(self, hz):
+        ratio = float(sensitivity(PC, hz) / sensitivity(RA, hz))
+        assert FrequencySense().believable_hz(ratio) == pytest.approx(hz, rel=1e-3)
+
+    def test_pc_alone_is_believed_up_to_its_best_frequency(self):
+        assert FrequencySense().believable_hz(math.inf) == pytest.approx(250)
+
+    @given(st.floats(1, 200), st.floats(1.001, 2), st.floats(0, 3))
+    def test_higher_is_never_felt_lower_and_never_above_what_is_believed(self, hz, factor, ratio):
+        sense = FrequencySense()
+        low, high = sense.perceived_hz(hz, ratio), sense.perceived_hz(factor * hz, ratio)
+        assert low <= high <= min(factor * hz, sense.believable_hz(ratio)) * (1 + 1e-9)
+        assert 0.5 <= sense.chance_higher(hz, factor * hz, ratio) < 1
+
+    @given(st.floats(5, 150), st.floats(0, 1))
+    def test_the_weber_fraction_is_where_three_of_four_are_right(self, hz, ratio):
+        sense = FrequencySense()
+        weber = weber_fraction(sense, hz, ratio)
+        if math.isfinite(weber):
+            assert sense.chance_higher(hz, hz * (1 + weber), ratio) == pytest.approx(0.75)
+        else:
+            assert sense.chance_higher(hz, 1e6 * hz, ratio) < 0.75
+
+
+class TestTheThresholdsOfThePaper:
+    """Fig. 16 and 18, as the model has them; its noise and sharpness are set for the former."""
+
+    def test_in_ra_mode_frequency_is_lost_above_60_hz(self, observer):
+        subject = observer()
+        ratio = subject.ratio(RA, MIDDLE)
+        weber = {
+            hz: weber_fraction(subject.frequency, hz, ratio) for hz in (15, 30, 45, 60, 75, 90)
+        }
+        assert max(weber[15], weber[30], weber[45]) < 0.20
+        assert 0.27 < weber[60] < 0.35
+        assert weber[75] == pytest.approx(0.70, abs=0.03)
+        assert weber[90] == math.inf
+
+    def test_in_pc_mode_it_goes_on(self, observer):
+        subject = observer()
+        ratio = subject.ratio(PC, MIDDLE)
+        weber = {hz: weber_fraction(subject.frequency, hz, ratio) for hz in (45, 60, 75, 90, 100)}
+        assert max(weber.values()) < 0.22
+
+    def test_with_axons_that_branch_it_does_not(self, profile, bank):
+        """A dozen times as many RA fire, and no more PC: what the paper found is not explained."""
+        subject = SimulatedObserver(Finger(profile, 1, "branched"), bank)
+        ratio = subject.ratio(PC, MIDDLE)
+        assert 0 < ratio < 0.4
+        assert weber_fraction(subject.frequency, 90, ratio) == math.inf
+
+    @pytest.mark.parametrize(("afferent", "standard_hz"), [(RA, 30), (RA, 75), (PC, 75), (PC, 100)])
+    def test_trials_find_what_the_closed_form_says(self, observer, train, afferent, standard_hz):
+        subject = observer(seed=7, lapse=0.0)
+        ratio = subject.ratio(afferent, MIDDLE)
+        weber = weber_fraction(subject.frequency, standard_hz, ratio)
+        standard = train(standard_hz, afferent, seconds=0.2)
+        comparison = train(standard_hz * (1 + weber), afferent, seconds=0.2)
+        right = share(300, lambda: subject.respond("faster", [standard, comparison], "12"), "2")
+        right += share(300, lambda: subject.respond("faster", [comparison, standard], "12"), "1")
+        assert right / 2 == pytest.approx(0.75, abs=0.035)
+
+    def test_above_what_is_believed_it_guesses(self, observer, train):
+        subject = observer(seed=1)
+        trial = [train(100, seconds=0.2), train(150, seconds=0.2)]
+        assert share(400, lambda: subject.respond("faster", trial, "12"), "2") < 0.68
+
+
+class TestTheTasks:
+    def test_lapses_are_answers_at_random(self, observer, train):
+        subject = observer(seed=3, lapse=0.4)
+        trial = [train(20), train(40)]
+        felt = share(500, lambda: subject.respond("faster", trial, "12"), "2")
+        assert felt == pytest.approx(subject.chance_higher(20, 40), abs=0.05)
+        assert felt == pytest.approx(0.8, abs=0.05)
+
+    @pytest.mark.parametrize("task", ["felt", "enough"])
+    def test_a_level_is_felt_as_its_truth_says(self, profile, train, task):
+        middle = np.linspace(0.9, 1.5, 64)
+        subject = KnownObserver(profile, middle, middle + 0.5, seed=4, guess=0.1)
+        at_ma = middle[MIDDLE] + 0.5 * (task == "enough")
+        for factor in (0.9, 1.0, 1.1):
+            current_ma = float(factor * at_ma)
+            trial = [train(50, level=current_ma / profile.full_ma[MIDDLE])]
+            chance = subject.chance_felt(current_ma, MIDDLE, task)
+            found = share(1500, lambda trial=trial: subject.respond(task, trial, "yn"), "y")
+            assert found == pytest.approx(chance, abs=0.045)
+        guess = 0.1 if task == "felt" else 0
+        assert subject.chance_felt(float(at_ma), MIDDLE, task) == pytest.approx(
+            guess + (1 - guess - 0.02) / 2
+        )
+        assert subject.respond("enough", [NOTHING], "yn") == "n"
+
+    @pytest.mark.parametrize("task", ["felt", "enough"])
+    def test_more_current_is_felt_more_often(self, observer, train, task):
+        subject = observer(seed=4, guess=0.1)
+        found = []
+        for level in (0.2, 0.5, 0.7, 0.8, 1.0):
+            trial = [train(50, level=level)]
+            found.append(share(150, lambda trial=trial: subject.respond(task, trial, "yn"), "y"))
+        assert found[0] == pytest.approx(0.1 if task == "felt" else 0.0, abs=0.08)
+        assert found == pytest.approx(sorted(found), abs=0.1)
+        assert found[-1] > (0.9 if task == "felt" else 0.35)
+        nothing = share(1000, lambda: subject.respond(task, [NOTHING], "yn"), "y")
+        assert nothing == (pytest.approx(0.1, abs=0.04) if task == "felt" else 0)
+
+    def test_half_of_the_trials_at_the_criterion(self, observer):
+        subject = observer(guess=0.1, lapse=0.02, felt_afferents=2.0, enough_afferents=7.0)
+        assert subject.chance_felt(2.0) == pytest.approx(0.1 + 0.88 / 2)
+        assert subject.chance_felt(7.0, "enough") == pytest.approx(0.98 / 2)
+        assert subject.chance_felt(0.0) == pytest.approx(0.1)
+        assert subject.chance_felt(0.0, "enough") == 0
+        assert subject.chance_felt(50.0) == pytest.approx(0.98)
+
+    def test_two_points_are_told_from_one_by_their_distance(self, observer, points, finger):
+        subject = observer(seed=6, lapse=0.0)
+        one, near, far = points(27), points(27, 28), points(27, 30)
+        for two in (near, far):
+            wider_mm = Nerve(finger).of(two).width_mm - Nerve(finger).of(one).width_mm
+            right = share(300, lambda two=two: subject.respond("two", [one, two], "12"), "2")
+            assert right == pytest.approx(chance_apart(subject, wider_mm), abs=0.08)
+        assert share(200, lambda: subject.respond("two", [far, one], "12"), "1") > 0.97
+
+    def test_the_grating_limit_is_told_three_times_of_four(self, observer):
+        assert chance_apart(observer(lapse=0.0), GRATING_LIMIT_MM) == pytest.approx(0.75)
+
+    def test_sides_are_told_in_two_intervals_or_one(self, observer, points, finger):
+        subject = observer(seed=8, lapse=0.0)
+        left, right = points(26), points(27)
+        at_mm = [Nerve(finger).of(each).center_mm[0] for each in (left, right)]
+        truth = chance_apart(subject, at_mm[1] - at_mm[0])
+        assert truth > 0.6
+        for trial, wanted in (([left, right], "r"), ([right, left], "l")):
+            told = share(300, lambda trial=trial: subject.respond("side", trial, "lr"), wanted)
+            assert told == pytest.approx(truth, abs=0.08)
+        one = joined(left, replace(right, time_s=right.time_s + 1))
+        told = share(300, lambda: subject.respond("side", [one], "lr"), "r")
+        assert told == pytest.approx(truth, abs=0.08)
+
+    def test_letters_are_recognized_by_what_is_felt(self, observer, points):
+        shapes = {"I": (3, 11, 19, 27, 35, 43, 51), "L": (3, 11, 19, 27, 35, 36, 37), "O": (9, 54)}
+        templates = {name: np.bincount(sites, minlength=64) for name, sites in shapes.items()}
+        sharp = observer(seed=9, templates=templates, letter_noise=0.0, lapse=0.0)
+        names = list(shapes)
+        for name, sites in shapes.items():
+            assert sharp.respond("which", [points(*sites)], names) == name
+        dull = observer(seed=9, templates=templates, letter_noise=4.0, lapse=0.0)
+        trial = [points(*shapes["I"])]
+        right = share(600, lambda: dull.respond("which", trial, names), "I")
+        assert 1 / 3 < right < 0.8
+        with raises(ExperimentError, about="template", value="X"):
+            sharp.respond("which", trial, ["I", "X"])
+
+    @pytest.mark.parametrize(
+        ("task", "alternatives"),
+        [("faster", "12"), ("two", "12"), ("side", "lr"), ("which", "AB")],
+    )
+    def test_where_nothing_was_felt_it_guesses(self, observer, task, alternatives):
+        subject = observer(seed=10, templates=dict.fromkeys("AB", np.ones(64)))
+        trial = [NOTHING, NOTHING]
+        first = share(600, lambda: subject.respond(task, trial, alternatives), alternatives[0])
+        assert first == pytest.approx(0.5, abs=0.08)
+
+    def test_an_unknown_task_is_named(self, observer):
+        with raises(ExperimentError, about="task", value="smell", allowed="faster"):
+            observer().respond("smell", [NOTHING], "12")
+
+    def test_the_same_seed_gives_the_same_answers(self, observer, train):
+        trial = [train(30), train(32)]
+        subject, again = observer(seed=2), observer(seed=2)
+        answers = [subject.respond("faster", trial, "12") for _ in range(40)]
+        assert answers == [again.respond("faster", trial, "12") for _ in range(40)]
+        assert len(set(answers)) == 2
+
+
+class TestUselessSubjects:
+    def test_they_do_what_they_are_for(self):
+        assert SilentObserver().respond("faster", [NOTHING], "12") is None
+        assert SameObserver().respond("side", [NOTHING], "lr") == "l"
+        guessing = RandomObserver(seed=1)
+        answers = [guessing.respond("which", [], "ABCD") for _ in range(800)]
+        counts = [answers.count(each) for each in "ABCD"]
+        assert min(counts) > 150
+        assert max(counts) < 250

@@ -1,0 +1,196 @@
+"""Every experiment of the catalog shows what its conditions say, and knows the right answer."""
+
+import math
+
+import numpy as np
+import pytest
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import ExperimentError
+from smarttouch.experiments.psychophysics.catalog import CATALOG, ExperimentOptions, design
+from smarttouch.experiments.psychophysics.procedures import Condition
+from smarttouch.profile import load_profile
+
+from ...raising import raises
+
+
+def conditions(made):
+    """Walk through an experiment, all answered right."""
+    shown = []
+    while not made.procedure.done:
+        shown.append(made.procedure.next())
+        made.procedure.answer(True)
+    return shown
+
+
+def sites(train, afferent=Afferent.RA):
+    return np.flatnonzero(train.activation[afferent]).tolist()
+
+
+def test_the_paper_s_frequencies(profile):
+    made = design("frequency", profile, ExperimentOptions())
+    shown = conditions(made)
+    assert len(shown) == 500
+    assert {each.standard for each in shown} == {15, 30, 45, 60, 75}
+    ratios = {round(each.comparison / each.standard, 2) for each in shown}
+    assert (min(ratios), max(ratios)) == (0.5, 2.0)
+    assert made.notes == []
+
+
+def test_comparisons_above_the_limit_are_not_offered_and_that_is_said(profile, changed):
+    made = design("frequency", profile, ExperimentOptions(Afferent.PC, repetitions=1))
+    assert max(each.comparison for each in conditions(made)) <= 200
+    made = design("frequency", profile, ExperimentOptions(Afferent.PC))
+    assert {each.standard for each in conditions(made)} == {15, 30, 45, 60, 75, 90, 100}
+    slow = changed(profile, {"limits.rate_hz": 100.0})
+    made = design("frequency", slow, ExperimentOptions(repetitions=1, standards=(75.0,)))
+    (note,) = made.notes
+    assert "3 " in note
+    assert "100 Hz" in note
+    assert max(each.comparison for each in conditions(made)) <= 100
+
+
+@pytest.mark.parametrize("method", ["staircase", "questplus"])
+def test_adaptive_frequencies_are_above_their_standards_and_mixed(profile, method):
+    wanted = ExperimentOptions(procedure=method, standards=(30.0, 75.0), trials=8)
+    shown = conditions(design("frequency", profile, wanted))
+    assert {each.standard for each in shown} == {30, 75}
+    assert all(1 < each.comparison / each.standard <= 2 for each in shown)
+    order = [each.standard for each in shown]
+    assert order != sorted(order)
+
+
+def test_a_frequency_trial(profile):
+    task = design("frequency", profile, ExperimentOptions()).task
+    for at, target in ((1, "1"), (2, "2")):
+        trial = task.trial(Condition(30.0, 45.0, at, 0, 0))
+        assert (trial.target, trial.success) == (target, target)
+        assert trial.intervals[at - 1].period_us == 22_222
+        assert trial.intervals[2 - at].period_us == 33_333
+    slower = task.trial(Condition(30.0, 20.0, 1, 0, 0))
+    assert (slower.target, slower.success) == ("2", "1")
+    assert "30 Hz" in slower.words
+    assert "20 Hz" in slower.words
+    assert task.trial(Condition(30.0, 30.0, 1, 0, 0)).target == ""
+
+
+def test_detection_counts_in_milliamperes(profile):
+    made = design("detection", profile, ExperimentOptions(site=9))
+    shown = conditions(made)
+    assert len(shown) == 80
+    assert sum(each.comparison == 0 for each in shown) == 10
+    trial = made.task.trial(Condition(0.0, 1.2, 0, 0, 0))
+    (train,) = trial.intervals
+    assert train.level * profile.full_ma[9] == pytest.approx(1.2)
+    assert (sites(train), trial.target, trial.success, trial.exact) == ([9], "y", "y", True)
+    blank = made.task.trial(Condition(0.0, 0.0, 0, 0, 0))
+    assert not blank.intervals[0].activation.any()
+    assert (blank.target, blank.success) == ("n", "y")
+
+
+def test_detection_in_two_intervals_has_a_blank_of_the_same_level(profile):
+    made = design("detection", profile, ExperimentOptions(two_intervals=True))
+    assert not any(each.comparison == 0 for each in conditions(made))
+    first, second = made.task.trial(Condition(0.0, 1.0, 2, 0, 0)).intervals
+    assert not first.activation.any()
+    assert second.activation.any()
+    assert first.level == second.level < 1
+
+
+def test_no_level_is_above_the_strongest(profile, changed):
+    tight = changed(profile, {"perception.comfort_ratio": 1.05})
+    for method in ("constant", "staircase", "questplus"):
+        made = design("detection", tight, ExperimentOptions(procedure=method))
+        for each in conditions(made)[:20]:
+            assert each.comparison <= tight.full_ma.max() + 1e-6
+            assert all(train.level <= 1 for train in made.task.trial(each).intervals)
+
+
+def test_discomfort_rises_to_the_profile_s_own_ceiling(profile):
+    made = design("discomfort", profile, ExperimentOptions(repetitions=3))
+    shown = conditions(made)
+    assert len(shown) == 3
+    assert all(math.isnan(each.comparison) for each in shown)
+    (train,) = made.task.trial(shown[0]).intervals
+    assert train.rises
+    assert train.level == 1.0
+    assert train.pulses * train.period_us == 10_000_000
+
+
+def test_two_points_and_one_between(profile):
+    made = design("two-point", profile, ExperimentOptions())
+    shown = conditions(made)
+    assert {each.comparison for each in shown} == {2, 4, 6, 8, 10, 12, 14}
+    place_mm = profile.electrodes.position_mm
+    for each in shown[:20]:
+        trial = made.task.trial(each)
+        two = sites(trial.intervals[each.comparison_interval - 1])
+        one = sites(trial.intervals[2 - each.comparison_interval])
+        assert (len(two), len(one)) == (2, 1)
+        assert math.dist(*place_mm[two]) == pytest.approx(each.comparison)
+        assert math.dist(place_mm[two].mean(axis=0), place_mm[one[0]]) <= 1.01
+        assert trial.target == trial.success == str(each.comparison_interval)
+
+
+def test_the_second_point_is_as_far_right_as_it_says(profile):
+    made = design("localization", profile, ExperimentOptions())
+    shown = conditions(made)
+    assert {each.comparison for each in shown} == {-6, -4, -2, 2, 4, 6}
+    for each in shown[:12]:
+        trial = made.task.trial(each)
+        (first,), (second,) = map(sites, trial.intervals)
+        moved_mm = profile.electrodes.position_mm[second] - profile.electrodes.position_mm[first]
+        assert moved_mm == pytest.approx((each.comparison, 0))
+        assert (trial.target, trial.success) == ("r" if each.comparison > 0 else "l", "r")
+
+
+def test_letters_are_asked_for_by_their_names(profile):
+    made = design("letters", profile, ExperimentOptions(letters="AEZ", repetitions=2))
+    shown = conditions(made)
+    assert len(shown) == 6
+    trial = made.task.trial(Condition(0.0, 2.0, 0, 0, 0))
+    assert (trial.target, trial.success, trial.alternatives) == ("Z", "Z", ("A", "E", "Z"))
+    assert len(sites(trial.intervals[0])) > 10
+    (note,) = made.notes
+    assert "1 in 3" in note
+
+
+def test_every_experiment_has_a_question_and_answers(profile):
+    for name in CATALOG:
+        made = design(name, profile, ExperimentOptions())
+        trial = made.task.trial(made.procedure.next())
+        assert trial.question
+        assert trial.alternatives
+        assert trial.words
+        assert trial.success in trial.alternatives
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "about", "value", "allowed"),
+    [
+        ("hearing", {}, "experiment", "hearing", tuple(CATALOG)),
+        ("letters", {"procedure": "staircase"}, "procedure", "staircase", ("constant",)),
+        ("frequency", {"site": 64}, "site", 64, None),
+        ("frequency", {"standards": (300.0,)}, "standards", None, 200),
+        ("frequency", {"standards": (200.0,), "procedure": "staircase"}, "standards", 200, 200),
+        ("localization", {"site": 0}, "site", 0, None),
+        ("discomfort", {"train_s": 0.9}, "train_s", 0.9, 1),
+        ("letters", {"letters": "7"}, "letters", "7", None),
+    ],
+)
+def test_what_cannot_be_asked_for(profile, name, options, about, value, allowed):
+    with raises(ExperimentError, about=about, value=value, allowed=allowed):
+        design(name, profile, ExperimentOptions(**options))
+
+
+@pytest.mark.parametrize("name", ["detection", "discomfort"])
+def test_where_width_carries_intensity_nothing_counts_in_milliamperes(profile, changed, name):
+    by_width = changed(profile, {"pulse.carrier": "width"})
+    with raises(ExperimentError, about="pulse.carrier", value="width", allowed=("height",)):
+        design(name, by_width, ExperimentOptions())
+
+
+def test_arrays_without_neighbors_have_no_two_points():
+    line = load_profile("line-8")
+    made = design("two-point", line, ExperimentOptions(repetitions=1))
+    assert {each.comparison for each in conditions(made)} == {1, 2, 3, 4, 5, 6, 7}

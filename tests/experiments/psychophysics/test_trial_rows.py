@@ -1,0 +1,233 @@
+"""Rows come back as they were written, whatever happens to the program in between."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.base.errors import ExperimentError
+from smarttouch.experiments.psychophysics.trial_rows import (
+    COLUMNS,
+    About,
+    RowFile,
+    TrialRow,
+    read_rows,
+)
+
+from ...forks import Forked
+from ...raising import raises
+
+ABOUT = About("frequency", "constant", "p1", "1", 7)
+ROW = TrialRow(
+    0, 3, 3, 12, "frequency", "constant", 30.0, 39.0, 2, "Hz", "2", "1", False, 0.84, 61.5, 0.7,
+    "p1", "1", "2026-01-02 10:00", 7, 200.0, "1.0",
+)  # fmt: skip
+
+_words = st.text(st.characters(blacklist_categories=("Cs", "Cc")), max_size=8)
+_numbers = st.floats(allow_nan=False, allow_infinity=False)
+_rows = st.builds(
+    dataclasses.replace,
+    st.just(ROW),
+    number=st.integers(0, 10**6),
+    standard=st.none() | _numbers,
+    comparison=_numbers,
+    comparison_interval=st.sampled_from([None, 1, 2]),
+    target=_words,
+    response=_words,
+    success=st.sampled_from([None, True, False]),
+    rt=st.none() | _numbers,
+    time_s=_numbers,
+    frame_rate_hz=st.none() | _numbers,
+)
+
+
+def written(path, rows):
+    with RowFile(path, ABOUT) as file:
+        for row in rows:
+            file.append(row)
+    return path
+
+
+@settings(deadline=None)
+@given(st.lists(_rows, max_size=6))
+def test_comes_back(tmp_path_factory, rows):
+    path = written(tmp_path_factory.mktemp("rows") / "a.csv", rows)
+    assert read_rows(path) == rows
+
+
+def test_columns_as_psychopy_has_them(tmp_path):
+    lines = written(tmp_path / "a.csv", [ROW]).read_bytes().split(b"\n")
+    assert lines[0] == (
+        b"\xef\xbb\xbfthisRepN,thisTrialN,thisN,thisIndex,experiment,procedure,standard,comparison,"
+        b"comparison_interval,unit,target,response,success,rt,time_s,level,participant,session,"
+        b"date,seed,frameRate,version"
+    )
+    assert lines[1] == (
+        b"0,3,3,12,frequency,constant,30.0,39.0,2,Hz,2,1,0,0.84,61.5,0.7,p1,1,"
+        b"2026-01-02 10:00,7,200.0,1.0"
+    )
+    assert lines[2:] == [b""]
+
+
+@settings(deadline=None)
+@given(st.lists(_rows, min_size=1, max_size=4), st.data())
+def test_cut_anywhere_loses_the_cut_line_alone(tmp_path_factory, rows, data):
+    path = written(tmp_path_factory.mktemp("rows") / "a.csv", rows)
+    whole = path.read_bytes()
+    cut = whole[: data.draw(st.integers(0, len(whole)))]
+    path.write_bytes(cut)
+    kept = max(cut.count(b"\n") - 1, 0)
+    with RowFile(path, ABOUT) as file:
+        assert file.rows == rows[:kept]
+        for row in rows[kept:]:
+            file.append(row)
+    assert path.read_bytes() == whole
+
+
+def test_each_row_is_on_disk_before_append_returns(tmp_path, monkeypatch):
+    synced = []
+    real = os.fsync
+    monkeypatch.setattr(
+        os, "fsync", lambda file: (real(file), synced.append(path.read_bytes().count(b"\n")))
+    )
+    path = tmp_path / "a.csv"
+    with RowFile(path, ABOUT) as file:
+        for count in range(3):
+            file.append(ROW)
+            assert synced[-1] == count + 2
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted"),
+    [
+        ("experiment", "detection"),
+        ("procedure", "staircase"),
+        ("participant", "p2"),
+        ("session", "2"),
+        ("seed", 8),
+    ],
+)
+def test_no_other_session_goes_on(tmp_path, name, wanted):
+    path = written(tmp_path / "a.csv", [ROW])
+    before = path.read_bytes()
+    about, has = dataclasses.replace(ABOUT, **{name: wanted}), getattr(ABOUT, name)
+    with raises(ExperimentError, about=name, value=has, allowed=wanted):
+        RowFile(path, about)
+    assert path.read_bytes() == before
+    # Whoever is refused leaves the file free.
+    with RowFile(path, ABOUT) as file:
+        assert file.rows == [ROW]
+    with RowFile(path, about, overwrite=True) as file:
+        assert file.rows == []
+        with raises(ExperimentError, about=name, value=has, allowed=wanted):
+            file.append(ROW)
+
+
+@pytest.mark.parametrize(
+    ("column", "cell"),
+    [("comparison", b""), ("comparison", b"nan"), ("success", b"2"), ("seed", b"x")],
+)
+def test_a_bad_line_is_named(tmp_path, column, cell):
+    path = written(tmp_path / "a.csv", [ROW, ROW])
+    lines = path.read_bytes().split(b"\n")
+    cells = lines[2].split(b",")
+    cells[list(COLUMNS.values()).index(column)] = cell
+    path.write_bytes(b"\n".join([*lines[:2], b",".join(cells), b""]))
+    with raises(ExperimentError, about=column) as caught:
+        read_rows(path)
+    assert f"{path}, line 3:" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("data", "about"), [(b"\xff\xfe\x00\n", "file"), (b"a,b\n1,2\n", "thisRepN"), (b"", "thisRepN")]
+)
+def test_what_is_no_such_file(tmp_path, data, about):
+    path = tmp_path / "a.csv"
+    path.write_bytes(data)
+    with raises(ExperimentError, about=about, value=path):
+        read_rows(path)
+
+
+def test_where_there_is_no_file_and_none_can_be(tmp_path):
+    with raises(ExperimentError, about="file", value=tmp_path / "none.csv"):
+        read_rows(tmp_path / "none.csv")
+    for path in (tmp_path / "a.txt", tmp_path / "none" / "a.csv"):
+        with raises(ExperimentError, about="file", value=path):
+            RowFile(path, ABOUT)
+
+
+@pytest.mark.parametrize("change", [{"level": float("nan")}, {"target": "a\nb"}])
+def test_what_no_cell_can_hold(tmp_path, change):
+    path = written(tmp_path / "a.csv", [ROW])
+    (name,) = change
+    with RowFile(path, ABOUT) as file, raises(ExperimentError, about=name):
+        file.append(dataclasses.replace(ROW, **change))
+    assert read_rows(path) == [ROW]
+
+
+WRITER = """
+import dataclasses, sys
+from pathlib import Path
+from smarttouch.base.errors import ExperimentError
+from smarttouch.experiments.psychophysics.trial_rows import About, RowFile, TrialRow
+
+path, about, row, overwrite = (eval(each) for each in sys.argv[1:])
+try:
+    with RowFile(Path(path), About(*about), overwrite) as file:
+        print(len(file.rows), flush=True)
+        for line in sys.stdin:
+            file.append(dataclasses.replace(TrialRow(*row), number=int(line)))
+            print("kept", flush=True)
+except ExperimentError as error:
+    print(error, flush=True)
+    sys.exit(2)
+"""
+
+
+@pytest.fixture
+def start_writer(tmp_path):
+    """Return a starter of processes that add a row for each number they read."""
+    started, program = [], tmp_path / "writer.py"
+    program.write_text(WRITER)
+
+    def start(path, overwrite=False):
+        told = [str(path), dataclasses.astuple(ABOUT), dataclasses.astuple(ROW), overwrite]
+        process = Forked(
+            [sys.executable, str(program), *map(repr, told)],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        started.append(process)
+        return process, process.stdout.readline().strip()
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def test_two_programs_do_not_write_one_file(tmp_path, start_writer):
+    path = written(tmp_path / "a.csv", [ROW])
+    first, count = start_writer(path)
+    assert count == "1"
+    for number in (1, 2):
+        print(number, file=first.stdin, flush=True)
+        assert first.stdout.readline() == "kept\n"
+        # Neither going on nor beginning anew touches what the first one writes.
+        for overwrite in (False, True):
+            second, said = start_writer(path, overwrite)
+            assert second.wait() == 2
+            assert str(path) in said
+    with raises(ExperimentError, about="file", value=path):
+        RowFile(path, ABOUT, overwrite=True)
+    assert [row.number for row in read_rows(path)] == [3, 1, 2]
+    first.kill()
+    first.wait()
+    third, count = start_writer(path)
+    assert count == "3"
+    print(4, file=third.stdin, flush=True)
+    third.communicate()
+    assert [row.number for row in read_rows(path)] == [3, 1, 2, 4]

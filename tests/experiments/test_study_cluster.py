@@ -1,0 +1,62 @@
+"""A study on a real Dask cluster, one of whose workers is killed on the way."""
+
+import os
+import signal
+from pathlib import Path
+
+import joblib
+import pytest
+
+from smarttouch.base.cluster import on_cluster
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.experiments.study_plan import Study
+from smarttouch.experiments.study_run import run_study
+
+from ..raising import raises
+
+distributed = pytest.importorskip("distributed")
+
+STUDY = Study(
+    title="small", profiles=("smarttouch-4x4",), anatomies=("paper",), fingers=6, letters="LT"
+)
+
+
+def test_rows_are_the_same_when_a_worker_is_killed(tmp_path):
+    with joblib.parallel_config("threading", n_jobs=1):
+        here = run_study(STUDY, Path(), tmp_path / "here")
+    killed = []
+
+    async def not_again():
+        """A killed worker is not replaced: the others do its work."""
+
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None
+    ) as cluster:
+
+        def kill(_done, _total):
+            if not killed:
+                killed.append(cluster.workers[0].pid)
+                cluster.workers[0].instantiate = not_again
+                os.kill(killed[0], signal.SIGKILL)
+
+        with on_cluster(cluster.scheduler_address):
+            there = run_study(STUDY, Path(), tmp_path / "there", progress=kill)
+    assert killed
+    assert there == here
+    tables = [(tmp_path / each / "rows.csv").read_bytes() for each in ("here", "there")]
+    assert tables[0] == tables[1]
+
+
+def test_no_scheduler_is_said(monkeypatch):
+    monkeypatch.setattr("smarttouch.base.cluster._ANSWERS_WITHIN_S", 0.2)
+    with (
+        raises(SmartTouchError, about="cluster", value="tcp://127.0.0.1:1"),
+        on_cluster("tcp://127.0.0.1:1"),
+    ):
+        pass
+
+
+def test_no_dask_is_said(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    with raises(SmartTouchError, about="cluster"), on_cluster("tcp://a:1"):
+        pass

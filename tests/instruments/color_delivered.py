@@ -1,0 +1,83 @@
+"""A trace all the way to the skin: what each class got, told from delivered currents alone."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.clock import SimulatedClock
+from smarttouch.base.stopping import StopRequest
+from smarttouch.boards.vibrators.vibrator_board import HybridBoard
+from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.instruments.color_mix import mix_colors
+from smarttouch.instruments.color_source import ColorSource
+from smarttouch.instruments.skin_trace import open_trace
+from smarttouch.running.config import RunConfig
+from smarttouch.running.inputs import Controls, ControlState
+from smarttouch.running.listener import as_listeners
+from smarttouch.running.loop import run_loop
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.step import RunStatistics
+from smarttouch.stimulation.safety_gate import SafetyLimits
+
+from ..reference.recover import recover
+
+LEVEL = 0.25
+"""Of the strongest: net current leaves PC its 125 Hz."""
+RISEN_S = 0.55
+"""By then intensity has risen."""
+
+
+@dataclass
+class Got:
+    """Pulses of one class since intensity has risen, with drives as at full intensity."""
+
+    time_s: np.ndarray
+    drive: np.ndarray
+    sites: set
+
+    @property
+    def rate_hz(self):
+        return (len(self.time_s) - 1) / np.ptp(self.time_s)
+
+
+def feel(spec, profile, bank, seconds=2.0, shaking=None, **options):
+    """Return what each class got, by afferent class, and the sensor that asked for it.
+
+    What ``shaking``, a board of vibrators, is to do it is told.
+    """
+    trace = open_trace(spec, seconds)
+    vibrated = shaking is not None
+    mixture = mix_colors(trace, profile, bank, vibrated=vibrated, **options)
+    sensor = ColorSource(spec, profile, mixture, force_n=2 * profile.force.full_n)
+    began_s = {}
+
+    def watch(sent):
+        began_s[sent.number] = sent.step.sequence.time_ns / 1e9
+
+    board = SimulatedBoard("", SafetyLimits.of(profile), profile.output)
+    whole = HybridBoard(board, shaking) if vibrated else board
+    with whole:
+        run_loop(
+            sensor,
+            Pipeline(profile, bank, RunConfig(mode=mixture.mode, scan="points"), vibrated=vibrated),
+            whole,
+            stop=StopRequest(),
+            statistics=RunStatistics(),
+            listeners=as_listeners([watch]),
+            controls=Controls(ControlState(mixture.mode, LEVEL)),
+            clock=SimulatedClock(),
+        )
+        numbers, _, current_ua = board.take_pulses()
+        assert board.report().violations == 0
+    time_s = np.array([began_s[number] for number in numbers.tolist()])
+    risen = time_s > RISEN_S
+    time_s, pulses = time_s[risen], recover(current_ua[risen] / LEVEL, profile, bank)
+    assert pulses.likeness.min(initial=1) > 0.999
+    got = {}
+    for afferent in Afferent:
+        its = pulses.afferent == afferent
+        if its.any():
+            sites = set(pulses.site[its].tolist())
+            got[afferent] = Got(np.unique(time_s[its]), pulses.drive[its], sites)
+    return got, sensor

@@ -1,0 +1,90 @@
+"""From a trace to the skin and back: each class gets what it answers, alone or with others."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.io import wavfile
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.boards.vibrators.vibrator_board import VibratorBoard
+from smarttouch.instruments.receptor_responses import split
+from smarttouch.instruments.skin_trace import open_trace
+from smarttouch.stimulation.safety_gate import SafetyLimits
+
+from .color_delivered import LEVEL, feel
+
+ALONE = {
+    Afferent.RA: ("tone:30Hz,8um", 30.0),
+    Afferent.SAI: ("press:0.45N", 25.0),
+    Afferent.PC: ("tone:250Hz,1.5um", 125.0),
+}
+"""What drives one class, and the rate at which it pulses then: RA at every cycle, PC at every
+second one, SAI at half of its full rate under half of the full force."""
+RATE_WITHIN = 0.01
+DRIVE_WITHIN = 0.02
+"""Tolerances of what is recovered from delivered currents; beside one another 0.06, as each
+class's filter lets a little of the other's vibration through."""
+
+
+def drive_of(spec, afferent, profile):
+    answers = split(open_trace(spec), sai_full_n=profile.force.full_n)
+    return float(np.median(answers[afferent].drive[2400:7200]))
+
+
+@pytest.mark.parametrize("afferent", Afferent)
+def test_each_class_is_driven_alone(afferent, profile, bank):
+    spec, rate_hz = ALONE[afferent]
+    got, source = feel(spec, profile, bank)
+    assert set(got) == {afferent}
+    assert got[afferent].rate_hz == pytest.approx(rate_hz, rel=RATE_WITHIN)
+    median = np.median(got[afferent].drive)
+    assert median == pytest.approx(drive_of(spec, afferent, profile), abs=DRIVE_WITHIN)
+    assert not source.error_us(afferent).any()
+
+
+@pytest.mark.parametrize("pair", list(itertools.combinations(Afferent, 2)))
+def test_two_mixed_give_back_both(pair, profile, bank):
+    got, source = feel("+".join(ALONE[each][0] for each in pair), profile, bank)
+    assert set(got) == set(pair)
+    for each in pair:
+        spec, rate_hz = ALONE[each]
+        assert got[each].rate_hz == pytest.approx(rate_hz, rel=RATE_WITHIN)
+        assert np.median(got[each].drive) == pytest.approx(drive_of(spec, each, profile), abs=0.06)
+        assert np.abs(source.error_us(each)).max() <= 2500
+
+
+def test_all_three_mixed_give_back_all(profile, bank):
+    got, _ = feel("+".join(spec for spec, _ in ALONE.values()), profile, bank)
+    assert {each: round(row.rate_hz) for each, row in got.items()} == {
+        each: rate_hz for each, (_, rate_hz) in ALONE.items()
+    }
+
+
+def test_vibrators_shake_as_pc_answers_and_get_no_pulses(profile, bank, tmp_path):
+    path = tmp_path / "shaken.wav"
+    shaking = VibratorBoard(f"{path}?grid=1x1", SafetyLimits.of(profile), profile.output)
+    got, _ = feel("+".join(spec for spec, _ in ALONE.values()), profile, bank, shaking=shaking)
+    assert set(got) == {Afferent.RA, Afferent.SAI}
+    assert got[Afferent.RA].rate_hz == pytest.approx(30, rel=RATE_WITHIN)
+    rate_hz, wave = wavfile.read(path)
+    lasting = wave[int(0.7 * rate_hz) : int(1.7 * rate_hz)].astype(float) / np.iinfo(wave.dtype).max
+    assert np.abs(np.fft.rfft(lasting)).argmax() == 250
+    drive = drive_of(ALONE[Afferent.PC][0], Afferent.PC, profile)
+    assert np.sqrt(2) * lasting.std() == pytest.approx(LEVEL * drive, abs=0.06 * LEVEL)
+
+
+def test_only_the_sites_that_were_chosen_pulse(profile, bank):
+    got, _ = feel("tone:30Hz,8um+press:0.3N", profile, bank, seconds=1.0, sites=[3, 60])
+    assert [row.sites for row in got.values()] == [{3, 60}, {3, 60}]
+    got, _ = feel("tone:250Hz,1um", profile, bank, seconds=0.8, sites=[3, 20])
+    assert got[Afferent.PC].sites == {11, 28}  # felt a pitch farther up
+
+
+def test_more_vibration_is_more_current(profile, bank):
+    medians = [
+        np.median(feel(f"tone:30Hz,{um}um", profile, bank, seconds=1.0)[0][Afferent.RA].drive)
+        for um in (7, 8.5, 10)
+    ]
+    assert medians == sorted(medians)
+    assert medians[0] < 0.25 < 0.6 < medians[2]

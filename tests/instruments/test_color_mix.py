@@ -1,0 +1,167 @@
+"""Mixing: each class keeps its own time, within what sequences allow."""
+
+import doctest
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import smarttouch.instruments.color_mix
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.errors import ScheduleError
+from smarttouch.instruments.color_mix import (
+    VIBRATION_US,
+    chosen,
+    disc,
+    merged,
+    mix_colors,
+    shortest_us,
+    stimulated,
+    thinned,
+)
+from smarttouch.instruments.skin_trace import open_trace
+from smarttouch.kernels.bank import load_bank
+from smarttouch.profile import load_profile
+from smarttouch.stimulation.pulse_rates import ScanTiming
+
+from ..raising import raises
+
+ALL = "tone:30Hz,9um+tone:250Hz,1.5um+press:0.45N"
+
+trains = st.lists(
+    st.lists(st.integers(4999, 40_000), max_size=30).map(lambda steps: np.cumsum(steps)),
+    max_size=3,
+)
+
+
+@given(trains)
+def test_no_pulse_is_moved_by_more_than_half_of_the_shortest_sequence(times):
+    begins, carried = merged([np.array(each, np.int64) for each in times], 5000)
+    assert (np.diff(begins) >= 5000).all()
+    for ideal, which in zip(times, carried, strict=True):
+        assert len(np.unique(which)) == len(ideal)  # every pulse is there, none together
+        assert (np.abs(begins[which] - ideal) <= 2501).all()
+    used = np.unique(np.concatenate([np.empty(0, int), *carried]))
+    assert len(used) == len(begins)  # no sequence without a pulse
+
+
+@given(trains)
+def test_a_train_alone_keeps_its_time(times):
+    for each in times:
+        # No two of one train closer than the shortest sequence.
+        begins, _ = merged([thinned(np.array(each, np.int64), 5001)], 5000)
+        assert set(begins) <= set(each.tolist())
+
+
+def test_a_train_that_is_too_fast_gets_every_other_pulse():
+    train = np.arange(100) * 4000 + np.tile([0, 1], 50)
+    kept = thinned(train, 8000)
+    np.testing.assert_allclose(np.diff(kept), 8000, atol=1)
+    assert (np.diff(thinned(train, 4500)) >= 4499).all()
+
+
+def test_stimuli_are_within_limits_and_at_the_right_sites(profile, bank):
+    mixture = mix_colors(open_trace(ALL, 1.0), profile, bank, sites=[27, 36])
+    times_us = [each.time_ns // 1000 for each in mixture.stimuli]
+    np.testing.assert_array_equal(times_us, mixture.time_us)
+    for each, after_us in zip(mixture.stimuli, [*times_us[1:], None], strict=True):
+        assert each.period_us >= 1e6 / profile.limits.rate_hz
+        assert after_us is None or each.time_ns // 1000 + each.period_us == after_us
+        active = each.activation.any(axis=0)
+        assert set(np.flatnonzero(active)) == {27, 36}
+        assert each.activation.dtype == np.float32
+        assert 0 <= each.activation.min() <= each.activation.max() <= 1
+    assert mixture.mode is Mode.COLOR
+
+
+@pytest.mark.parametrize(
+    ("spec", "mode"),
+    [("tone:30Hz,9um", Mode.RA), ("press:0.4N", Mode.SAI), ("tone:250Hz,1um", Mode.PC)],
+)
+def test_one_class_alone_is_that_mode(spec, mode, profile, bank):
+    assert mix_colors(open_trace(spec, 0.3), profile, bank).mode is mode
+
+
+def test_pc_is_slowed_to_what_current_can_do(profile, bank):
+    def pc_us(hz):
+        mixture = mix_colors(open_trace(f"tone:{hz}Hz,6um", 1.0), profile, bank)
+        return np.median(np.diff(mixture.ideal_us[Afferent.PC]))
+
+    np.testing.assert_allclose([pc_us(hz) for hz in (100, 250, 400)], [10000, 8000, 7500], atol=1)
+
+
+def test_vibrators_do_it_instead_of_pulses_of_pc(profile, bank):
+    mixture = mix_colors(open_trace(ALL, 1.0), profile, bank, vibrated=True)
+    assert mixture.vibrated
+    assert Afferent.PC not in mixture.ideal_us
+    assert np.diff(mixture.time_us).max() <= 1.5 * VIBRATION_US
+    # Held at every stimulus, those of other classes too.
+    middle = (mixture.time_us > 100_000) & (mixture.time_us < 900_000)
+    assert (mixture.drive[middle, Afferent.PC] > 0.8).all()
+    assert mixture.pulses(Afferent.RA) == 29
+    quiet = mix_colors(open_trace("tone:30Hz,9um", 1.0), profile, bank, vibrated=True)
+    assert not quiet.vibrated
+
+
+def test_a_board_without_pc_leaves_it_out_or_refuses():
+    profile = load_profile("kajimoto-61")
+    bank = load_bank(profile)
+    mixture = mix_colors(open_trace(ALL, 0.5), profile, bank)
+    assert mixture.left_out == (Afferent.SAI, Afferent.PC)
+    assert not mixture.drive[:, [Afferent.SAI, Afferent.PC]].any()
+    only = {"value": (Afferent.PC,), "allowed": (Afferent.RA,)}
+    with raises(ScheduleError, about="classes", **only):
+        mix_colors(open_trace("tone:250Hz,1um", 0.5), profile, bank)
+    assert mix_colors(open_trace("tone:250Hz,1um", 0.5), profile, bank, vibrated=True).vibrated
+
+
+def test_a_board_with_one_rate_takes_one_class(profile, bank):
+    timing = ScanTiming(whole_hz=True)
+    assert mix_colors(open_trace("tone:30Hz,9um"), profile, bank, timing=timing).mode is Mode.RA
+    both = {"value": (Afferent.RA, Afferent.SAI)}
+    with raises(ScheduleError, about="classes", **both):
+        mix_colors(open_trace("tone:30Hz,9um+press:1N"), profile, bank, timing=timing)
+
+
+def test_nothing_to_answer_is_no_stimulus(profile, bank):
+    mixture = mix_colors(open_trace("press:0N", 1.0), profile, bank)
+    assert (mixture.stimuli, mixture.end_us) == ([], 1_000_000)
+
+
+def test_many_sites_make_sequences_longer(profile):
+    slot_us = profile.pulse.width_us + profile.pulse.discharge_us
+    assert shortest_us(profile, 4, ScanTiming()) == 5000
+    assert shortest_us(profile, 64, ScanTiming()) >= 64 * slot_us
+
+
+def test_the_disc_is_in_the_middle(profile):
+    assert disc(profile).tolist() == [27, 28, 35, 36]
+    assert len(disc(profile, 100)) == 64
+    assert disc(profile, 0).tolist() == [27, 28, 35, 36]  # the nearest four are as near
+    assert disc(load_profile("kajimoto-61"), 0).tolist() == [30]
+
+
+def test_where_pc_is_felt_elsewhere_its_pulses_move(profile, bank):
+    assert profile.perception.pc_shift_mm == (0, -2)
+    assert stimulated(profile, Afferent.PC, np.array([3, 59])).tolist() == [11]
+    assert stimulated(profile, Afferent.RA, np.array([3, 59])).tolist() == [3, 59]
+    with raises(ScheduleError, about="classes", value=(Afferent.PC,)):
+        mix_colors(open_trace("tone:250Hz,1um", 0.3), profile, bank, sites=[59])
+
+
+@pytest.mark.parametrize(("sites", "site"), [([], None), ([64], 64), ([-1], -1)])
+def test_sites_that_cannot_pulse_are_refused(sites, site, profile):
+    with raises(ScheduleError, about="site", value=site, electrode=site):
+        chosen(profile, sites)
+
+
+def test_masked_sites_are_refused_and_not_in_the_disc(profile, changed):
+    broken = changed(profile, {"output.masked": (27,)})
+    with raises(ScheduleError, about="site", value=27, allowed=(0, 63)):
+        chosen(broken, [27, 28])
+    assert disc(broken).tolist() == [28, 35, 36]
+
+
+def test_the_example_runs():
+    assert doctest.testmod(smarttouch.instruments.color_mix) == (0, 10)

@@ -1,0 +1,124 @@
+"""A mixture asked for in time, late or not, and what went out of it."""
+
+import numpy as np
+import pytest
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.instruments.color_mix import mix_colors
+from smarttouch.instruments.color_source import (
+    LONGEST_US,
+    ColorSource,
+    as_figures,
+    notes,
+    pacinian_crosstalk,
+)
+from smarttouch.instruments.receptor_responses import split
+from smarttouch.instruments.skin_trace import open_trace
+from smarttouch.kernels.bank import load_bank
+from smarttouch.profile import load_profile
+
+from ..said import numbers_in
+
+
+@pytest.fixture
+def make_source(profile, bank):
+    def make(spec, seconds=0.5, **options):
+        mixture = mix_colors(open_trace(spec, seconds), profile, bank, **options)
+        return ColorSource(spec, profile, mixture), mixture
+
+    return make
+
+
+def asked(source, stretch=1.0):
+    """Return time and stimulus of each read, each sequence as much longer than asked."""
+    frames, now_us = [], 0
+    while (frame := source.read(now_us * 1000)) is not None:
+        frames.append((now_us, frame))
+        now_us += int(frame.period_us * stretch)
+    return frames
+
+
+def test_every_request_comes_at_its_time(make_source):
+    source, mixture = make_source("tone:30Hz,9um+tone:250Hz,1.5um+press:0.45N")
+    pulsing = [(time, each) for time, each in asked(source) if each.activation.any()]
+    assert [time for time, _ in pulsing] == mixture.time_us.tolist()
+    drives = [each.activation[:, mixture.sites[0]] for _, each in pulsing]
+    np.testing.assert_array_equal(drives, mixture.drive)
+    for afferent in Afferent:
+        np.testing.assert_array_equal(source.error_us(afferent), mixture.error_us(afferent))
+
+
+def test_between_pulses_the_finger_is_looked_at(make_source):
+    source, _ = make_source("tone:10Hz,20um")
+    frames = asked(source)
+    times = np.array([time for time, _ in frames])
+    assert 5000 <= np.diff(times).min() <= np.diff(times).max() <= LONGEST_US
+    assert source.frames == len(frames)
+
+
+def test_where_sequences_are_longer_pulses_wait_and_none_is_lost(make_source):
+    source, mixture = make_source("tone:30Hz,9um+press:0.45N")
+    late = asked(source, stretch=1.7)
+    assert sum(each.activation.any() for _, each in late) < len(mixture.time_us)
+    for afferent in (Afferent.RA, Afferent.SAI):
+        error_us = source.error_us(afferent)
+        assert len(error_us) >= mixture.pulses(afferent) - 1
+        assert error_us.max() > 5000
+        # What would be due before long goes along.
+        moved_us = error_us - mixture.error_us(afferent)[: len(error_us)]
+        assert -mixture.least_us // 2 <= moved_us.min() < 0
+
+
+def test_vibrators_go_on_between_requests(make_source):
+    source, mixture = make_source("tone:250Hz,1.5um", vibrated=True)
+    row = Afferent.PC, mixture.sites[0]
+    levels = [each.activation[row] for time, each in asked(source, 0.3) if 1e5 < time < 4e5]
+    assert len(levels) > 20
+    assert min(levels) > 0.8
+
+
+def test_whose_word_on_force_counts(profile, make_source):
+    source, mixture = make_source("press:1N")
+    assert not source.knows_force
+    assert np.isnan(source.read(0).force_n)
+    pressing = ColorSource("it", profile, mixture, 0.7)
+    assert pressing.knows_force
+    assert pressing.read(0).force_n == 0.7
+    assert pressing.duration_s == 0.5
+    assert pressing.read(500_000_000) is None
+
+
+def test_the_price_of_pc_is_that_of_its_kernels(profile, bank, make_source):
+    _, mixture = make_source("tone:250Hz,1.5um")
+    crosstalk = pacinian_crosstalk(profile, bank, mixture.sites)
+    # Felt at 27, 28, 35 and 36, stimulated a pitch below.
+    assert crosstalk.mean == pytest.approx(bank.off_target[Afferent.PC][[35, 36, 43, 44]].mean())
+    assert crosstalk.worst[0] is Afferent.RA
+    assert "RA" in str(crosstalk)
+    assert numbers_in(str(crosstalk))[0] == pytest.approx(crosstalk.mean, abs=0.05)
+    # Not only by the bank's word: the kernel's own activation of RA nodes is beyond PC's.
+    kernel = bank.weights[Afferent.PC][35]
+    reached = bank.receptor[Afferent.RA] @ kernel
+    own = bank.receptor[Afferent.PC][35] @ kernel
+    assert own == pytest.approx(1, rel=1e-5)
+    assert 1 < reached.max() <= crosstalk.times[0] * 1.001
+
+
+def test_where_pc_cannot_be_driven_it_has_no_price(profile, bank):
+    without = load_profile("kajimoto-61")
+    assert pacinian_crosstalk(without, load_bank(without), np.arange(3)) is None
+    assert pacinian_crosstalk(profile, bank, np.array([60])) is None  # nothing lies below
+
+
+def test_figures_and_notes_say_what_went_out(profile, bank, make_source):
+    spec = "tone:30Hz,9um+press:0.45N"
+    answers = split(open_trace(spec, 0.5), sai_full_n=profile.force.full_n)
+    source, mixture = make_source(spec, sites=range(64))
+    asked(source)
+    figures = as_figures(answers, mixture, source, None)
+    assert figures["classes"]["RA"]["sent"]["planned"] == mixture.pulses(Afferent.RA)
+    assert figures["classes"]["SAI"]["answered"]["rate_hz"] == pytest.approx(23, abs=3)
+    assert "sent" not in figures["classes"]["PC"]
+    (first,) = notes(mixture, answers)
+    assert "RA" in first
+    assert numbers_in(first)[:4] == [7, 14, 64, 38.4]

@@ -1,0 +1,249 @@
+"""Pulses that are asked for, and delivered: how often, where, and when not."""
+
+import math
+
+import numpy as np
+import pytest
+
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.errors import SourceError
+from smarttouch.instruments.electric_mouse import JUMP_MM, MouseSource, PulseLimit
+from smarttouch.instruments.hand_motion import START_S, HandMotion
+from smarttouch.instruments.relief import open_texture
+
+from ..raising import raises
+from ..said import numbers_in
+from .feeling import feel
+from .touched import FELT, grating_file, object_file, path_motion, stroke, touch
+
+GRATING = open_texture("grating:4mm")
+
+
+class Played(HandMotion):
+    """Is where the test says, frame by frame."""
+
+    def __init__(self, places, resolution_mm=0.0, force_n=None):
+        super().__init__("a test")
+        self._places = iter(places)
+        self.resolution_mm = resolution_mm
+        self.origin_mm = (0.0, 0.0)
+        self.knows_force = force_n is not None
+        self.force_n = math.nan if force_n is None else force_n
+
+    def read(self, time_ns):
+        return next(self._places, None)
+
+
+def pulses(source, step_us=10_000):
+    """Read a source to its end; return what it asked of its class, (frames, E)."""
+    asked, time_ns = [], 0
+    while (frame := source.read(time_ns)) is not None:
+        asked.append(frame.activation[source.mode.afferents[0]])
+        time_ns += 1000 * step_us
+    return np.array(asked)
+
+
+@pytest.mark.parametrize(("speed", "want_hz"), [(20, 5), (40, 10), (80, 20)])
+def test_each_electrode_pulses_spatial_frequency_times_speed(mouse, mouse_bank, speed, want_hz):
+    pulses_hz, _ = stroke(GRATING, speed, mouse, mouse_bank)
+    assert pulses_hz == pytest.approx([want_hz] * 64)
+
+
+@pytest.mark.parametrize("angle", [30, 90, -60])
+def test_an_oblique_grating_pulses_by_the_cosine(mouse, mouse_bank, angle):
+    texture = open_texture(f"grating:4mm,{angle}deg")
+    pulses_hz, _ = stroke(texture, 80, mouse, mouse_bank)
+    want_hz = 20 * math.cos(math.radians(angle))
+    assert pulses_hz.mean() == pytest.approx(want_hz, rel=0.01, abs=1e-9)
+    # One pulse in 60 mm.
+    assert np.abs(pulses_hz - want_hz).max() <= 80 / 60
+
+
+@pytest.mark.parametrize(
+    ("pitch", "angle", "kind", "noise"),
+    [(2, 60, "thin", 0), (4, 0, "square", 0), (4, 30, "faint", 5)],
+)
+def test_a_grating_in_an_image_pulses_as_often(
+    tmp_path, mouse, mouse_bank, pitch, angle, kind, noise
+):
+    path = grating_file(tmp_path / "g.png", pitch, angle, kind, noise=noise)
+    pulses_hz, _ = stroke(open_texture(str(path)), 20 * pitch, mouse, mouse_bank)
+    want_hz = 20 * math.cos(math.radians(angle))
+    assert pulses_hz.mean() == pytest.approx(want_hz, rel=0.03)
+    assert np.abs(pulses_hz - want_hz).max() <= 1.1 * 20 * pitch / 60
+
+
+def test_up_to_the_bound_and_not_beyond(brief, mouse_bank):
+    texture = open_texture("grating:4mm,10deg")
+    share = math.cos(math.radians(10))
+    fine, source = stroke(texture, 180, brief, mouse_bank, length_mm=100)
+    assert fine.mean() == pytest.approx(45 * share, rel=0.01)
+    assert source.notes == []
+    too_fast, source = stroke(texture, 280, brief, mouse_bank, length_mm=100)
+    assert 30 < too_fast.mean() < 50.5
+    assert numbers_in(source.notes[0]) == [source._limit.left_out, 50]
+    assert source._limit.left_out > 0
+
+
+@pytest.mark.parametrize(
+    ("way", "kind"),
+    [
+        ("right", "disc"), ("left", "cross"), ("bent", "cross"), ("circle", "disc"),
+        ("to and fro", "disc"),
+    ],
+)  # fmt: skip
+def test_an_object_stays_put_while_the_hand_moves(tmp_path, brief, mouse_bank, kind, way):
+    """Put together from delivered pulses its middle is where it is, to half a frame of the way."""
+    time_s = np.linspace(0, 2, 201)
+    turn = math.pi * time_s
+    x, y = {
+        "right": (40 * time_s, 20 + 0 * time_s),
+        "left": (80 - 40 * time_s, 20 + 0 * time_s),
+        "bent": (40 * time_s, 20 + 6 * np.sin(turn)),
+        "circle": (40 + 12 * np.sin(turn), 20 + 12 * np.cos(turn)),
+        "to and fro": (40 + 14 * np.sin(2 * turn), 19 + time_s),
+    }[way]
+    texture = open_texture(str(object_file(tmp_path / "o.png", kind)))
+    touched, _ = touch(texture, path_motion(tmp_path, time_s, x, y), brief, mouse_bank)
+    felt = touched.felt
+    drawn = 255 - touched.drawing.picture((20.0, 0.0), (400, 400), 0.1).astype(float)
+    rows, columns = np.mgrid[:400, :400] * 0.1 + 0.05
+    middle = np.array([(columns * drawn).sum(), (rows * drawn).sum()]) / drawn.sum()
+    assert np.hypot(*(middle - 20.0)) < 0.4
+    # And nothing is felt where it is not: a pulse comes a frame late at most, 0.9 mm at that speed.
+    ink = 255 - texture.draw(0, 0, (400, 800), 0.1)
+    column, row = (felt.place_mm[felt.answer > FELT] * 10).astype(int).T
+    near = [
+        ink[max(0, r - 9) : r + 10, c - 9 : c + 10].max() for c, r in zip(column, row, strict=True)
+    ]
+    assert min(near) == 255
+    assert len(near) > 50
+
+
+def test_at_rest_nothing_is_felt(mouse):
+    """Ten seconds of jitter by a count along both axes, wherever the ridges are."""
+    random = np.random.default_rng(4)
+    count_mm = 25.4 / 800
+    for texture in (GRATING, open_texture("grating:0.5mm,20deg")):
+        jumps = count_mm * random.integers(-1, 2, (1000, 2))
+        source = MouseSource(texture, Played([(0, 0), *jumps], count_mm), mouse, press_n=1.0)
+        assert pulses(source).sum() == 0
+        # Also where it comes to rest after a way.
+        there = [(0.4 * k, 0.1 * k) for k in range(100)]
+        way = [*there, (39.6, 9.9), (39.6, 9.9), *(jumps + np.array([39.6, 9.9]))]
+        source = MouseSource(texture, Played(way, count_mm), mouse, press_n=1.0)
+        asked = pulses(source)
+        assert asked[:100].sum() > 100
+        assert asked[101:].sum() == 0
+
+
+def test_it_is_silent_from_the_first_frame_of_rest(tmp_path, mouse):
+    texture = open_texture(str(object_file(tmp_path / "o.png", "disc")))
+    way = [(20 + 0.4 * k, 20) for k in range(50)] + [(40, 20)] * 50
+    asked = pulses(MouseSource(texture, Played(way), mouse, press_n=1.0))
+    assert asked[40:50].sum() > 0
+    assert asked[51:].sum() == 0
+
+
+def test_a_place_that_is_found_again_is_no_way(mouse):
+    apart = JUMP_MM + 0.5
+    way = [(0, 0), (0.5, 0), (0.5 + apart, 0), (0.5 + apart, 0), (0.5 + apart, apart)]
+    assert pulses(MouseSource(GRATING, Played(way), mouse, press_n=1.0))[2:].sum() == 0
+    way[2:] = [(0.5 + JUMP_MM - 0.5, 0)]
+    assert pulses(MouseSource(GRATING, Played(way), mouse, press_n=1.0))[2].all()
+
+
+def test_a_late_frame_is_one_pulse_and_counted(mouse):
+    source = MouseSource(GRATING, Played([(0.1, 0), (12.1, 0)]), mouse, press_n=1.0)
+    assert pulses(source)[1].tolist() == [1.0] * 64
+    assert source.merged == 2 * 64
+    assert numbers_in(source.notes[0]) == [128]
+
+
+def test_the_limit_holds_whatever_is_asked():
+    random = np.random.default_rng(7)
+    limit, kept = PulseLimit(5, 40.0), []
+    for k in range(400):
+        kept.append(limit.keep(random.integers(0, 2, 5).astype(np.float32), 7_000_000 * k))
+    for electrode in np.array(kept).T:
+        apart_ms = 7 * np.diff(np.flatnonzero(electrode))
+        assert 25 <= apart_ms.min() <= 28
+    assert limit.left_out > 0
+    always = PulseLimit(1, 40.0)
+    asked = np.ones(1, np.float32)
+    assert sum(always.keep(asked, 7_000_000 * k)[0] for k in range(400)) == 100
+    assert always.left_out == 300
+
+
+def test_it_tells_once_what_is_left_out(mouse):
+    told = []
+    way = [(2.5 * k, 0) for k in range(100)]
+    source = MouseSource(GRATING, Played(way), mouse, fastest_hz=10.0, press_n=1.0)
+    source.emit = lambda event: told.append((event.time_ns, str(event)))
+    pulses(source)
+    assert len(told) == 1
+    assert numbers_in(told[0][1]) == [10]
+
+
+def test_what_a_frame_says(mouse):
+    motion = Played([(0, 0), (3, 1), (3, 1)], force_n=0.4)
+    source = MouseSource(GRATING, motion, mouse, Mode.SAI, rate_hz=50, scale=2.0)
+    frames = [source.read(20_000_000 * k) for k in range(3)]
+    assert (frames[1].pose.x_mm, frames[1].pose.y_mm) == (6, 2)
+    assert [each.number for each in frames] == [0, 1, 1]
+    assert frames[2].image is frames[1].image
+    assert (source.frames, source.knows_force, frames[1].force_n) == (2, True, 0.4)
+    assert frames[1].period_us == 20_000
+    rows = frames[1].activation.any(axis=1)
+    assert rows.tolist() == [each is Afferent.SAI for each in Afferent]
+    shape = (mouse.optics.sensor_rows, mouse.optics.sensor_columns)
+    np.testing.assert_array_equal(frames[1].image, GRATING.draw(-2.0, -6.0, shape, 0.25))
+
+
+def test_without_an_origin_it_begins_in_the_middle(tmp_path, mouse):
+    texture = open_texture(str(object_file(tmp_path / "o.png", "disc")))
+    motion = Played([(0, 0), (1, 2)])
+    motion.origin_mm = None
+    source = MouseSource(texture, motion, mouse)
+    poses = [source.read(k).pose for k in range(2)]
+    assert [(each.x_mm, each.y_mm) for each in poses] == [(40, 20), (41, 22)]
+
+
+def test_who_presses(mouse):
+    assert MouseSource(GRATING, Played([(0, 0)]), mouse, press_n=1.0).read(0).force_n == 1.0
+    nobody = MouseSource(GRATING, Played([(0, 0)]), mouse)
+    assert math.isnan(nobody.read(0).force_n)
+    assert not nobody.knows_force
+
+
+def test_without_contact_nothing_flows(tmp_path, mouse, mouse_bank):
+    motion = path_motion(tmp_path, [0, 1], [0, 40], [0, 0])
+    motion.knows_force, motion.force_n = True, 0.05
+    source = MouseSource(GRATING, motion, mouse)
+    touched = feel(source, mouse, mouse_bank)
+    assert touched.tally.slots == 0
+    assert touched.tally.frames > 100 * (START_S + 1)
+
+
+@pytest.mark.parametrize("mode", [Mode.SAI, Mode.PC])
+def test_other_classes_feel_it_too(mouse, mouse_bank, mode):
+    pulses_hz, _ = stroke(GRATING, 40, mouse, mouse_bank, mode=mode, length_mm=20)
+    assert pulses_hz == pytest.approx([10] * 64)
+
+
+@pytest.mark.parametrize(
+    ("options", "about", "allowed"),
+    [
+        ({"rate_hz": 5}, "rate_hz", (10, 200)),
+        ({"rate_hz": 201}, "rate_hz", (10, 200)),
+        ({"fastest_hz": 60}, "fastest_hz", 50),
+        ({"fastest_hz": 0}, "fastest_hz", 50),
+        ({"scale": 0}, "scale", 0),
+        ({"mode": Mode.NATURAL}, "mode", ("RA", "SAI", "PC")),
+        ({"mode": Mode.COLOR}, "mode", ("RA", "SAI", "PC")),
+    ],
+)
+def test_what_is_impossible_is_said(mouse, options, about, allowed):
+    (value,) = options.values()
+    with raises(SourceError, about=about, value=value, allowed=allowed):
+        MouseSource(GRATING, Played([]), mouse, **options)

@@ -1,0 +1,255 @@
+"""Textures from formulas, files and texts."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from smarttouch.base.errors import PageError
+from smarttouch.instruments.relief import open_texture
+from smarttouch.instruments.relief_heights import dominant_pitch_mm
+
+from ..raising import raises
+from .touched import grating_file, object_file
+
+ONE = np.zeros((1, 2))
+SCALE = "dpi or width_mm"
+
+
+@given(
+    pitch=st.floats(0.5, 20),
+    angle=st.integers(-180, 180),
+    ways=st.lists(st.tuples(st.floats(-30, 30), st.floats(-30, 30)), min_size=1, max_size=8),
+)
+def test_ridges_of_a_grating_are_where_they_are(pitch, angle, ways):
+    """The ridges passed are the whole phases between two places, however one gets there."""
+    texture = open_texture(f"grating:{pitch}mm,{angle}deg")
+    position = np.array([[0.3, 0.7], [-5.1, 2.2], [7.3, -7.9]])
+    feeler = texture.feeler(position)
+    unit = np.array([math.cos(math.radians(angle)), math.sin(math.radians(angle))])
+    feeler.place(0, 0)
+    before = np.floor(position @ unit / pitch)
+    for x, y in ways:
+        phase = (position + np.array([x, y])) @ unit / pitch
+        now = np.floor(phase)
+        height, merged = feeler.move(x, y)
+        # On a ridge to the last bit, either side is right.
+        if (np.abs((phase + 0.5) % 1 - 0.5) > 1e-6).all():
+            assert height.tolist() == (now != before).tolist()
+            assert merged == np.maximum(np.abs(now - before) - 1, 0).sum()
+            before = now
+        else:
+            feeler.place(x, y)
+            return
+
+
+def test_a_grating_is_drawn_where_it_is_felt():
+    drawn = open_texture("grating:4mm,90deg").draw(-2.0, -1.0, (60, 20), 0.1)
+    assert np.ptp(drawn, axis=1).max() == 0
+    dark = np.flatnonzero(drawn[:, 0] < 20) * 0.1 - 1.0
+    # Ridges at 0 and 4 mm.
+    assert {round(each) for each in dark} == {0, 4}
+    slanted = open_texture("grating:3mm,30deg").draw(5.0, 7.0, (40, 50), 0.2)
+    y, x = np.mgrid[:40, :50] * 0.2 + 0.1
+    phase = ((x + 5) * math.cos(math.pi / 6) + (y + 7) * 0.5) / 3
+    assert np.abs(slanted - 127.5 * (1 - np.cos(2 * np.pi * phase))).max() < 8
+
+
+def crests(texture, start, step, count, electrodes=ONE):
+    """Move along and return where each electrode pulsed, and how high it was."""
+    feeler = texture.feeler(electrodes)
+    place = np.array(start, float)
+    feeler.place(*place)
+    found = []
+    for _ in range(count):
+        place = place + step
+        height = feeler.move(*place).height
+        found += [(*(place + electrodes[k]), height[k]) for k in np.flatnonzero(height)]
+    return np.array(found).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("step", [0.05, 0.4, 1.1])
+@pytest.mark.parametrize("kind", ["square", "thin"])
+def test_a_grating_in_an_image_pulses_on_its_ridges(tmp_path, kind, step):
+    texture = open_texture(str(grating_file(tmp_path / "g.png", 4, 0, kind)))
+    assert texture.grain_mm == pytest.approx(4, rel=0.01)
+    for way in (1, -1):
+        start = 6.0 if way > 0 else 86.0
+        found = crests(texture, (start, 20), (way * step, 0), int(80 / step))
+        assert len(found) == 20
+        late = (found[:, 0] + 2) % 4 - 2
+        assert (way * late).min() > -0.2
+        assert (way * late).max() < step + 0.4
+        assert found[:, 2].min() > 0.9
+
+
+def test_along_its_ridges_a_grating_in_an_image_is_silent(tmp_path):
+    texture = open_texture(str(grating_file(tmp_path / "g.png", 4, 0)))
+    across = np.column_stack([np.linspace(-8, 8, 9), np.zeros(9)])
+    assert len(crests(texture, (40, 4), (0, 0.4), 80, across)) == 0
+
+
+def test_an_area_is_felt_all_over(tmp_path):
+    """Half a grain inside its edge, and after each grain: so in the middle of what is left."""
+    texture = open_texture(str(object_file(tmp_path / "o.png", "disc")))
+    found = crests(texture, (20, 20), (0.1, 0), 400)
+    assert found[:, 0] == pytest.approx([36, 38, 40, 42, 44], abs=0.25)
+    assert (found[:, 2] == 1).all()
+    finer = open_texture(str(tmp_path / "o.png"), grain_mm=1.0)
+    assert len(crests(finer, (20, 20), (0.1, 0), 400)) == 10
+    assert len(crests(texture, (20, 27), (0.4, 0), 100)) == 0
+
+
+def test_a_stroke_is_felt_across_and_along(tmp_path):
+    texture = open_texture(str(object_file(tmp_path / "o.png", "cross")))
+    along = crests(texture, (20, 19.5), (0.4, 0), 100)
+    assert along[:, 0] == pytest.approx([34, 36, 38, 40, 42, 44, 46], abs=0.8)
+    across = crests(texture, (36, 5), (0, 0.1), 300)
+    # Three millimeters are wider than a grain, and narrower than two.
+    assert across[:, 1] == pytest.approx([19.6], abs=0.2)
+
+
+@pytest.mark.parametrize("step", [0.3, 0.8])
+def test_wide_ground_up_to_an_edge_pulses_each_grain_of_way(tmp_path, step):
+    image = np.full((100, 500), 255, np.uint8)
+    image[:, :400] = 0
+    Image.fromarray(image).save(tmp_path / "o.png", dpi=(127, 127))
+    found = crests(open_texture(str(tmp_path / "o.png")), (-5, 10), (step, 0), int(110 / step))
+    # 80 mm: from one millimeter inside to one millimeter before the end.
+    assert len(found) == 40
+    assert np.diff(found[:, 0]).mean() == pytest.approx(2.0, abs=0.03)
+    assert found[0, 0] == pytest.approx(1.0 + step / 2, abs=step / 2 + 0.15)
+
+
+def test_a_stroke_narrower_than_a_grain_begins_where_it_begins(tmp_path):
+    """Beside its middle its depth is level: that is no crest."""
+    texture = open_texture(str(object_file(tmp_path / "o.png", "cross")))
+    for way in (1, -1):
+        along = crests(texture, (40 - 20 * way, 19.0), (0.1 * way, 0), 400)
+        assert along[:, 0].mean() == pytest.approx(40, abs=0.15)
+        assert len(along) == 7
+
+
+@pytest.mark.parametrize("angle", [45, 75])
+def test_a_ridge_passed_obliquely_is_one_ridge(tmp_path, angle):
+    texture = open_texture(str(grating_file(tmp_path / "g.png", 4, angle, "faint", noise=20)))
+    rows = np.column_stack([np.zeros(15), np.linspace(-14, 14, 15)])
+    found = crests(texture, (2, 20), (0.4, 0), 200, rows)
+    wanted = 15 * 80 / 4 * math.cos(math.radians(angle))
+    assert len(found) == pytest.approx(wanted, rel=0.05)
+
+
+def test_a_hand_that_trembles_in_an_area_feels_nothing(tmp_path):
+    texture = open_texture(str(object_file(tmp_path / "o.png", "disc")))
+    feeler = texture.feeler(ONE)
+    feeler.place(40, 20)
+    random = np.random.default_rng(3)
+    for x, y in random.uniform(-0.9, 0.9, (500, 2)):
+        assert not feeler.move(40 + x, 20 + y).height.any()
+
+
+def test_a_tile_goes_on_without_a_seam(tmp_path):
+    path = grating_file(tmp_path / "g.png", 4, 0, size_mm=(20, 20))
+    texture = open_texture(str(path), tiled=True)
+    assert (texture.size_mm, texture.middle_mm) == (None, (10, 10))
+    found = crests(texture, (-300, 1000), (0.4, 0), 1500)
+    assert np.diff(found[:, 0]) == pytest.approx([4] * (len(found) - 1), abs=0.9)
+    assert len(found) == pytest.approx(150, abs=1)
+    np.testing.assert_array_equal(
+        texture.draw(1.0, 2.0, (30, 30), 0.5), texture.draw(-39.0, 62.0, (30, 30), 0.5)
+    )
+    beyond = open_texture(str(path))
+    assert len(crests(beyond, (-300, 10), (0.4, 0), 1500)) == 6
+
+
+@pytest.mark.parametrize("pitch", [1.0, 2.5, 6.0])
+@pytest.mark.parametrize(("kind", "noise"), [("square", 0), ("thin", 0), ("faint", 10)])
+def test_the_pitch_of_a_texture_is_measured(tmp_path, pitch, kind, noise):
+    texture = open_texture(str(grating_file(tmp_path / "g.png", pitch, 25, kind, noise=noise)))
+    assert texture.grain_mm == pytest.approx(pitch, rel=0.02)
+    assert f"{texture.grain_mm:.2g} mm" in texture.notes[0]
+
+
+def test_the_pitch_is_measured_in_uneven_light():
+    y, x = np.mgrid[:300, :400] * 0.1
+    light = 0.7 * np.exp(-((x - 10) ** 2 + (y - 5) ** 2) / 400)
+    height = light + 0.1 * np.cos(2 * np.pi * (x + y) / math.sqrt(2) / 3)
+    assert dominant_pitch_mm(height.astype(np.float32), 0.1) == pytest.approx(3.0, rel=0.02)
+
+
+def test_what_is_no_texture_has_no_pitch(tmp_path):
+    random = np.random.default_rng(2)
+    assert dominant_pitch_mm(random.random((200, 300), np.float32), 0.2) is None
+    assert dominant_pitch_mm(np.ones((50, 50), np.float32), 0.2) is None
+    for kind in ("disc", "cross"):
+        texture = open_texture(str(object_file(tmp_path / "o.png", kind)))
+        assert (texture.grain_mm, texture.notes, texture.woven) == (2.0, [], False)
+
+
+def test_height_maps_are_high_where_they_are_bright(tmp_path):
+    y, x = np.mgrid[:200, :300] * 0.1
+    height = 3 + 0.05 * np.cos(2 * np.pi * x / 3) + 0 * y
+    np.save(tmp_path / "h.npy", height)
+    deep = np.rint((height - 2.9) * 5000).astype(np.uint16)
+    Image.fromarray(deep).save(tmp_path / "h.png")
+    for name in ("h.npy", "h.png"):
+        texture = open_texture(str(tmp_path / name), width_mm=30)
+        assert texture.size_mm == pytest.approx((30, 20))
+        found = crests(texture, (0.1, 10), (0.2, 0), 120)
+        assert found[:, 0] == pytest.approx(np.arange(3, 24, 3), abs=0.5)
+        low = crests(
+            open_texture(str(tmp_path / name), width_mm=30, light_on_dark=True),
+            (0.1, 10), (0.2, 0), 120,
+        )  # fmt: skip
+        assert low[:, 0] == pytest.approx(np.arange(1.5, 24, 3), abs=0.5)
+    assert open_texture(str(tmp_path / "h.npy"), dpi=254).size_mm == pytest.approx((30, 20))
+
+
+def test_letters_are_large():
+    texture = open_texture("text:Il")
+    wide, high = texture.size_mm
+    assert 14 < high < 20
+    drawn = texture.draw(0, 0, (round(high * 10), round(wide * 10)), 0.1)
+    rows = np.flatnonzero((drawn < 128).any(axis=1))
+    assert np.ptp(rows) / 10 == pytest.approx(9, abs=3)
+    assert open_texture("text:Il", width_mm=50).size_mm[0] == pytest.approx(50)
+
+
+@pytest.mark.parametrize(
+    ("spec", "options", "about", "attributes"),
+    [
+        ("grating:", {}, "grating", {"value": "grating:"}),
+        ("grating:4cm", {}, "grating", {"value": "grating:4cm"}),
+        ("grating:0.01mm", {}, "pitch_mm", {"value": 0.01}),
+        ("grating:4mm,400deg", {}, "angle_deg", {"value": 400, "allowed": (-360, 360)}),
+        ("grating:4mm", {"width_mm": 10}, "width_mm", {"value": "grating:4mm"}),
+        ("none.png", {}, "file", {"value": Path("none.png")}),
+        ("none.npy", {"dpi": 100}, "file", {"value": Path("none.npy")}),
+        ("text: ", {}, "text", {}),
+        ("text:a", {"dpi": 100}, "dpi", {"remedy": "width_mm"}),
+        ("o.png", {"dpi": 100, "width_mm": 20}, "dpi", {}),
+        ("o.png", {"grain_mm": 0.0}, "grain_mm", {"value": 0}),
+        ("o.png", {"width_mm": 1e5}, "size_mm", {"remedy": SCALE}),
+        ("flat.png", {"dpi": 100}, "texture", {"value": "flat.png"}),
+        ("unscaled.png", {}, "size_mm", {"value": Path("unscaled.png"), "remedy": SCALE}),
+        ("deep.npy", {}, "size_mm", {"value": Path("deep.npy"), "remedy": SCALE}),
+        ("deep.npy", {"dpi": 100}, "axes", {"value": 3}),
+        ("words.npy", {"dpi": 100}, "file", {"value": Path("words.npy")}),
+        ("words.png", {}, "file", {"value": Path("words.png")}),
+    ],
+)
+def test_what_is_wrong_is_said(tmp_path, monkeypatch, spec, options, about, attributes):
+    monkeypatch.chdir(tmp_path)
+    object_file(tmp_path / "o.png", "disc")
+    Image.fromarray(np.full((40, 40), 99, np.uint8)).save("flat.png")
+    Image.fromarray(np.eye(40, dtype=np.uint8)).save("unscaled.png")
+    if spec == "deep.npy":
+        np.save("deep.npy", np.zeros((20, 20, 3)) if options else np.eye(20))
+    for name in ("words.npy", "words.png"):
+        (tmp_path / name).write_text("words")
+    with raises(PageError, about=about, **attributes):
+        open_texture(spec, **options)

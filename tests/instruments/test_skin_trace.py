@@ -1,0 +1,205 @@
+"""Traces: from arrays, from CSV files, and written in a line."""
+
+import contextlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.instruments.skin_trace import SAMPLE_HZ, Trace, is_spec, open_trace, sampled
+
+from ..raising import raises
+
+
+@pytest.fixture
+def csv_file(tmp_path):
+    def write(text, name="trace.csv", encoding="utf-8"):
+        path = tmp_path / name
+        path.write_text(text, encoding=encoding)
+        return str(path)
+
+    return write
+
+
+def test_uneven_samples_become_even_ones():
+    time_s = 5 + np.cumsum(np.random.default_rng(1).uniform(0.0002, 0.0008, 2000))
+    trace = sampled(time_s, np.sin(40 * time_s), 2 * time_s)
+    assert trace.sample_hz == SAMPLE_HZ
+    assert trace.duration_s == pytest.approx(np.ptp(time_s), abs=1 / SAMPLE_HZ)
+    np.testing.assert_allclose(trace.displacement_um, np.sin(40 * (trace.time_s + time_s[0])),
+                               atol=2e-4)  # fmt: skip
+    np.testing.assert_allclose(trace.force_n, 2 * (trace.time_s + time_s[0]))
+
+
+def test_finer_samples_are_kept():
+    time_s = np.arange(4000) / 10_000
+    trace = sampled(time_s, np.sin(time_s))
+    assert trace.sample_hz == pytest.approx(10_000)
+    assert len(trace.force_n) == 4000
+    assert not trace.force_n.any()
+
+
+@pytest.mark.parametrize(
+    ("time_s", "moved", "about", "value"),
+    [
+        ([0, 1, 1], [0, 0, 0], "samples", 2),
+        ([0, np.nan, 1], [0, 0, 0], "samples", 1),
+        ([0], [0], "samples", (1, 1, 1)),
+        ([0, 1], [0, 0, 0], "samples", (2, 3, 2)),
+        ([0, 601], [0, 0], "duration_s", 601),
+        ([0, 1], [0, np.inf], "samples", None),
+    ],
+)
+def test_arrays_that_are_no_trace_are_refused(time_s, moved, about, value):
+    with raises(SmartTouchError, about=about, value=value):
+        sampled(time_s, moved)
+
+
+def test_a_trace_has_as_many_forces_as_displacements():
+    with raises(SmartTouchError, about="samples", value=((3,), (4,))):
+        Trace(np.zeros(3), np.zeros(4))
+
+
+def test_how_long_a_trace_may_be():
+    with raises(SmartTouchError, about="duration_s", value=601, allowed=600):
+        Trace(np.zeros(601), np.zeros(601), sample_hz=1.0)
+    with raises(SmartTouchError, about="samples", value=1):
+        Trace(np.zeros(1), np.zeros(1))
+
+
+def test_a_file_of_force_and_displacement(csv_file):
+    path = csv_file("\ufefftime_s, force_n,note,displacement_um\n0,0,a,0\n\n0.5,1,b,100\n1,1,c,0\n")
+    trace = open_trace(path)
+    assert (trace.title, trace.duration_s) == (path, pytest.approx(1.00025))
+    assert trace.force_n[[0, 1000, 2000]] == pytest.approx([0, 0.5, 1])
+    assert trace.displacement_um[[1000, 3000]] == pytest.approx([50, 50])
+
+
+def test_a_spectrum_sounds_as_long_as_is_asked(csv_file):
+    path = csv_file("frequency_hz,amplitude_um,phase_deg\n30,8,0\n250,2,90\n")
+    trace = open_trace(path, seconds=0.5)
+    assert trace.duration_s == 0.5
+    time = trace.time_s
+    expected = 8 * np.cos(60 * np.pi * time) - 2 * np.sin(500 * np.pi * time)
+    np.testing.assert_allclose(trace.displacement_um, expected, atol=1e-9)
+
+
+def test_phases_that_a_spectrum_has_not_follow_the_seed(csv_file):
+    path = csv_file("frequency_hz,amplitude_um\n30,8\n40,8\n")
+    first, same, other = (open_trace(path, 0.1, seed).displacement_um for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, same)
+    assert np.abs(first - other).max() > 1
+
+
+@pytest.mark.parametrize(
+    ("text", "about", "value"),
+    [
+        ("", "columns", ()),
+        ("a,b\n1,2\n", "columns", ("a", "b")),
+        ("time_s,amplitude_um\n1,2\n", "columns", ("time_s", "amplitude_um")),
+        ("frequency_hz,phase_deg\n1,2\n", "columns", ("frequency_hz", "phase_deg")),
+        ("time_s,force_n\n0,1\n", "rows", 1),
+        ("time_s,force_n\n0,1\n\n1,x\n", "line", 4),
+        ("time_s,force_n\n0,1\n1\n", "line", 3),
+        ("time_s,force_n\n0,1\n1,nan\n", "line", 3),
+        ("time_s,force_n\n0,1\n\n2,1\n1.5,1\n", "line", 5),
+        ("frequency_hz,amplitude_um\n30,1\n40,-1\n", "line", 3),
+        ("frequency_hz,amplitude_um\n9000,1\n", "line", 2),
+        ("time_s,force_n\n0,1\n700,1\n", "duration_s", 700),
+    ],
+)
+def test_a_bad_file_is_told_with_its_line(csv_file, text, about, value):
+    path = csv_file(text)
+    with raises(SmartTouchError, about=about, value=value) as caught:
+        open_trace(path)
+    assert path in str(caught.value)
+
+
+def test_files_that_cannot_be_read(csv_file, tmp_path):
+    none = str(tmp_path / "none.csv")
+    with raises(SmartTouchError, about="trace", value=none):
+        open_trace(none)
+    with raises(SmartTouchError, about="file", value=tmp_path):
+        open_trace(str(tmp_path))
+    path = csv_file("time_s,µ", encoding="latin-1")
+    with raises(SmartTouchError, about="file", value=Path(path)):
+        open_trace(path)
+
+
+def test_a_line_is_the_sum_of_its_parts():
+    both = open_trace("tone:30Hz,8um+press:0.5N", 1.0)
+    tone, press = open_trace("tone:30Hz,8um", 1.0), open_trace("PRESS: 0.5 N", 1.0)
+    np.testing.assert_array_equal(both.displacement_um, tone.displacement_um)
+    np.testing.assert_array_equal(both.force_n, press.force_n)
+    middle = slice(400, 3600)
+    expected = 8 * np.sin(60 * np.pi * both.time_s)
+    np.testing.assert_allclose(both.displacement_um[middle], expected[middle], atol=1e-9)
+    np.testing.assert_allclose(both.force_n[middle], 0.5)
+
+
+def test_parts_begin_and_end_smoothly_when_they_should():
+    force = open_trace("press:1N@0.25-0.75", 1.0).force_n
+    assert not force[:1000].any()
+    assert not force[3001:].any()
+    assert force[1100] == pytest.approx(0.5)
+    assert np.abs(np.diff(force)).max() < 0.01
+
+
+def test_noise_keeps_to_its_band_and_seed():
+    wave = open_trace("noise:60-400Hz,3um", 2.0, 7).displacement_um
+    assert wave[400:-400].std() == pytest.approx(3, rel=0.05)
+    spectrum = np.abs(np.fft.rfft(wave)) ** 2
+    hz = np.fft.rfftfreq(len(wave), 1 / SAMPLE_HZ)
+    assert spectrum[(hz > 55) & (hz < 405)].sum() > 0.999 * spectrum.sum()
+    np.testing.assert_array_equal(wave, open_trace("noise:60-400Hz,3µm", 2.0, 7).displacement_um)
+
+
+def test_a_sweep_passes_its_middle_at_half_time():
+    wave = open_trace("sweep:10-160Hz,5um", 2.0).displacement_um
+    rises = np.flatnonzero((wave[:-1] < 0) & (wave[1:] >= 0)) / SAMPLE_HZ
+    interval = np.diff(rises)[np.searchsorted(rises, 1.0) - 1]
+    assert 1 / interval == pytest.approx(40, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("spec", "about", "value"),
+    [
+        ("tone:30Hz", "trace", "tone:30Hz"),
+        ("tone:30Hz,8mm", "trace", "tone:30Hz,8mm"),
+        ("tone:30Hz,8um+hum:3", "trace", "hum:3"),
+        ("tone:-30Hz,8um", "trace", "tone:-30Hz,8um"),
+        ("tone:0Hz,8um", "frequency", (0,)),
+        ("tone:2000Hz,8um", "frequency", (2000,)),
+        ("sweep:100-50Hz,8um", "frequency", "100-50Hz"),
+        ("press:1N@2-1", "trace", (2, 1)),
+        ("press:1N@0-9", "trace", (0, 9)),
+        ("noise:50.1-50.2Hz,1um", "trace", (50.1, 50.2)),
+    ],
+)
+def test_a_line_that_cannot_be_understood(spec, about, value):
+    with raises(SmartTouchError, about=about, value=value):
+        open_trace(spec)
+
+
+def test_what_a_line_may_be():
+    with raises(SmartTouchError, about="frequency", allowed=(0, 1000)):
+        open_trace("tone:0Hz,8um")
+    with raises(SmartTouchError, about="trace", allowed=(0, 2), remedy="seconds"):
+        open_trace("press:1N@0-9")
+
+
+@pytest.mark.parametrize("seconds", [0, -1, 601, float("nan")])
+def test_impossible_lengths_are_refused(seconds):
+    with raises(SmartTouchError, about="seconds", value=seconds):
+        open_trace("press:1N", seconds)
+
+
+@given(st.text(max_size=40))
+def test_any_text_is_a_trace_or_refused(text):
+    spec = f"tone:{text}"
+    assert is_spec(spec)
+    with contextlib.suppress(SmartTouchError):
+        assert np.isfinite(open_trace(spec, 0.1).displacement_um).all()

@@ -1,0 +1,76 @@
+"""Textures to touch, and what a simulated board delivered of them."""
+
+import math
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from smarttouch.imaging.array_window import reading_force_n
+from smarttouch.instruments.electric_mouse import MouseSource
+from smarttouch.instruments.hand_motion import START_S, PathMotion, SweepMotion
+
+from .feeling import feel
+
+DPI = 254
+"""A tenth of a millimeter a pixel."""
+FELT = 0.5
+"""Answers above are of the electrode itself, and not of a neighbor's currents."""
+
+
+def grating_file(path, pitch_mm, angle_deg, kind="square", size_mm=(90, 40), noise=0.0):
+    """Draw a grating as an image, its ridges square, thin or faint."""
+    wide, high = (round(side * DPI / 25.4) for side in size_mm)
+    y, x = np.mgrid[:high, :wide] * (25.4 / DPI)
+    angle = math.radians(angle_deg)
+    phase = (x * math.cos(angle) + y * math.sin(angle)) / pitch_mm
+    ridge = {
+        "square": (phase + 0.25) % 1 < 0.5,
+        "thin": (phase + 0.1) % 1 < 0.2,
+        "faint": 0.5 + 0.1 * np.cos(2 * math.pi * phase),
+    }[kind]
+    grey = 255 * (1 - ridge) + noise * np.random.default_rng(1).standard_normal(ridge.shape)
+    Image.fromarray(np.clip(grey, 0, 255).astype(np.uint8)).save(path, dpi=(DPI, DPI))
+    return path
+
+
+def object_file(path, kind, size_mm=(80, 40), at_mm=(40.0, 20.0)):
+    """Draw a disc of 10 mm or a cross of 14 mm on paper."""
+    image = np.full([round(10 * side) for side in size_mm[::-1]], 255, np.uint8)
+    x, y = (round(10 * each) for each in at_mm)
+    if kind == "disc":
+        cv2.circle(image, (x, y), 50, 0, -1)
+    else:
+        cv2.rectangle(image, (x - 70, y - 15), (x + 69, y + 14), 0, -1)
+        cv2.rectangle(image, (x - 15, y - 70), (x + 14, y + 69), 0, -1)
+    Image.fromarray(image).save(path, dpi=(DPI, DPI))
+    return path
+
+
+def path_motion(folder, times_s, x_mm, y_mm):
+    """Return a motion along points; it rests at the first until intensity is up, and at the end."""
+    times = [0, *(START_S + np.asarray(times_s)), START_S + times_s[-1] + 0.1]
+    rows = zip(times, [x_mm[0], *x_mm, x_mm[-1]], [y_mm[0], *y_mm, y_mm[-1]], strict=True)
+    path = folder / "way.csv"
+    lines = [",".join(f"{each:.6f}" for each in row) for row in rows]
+    path.write_text("\n".join(["time_s,x_mm,y_mm", *lines]) + "\n")
+    return PathMotion(path)
+
+
+def touch(texture, motion, profile, bank, seconds=None, **options):
+    """Let a finger feel a texture; return what was delivered, and the source."""
+    source = MouseSource(texture, motion, profile, press_n=reading_force_n(profile), **options)
+    return feel(source, profile, bank, seconds), source
+
+
+def stroke(texture, speed_mm_s, profile, bank, length_mm=60.0, origin_mm=(15.3, 20.3), **options):
+    """Stroke once to the right; return pulses of each electrode, (E,) Hz, and the source."""
+    motion = SweepMotion(speed_mm_s, (length_mm, 0.0))
+    motion.origin_mm = origin_mm
+    seconds = length_mm / speed_mm_s
+    touched, source = touch(texture, motion, profile, bank, START_S + seconds + 0.03, **options)
+    felt = touched.felt
+    time_s = np.array([touched.times_ns[each] for each in felt.number]) / 1e9
+    there = (time_s > START_S) & (time_s <= START_S + seconds + 0.02) & (felt.answer > FELT)
+    pulses = np.bincount(felt.electrode[there], minlength=len(profile.electrodes))
+    return pulses / seconds, source

@@ -1,0 +1,135 @@
+"""The rows of a problem, its symmetries, and how kernels are judged."""
+
+import numpy as np
+import pytest
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import DesignError
+from smarttouch.kernels.design_problem import Problem
+from smarttouch.physiology.activating_function import af_matrix, everywhere
+from smarttouch.profile import load_profile
+
+from ..close import assert_close
+from ..raising import raises
+
+
+def test_distinct_sites(profile):
+    ra, sai = Problem(profile, Afferent.RA), Problem(profile, Afferent.SAI)
+    assert len({ra.representative(site)[0] for site in range(64)}) == 10
+    assert len({sai.representative(site)[0] for site in range(64)}) == 16
+
+
+@pytest.mark.parametrize("name", ["electric-mouse", "kajimoto-61", "line-7"])
+@pytest.mark.parametrize("afferent", list(Afferent))
+def test_symmetries_leave_the_targets_and_the_rows_alone(name, afferent):
+    problem = Problem(load_profile(name), afferent)
+    assert np.array_equal(problem.symmetries[0], np.arange(problem.electrodes))
+    for move in problem.symmetries:
+        moved = problem.target[np.ix_(move, move)]
+        assert_close(moved, problem.target)
+        rows = problem.rows[0].other
+        before, after = (np.sort(each.max(axis=1)) for each in (rows, rows[:, move]))
+        assert_close(after, before)
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"output.impedance_kohm": [2.0] + [1.0] * 15},
+        {"limits.electrode_ma": [2.4] * 15 + [2.5]},
+        {"limits.total_ma": 5.0, "perception.threshold_ma": [1.2] * 4 + [1.1] + [1.2] * 11},
+    ],
+    ids=lambda keys: next(iter(keys)),
+)
+def test_an_electrode_of_its_own_kind_has_no_mirror_image(changed, keys):
+    profile = load_profile("smarttouch-4x4")
+    assert len(Problem(profile, Afferent.RA).symmetries) == 8
+    mine = changed(profile, keys)
+    for move in Problem(mine, Afferent.RA).symmetries:
+        assert np.array_equal(mine.admittance[move], mine.admittance)
+        assert np.array_equal(mine.threshold_ma[move], mine.threshold_ma)
+    assert len(Problem(mine, Afferent.RA).symmetries) < 8
+
+
+FREE = {"layout": "free", "positions_mm": [[0, 0], [2, 0], [1, 1.7], [3.1, 2.4]]}
+SQUARE = {"layout": "free", "positions_mm": [[0, 0], [2, 0], [0, 2], [2, 2]], "shape": "rectangle"}
+
+
+@pytest.mark.parametrize(
+    ("name", "keys", "count"),
+    [
+        ("electric-mouse", {"array": FREE}, 1),
+        ("electric-mouse", {"array": SQUARE | {"size_mm": [0.5, 1.5]}}, 4),
+        ("electric-mouse", {"array": SQUARE | {"size_mm": [1.0, 1.0]}}, 8),
+        # The diagonal through it is left.
+        ("electric-mouse", {"output.masked": [27]}, 2),
+        # Thresholds alone do not change kernels.
+        ("smarttouch-4x4", {"perception.threshold_ma": [1.2] * 15 + [1.1]}, 8),
+    ],
+    ids=["free", "upright", "square", "masked", "thresholds"],
+)
+def test_how_many_symmetries_there_are(changed, name, keys, count):
+    assert len(Problem(changed(load_profile(name), keys), Afferent.RA).symmetries) == count
+
+
+def test_judging_says_what_weights_do(profile):
+    problem = Problem(profile, Afferent.SAI)
+    weights = np.zeros(64)
+    weights[27], weights[0] = 1.0, -1.0
+    kernel = problem.judge(weights, 27, kind="three-state")
+    assert problem.target[27] @ kernel.weights == pytest.approx(1)
+    af = {
+        each: (af_matrix(profile, everywhere(profile, each)) @ kernel.weights).max()
+        for each in Afferent
+    }
+    assert kernel.off_target == pytest.approx(max(af[Afferent.RA], af[Afferent.PC]))
+    assert af[kernel.off_target_class] == pytest.approx(kernel.off_target)
+    assert kernel.peak_normalized[27] == 1
+    named = ("SAI", "27", "electric-mouse")
+    with raises(DesignError, about="pattern", value=named, electrode=27):
+        problem.judge(-weights, 27)
+
+
+def test_no_last_bit_chooses_between_classes_pressed_alike(profile):
+    problem = Problem(profile, Afferent.PC)
+    weights = np.zeros(64)
+    weights[27], weights[0] = 1.0, -1.0
+    ra, sai = (
+        np.flatnonzero(problem.other_class == each)[0] for each in (Afferent.RA, Afferent.SAI)
+    )
+    rows = problem.rows[0].other
+    rows[sai] = 10 * rows[(rows @ weights).argmax()]
+    rows[ra] = rows[sai] * (1 - 1e-12)
+    assert problem.judge(weights, 27).off_target_class is Afferent.RA
+    rows[ra] = rows[sai] * (1 - 1e-3)
+    assert problem.judge(weights, 27).off_target_class is Afferent.SAI
+
+
+def test_a_spread_has_rows_for_every_depth_and_direction(profile):
+    nominal, spread = Problem(profile, Afferent.RA), Problem(profile, Afferent.RA, spread=True)
+    # RA at 3 depths leaning 5 ways; SAI and PC at 3 depths with each direction turned 3 ways.
+    assert spread.rows[0].target.shape[0] == 15
+    assert len(spread.rows[0].other) == 9 * len(nominal.rows[0].other)
+    assert spread.target == pytest.approx(nominal.target)
+
+
+def test_a_spread_of_layers_has_rows_for_every_conductivity(profile, layered):
+    mine = layered(profile, **{"array.rows": 2, "array.columns": 2})
+    assert len(Problem(mine, Afferent.RA, spread=True).rows) == 5
+
+
+@pytest.mark.parametrize("others", [[], [Afferent.RA], [Afferent.RA, Afferent.PC]])
+def test_a_class_cannot_be_selected_against_itself(profile, others):
+    with raises(DesignError, about="others", value=tuple(others)):
+        Problem(profile, Afferent.RA, others)
+
+
+def test_a_ring_is_no_mirror_image_of_the_disc_in_it(profile, changed):
+    array = {
+        "layout": "free",
+        "positions_mm": [[0, 0], [0, 0], [9, 0], [-9, 0]],
+        "shapes": ["disc", "annulus", "disc", "disc"],
+        "sizes_mm": [[1.0, 0.0], [8.0, 6.0], [1.0, 0.0], [1.0, 0.0]],
+    }
+    found = Problem(changed(profile, {"array": array}), Afferent.RA).symmetries
+    assert sorted({tuple(each) for each in found}) == [(0, 1, 2, 3), (0, 1, 3, 2)]

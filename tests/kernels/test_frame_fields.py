@@ -1,0 +1,63 @@
+"""Field maps: the same as all rows, on grids and on arrays that are none."""
+
+import numpy as np
+import pytest
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.kernels.frame_fields import FieldMap
+from smarttouch.physiology.activating_function import af_matrix, everywhere
+from smarttouch.profile import load_profile
+
+
+def random_currents(profile, count=5, seed=0):
+    current = np.random.default_rng(seed).normal(size=(count, len(profile.electrodes)))
+    return current - current.mean(axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("afferent", list(Afferent))
+@pytest.mark.parametrize(
+    ("name", "separable"),
+    [
+        ("electric-mouse", True),
+        ("smarttouch-4x4", True),
+        ("optacon-24x6", True),
+        ("kajimoto-61", False),
+        ("line-7", False),
+    ],
+)
+def test_a_map_is_what_all_rows_are(name, separable, afferent):
+    profile = load_profile(name)
+    nodes = everywhere(profile, afferent)
+    field, rows = FieldMap(profile, nodes), af_matrix(profile, nodes)
+    assert field.separable is separable
+    current = random_currents(profile)
+    # Fields of a frame are known to 0.2 % of their largest: far below any bound's meaning.
+    whole = current @ rows.T
+    assert np.abs(field(current) - whole).max() < 2e-3 * np.abs(whole).max()
+    index = np.random.default_rng(1).integers(field.rows_n, size=20)
+    assert np.abs(field.rows(index) - rows[index]).max() < 3e-4 * np.abs(rows).max()
+    gram = rows.T @ rows
+    assert np.abs(field.gram() - gram).max() < 1e-3 * np.abs(gram).max()
+
+
+def test_electrodes_in_another_order_are_where_they_are(profile, changed):
+    order = np.random.default_rng(2).permutation(64)
+    places = profile.electrodes.position_mm[order]
+    array = {"layout": "free", "positions_mm": places.tolist(), "size_mm": [1.0, 0.0]}
+    shuffled = changed(profile, {"array": array})
+    nodes = everywhere(profile, Afferent.SAI)
+    there = FieldMap(shuffled, nodes)
+    assert there.separable
+    current = random_currents(profile)
+    here = FieldMap(profile, nodes)(current)
+    assert there(current[:, order]) == pytest.approx(here, abs=float(1e-3 * np.abs(here).max()))
+    assert there.rows(np.array([7])) == pytest.approx(af_matrix(shuffled, nodes)[[7]], abs=1e-4)
+
+
+def test_layers_and_ending_are_the_skin_s(profile, layered):
+    keys = {"array.rows": 3, "array.columns": 4, "skin.ra_ending": "active"}
+    mine = layered(profile, **keys)
+    nodes = everywhere(mine, Afferent.RA)
+    current = random_currents(mine)
+    whole = current @ af_matrix(mine, nodes).T
+    assert np.abs(FieldMap(mine, nodes)(current) - whole).max() < 2e-3 * np.abs(whole).max()

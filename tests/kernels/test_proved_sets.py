@@ -1,0 +1,156 @@
+"""Bounds of sets of sites: no subset breaks them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import DesignError
+from smarttouch.kernels.frame_fields import FrameBounds
+from smarttouch.kernels.frame_judges import FrameJudge
+from smarttouch.kernels.frame_operator import FrameOperator
+from smarttouch.kernels.proved_sets import (
+    Certainty,
+    SharedKernels,
+    color_classes,
+    proved_sets,
+)
+from smarttouch.profile import load_profile
+from smarttouch.stimulation.slot_sums import round_charge_balanced
+
+from ..raising import raises
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.sampled_from([Afferent.RA, Afferent.SAI]), st.integers(1, 4), st.integers(0, 2**32 - 1)
+)  # fmt: skip
+def test_no_subset_breaks_a_bound(make_operator, afferent, step, seed):
+    operator = make_operator(afferent)
+    rng = np.random.default_rng(seed)
+    one = rng.choice(color_classes(operator, step))
+    on = rng.random(len(one.sites)) < rng.uniform(0.1, 1)
+    on[rng.integers(len(on))] = True
+    current = on @ one.kernels
+    level = np.zeros(64)
+    level[one.sites[on]] = 1
+    figures = operator.judge.judge(current, level)
+    assert figures.off_target <= one.off_target * 1.001
+    assert figures.spill <= one.spill * 1.001
+    assert figures.total_ma <= one.totals_ma.sum() + 1e-9
+    assert (np.abs(current) <= one.electrode_ma + 1e-9).all()
+    assert figures.weakest >= one.weakest - 1e-9
+    if step > 1:
+        assert one.weakest == pytest.approx(1, abs=1e-3)
+
+
+@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
+@pytest.mark.parametrize("step", [2, 3])
+def test_the_bounds_are_reached_by_a_subset(make_operator, afferent, step):
+    """The worst node's exciting sites alone reach it: no bound is looser than it must be."""
+    judge = make_operator(afferent).judge
+    operator = make_operator(afferent)
+    # Neighbors calm what each excites: only some of them make the worst subset.
+    beside = SharedKernels(operator, np.array([18, 19, 20, 26, 28, 45]))
+    for one in [*color_classes(operator, step), beside]:
+        reached = [field(one.kernels) for field in judge.others]
+        field = max(reached, key=lambda each: np.maximum(each, 0).sum(axis=0).max())
+        own = judge.own(one.kernels)
+        far = np.array([judge.far(np.array([site])) for site in one.sites])
+        # All that are on lie far from the node, else it would be no spill.
+        for name, each in (("off_target", field), ("spill", np.where(far, own, 0))):
+            node = np.maximum(each, 0).sum(axis=0).argmax()
+            on = each[:, node] > 0
+            level = np.zeros(64)
+            level[one.sites[on]] = 1
+            figures = judge.judge(on @ one.kernels, level)
+            # Targets of such a subset may be a little stronger than the weakest of all.
+            assert getattr(figures, name) == pytest.approx(getattr(one, name), rel=0.01)
+
+
+def test_classes_are_all_driven_sites_once(profile, changed):
+    mine = changed(profile, {"output.masked": [0, 9]})
+    operator = FrameOperator(FrameJudge(mine, Afferent.RA, np.full(64, 2.2)))
+    classes = color_classes(operator, 2)
+    assert len(classes) == 4
+    assert sorted(np.concatenate([each.sites for each in classes])) == mine.driven.tolist()
+    wide = operator.judge.profile.electrodes.distance_mm
+    for each in classes:
+        apart = wide[np.ix_(each.sites, each.sites)] + 99 * np.eye(len(each.sites))
+        assert apart.min() >= 2 * mine.electrodes.pitch_mm - 1e-9
+
+
+def test_a_hexagon_has_no_colors():
+    mine = load_profile("kajimoto-61")
+    operator = FrameOperator(FrameJudge(mine, Afferent.RA, np.ones(61)))
+    with raises(DesignError, about="array"):
+        color_classes(operator, 2)
+    assert SharedKernels(operator, np.array([3, 40])).off_target > 0
+
+
+def test_sets_are_as_large_as_can_be_proved(make_operator, profile, changed):
+    bounds = FrameBounds()
+    sets = proved_sets(make_operator(Afferent.RA), bounds)
+    assert [len(each.sites) for each in sets] == [16] * 4
+    assert sorted(np.concatenate([each.sites for each in sets])) == list(range(64))
+    # Tighter bounds, sparser sets; and none at all.
+    assert len(proved_sets(make_operator(Afferent.RA), FrameBounds(other=0.15))) == 9
+    assert proved_sets(make_operator(Afferent.RA), FrameBounds(other=0.05)) == []
+    assert proved_sets(make_operator(Afferent.SAI), bounds) == []
+    judge = sets[0].operator.judge
+    for one in sets:
+        assert one.off_target <= 0.3
+        assert (0.96 * one.electrode_ma <= judge.full_ma).all()
+
+
+def test_what_is_no_grid_or_large_has_no_sets(profile, bank, changed):
+    hexagon = load_profile("kajimoto-61")
+    wish = np.full(61, 2.0)
+    assert proved_sets(FrameOperator(FrameJudge(hexagon, Afferent.RA, wish)), FrameBounds()) == []
+    wide = changed(profile, {"array.rows": 18, "array.columns": 18})
+    judge = FrameJudge(wide, Afferent.RA, np.full(324, 2.2))
+    assert proved_sets(FrameOperator(judge), FrameBounds()) == []
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.sampled_from([Afferent.RA, Afferent.SAI]),
+    st.integers(2, 4),
+    st.floats(0.01, 1),
+    st.floats(0.2, 1),
+    st.integers(0, 2**32 - 1),
+)
+def test_no_subset_breaks_what_is_certain_after_rounding(
+    make_operator, afferent, step, intensity, faintest, seed
+):
+    operator = make_operator(afferent)
+    rng = np.random.default_rng(seed)
+    one = rng.choice(color_classes(operator, step))
+    certain = Certainty.of(one, 0.96, faintest)
+    on = rng.random(len(one.sites)) < rng.uniform(0.1, 1)
+    on[rng.integers(len(on))] = True
+    level = np.zeros(64)
+    level[one.sites[on]] = rng.choice([faintest, 1, rng.uniform(faintest, 1)], on.sum())
+    exact_ua = 1000 * intensity * 0.96 * (level[one.sites] @ one.kernels)
+    current_ma = round_charge_balanced(exact_ua[None])[0] / 1000
+    figures = operator.judge.judge(current_ma, level)
+    off_target, spill = certain.figures(intensity)
+    assert figures.off_target <= off_target
+    assert figures.spill <= spill
+
+
+def test_from_the_least_intensity_on_bounds_are_kept(make_operator):
+    bounds = FrameBounds(0.3, 0.3)
+    for one in color_classes(make_operator(Afferent.RA), 2):
+        certain = Certainty.of(one, 0.96, 0.5)
+        least = certain.least(bounds)
+        assert 0 < least < 1
+        for intensity in (least * 1.0001, 0.5, 1.0):
+            other, spill = certain.figures(intensity)
+            assert other <= bounds.other
+            assert spill <= bounds.spill
+        below = certain.figures(least * 0.9)
+        assert below[0] > bounds.other or below[1] > bounds.spill
+        assert certain.least(FrameBounds(0.001, 0.3)) == np.inf
+        assert certain.figures(0.0) == (np.inf, np.inf)

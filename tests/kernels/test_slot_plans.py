@@ -1,0 +1,183 @@
+"""Slots of a frame: every point once, every slot within its bounds, few of them."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.kernels import slot_plans as module
+from smarttouch.kernels.bank import load_bank
+from smarttouch.kernels.frame_fields import FrameBounds, FrameFigures
+from smarttouch.kernels.frame_judges import FrameJudge, full_wish
+from smarttouch.kernels.frame_operator import FrameOperator, keeps
+from smarttouch.kernels.slot_plans import FrameSlot, likely_slots, plan_slots
+from smarttouch.profile import load_profile
+
+from .test_frame_operator import LETTER_T, drawn, scattered
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.sampled_from([Afferent.RA, Afferent.SAI]),
+    st.integers(0, 2**32 - 1),
+    st.integers(0, 40),
+    st.sampled_from([None, 25.0]),
+)
+def test_every_point_once_and_every_slot_within_its_bounds(
+    make_operator, bank, afferent, seed, points, total_ma
+):
+    operator, bounds = make_operator(afferent), FrameBounds()
+    level = scattered(seed, points) * np.random.default_rng(seed).uniform(0.5, 1, 64)
+    alone = bank.kernels(afferent) * operator.judge.profile.full_ma[:, None]
+    slots = plan_slots(operator, level, bounds, total_ma, alone)
+    sites = np.concatenate([np.zeros(0, int), *(slot.sites for slot in slots)])
+    assert sorted(sites) == np.flatnonzero(level).tolist()
+    for slot in slots:
+        wanted = np.where(np.isin(np.arange(64), slot.sites), level, 0)
+        assert slot.kept
+        assert slot.figures == operator.judge.judge(slot.current, wanted)
+        assert keeps(operator.judge, slot.figures, bounds, slot.current, total_ma or 10.0)
+        assert slot.current.sum() == pytest.approx(0, abs=1e-3)
+
+
+def test_few_slots(make_operator):
+    operator, letter = make_operator(Afferent.RA), drawn(LETTER_T)
+    assert len(plan_slots(operator, letter, FrameBounds())) <= 4, "10 mA carry four points"
+    assert len(plan_slots(operator, letter, FrameBounds(uneven=0.15), 50.0)) == 1
+    sai = plan_slots(make_operator(Afferent.SAI), letter, FrameBounds())
+    assert len(sai) <= 4
+
+
+def test_total_current_sets_where_a_plan_begins(make_operator):
+    operator, level, bounds = make_operator(Afferent.RA), scattered(3, 40), FrameBounds()
+    assert likely_slots(operator, np.zeros(64), bounds, 10.0) == 0
+    assert likely_slots(operator, level, bounds, None) == 1
+    counts = [likely_slots(operator, level, bounds, each) for each in (5.0, 10.0, 20.0)]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] > counts[1] > counts[2] > 1
+    assert likely_slots(operator, 0.5 * level, bounds, 10.0) < counts[1]
+
+
+def test_a_point_that_breaks_its_bound_stands_alone_and_says_so(make_operator, bank):
+    operator, strict = make_operator(Afferent.SAI), FrameBounds(other=0.01, spill=0.01)
+    slots = plan_slots(operator, scattered(5, 4), strict)
+    assert [len(slot.sites) for slot in slots] == [1] * 4
+    assert not any(slot.kept for slot in slots)
+    kernels = 2.4 * np.asarray(bank.kernels(Afferent.SAI), np.float64)
+    for slot in plan_slots(operator, 0.6 * scattered(5, 4), strict, points_ma=kernels):
+        assert slot.current == pytest.approx(0.6 * kernels[slot.sites[0]])
+        assert slot.figures.weakest == pytest.approx(1, abs=1e-3)
+
+
+def test_points_join_slots_that_they_leave_within_bounds():
+    """SAI on points 1.1 mm apart, where selectivity is short; dealing anew alone took 25 slots."""
+    profile = load_profile("optacon-24x6")
+    bank, afferent = load_bank(profile), Afferent.SAI
+    kernels = bank.kernels(afferent)
+    wish = full_wish(profile, kernels, bank.receptor[afferent])
+    operator = FrameOperator(FrameJudge(profile, afferent, wish))
+    slots = 0
+    for seed in range(6):
+        level = np.zeros(144)
+        level[np.random.default_rng(seed).choice(144, 7, replace=False)] = 1.0
+        plan = plan_slots(operator, level, FrameBounds(), None, kernels * profile.full_ma[:, None])
+        sites = np.concatenate([slot.sites for slot in plan])
+        assert sorted(sites) == np.flatnonzero(level).tolist()
+        assert all(slot.kept or len(slot.sites) == 1 for slot in plan)
+        slots += len(plan)
+    assert slots <= 20
+
+
+class ToldSlots:
+    """Slots that are within their bounds where their points are far enough apart, and no skin.
+
+    Attributes
+    ----------
+    asked : list of FrameSlot
+        All that were looked at, in order.
+    """
+
+    hopeless = (0, 1)
+    """Points that break a bound even alone."""
+
+    def __init__(self, monkeypatch, seed, total_ma):
+        self.position_mm = np.random.default_rng(seed).uniform(0, 8, (48, 2))
+        self.total_ma, self.asked = total_ma, []
+        profile = SimpleNamespace(
+            electrodes=SimpleNamespace(position_mm=self.position_mm),
+            limits=SimpleNamespace(total_ma=total_ma),
+        )
+        judge = SimpleNamespace(profile=profile, target=np.eye(48), wish_af=np.ones(48))
+        self.operator = SimpleNamespace(judge=judge)
+        monkeypatch.setattr(module, "_slot", self._slot)
+
+    def _slot(self, _operator, level, points, _bounds, total_ma, _points_ma):
+        place = self.position_mm[points]
+        apart = np.hypot(*(place[:, None] - place[None]).transpose(2, 0, 1))
+        near = (apart + 9 * np.eye(len(points))).min() < 1.2
+        current_ma = float(level[points].sum())
+        kept = not near and current_ma <= total_ma and not set(points) & set(self.hopeless)
+        figures = FrameFigures(0.1, 0.1, 1.0, 1.0, current_ma, 1.0)
+        self.asked.append(FrameSlot(np.asarray(points), np.zeros(48), figures, kept))
+        return self.asked[-1]
+
+    def plan(self):
+        return plan_slots(self.operator, np.ones(48), FrameBounds())
+
+    def joinings(self):
+        """Return, of each point that looked for a slot to join, those it asked, in order."""
+        slots, tried, found = [], [], []
+        for slot in self.asked:
+            old = next((each for each in slots if set(each.sites) < set(slot.sites)), None)
+            if old is not None and len(slot.sites) == len(old.sites) + 1:
+                tried.append((int(np.setdiff1d(slot.sites, old.sites)[0]), old, slot))
+                found.append(list(slots))
+            if slot.kept or len(slot.sites) == 1:
+                slots = [each for each in slots if not set(each.sites) <= set(slot.sites)]
+                slots.append(slot)
+        return tried, found
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_point_joins_the_farthest_slot_that_keeps_its_bounds(monkeypatch, seed):
+    told = ToldSlots(monkeypatch, seed, total_ma=30.0)
+    plan = told.plan()
+    sites = np.concatenate([slot.sites for slot in plan])
+    assert sorted(sites) == list(range(48)), "every point once"
+    assert all(slot.kept or len(slot.sites) == 1 for slot in plan)
+    assert {int(slot.sites[0]) for slot in plan if not slot.kept} == set(told.hopeless)
+    tried, slots = told.joinings()
+    by_point = {}
+    for (point, old, joined), there in zip(tried, slots, strict=True):
+        by_point.setdefault(point, []).append((old, joined, there))
+    assert by_point
+    for point, asked in by_point.items():
+        joins = [joined.kept for _, joined, _ in asked]
+        assert not any(joins[:-1]), "the first that can is joined"
+        assert len(joins) <= 5
+        assert all(old.kept for old, *_ in asked)
+        away = told.position_mm - told.position_mm[point]
+        push = 1 / np.maximum(np.hypot(*away.T), 1e-9) ** 3
+        order = [push[old.sites].sum() for old, *_ in asked]
+        assert order == sorted(order)
+        kept = [each for each in asked[0][2] if each.kept and point not in each.sites]
+        # All farther ones were asked before one that is nearer.
+        farthest = sorted(push[each.sites].sum() for each in kept)[: len(order)]
+        assert order == pytest.approx(farthest)
+        home = next(slot for slot in plan if point in slot.sites)
+        if joins[-1]:
+            assert set(asked[-1][1].sites) <= set(home.sites)
+        else:
+            assert len(joins) == min(5, len(kept))
+
+
+def test_a_slot_that_is_nearly_full_is_not_asked(monkeypatch):
+    told = ToldSlots(monkeypatch, 3, total_ma=5.0)
+    plan = told.plan()
+    tried, _ = told.joinings()
+    assert tried
+    assert max(old.figures.total_ma for _, old, _ in tried) <= 4
+    assert max(slot.figures.total_ma for slot in plan) <= 5

@@ -1,0 +1,247 @@
+"""The paper's numbers to four digits, and kernels that do not depend on the solver."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import DesignError
+from smarttouch.kernels.design_problem import Problem
+from smarttouch.kernels.weighted_design import design_any_node, design_kernel
+from smarttouch.profile import load_profile
+
+from ..raising import raises
+
+SPACING = "skin.node_spacing_mm"
+
+
+@pytest.fixture(scope="module")
+def line():
+    return load_profile("line-7")
+
+
+@pytest.fixture(scope="module")
+def three_by_three(changed):
+    profile = load_profile("electric-mouse")
+    return changed(
+        profile,
+        {"array.rows": 3, "array.columns": 3, "limits.total_ma": None, "frames.share": False},
+    )
+
+
+@pytest.mark.parametrize("spill", [None, 0.2])
+@pytest.mark.parametrize(
+    ("afferent", "spacing", "worst", "weights"),
+    [
+        (Afferent.SAI, 1.0, 0.3025, [-0.191, -0.164, -0.145, 1]),
+        (Afferent.SAI, 0.25, 0.3025, [-0.191, -0.164, -0.145, 1]),
+        (Afferent.RA, 1.0, 0.1072, [0.168, 0.123, 0.209, -1]),
+        (Afferent.RA, 0.25, 0.1173, [0.183, 0.139, 0.179, -1]),
+    ],
+)
+def test_figure_8(line, changed, afferent, spacing, worst, weights, spill):
+    problem = Problem(changed(line, {SPACING: spacing}), afferent)
+    kernel = design_kernel(problem, 3, spill)
+    assert kernel.off_target == pytest.approx(worst, abs=5e-5)
+    assert kernel.peak_normalized == pytest.approx(weights + weights[-2::-1], abs=6e-4)
+    assert abs(kernel.weights.sum()) < 1e-9
+    assert problem.target[3] @ kernel.weights == pytest.approx(1, abs=1e-9)
+    assert (problem.axon(3) @ kernel.weights).max() == pytest.approx(1, abs=1e-6), "Eq. 11"
+
+
+def test_pc_cannot_be_selected_and_is_symmetric(line):
+    problem = Problem(line, Afferent.PC)
+    kernel = design_kernel(problem, 3)
+    assert kernel.off_target == pytest.approx(3.04, abs=5e-4)
+    assert kernel.weights == pytest.approx(kernel.weights[::-1], abs=1e-9)
+    assert kernel.off_target_class is Afferent.RA, "SAI is pressed alike: the first is named"
+    assert (problem.axon(3) @ kernel.weights).max() == pytest.approx(1, abs=1e-6), "Eq. 11"
+
+
+METHODS = [
+    {"solver": "simplex", "simplex_strategy": 1},
+    {"solver": "simplex", "simplex_strategy": 4},
+    {"solver": "ipm"},
+    {"presolve": "on"},
+    {"random_seed": 7, "simplex_dual_edge_weight_strategy": 2},
+]
+
+
+@pytest.mark.parametrize("options", METHODS, ids=str)
+@pytest.mark.parametrize("afferent", list(Afferent))
+def test_no_method_of_the_solver_gives_another_kernel(line, afferent, options):
+    problem = Problem(line, afferent)
+    usual, other = design_kernel(problem, 3), design_kernel(problem, 3, options=options)
+    assert other.off_target == pytest.approx(usual.off_target, abs=1e-8)
+    assert other.weights == pytest.approx(usual.weights, rel=1e-6)
+
+
+@pytest.mark.parametrize("options", METHODS, ids=str)
+def test_a_kernel_that_could_be_mirrored_is_not(profile, options):
+    """PC within 10 mA has equal kernels on either side of its site: the inner one is taken."""
+    problem = Problem(profile, Afferent.PC)
+    usual, other = design_kernel(problem, 27), design_kernel(problem, 27, options=options)
+    assert other.weights == pytest.approx(usual.weights, abs=1e-6 * np.abs(usual.weights).max())
+
+
+@pytest.mark.parametrize("method", ["highs", "highs-ds", "highs-ipm"])
+@pytest.mark.parametrize("site", [0, 2, 3])
+@pytest.mark.parametrize("afferent", list(Afferent))
+def test_linprog_finds_the_same_optimum(line, whole_programme, afferent, site, method):
+    problem = Problem(line, afferent)
+    kernel = design_kernel(problem, site)
+    best = max(kernel.off_target, kernel.spill if kernel.spill > 0.2001 else 0)
+    shuffled = np.random.default_rng(site).permutation
+    found = whole_programme(problem, site, method=method, order=shuffled)
+    assert best == pytest.approx(found, rel=1e-6)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(list(Afferent)))
+def test_shuffled_rows_give_the_same_kernel(seed, afferent):
+    problem = Problem(load_profile("line-7"), afferent)
+    usual = design_kernel(problem, 3)
+    rows = problem.rows[0]
+    order = np.random.default_rng(seed).permutation(len(rows.other))
+    rows.other[:] = rows.other[order]
+    problem.other_class = problem.other_class[order]
+    shuffled = design_kernel(problem, 3)
+    assert shuffled.off_target == pytest.approx(usual.off_target, abs=1e-6)
+    assert shuffled.off_target_class is usual.off_target_class
+    assert shuffled.weights == pytest.approx(usual.weights, rel=1e-4)
+
+
+@pytest.mark.parametrize("site", [0, 1, 4])
+@pytest.mark.parametrize("afferent", list(Afferent))
+def test_row_generation_misses_no_row(three_by_three, whole_programme, afferent, site):
+    problem = Problem(three_by_three, afferent)
+    kernel = design_kernel(problem, site)
+    best = max(kernel.off_target, kernel.spill if kernel.spill > 0.2001 else 0)
+    assert best == pytest.approx(whole_programme(problem, site), rel=1e-6)
+
+
+def test_two_nerves_are_easier_than_three(line):
+    """Eq. 10 against Eq. 16."""
+    three = design_kernel(Problem(line, Afferent.SAI), 3)
+    two = [
+        design_kernel(Problem(line, Afferent.SAI, [other]), 3)
+        for other in (Afferent.RA, Afferent.PC)
+    ]
+    assert all(each.off_target <= three.off_target + 1e-9 for each in two)
+    assert min(each.off_target for each in two) < 0.9 * three.off_target
+    assert [each.off_target_class for each in two] == [Afferent.RA, Afferent.PC]
+
+
+@pytest.mark.parametrize("afferent", list(Afferent))
+def test_brute_force_over_the_node(line, changed, afferent):
+    """The node under the electrode is the best for RA and SAI; PC near an edge has a better one."""
+    problem = Problem(changed(line, {SPACING: 0.25}), afferent)
+    for site in (0, 2, 3):
+        under, anywhere = design_kernel(problem, site), design_any_node(problem, site)
+        assert anywhere.off_target <= under.off_target + 1e-9
+        fired = problem.axon(site) @ anywhere.weights
+        assert fired[anywhere.node] == pytest.approx(1)
+        assert fired.max() <= 1 + 1e-6
+    at_the_edge = design_any_node(problem, 0)
+    assert (at_the_edge.node != 0) == (afferent is Afferent.PC)
+
+
+def test_confined_kernels_do_not_spill(profile, changed):
+    problem = Problem(
+        changed(profile, {"limits.total_ma": None, "frames.share": False}), Afferent.RA
+    )
+    free, confined = (design_kernel(problem, 27, spill) for spill in (None, 0.2))
+    assert free.spill > 0.5
+    assert confined.spill <= 0.2 + 1e-6
+    assert confined.off_target <= 1.02 * free.off_target
+    assert np.abs(confined.weights).sum() < np.abs(free.weights).sum()
+
+
+def test_total_current_is_limited(profile, changed, whole_programme):
+    # With no limit this corner would take 6.8 mA.
+    few = {"limits.total_ma": 5.0, "array.rows": 5, "array.columns": 5}
+    limited = Problem(changed(profile, few), Afferent.RA)
+    kernel = design_kernel(limited, 0)
+    source_ma = np.abs(kernel.weights).sum() / 2 / abs(kernel.weights[0]) * 2.4
+    assert 4.9 < source_ma <= 5.0
+    assert kernel.off_target == pytest.approx(whole_programme(limited, 0), rel=1e-6)
+
+
+def test_currents_of_single_electrodes_are_limited(line, changed):
+    free = design_kernel(Problem(line, Afferent.RA), 3).peak_normalized
+    lowered = [1.0] * 7
+    lowered[2] = 0.1
+    threshold = [0.4, 0.4, 0.03, 0.4, 0.4, 0.4, 0.4]
+    mine = changed(line, {"limits.electrode_ma": lowered, "perception.threshold_ma": threshold})
+    kernel = design_kernel(Problem(mine, Afferent.RA), 3)
+    carried = kernel.weights / abs(kernel.weights[3]) * 1.0
+    assert abs(free[2]) > 0.1
+    assert abs(carried[2]) <= 0.1
+    assert kernel.off_target > 0.1072
+
+
+def test_limits_that_no_kernel_keeps(line, changed):
+    lowered = [0.004] * 3 + [1.0] + [0.004] * 3
+    threshold = [0.001] * 3 + [0.4] + [0.001] * 3
+    mine = changed(line, {"limits.electrode_ma": lowered, "perception.threshold_ma": threshold})
+    with raises(DesignError, about="limits", electrode=3) as caught:
+        design_kernel(Problem(mine, Afferent.RA), 3)
+    assert "limits.electrode_ma" in caught.value.remedy
+
+
+def test_an_active_ending_turns_ra_to_the_cathode(line, changed):
+    active = changed(line, {"skin.ra_ending": "active"})
+    kernel = design_kernel(Problem(active, Afferent.RA), 3)
+    assert kernel.peak_normalized[3] > 0
+
+
+@pytest.mark.parametrize("site", [-1, 7, 1000])
+def test_site_out_of_range(line, site):
+    with raises(DesignError, about="site", value=site, allowed=(0, 6)):
+        design_kernel(Problem(line, Afferent.RA), site)
+
+
+@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
+def test_robust_kernels_are_the_best_on_the_worst_finger(line, afferent):
+    nominal, robust = Problem(line, afferent), Problem(line, afferent, spread=True)
+    plain = design_kernel(nominal, 3)
+    careful = design_kernel(robust, 3)
+    on_the_worst = robust.judge(plain.weights, 3)
+    assert careful.off_target < 0.99 * on_the_worst.off_target
+    assert nominal.judge(careful.weights, 3).off_target >= plain.off_target - 1e-9
+
+
+def test_a_spread_of_nothing_changes_nothing(line, changed):
+    certain = {f"skin.spread.{name}_depth_mm": 0.0 for name in ("ra", "sai", "pc")}
+    certain |= {"skin.spread.angle_deg": 0.0, "skin.spread.conductivity_factor": 1.0}
+    mine = changed(line, certain)
+    plain = design_kernel(Problem(mine, Afferent.SAI), 3)
+    robust = design_kernel(Problem(mine, Afferent.SAI, spread=True), 3)
+    assert robust.off_target == pytest.approx(plain.off_target, abs=1e-7)
+    assert robust.weights == pytest.approx(plain.weights, rel=1e-4)
+
+
+@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
+def test_around_a_masked_electrode_it_is_the_best_of_what_is_left(line, changed, afferent):
+    """Written apart: the same programme with that electrode's column taken out of the rows."""
+    from scipy.optimize import linprog
+
+    problem = Problem(changed(line, {"output.masked": [2]}), afferent)
+    kernel = design_kernel(problem, 3, spill=None)
+    left, rows = [0, 1, 3, 4, 5, 6], problem.rows[0]
+    scale = np.abs(rows.target[0, 3]).max()
+    others, target = rows.other[:, left] / scale, rows.target[0, 3, left] / scale
+    axon = problem.axon(3)[1:, left] / scale
+    answer = linprog(
+        np.r_[np.zeros(6), 1],
+        np.r_[np.c_[others, -np.ones(len(others))], np.c_[axon, np.zeros(len(axon))]],
+        np.r_[np.zeros(len(others)), np.ones(len(axon))],
+        np.c_[[target, np.ones(6)], [0, 0]],
+        [1, 0],
+        bounds=(None, None),
+    )
+    assert kernel.weights[2] == 0
+    assert abs(kernel.weights.sum()) < 1e-12
+    assert kernel.off_target == pytest.approx(answer.fun, rel=1e-6)
+    assert design_any_node(problem, 3).weights[2] == 0

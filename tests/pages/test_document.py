@@ -1,0 +1,406 @@
+"""Documents of every kind give their pages; every bad one gets one sentence."""
+
+import gc
+import hashlib
+import math
+import struct
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image, ImageDraw, TiffImagePlugin
+
+from smarttouch.base.errors import PageError
+from smarttouch.pages.document import GUESSED_WIDTH_MM, open_document, parse_pages
+
+from ..raising import assert_says, raises
+from ..said import numbers_in
+
+PADDING = bytes.fromhex("28BF4E5E4E758A4164004E56FFFA01082E2E00B6D0683E802F0CA9FE6453697A")
+"""What passwords are filled up with (ISO 32000-1, Algorithm 2)."""
+
+
+def sheets(count, size=(300, 400), kind="L"):
+    """Return pages that differ: page n has n black squares."""
+    made = []
+    for number in range(1, count + 1):
+        sheet = Image.new(kind, size, 255 if kind in "L1" else (255, 255, 255))
+        for square in range(number):
+            left = 10 + 40 * square
+            ImageDraw.Draw(sheet).rectangle((left, 20, left + 19, 39), fill=0)
+        made.append(sheet)
+    return made
+
+
+def squares(page):
+    """Return how many black squares a page has."""
+    rows = int(page.grey.shape[0] * 30 / 400)
+    return np.count_nonzero(np.diff((page.grey[rows] < 128).astype(int)) == 1)
+
+
+def save(path, made, **options):
+    made[0].save(path, save_all=True, append_images=made[1:], **options)
+    return path
+
+
+def pdf_file(objects, trailer=b""):
+    """Return a PDF of these objects, the first of which is its catalog."""
+    out, places = bytearray(b"%PDF-1.4\n"), []
+    for number, body in enumerate(objects, 1):
+        places.append(len(out))
+        out += b"%d 0 obj\n%b\nendobj\n" % (number, body)
+    table = len(out)
+    out += b"xref\n0 %d\n0000000000 65535 f \n" % (len(places) + 1)
+    out += b"".join(b"%010d 00000 n \n" % place for place in places)
+    out += b"trailer\n<</Size %d/Root 1 0 R%b>>\n" % (len(places) + 1, trailer)
+    return bytes(out + b"startxref\n%d\n%%%%EOF" % table)
+
+
+def stream(content, entries=b""):
+    return b"<</Length %d%b>>stream\n%b\nendstream" % (len(content), entries, content)
+
+
+def one_page(content=b"", size=(144, 288), page=b"", catalog=b"", more=(), trailer=b""):
+    return pdf_file(
+        [
+            b"<</Type/Catalog/Pages 2 0 R%b>>" % catalog,
+            b"<</Type/Pages/Kids[3 0 R]/Count 1>>",
+            b"<</Type/Page/Parent 2 0 R/MediaBox[0 0 %d %d]/Contents 4 0 R%b>>" % (*size, page),
+            stream(content),
+            *more,
+        ],
+        trailer,
+    )
+
+
+@pytest.fixture
+def put(tmp_path):
+    """Return a writer of a file, to its path."""
+
+    def write(content, name="page.pdf"):
+        (tmp_path / name).write_bytes(content)
+        return tmp_path / name
+
+    return write
+
+
+def first_page(path, **options):
+    with open_document(path, **options) as document:
+        return document.page(0)
+
+
+def rc4(key, data):
+    state, j = list(range(256)), 0
+    for i in range(256):
+        j = (j + state[i] + key[i % len(key)]) % 256
+        state[i], state[j] = state[j], state[i]
+    out, i, j = bytearray(), 0, 0
+    for byte in data:
+        i = (i + 1) % 256
+        j = (j + state[i]) % 256
+        state[i], state[j] = state[j], state[i]
+        out.append(byte ^ state[(state[i] + state[j]) % 256])
+    return bytes(out)
+
+
+def encrypted(content, password):
+    """Return a PDF under 40 bit RC4 (ISO 32000-1, 7.6: Algorithms 1 to 4)."""
+
+    def md5(data):
+        return hashlib.md5(data, usedforsecurity=False).digest()
+
+    name, permissions = bytes(range(16)), struct.pack("<i", -4)
+    padded = (password.encode() + PADDING)[:32]
+    owner = rc4(md5((b"owner" + PADDING)[:32])[:5], padded)
+    key = md5(padded + owner + permissions + name)[:5]
+    of_object_4 = md5(key + bytes([4, 0, 0, 0, 0]))[:10]
+    rule = b"<</Filter/Standard/V 1/R 2/P -4/O<%b>/U<%b>>>" % (
+        owner.hex().encode(),
+        rc4(key, PADDING).hex().encode(),
+    )
+    ending = b"/Encrypt 5 0 R/ID[<%b><%b>]" % ((name.hex().encode(),) * 2)
+    return one_page(rc4(of_object_4, content), more=[rule], trailer=ending)
+
+
+def test_a_pdf_of_three_pages(tmp_path):
+    path = save(tmp_path / "three.pdf", sheets(3), resolution=100)
+    with open_document(path) as document:
+        assert len(document) == 3
+        # In any order, and again.
+        assert [squares(document.page(index)) for index in (2, 0, 1, 2)] == [3, 1, 2, 3]
+        page = document.page(0)
+        assert document.notes == []
+    assert page.grey.shape == (1200, 900)
+    assert page.size_mm == pytest.approx((76.2, 101.6))
+
+
+def test_nothing_of_a_pdf_is_left_to_the_collector(tmp_path):
+    path = save(tmp_path / "page.pdf", sheets(2))
+    document = open_document(path)
+    page = document.page(1)
+    document.close()
+    del document
+    gc.collect()
+    assert squares(page) == 2
+
+
+def test_a_pdf_under_another_name(tmp_path):
+    path = save(tmp_path / "page.pdf", sheets(1))
+    other = path.rename(tmp_path / "page.jpg")
+    assert squares(first_page(other)) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "shape", "width_mm"),
+    [
+        ({}, (1200, 600), 50.8),
+        ({"dpi": 72}, (288, 144), 50.8),
+        ({"page_width_mm": 25.4}, (600, 300), 25.4),
+    ],
+)
+def test_the_scale_of_a_pdf(put, options, shape, width_mm):
+    path = put(one_page(b"0 144 72 144 re f"))
+    page = first_page(path, **options)
+    assert page.grey.shape == shape
+    assert page.size_mm[0] == pytest.approx(width_mm)
+    upper_left = page.grey[: shape[0] // 2, : shape[1] // 2]
+    assert upper_left.mean() < 3
+    assert page.grey.mean() == pytest.approx(255 * 3 / 4, abs=2)
+
+
+def test_a_poster_is_rendered_coarser_and_this_is_said(put):
+    path = put(one_page(size=(3600, 3600)), "poster.pdf")
+    with open_document(path) as document:
+        page = document.page(0)
+        (note,) = document.notes
+        assert numbers_in(note.replace(str(path), "")) == [1, 1270, 1270, 120]
+    assert page.grey.shape == (6000, 6000)
+    assert page.size_mm == pytest.approx((1270, 1270))
+
+
+def test_what_is_filled_into_a_form_is_seen(put):
+    ink = stream(b"0 0 72 72 re f", b"/Type/XObject/Subtype/Form/BBox[0 0 72 72]")
+    field = (
+        b"<</Type/Annot/Subtype/Widget/FT/Tx/T(name)/V(x)/F 4/P 3 0 R"
+        b"/Rect[0 0 72 72]/AP<</N 6 0 R>>>>"
+    )
+    form = {"page": b"/Annots[5 0 R]", "catalog": b"/AcroForm<</Fields[5 0 R]>>"}
+    path = put(one_page(**form, more=[field, ink]))
+    page = first_page(path)
+    assert page.grey[950:1150, 50:250].max() < 20
+
+
+def test_an_encrypted_pdf_opens_with_its_password_alone(put):
+    path = put(encrypted(b"0 144 144 144 re f", "tulip"), "secret.pdf")
+    with raises(PageError, about="password", value=path):
+        open_document(path)
+    with raises(PageError, about="password", value=path) as caught:
+        open_document(path, password="rose")
+    assert "rose" not in str(caught.value)
+    assert first_page(path, password="tulip").grey.mean() == pytest.approx(127, abs=2)
+
+
+def test_without_a_user_password_none_is_asked_for(put):
+    path = put(encrypted(b"0 144 144 144 re f", ""), "open.pdf")
+    assert first_page(path).grey.mean() == pytest.approx(127, abs=2)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"%PDF-1.7\n",
+        b"%PDF-1.7\nnonsense\n%%EOF",
+        pdf_file([b"<</Type/Catalog/Pages 2 0 R>>", b"<</Type/Pages/Kids[]/Count 0>>"]),
+        b"",
+        b"a plain text",
+        None,
+        "folder",
+    ],
+)
+def test_bad_files(tmp_path, content):
+    path = tmp_path / "page.pdf"
+    if content == "folder":
+        path.mkdir()
+    elif content is not None:
+        path.write_bytes(content)
+    with raises(PageError, about="file", value=path):
+        open_document(path)
+
+
+SIZES = {"about": "size_mm", "allowed": (2, 2000), "remedy": "page_width_mm"}
+
+
+@pytest.mark.parametrize(
+    ("content", "dpi", "attributes"),
+    [
+        (one_page(size=(14400, 14400)), None, SIZES | {"value": pytest.approx((5080, 5080))}),
+        (one_page(size=(144, 1)), None, SIZES | {"value": pytest.approx((50.8, 0.35278))}),
+        (one_page().replace(b"Kids[3 0 R]", b"Kids[9 0 R]"), None, {"about": "page", "value": 1}),
+        (one_page(), 2, {"about": "pixels", "value": (4, 8), "allowed": (8, 8)}),
+    ],
+    ids=["large", "flat", "damaged", "coarse"],
+)
+def test_pages_that_cannot_be(put, content, dpi, attributes):
+    path = put(content)
+    with open_document(path, dpi=dpi) as document, raises(PageError, **attributes) as caught:
+        document.page(0)
+    assert str(path) in str(caught.value)
+
+
+def outcome(path, **options):
+    """Return how many pages a file gives, or the error that says why none."""
+    try:
+        with open_document(path, **options) as document:
+            return len([document.page(index) for index in range(len(document))])
+    except PageError as error:
+        return error
+
+
+@pytest.mark.parametrize("suffix", ["pdf", "tif"])
+@pytest.mark.parametrize("kept", [0.05, 0.3, 0.6, 0.9, 0.99])
+def test_a_truncated_document_gives_pages_or_one_sentence(tmp_path, suffix, kept):
+    whole = save(tmp_path / f"whole.{suffix}", sheets(3)).read_bytes()
+    path = tmp_path / f"cut.{suffix}"
+    path.write_bytes(whole[: int(kept * len(whole))])
+    result = outcome(path)
+    assert result in (1, 2, 3) or result.about in ("file", "page")
+
+
+@pytest.mark.parametrize("suffix", ["pdf", "tif"])
+@settings(max_examples=50)
+@given(data=st.binary(min_size=1, max_size=20), at=st.floats(0, 1))
+def test_no_bytes_crash_the_opener(tmp_path_factory, suffix, data, at):
+    folder = tmp_path_factory.mktemp("fuzz")
+    made = sheets(2, (16, 12))
+    whole = save(folder / f"whole.{suffix}", made, dpi=(99, 99), resolution=99).read_bytes()
+    path = folder / f"page.{suffix}"
+    place = int(at * len(whole))
+    path.write_bytes(whole[:place] + data + whole[place + len(data) :])
+    result = outcome(path, page_width_mm=100)
+    if result not in (0, 1, 2):
+        assert_says(result)
+        assert result.about
+
+
+def test_without_the_extra(tmp_path, monkeypatch):
+    path = save(tmp_path / "page.pdf", sheets(1))
+    monkeypatch.setitem(sys.modules, "pypdfium2", None)
+    remedy = "pip install 'smarttouch[pdf]'"
+    with raises(PageError, about="pypdfium2", value=path, remedy=remedy):
+        open_document(path)
+
+
+@pytest.mark.parametrize("kind", ["L", "RGB", "1"])
+def test_a_tiff_of_many_pages(tmp_path, kind):
+    path = save(tmp_path / "many.tif", sheets(4, kind=kind), dpi=(200, 200))
+    with open_document(path) as document:
+        assert len(document) == 4
+        assert [squares(document.page(index)) for index in (3, 0, 1)] == [4, 1, 2]
+        assert document.page(0).mm_per_pixel == pytest.approx(0.127)
+        assert document.notes == []
+
+
+def test_a_fax_is_stretched_to_square_pixels(tmp_path):
+    path = save(tmp_path / "fax.tif", sheets(2, (1728, 1000), "1"), dpi=(204, 98))
+    with open_document(path) as document:
+        page = document.page(1)
+    assert page.grey.shape == (round(1000 * 204 / 98), 1728)
+    assert page.size_mm == pytest.approx((1728 / 204 * 25.4, 1000 / 98 * 25.4), rel=1e-3)
+
+
+def test_a_fax_that_lies_on_its_side(tmp_path):
+    turned = TiffImagePlugin.ImageFileDirectory_v2()
+    turned[274] = 6
+    path = tmp_path / "fax.tif"
+    sheets(1, (400, 600))[0].save(path, dpi=(204, 98), tiffinfo=turned)
+    page = first_page(path)
+    assert page.grey.shape == (400, round(600 * 204 / 98))
+
+
+def test_frames_of_an_animation_are_no_pages(tmp_path):
+    path = save(tmp_path / "moving.gif", sheets(3))
+    with open_document(path) as document:
+        assert len(document) == 1
+
+
+@pytest.mark.parametrize(
+    ("size", "width_mm"), [((800, 1000), GUESSED_WIDTH_MM), ((500, 10_000), 100.0)]
+)
+def test_an_image_without_a_scale_opens_all_the_same(tmp_path, size, width_mm):
+    path = save(tmp_path / "screen.png", sheets(1, size))
+    with open_document(path) as document:
+        page = document.page(0)
+        document.page(0)
+        assert page.size_mm[0] == pytest.approx(width_mm)
+        (note,) = document.notes
+        assert numbers_in(note.replace(str(path), "")) == [round(width_mm)]
+
+
+@pytest.mark.parametrize("options", [{"dpi": 127}, {"page_width_mm": 60}])
+def test_a_given_scale_of_an_image(tmp_path, options):
+    path = save(tmp_path / "page.png", sheets(1), dpi=(300, 300))
+    assert first_page(path, **options).mm_per_pixel == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    ("options", "about", "value"),
+    [
+        ({"dpi": 300, "page_width_mm": 5}, "dpi", ("dpi", "page_width_mm")),
+        ({"dpi": 0}, "dpi", 0),
+        ({"page_width_mm": math.nan}, "page_width_mm", math.nan),
+        ({"dpi": 1}, "size_mm", pytest.approx((7620, 10160))),
+    ],
+)
+def test_bad_scales(tmp_path, options, about, value):
+    path = save(tmp_path / "page.png", sheets(1))
+    wrong = raises(PageError, about=about, value=value)
+    with wrong, open_document(path, **options) as document:
+        document.page(0)
+
+
+@pytest.mark.parametrize("index", [-1, 2, 10**9])
+@pytest.mark.parametrize("suffix", ["pdf", "tif"])
+def test_pages_that_are_not_there(tmp_path, suffix, index):
+    path = save(tmp_path / f"two.{suffix}", sheets(2))
+    with (
+        open_document(path) as document,
+        raises(PageError, about="page", value=index + 1, allowed=2),
+    ):
+        document.page(index)
+
+
+@pytest.mark.parametrize(
+    ("text", "indexes"),
+    [
+        ("1", [0]),
+        ("1,3-5", [0, 2, 3, 4]),
+        (" 2 , 1 - 2 ", [1, 0, 1]),
+        ("11-", [10, 11]),
+        ("12-12", [11]),
+    ],
+)
+def test_pages_asked_for(text, indexes):
+    assert parse_pages(text, 12) == indexes
+
+
+@pytest.mark.parametrize(
+    ("text", "value", "more"),
+    [
+        *((each, each, {}) for each in ("", "one", "-3", "²", "1" * 5000)),
+        ("1,,2", "", {}),
+        ("0", 0, {"allowed": 12}),
+        ("1,13", 13, {"allowed": 12}),
+        ("3-999999999", 999_999_999, {"allowed": 12}),
+        ("5-3", (5, 3), {"remedy": "3-5"}),
+    ],
+)
+def test_what_is_no_page(text, value, more):
+    with raises(PageError, about="pages", value=value, **more):
+        parse_pages(text, 12)
+
+
+@given(st.lists(st.integers(1, 500), min_size=1, max_size=20))
+def test_any_pages_come_back(numbers):
+    assert parse_pages(",".join(map(str, numbers)), 500) == [number - 1 for number in numbers]

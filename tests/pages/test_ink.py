@@ -1,0 +1,126 @@
+"""Ink is told from paper in any light, and blank paper has none."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from skimage import data
+
+from smarttouch.pages.ink import is_light_on_dark, separate_ink
+
+from .printed import PAPERS, blank_papers, degrade, print_page, some_lines
+
+
+@pytest.fixture(scope="module")
+def printed():
+    return print_page(some_lines(12, 40), size_pt=11, dpi=150)
+
+
+def overlap(found, truth):
+    """Return the F measure of ink."""
+    return 2 * (found & truth).sum() / (found.sum() + truth.sum())
+
+
+MISTREATED = {
+    "clean": {},
+    "uneven": {"uneven": 0.9, "noise": 6},
+    "noise": {"noise": 20},
+    "jpeg": {"jpeg": 60},
+    "inverted": {"inverted": True, "uneven": 0.6, "noise": 5},
+}
+
+
+@pytest.mark.parametrize("case", MISTREATED)
+def test_the_same_ink_is_found_in_any_light(printed, case):
+    truth = printed.page.grey < 130
+    paper = separate_ink(degrade(printed, **MISTREATED[case]).page.grey)
+    assert overlap(paper.ink, truth) > 0.97
+    assert paper.light_on_dark == (case == "inverted")
+    # Paper becomes white, and ink black.
+    assert np.mean(paper.cleaned[printed.page.grey == printed.page.grey.max()] == 255) > 0.94
+    assert np.median(paper.cleaned[printed.page.grey < 40]) < 25
+
+
+def test_edges_keep_their_grades(printed):
+    cleaned = separate_ink(printed.page.grey).cleaned
+    grey = printed.page.grey
+    graded = (grey > 60) & (grey < 200)
+    assert np.corrcoef(grey[graded], cleaned[graded])[0, 1] > 0.98
+    assert len(np.unique(cleaned[graded])) > 50
+
+
+@pytest.mark.parametrize("contrast", [0.15, 0.3])
+def test_faint_print_is_found(printed, contrast):
+    grey = np.rint(190 - contrast * (235 - printed.page.grey.astype(float))).astype(np.uint8)
+    assert overlap(separate_ink(grey).ink, printed.page.grey < 130) > 0.9
+
+
+@given(
+    st.integers(70, 255),
+    st.floats(0, 15),
+    st.floats(0, 0.6),
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([None, False, True]),
+)
+def test_blank_paper_is_silent(level, noise, slope, seed, light_on_dark):
+    light = 1 - slope * np.linspace(0, 1, 90)
+    grain = np.random.default_rng(seed).normal(0, noise, (60, 90))
+    grey = np.clip(level * light + grain, 0, 255).astype(np.uint8)
+    paper = separate_ink(grey, light_on_dark)
+    assert not paper.ink.any()
+    assert paper.cleaned.min() == 255
+
+
+@pytest.mark.parametrize("light_on_dark", [None, False, True])
+def test_a_black_page_is_silent(light_on_dark):
+    grain = np.random.default_rng(0).normal(3, 2, (60, 90))
+    grey = np.clip(grain, 0, 255).astype(np.uint8)
+    assert not separate_ink(grey, light_on_dark).ink.any()
+
+
+@pytest.mark.parametrize("name", ["grass", "gravel"])
+def test_texture_is_no_ink(name):
+    assert not separate_ink(getattr(data, name)()).ink.any()
+
+
+def test_a_dark_table_around_a_page_is_neither_ink_nor_a_dark_page(printed):
+    photo = degrade(printed, perspective=0.1, noise=4)
+    paper = separate_ink(photo.page.grey)
+    assert not paper.light_on_dark
+    assert not paper.ink[:15, :15].any()
+    assert paper.cleaned[:15, :15].mean() > 245
+
+
+@pytest.mark.parametrize("inverted", [False, True])
+@pytest.mark.parametrize("picture", ["page", "print"])
+def test_light_on_dark_is_told(printed, picture, inverted):
+    grey = data.page() if picture == "page" else printed.page.grey
+    assert is_light_on_dark(255 - grey if inverted else grey) == inverted
+
+
+@pytest.mark.parametrize("shape", [(8, 8), (8, 300), (300, 8), (1, 50)])
+def test_any_shape_is_taken(shape):
+    grey = np.random.default_rng(0).integers(0, 256, shape).astype(np.uint8)
+    paper = separate_ink(grey)
+    assert paper.cleaned.shape == paper.ink.shape == shape
+
+
+@pytest.mark.parametrize("name", PAPERS)
+def test_paper_without_print_is_silent(name):
+    assert separate_ink(blank_papers()[name]).ink.mean() < 0.0005
+
+
+def test_what_shows_through_from_the_back_is_no_ink(printed):
+    front = printed.page.grey.astype(np.float32)
+    back = cv2.GaussianBlur(235 - front[:, ::-1], (0, 0), 1.5)
+    both = np.clip(np.minimum(front, 235 - 0.3 * back), 0, 255).astype(np.uint8)
+    assert overlap(separate_ink(both).ink, front < 130) > 0.95
+
+
+def test_a_large_headline_is_filled_and_a_dark_edge_is_not_ink():
+    grey = np.full((900, 1200), 235, np.uint8)
+    cv2.putText(grey, "IBM", (200, 500), cv2.FONT_HERSHEY_SIMPLEX, 10, 20, 90)
+    truth = grey < 128
+    grey[:, :100] = 25
+    assert overlap(separate_ink(grey).ink, truth) > 0.97

@@ -1,0 +1,66 @@
+"""Light print in dark panels of a page is found, and turned dark on light."""
+
+import cv2
+import numpy as np
+import pytest
+from skimage import data
+
+from smarttouch.pages.ink import separate_ink, turn_panels
+from smarttouch.pages.page_image import Page
+from smarttouch.pages.prepared_page import prepare_page
+from smarttouch.pages.text_lines import find_lines
+
+from .printed import print_page, some_lines
+
+
+@pytest.fixture(scope="module")
+def panel():
+    """Return a page with a dark panel of three lines in the middle, and where it is."""
+    printed = print_page(some_lines(11, 40), size_pt=11, dpi=150)
+    grey = printed.page.grey.copy()
+    y = [round(line.baseline_mm[0, 1] / printed.page.mm_per_pixel) for line in printed.lines]
+    box = np.s_[y[3] + 9 : y[6] + 9, 50:-50]
+    grey[box] = 260 - grey[box].astype(int)
+    return Page(grey, printed.page.mm_per_pixel), box
+
+
+@pytest.mark.parametrize("light_on_dark", [False, True])
+def test_lines_of_either_polarity_are_found(panel, light_on_dark):
+    page, _ = panel
+    grey = 255 - page.grey if light_on_dark else page.grey
+    assert len(find_lines(Page(grey, page.mm_per_pixel), light_on_dark)) == 11
+
+
+def test_a_panel_becomes_dark_on_light(panel):
+    page, box = panel
+    paper = turn_panels(separate_ink(page.grey))
+    assert 0.03 < paper.ink[box].mean() < 0.3
+    assert np.mean(paper.cleaned[box] > 250) > 0.7
+    prepared = prepare_page(page)
+    strips = [prepared.strip(index, 32) for index in range(11)]
+    assert all(np.mean(strip < 128) < 0.4 for strip in strips)
+
+
+def test_a_window_in_a_panel_stays_as_it_is(panel):
+    page, box = panel
+    grey = np.pad(page.grey, ((0, 420), (0, 0)), constant_values=235)
+    grey[-400:-20, 50:-50] = 25
+    grey[-380:-340, 60:400] = 260 - page.grey[box][5:45, :340].astype(int)
+    grey[-300:-60, 100:-100] = 235
+    paper = turn_panels(separate_ink(grey))
+    assert not paper.ink[-295:-65, 105:-105].any()
+
+
+@pytest.mark.parametrize("size", [3, 8])
+def test_large_letters_are_no_panels(size):
+    grey = np.full((500, 1600), 235, np.uint8)
+    cv2.putText(grey, "BOB8%", (30, 300), cv2.FONT_HERSHEY_SIMPLEX, size, 20, 8 * size)
+    paper = separate_ink(grey)
+    assert turn_panels(paper) is paper
+
+
+def test_a_picture_is_no_panel():
+    page = print_page(some_lines(8, 40), size_pt=11, dpi=150).page
+    grey = np.pad(page.grey, ((330, 0), (0, 0)), constant_values=235)
+    grey[30:300, 60:330] = cv2.resize(data.camera(), (270, 270))
+    assert 8 <= len(find_lines(Page(grey, page.mm_per_pixel))) <= 9

@@ -1,0 +1,53 @@
+"""Lines of scripts that are not Latin are found, and what is felt of them is whole."""
+
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from PIL import Image, ImageDraw, ImageFont, features
+
+from smarttouch.pages.page_image import Page
+from smarttouch.pages.prepared_page import prepare_page
+
+DPI = 150
+DEJAVU = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
+FREE = Path("/usr/share/fonts/truetype/freefont/FreeSerif.ttf")
+GOTHIC = Path("/usr/share/fonts/opentype/ipafont-gothic/ipag.ttf")
+SCRIPTS = {
+    "Arabic": (DEJAVU, "يضع الانسان يده على الورق فيعرف ان كان خشنا او ناعما"),
+    "Hebrew": (DEJAVU, "האדם מניח את ידו על הנייר ויודע אם הוא חלק או גס"),
+    "Greek": (DEJAVU, "ο άνθρωπος βάζει το χέρι του πάνω στο χαρτί"),
+    "Cyrillic": (DEJAVU, "человек кладет руку на бумагу и знает гладкая ли она"),
+    "Devanagari": (FREE, "मनुष्य कागज पर हाथ रखता है और जानता है कि वह चिकना है"),
+    "Japanese": (GOTHIC, "指 で 紙 に 触 れ る と 滑 ら か か 粗 い か が す ぐ に 分 か る"),
+}
+"""Font, and words that are shuffled for each line."""
+
+
+@pytest.mark.parametrize("script", SCRIPTS)
+def test_lines_of_a_script_are_found_and_whole(script):
+    path, text = SCRIPTS[script]
+    if not path.exists():
+        pytest.skip(f"no font for {script}: {path}")
+    if script in ("Arabic", "Devanagari") and not features.check("raqm"):
+        pytest.skip("Pillow has no raqm, which joins letters")
+    font = ImageFont.truetype(str(path), 12 * DPI / 72)
+    random, words = np.random.default_rng(1), text.split()
+    space = "" if script == "Japanese" else " "
+    sheet = Image.new("L", (900, 340), 235)
+    draw = ImageDraw.Draw(sheet)
+    boxes = []
+    for row in range(7):
+        line = space.join(random.permutation(words))
+        draw.text((60, 60 + 38 * row), line, font=font, fill=25, anchor="ls")
+        boxes.append(draw.textbbox((60, 60 + 38 * row), line, font=font, anchor="ls"))
+    prepared = prepare_page(Page(np.asarray(sheet), 25.4 / DPI))
+    assert len(prepared.lines) == 7
+    for line, box in zip(prepared.lines, boxes, strict=True):
+        left, top, right, bottom = (edge / DPI * 25.4 for edge in box)
+        assert line.left_mm < left + 3
+        assert line.right_mm > right - 3
+        height = bottom - top
+        assert line.top_mm < top + 0.2 * height
+        assert line.bottom_mm > bottom - 0.3 * height

@@ -1,0 +1,104 @@
+"""Skewed, turned and photographed pages become straight; straight ones stay as they are."""
+
+import cv2
+import numpy as np
+import pytest
+from skimage import data
+
+from smarttouch.pages.page_image import Page
+from smarttouch.pages.straighten import find_sheet, straighten
+from smarttouch.pages.text_lines import find_lines
+
+from ..said import numbers_in
+from .printed import degrade, print_page, some_lines
+
+
+@pytest.fixture(scope="module")
+def printed():
+    return print_page(some_lines(16, 50), size_pt=11, dpi=150)
+
+
+def assert_level(page):
+    """Assert that all long lines of a page are level."""
+    lines = [line for line in find_lines(page, None) if line.right_mm - line.left_mm > 40]
+    assert len(lines) >= 10
+    rises = [np.diff(line.baseline_mm(np.array([line.left_mm, line.right_mm]))) for line in lines]
+    lengths = [line.right_mm - line.left_mm for line in lines]
+    slopes_deg = np.degrees(np.arctan(np.ravel(rises) / lengths))
+    assert np.abs(slopes_deg).max() < 0.35
+    assert abs(np.median(slopes_deg)) < 0.12
+
+
+@pytest.mark.parametrize(
+    ("skew_deg", "inverted"),
+    [(-14, True), (-3, False), (-0.5, True), (0.5, False), (2, True), (8, False), (14.5, False)],
+)
+def test_skew_is_turned_back(printed, skew_deg, inverted):
+    tilted = degrade(printed, skew_deg=skew_deg, inverted=inverted, noise=5).page
+    page, notes = straighten(tilted)
+    assert_level(page)
+    (note,) = notes
+    assert numbers_in(note) == [pytest.approx(abs(skew_deg), abs=0.15)]
+
+
+@pytest.mark.parametrize("skew_deg", [0, 0.1, -0.1])
+def test_a_straight_page_is_left_alone(printed, skew_deg):
+    tilted = degrade(printed, skew_deg=skew_deg, noise=5).page
+    page, notes = straighten(tilted)
+    assert page is tilted
+    assert notes == []
+
+
+@pytest.mark.parametrize("quarters", [1, 3])
+def test_text_that_runs_down_the_page_is_turned(printed, quarters):
+    turned = np.ascontiguousarray(np.rot90(degrade(printed, skew_deg=2).page.grey, quarters))
+    page, notes = straighten(Page(turned, printed.page.mm_per_pixel))
+    assert page.grey.shape[0] < page.grey.shape[1]
+    assert [numbers_in(note) for note in notes] == [[90], [pytest.approx(2, abs=0.15)]]
+    assert_level(page)
+
+
+@pytest.mark.parametrize("lines", [["one quick line of words"], ["illicit tilt", "still it"]])
+def test_little_text_is_not_turned_by_guess(lines):
+    page = print_page(lines, size_pt=12, dpi=150).page
+    assert straighten(page) == (page, [])
+
+
+@pytest.mark.parametrize("name", ["camera", "coins", "grass", "moon"])
+def test_pictures_are_left_alone(name):
+    page = Page(getattr(data, name)(), 0.2)
+    assert straighten(page)[0] is page
+
+
+@pytest.mark.parametrize(
+    ("perspective", "light"),
+    [(0.05, {}), (0.2, {"uneven": 0.6, "noise": 5}), (0.05, {"uneven": 0.9}),
+     (0.2, {"uneven": 0.9})],
+)  # fmt: skip
+def test_a_sheet_on_a_table_is_laid_flat(printed, perspective, light):
+    photo = degrade(printed, perspective=perspective, skew_deg=2, **light)
+    page, notes = straighten(photo.page)
+    assert find_sheet(photo.page.grey) is not None
+    # Of a tilt the note would have its degrees.
+    assert numbers_in(notes[0]) == []
+    assert_level(page)
+    width, height = printed.page.size_mm
+    assert page.size_mm[0] / page.size_mm[1] == pytest.approx(width / height, rel=0.2)
+
+
+def test_the_corners_are_those_of_the_sheet():
+    grey = np.full((400, 500), 60, np.uint8)
+    corners = np.array([[60, 40], [430, 70], [450, 350], [40, 330]])
+    cv2.fillPoly(grey, [corners.astype(np.int32)], 230)
+    assert find_sheet(grey) == pytest.approx(corners, abs=3)
+
+
+def test_what_is_no_sheet():
+    grey = np.full((400, 500), 60, np.uint8)
+    assert find_sheet(grey) is None
+    assert find_sheet(np.full((400, 500), 230, np.uint8)) is None
+    cv2.circle(grey, (250, 200), 150, 230, -1)
+    assert find_sheet(grey) is None
+    band = np.full((400, 500), 230, np.uint8)
+    band[:, :80] = 60
+    assert find_sheet(band) is None, "one dark edge is that of a scanner"

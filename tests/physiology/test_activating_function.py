@@ -1,0 +1,155 @@
+"""The AF matrix: signs, superposition, every shape of electrode, and the axon's ending."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import DesignError
+from smarttouch.physiology.activating_function import (
+    af_matrix,
+    everywhere,
+    field,
+    potential_mv,
+    targets,
+)
+from smarttouch.profile import list_profiles, load_profile
+
+from ..close import assert_close
+from ..raising import raises
+
+LAYERS = [
+    {"name": "stratum corneum", "thickness_mm": 0.3, "conductivity_s_per_m": 0.02},
+    {"name": "epidermis and dermis", "thickness_mm": 1.2, "conductivity_s_per_m": 0.43},
+    {"name": "fat", "conductivity_s_per_m": 0.025},
+]
+
+
+@pytest.mark.parametrize("name", list_profiles())
+@pytest.mark.parametrize("afferent", list(Afferent))
+def test_shape_and_sign_at_the_target(name, afferent):
+    profile = load_profile(name)
+    matrix = af_matrix(profile, targets(profile, afferent))
+    count = len(profile.electrodes)
+    assert matrix.shape == (count, count)
+    own = np.diag(matrix)
+    assert np.all(own < 0) if afferent is Afferent.RA else np.all(own > 0)
+
+
+def test_superposition_is_linear_in_conductivity(profile, changed):
+    half = changed(profile, {"skin.conductivity_s_per_m": 0.215})
+    nodes = targets(profile, Afferent.SAI)
+    assert af_matrix(half, nodes) == pytest.approx(2 * af_matrix(profile, nodes))
+
+
+def test_the_paper_s_own_matrix():
+    """Eq. 3, 5 and 9 by hand: the SAI target under the middle of seven lines."""
+    profile = load_profile("line-7")
+    row = af_matrix(profile, targets(profile, Afferent.SAI))[3]
+    x = np.arange(-3, 4)
+    expected = (0.81 - x**2) / (0.81 + x**2) ** 2 / (2 * np.pi * 0.43 * 10)
+    assert row == pytest.approx(expected)
+
+
+def test_an_infinite_medium_has_half_the_field(profile, changed):
+    infinite = changed(profile, {"skin.medium": "infinite"})
+    nodes = everywhere(profile, Afferent.PC)
+    half = af_matrix(profile, nodes) / 2
+    assert_close(af_matrix(infinite, nodes), half)
+
+
+def test_every_shape_on_every_medium_it_goes_with(profile, changed, layered):
+    free = {"layout": "free", "positions_mm": [[0, 0], [2, 0], [1, 1.7]]}
+    media = [
+        profile, changed(profile, {"skin.medium": "infinite"}), layered(profile, LAYERS)
+    ]  # fmt: skip
+    shapes = {"point": [0, 0], "disc": [1, 0], "annulus": [1, 0.5], "rectangle": [0.5, 10]}
+    for shape, size in shapes.items():
+        for medium in media:
+            mine = changed(medium, {"array": free | {"shape": shape, "size_mm": size}})
+            nodes = targets(mine, Afferent.SAI)
+            if shape == "rectangle" and medium is media[2]:
+                allowed = ("half-space",)
+                with raises(DesignError, about="skin.medium", value="layered", allowed=allowed):
+                    af_matrix(mine, nodes)
+            else:
+                assert np.all(np.diag(af_matrix(mine, nodes)) > 0)
+
+
+def test_layers_of_one_conductivity_are_the_half_space(profile, layered):
+    same = layered(profile, [layer | {"conductivity_s_per_m": 0.43} for layer in LAYERS])
+    for afferent in Afferent:
+        nodes = everywhere(profile, afferent)
+        one, other = af_matrix(profile, nodes), af_matrix(same, nodes)
+        np.testing.assert_allclose(other, one, rtol=1e-4, atol=1e-6 * np.abs(one).max())
+
+
+def test_an_active_ending_is_mcneal_s_end_node(profile, changed):
+    active = changed(profile, {"skin.ra_ending": "active"})
+    nodes, step = targets(active, Afferent.RA), active.skin.internode_mm
+    potentials = [
+        field(active.electrodes, active.skin, nodes.position_mm, 0.7 + down) for down in (0, step)
+    ]
+    (end, scale), (next_one, _) = potentials
+    expected = scale * (next_one.potential - end.potential) / step**2
+    assert af_matrix(active, nodes) == pytest.approx(expected)
+
+
+def test_depth_selection_of_figure_9():
+    """Anodes around a cathode: the AF is gone in the deep. Cathodes around it: it reaches there."""
+    profile = load_profile("line-7")
+    flat = targets(profile, Afferent.SAI)
+    shallow, deep = (af_matrix(profile, replace(flat, depth_mm=each))[3] for each in (0.7, 2.0))
+    alone, narrow, broad = (
+        np.array([0, 0, beside, 1, beside, 0, 0]) for beside in (0.0, -0.5, 1.0)
+    )
+    lone, narrowed, broadened = (deep @ w / (shallow @ w) for w in (alone, narrow, broad))
+    assert narrowed < 0.6 * lone
+    assert broadened > 2 * lone
+
+
+def test_orientation_selection_of_figure_10():
+    """The same place, the other polarity: flat axons against rising ones (Laplace's equation)."""
+    profile = load_profile("line-7")
+    depth = replace(targets(profile, Afferent.SAI), depth_mm=0.8)
+    flat = af_matrix(profile, depth)
+    rising = af_matrix(profile, replace(depth, direction=np.array([[0.0, 0.0, 1.0]])))
+    assert rising == pytest.approx(-flat)
+    assert flat[3, 3] > 0
+
+
+MIXED = {
+    "layout": "free",
+    "positions_mm": [[0, 0], [0, 0], [6, 1], [9, 1]],
+    "shapes": ["disc", "annulus", "rectangle", "disc"],
+    "sizes_mm": [[1.0, 0], [8.0, 6.0], [0.5, 2.0], [1.0, 0]],
+}
+
+
+def test_an_array_of_several_shapes_has_the_fields_of_each(profile, changed):
+    mixed = changed(profile, {"array": MIXED})
+    nodes = everywhere(mixed, Afferent.SAI)
+    whole = af_matrix(mixed, nodes)
+    for index, (shape, size) in enumerate(zip(MIXED["shapes"], MIXED["sizes_mm"], strict=True)):
+        one = {"layout": "free", "positions_mm": MIXED["positions_mm"], "shape": shape}
+        one["positions_mm"] = [[x + 0.01 * k, y] for k, (x, y) in enumerate(MIXED["positions_mm"])]
+        alone = replace(
+            changed(profile, {"array": one | {"size_mm": size}}).electrodes,
+            position_mm=mixed.electrodes.position_mm[[index, (index + 2) % 4]],
+        )
+        found, scale = field(alone, mixed.skin, nodes.position_mm, nodes.depth_mm)
+        expected = np.concatenate([found.along(each)[:, 0] for each in nodes.direction])
+        assert whole[:, index] == pytest.approx(scale * expected)
+
+
+@pytest.mark.parametrize("depth_mm", [0.3, 0.9, 2.0])
+def test_a_ring_s_potential_is_that_of_its_spectrum(profile, changed, depth_mm):
+    array = {"layout": "free", "positions_mm": [[0, 0], [20, 0]], "shape": "annulus"}
+    rings = changed(profile, {"array": array | {"size_mm": [8.0, 6.0]}})
+    place = (
+        np.column_stack([np.linspace(0, 12, 25), np.zeros(25)]) + rings.electrodes.position_mm[0]
+    )
+    found, scale = field(rings.electrodes, rings.skin, place, depth_mm)
+    points = np.column_stack([place, np.full(25, depth_mm)])
+    assert potential_mv(rings, points) == pytest.approx(1000 * scale * found.potential, rel=2e-3)

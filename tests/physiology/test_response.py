@@ -1,0 +1,78 @@
+"""Feelings of steps and sequences, and their pictures in notebooks."""
+
+import numpy as np
+import pytest
+
+import smarttouch as st
+from smarttouch.base.afferent import CLASS_COLORS, Afferent
+from smarttouch.physiology.response import distinct_slots, fire_all
+from smarttouch.physiology.spikes import SpikeModel
+
+
+@pytest.fixture(scope="module")
+def finger():
+    return st.Finger(st.load_profile("electric-mouse"), seed=1, anatomy="paper")
+
+
+@pytest.fixture(scope="module")
+def steps(finger):
+    source = st.open_source("text:TTTT", finger.profile, speed_mm_s=30)
+    return list(st.steps(source, finger.profile, seconds=2.5))
+
+
+def strongest(steps):
+    """Return the step of most slots among those of the highest level, which pulses open."""
+    return max(steps, key=lambda step: (step.sequence.intensity, step.sequence.slots))
+
+
+def test_steps_sequences_and_lists_of_them_feel_the_same(finger, steps):
+    strong = strongest(steps)
+    one, bare, several = (finger.feel(each) for each in (strong, strong.sequence, [strong]))
+    for other in (bare, several):
+        np.testing.assert_array_equal(one.counts, other.counts)
+    assert one.counts.sum() > 0
+    assert (one.wanted, bare.wanted) == ((Afferent.RA,), tuple(Afferent))
+    np.testing.assert_array_equal(one.active, strong.tactile.activation.any(axis=0))
+    # What is too faint for a pulse is in no sequence.
+    assert not (bare.active & ~one.active).any()
+    assert bare.active.any()
+    assert bare.felt.wrong_class == 0
+    assert one.felt.spikes == one.counts.sum()
+
+
+def test_a_list_is_one_stretch_of_time(finger, steps):
+    """Refractoriness goes on from sequence to sequence, and equal slots are computed once."""
+    feeling = finger.feel(steps, seed=3)
+    model = SpikeModel(finger, 3)
+    for step, spikes in zip(steps, feeling.spikes, strict=True):
+        alone = model.fire(step.sequence)
+        np.testing.assert_array_equal(spikes.time_us, alone.time_us)
+        # One product of a matrix and another differ in the last digit.
+        assert np.count_nonzero(spikes.fired != alone.fired) <= 2
+    np.testing.assert_array_equal(feeling.counts, finger.feel(steps, seed=3).counts)
+
+
+def test_nothing_is_felt_of_nothing(finger):
+    feeling = finger.feel([])
+    assert feeling.spikes == ()
+    assert feeling.felt.spikes == 0
+    assert list(fire_all(SpikeModel(finger), [])) == []
+
+
+def test_distinct_slots_give_all_slots_back():
+    random = np.random.default_rng(1)
+    current = random.integers(-1, 2, (60, 2)).astype(np.int16)
+    width = random.choice([99.5, 100.0], 60)
+    first, which = distinct_slots(current, width)
+    np.testing.assert_array_equal(current[first][which], current)
+    np.testing.assert_array_equal(width[first][which], width)
+    assert len(first) == 18
+
+
+def test_it_shows_itself_in_notebooks(finger, steps):
+    strong = strongest(steps)
+    shown, quiet = finger.feel(strong)._repr_html_(), finger._repr_html_()
+    for picture in (shown, quiet):
+        assert all(color in picture for color in CLASS_COLORS.values())
+        assert picture.count("<circle") == len(finger.classes) + len(finger.profile.electrodes)
+    assert str(finger.feel(strong).felt.spikes) in shown

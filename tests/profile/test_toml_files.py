@@ -1,0 +1,90 @@
+"""Profiles are found by name or file."""
+
+import math
+
+import numpy as np
+import pytest
+
+from smarttouch.base.electrodes import KAJIMOTO_61_ROWS
+from smarttouch.base.errors import ProfileError
+from smarttouch.base.files import data_folder
+from smarttouch.profile import list_profiles, load_profile
+
+from ..raising import raises
+from .shipped import SHIPPED
+
+
+def test_all_are_shipped():
+    assert set(list_profiles()) == set(SHIPPED)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped(name):
+    profile = load_profile(name)
+    assert len(profile.electrodes) == SHIPPED[name] == len(profile.threshold_ma)
+    distance = profile.electrodes.distance_mm + np.eye(SHIPPED[name]) * 1e9
+    assert distance.min() == pytest.approx(profile.electrodes.pitch_mm)
+    assert profile.electrodes.position_mm.mean(axis=0) == pytest.approx([0, 0])
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_files_say_what_they_are(name):
+    assert (data_folder("calibration") / f"{name}.toml").read_text(encoding="utf-8")[0] == "#"
+
+
+def test_hexagon_order_is_the_board_s():
+    """Index rises as x falls and as y falls (y up): 0 at (.5, .866), 60 at (-.5, -.866)."""
+    electrodes = load_profile("kajimoto-61").electrodes
+    unit = electrodes.position_mm / (4 * electrodes.pitch_mm) * [1, -1]
+    assert unit[0] == pytest.approx([0.5, math.sqrt(3) / 2])
+    assert unit[30] == pytest.approx([0, 0])
+    assert unit[60] == pytest.approx([-0.5, -math.sqrt(3) / 2])
+    assert sum(KAJIMOTO_61_ROWS) == 61
+
+
+def test_a_file_of_one_s_own(edited):
+    assert load_profile(edited(("rows = 8", "rows = 4"))).array.rows == 4
+
+
+def test_what_is_known_of_a_board(edited):
+    keys = f"masked = [63, 3]\nwiring = {list(range(100, 164))}\nua_per_count = 9.7\n[optics]"
+    profile = load_profile(edited(("[optics]", keys)))
+    assert profile.driven.tolist() == [each for each in range(64) if each not in (3, 63)]
+    assert profile.output.wiring[63] == 163
+    assert profile.output.ua_per_count == 9.7
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_ones_drive_every_electrode(name):
+    assert len(load_profile(name).driven) == SHIPPED[name]
+
+
+def test_no_toml(edited):
+    path = edited(("[array]", "[array"))
+    with raises(ProfileError, about="file", value=path) as caught:
+        load_profile(path)
+    assert str(path) in str(caught.value)
+
+
+def test_unknown_name():
+    names = tuple(list_profiles())
+    with raises(ProfileError, about="profile", value="nothing", allowed=names) as caught:
+        load_profile("nothing")
+    assert all(name in str(caught.value) for name in ("nothing", *SHIPPED))
+
+
+def test_not_text(tmp_path):
+    path = tmp_path / "x.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with raises(ProfileError, about="file", value=path):
+        load_profile(path)
+
+
+def test_a_layer_without_end_is_kept_in_a_recording(changed, profile):
+    layers = [{"conductivity_s_per_m": 0.1, "thickness_mm": 1.0}, {"conductivity_s_per_m": 0.3}]
+    layered = changed(
+        profile,
+        {"skin.medium": "layered", "skin.layers": layers, "skin.conductivity_s_per_m": None},
+    )
+    assert layered.skin.layers[-1].thickness_mm == math.inf
+    assert type(profile).model_validate_json(layered.model_dump_json()) == layered

@@ -1,0 +1,240 @@
+"""Texts, images, documents and files of cells, each as what it is."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from smarttouch.base.errors import ReadingError, SmartTouchError
+from smarttouch.braille.cells import BLANK
+from smarttouch.imaging.array_window import profile_for_reading
+from smarttouch.pages.prepared_page import print_text
+from smarttouch.profile import load_profile
+from smarttouch.reading.braille_lines import Braille, Presentation
+from smarttouch.reading.letter_shapes import Shapes, Style, thin
+from smarttouch.reading.material import EmptyPages, ReadingMaterial, RecognitionOptions
+
+from ..raising import raises
+
+
+@pytest.fixture
+def notes():
+    return []
+
+
+@pytest.fixture
+def source_of(tmp_path, notes):
+    """Return a maker of sources: a text, or pages that are given as texts and blanks."""
+
+    def make(name, *pages, **how):
+        if pages:
+            images = [
+                Image.fromarray(
+                    print_text(each).grey if each else np.full((700, 1000), 235, np.uint8)
+                )
+                for each in pages
+            ]
+            images[0].save(tmp_path / name, save_all=True, append_images=images[1:])
+            name = str(tmp_path / name)
+        return ReadingMaterial(name, RecognitionOptions(**how), notes.append)
+
+    return make
+
+
+def test_a_text_is_printed_and_found_again(source_of, reading):
+    lines = list(Shapes().lines(source_of("text:Three lines\nof print\nare here"), reading))
+    assert len(lines) == 3
+    for line in lines:
+        assert line.image.shape[0] == reading.optics.sensor_rows
+        assert line.image.min() < 40
+        assert line.start_mm == -8
+        assert line.end_mm > 40
+
+
+def test_lines_of_one_print_are_equally_large(source_of, reading):
+    scales = {
+        round(line.place.scale, 2)
+        for line in Shapes().lines(source_of("text:with gaps high\nno such one\nTOP Lid"), reading)
+    }
+    assert max(scales) / min(scales) < 1.05
+
+
+@pytest.mark.parametrize("words", ["I", "HHH", "o", ".", "1 + 1 = 2"])
+def test_nothing_is_too_short_to_be_felt(source_of, reading, words):
+    (line,) = Shapes().lines(source_of(f"text:{words}"), reading)
+    assert (line.image < 128).any()
+
+
+def test_a_printed_line_fills_the_array_from_ascender_to_descender(source_of, reading):
+    (line,) = Shapes().lines(source_of("text:dp"), reading)
+    rows = np.flatnonzero((line.image < 128).any(axis=1))
+    assert rows[0] <= 3
+    assert rows[-1] >= reading.optics.sensor_rows - 4
+
+
+def test_a_line_knows_how_much_larger_it_is_than_on_its_page(source_of, reading):
+    source = source_of("text:dp and more")
+    (line,) = Shapes().lines(source, reading)
+    (page,) = source.prepared()
+    array_mm = reading.electrodes.extent_mm[1]
+    assert line.place.scale == pytest.approx(array_mm / page.lines[0].height_mm)
+    on_page_mm = line.place.right_mm - line.place.left_mm
+    width_mm = line.end_mm - line.start_mm - reading.optics.field_width_mm
+    assert width_mm / line.place.scale == pytest.approx(on_page_mm, rel=0.02)
+
+
+def test_optics_and_their_registration_play_no_part(profile):
+    optics = profile.optics.model_copy(
+        update={"rotation_deg": 30.0, "offset_x_mm": 1.0, "offset_y_mm": 2.0, "flat_field": "x",
+                "homography": (1.0, 0, 0, 0, 1.0, 0, 0, 0, 1.0)}
+    )  # fmt: skip
+    odd = profile_for_reading(profile.model_copy(update={"optics": optics}))
+    assert odd.optics == profile_for_reading(profile).optics
+    assert odd.optics.field_height_mm == pytest.approx(profile.electrodes.extent_mm[1])
+
+
+def test_few_rows_are_told_of_and_fewer_are_refused(source_of, notes):
+    four = profile_for_reading(load_profile("smarttouch-4x4"))
+    assert list(Shapes().lines(source_of("text:hi"), four))
+    assert len(notes) == 1
+    assert "smarttouch-4x4" in notes[0]
+    assert "4 rows" in notes[0]
+    assert "Braille" in notes[0]
+    with raises(ReadingError, about="profile", value=1, allowed=4):
+        list(Shapes().lines(source_of("text:hi"), profile_for_reading(load_profile("line-7"))))
+
+
+def test_a_long_text_file_is_printed_in_parts(tmp_path, reading):
+    (tmp_path / "long.txt").write_text("\n".join(f"line number {each}" for each in range(30)))
+    source = ReadingMaterial(str(tmp_path / "long.txt"))
+    assert [len(page.lines) for page in source.prepared()] == [20, 10]
+    assert len(list(Shapes().lines(source, reading))) == 30
+
+
+def test_pages_come_in_the_order_asked_for(source_of, reading):
+    source = source_of("three.tif", "wide wide wide", "n", "words here", pages="2,1")
+    lengths = [line.end_mm for line in Shapes().lines(source, reading)]
+    assert len(lengths) == 2
+    assert lengths[0] < lengths[1]
+
+
+def test_blank_pages_are_told_of(source_of, reading, notes):
+    source = source_of("three.tif", "some words", "", "and more")
+    assert len(list(Shapes().lines(source, reading))) == 2
+    (note,) = notes
+    assert note.endswith("page 2")
+
+
+def test_where_nothing_is_found_it_says_so(source_of, reading):
+    for kind in (Shapes(), Braille(embossed=False)):
+        with raises(ReadingError, about="page"):
+            list(kind.lines(source_of("two.tif", "", ""), reading))
+
+
+def test_a_picture_is_no_text(tmp_path, reading):
+    from skimage import data
+
+    Image.fromarray(data.astronaut()).save(tmp_path / "who.png")
+    with raises(ReadingError, about="page"):
+        list(Shapes().lines(ReadingMaterial(str(tmp_path / "who.png")), reading))
+
+
+def test_empty_pages_count_only_where_others_are_not(notes):
+    empty = EmptyPages(notes.append)
+    empty.add(1, False)
+    empty.add(2, True)
+    empty.add(3, False)
+    empty.conclude()
+    (note,) = notes
+    assert note.endswith("page 1, 3")
+
+
+def test_light_print_is_felt_as_print(tmp_path, reading):
+    dark = print_text("light words")
+    Image.fromarray(255 - dark.grey).save(tmp_path / "light.png")
+    Image.fromarray(dark.grey).save(tmp_path / "dark.png")
+    light_line, dark_line = (
+        next(Shapes().lines(ReadingMaterial(str(tmp_path / name)), reading))
+        for name in ("light.png", "dark.png")
+    )
+    assert light_line.image.shape == dark_line.image.shape
+    assert np.abs(light_line.image.astype(int) - dark_line.image).mean() < 12
+
+
+def test_thinned_strokes_are_as_wide_as_the_nib(source_of, reading):
+    bold = next(Shapes(Style.GRADED).lines(source_of("text:HHH"), reading)).image
+    thinned = next(Shapes(Style.THINNED).lines(source_of("text:HHH"), reading)).image
+    assert bold.shape == thinned.shape
+    # Across the upper half of an H there are its two stems.
+    row = thinned[thinned.shape[0] // 4] < 128
+    runs = np.diff(np.flatnonzero(np.diff(row.astype(int), prepend=0, append=0)))[::2]
+    assert (np.abs(runs - 7) <= 1).all()
+
+
+def test_thinning_keeps_a_hole_open():
+    ring = np.full((64, 64), 255, np.uint8)
+    ring[8:56, 8:56] = 0
+    ring[26:38, 26:38] = 255
+    assert thin(ring)[32, 32] == 255
+    assert thin(np.full((64, 64), 255, np.uint8)).min() == 255
+
+
+def test_words_and_cells_are_told_apart(tmp_path, reading):
+    (tmp_path / "a.brf").write_bytes(b"AB\r\n")
+    (tmp_path / "a.txt").write_text("ab")
+    assert ReadingMaterial(str(tmp_path / "a.brf")).holds_cells
+    assert ReadingMaterial(str(tmp_path / "a.brf")).words is None
+    assert ReadingMaterial(str(tmp_path / "a.txt")).words == "ab"
+    assert ReadingMaterial("text:it is in a.brf").words == "it is in a.brf"
+    assert not ReadingMaterial("text:it is in a.brf").holds_cells
+    for name in ("a.brf", "a.txt"):
+        lines = list(Braille().lines(ReadingMaterial(str(tmp_path / name)), reading))
+        assert [line.cells for line in lines] == [("⠁⠃",)]
+    with raises(ReadingError, about="kind", allowed="Braille"):
+        list(Shapes().lines(ReadingMaterial(str(tmp_path / "a.brf")), reading))
+
+
+def test_lines_of_braille_know_what_they_say(source_of, reading):
+    lines = list(Braille().lines(source_of("text:ab\n\nc"), reading))
+    assert [(line.cells, line.text) for line in lines] == [(("⠁⠃",), "ab"), (("⠉",), "c")]
+    # On paper they would be a centimeter apart.
+    assert lines[1].place.middle_mm - lines[0].place.middle_mm == 20.0
+
+
+def test_several_lines_at_once(source_of, reading):
+    lines = list(Braille(at_once=2).lines(source_of("text:a\nb\nc"), reading))
+    assert [line.cells for line in lines] == [("⠁", "⠃"), ("⠉",)]
+
+
+def test_characters_without_cells_are_left_out_and_named(source_of, reading, notes):
+    lines = list(Braille().lines(source_of("text:a漢b"), reading))
+    assert lines[0].cells == ("⠁⠃",)
+    assert "漢" in notes[0]
+
+
+def test_eight_dots_where_they_are_needed(source_of, reading):
+    eight = next(Braille().lines(source_of("text:⣿⠿"), reading))
+    assert eight.cells == ("⣿⠿",)
+    assert Braille().layout(reading, eight.cells).eight
+    assert not Braille().layout(reading, ("⠿",)).eight
+
+
+def test_a_cell_stays_as_long_as_a_line_takes_to_move_on_by_one(reading):
+    line = Braille(presentation=Presentation.LINE).motion(reading, 30.0)
+    cell = Braille(presentation=Presentation.CELL).motion(reading, 30.0)
+    assert (line.step_mm, line.gaps, cell.gaps) == (2.0, False, True)
+    assert cell.step_mm / cell.speed_mm_s == pytest.approx(6.0 / 30.0)
+
+
+def test_blank_cells_alone_are_nothing_to_read(source_of, reading):
+    with raises(SmartTouchError, about="text"):
+        list(Braille().lines(source_of(f"text:{BLANK}"), reading))
+
+
+def test_a_file_of_any_name_is_what_it_holds(source_of, tmp_path, reading):
+    (tmp_path / "notes.md").write_text("Go")
+    text = source_of(str(tmp_path / "notes.md"))
+    assert (text.words, text.holds_cells) == ("Go", False)
+    assert [line.text for line in Braille().lines(text, reading)] == ["Go"]
+    assert [line.text for line in Braille().lines(source_of("text:a.md"), reading)] == ["a.md"]
+    with raises(SmartTouchError, about="file"):
+        _ = source_of(str(tmp_path)).words

@@ -1,0 +1,144 @@
+"""Steps of real runs, and recordings of them."""
+
+import tracemalloc
+from dataclasses import asdict, replace
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from smarttouch.running import recorder as writer_module
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.recorder import RecordingWriter, about_run
+from smarttouch.running.step import StepResult
+from smarttouch.sources.source_contract import Frame, Pose
+from smarttouch.stimulation.pulse_rates import ScanTiming
+
+STARTED_NS = 1_700_000_000 * 10**9
+
+
+@pytest.fixture(scope="session")
+def goldens():
+    """The recordings that are kept."""
+    found = sorted((Path(__file__).parent / "goldens").glob("*.mcap"))
+    assert len(found) >= 4
+    return found
+
+
+@pytest.fixture(scope="session")
+def golden(goldens):
+    """Return a finder of goldens by their names."""
+    return {path.stem: path for path in goldens}.__getitem__
+
+
+@pytest.fixture
+def cut(recording, tmp_path):
+    """The short recording without its end."""
+    path = tmp_path / "cut.mcap"
+    path.write_bytes(recording.read_bytes()[:-3000])
+    return path
+
+
+@pytest.fixture(scope="session")
+def settings():
+    """Settings of a plain run."""
+    return {
+        "mode": "RA", "rate_hz": None, "light_on_dark": False, "softness": None, "hold": None,
+        "balance": False, "timing": asdict(ScanTiming()), "compliance_v": None,
+        "subject": "S7", "sensor": "bars", "board": "memory:",
+    }  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def about(profile, settings):
+    return about_run(profile, settings, STARTED_NS)
+
+
+@pytest.fixture(scope="session")
+def make_steps(profile, bank):
+    """Return a maker of steps: a bar that moves under a finger, each image seen twice."""
+
+    def make(count, period_ns=20_000_000):
+        pipeline, rng = Pipeline(profile, bank, RunConfig(scan="points")), np.random.default_rng(1)
+        made = []
+        for index in range(count):
+            if index % 2 == 0:
+                image = np.full((64, 64), 215, np.uint8)
+                image[:, (first := index % 50) : first + 12] = 30
+                image += rng.integers(0, 6, image.shape, np.uint8)
+            frame = Frame(image, index * period_ns, Pose(0.1 * index, 2.0), 1 / 3, index // 2)
+            made.append(StepResult(pipeline.process(frame), index + 1, 99.5, 12.25))
+        return made
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def steps(make_steps):
+    return make_steps(40)
+
+
+@pytest.fixture(scope="session")
+def with_volts():
+    """Return what adds voltages, measured of earlier steps, to one."""
+
+    def add(sent, *measured):
+        return replace(sent, step=replace(sent.step, observed=measured))
+
+    return add
+
+
+@pytest.fixture(scope="session")
+def record(about):
+    """Return a writer of recordings from steps and events."""
+
+    def write(path, steps, events=(), about=about):
+        recorder = RecordingWriter(path, about, STARTED_NS)
+        for words in events:
+            recorder.event(5_000_000, words)
+        for sent in steps:
+            recorder.record(replace(sent, acknowledged=(sent.number or 1) - 1))
+        recorder.close()
+        return path
+
+    return write
+
+
+@pytest.fixture(scope="session")
+def recording(record, steps, tmp_path_factory):
+    """A short recording in several chunks."""
+    path = tmp_path_factory.mktemp("recording") / "run.mcap"
+    with pytest.MonkeyPatch.context() as patch:
+        # One for each step: what waits for no longer is not put together.
+        patch.setattr(writer_module, "FLUSH_S", 0.0)
+        return record(path, steps, ["paused", "goes on"])
+
+
+@pytest.fixture
+def traced_peak():
+    """Return a meter of the most memory that was taken since its start, in bytes."""
+
+    class Meter:
+        def __call__(self):
+            return tracemalloc.get_traced_memory()[1]
+
+        def reset(self):
+            tracemalloc.stop()
+            tracemalloc.start()
+
+    tracemalloc.start()
+    yield Meter()
+    tracemalloc.stop()
+
+
+@pytest.fixture(scope="session")
+def damaged(recording):
+    """Return a recording with one bit changed, in the middle of its middle chunk."""
+    content = bytearray(recording.read_bytes())
+    chunks = make_reader(BytesIO(content)).get_summary().chunk_indexes
+    middle = chunks[len(chunks) // 2]
+    content[middle.chunk_start_offset + middle.chunk_length // 2] ^= 1
+    return content

@@ -1,0 +1,193 @@
+"""The offline test: goldens come out again to the bit, and the smallest change is told."""
+
+import json
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from importlib.metadata import entry_points
+
+import numpy as np
+import pytest
+
+from smarttouch.base.afferent import Mode
+from smarttouch.base.errors import RecordingError
+from smarttouch.kernels.bank import load_bank
+from smarttouch.running.check_recording import KEPT, assert_replays, check_recording
+from smarttouch.running.recording_reader import Recording
+
+from ..raising import raises
+
+
+def with_weight(bank, afferent, site, electrode, by):
+    """Return a bank with one weight changed by a part of its kernel's peak."""
+    weights = bank.weights[afferent].copy()
+    weights[site, electrode] += by * np.abs(weights[site]).max()
+    return replace(bank, weights={**bank.weights, afferent: weights})
+
+
+def strongest_slot(path):
+    """Return the step with a recording's greatest intensity, of its first mode, and a slot."""
+    steps = list(Recording(path).steps())
+    steps = [each for each in steps if each.step.mode is steps[0].step.mode]
+    best = max(
+        steps, key=lambda each: each.step.sequence.intensity * bool(each.step.sequence.slots)
+    )
+    return best, best.step.sequence.slots - 1
+
+
+def test_goldens_come_out_again_to_the_bit(goldens):
+    modes = set()
+    for path in goldens:
+        report = check_recording(path)
+        assert report.exact, report.describe()
+        assert report.left_out == ""
+        assert report.frames > 5
+        assert report.sequences >= 20
+        assert report.slots > 50
+        modes |= {each.step.mode for each in Recording(path).steps()}
+    assert modes == set(Mode)
+
+
+def test_goldens_hold_what_they_are_for(goldens):
+    steps = {path.stem: list(Recording(path).steps()) for path in goldens}
+    assert any(each.sent.number is None for each in steps["regulated"])
+    assert any(each.step.observed for each in steps["regulated"])
+    assert {each.step.level for each in steps["sai-levels"]} == {0.0, 0.4, 0.8, 1.0}
+    restarts = [each.index for each in steps["natural"] if each.step.restarted]
+    assert len(restarts) == 2
+    proved = {
+        name: [each.step.sequence.proof for each in steps[name] if each.step.sequence.proof]
+        for name in ("shared", "frame")
+    }
+    for proofs in proved.values():
+        assert max(int(each.points.max(initial=0)) for each in proofs) >= 4
+    # RA shares slots, and SAI follows with a slot for each point, of which nothing is proved.
+    assert any(each.shared and not each.points.all() for each in proved["shared"])
+    both = [each for each in steps["frame"] if each.step.mode is Mode.NATURAL]
+    assert max(each.step.sequence.points / max(1, each.step.sequence.slots) for each in both) >= 4
+
+
+def test_one_weight_changed_by_a_thousandth_is_told_with_its_place(goldens):
+    for path in goldens:
+        if path.stem == "frame":
+            # Its currents are found from what is to be felt, not added up of kernels.
+            continue
+        recorded, slot = strongest_slot(path)
+        step = recorded.step
+        site = int(step.sequence.site[slot])
+        afferent = step.mode.afferents[-1]
+        profile = Recording(path).profile
+        bank = load_bank(profile)
+        electrode = int(np.argsort(np.abs(bank.weights[afferent][site]))[-2])
+        report = check_recording(path, bank=with_weight(bank, afferent, site, electrode, 1e-3))
+        assert not report.exact, path
+        assert report.left_out == ""
+        # A whole µA at 2 mA; what has to sum to zero may move another electrode too.
+        assert {each.what for each in report.differences} == {"current"}
+        electrodes = {each.electrode for each in report.differences}
+        assert electrode in electrodes
+        assert len(electrodes) <= 2
+        first = next(each for each in report.differences if each.electrode == electrode)
+        assert abs(first.new - first.recorded) <= 6
+        line = report.describe().split("\n")[1 + report.differences.index(first)]
+        numbers = (f"{first.time_ns / 1e9:.3f} s", f"{first.recorded} µA", f"{first.new}")
+        named = (f"frame {first.frame} ", f"slot {first.slot},", f"electrode {electrode}:")
+        assert all(each in line for each in (*numbers, *named, first.what))
+
+
+def test_another_profile_is_told(golden, changed):
+    path = golden("ra")
+    profile = changed(Recording(path).profile, {"limits.ramp_s": 0.9})
+    report = check_recording(path, profile=profile)
+    assert not report.exact
+    assert report.different > len(report.differences) == KEPT
+    assert {each.what for each in report.differences} >= {"intensity"}
+    assert f"{report.different - KEPT:,}" in report.describe().split("\n")[-1]
+    with pytest.raises(AssertionError, match=re.escape(f"{path}: {report.describe()}")):
+        assert_replays(path, profile=profile)
+
+
+def test_another_bound_on_slots_that_are_shared_is_told(golden, changed):
+    path = golden("frame")
+    profile = changed(Recording(path).profile, {"frames.other": 0.1})
+    report = check_recording(path, profile=profile)
+    assert {each.what for each in report.differences} >= {"slots", "current"}
+
+
+def test_a_sequence_without_its_slots_is_one_difference(golden, changed):
+    path = golden("ra")
+    pressed = {"force.contact_n": 50.0, "force.full_n": 60.0}
+    report = check_recording(path, profile=changed(Recording(path).profile, pressed))
+    assert {each.what for each in report.differences} == {"slots", "intensity"}
+    assert {each.new for each in report.differences} == {0}
+
+
+def test_what_follows_a_gap_is_not_compared(damaged, tmp_path):
+    path = tmp_path / "gap.mcap"
+    path.write_bytes(damaged)
+    report = check_recording(path)
+    assert report.exact
+    assert 2 < report.sequences < 38
+    # From what time on is told, and the time is that of a step before the end.
+    (since_s,) = map(float, re.findall(r"(\d+\.\d) s", report.left_out))
+    assert 0 < since_s < Recording(path).duration_s
+    assert report.left_out in report.describe()
+
+
+def test_a_cut_one_is_compared_as_far_as_it_goes(recording, cut):
+    report, whole = check_recording(cut), check_recording(recording)
+    assert report.exact
+    assert report.left_out
+    assert report.left_out in report.describe()
+    assert 0 < report.sequences <= whole.sequences
+    assert whole.left_out == ""
+
+
+def test_nothing_is_not_identical(record, tmp_path):
+    path = record(tmp_path / "run.mcap", [])
+    with raises(RecordingError, about="file", value=path):
+        check_recording(path)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "key"),
+    [
+        ({}, "mode"),
+        ({"mode": "XY"}, "mode"),
+        ({"timing": {"width": 3}}, "timing.width"),
+        ({"hold": "tight"}, "hold"),
+    ],
+)
+def test_settings_that_do_not_say_how(tmp_path, record, about, settings, steps, wrong, key):
+    table = json.dumps({**settings, **wrong} if wrong else {})
+    path = record(tmp_path / "run.mcap", steps[:2], about={**about, "settings": table})
+    with raises(RecordingError, about=f"settings.{key}"):
+        check_recording(path)
+
+
+def test_the_fixture_for_users(golden, tmp_path):
+    empty = tmp_path / "empty.mcap"
+    empty.write_bytes(b"")
+    (tmp_path / "test_mine.py").write_text(
+        f"def test_same(replays):\n    replays({str(golden('ra'))!r})\n\n\n"
+        f"def test_not(replays):\n    replays({str(empty)!r})\n"
+    )
+    # As it is installed, or by its name where the installation is older than the plugin.
+    installed = entry_points(group="pytest11", name="smarttouch")
+    plugin = [] if installed else ["-p", "smarttouch.testing.pytest_plugin"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", *plugin, "-p", "no:cacheprovider", "."],
+        cwd=tmp_path, capture_output=True, text=True, timeout=100, check=False,
+    )  # fmt: skip
+    assert "1 failed, 1 passed" in done.stdout, done.stdout
+    assert f"RecordingError: {empty}" in done.stdout
+
+
+def test_the_plugin_loads_nothing_heavy():
+    """Everyone's pytest loads it."""
+    code = (
+        "import sys, smarttouch.testing.pytest_plugin; "
+        "assert not {'numpy', 'cv2', 'scipy', 'mcap', 'pydantic'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)

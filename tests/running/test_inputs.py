@@ -1,0 +1,65 @@
+"""The subject's own control stays between nothing and the ceiling."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.base.afferent import Mode
+from smarttouch.running.inputs import STEP, Controls, ControlState
+
+
+@given(st.lists(st.floats(-2, 2), max_size=20))
+def test_a_level_never_leaves_its_range(changes):
+    controls = Controls(ControlState(Mode.RA, 0.5))
+    for change in changes:
+        controls.change_level(change)
+        assert 0 <= controls.state(0).level <= 1
+
+
+def test_as_many_steps_up_as_down():
+    controls = Controls(ControlState(Mode.RA, 0.0))
+    levels = []
+    for _ in range(25):
+        controls.change_level(STEP)
+        levels.append(controls.state(0).level)
+    assert levels[:3] == [0.05, 0.1, 0.15]
+    assert levels[19:] == [1.0] * 6
+    for _ in range(25):
+        controls.change_level(-STEP)
+    assert controls.state(0).level == 0
+
+
+def test_pause_keeps_the_level():
+    controls = Controls(ControlState(Mode.RA, 0.5))
+    controls.toggle_pause()
+    assert controls.state(0).current_level == 0
+    controls.toggle_pause()
+    assert controls.state(0).current_level == 0.5
+    controls.silence()
+    assert controls.state(0).current_level == 0
+
+
+def test_modes_go_round():
+    controls = Controls(ControlState(Mode.SAI), (Mode.RA, Mode.SAI, Mode.NATURAL))
+    modes = []
+    for _ in range(4):
+        controls.next_mode()
+        modes.append(controls.state(0).mode)
+    assert modes == [Mode.NATURAL, Mode.RA, Mode.SAI, Mode.NATURAL]
+
+
+@pytest.mark.parametrize("level", [-0.1, 1.1, float("nan")])
+def test_no_other_level_can_be_wished(level):
+    with pytest.raises(ValueError) as error:
+        ControlState(Mode.RA, level)
+    assert str(level) in str(error.value)
+
+
+def test_keys_raise_it_no_higher_than_the_most():
+    controls = Controls(ControlState(Mode.RA, 0.0))
+    controls.most = 0.12
+    for _ in range(5):
+        controls.change_level(STEP)
+    assert controls.state(0).level == 0.12
+    controls.change_level(-STEP)
+    assert controls.state(0).level == 0.07

@@ -1,0 +1,113 @@
+"""Recharge phases in recordings: kept, computed again, and told where they differ."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from smarttouch.base.errors import RecordingError
+from smarttouch.running.check_recording import check_recording
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.recording_files import export
+from smarttouch.running.recording_reader import Recording
+from smarttouch.running.regulation import Regulator
+from smarttouch.running.step import StepResult
+from smarttouch.stimulation.pulse_rates import ScanTiming
+from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
+
+from ..raising import raises
+
+
+@pytest.fixture(scope="module")
+def balance(profile, bank, make_steps):
+    """Return a maker of the usual steps, balanced by recharge phases from a carried charge on."""
+
+    def make(carried_pc=0):
+        pipeline = Pipeline(profile, bank, RunConfig(scan="points", balance=True))
+        regulator = Regulator(None, ChargeBalance(64), RechargeRules.of(profile, ScanTiming()))
+        regulator.ledger.charge_pc[:] = carried_pc
+        mute, made = SimpleNamespace(take_volts=lambda: []), []
+        for sent in make_steps(40):
+            step = pipeline.process(sent.step.input)
+            made.append(StepResult(regulator.regulate(step, mute), sent.number, 99.5, 12.25))
+        return made
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def balanced(balance):
+    return balance()
+
+
+@pytest.fixture
+def write(record, about, settings, balanced, tmp_path):
+    """Return a writer of the recording with other settings."""
+
+    def write(steps=balanced, name="run", **other):
+        table = json.dumps({**settings, "balance": True, **other})
+        return record(tmp_path / f"{name}.mcap", steps, about={**about, "settings": table})
+
+    return write
+
+
+def test_they_are_kept_and_come_out_again(write, balanced):
+    path = write(recharge=True)
+    kept = [each.step.sequence for each in Recording(path).steps()]
+    for was, now in zip((each.step.sequence for each in balanced), kept, strict=True):
+        assert now.recharge_us == was.recharge_us
+        assert np.array_equal(now.recharge_ua, was.recharge_ua)
+    assert sum(each.recharge_us > 0 for each in kept) > 20
+    report = check_recording(path)
+    assert report.exact, report.describe()
+    assert report.sequences == 40
+
+
+def test_charge_that_an_earlier_run_left_is_known(write, balance):
+    carried_pc = np.arange(-32, 32) * 20_000
+    path = write(balance(carried_pc), recharge=True, carried_pc=carried_pc.tolist())
+    report = check_recording(path)
+    assert report.exact, report.describe()
+    assert not check_recording(write(balance(carried_pc), "silent", recharge=True)).exact
+    path = write(name="short", recharge=True, carried_pc=[0] * 63)
+    with raises(RecordingError, about="settings.carried_pc", value=63, allowed=64):
+        check_recording(path)
+
+
+def test_one_that_was_reversed_is_not_recharged(write):
+    """Recordings from before there was a recharge phase do not say a word of it."""
+    report = check_recording(write())
+    assert not report.exact
+    assert {each.what for each in report.differences} >= {"recharge_us", "recharge current"}
+
+
+def test_another_threshold_is_told_with_its_electrode(write, profile, changed):
+    path = write(recharge=True)
+    higher = changed(
+        profile, {"perception.threshold_ma": 1.21, "perception.comfort_ma": (2.4,) * 64}
+    )
+    report = check_recording(path, profile=higher)
+    found = {each.what: each for each in report.differences}
+    assert found["recharge_us"].new < found["recharge_us"].recorded
+    assert found["recharge current"].electrode is not None
+
+
+def test_they_are_exported(write, balanced, tmp_path):
+    export(write(recharge=True), tmp_path / "out")
+    with np.load(tmp_path / "out" / "run.npz") as arrays:
+        assert arrays["recharge_us"].tolist() == [
+            each.step.sequence.recharge_us for each in balanced
+        ]
+        for row, sent in zip(arrays["recharge_ua"], balanced, strict=True):
+            was = sent.step.sequence.recharge_ua
+            assert np.array_equal(row, np.zeros(64) if was is None else was)
+
+
+def test_those_of_before_have_none(golden, tmp_path):
+    path = golden("regulated")
+    assert {each.step.sequence.recharge_us for each in Recording(path).steps()} == {0}
+    export(path, tmp_path / "out")
+    with np.load(tmp_path / "out" / "run.npz") as arrays:
+        assert not arrays["recharge_ua"].any()

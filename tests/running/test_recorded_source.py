@@ -1,0 +1,103 @@
+"""A recording plays what was seen, and counts what it passes over."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.base.errors import RecordingError, SourceError
+from smarttouch.profile import load_profile
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.recorded_source import open_recording
+from smarttouch.running.step import StepResult
+
+from ..raising import raises
+
+
+def test_at_the_recorded_times_all_comes_again(recording, steps, profile, bank):
+    pipeline = Pipeline(profile, bank, RunConfig(scan="points"))
+    with open_recording(str(recording), profile) as source:
+        assert source.knows_force
+        assert source.duration_s == pytest.approx(0.78)
+        for sent in steps:
+            was = sent.step.input
+            frame = source.read(was.time_ns)
+            assert np.array_equal(frame.image, was.image)
+            assert (frame.time_ns, frame.pose, frame.force_n) == (
+                was.time_ns, was.pose, was.force_n,
+            )  # fmt: skip
+            again = pipeline.process(frame).sequence
+            assert np.array_equal(again.current_ua, sent.step.sequence.current_ua)
+        assert source.read(799_999_999).number == 19
+        assert source.read(800_000_000) is None
+    assert (source.frames, source.dropped_frames, source.notes) == (20, 0, [])
+
+
+@settings(deadline=None)
+@given(st.lists(st.integers(0, 9 * 10**8), max_size=12))
+def test_every_frame_is_read_or_dropped(recording, profile, times):
+    numbers = set()
+    source = open_recording(str(recording), profile)
+    for time_ns in sorted(times):
+        frame = source.read(time_ns)
+        if frame is not None:
+            numbers.add(frame.number)
+            assert frame.age_ns < 20_000_000
+    source.close()
+    assert source.frames == len(numbers) + source.dropped_frames
+    if times and max(times) >= 8 * 10**8:
+        assert source.frames == 20
+
+
+def test_unpaced_gives_the_next_at_each_look(recording, profile):
+    with open_recording(str(recording), profile, unpaced=True) as source:
+        frames = []
+        while (frame := source.read(len(frames))) is not None:
+            frames.append(frame)
+    assert [frame.number for frame in frames] == [index // 2 for index in range(40)]
+    assert [frame.time_ns for frame in frames] == list(range(40))
+    assert {frame.age_ns for frame in frames} == {0}
+    assert (source.frames, source.dropped_frames) == (20, 0)
+
+
+def test_what_was_stale_stays_stale(tmp_path, record, steps, profile):
+    """So that nothing is felt of it, as when it was recorded."""
+    step = steps[0].step
+    stale = replace(step, input=replace(step.input, stale=True, force_n=0.0))
+    path = record(tmp_path / "a.mcap", [StepResult(stale, 1, 0.0)])
+    with open_recording(str(path), profile) as source:
+        frame = source.read(0)
+    assert (frame.stale, frame.force_n) == (True, 0.0)
+
+
+def test_a_cut_one_is_played_as_far_as_it_goes(cut, profile):
+    with open_recording(str(cut), profile) as source:
+        assert source.read(0).number == 0
+        (note,) = source.notes
+        assert str(cut) in note
+
+
+def test_what_cannot_be_played(tmp_path, record, profile):
+    with raises(SourceError, about="file", remedy="recording:FILE.mcap"):
+        open_recording("", profile)
+    with raises(RecordingError, about="file", value=tmp_path / "none.mcap"):
+        open_recording(str(tmp_path / "none.mcap"), profile)
+    with raises(SourceError, about="file", value=tmp_path / "run.mcap"):
+        open_recording(str(record(tmp_path / "run.mcap", [])), profile)
+
+
+@pytest.mark.parametrize(("name", "other"), [("color", "kajimoto-61"), ("kajimoto", None)])
+def test_on_a_finger_the_profile_is_narrowed_and_stimuli_stay_on_their_array(
+    golden, profile, name, other
+):
+    with open_recording(str(golden(name)), profile) as source:
+        if other is None:
+            # Frames go to any array.
+            assert source.narrowed(profile).full_ma.max() <= profile.full_ma.max()
+        else:
+            assert source.narrowed(profile) is profile
+            with raises(RecordingError, about="electrodes", value=64):
+                source.narrowed(load_profile(other))

@@ -1,0 +1,137 @@
+"""Recordings of stimuli: where there is nothing to see there is no image, and all else works."""
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.instruments.color_mix import mix_colors
+from smarttouch.instruments.color_source import ColorSource
+from smarttouch.instruments.skin_trace import open_trace
+from smarttouch.running.check_recording import check_recording
+from smarttouch.running.config import RunConfig
+from smarttouch.running.display import open_display
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.recorded_source import open_recording
+from smarttouch.running.recorder import Recorder
+from smarttouch.running.recording_files import describe, export, is_sound, repair
+from smarttouch.running.recording_reader import Recording
+from smarttouch.running.runner import Runner
+from smarttouch.running.step import StepResult
+from smarttouch.running.step_decoder import StepDecoder
+from smarttouch.running.step_encoder import StepEncoder
+from smarttouch.sources.source_contract import Stimulus
+
+
+@pytest.fixture(scope="module")
+def run(profile, bank, tmp_path_factory):
+    """Record a run of stimuli; return the file and the results of its steps."""
+    path, results = tmp_path_factory.mktemp("stimuli") / "run.mcap", []
+    trace = open_trace("tone:30Hz,9um+press:0.45N", 0.8)
+    mixture = mix_colors(trace, profile, bank, sites=[27, 36])
+    source = ColorSource("a mixture", profile, mixture, profile.force.full_n)
+    with open_display("simulated:", profile) as display:
+        listeners = [Recorder(path), results.append]
+        config = RunConfig(mode=mixture.mode)
+        Runner(source, display, config, listeners=listeners, load_kernels=lambda _: bank).run()
+    return path, results
+
+
+def messages(step, **changed):
+    """Return the messages of a step, some changed or left out."""
+    made = {**dict(StepEncoder(0).messages(StepResult(step, 1, 0.0))), **changed}
+    return {topic: each for topic, each in made.items() if each is not None}
+
+
+def decoded(found):
+    decoder = StepDecoder(64)
+    steps = [decoder.take(topic, 0, json.dumps(each).encode()) for topic, each in found.items()]
+    assert decoder.broken == (steps[-1] is None)
+    return steps[-1]
+
+
+def test_stimuli_come_back_to_the_bit_and_without_an_image(run):
+    path, results = run
+    recording = Recording(path)
+    assert "/frame" not in {topic for topic, _ in recording.messages()}
+    steps = list(recording.steps())
+    assert len(steps) == len(results) > 30
+    for recorded, sent in zip(steps, results, strict=True):
+        given, was = recorded.step.input, sent.input
+        assert isinstance(given, Stimulus)
+        assert given is recorded.step.tactile
+        assert given.image is None
+        assert np.array_equal(given.activation, was.activation)
+        for name in ("time_ns", "force_n", "period_us", "level", "pose", "number"):
+            assert getattr(given, name) == getattr(was, name)
+    assert recording.whole
+    assert dict(describe(path))["images"] == "0"
+
+
+def test_they_replay_to_the_bit(run, bank):
+    path, results = run
+    report = check_recording(path, bank=bank)
+    assert (report.exact, report.frames, report.sequences) == (True, 0, len(results))
+    assert report.slots == sum(each.sequence.slots for each in results) > 0
+
+
+def test_they_are_played_once_more(run, profile):
+    path, results = run
+    with open_recording(str(path), profile) as source:
+        for sent in results:
+            given = source.read(sent.input.time_ns)
+            assert (given.number, given.period_us) == (sent.input.number, sent.input.period_us)
+            assert np.array_equal(given.activation, sent.input.activation)
+        last = results[-1]
+        assert source.read(last.input.time_ns + 1000 * last.sequence.period_us) is None
+    assert (source.frames, source.dropped_frames) == (len(results), 0)
+
+
+def test_a_cut_one_is_repaired(run, tmp_path):
+    path, results = run
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[:-3000])
+    mended = repair(cut)
+    assert is_sound(mended.path)
+    steps = list(Recording(mended.path).steps())
+    assert len(steps) == mended.steps > 10
+    assert all(np.array_equal(each.step.input.activation, sent.input.activation)
+               for each, sent in zip(steps, results, strict=False))  # fmt: skip
+
+
+def test_an_export_names_no_image(run, tmp_path):
+    path, results = run
+    export(path, tmp_path / "out")
+    assert list((tmp_path / "out" / "frames").iterdir()) == []
+    with (tmp_path / "out" / "finger.csv").open(newline="") as file:
+        assert {row["image"] for row in csv.DictReader(file)} == {""}
+    with np.load(tmp_path / "out" / "run.npz") as arrays:
+        assert arrays["activation"].shape == (len(results), 3, 64)
+
+
+@pytest.fixture(scope="module")
+def touched(profile, bank):
+    """Return a step of a stimulus with an image."""
+    activation, image = np.zeros((3, 64), np.float32), np.full((4, 4), 9, np.uint8)
+    activation[Afferent.RA, 5] = 0.25
+    stimulus = Stimulus(activation, 0, 1.0, 20_000, image=image)
+    return Pipeline(profile, bank, RunConfig(mode=Mode.RA)).process(stimulus)
+
+
+def test_what_lay_under_the_finger_stays_with_its_stimulus(touched):
+    assert np.array_equal(decoded(messages(touched)).step.input.image, touched.input.image)
+    # As older versions wrote it: all had an image.
+    older = {"period_us": 20_000, "level": 1.0}
+    assert decoded(messages(touched, **{"/request": older})).step.input.image is not None
+
+
+def test_an_image_that_was_lost_is_not_passed_over(touched):
+    assert decoded(messages(touched, **{"/frame": None})) is None
+    blind = messages(replace(touched, input=replace(touched.input, image=None)))
+    assert decoded(blind).step.input.image is None
+    # Without a stimulus there is nothing to be felt.
+    blind.pop("/request")
+    assert decoded(blind) is None

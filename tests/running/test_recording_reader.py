@@ -1,0 +1,174 @@
+"""Whatever happened to a file: what holds is read, and the rest is one clear sentence."""
+
+import contextlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.writer import Writer
+
+from smarttouch.base.errors import RecordingError, SmartTouchError
+from smarttouch.running.check_recording import check_recording
+from smarttouch.running.recording_files import describe
+from smarttouch.running.recording_reader import Recording
+
+from ..raising import raises
+
+
+@pytest.fixture(scope="session")
+def content(recording):
+    return recording.read_bytes()
+
+
+@pytest.fixture(scope="session")
+def broken_path(tmp_path_factory):
+    return tmp_path_factory.mktemp("broken") / "broken.mcap"
+
+
+def read_all(path):
+    """Read all there is to read; return the steps."""
+    found = Recording(path)
+    steps = list(found.steps())
+    assert found.duration_s >= 0
+    for read in (lambda: found.profile, lambda: found.settings, lambda: list(found.events())):
+        with contextlib.suppress(RecordingError):
+            read()
+    return steps
+
+
+def test_a_whole_recording(recording, steps, profile, settings):
+    found = Recording(recording)
+    again = list(found.steps())
+    assert found.whole
+    assert found.damaged_chunks == 0
+    assert [each.index for each in again] == list(range(40))
+    for was, now in zip(steps, again, strict=True):
+        assert np.array_equal(was.step.input.image, now.step.input.image)
+        assert np.array_equal(was.step.sequence.current_ua, now.step.sequence.current_ua)
+        assert (was.number, was.step.level) == (now.sent.number, now.step.level)
+    assert again[0].step.input.image is again[1].step.input.image
+    assert (found.profile, found.settings) == (profile, settings)
+    assert f"{found.started:%Y-%m-%d}" == "2023-11-14"
+    assert found.duration_s == pytest.approx(0.78)
+    assert list(found.events()) == [(5_000_000, "paused"), (5_000_000, "goes on")]
+
+
+def test_voltages_come_back_with_what_they_were_measured_of(tmp_path, steps, record, with_volts):
+    one, other = steps[30], steps[32]
+    volts = np.linspace(1, 2, one.step.sequence.slots, dtype=np.float32)
+    volts[0] = np.nan
+    path = record(tmp_path / "run.mcap", [one, with_volts(other, (one.step.sequence, volts))])
+    first, second = Recording(path).steps()
+    ((sequence, found),) = second.step.observed
+    assert sequence is first.step.sequence
+    assert np.array_equal(found, volts, equal_nan=True)
+
+
+def cuts(content):
+    places = {content.index(b"smarttouch"), len(content) // 3, len(content) // 2}
+    return sorted(places | {len(content) - back for back in (1, 8, 9, 40, 400, 3000)})
+
+
+def test_wherever_it_is_cut_what_came_before_is_kept(content, broken_path):
+    kept = []
+    for place in cuts(content):
+        broken_path.write_bytes(content[:place])
+        try:
+            steps = read_all(broken_path)
+        except RecordingError:
+            assert place < 4000
+            continue
+        assert not Recording(broken_path).whole
+        assert [each.index for each in steps] == list(range(len(steps)))
+        kept.append(len(steps))
+    assert kept == sorted(kept)
+    assert 5 < kept[0] < 30
+    assert kept[-1] == 40
+
+
+def test_a_damaged_chunk_is_left_out_and_the_rest_kept(damaged, broken_path):
+    broken_path.write_bytes(damaged)
+    found = Recording(broken_path)
+    indexes = [each.index for each in found.steps()]
+    assert not found.whole
+    assert found.damaged_chunks == 1
+    assert 10 < len(indexes) < 40
+    assert (indexes[0], indexes[-1]) == (0, 39)
+
+
+@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
+@given(st.data())
+def test_no_change_of_a_file_crashes_the_reader(content, broken_path, data):
+    broken = bytearray(content[: data.draw(st.integers(0, len(content)))])
+    for _ in range(data.draw(st.integers(0, 3))):
+        if broken:
+            broken[data.draw(st.integers(0, len(broken) - 1))] ^= data.draw(st.integers(1, 255))
+    broken_path.write_bytes(broken)
+    with contextlib.suppress(RecordingError):
+        assert len(read_all(broken_path)) <= 40
+
+
+@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None, max_examples=40)
+@given(st.data())
+def test_no_change_of_the_beginning_crashes_what_builds_on_it(content, broken_path, data):
+    """There the settings and the profile are."""
+    broken = bytearray(content)
+    for _ in range(data.draw(st.integers(1, 3))):
+        broken[data.draw(st.integers(0, 4000))] = data.draw(st.integers(0, 255))
+    broken_path.write_bytes(broken)
+    for use in (describe, check_recording):
+        with contextlib.suppress(SmartTouchError):
+            assert use(broken_path)
+
+
+@settings(deadline=None)
+@given(st.binary(max_size=200))
+def test_no_bytes_crash_the_reader(broken_path, data):
+    broken_path.write_bytes(b"\x89MCAP0\r\n" + data)
+    with pytest.raises(RecordingError):
+        Recording(broken_path)
+
+
+def test_what_is_none_of_ours(broken_path, tmp_path):
+    for content in (b"", b"\x89MCAP", b"precious", b"\x89MCAP0\r\n"):
+        broken_path.write_bytes(content)
+        with raises(RecordingError, about="file", value=broken_path):
+            Recording(broken_path)
+    for path in (tmp_path / "none.mcap", tmp_path):
+        with raises(RecordingError, about="file", value=path):
+            Recording(path)
+
+
+def written(path, metadata):
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.add_metadata("smarttouch", metadata)
+        writer.finish()
+    return Recording(path)
+
+
+def test_a_recording_of_the_future(broken_path):
+    with raises(RecordingError, about="format", value="9", allowed="1"):
+        written(broken_path, {"format": "9"})
+
+
+@pytest.mark.parametrize("key", ["profile", "settings", "versions", "started_unix_ns"])
+@pytest.mark.parametrize("value", [None, "", "[]", "{}"])
+def test_a_recording_that_does_not_say_how_it_was_made(broken_path, about, key, value):
+    known = {"format": "1", **about}
+    del known[key]
+    found = written(broken_path, known if value is None else {**known, key: value})
+    if value == "{}" and key in ("settings", "versions"):
+        assert getattr(found, key) == json.loads(value)
+        return
+    with raises(RecordingError, about=key, value=broken_path):
+        getattr(found, key)
+
+
+def test_goldens_are_small(goldens):
+    for path in goldens:
+        assert Path(path).stat().st_size < 64_000

@@ -1,0 +1,124 @@
+"""Measurements of the board reach the recording and the next sequence."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from smarttouch.base.afferent import Mode
+from smarttouch.emulator.emulated_boards import SimulatedBoard
+from smarttouch.running.config import RunConfig
+from smarttouch.running.pipeline import Pipeline
+from smarttouch.running.regulation import Regulator
+from smarttouch.stimulation.adaptation import Adaptation
+from smarttouch.stimulation.pulse_rates import ScanTiming
+from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
+from smarttouch.stimulation.safety_gate import SafetyLimits
+
+
+class Told:
+    """A board that tells what a test wants."""
+
+    def __init__(self, *measured):
+        self.measured = list(measured)
+
+    def take_volts(self):
+        taken, self.measured = self.measured, []
+        return taken
+
+
+@pytest.fixture
+def step(profile, bank, make_frame, patch):
+    pipeline = Pipeline(profile, bank, RunConfig(scan="points", balance=True))
+    # At full intensity, after all of the ramp.
+    return [pipeline.process(make_frame(patch(), 20_000_000 * each)) for each in range(50)][-1]
+
+
+def measured(step, volts):
+    return step.sequence, np.full(step.sequence.slots, volts, np.float32)
+
+
+def test_what_was_measured_is_kept_with_the_step_it_came_before(step):
+    first, second = measured(step, 80), measured(step, 90)
+    board = Told(first, second)
+    assert Regulator().regulate(step, board).observed == (first, second)
+    assert Regulator().regulate(step, board) is step
+
+
+def test_what_was_measured_changes_what_is_sent(profile, step):
+    regulator = Regulator(Adaptation(profile, "energy", 300.0))
+    before = regulator.regulate(step, Told(measured(step, 50))).sequence
+    after = regulator.regulate(step, Told(measured(step, 100))).sequence
+    # Twice the impedance: less by its square root.
+    peaks = [np.abs(each.current_ua.astype(int)).max() for each in (before, after)]
+    assert peaks[1] == pytest.approx(peaks[0] / np.sqrt(2), rel=0.01)
+
+
+def rules_of(profile):
+    return RechargeRules.of(profile, ScanTiming())
+
+
+def test_a_phase_that_does_not_fit_slows_the_scan_and_the_notes_say_so(profile, step):
+    hurried = replace(step, sequence=replace(step.sequence, period_us=step.asked_us // 2))
+    regulator = Regulator(ledger=ChargeBalance(64), recharge=rules_of(profile))
+    sent = regulator.regulate(hurried, Told()).sequence
+    assert sent.period_us > hurried.sequence.period_us
+    (note,) = regulator.notes()
+    assert "1 of 1 scans" in note
+    assert f"{sent.period_us / 1000:.1f} ms" in note
+
+
+def test_charge_that_cannot_be_taken_back_at_once_is_noted(profile, step):
+    regulator = Regulator(ledger=ChargeBalance(64), recharge=rules_of(profile))
+    regulator.ledger.charge_pc[:2] = [9_000_000, -9_000_000]
+    regulator.regulate(step, Told())
+    assert any(f"{regulator.ledger.worst_uc:.2f} µC" in each for each in regulator.notes())
+
+
+def test_reversed_scans_are_noted_with_what_they_do(step):
+    regulator = Regulator(ledger=ChargeBalance(64))
+    for _ in range(4):
+        regulator.regulate(step, Told())
+    (note,) = regulator.notes()
+    assert "2 of 4 scans" in note
+    assert all(name in note for name in ("SAI", "RA"))
+
+
+def test_without_a_balance_there_is_nothing_to_say(step):
+    regulator = Regulator()
+    assert regulator.regulate(step, Told()) is step
+    assert regulator.notes() == []
+
+
+@pytest.mark.parametrize(
+    ("mode", "left_uc"),
+    # Some scans of PC would need more than the largest phase: the next ones take the rest back.
+    [(Mode.RA, 0.02), (Mode.SAI, 0.02), (Mode.NATURAL, 0.02), (Mode.PC, 2.0)],
+)
+def test_by_the_emulators_books_charge_is_back_and_the_same_is_felt(
+    profile, bank, make_frame, patch, mode, left_uc
+):
+    """A bar that moves for a second: without balance, and with each way of it."""
+    ways = {
+        "without": Regulator(),
+        "reversing": Regulator(ledger=ChargeBalance(64)),
+        "recharging": Regulator(ledger=ChargeBalance(64), recharge=rules_of(profile)),
+    }
+    passed_uc, pulses = {}, {}
+    for way, regulator in ways.items():
+        pipeline = Pipeline(profile, bank, RunConfig(mode=mode, scan="points"))
+        with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
+            for index in range(40):
+                # Slow enough for every way, so that all get the same frames.
+                made = pipeline.process(make_frame(patch(index, index + 9), index * 60_000_000))
+                board.send(regulator.regulate(made, board).sequence)
+            books = board._firmware.books
+            passed_uc[way], pulses[way] = np.abs(books.passed_uc), board.take_pulses()
+            assert (books.violations, books.unsafe) == (0, 0)
+            assert books.max_net_charge_uc < 1e-3
+            assert (books.recharges > 20) == (way == "recharging")
+    assert passed_uc["recharging"].max() < left_uc < 5 < passed_uc["without"].max()
+    for was, now in zip(pulses["without"], pulses["recharging"], strict=True):
+        assert np.array_equal(was, now), "the slots, and so what is felt, are the same"
+    turned = (pulses["reversing"][2] != pulses["without"][2]).any(axis=1)
+    assert 0.2 < turned.mean() < 0.8, "which reversing cannot say of itself"

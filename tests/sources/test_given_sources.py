@@ -1,0 +1,199 @@
+"""What programs give as a source, and what sources return: taken, converted or refused."""
+
+import dataclasses
+from typing import get_type_hints
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given as hypothetical
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+import smarttouch
+from smarttouch.base.errors import SourceError
+from smarttouch.running.check_recording import assert_replays
+from smarttouch.running.config import RunConfig, RunOptions
+from smarttouch.sources.given_sources import (
+    checked_activation,
+    checked_input,
+    gray_image,
+    source_of,
+)
+from smarttouch.sources.source_contract import Frame, OpticalSource, Stimulus
+
+from ..raising import raises
+
+GRAY = np.arange(64, dtype=np.uint8).reshape(8, 8)
+
+
+@pytest.mark.parametrize(
+    ("image", "gray"),
+    [
+        (GRAY, GRAY),
+        (GRAY[:, :, None], GRAY),
+        (np.dstack([GRAY] * 3), GRAY),
+        (np.dstack([GRAY] * 3 + [np.full_like(GRAY, 255)]), GRAY),
+        (np.dstack([GRAY] * 3 + [np.zeros_like(GRAY)]), np.full_like(GRAY, 255)),
+        (GRAY > 31, np.where(GRAY > 31, 255, 0)),
+        (np.full((2, 2, 3), (255, 0, 0), np.uint8), np.full((2, 2), 76)),
+    ],
+)
+def test_what_is_certain_is_converted(image, gray):
+    made = gray_image(image, "mine:")
+    assert made.dtype == np.uint8
+    np.testing.assert_array_equal(made, gray)
+
+
+@pytest.mark.parametrize(
+    "image",
+    [
+        GRAY / 255, GRAY.astype(np.uint16), GRAY.astype(np.int8), GRAY[:0], GRAY[None, None],
+        np.zeros((4, 4, 2), np.uint8), np.zeros((0, 4, 3), np.uint8), GRAY.tolist(), None, "a.png",
+        np.float32(1), np.full((3, 3), np.nan),
+    ],
+)  # fmt: skip
+def test_what_would_be_a_guess_is_refused(image):
+    with raises(SourceError, about="image") as caught:
+        checked_input(Frame(image, 0), "mine:", 64)
+    assert "mine:" in str(caught.value)
+
+
+@hypothetical(
+    arrays.arrays(
+        st.one_of(arrays.scalar_dtypes(), st.just(np.dtype(bool))),
+        arrays.array_shapes(min_dims=0, max_dims=4, min_side=0, max_side=6),
+    ),
+    st.booleans(),
+)
+def test_any_array_is_an_image_or_one_sentence(array, turned):
+    array = array.T[..., ::-1] if turned and array.ndim else array
+    made, words = None, ""
+    try:
+        made = gray_image(array, "mine:")
+    except SourceError as error:
+        words = str(error)
+    assert (made is None) == bool(words)
+    assert "\n" not in words
+    if made is not None:
+        assert made.dtype == np.uint8
+        assert made.shape == array.shape[:2]
+        assert made.size
+
+
+@pytest.mark.parametrize(
+    "activation",
+    [
+        np.full((3, 64), np.nan), np.full((3, 64), 1.5), np.full((3, 64), -0.1),
+        np.zeros((64, 3)), np.zeros(64), np.zeros((3, 63)), None, [[0] * 64] * 3,
+        np.zeros((3, 64), complex),
+    ],
+)  # fmt: skip
+def test_activation_is_a_number_from_0_to_1_for_each_electrode(activation):
+    with raises(SourceError, about="activation"):
+        checked_activation(activation, "mine:", 64)
+
+
+def test_activation_of_other_types_is_converted():
+    made = checked_activation(np.ones((3, 64), int), "mine:", 64)
+    assert made.dtype == np.float32
+    assert (made == 1).all()
+
+
+class Mine(OpticalSource):
+    """A source of another package that returns whatever it was made with."""
+
+    knows_force = True
+
+    def __init__(self, returned):
+        super().__init__("mine")
+        self.returned = returned
+
+    def read(self, time_ns):
+        return self.returned
+
+
+@pytest.mark.parametrize("returned", [GRAY, 3, "text", [GRAY], (GRAY, 0.9)])
+def test_what_a_source_returns_is_checked(returned):
+    with raises(SourceError, about="source") as caught:
+        smarttouch.run(Mine(returned), "memory:")
+    assert "mine" in str(caught.value)
+
+
+def frames_of(source, **options):
+    found = []
+    smarttouch.run(
+        source, "memory:", seconds=0.2, listeners=[lambda each: found.append(each.step.input)],
+        **options,
+    )  # fmt: skip
+    return found
+
+
+def test_a_run_takes_what_is_at_hand(tmp_path):
+    images = np.stack([GRAY, GRAY.T, 255 - GRAY])
+    for given in (images, list(images), iter(images), (Frame(each, 0) for each in images)):
+        shown = frames_of(given)
+        np.testing.assert_array_equal([each.image for each in shown], images)
+        assert [each.number for each in shown] == [0, 1, 2]
+    path = tmp_path / "page.png"
+    cv2.imwrite(str(path), np.full((200, 200), 255, np.uint8))
+    assert frames_of("text:Hello")[0].image.shape == (64, 64)
+    recorded = tmp_path / "run.mcap"
+    smarttouch.run("text:a", "simulated:", seconds=0.1, listeners=[smarttouch.Recorder(recorded)])
+    assert len(frames_of(recorded)) == len(frames_of(str(recorded))) > 2
+    profile = smarttouch.load_profile("electric-mouse")
+    assert len(list(smarttouch.steps("text:a", profile, seconds=0.1))) == 5
+
+
+@pytest.mark.parametrize(
+    "given", [None, 3, GRAY, b"text:a", {"image": GRAY}, "letter", "nothing:there", 0.5]
+)
+def test_what_is_no_source_is_one_sentence(given, profile):
+    with raises(SourceError):
+        source_of(given, profile)
+
+
+def test_settings_by_keyword_are_those_of_a_run():
+    fields = {each.name for each in dataclasses.fields(RunConfig)}
+    assert set(get_type_hints(RunOptions)) == fields - {"mode"}
+    hints = get_type_hints(RunConfig)
+    assert all(hints[name] == kind for name, kind in get_type_hints(RunOptions).items())
+
+
+class Halves:
+    """Left half of the image to RA, the right one to SAI."""
+
+    def __call__(self, frame, electrodes):
+        columns = electrodes.position_mm[:, 0]
+        left = columns < columns.mean()
+        dark = np.array([1 - frame.image[:, :4].mean() / 255, 1 - frame.image[:, 4:].mean() / 255])
+        return np.stack([dark[0] * left, dark[1] * ~left, 0 * left])
+
+
+def test_imaging_of_ones_own_and_its_recording(tmp_path):
+    path, found = tmp_path / "own.mcap", []
+    images = [np.full((8, 8), 255 - 10 * step, np.uint8) for step in range(20)]
+    smarttouch.run(
+        images, "simulated:", imaging=Halves(), mode="natural",
+        listeners=[smarttouch.Recorder(path), found.append],
+    )  # fmt: skip
+    assert len(found) == 20
+    last = found[-1].tactile.activation
+    for row in last[:2]:
+        np.testing.assert_allclose(np.unique(row), [0, 190 / 255], atol=1e-6)
+    assert not last[2].any()
+    np.testing.assert_array_equal(found[-1].input.image, images[-1])
+    assert_replays(path)
+
+
+@pytest.mark.parametrize(
+    ("source", "imaging", "about"),
+    [
+        ([GRAY], lambda frame, electrodes: frame.image, "activation"),
+        ([GRAY], lambda frame, electrodes: np.full((3, len(electrodes)), 2.0), "activation"),
+        (Mine(Stimulus(np.zeros((3, 64), np.float32), 0, 0.9)), Halves(), "imaging"),
+    ],
+)
+def test_imaging_that_makes_no_activation_is_refused(source, imaging, about):
+    with raises(SourceError, about=about):
+        smarttouch.run(source, "memory:", imaging=imaging)

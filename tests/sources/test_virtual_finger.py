@@ -1,0 +1,162 @@
+"""The virtual finger sees what a real patch of photo-sensors would see."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from smarttouch.base.errors import PageError, SourceError
+from smarttouch.base.files import data_folder
+from smarttouch.pages.page_image import Page
+from smarttouch.sources import open_source
+from smarttouch.sources.source_contract import Source
+from smarttouch.sources.virtual_finger import PageSource, open_page
+
+from ..pages.printed import print_page, some_lines
+from ..raising import raises
+from ..said import numbers_in
+
+TEN_MS = 10_000_000
+HEADER = "time_s,x_mm,y_mm,angle_deg,force_n\n"
+
+
+@pytest.fixture
+def still(tmp_path, profile):
+    """Return a maker of sensors that rest at (10, 10) mm on a page."""
+
+    def make(grey, mm_per_pixel, angle=0.0):
+        path = tmp_path / "path.csv"
+        path.write_text(f"{HEADER}0,10,10,{angle},1\n9,10,10,{angle},1\n")
+        return PageSource(Page(grey, mm_per_pixel), profile, "still", path=path)
+
+    return make
+
+
+def spot(x_mm, y_mm, side_mm=0.8, mm_per_pixel=0.04):
+    """A white page of 20 x 20 mm with one black square."""
+    grey = np.full((500, 500), 255, np.uint8)
+    rows, columns = (
+        slice(round((v - side_mm / 2) / mm_per_pixel), round((v + side_mm / 2) / mm_per_pixel))
+        for v in (y_mm, x_mm)
+    )
+    grey[rows, columns] = 0
+    return grey
+
+
+def center_of_ink(image):
+    ink = image < 128
+    rows, columns = np.nonzero(ink)
+    return columns.mean() + 0.5, rows.mean() + 0.5
+
+
+def test_a_spot_is_where_it_lies(still):
+    frame = still(spot(11.0, 9.5), 0.04).read(0)
+    x, y = center_of_ink(frame.image)
+    assert x == pytest.approx(32 + 1.0 / 5 * 64, abs=0.5)
+    assert y == pytest.approx(32 - 0.5 / 5 * 64, abs=0.5)
+    assert frame.force_n == 1
+
+
+def test_turning_the_finger_turns_the_view_the_other_way(still):
+    x, y = center_of_ink(still(spot(11.0, 10.0), 0.04, angle=90).read(0).image)
+    assert x == pytest.approx(32, abs=0.5)
+    assert y == pytest.approx(32 - 12.8, abs=0.5)
+
+
+def test_a_fine_checkerboard_is_grey(still):
+    rows, columns = np.indices((1000, 1000))
+    checker = ((rows + columns) % 2 * 255).astype(np.uint8)
+    image = still(checker, 0.02).read(0).image
+    assert image.std() < 8
+    assert 100 < image.mean() < 140
+
+
+def test_off_the_page_is_its_margin(tmp_path, profile):
+    path = tmp_path / "path.csv"
+    path.write_text(f"{HEADER}0,-30,-30,0,1\n1,-30,-30,0,1\n")
+    grey = np.full((100, 100), 200, np.uint8)
+    sensor = PageSource(Page(grey, 0.2), profile, "off", path=path)
+    assert abs(float(sensor.read(0).image.mean()) - 190) < 12
+
+
+def opened(profile, seed, name="page.png"):
+    return open_source(f"page:{data_folder('sample_images') / name}", profile, seed=seed)
+
+
+def test_same_seed_same_frames_in_any_order(profile):
+    one, two = opened(profile, 3), opened(profile, 3)
+    times = [k * TEN_MS for k in range(60, 120, 7)]
+    forward = {time: one.read(time) for time in times}
+    backward = {time: two.read(time) for time in reversed(times)}
+    for time in times:
+        assert np.array_equal(forward[time].image, backward[time].image)
+        assert forward[time].force_n == backward[time].force_n
+
+
+def test_another_seed_another_noise(profile):
+    assert not np.array_equal(opened(profile, 3).read(0).image, opened(profile, 4).read(0).image)
+
+
+def test_the_end(profile):
+    with opened(profile, 0) as sensor:
+        assert isinstance(sensor, Source)
+        assert sensor.read(int(sensor.duration_s * 1e9) - 1) is not None
+        assert sensor.read(int(sensor.duration_s * 1e9) + 1_000) is None
+
+
+@pytest.mark.parametrize("name", ["page.png", "photo.png", "light_on_dark.png"])
+def test_samples_say_their_size(profile, name):
+    sensor = opened(profile, 0, name)
+    assert sensor.page.size_mm[0] == pytest.approx(92, abs=0.5)
+    assert 5 < sensor.duration_s < 60
+
+
+def test_text(profile):
+    sensor = open_source("text:hello", profile, seed=0, dpi=None, page_width_mm=None)
+    assert sensor.read(1_000_000_000).image.min() < 60
+
+
+def test_a_page_image_of_one_s_own(profile, tmp_path):
+    Image.fromarray(spot(5, 5)).save(tmp_path / "a b.png")
+    assert open_source(f"page:{tmp_path / 'a b.png'}", profile, page_width_mm=20)
+
+
+@pytest.mark.parametrize("url", ["nothing:x", "page", "", "camera", ":"])
+def test_unknown_sources(profile, url):
+    with raises(SourceError, about="source", value=url, allowed=("page", "text")):
+        open_source(url, profile)
+
+
+def test_a_page_without_a_scale_is_felt_at_a_guessed_one_and_said_so(tmp_path, profile):
+    path = tmp_path / "page.png"
+    Image.fromarray(np.full((400, 300), 240, np.uint8)).save(path)
+    source = open_page(str(path), profile)
+    assert source.page.size_mm[0] == pytest.approx(210)
+    (note,) = source.notes
+    assert 210 in numbers_in(note)
+    known = open_page(str(path), profile, page_width_mm=100)
+    assert known.notes == []
+    assert known.page.size_mm[0] == pytest.approx(100)
+
+
+@pytest.mark.parametrize("size_pt", [6, 10, 24])
+def test_usual_lines_fill_the_array_where_that_is_asked(tmp_path, profile, size_pt):
+    printed = print_page(some_lines(6, 20), size_pt=size_pt, dpi=200, heading="Of fingers")
+    file = tmp_path / "page.png"
+    Image.fromarray(printed.page.grey).save(file, dpi=(200, 200))
+    with open_source(f"page:{file}?magnify=auto", profile) as source:
+        line = source.path.lines[len(source.path.lines) // 2]
+        assert line.height_mm == pytest.approx(
+            profile.electrodes.extent_mm[1] / profile.optics.magnification, rel=0.1
+        )
+        (factor,) = numbers_in(source.notes[0])
+        assert source.page.mm_per_pixel == pytest.approx(factor * 25.4 / 200, rel=0.01)
+
+
+def test_a_page_is_magnified_as_asked(tmp_path, profile):
+    file = tmp_path / "page.png"
+    Image.fromarray(spot(10, 10)).save(file, dpi=(300, 300))
+    with open_source(f"page:{file}?magnify=2", profile) as source:
+        assert source.page.mm_per_pixel == pytest.approx(2 * 25.4 / 300, rel=1e-4)
+    for wrong in ("much", "0", "nan", "11"):
+        with raises(PageError, about="magnify", value=wrong):
+            open_source(f"page:{file}?magnify={wrong}", profile)

@@ -1,0 +1,222 @@
+"""The slots of one class: as strong as asked, by height or by width."""
+
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.errors import SafetyError, ScheduleError
+from smarttouch.base.tactile_image import TactileImage
+from smarttouch.kernels.bank import load_bank
+from smarttouch.profile import load_profile
+from smarttouch.stimulation.point_slots import SHORTEST_PULSE_US, PointSlots
+from smarttouch.stimulation.pulse_rates import ScanTiming
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits, frozen
+from smarttouch.stimulation.safety_limits import PPB
+from smarttouch.stimulation.scheduler import ScanScheduler
+from smarttouch.stimulation.sequence_limits import prove_slots
+from smarttouch.stimulation.slot_sums import SlotAdder
+
+from ..raising import raises
+from ..rising import open_level
+
+
+def image(activation, time_ns=10**9):
+    rows = np.zeros((3, 64), np.float32)
+    rows[:2] = activation
+    return TactileImage(rows, time_ns, 1.0)
+
+
+@pytest.fixture(scope="module")
+def by_width(profile, changed):
+    return changed(profile, {"pulse.carrier": "width"})
+
+
+def test_width_carries_intensity_at_full_height(by_width, bank):
+    slots = PointSlots(by_width, bank, Afferent.RA, ScanTiming())
+    activation = np.zeros(64, np.float32)
+    activation[[9, 27]] = 1.0, 1e-6
+    site, current_ua, width_us, *_ = slots.slots(activation, 1.0)
+    weak, full = (site.tolist().index(each) for each in (27, 9))
+    assert width_us[full] == 200
+    # Threshold is half of the strongest: by Weiss, with c = w, in a third of the time.
+    assert width_us[weak] == pytest.approx(200 / 3, abs=1)
+    assert np.abs(current_ua).max(axis=1).tolist() == pytest.approx([2400] * 2, abs=5)
+    assert not current_ua.sum(axis=1).any()
+
+
+def test_what_would_be_too_short_is_not_felt(by_width, bank):
+    slots = PointSlots(by_width, bank, Afferent.RA, ScanTiming())
+    _, _, width_us, *_ = slots.slots(np.ones(64, np.float32), 0.09)
+    assert len(width_us) == 0
+    _, _, width_us, *_ = slots.slots(np.ones(64, np.float32), 0.11)
+    assert width_us.min() >= SHORTEST_PULSE_US
+
+
+@given(
+    intensity=st.floats(0, 1, width=32),
+    seed=st.integers(0, 2**32 - 1),
+    mode=st.sampled_from([each for each in Mode if each is not Mode.COLOR]),
+    softness=st.floats(0, 1),
+    pressure=st.floats(0, 1),
+)
+def test_every_sequence_is_safe_with_either_carrier(
+    profile, by_width, bank, intensity, seed, mode, softness, pressure
+):
+    activation = np.random.default_rng(seed).random(64, np.float32)
+    activation[activation < 0.3] = 0
+    for each in (profile, by_width):
+        scan = ScanScheduler(each, bank, mode.afferents, softness=softness)
+        gate = SafetyGate(SafetyLimits.of(each))
+        open_level(gate.prove, scan.schedule(image(activation, 0), 0.0), gate.limits)
+        gate.prove(scan.schedule(image(activation), intensity, pressure))
+
+
+def test_the_gate_bounds_charge_where_width_carries_intensity(by_width, bank):
+    scan = ScanScheduler(by_width, bank, (Afferent.RA,))
+    sequence = scan.schedule(image(np.ones(64)), 0.5)
+    gate = SafetyGate(SafetyLimits.of(by_width))
+    gate.prove_measurement(sequence)
+    # Twice as long, and within all other limits.
+    object.__setattr__(sequence, "width_us", np.full(64, 180, np.uint16))
+    charge_uc = 180e-6 * np.abs(sequence.current_ua.astype(int)).max()
+    with raises(SafetyError, limit="intensity", value=pytest.approx(charge_uc)):
+        gate.prove_measurement(sequence)
+
+
+def test_a_board_with_one_width_wants_height(by_width, bank):
+    with raises(ScheduleError, about="pulse.carrier", value="width", allowed="height"):
+        ScanScheduler(by_width, bank, (Afferent.RA,), timing=ScanTiming(own_widths=False))
+
+
+def test_measured_maxima_are_what_full_activation_gets(profile, changed, bank):
+    comfort = [2.0] * 64
+    comfort[9] = 1.5
+    mine = changed(profile, {"perception.comfort_ma": comfort})
+    slots = PointSlots(mine, bank, Afferent.RA, ScanTiming())
+    activation = np.zeros(64, np.float32)
+    activation[[9, 10, 11]] = 1.0, 1.0, 1e-6
+    site, current_ua, *_ = slots.slots(activation, 1.0)
+    strongest = dict(zip(site.tolist(), np.abs(current_ua).max(axis=1).tolist(), strict=True))
+    # What rounding leaves over is the strongest electrode's.
+    assert strongest == pytest.approx({9: 1500, 10: 2000, 11: 1200}, abs=5)
+
+
+def test_natural_mode_pulses_both_classes_at_their_own_rates(profile, bank):
+    scan = ScanScheduler(profile, bank, Mode.NATURAL.afferents)
+    rows = np.zeros((3, 64), np.float32)
+    rows[Afferent.RA, 9] = rows[Afferent.SAI, 18] = 1.0
+    time_ns, pulses = 0, {9: [], 18: []}
+    while time_ns < 10**9:
+        sequence = scan.schedule(TactileImage(rows, time_ns, 1.0), 1.0)
+        for slot, site in enumerate(sequence.site.tolist()):
+            pulses[site].append(time_ns)
+            # RA at its center anodic, SAI cathodic.
+            assert (sequence.current_ua[slot, site] > 0) == (site == 18)
+        time_ns += 1000 * sequence.period_us
+    assert len(pulses[9]) == pytest.approx(30, abs=1)
+    assert len(pulses[18]) == pytest.approx(50, abs=1)
+
+
+def test_hard_things_pulse_faster_when_pressed(profile, bank):
+    def period_us(softness, pressure):
+        scan = ScanScheduler(profile, bank, (Afferent.SAI,), softness=softness)
+        return scan.schedule(image(np.ones(64) * (np.arange(64) == 9)), 1.0, pressure).period_us
+
+    assert [period_us(1.0, pressure) for pressure in (0.1, 0.5, 1.0)] == [20_000] * 3
+    assert [period_us(0.0, pressure) for pressure in (0.1, 0.5, 1.0)] == [100_000, 40_000, 20_000]
+    # RA does not encode pressure.
+    scan = ScanScheduler(profile, bank, (Afferent.RA,), softness=0.0)
+    assert scan.schedule(image(np.ones(64)), 1.0, 0.1).period_us == 20_000
+
+
+@pytest.mark.parametrize(
+    ("options", "attributes"),
+    [
+        ({"rate_hz": 50.0}, {"about": "rate_hz", "value": 50, "remedy": "pulse.ra_rate_hz"}),
+        ({"timing": ScanTiming(whole_hz=True)}, {"about": "mode", "allowed": ("RA", "SAI")}),
+        ({"timing": ScanTiming(in_index_order=True)}, {"about": "mode", "allowed": ("RA", "SAI")}),
+    ],
+)
+def test_where_two_rates_are_not_possible(profile, bank, options, attributes):
+    with raises(ScheduleError, **attributes):
+        ScanScheduler(profile, bank, Mode.NATURAL.afferents, **options)
+
+
+@pytest.mark.parametrize("keys", [
+    {"perception.comfort_ma": (2.0,) * 8},
+    {"limits.electrode_ma": (1.0,) * 8},
+])  # fmt: skip
+def test_a_comfort_that_is_just_the_limit_stays_within_it(changed, keys):
+    """Remainders of rounding never push the strongest electrode above its limit."""
+    line = changed(load_profile("line-8"), keys)
+    bank = load_bank(line)
+    gate = SafetyGate(SafetyLimits.of(line))
+    for afferent in Afferent:
+        scan = ScanScheduler(line, bank, (afferent,), 10.0)
+        rows = np.zeros((3, 8), np.float32)
+        rows[afferent] = 1
+        for level in np.linspace(0.5, 1, 30):
+            gate.prove_measurement(scan.schedule(TactileImage(rows, 0, 1.0), float(level)))
+
+
+def test_rounding_of_a_thousand_small_currents_is_no_charge_above_the_limit(profile, bank, changed):
+    """2.6 µA round to 3: what 923 electrodes leave over is 370 µA."""
+    wide = changed(profile, {"array.rows": 32, "array.columns": 32})
+    weights = np.zeros((1024, 1024))
+    for site in range(100):
+        weights[site, site] = 1
+        weights[site, 101:] = -1 / 923
+    scan = ScanScheduler(
+        wide, replace(bank, weights={Afferent.SAI: weights}), (Afferent.SAI,), 10.0
+    )
+    rows = np.zeros((3, 1024), np.float32)
+    rows[Afferent.SAI, :100] = np.linspace(0.1, 1, 100)
+    gate = SafetyGate(SafetyLimits.of(wide))
+    for intensity in np.linspace(0.1, 1, 10):
+        sequence = scan.schedule(TactileImage(rows, 0, 1.0), float(intensity))
+        gate.prove_measurement(sequence)
+        assert sequence.slots == 100
+        assert np.abs(sequence.current_ua).max() <= 2500
+    strongest = sequence.site.tolist().index(99)
+    assert np.abs(sequence.current_ua[strongest] - 2400 * weights[99]).max() < 1.01
+
+
+def test_a_frame_allocates_its_sequence_and_its_proved_copy_and_no_scratch(
+    profile, make_bank, changed
+):
+    wide = changed(profile, {"array.rows": 32, "array.columns": 32})
+    weights = np.full((1024, 1024), 1 / 1023, np.float32)
+    np.fill_diagonal(weights, -1)
+    scan = ScanScheduler(wide, make_bank(weights, weights), (Afferent.RA,), 1.0)
+    limits = SafetyLimits.of(wide)
+    adder = SlotAdder(limits.felt_ua)
+
+    def proved(given):
+        """As the gate does it, which here has an oracle beside it."""
+        copy = frozen(given)
+        prove_slots(copy, limits, PPB, adder)
+        return copy
+
+    activation = np.zeros((3, 1024), np.float32)
+    activation[Afferent.RA, :300] = 1
+
+    def peak_of(make):
+        tracemalloc.start()
+        try:
+            return make(), tracemalloc.get_traced_memory()[1]
+        finally:
+            tracemalloc.stop()
+
+    for second in range(2):
+        shown = TactileImage(activation, second * 10**9, 1.0)
+        sequence, making = peak_of(lambda shown=shown: scan.schedule(shown, 1.0))
+        copy, proving = peak_of(lambda given=sequence: proved(given))
+    # Scratch in single precision would be twice as much again.
+    assert copy.current_ua.nbytes == 600 * 1024
+    assert making < 1.25 * copy.current_ua.nbytes
+    assert proving < 1.25 * copy.current_ua.nbytes

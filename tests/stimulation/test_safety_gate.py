@@ -1,0 +1,328 @@
+"""Every limit raises, and nothing that keeps them is refused."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.base.clock import LATE_NS
+from smarttouch.base.errors import SafetyError
+from smarttouch.profile.device import Output
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
+from smarttouch.stimulation.safety_limits import STRENGTH
+
+from ..raising import raises
+from ..rising import open_level
+from ..scans import sequence
+
+LIMITS = SafetyLimits(
+    electrodes=4,
+    current_ma=3.0,
+    pulse_us=200,
+    charge_uc=0.5,
+    rate_hz=100,
+    duty=0.6,
+    ramp_s=0.5,
+    full_ma=2.4,
+    total_ma=3.0,
+    electrode_ma=(3.0, 3.0, 3.0, 0.7),
+)
+SECOND = 10**9
+
+
+def warmed():
+    """A gate in which a second of the least current has opened full intensity."""
+    gate = SafetyGate(LIMITS)
+    open_level(gate.prove, sequence(GOOD), gate.limits)
+    return gate
+
+
+GOOD = [[-2400, 1200, 600, 600]]
+
+
+def changed(**fields):
+    return dataclasses.replace(sequence(GOOD), **fields)
+
+
+def test_one_source_drives_no_more_than_one_electrode_may_carry():
+    """Where all but one come off the skin, that one carries what they shared."""
+    shared, strong = [[1300, 1300, -1300, -1300]], [[1600, 1600, -1600, -1600]]
+    limits = dataclasses.replace(LIMITS, total_ma=10.0, electrode_ma=None)
+    for current, width, limit in ((shared, 200, "charge_uc"), (strong, 50, "total_ma")):
+        of_one = SafetyGate(limits.on(Output(kind="three-state")))
+        of_many = SafetyGate(limits.on(Output(kind="weighted")))
+        for gate in (of_one, of_many):
+            open_level(gate.prove, sequence(GOOD), gate.limits)
+        of_many.prove(sequence(current, widths=width))
+        with raises(SafetyError, limit=limit, slot=0):
+            of_one.prove(sequence(current, widths=width))
+        of_one.prove(sequence(shared, widths=190))
+
+
+@pytest.mark.parametrize(
+    ("bad", "limit", "slot", "electrode"),
+    [
+        (sequence([[-2400, 1200, 600, 599]]), "balance", 0, None),
+        (sequence([[0, 0, 0, 0], [1, 0, 0, 0]]), "balance", 1, None),
+        (sequence([[-3001, 3001, 0, 0]], widths=100), "current_ma", 0, 0),
+        (sequence([[-2600, 2600, 0, 0]], widths=200), "charge_uc", 0, 0),
+        (sequence([[-2500, 2500, 0, 0]], widths=190), "intensity", None, None),
+        (sequence([[-2400, 2400, 0, 0]], intensity=0.5), "intensity", None, None),
+        (sequence([GOOD[0], [-2100, -2100, 2100, 2100]], widths=100), "current_ma", 1, 3),
+        (sequence([GOOD[0], [-2100, -2100, 2100, 2100], GOOD[0]]), "current_ma", 1, 3),
+        (sequence([[-2100, -2100, 4200, 0]], widths=90), "current_ma", 0, 2),
+        (sequence([[-2400, -700, 2400, 700]]), "total_ma", 0, None),
+        (sequence([[-1200, 300, 199, 701]]), "current_ma", 0, 3),
+        (sequence(GOOD, widths=201), "pulse_us", None, None),
+        (sequence(GOOD, widths=0), "pulse_us", None, None),
+        (sequence(GOOD, discharge_us=19), "discharge_us", 0, None),
+        (sequence(GOOD, discharge_us=0), "discharge_us", 0, None),
+        (sequence(GOOD, period_us=9_999), "rate_hz", None, None),
+        (sequence(GOOD, period_us=0), "rate_hz", None, None),
+        (sequence(GOOD, period_us=-20_000), "rate_hz", None, None),
+        (sequence(GOOD, period_us=2**62), "rate_hz", None, None),
+        (sequence(GOOD * 67), "period_us", None, None),
+        (sequence(GOOD * 61, discharge_us=20), "duty", None, None),
+        (sequence(GOOD, intensity=1.1), "intensity", None, None),
+        (sequence(GOOD, intensity=float("nan")), "intensity", None, None),
+        (sequence(GOOD, intensity=True), "intensity", None, None),
+        (sequence(GOOD, intensity=10**400), "intensity", None, None),
+        (sequence(GOOD, period_us=float("nan")), "period_us", None, None),
+        (sequence(GOOD, period_us=20_000.0), "period_us", None, None),
+        (sequence(GOOD, time_ns=float("nan")), "time_ns", None, None),
+        (sequence(GOOD, time_ns=-1), "time_ns", None, None),
+        (sequence(GOOD, time_ns=0), "time_ns", None, None),
+        (sequence([[-700, 700, 0, 0]] * 31, widths=50), "pulses_hz", None, 0),
+        (sequence(GOOD * 25), "mean_ma", None, 0),
+        (changed(site=np.full(1, 4, np.uint16)), "site", None, None),
+        (changed(current_ua=np.array(GOOD, np.int32)), "current_ua", None, None),
+        (changed(current_ua=[[0, 0, 0, 0]]), "current_ua", None, None),
+        (changed(width_us=np.array([200.0])), "width_us", None, None),
+        (changed(width_us=np.full(2, 200, np.uint16)), "width_us", None, None),
+        (changed(current_ua=np.zeros((1, 5), np.int16)), "electrodes", None, None),
+    ],
+)
+def test_each_limit_raises(bad, limit, slot, electrode):
+    named = {} if electrode is None else {"electrode": electrode}
+    with raises(SafetyError, limit=limit, slot=slot, **named):
+        warmed().prove(bad)
+
+
+def test_the_most_negative_current_is_not_mistaken_for_a_small_one():
+    with raises(SafetyError, value=32.768):
+        warmed().prove(sequence([[-32768, 32767, 1, 0]], widths=1))
+
+
+def test_nothing_may_come_on_at_the_start():
+    with raises(SafetyError, limit="ramp_s"):
+        SafetyGate(LIMITS).prove(sequence([[-24, 24, 0, 0]], intensity=0.01, time_ns=0))
+
+
+def test_a_refused_sequence_does_not_count_as_the_one_before():
+    gate = warmed()
+    with pytest.raises(SafetyError):
+        gate.prove(sequence([[-2400, 2400, 0, 1]], time_ns=SECOND))
+    with pytest.raises(SafetyError):
+        gate.prove(sequence(GOOD, time_ns=SECOND // 10))
+    gate.prove(sequence(GOOD))
+
+
+class ToldClock:
+    """Time as a test tells it."""
+
+    def __init__(self):
+        self.time_ns = 0
+
+    def now_ns(self):
+        return self.time_ns
+
+
+def on_a_clock(limits=LIMITS):
+    """A gate on a told clock, at full intensity a second after its start."""
+    clock = ToldClock()
+    gate = SafetyGate(limits, clock)
+    open_level(gate.prove, sequence(GOOD), gate.limits, clock=clock)
+    return gate, clock
+
+
+def of(intensity, **other):
+    """The weakest sequence that counts for as much as it claims."""
+    weak_ua = math.ceil(2400 * intensity / STRENGTH)
+    return sequence([[-weak_ua, weak_ua, 0, 0]], intensity=intensity, **other)
+
+
+def test_rise_is_bounded_by_the_displays_clock_whatever_time_is_claimed():
+    clock = ToldClock()
+    gate = SafetyGate(LIMITS, clock)
+    gate.prove(sequence([], intensity=0.0, time_ns=0))
+    gate.prove(of(0.2, time_ns=1, period_us=500_000))
+    for clock_ns, time_ns in ((SECOND // 100, SECOND), (SECOND, SECOND // 100)):
+        clock.time_ns = clock_ns
+        with raises(SafetyError, limit="ramp_s"):
+            gate.prove(of(0.3, time_ns=time_ns))
+    gate.prove(of(0.3))
+
+
+def test_late_steps_hurry_the_rise_by_no_more_than_they_may_be_late():
+    clock = ToldClock()
+    gate = SafetyGate(LIMITS, clock)
+    gate.prove(sequence([], intensity=0.0, time_ns=0))
+    reached = []
+    for step in range(1, 60):
+        # Claims a period between sequences that leave a millisecond apart.
+        clock.time_ns = step * 1_000_000
+        intensity = min(1.0, step * 0.04)
+        try:
+            gate.prove(of(intensity, time_ns=step * 20_000_000))
+        except SafetyError:
+            break
+        reached.append(intensity)
+    assert reached[-1] == pytest.approx(0.2, abs=0.04)
+
+
+weak_or_strong = st.lists(
+    st.tuples(
+        st.integers(0, 2400), st.integers(1, 200), st.floats(0, 1), st.integers(5_000, 10**6)
+    ),
+    max_size=20,
+)
+
+
+@given(weak_or_strong)
+def test_whatever_weak_current_claims_it_opens_a_multiple_of_itself(asked):
+    """And one step of what may be late: a fifth of a full pulse, or a fifth for its fourfold."""
+    gate, flowed_pc, time_ns = SafetyGate(LIMITS), 0, 0
+    gate.prove(sequence([], intensity=0.0, time_ns=0))
+    for current_ua, width_us, intensity, period_us in asked:
+        time_ns += 10**9
+        made = sequence(
+            [[-current_ua, current_ua, 0, 0]] if current_ua else [],
+            widths=width_us, intensity=intensity, period_us=period_us, time_ns=time_ns,
+        )  # fmt: skip
+        try:
+            gate.prove(made)
+        except SafetyError:
+            continue
+        full_pc, peak_pc = LIMITS.full_pc, current_ua * width_us
+        step_pc = full_pc * LATE_NS / LIMITS.ramp_ns
+        assert peak_pc <= STRENGTH * flowed_pc + step_pc + full_pc / 10**6
+        flowed_pc = max(flowed_pc, peak_pc)
+
+
+def test_what_is_proved_cannot_be_changed():
+    given = sequence(GOOD)
+    proved = warmed().prove(given)
+    given.current_ua[:] = 5000
+    assert proved.current_ua.tolist() == GOOD
+    for name in ("current_ua", "width_us", "discharge_us", "site"):
+        array = getattr(proved, name)
+        with pytest.raises(ValueError):
+            array[...] = 0
+        with pytest.raises(ValueError):
+            array.setflags(write=True)
+        assert not array.flags.writeable
+
+
+def test_an_array_that_answers_for_another_is_read_as_what_it_is():
+    class Liar(np.ndarray):
+        def tobytes(self, order="C"):
+            return np.full(self.shape, 5000, np.int16).tobytes()
+
+        def max(self, *_args, **_kwargs):
+            return 0
+
+    lying = changed(current_ua=np.array([[-3001, 3001, 0, 0]], np.int16).view(Liar))
+    with raises(SafetyError, value=3.001):
+        warmed().prove(lying)
+
+
+# A pair both ways: no net charge.
+TWIN = [[-2400, 1200, 600, 600], [2400, -1200, -600, -600]]
+
+
+def test_a_second_holds_no_more_than_its_pulses():
+    """Sent faster than they claim to take, sequences are counted by the display's clock."""
+    gate, clock = on_a_clock()
+    sent = 0
+
+    def hurry():
+        nonlocal sent
+        for step in range(1000):
+            clock.time_ns += 1_000_000
+            time_ns = SECOND + step * 40_000_000
+            gate.prove(sequence(TWIN * 7, period_us=40_000, time_ns=time_ns))
+            sent += 14
+
+    with pytest.raises(SafetyError) as error:
+        hurry()
+    # 1,500 pulses, or half a milliampere for a second: the latter is less here.
+    assert (error.value.limit, error.value.electrode, sent) == ("mean_ma", 0, 1036)
+
+
+def test_repetitions_count_as_they_begin():
+    gate, clock = on_a_clock()
+    before = gate.dose
+    gate.prove(sequence(TWIN * 5), times=1000)
+    assert gate.dose.seconds - before.seconds == pytest.approx(20)
+    clock.time_ns = 2 * SECOND - 1
+    gate.prove(sequence([], intensity=0.0, time_ns=2 * SECOND))
+    # Fifty of them had begun; those cut short are given back.
+    assert gate.dose.seconds - before.seconds == pytest.approx(1)
+    charge_mc = gate.dose.charge_mc[0] - before.charge_mc[0]
+    assert charge_mc == pytest.approx(50 * 10 * 2.4e-3 * 0.2)
+
+
+@pytest.mark.parametrize("change", [{"session_s": 0.61}, {"session_mc": 0.00553}])
+def test_a_session_ends_with_its_dose(change):
+    gate = SafetyGate(dataclasses.replace(LIMITS, **change))
+    open_level(gate.prove, sequence(GOOD), gate.limits)
+    for step in range(5):
+        gate.prove(sequence(GOOD * 2, time_ns=SECOND * (step + 1)))
+    with raises(SafetyError, limit=next(iter(change))):
+        gate.prove(sequence(GOOD * 2, time_ns=10 * SECOND))
+    gate.begin_session()
+    gate.prove(sequence([], intensity=0.0, time_ns=0))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"current_ma": 5.1}, {"pulse_us": 201}, {"charge_uc": 0.51}, {"ramp_s": 0.1},
+        {"full_ma": 4}, {"total_ma": float("nan")}, {"total_ma": 0}, {"electrode_ma": (1.0,)},
+        {"total_ma": 10.1}, {"electrode_ma": (1.0, float("nan"), 1.0, 1.0)},
+        {"rate_hz": float("nan")}, {"rate_hz": 201}, {"duty": float("nan")}, {"duty": 0.81},
+        {"full_us": 201}, {"full_us": float("inf")}, {"ramp_s": float("inf")},
+        {"ramp_s": float("nan")}, {"area_mm2": float("inf")}, {"area_mm2": 400.1},
+        {"electrode_ma": (1.0, 1.0, 1.0, 5.1)}, {"threshold_ma": 5.1}, {"threshold_ma": 1e6},
+        {"electrodes": 0}, {"electrodes": 65_536}, {"electrodes": 4.0}, {"masked": (4,)},
+        {"masked": (0.0,)}, {"threshold_ma": (1.0, 1.0, 1.0, 0.0)}, {"density_uc_cm2": 101},
+        {"session_s": 3601}, {"session_mc": float("nan")},
+    ],
+)  # fmt: skip
+def test_limits_stay_under_the_ceilings(change):
+    with raises(SafetyError, limit=next(iter(change))):
+        dataclasses.replace(LIMITS, **change)
+
+
+@given(
+    st.lists(st.lists(st.integers(-32768, 32767), min_size=4, max_size=4), min_size=1, max_size=4),
+    st.integers(0, 400),
+    st.integers(1, 30_000),
+)
+def test_what_passes_keeps_every_limit(currents, width, period):
+    tried = sequence(currents, widths=width, period_us=period)
+    try:
+        warmed().prove(tried)
+    except SafetyError:
+        return
+    flow = tried.current_ua.astype(int)
+    assert not flow.sum(axis=1).any()
+    assert np.abs(flow).max() <= 3000
+    assert np.abs(flow).sum(axis=1).max() <= 2 * 4000
+    assert np.abs(flow[:, 3]).max() <= 700
+    assert np.abs(flow).max() * width <= 500_000
+    assert 0 < width <= 200
+    assert tried.slots * (width + 100) <= period

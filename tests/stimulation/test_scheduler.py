@@ -1,0 +1,256 @@
+"""One slot for each active point, balanced, spread, and within the period."""
+
+import functools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from smarttouch.base.afferent import Afferent
+from smarttouch.base.errors import ScheduleError
+from smarttouch.base.tactile_image import TactileImage
+from smarttouch.kernels.bank import design_bank, load_bank
+from smarttouch.profile import list_profiles, load_profile
+from smarttouch.stimulation.point_slots import perceived_at, spread_order
+from smarttouch.stimulation.pulse_rates import ScanTiming
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
+from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
+from smarttouch.stimulation.scheduler import ScanScheduler
+
+from ..raising import raises
+from ..rising import open_level
+
+
+def tactile(activation, time_ns=10**9, afferent=Afferent.RA):
+    rows = np.zeros((3, len(activation)), np.float32)
+    rows[afferent] = activation
+    return TactileImage(rows, time_ns, 1.0)
+
+
+@functools.cache
+def shipped(name):
+    """Return a profile and its bank."""
+    profile = load_profile(name)
+    return profile, load_bank(profile)
+
+
+def started(profile, bank):
+    gate = SafetyGate(SafetyLimits.of(profile))
+    scan = ScanScheduler(profile, bank, (Afferent.RA,), 20.0)
+    driven = profile.driven.tolist()
+    silent = scan.schedule(tactile(np.zeros(len(profile.electrodes)), 0), 0.0)
+    open_level(gate.prove, silent, gate.limits, electrodes=(driven[0], driven[-1]))
+    return gate
+
+
+@pytest.mark.parametrize("name", list_profiles())
+@given(data=st.data())
+@settings(max_examples=50)
+def test_every_sequence_of_every_profile_is_safe(name, data):
+    profile, bank = shipped(name)
+    afferent = data.draw(st.sampled_from(sorted(bank.weights)))
+    level = st.floats(0, 1, width=32)
+    count = len(profile.electrodes)
+    seed = data.draw(st.integers(0, 2**32 - 1))
+    density, intensity = data.draw(level), data.draw(level)
+    rng = np.random.default_rng(seed)
+    activation = rng.random(count, np.float32) * (rng.random(count) < density)
+    scan = ScanScheduler(profile, bank, (afferent,), profile.pulse.rate_hz)
+    sequence = scan.schedule(tactile(activation, afferent=afferent), intensity)
+    started(profile, bank).prove(sequence)
+    assert not sequence.current_ua.sum(axis=1).any()
+    felt = perceived_at(profile, afferent)
+    places = sequence.site if felt is None else felt[sequence.site]
+    assert set(places) <= set(np.flatnonzero(activation))
+
+
+def test_full_activation_gets_the_comfortable_current_and_faint_the_threshold(profile, bank):
+    """And RA is anodic at its point."""
+    activation = np.zeros(64)
+    activation[[9, 50]] = 1.0, 1e-6
+    sequence = ScanScheduler(profile, bank, (Afferent.RA,), 50).schedule(tactile(activation), 1.0)
+    found = dict(zip(sequence.site.tolist(), sequence.current_ua.tolist(), strict=True))
+    for site, peak_ua in ((9, 2400), (50, 1200)):
+        assert max(map(abs, found[site])) == pytest.approx(peak_ua, abs=32)
+        assert found[site][site] == min(found[site]) < 0
+    assert (sequence.state[np.arange(2), sequence.site] == -1).all()
+
+
+def test_no_intensity_no_slots(profile, bank):
+    scan = ScanScheduler(profile, bank, (Afferent.RA,), 50)
+    assert scan.schedule(tactile(np.ones(64)), 0.0).slots == 0
+
+
+def test_rate_is_kept_where_it_fits_and_lowered_where_not(profile, bank):
+    scan = ScanScheduler(profile, bank, (Afferent.RA,), 100)
+    few = np.zeros(64)
+    few[:33] = 1
+    assert scan.schedule(tactile(few), 1.0).rate_hz == pytest.approx(100)
+    all_on = scan.schedule(tactile(np.ones(64)), 1.0)
+    assert all_on.period_us == 64 * 300
+
+
+def test_switched_boards_never_lose_an_electrode_to_rounding():
+    profile = load_profile("kajimoto-61")
+    scan = ScanScheduler(profile, load_bank(profile), (Afferent.RA,), 50)
+    for intensity in (0.001, 0.01, 0.02, 0.05, 0.3, 1.0):
+        state = scan.schedule(tactile(np.ones(61)), intensity).state
+        assert np.all(state != 0)
+    assert len(state) == 61
+
+
+@pytest.mark.parametrize("rate", [0, -1, 1000, float("nan")])
+def test_impossible_rates(profile, bank, rate):
+    same = pytest.approx(rate, nan_ok=True)
+    with raises(ScheduleError, about="rate_hz", value=same):
+        ScanScheduler(profile, bank, (Afferent.RA,), rate)
+
+
+@pytest.fixture(scope="module", params=["line-7", "kajimoto-61"])
+def masked(request, changed):
+    """A profile without electrodes 2 and 5, and its bank."""
+    profile = changed(load_profile(request.param), {"output.masked": [2, 5]})
+    return profile, design_bank(profile)
+
+
+@settings(max_examples=40)
+@given(data=st.data())
+def test_a_masked_electrode_is_never_driven(masked, data):
+    profile, bank = masked
+    afferent = data.draw(st.sampled_from(sorted(bank.weights)))
+    count = len(profile.electrodes)
+    activation = np.array(data.draw(st.lists(st.floats(0, 1), min_size=count, max_size=count)))
+    scan = ScanScheduler(profile, bank, (afferent,), 20)
+    sequence = scan.schedule(tactile(activation, afferent=afferent), 1.0)
+    started(*shipped(profile.name)).prove(sequence)
+    assert not np.isin(sequence.site, profile.output.masked).any()
+    assert not sequence.current_ua[:, list(profile.output.masked)].any()
+    felt = np.setdiff1d(np.flatnonzero(activation.astype(np.float32)), profile.output.masked)
+    assert set(sequence.site) == set(felt)
+
+
+def test_kernels_of_before_the_mask_are_refused(profile, bank, changed):
+    mine = changed(profile, {"output.masked": [27]})
+    with raises(ScheduleError, about="output.masked", value=(27,)):
+        ScanScheduler(mine, bank, (Afferent.RA,), 50)
+
+
+def test_the_board_s_clock_sets_the_period():
+    profile = load_profile("etactilekit-32")
+    timing = ScanTiming(slot_extra_us=10, every_electrode=True, whole_hz=True, load=0.9)
+    few = tactile(np.r_[np.ones(3), np.zeros(29)])
+    for asked_hz, got_hz in ((50, 50), (60, 60), (52.5, 52), (133, 133), (134, 133), (200, 133)):
+        scan = ScanScheduler(profile, load_bank(profile), (Afferent.SAI,), asked_hz, timing)
+        sequence = scan.schedule(tactile(few.activation[Afferent.RA], afferent=Afferent.SAI), 1.0)
+        assert sequence.slots == 3
+        assert sequence.period_us == math.ceil(1e6 / got_hz)
+
+
+def test_a_board_in_index_order_gets_its_order():
+    profile = load_profile("kajimoto-61")
+    timing = ScanTiming(50, 150, slot_extra_us=8, scan_us=700, in_index_order=True, load=1 / 1.1)
+    scan = ScanScheduler(profile, load_bank(profile), (Afferent.RA,), 100, timing)
+    sequence = scan.schedule(tactile(np.ones(61)), 1.0)
+    assert sequence.site.tolist() == list(range(61))
+    assert sequence.period_us == pytest.approx((700 + 208 * 61) * 1.1, abs=1)
+    few = scan.schedule(tactile(np.r_[np.zeros(40), np.ones(21)]), 1.0)
+    assert few.period_us == 10_000
+
+
+@given(st.integers(0, 1100))
+def test_spread_order_is_a_permutation(count):
+    assert sorted(spread_order(count)) == list(range(count))
+
+
+@pytest.mark.parametrize("count", [9, 16, 25, 64, 144])
+def test_successive_points_are_apart(count):
+    steps = np.abs(np.diff(spread_order(count)))
+    assert steps.min() >= count // 4
+
+
+def assert_joined(joined, parts):
+    """Check that slots are those of several sequences, one after the other."""
+    for name in ("site", "current_ua", "width_us", "discharge_us"):
+        alone = np.concatenate([getattr(each, name) for each in parts])
+        assert getattr(joined, name).tolist() == alone.tolist(), name
+
+
+def natural_image():
+    """RA and SAI here and there, each point as strong as no other: no slot is another's."""
+    rows = np.zeros((3, 64), np.float32)
+    rows[Afferent.RA, ::3] = np.linspace(1, 0.3, 22)
+    rows[Afferent.SAI, 1::5] = np.linspace(0.2, 0.9, len(rows[1, 1::5]))
+    return TactileImage(rows, 10**9, 1.0)
+
+
+@pytest.mark.parametrize("carrier", ["height", "width"])
+def test_classes_that_are_due_together_follow_one_another(profile, bank, changed, carrier):
+    """Each slot is, column by column, what its class alone has in this place."""
+    profile = changed(profile, {"pulse.carrier": carrier})
+    both = (Afferent.RA, Afferent.SAI)
+    joined = ScanScheduler(profile, bank, both).schedule(natural_image(), 0.7)
+    first, second = (
+        ScanScheduler(profile, bank, (each,), 10.0).schedule(natural_image(), 0.7) for each in both
+    )
+    assert (first.slots, second.slots) == (22, 13)
+    assert_joined(joined, (first, second))
+    assert len(set(joined.width_us.tolist())) > 30 or carrier == "height"
+    assert joined.proof is None
+    started(profile, bank).prove_measurement(joined)
+
+
+@pytest.mark.parametrize(
+    ("sharing", "proved"),
+    [
+        (SlotPolicy((Afferent.RA,), planned=False), (True, False)),
+        (SlotPolicy((Afferent.SAI,), planned=True), (False, True)),
+        (SlotPolicy((Afferent.RA, Afferent.SAI), planned=False), (True, True)),
+    ],
+)
+def test_proofs_stay_with_their_slots_where_classes_are_joined(profile, bank, sharing, proved):
+    both = (Afferent.RA, Afferent.SAI)
+    joined = ScanScheduler(profile, bank, both, sharing=sharing).schedule(natural_image(), 0.7)
+    parts = [
+        ScanScheduler(profile, bank, (each,), 10.0, sharing=sharing).schedule(natural_image(), 0.7)
+        for each in both
+    ]
+    assert [each.proof is not None for each in parts] == list(proved)
+    assert joined.slots == sum(each.slots for each in parts)
+    assert_joined(joined, parts)
+    slot = 0
+    for part in parts:
+        mine = slice(slot, slot := slot + part.slots)
+        points, other, spill = (
+            getattr(joined.proof, name)[mine] for name in ("points", "off_target", "spill")
+        )
+        if part.proof is None:
+            assert not points.any()
+            assert np.isnan([other, spill]).all()
+            continue
+        assert points.tolist() == part.proof.points.tolist()
+        assert other.tolist() == part.proof.off_target.tolist()
+        assert spill.tolist() == part.proof.spill.tolist()
+        assert not np.array_equal(other, spill)
+    assert joined.points == 22 + 13
+
+
+def test_three_classes_are_joined_as_two_are(profile, bank):
+    rows = natural_image().activation.copy()
+    rows[Afferent.PC, 2::11] = 0.5
+    image = TactileImage(rows, 10**9, 1.0, 200_000)
+    for sharing in (NO_SHARING, SlotPolicy(tuple(Afferent), planned=True)):
+        scan = ScanScheduler(profile, bank, tuple(Afferent), sharing=sharing)
+        joined = scan.schedule(image, 0.7)
+        together = (Afferent.RA, Afferent.SAI)
+        groups = [together, (Afferent.PC,)] if sharing.afferents else [(each,) for each in Afferent]
+        parts = [
+            ScanScheduler(profile, bank, group, sharing=sharing).schedule(
+                replace(image, activation=np.where(np.isin(range(3), group)[:, None], rows, 0)),
+                0.7,
+            )
+            for group in groups
+        ]
+        assert_joined(joined, parts)

@@ -1,0 +1,73 @@
+"""Sums over slots: exact, whatever the numbers and however many blocks they take."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from smarttouch.stimulation import slot_sums as module
+from smarttouch.stimulation.exposure import PER_PC, PER_PULSE
+from smarttouch.stimulation.slot_sums import SlotAdder, extent_us
+
+
+def check(current_ua, width_us, felt_ua):
+    """Compare with sums of whole numbers."""
+    found = SlotAdder(felt_ua).add_up(current_ua, width_us)
+    wide = current_ua.astype(np.int64)
+    magnitude = np.abs(wide)
+    assert found.net_ua.tolist() == wide.sum(axis=1).tolist()
+    assert found.total_ua.tolist() == magnitude.sum(axis=1).tolist()
+    assert found.highest_ua == magnitude.max()
+    felt = (magnitude >= felt_ua.astype(np.int64)).sum(axis=0)
+    assert found.load[0].tolist() == (PER_PULSE * felt).tolist()
+    charge_pc = (magnitude * width_us.astype(np.int64)[:, None]).sum(axis=0)
+    assert found.load[1].tolist() == (PER_PC * charge_pc).tolist()
+
+
+@given(
+    slots=st.integers(1, 40),
+    electrodes=st.integers(1, 70),
+    block=st.sampled_from([1, 64, 300, 65_536]),
+    most_ua=st.sampled_from([1, 5000, 32_767]),
+    one_width=st.booleans(),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_sums_are_those_of_whole_numbers(slots, electrodes, block, most_ua, one_width, seed):
+    random = np.random.default_rng(seed)
+    current_ua = random.integers(-most_ua - 1, most_ua + 1, (slots, electrodes)).astype(np.int16)
+    width_us = random.integers(1, 2**16, slots).astype(np.uint16)
+    if one_width:
+        width_us[:] = width_us[0]
+    felt_ua = random.integers(0, most_ua + 2, electrodes).astype(np.float32)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "BLOCK", block)
+        check(current_ua, width_us, felt_ua)
+
+
+def test_sums_beyond_single_precision_are_exact():
+    """An odd sum above 2^24 has no place in single precision."""
+    current_ua = np.full((600, 1001), 32_767, np.int16)
+    check(current_ua, np.full(600, 500, np.uint16), np.full(1001, 32_767, np.float32))
+
+
+def test_memory_is_used_again():
+    current_ua = np.ones((300, 1024), np.int16)
+    width_us = np.full(300, 200, np.uint16)
+    adder = SlotAdder(np.ones(1024, np.float32))
+    adder.add_up(current_ua, width_us)
+    tracemalloc.start()
+    try:
+        adder.add_up(current_ua, width_us)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    # Scratch of a block would be half of it, a copy in single precision twice as much.
+    assert peak < current_ua.nbytes / 4
+
+
+@given(st.lists(st.integers(0, 2**16 - 1), max_size=300))
+def test_the_extent_of_times(times_us):
+    extent = (min(times_us), max(times_us), sum(times_us)) if times_us else (0, 0, 0)
+    assert extent_us(np.array(times_us, np.uint16).tobytes()) == extent

@@ -1,0 +1,153 @@
+"""Runs with a window, in a thread of this process, on a board that keeps what it is sent."""
+
+import threading
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+import smarttouch as st
+from smarttouch.base.stopping import StopRequest
+from smarttouch.running.runner import Runner
+from smarttouch.sources.source_contract import Stimulus, StimulusSource
+from smarttouch.views.window import Window
+
+from ..waiting import until
+from .browser import chromium
+
+WAIT_S = 60
+CATHODIC, ANODIC, BASE = (179, 88, 6), (84, 39, 136), (236, 238, 241)
+
+
+class Spots(StimulusSource):
+    """Gives electrodes at random, others each time, with an image of as many pixels."""
+
+    knows_force = True
+
+    def __init__(self, profile):
+        super().__init__("spots")
+        self.profile, self._random = profile, np.random.default_rng(1)
+        self.pressed = []
+
+    @property
+    def keys(self):
+        return {"x": lambda: self.pressed.append("x")}
+
+    def read(self, time_ns):
+        self.frames += 1
+        active = np.zeros((3, len(self.profile.electrodes)), np.float32)
+        active[0, self._random.integers(0, active.shape[1], 5)] = 1
+        image = self._random.integers(0, 256, (8, 12), np.uint8)
+        full_n = self.profile.force.full_n
+        return Stimulus(active, time_ns, full_n, number=self.frames, image=image)
+
+
+class Run:
+    """A run with a window."""
+
+    def __init__(self, profile, source, board, rate_hz=None, books=None, **options):
+        self.stop, self.results = StopRequest(), {}
+        self.display, self.source = st.open_display(board, profile), source
+        options = {"finger": None, "keys": source.keys, "show": lambda _: None} | options
+        self.window = Window(self.stop, **options)
+        self.board = self.display.board
+        if books is not None:
+            self.board.keep_books(books)
+        self.runner = Runner(
+            source, self.display, st.RunConfig(intensity=1.0, rate_hz=rate_hz), stop=self.stop,
+            # Kept before a page can show it.
+            listeners=[self.keep, self.window],
+        )  # fmt: skip
+        self.thread = threading.Thread(target=self.runner.run)
+
+    def keep(self, result):
+        self.results[result.number] = result
+
+    @property
+    def controls(self):
+        return self.window.steering.controls
+
+    @property
+    def address(self):
+        return self.window.address
+
+    def state(self):
+        return self.controls.state(0)
+
+    def ended(self):
+        """Wait for the end; return how it came."""
+        self.thread.join(WAIT_S)
+        return self.runner.statistics.ended
+
+
+@pytest.fixture(scope="package")
+def browser():
+    """One browser for all tests here: starting one takes longer than most of them."""
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture
+def running(profile, monkeypatch):
+    """Return a context of a run with a window, which is stopped at its end.
+
+    A page that waits for a processor does not hang.
+    """
+    monkeypatch.setattr("smarttouch.views.window_pages.LOST_S", WAIT_S)
+
+    @contextmanager
+    def run(source=None, board="memory:", **options):
+        given = source or Spots(profile)
+        made = Run(getattr(given, "profile", profile), given, board, **options)
+        made.thread.start()
+        try:
+            until(lambda: made.results)
+            yield made
+        finally:
+            made.stop.ask("the test")
+            made.thread.join(WAIT_S)
+            made.window.close()
+
+    return run
+
+
+PIXELS = """array => {
+  const canvas = document.querySelector(array.canvas);
+  const paint = canvas.getContext('2d');
+  const longest = Math.max(canvas.width, canvas.height);
+  const scale = longest / Math.max(...array.extent);
+  return {
+    number: Number(canvas.dataset.number),
+    slot: canvas.dataset.slot,
+    colors: array.places.map(([x, y]) => [...paint.getImageData(
+      Math.round(canvas.width / 2 + x * scale),
+      Math.round(canvas.height / 2 + (y - 0.7 * array.radius) * scale), 1, 1).data].slice(0, 3)),
+  };
+}"""
+
+
+def drawn(page, profile, canvas="#electrodes"):
+    """Return the color of each electrode on a canvas, and what it says it shows."""
+    electrodes = profile.electrodes
+    return page.evaluate(PIXELS, {
+        "canvas": canvas,
+        "extent": [*electrodes.extent_mm],
+        "places": electrodes.position_mm.tolist(),
+        "radius": 0.42 * electrodes.pitch_mm,
+    })  # fmt: skip
+
+
+def colors(current_ua, profile):
+    """Return the color of each electrode, (E, 3), as the page's own rule has it."""
+    part = current_ua / (1000 * float(profile.full_ma.max()))
+    target = np.where(part[:, None] < 0, ANODIC, CATHODIC)
+    share = np.minimum(1, np.abs(part))[:, None]
+    return np.floor(BASE + (target - BASE) * share + 0.5).astype(int)
+
+
+def strongest(sequence):
+    """Return the strongest current of each electrode, (E,) µA."""
+    current = sequence.current_ua.astype(int)
+    if not len(current):
+        return np.zeros(current.shape[1], int)
+    return np.take_along_axis(current, np.abs(current).argmax(axis=0)[None], axis=0)[0]

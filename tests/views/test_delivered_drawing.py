@@ -1,0 +1,154 @@
+"""The picture of what was felt shows current where it was delivered."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.pages.page_image import Page
+from smarttouch.running.step import Step, StepResult
+from smarttouch.sources.source_contract import Frame, Pose, Stimulus
+from smarttouch.stimulation.scan_sequence import ScanSequence
+from smarttouch.views.delivered_drawing import PageDrawing
+
+from ..raising import raises
+
+AREA = ((0.0, 0.0), (200, 300), 0.1)
+"""Of the whole page."""
+
+
+@pytest.fixture
+def drawing(profile, make_bank):
+    """An array whose receptors answer only to anodic current of their own electrode."""
+    own = -np.eye(64, dtype=np.float32)
+    return PageDrawing(
+        profile, make_bank(own, own), (Afferent.RA,), Page(np.full((200, 300), 255, np.uint8), 0.1)
+    )
+
+
+def at(number, x, y, angle=0.0, intensity=1.0):
+    frame = Frame(np.zeros((2, 2), np.uint8), number, Pose(x, y, angle), 1.0)
+    empty = np.zeros(0, np.uint16)
+    sequence = ScanSequence(
+        np.zeros((0, 64), np.int16), empty, empty, empty, 20_000, intensity, number
+    )
+    return StepResult(Step(frame, None, sequence, Mode.RA), number, 1.0)
+
+
+def slot(electrode, current_ua=-2000):
+    current = np.zeros((1, 64), np.int16)
+    current[0, electrode] = current_ua
+    return current
+
+
+def deliver(drawing, numbers, currents, width_us=200.0):
+    numbers = np.array(numbers, np.uint32)
+    drawing.deliver(numbers, np.full(len(numbers), width_us, np.float32), currents)
+
+
+def darkest(picture):
+    rows, columns = np.nonzero(picture == picture.min())
+    return columns.mean() * 0.1, rows.mean() * 0.1
+
+
+def test_a_pulse_is_drawn_where_the_electrode_was(drawing):
+    drawing.watch(at(1, 12.0, 9.0))
+    deliver(drawing, [1], slot(0))
+    assert darkest(drawing.picture(*AREA)) == pytest.approx(
+        (12.0 - 7 / 3.2, 9.0 - 7 / 3.2), abs=0.11
+    )
+
+
+def test_the_array_turns_with_the_finger(drawing):
+    drawing.watch(at(1, 12.0, 9.0, angle=np.pi / 2))
+    deliver(drawing, [1], slot(0))
+    assert darkest(drawing.picture(*AREA)) == pytest.approx(
+        (12.0 + 7 / 3.2, 9.0 - 7 / 3.2), abs=0.11
+    )
+
+
+def test_cathodic_current_is_not_what_ra_feels(drawing):
+    drawing.watch(at(1, 12.0, 9.0))
+    deliver(drawing, [1], slot(0, 2000))
+    assert drawing.picture(*AREA).min() == 255
+
+
+def test_below_threshold_nothing_is_felt(drawing):
+    drawing.watch(at(1, 12.0, 9.0))
+    deliver(drawing, [1], slot(0, -1200))
+    assert drawing.picture(*AREA).min() == 255
+
+
+def test_a_full_pulse_is_black_and_a_weaker_one_grey(drawing):
+    drawing.watch(at(1, 8.0, 9.0))
+    drawing.watch(at(2, 20.0, 9.0))
+    currents = np.vstack([slot(0, -2400), slot(0, -1800)])
+    deliver(drawing, [1, 2], currents)
+    picture = drawing.picture(*AREA)
+    assert picture.min() == 0
+    assert abs(int(picture[:, 150:].min()) - 128) <= 2
+
+
+def test_a_shorter_pulse_does_less_than_a_long_one_and_more_than_its_charge(drawing):
+    drawing.watch(at(1, 12.0, 9.0))
+    # Weiss, chronaxie 200 µs: at 100 µs a current does 2/3 of what it does at 200 µs.
+    deliver(drawing, [1], slot(0, -2400), 100.0)
+    assert drawing.picture(*AREA).min() == pytest.approx(255 * (1 - 1 / 3), abs=2)
+
+
+def test_a_sequence_that_was_lost_with_the_board_is_not_drawn(drawing):
+    drawing.watch(at(1, 12.0, 9.0))
+    for _ in range(3):
+        drawing.watch(replace(at(1, 12.0, 9.0), number=None))
+    deliver(drawing, [1], slot(0, -2400))
+    # Nor does it make what was felt there paler.
+    assert drawing.picture(*AREA).min() == 0
+
+
+def test_nothing_delivered_nothing_drawn(drawing):
+    drawing.watch(at(1, 12.0, 9.0))
+    deliver(drawing, [], np.empty((0, 64), np.int16))
+    assert drawing.picture(*AREA).min() == 255
+
+
+def test_off_the_page_is_left_out(drawing):
+    drawing.watch(at(1, -50.0, 900.0))
+    deliver(drawing, [1], slot(0))
+    assert drawing.picture(*AREA).min() == 255
+
+
+def test_where_nothing_was_seen_the_touch_is_drawn_alone(profile, make_bank, tmp_path):
+    own, sheets = -np.eye(64, dtype=np.float32), []
+    for image in (None, np.zeros((2, 2), np.uint8)):
+        drawing = PageDrawing(profile, make_bank(own, own), (Afferent.RA,), None)
+        result = at(1, 12.0, 9.0)
+        stimulus = Stimulus(
+            np.zeros((3, 64), np.float32), 1, 1.0, 20_000, pose=Pose(12, 9), image=image
+        )
+        drawing.watch(replace(result, step=replace(result.step, input=stimulus)))
+        deliver(drawing, [1], slot(0, -2400))
+        assert drawing.picture(*AREA).min() == 0
+        drawing.save(tmp_path / "felt.png")
+        with Image.open(tmp_path / "felt.png") as sheet:
+            sheets.append(sheet.height / sheet.width)
+    assert sheets[0] < 1.3 < sheets[1]
+
+
+def test_save(drawing, tmp_path):
+    deliver(drawing, [], np.empty((0, 64), np.int16))
+    drawing.save(tmp_path / "felt.png")
+    with Image.open(tmp_path / "felt.png") as sheet:
+        assert sheet.width > 700
+        # A black bar of whole millimeters beside the first label, by the resolution that it says.
+        above = np.asarray(sheet)[:52, :-24] == 40
+        runs = [run for row in above for run in "".join(np.where(row, "#", " ")).split()]
+        bar_px = max(map(len, runs))
+        bar = bar_px / sheet.info["dpi"][0] * 25.4
+        assert bar == pytest.approx(round(bar), abs=0.2)
+        assert bar >= 1
+    path = tmp_path / "none" / "felt.png"
+    with raises(SmartTouchError, about="file", value=path):
+        drawing.save(path)

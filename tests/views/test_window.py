@@ -1,0 +1,274 @@
+"""Pages of a run: what is refused, who may do what, and that a page can hold nothing up."""
+
+import http.client
+import json
+import random
+from contextlib import ExitStack, suppress
+from socket import SHUT_RDWR
+from urllib.parse import urlsplit
+
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect as open_socket
+
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.events import Note, RunFailed, TrialEvent
+from smarttouch.profile import load_profile
+from smarttouch.views.window import Window
+from smarttouch.views.window_pages import LOST_S, MOST_PAGES
+from smarttouch.views.window_server import MOST_MESSAGE_BYTES
+
+from ..raising import raises
+from ..waiting import until
+from .conftest import Spots
+
+pytestmark = pytest.mark.realtime
+
+
+def connect(run, *, origin=None, token=None):
+    """Return the socket of a page; by default one that is as it should be."""
+    place = urlsplit(run.address)
+    secret = place.path.split("/")[1] if token is None else token
+    return open_socket(
+        f"ws://{place.netloc}/{secret}/socket",
+        origin=f"http://{place.netloc}" if origin is None else origin or None,
+        compression=None,
+        proxy=None,
+    )
+
+
+def ask(run, method, path, **headers):
+    place = urlsplit(run.address)
+    line = http.client.HTTPConnection(place.hostname, place.port, timeout=10)
+    secret = place.path.split("/")[1]
+    line.request(method, path.replace("SECRET", secret), headers=headers)
+    answer = line.getresponse()
+    answer.read()
+    line.close()
+    return answer
+
+
+def receive(socket, kind):
+    """Return the next message of a kind, answering those that come before."""
+    while True:
+        message = json.loads(socket.recv(timeout=20))
+        if message["type"] == kind:
+            return message
+        if message["type"] == "update":
+            # At the end the server may have closed the line behind what is still to be read.
+            with suppress(ConnectionClosed):
+                socket.send("seen")
+
+
+def test_only_this_page_of_this_machine_is_served(running):
+    with running() as run:
+        netloc = urlsplit(run.address).netloc
+        own = f"http://{netloc}"
+        for path, headers, status in (
+            ("/SECRET/live.html", {}, 200),
+            ("/SECRET/live.html", {"Origin": own}, 200),
+            ("/SECRET/style.css", {}, 200),
+            ("/SECRET/../live.py", {}, 404),
+            ("/SECRET/%2e%2e/live.py", {}, 404),
+            ("/live.html", {}, 403),
+            ("/", {}, 403),
+            ("/SECREX/live.html", {}, 403),
+            ("/SECRET/live.html", {"Host": "example.org"}, 403),
+            ("/SECRET/live.html", {"Origin": "http://example.org"}, 403),
+        ):
+            assert ask(run, "GET", path, **headers).status == status, (path, headers)
+        for path, headers in (
+            ("/SECRET/stop", {}),
+            ("/SECRET/stop", {"Origin": "http://example.org"}),
+            ("/SECRET/stop", {"Origin": "null"}),
+            ("/stop", {"Origin": own}),
+        ):
+            assert ask(run, "POST", path, **headers).status == 403
+        answer = ask(run, "GET", "/SECRET/live.html")
+        assert "default-src 'none'" in answer.headers["content-security-policy"]
+        for wrong in (
+            {"origin": "http://example.org"},
+            {"origin": ""},
+            {"token": "x" * 32},
+        ):
+            with pytest.raises(InvalidStatus) as refused:
+                connect(run, **wrong)
+            assert refused.value.response.status_code == 403
+        upgrade = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
+        upgrade |= {"Sec-WebSocket-Key": "MDEyMzQ1Njc4OTAxMjM0NQ==", "Origin": own}
+        assert ask(run, "GET", "/SECRET/socket", Host="example.org", **upgrade).status == 403
+        assert run.window.pages == 0
+        assert not run.stop.event.is_set()
+
+
+def test_what_is_no_message_ends_a_page_and_nothing_else(running):
+    noise = random.Random(1)
+    with running() as run:
+        before = run.state()
+        wrong = [
+            "", "seen ", "do", "do ", "do more ", "do key:q", "steer 1", "stop now", "{}",
+            "x" * (MOST_MESSAGE_BYTES + 1), b"stop", noise.randbytes(200),
+            *("".join(map(chr, noise.choices(range(1, 0xD800), k=40))) for _ in range(5)),
+        ]  # fmt: skip
+        for message in wrong:
+            with connect(run) as socket:
+                receive(socket, "hello")
+                socket.send(message)
+                with pytest.raises(ConnectionClosed):
+                    receive(socket, "nothing")
+        with connect(run) as socket, suppress(ConnectionClosed):
+            while True:
+                socket.send("seen")
+        until(lambda: run.window.pages == 0)
+        count = len(run.results)
+        until(lambda: len(run.results) > count)
+        assert run.state() == before
+
+
+def test_a_page_is_told_of_the_run(running):
+    with running() as run, connect(run) as socket:
+        hello = receive(socket, "hello")
+        assert hello["modes"][0] == "RA"
+        assert len(hello["array"]["place_mm"]) == 64
+        update = receive(socket, "update")
+        assert update["state"]["steers"] == "nobody"
+        assert any(each["kind"] == "ModeChanged" for each in update["state"]["events"])
+        assert update["picture"]["number"] in run.results
+        socket.send("seen")
+        assert receive(socket, "update")["state"]["events"] == []
+
+
+def test_stop_from_a_page_ends_the_run(running):
+    with running() as run, connect(run) as first, connect(run) as second:
+        receive(first, "hello")
+        first.send("steer")
+        second.send("stop")
+        assert receive(second, "ended") == {
+            "type": "ended", "reason": "the window", "failed": False
+        }  # fmt: skip
+        assert run.ended() == "the window"
+
+
+def test_a_page_does_not_say_that_a_run_that_failed_is_at_zero(running):
+    with running() as run, connect(run) as socket:
+        run.window.event(RunFailed(0, "lift the finger"))
+        run.window.close()
+        assert receive(socket, "ended") == {
+            "type": "ended", "reason": "lift the finger", "failed": True
+        }  # fmt: skip
+
+
+def test_a_page_that_has_lost_its_connection_can_stop(running):
+    with running() as run:
+        origin = f"http://{urlsplit(run.address).netloc}"
+        assert ask(run, "POST", "/SECRET/stop", Origin=origin).status == 204
+        # The answer comes when boards are at zero: nothing is sent after it.
+        count = len(run.board.sequences)
+        assert run.ended() == "the window"
+        assert len(run.board.sequences) == count
+
+
+def test_a_second_page_steers_when_the_first_is_gone(running):
+    with running() as run, connect(run) as second:
+        with connect(run) as first:
+            receive(first, "hello")
+            first.send("do less")
+            until(lambda: run.state().level < 1)
+            second.send("do more")
+            # Killed: without a word.
+            first.socket.shutdown(SHUT_RDWR)
+        until(lambda: run.state().paused)
+        assert run.state().level < 1
+        receive(second, "update")
+        second.send("do resume")
+        until(lambda: not run.state().paused)
+        assert run.window.steering.page is not None
+
+
+def test_current_is_zero_when_the_page_that_steers_hangs(running, monkeypatch):
+    monkeypatch.setattr("smarttouch.views.window_pages.LOST_S", LOST_S)
+    with running() as run, connect(run) as socket:
+        receive(socket, "hello")
+        socket.send("steer")
+        # It is open, and answers nothing any more.
+        last = until(
+            lambda: next((each for each in [*run.results.values()] if not each.step.level), None)
+        )
+        assert not last.sequence.current_ua.any()
+        assert run.state().paused
+
+
+def test_with_a_keyboard_a_page_may_leave(running):
+    with running(alone=False) as run:
+        with connect(run) as socket:
+            receive(socket, "hello")
+            socket.send("do less")
+            until(lambda: run.state().level < 1)
+        until(lambda: run.window.pages == 0)
+        assert run.window.steering.page is None
+        assert not run.state().paused
+
+
+def test_a_page_that_reads_nothing_holds_nobody_up(running):
+    with running() as run, connect(run), connect(run) as reader:
+        receive(reader, "hello")
+        count = len(run.results)
+        while len(run.results) < count + 25:
+            assert receive(reader, "update")
+            reader.send("seen")
+        assert not run.state().paused
+
+
+def test_a_hundred_pages_come_and_go(running):
+    with running() as run:
+        for number in range(100):
+            with connect(run) as socket:
+                receive(socket, "hello")
+                if number % 10 == 0:
+                    socket.send("stee")
+        with ExitStack() as stack:
+            for _ in range(MOST_PAGES):
+                receive(stack.enter_context(connect(run)), "hello")
+            with pytest.raises(ConnectionClosed):
+                receive(stack.enter_context(connect(run)), "hello")
+        until(lambda: run.window.pages == 0)
+        assert not run.state().paused
+    assert run.runner.statistics.ended == "the test"
+
+
+def test_keys_of_the_source_are_pressed(running):
+    with running() as run, connect(run) as socket:
+        assert receive(socket, "hello")["keys"] == ["x"]
+        socket.send("do key:x")
+        until(lambda: run.source.pressed)
+
+
+def test_what_would_tell_the_answer_is_not_sent(running):
+    with running(blind=True) as run, connect(run) as socket:
+        assert receive(socket, "hello")["blind"]
+        run.window.event(TrialEvent(0, "the answer"))
+        run.window.event(Note(1, "no answer"))
+        told = []
+        while "no answer" not in told:
+            update = receive(socket, "update")
+            assert {*update} == {"type", "state"}
+            # What counts pulses would tell, too.
+            assert not {"dose_s", "dose_mc", "sequences", "work_share"} & {*update["state"]}
+            told += [each["text"] for each in update["state"]["events"]]
+            socket.send("seen")
+        assert "the answer" not in told
+
+
+def test_a_finger_feels_what_is_delivered(running):
+    source = Spots(load_profile("smarttouch-4x4"))
+    with running(source, finger=1, anatomy="paper") as run, connect(run) as socket:
+        hello = receive(socket, "hello")
+        assert hello["finger"]["classes"]
+        while "felt" not in (update := receive(socket, "update")):
+            socket.send("seen")
+        assert update["felt"]["spikes"] >= 0
+
+
+def test_a_port_that_is_taken_is_refused(running):
+    with running() as run, raises(SmartTouchError, about="window", value=run.window.server.port):
+        Window(run.stop, run.window.server.port)

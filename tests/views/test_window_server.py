@@ -1,0 +1,178 @@
+"""The page in a real browser: what it draws, how it is used, and by whom."""
+
+import stat
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
+
+import numpy as np
+import pytest
+
+from smarttouch.views import window_server
+
+from ..waiting import until
+from .browser import opened, violations
+from .conftest import colors, drawn, strongest
+
+pytestmark = pytest.mark.realtime
+
+
+@pytest.fixture
+def on_page(browser, running):
+    """Return a context of a run and its page, once that has drawn something."""
+
+    @contextmanager
+    def show(width=800, height=700, media=None, **options):
+        media = media or {}
+        with (
+            running(rate_hz=20, **options) as run,
+            opened(browser, run.address, width, height, **media) as page,
+        ):
+            page.wait_for_selector("#electrodes[data-number]")
+            yield run, page
+
+    return show
+
+
+def test_pixels_are_the_delivered_sequence(on_page, profile):
+    def driven():
+        """Return what is drawn, and its sequence; none after a machine has stood still."""
+        found = drawn(page, profile)
+        sequence = run.results[found["number"]].sequence
+        return (found, sequence) if sequence.slots else None
+
+    with on_page() as (run, page):
+        until(lambda: len(run.results) > 25)
+        for _ in range(3):
+            found, sequence = until(driven)
+            expected = colors(strongest(sequence), profile)
+            assert np.array_equal(found["colors"], expected)
+            page.wait_for_timeout(100)
+        page.click("#slot-after")
+        found = drawn(page, profile)
+        sequence = run.results[found["number"]].sequence
+        for slot in range(sequence.slots):
+            found = drawn(page, profile)
+            assert found["slot"] == str(slot)
+            assert np.array_equal(found["colors"], colors(sequence.current_ua[slot], profile))
+            page.click("#slot-after")
+        words = page.get_attribute("#sensor", "aria-label")
+        assert "12 by 8" in words
+
+
+@pytest.mark.parametrize("how", ["button", "Escape", "Space"])
+def test_stop_is_always_there(on_page, how):
+    with on_page(360, 640) as (run, page):
+        page.evaluate("scrollTo(0, document.body.scrollHeight)")
+        if how == "button":
+            page.click("#stop")
+        else:
+            page.focus("#more")
+            page.keyboard.press(how)
+        assert run.ended() == "the window"
+        assert run.state().level == 1
+        page.wait_for_selector("#stop:disabled")
+        # What was to be drawn when it ended is not drawn any more.
+        page.evaluate(
+            "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+        )
+        assert page.is_disabled("#less")
+
+
+def test_a_keyboard_is_enough(on_page):
+    with on_page() as (run, page):
+        page.keyboard.press("-")
+        until(lambda: run.state().level < 1)
+        page.wait_for_selector("#steer[aria-pressed=true]")
+        page.keyboard.press("p")
+        until(lambda: run.state().paused)
+        page.wait_for_selector("#pause[aria-pressed=true]")
+        page.focus("#pause")
+        page.keyboard.press("Enter")
+        until(lambda: not run.state().paused)
+        page.keyboard.press("x")
+        until(lambda: run.source.pressed)
+        page.keyboard.press("0")
+        until(lambda: not run.state().level)
+        reached = set()
+        for _ in range(40):
+            page.keyboard.press("Tab")
+            reached.add(page.evaluate("document.activeElement.id"))
+        buttons = page.evaluate(
+            "[...document.querySelectorAll('button[id]:enabled')]"
+            ".filter(each => each.offsetParent).map(each => each.id)"
+        )
+        assert {*buttons} <= reached
+
+
+def test_a_second_page_takes_over_when_the_first_is_closed(on_page, browser):
+    with on_page() as (run, page):
+        with opened(browser, run.address) as first:
+            first.wait_for_selector("#status.runs")
+            first.keyboard.press("-")
+            until(lambda: run.state().level < 1)
+            page.wait_for_selector("#more:disabled")
+        until(lambda: run.state().paused)
+        page.wait_for_selector("#pause[aria-pressed=true]:enabled")
+        page.click("#pause")
+        until(lambda: not run.state().paused)
+        page.wait_for_selector("#steer[aria-pressed=true]")
+
+
+def test_axe_finds_nothing(on_page):
+    with on_page() as (_, page):
+        page.click("summary")
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            assert violations(page) == []
+
+
+def test_it_fits_a_phone_and_little_moves_for_who_wants_that(on_page):
+    with on_page(360, 740, media={"reduced_motion": "reduce"}) as (_, page):
+        page.click("#slow")
+        slot = page.inner_text("#slot")
+        page.wait_for_timeout(400)
+        assert page.inner_text("#slot") == slot
+        assert page.evaluate("document.documentElement.scrollWidth") == 360
+        page.evaluate("scrollTo(0, document.body.scrollHeight)")
+        assert page.is_visible("#stop")
+        box = page.locator("#stop").bounding_box()
+        assert box["y"] >= 0
+        assert box["height"] >= 44
+
+
+def test_who_must_not_see_sees_nothing(on_page, running, browser):
+    with running(blind=True) as run, opened(browser, run.address) as page:
+        page.wait_for_selector("#status.runs")
+        assert not page.is_visible("#electrodes")
+        assert not page.is_visible("#tactile")
+        assert not page.is_visible("#sensor")
+        assert "spots" in page.inner_text("#title")
+
+
+def test_the_browser_is_led_to_the_page_by_a_private_file(browser, running, monkeypatch):
+    """No argument of the browser has the secret: any user of the machine could read it."""
+    given, read = threading.Event(), threading.Event()
+
+    def told(address):
+        given.address = address
+        given.set()
+        read.wait(60)
+
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(window_server.webbrowser, "open", told)
+    monkeypatch.setattr(window_server, "_FILE_KEPT_S", 0.0)
+    with running(rate_hz=20, show=window_server.open_browser) as run:
+        assert given.wait(60)
+        path = Path(url2pathname(urlsplit(given.address).path))
+        assert urlsplit(run.address).path.split("/")[1] not in given.address
+        assert [stat.S_IMODE(each.stat().st_mode) for each in (path.parent, path)] == [0o700, 0o600]
+        page = browser.new_page()
+        page.goto(given.address)
+        page.wait_for_url(run.address)
+        page.wait_for_selector("#electrodes[data-number]")
+        page.close()
+        read.set()
+        until(lambda: not path.parent.exists())
