@@ -112,3 +112,11 @@ def test_links_between_files_hold(page):
     for target in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text("utf-8")):
         if "gallery/" not in target and Path(target).name not in GENERATED:
             assert (page.parent / target).exists(), target
+
+
+def test_the_page_on_architecture_names_what_there_is():
+    root = Path(__file__).parents[1]
+    page = (root / "docs" / "explanation" / "architecture.md").read_text("utf-8")
+    named = set(re.findall(r"`((?:smarttouch|tests|examples|firmware|docs)/[\w/.-]+)`", page))
+    assert len(named) > 30
+    assert sorted(each for each in named if not (root / each).exists()) == []
