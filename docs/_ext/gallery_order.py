@@ -23,6 +23,8 @@ ORDER = (
     "own_board",
     "live_camera",
     "own_stimulus",
+    "own_imaging",
+    "show_patterns",
     "errors",
 )
 
