@@ -10,6 +10,14 @@ void st_tell(st_board *board, uint8_t kind, uint32_t about, const uint8_t *paylo
     st_say(board, kind, session->number, session->said, session->taken, about, payload, size);
 }
 
+void st_tell_begun(st_board *board)
+{
+    const uint64_t start_us = board->last_start_us;
+    uint8_t payload[8];
+    (void)st_put_u32(st_put_u32(payload, (uint32_t)start_us), (uint32_t)(start_us >> 32));
+    st_tell(board, ST_ACK, (uint32_t)board->last_number, payload, sizeof payload);
+}
+
 #define NAK_BYTES 14u
 
 static void put_refusal(uint8_t payload[NAK_BYTES], const st_refusal *refusal)
@@ -190,7 +198,7 @@ static void accept(st_board *board, const st_message *message, uint64_t now_us)
     }
     if ((int64_t)number == board->last_number) {
         if (board->last_begun) {
-            st_tell(board, ST_ACK, number, NULL, 0);
+            st_tell_begun(board);
         }
         return;
     }

@@ -218,6 +218,7 @@ typedef struct {
     st_sequence *running, *waiting;
     uint64_t heard_us, alive_us, executed_us;
     int64_t last_number;
+    uint64_t last_start_us;
     bool last_begun, greeted;
     bool open; /* the emergency switch, when it was looked at last */
     uint8_t refusing; /* a reason, 0 if sequences are taken */

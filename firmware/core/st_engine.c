@@ -17,7 +17,8 @@ void st_begin_sequence(st_board *board, st_sequence *sequence, uint64_t start_us
     start_scan(board, sequence, start_us);
     board->last_number = sequence->number;
     board->last_begun = true;
-    st_tell(board, ST_ACK, sequence->number, NULL, 0);
+    board->last_start_us = start_us;
+    st_tell_begun(board);
 }
 
 /* Add what a source drives through each electrode, in books that know nothing of the skin. */

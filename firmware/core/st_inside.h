@@ -111,6 +111,8 @@ void st_parse(const uint8_t *body, uint32_t size, st_message *message);
 void st_look_at_switch(st_board *board);
 /* Send the next packet of the session. */
 void st_tell(st_board *board, uint8_t kind, uint32_t about, const uint8_t *payload, size_t size);
+/* Acknowledge the last sequence: when it began, by the port's clock. */
+void st_tell_begun(st_board *board);
 
 /* st_engine.c */
 void st_begin_sequence(st_board *board, st_sequence *sequence, uint64_t start_us);

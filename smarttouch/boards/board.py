@@ -25,6 +25,7 @@ from smarttouch.boards.reports import (
     HostStatistics,
     Impedance,
     Polarity,
+    SequenceStart,
 )
 from smarttouch.boards.seal import TimedBoard, make_gate, seal_fault
 from smarttouch.boards.stoppable import enter, leave
@@ -283,6 +284,13 @@ class Board(TimedBoard, ABC):
     def refused_packets(self) -> int:
         """Number of packets from the board that were old, of another session, or unrequested."""
         return 0
+
+    def start_of(self, number: int) -> SequenceStart | None:
+        """Return when a sequence began, by the number that `send` returned.
+
+        None before the board has said so, some seconds later, and for boards that never say it.
+        """
+        return None
 
     def take_volts(self) -> list[tuple[ScanSequence, NDArray[np.float32]]]:
         """Return the voltages measured since the last call.

@@ -105,6 +105,25 @@ class Capabilities:
 
 
 @dataclass(frozen=True)
+class SequenceStart:
+    """When a sequence began.
+
+    Attributes
+    ----------
+    number : int
+        The sequence's, as `Board.send` returned it.
+    time_ns : int
+        By `Board.clock`; too late by the shortest delay of the line.
+    board_us : int, µs
+        By the board's own clock, since it was switched on.
+    """
+
+    number: int
+    time_ns: int
+    board_us: int
+
+
+@dataclass(frozen=True)
 class BoardReport:
     """Report of what a board delivered since it was opened."""
 

@@ -164,7 +164,7 @@ class SimulatedBoard(LinkHost):
     def _hear(self, message: Message) -> None:
         match message.kind:
             case MessageKind.ACK:
-                self.acknowledged += 1
+                self._note_start(message, self._line.now_ns, self._line.now_ns)
             case MessageKind.NAK:
                 self.refused += 1
                 self._unsafe_refused += 1

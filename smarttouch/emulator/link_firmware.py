@@ -138,8 +138,8 @@ class LinkFirmware(Firmware):
         self._session = session or BoardSession()
         self._running: _Table | None = None
         self._waiting: _Table | None = None
-        self._last = (-1, False)
-        """Number of the last sequence accepted, and whether it has begun."""
+        self._last, self._last_start_ns = (-1, False), 0
+        """Number of the last sequence accepted, whether it has begun, and when."""
         self._refusing: Refusal | None = Refusal.STOPPED
         self._heard_ns = 0
         """Time of the last sign of life."""
@@ -275,7 +275,8 @@ class LinkFirmware(Firmware):
         self._begin_pass(table, start_ns)
         self._running = table
         self._last = (table.number, True)
-        self._say(MessageKind.ACK, table.number)
+        self._last_start_ns = start_ns
+        self._acknowledge()
 
     def _deliver(self, table: _Table, slot: int) -> None:
         sequence, start_ns = table.sequence, int(table.starts_ns[slot])
@@ -377,7 +378,7 @@ class LinkFirmware(Firmware):
             return self._refuse(number, Refusal.EMERGENCY if opened else self._refusing)
         if number == self._last[0]:
             if self._last[1]:
-                self._say(MessageKind.ACK, number)
+                self._acknowledge()
             return None
         if number < self._last[0]:
             self._session.old += 1
@@ -427,6 +428,11 @@ class LinkFirmware(Firmware):
         span_us = sequence.times * sequence.period_us if load.peak_pc else 0
         self._ramp.note(lists.intensity, strength, rise_us, span_us)
         return _Table(number, sequence, load if lists.slots else None, sequence.times)
+
+    def _acknowledge(self) -> None:
+        """Say that the last sequence has begun, and when."""
+        began = protocol.ACK.pack(self._last_start_ns // 1000)
+        self._say(MessageKind.ACK, self._last[0], began)
 
     def _turn_away(self, reason: Refusal) -> None:
         if self._session.live:

@@ -38,7 +38,10 @@ class Shown:
     time_ns : int
         When its first sequence was sent, since the start of the session.
     clock_ns : int
-        The same by the machine's clock, `time.monotonic_ns`.
+        When its first pulse began, by the machine's clock, `time.monotonic_ns`; when it was sent,
+        if the board does not say when it began.
+    board_us : int or None, µs
+        When its first pulse began, by the board's own clock; None if the board does not say.
     sequences, pulses : int
         Sequences sent, and the slots of all of them.
     intensity : float, in [0, 1]
@@ -49,6 +52,7 @@ class Shown:
 
     time_ns: int
     clock_ns: int
+    board_us: int | None
     sequences: int
     pulses: int
     intensity: float
@@ -224,7 +228,7 @@ class Session:
                 Note(show.time_ns, f"a pattern waited {show.ramped_ns / 1e9:.2f} s for its level")
             )
         return Shown(
-            show.time_ns, show.clock_ns, show.sequences, show.pulses,
+            show.time_ns, show.clock_ns, show.board_us, show.sequences, show.pulses,
             0.0 if show.lowest is None else show.lowest, show.ramped_ns / 1e9,
         )  # fmt: skip
 

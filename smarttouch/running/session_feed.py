@@ -47,6 +47,9 @@ class Show:
     asked_ns: int | None = None
     time_ns: int = 0
     clock_ns: int = 0
+    first: int | None = None
+    """Number of its first sequence."""
+    board_us: int | None = None
     ramped_ns: int = 0
     sequences: int = 0
     pulses: int = 0
@@ -248,6 +251,7 @@ class SessionFeed(Source):
             self.frames += 1
         # As many periods as begin within, half a period more or less.
         if show.fault or time_ns - show.time_ns >= 1e9 * show.seconds:
+            self._note_start(show)
             self._show = None
             show.over.set()
             return None
@@ -298,6 +302,7 @@ class SessionFeed(Source):
                     # Claimed in full, and not open: pulses this weak do not open that much.
                     show.faint = min(1.0, 2 * show.faint)
                 return
+            show.first = result.number if show.first is None else show.first
             show.sequences += 1
             show.pulses += sequence.slots
             show.lowest = min(sequence.intensity, math.inf if show.lowest is None else show.lowest)
@@ -306,6 +311,16 @@ class SessionFeed(Source):
                     f"level {show.level:g} was lost after {show.sequences} sequences: the finger "
                     "was lifted, the session paused, or the board lost"
                 )
+
+    def _note_start(self, show: Show) -> None:
+        """Note when the first pulse of a pattern began, if the board says so."""
+        board = self._run.board
+        start = None if show.first is None else board.start_of(show.first)
+        if start is not None:
+            show.board_us = start.board_us
+            if not board.simulated_time:
+                # The board's clock may run while the machine sleeps, the program's does not.
+                show.clock_ns = time.monotonic_ns() - (board.clock.now_ns() - start.time_ns)
 
     def _silent(self, time_ns: int) -> Stimulus:
         return Stimulus(self._nothing, time_ns, self._press_n, self._least_us)

@@ -255,7 +255,7 @@ def test_what_got_lost_is_sent_again_only_while_there_is_time():
             return now_ns() <= latest_ns and not written.append((number, payload))
 
         board._line.send = send
-        board._in_flight[7], board._in_flight_due_ns = b"packet", board.clock.time_ns
+        board._in_flight[7], board._in_flight_due_ns = (b"packet", 0), board.clock.time_ns
         board._send_again()
         assert written == [(7, b"packet")]
         board.clock.time_ns += LATE_NS + 1

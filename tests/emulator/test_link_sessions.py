@@ -6,6 +6,7 @@ import pytest
 from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import (
+    ACK,
     ALIVE_MS,
     LATE_MS,
     LONGEST_PACKET_MS,
@@ -80,9 +81,12 @@ def test_a_sequence_that_comes_again_byte_by_byte_is_old(rig):
 
 
 def test_a_sequence_that_is_sent_again_is_acknowledged_again_and_not_delivered(rig):
+    began_ms = None
     for _ in range(3):
+        began_ms = rig.now_ms if began_ms is None else began_ms
         (answer,) = rig.tell(MessageKind.SEQUENCE, 1, payload())
         assert (answer.kind, answer.about) == (MessageKind.ACK, 1)
+        assert ACK.unpack(answer.payload) == (1000 * began_ms,)
         rig.wait(15)
     assert (rig.books.slots, rig.counted) == (1, (0, 0))
 

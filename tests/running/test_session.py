@@ -54,6 +54,11 @@ def test_after_a_rise_a_pattern_is_at_its_level_from_its_first_pulse(url):
             np.testing.assert_array_equal(each.tactile.activation[st.Afferent.RA], RING)
         assert shown.pulses == sum(each.sequence.slots for each in own)
     assert found[0].clock_ns < found[1].clock_ns <= time.monotonic_ns()
+    began_us = [each.board_us for each in found]
+    if url == "memory:":
+        assert began_us == [None, None]
+    else:
+        assert began_us[1] - began_us[0] >= 0.5e6
     assert touch.statistics.ended == "the session is over"
 
 

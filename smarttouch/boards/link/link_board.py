@@ -55,7 +55,8 @@ class LinkBoard(LinkHost):
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         super().__init__(limits, output)
         self._line = LinkLine(port, self._hear, self._aftermath, self._send_again)
-        self._in_flight: dict[int, bytes] = {}
+        self._in_flight: dict[int, tuple[bytes, int]] = {}
+        """Payload, and when it was sent, of each sequence without an answer."""
         self._repeated: deque[int] = deque(maxlen=64)
         """Sequences sent more than once: they may be answered more than once."""
         self._stop_answered = False
@@ -113,7 +114,7 @@ class LinkBoard(LinkHost):
         ):
             self._drop_late()
         with self._line.news:
-            self._in_flight[self._number] = payload
+            self._in_flight[self._number] = payload, self._clock.now_ns()
             self._in_flight_due_ns, self._in_flight_ppb = self._due_ns, (ppb, strength_ppb)
             self._in_flight_ns = 1000 * sequence.period_us * times * sequence.drives
             self._again_s = self._line.now_s() + AGAIN_S
@@ -180,7 +181,7 @@ class LinkBoard(LinkHost):
                 if not self._in_flight or now_s < self._again_s:
                     return
                 self._again_s = now_s + AGAIN_S
-                number, payload = next(iter(self._in_flight.items()))
+                number, (payload, _) = next(iter(self._in_flight.items()))
                 self._repeated.append(number)
                 self._unsafe_refused += 1
             self._write_in_time(number, payload)
@@ -246,21 +247,21 @@ class LinkBoard(LinkHost):
         if message.state & protocol.SWITCH_OPEN and self._has_switch:
             self._line.fail(self._emergency())
         match message.kind:
-            case MessageKind.ACK:
-                if self._answered(message):
-                    self.acknowledged += 1
+            case MessageKind.ACK if len(message.payload) == protocol.ACK.size:
+                if (sent_ns := self._answered(message)) is not None:
+                    self._note_start(message, sent_ns, self._clock.now_ns())
             case MessageKind.NAK:
                 self._refused(message)
             case _:
                 super()._hear(message)
 
-    def _answered(self, message: Message) -> bool:
-        """Return whether this answers a sequence in flight; count it if it answers none."""
-        if self._in_flight.pop(message.about, None) is not None:
-            return True
+    def _answered(self, message: Message) -> int | None:
+        """Return when the sequence that this answers was sent; count it if it answers none."""
+        if (answered := self._in_flight.pop(message.about, None)) is not None:
+            return answered[1]
         if message.about not in self._repeated:
             self._line.session.refuse()
-        return False
+        return None
 
     @property
     def _has_switch(self) -> bool:
@@ -281,7 +282,7 @@ class LinkBoard(LinkHost):
         if why in (Refusal.GARBLED, Refusal.OLD, Refusal.FOREIGN):
             # Our own part of it is sent again; REPORT counts the rest.
             return
-        if not self._answered(message):
+        if self._answered(message) is None:
             return
         self.refused += 1
         line = self._line

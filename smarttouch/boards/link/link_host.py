@@ -22,7 +22,7 @@ from smarttouch.boards.link.handshake import (
 from smarttouch.boards.link.protocol import Message, MessageKind, decode_volts
 from smarttouch.boards.link.sequence_encoding import KernelImage, encode_lists
 from smarttouch.boards.probe_scans import measure_in_pairs, probe_sequences
-from smarttouch.boards.reports import SATURATED, Impedance, judge
+from smarttouch.boards.reports import SATURATED, Impedance, SequenceStart, judge
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelTable, ScanSequence
@@ -35,6 +35,23 @@ OPEN_SHARE = 0.97
 """Part of the compliance: if every slot reaches it, nothing touches the electrodes."""
 
 Measured = tuple[ScanSequence, NDArray[np.float32]]
+
+
+class BoardClock:
+    """Reads a board's clock as the host's, by the answer that came fastest of the last few."""
+
+    def __init__(self) -> None:
+        self._ahead_ns: deque[int] = deque(maxlen=16)
+        self.starts: deque[SequenceStart] = deque(maxlen=256)
+
+    def note(self, number: int, board_us: int, sent_ns: int, now_ns: int) -> None:
+        """Take the start of a sequence that was sent at a time, and its answer now."""
+        if self._ahead_ns and 1000 * board_us + min(self._ahead_ns) < sent_ns:
+            # No sequence begins before it is sent: the board's clock has stood still.
+            self._ahead_ns.clear()
+        self._ahead_ns.append(now_ns - 1000 * board_us)
+        time_ns = 1000 * board_us + min(self._ahead_ns)
+        self.starts.append(SequenceStart(number, time_ns, board_us))
 
 
 class LinkHost(Board):
@@ -59,6 +76,7 @@ class LinkHost(Board):
         """Fault found in what the board says, until the board is latched."""
         self._table: KernelTable | None = None
         self._image: KernelImage | None = None
+        self._board_clock = BoardClock()
         self._sent: deque[tuple[int, ScanSequence]] = deque(maxlen=4)
         self._measured: deque[Measured] = deque(maxlen=64)
 
@@ -68,6 +86,17 @@ class LinkHost(Board):
         self._give_kernels()
         self._account_before = self._status()
         self._slots_sent = self._unsafe_refused = 0
+        # It may have been switched off meanwhile.
+        self._board_clock = BoardClock()
+
+    def start_of(self, number: int) -> SequenceStart | None:
+        starts = list(self._board_clock.starts)
+        return next((each for each in reversed(starts) if each.number == number), None)
+
+    def _note_start(self, message: Message, sent_ns: int, now_ns: int) -> None:
+        self.acknowledged += 1
+        (board_us,) = protocol.ACK.unpack(message.payload)
+        self._board_clock.note(message.about, board_us, sent_ns, now_ns)
 
     def _note_sent(self, sequence: ScanSequence, times: int) -> None:
         """Remember the sequence that is about to be sent."""

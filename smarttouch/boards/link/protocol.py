@@ -48,6 +48,7 @@ LIMITS = struct.Struct("<IIHHHHHHIBBH")
 KERNELS = struct.Struct("<16sII")  # identity, size and offset
 KEPT = struct.Struct("<16sIB16s")
 """Identity, bytes that are there, whether all are and are sound, and the session's proof."""
+ACK = struct.Struct("<Q")  # start of the sequence by the board's clock, µs
 NAK = struct.Struct("<BBHHii")  # reason, rule, slot, electrode, value and what is allowed
 REPORT = struct.Struct("<IIQIIIIBIIIII")
 """Counts of sequences, slots, pulses and violations; largest current µA, charge pC and charge left

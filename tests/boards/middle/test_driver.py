@@ -73,6 +73,17 @@ def test_a_lost_packet_is_made_up_for_without_delivering_twice(world, board, los
     assert (board.refused_packets, board.report().refused_packets) == (0, 0)
 
 
+def test_starts_are_by_the_boards_clock_however_late_an_answer_comes(world, board):
+    send(board)
+    lose(world, "to_host", MessageKind.ACK)
+    send(board, 2)
+    starts = [board.start_of(number) for number in (1, 2, 3)]
+    assert [each.board_us for each in starts] == [time_us for _, _, time_us in world.books.kept]
+    (delay_ns,) = {each.time_ns - 1000 * each.board_us for each in starts}
+    assert 0 <= delay_ns <= 2_000_000
+    assert board.start_of(4) is None
+
+
 def say(world, kind, about, payload=b""):
     """Let the board say what it has no reason to say."""
     world.answer(world.firmware._session.encode(kind, about, payload))
@@ -83,6 +94,7 @@ def say(world, kind, about, payload=b""):
     ("kind", "payload"),
     [
         (MessageKind.ACK, b""),
+        (MessageKind.ACK, bytes(8)),
         (MessageKind.NAK, b"\x03too much"),
         (MessageKind.NAK, b""),
         (MessageKind.VOLTAGES, encode_volts(np.ones(1))),
@@ -103,16 +115,16 @@ def test_what_answers_nothing_is_counted_and_has_no_effect(world, board, kind, p
 
 def test_a_second_acknowledgment_of_one_sequence_is_counted(world, board):
     send(board)
-    say(world, MessageKind.ACK, 1)
+    say(world, MessageKind.ACK, 1, bytes(8))
     assert (board.refused_packets, board.acknowledged) == (1, 1)
 
 
 def test_a_second_acknowledgment_of_what_was_sent_twice_is_none_too_many(world, board):
     lose(world, "to_host", MessageKind.ACK)
     send(board, 2)
-    say(world, MessageKind.ACK, 1)
+    say(world, MessageKind.ACK, 1, bytes(8))
     assert (board.refused_packets, board.acknowledged) == (0, 2)
-    say(world, MessageKind.ACK, 2)
+    say(world, MessageKind.ACK, 2, bytes(8))
     assert (board.refused_packets, board.acknowledged) == (1, 2)
 
 
