@@ -10,9 +10,9 @@ membrane.
 
 import matplotlib.pyplot as plt
 import numpy as np
+from studies.af_error import DEPTHS_MM, af_error_table, ratio_rows
 
 import smarttouch as st
-from smarttouch.physiology.af_error import DEPTHS_MM, af_error_table, ratio_rows
 from smarttouch.views.figure_style import ANODIC, CATHODIC
 
 # %%

@@ -15,7 +15,7 @@ import smarttouch as st
 
 # %%
 # 5 x 5 discs of 1.0 mm at 2.0 mm. ``smarttouch profiles copy electric-mouse mine.toml`` writes a
-# profile with comments to begin from, and ``smarttouch profiles keys`` explains every key.
+# profile with comments to begin from; the reference explains every key.
 PROFILE = """
 title = "An array of my own: 5 x 5 discs of 1.0 mm at 2.0 mm"
 

@@ -3,16 +3,16 @@ The paper's effects on simulated fingers
 ========================================
 
 Order of sensations, blur by polarity, the shift of PC, and the concentric electrode (Sections III-B
-and III-C): nothing of it was put into the fingers. ``smarttouch finger --table effects`` prints the
-numbers.
+and III-C): nothing of it was put into the fingers. ``examples/studies/finger_tables.py effects``
+prints the numbers.
 """
 
 import matplotlib.pyplot as plt
 import numpy as np
+from studies import paper_effects
 
 import smarttouch as st
 from smarttouch.base.afferent import CLASS_COLORS
-from smarttouch.experiments import paper_effects
 from smarttouch.physiology.finger import Finger
 from smarttouch.views.figure_style import ANODIC, CATHODIC
 from smarttouch.views.kernel_figures import electrode_patches

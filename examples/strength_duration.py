@@ -9,10 +9,10 @@ function, which knows of places and not of time.
 
 import matplotlib.pyplot as plt
 import numpy as np
+from studies.af_error import potential_at_nodes
 
 import smarttouch as st
-from smarttouch.physiology.af_error import potential_at_nodes
-from smarttouch.physiology.membrane import Fiber, strength_duration, weiss_fit
+from smarttouch.physiology.membrane import Fiber, threshold_ma, weiss_fit
 from smarttouch.views.figure_style import ANODIC, CATHODIC
 
 # %%
@@ -25,10 +25,10 @@ potential = potential_at_nodes(profile, fiber, profile.skin.sai_depth_mm)
 
 figure, axes = plt.subplots(figsize=(5.6, 3.6), layout="constrained")
 for name, cathodic, color in (("cathodic", True, CATHODIC), ("anodic", False, ANODIC)):
-    threshold_ma = strength_duration(potential, fiber, widths_us, cathodic=cathodic)
-    rheobase_ma, chronaxie_us = weiss_fit(widths_us, threshold_ma)
+    fires_ma = [threshold_ma(potential, fiber, each, cathodic=cathodic) for each in widths_us]
+    rheobase_ma, chronaxie_us = weiss_fit(widths_us, fires_ma)
     print(f"{name}: rheobase {rheobase_ma:.2f} mA, chronaxie {chronaxie_us:.0f} µs")
-    axes.plot(widths_us, threshold_ma, "o", color=color, label=f"{name}, cable model")
+    axes.plot(widths_us, fires_ma, "o", color=color, label=f"{name}, cable model")
     dense_us = np.linspace(18, 210, 100)
     axes.plot(
         dense_us, rheobase_ma * (1 + chronaxie_us / dense_us), color=color, label="Weiss' law"

@@ -8,9 +8,9 @@ takes a third or a quarter of the time.
 """
 
 import matplotlib.pyplot as plt
+from studies.slot_figures import frame_figure
 
 import smarttouch as st
-from smarttouch.views.slot_figures import frame_figure
 
 # %%
 # A letter of 12 points in 3 slots: the currents of each, and below what they do to RA. Last row:

@@ -29,7 +29,6 @@ from smarttouch.physiology.driving_function import (
     FIBERS,
     DrivingFunction,
     End,
-    as_table,
     load_driving,
 )
 from smarttouch.physiology.membrane import Fiber, threshold_ma, thresholds_ma
@@ -208,8 +207,17 @@ def as_json(fits: Sequence[FiberFit]) -> dict[str, Any]:
     table: dict[str, Any] = {}
     for each in fits:
         by_end = table.setdefault(each.fiber, {}).setdefault(each.driving.end, {})
-        by_end[f"{each.width_us:g}"] = as_table(each.driving)
+        by_end[f"{each.width_us:g}"] = weights_of(each.driving)
     return table
+
+
+def weights_of(driving: DrivingFunction) -> dict[str, Any]:
+    """Return the weights of a driving function for a JSON file, rounded to five digits."""
+    table: dict[str, Any] = {} if np.isinf(driving.block) else {"block": driving.block}
+    return table | {
+        "along": [float(f"{weight:.5g}") for weight in driving.along],
+        "near_end": [[float(f"{weight:.5g}") for weight in row] for row in driving.near_end],
+    }
 
 
 def error_rows(fits: Sequence[FiberFit]) -> list[list[str]]:

@@ -200,11 +200,3 @@ def copy(
     copied = ProfileFile(name, file, overwrite)
     copied.write()
     typer.echo(f"written: {copied.output}")
-
-
-@profiles.command()
-def keys() -> None:
-    """Print every key a profile may have: type, unit, default, limits and meaning."""
-    from smarttouch.profile.key_reference import key_reference
-
-    typer.echo(key_reference(), nl=False)

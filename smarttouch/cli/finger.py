@@ -1,6 +1,5 @@
 """``smarttouch finger`` and ``study``: letters on simulated fingers, and choices compared."""
 
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -13,56 +12,6 @@ from smarttouch.cli.options import (
     JsonOption,
     QuietOption,
 )
-
-NAMES = ("effects", "published")
-
-
-def print_comparison(
-    name: str,
-    letters: str | None,
-    anatomy: str,
-    fingers: int,
-    json_file: Path | None,
-    quiet: bool,
-) -> None:
-    """Print one of `NAMES` beside the figures of fingers with seeds from 1 on; write it to JSON."""
-    from smarttouch.base.files import require_folder, write_json
-    from smarttouch.base.terminal import print_table
-    from smarttouch.views.progress import lines_progress
-
-    require_folder(json_file)
-    seeds = range(1, fingers + 1)
-    rows: Sequence[Sequence[str]]
-    with lines_progress(quiet, "Feeling") as progress:
-        if name == "effects":
-            from smarttouch.experiments.paper_effects import effects
-
-            heading = ["effect", "paper", "fingers"]
-            rows = effects(anatomy, seeds, progress)
-        else:
-            heading = ["measurement", "published", "source", "fingers"]
-            rows = _published(letters, anatomy, seeds, progress)
-    if json_file is not None:
-        table = [dict(zip(heading, row, strict=True)) for row in rows]
-        write_json(json_file, {"anatomy": anatomy, "fingers": fingers, name: table})
-    if not quiet:
-        print_table(rows, heading, left=len(heading))
-
-
-def _published(
-    letters: str | None, anatomy: str, seeds: Sequence[int], progress: Callable[[int, int], None]
-) -> list[tuple[str, ...]]:
-    from smarttouch.experiments.published import published
-    from smarttouch.instruments.receptor_spikes import touchsim_rows
-    from smarttouch.physiology.finger import Finger
-    from smarttouch.profile import load_profile
-    from smarttouch.reading.letter_responses import require_letters
-    from smarttouch.reading.letter_shapes import ALPHABET
-
-    drawn = ALPHABET if letters is None else require_letters(letters)
-    fingers = [Finger(load_profile("electric-mouse"), seed, anatomy) for seed in seeds]
-    return [*published(anatomy, seeds, drawn, progress), *touchsim_rows(fingers)]
-
 
 _NAMES = {
     "silent_points": "silent points",
@@ -87,26 +36,10 @@ def finger(
     plot_file: Annotated[
         str | None, typer.Option("--plot", metavar="PNG", help="Draw the first letter on finger 1.")
     ] = None,
-    table: Annotated[
-        str | None,
-        typer.Option(
-            metavar="effects|published",
-            help="Print instead what was published beside what fingers show.",
-        ),
-    ] = None,
     json_file: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:
     """Put letters on simulated fingers: which afferents fire, where, and what is read of it."""
-    from pathlib import Path
-
-    if table is not None:
-        from smarttouch.cli.options import parse_choice
-
-        chosen_table = parse_choice("table", table, NAMES)
-        print_comparison(chosen_table, letters, anatomy, fingers, json_file, quiet)
-        return
-
     from smarttouch.base.afferent import Mode
     from smarttouch.base.files import require_folder, write_json
     from smarttouch.base.terminal import print_table

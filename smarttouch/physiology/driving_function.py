@@ -142,15 +142,6 @@ def load_driving(fiber: str, end: End, width_us: float) -> DrivingFunction:
     return DrivingFunction(FIBERS[fiber].internode_mm, end, along, near_end, block)
 
 
-def as_table(driving: DrivingFunction) -> dict[str, Any]:
-    """Return the weights for a JSON file, rounded to five digits."""
-    table: dict[str, Any] = {} if np.isinf(driving.block) else {"block": driving.block}
-    return table | {
-        "along": [float(f"{weight:.5g}") for weight in driving.along],
-        "near_end": [[float(f"{weight:.5g}") for weight in row] for row in driving.near_end],
-    }
-
-
 STEP_MM = 0.025
 """Distance of the places at which the cable is looked at."""
 THRESHOLD_MV = 16.0

@@ -6,7 +6,6 @@ Rogart & Stagg 1979, as put by Sweeney, Mortimer & Durand 1987 and Rattay
 resistor (McNeal 1976). Membrane potentials are relative to rest.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -259,15 +258,6 @@ def _fires(axon: Axon, driven_mv: Array, steps: int) -> NDArray[np.bool_]:
         if not keep.all():
             v, gates, alive = v[keep], gates[:, keep], alive[keep]
     return fires
-
-
-def strength_duration(
-    potential_mv_per_ma: ArrayLike, fiber: Fiber, widths_us: Sequence[float], *, cathodic: bool
-) -> Array:
-    """Return `threshold_ma` for each of W pulse widths, (W,)."""
-    return np.array(
-        [threshold_ma(potential_mv_per_ma, fiber, each, cathodic=cathodic) for each in widths_us]
-    )
 
 
 def weiss_fit(widths_us: ArrayLike, thresholds_ma: ArrayLike) -> tuple[float, float]:

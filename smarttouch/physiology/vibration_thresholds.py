@@ -22,7 +22,7 @@ up to a few hertz. They are tied down by
 RA and SAI then meet at about 5 Hz. Recordings from human afferents agree on the order
 (Johansson, Landström and Lundström, Brain Res. 244, 1982: RA 8 to 64 Hz, PC above, SAI
 below). How round the valleys are is ours. These are thresholds of feeling; a single
-afferent needs more (`smarttouch.instruments.receptor_spikes`).
+afferent needs more (`examples/studies/receptor_spikes.py`).
 """
 
 from dataclasses import dataclass

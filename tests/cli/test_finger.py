@@ -26,20 +26,10 @@ def test_a_letter_on_one_finger(figures_of, tmp_path):
         assert len(picture.getcolors(1 << 22)) > 50
 
 
-@pytest.mark.parametrize(("name", "columns"), [("effects", 3), ("published", 4)])
-def test_tables_of_what_was_published(figures_of, name, columns):
-    table = figures_of(f"finger IT --table={name} --anatomy=paper --fingers=1")
-    assert (table["anatomy"], table["fingers"]) == ("paper", 1)
-    assert len(table[name]) >= 10
-    assert {len(row) for row in table[name]} == {columns}
-    assert all(row["fingers"] for row in table[name])
-
-
 @pytest.mark.parametrize(("arguments", "kind", "says"), [
     ("4", ExperimentError, {"about": "LETTERS", "value": "4"}),
     ("T --anatomy=none", ProfileError, {"about": "anatomy", "value": "none"}),
     ("T --profile=line-7", ExperimentError, {"about": "profile", "value": 1}),
-    ("--table=none", SmartTouchError, {"about": "table"}),
     ("T --mode=SAII", SmartTouchError, {"about": "mode"}),
 ])  # fmt: skip
 def test_fingers_of_nonsense(program_here, arguments, kind, says):

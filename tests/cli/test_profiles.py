@@ -7,7 +7,6 @@ import pytest
 
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.profile import list_profiles, load_profile
-from smarttouch.profile.key_reference import key_reference
 from smarttouch.profile.toml_files import profile_path
 
 
@@ -89,10 +88,6 @@ def test_what_is_drawn(profile, kept, given, drawn, monkeypatch):
     run = RunOptionGroup(board="memory:", plain=given)
     run.start(None, own, run.config("RA"))
     assert shown == [drawn]
-
-
-def test_the_keys(program_here):
-    assert program_here("profiles keys").stdout == key_reference()
 
 
 def test_all_that_is_wrong_stands_in_a_line_of_its_own(program_here, tmp_path):

@@ -8,7 +8,6 @@ from smarttouch.base.errors import DesignError
 from smarttouch.physiology.membrane import (
     Axon,
     Fiber,
-    strength_duration,
     threshold_ma,
     weiss_fit,
 )
@@ -124,7 +123,10 @@ def test_halving_the_step_changes_little(end, width_us):
 def test_charge_rises_linearly_with_width(cathodic):
     """Weiss' law within 3 %, from the shortest pulses to the customary 200 µs."""
     widths_us = np.array([20.0, 50.0, 100.0, 200.0])
-    thresholds = strength_duration(flat(0.9), Fiber(end="through"), widths_us, cathodic=cathodic)
+    fiber = Fiber(end="through")
+    thresholds = np.array(
+        [threshold_ma(flat(0.9), fiber, each, cathodic=cathodic) for each in widths_us]
+    )
     rheobase_ma, chronaxie_us = weiss_fit(widths_us, thresholds)
     assert rheobase_ma * (widths_us + chronaxie_us) == pytest.approx(
         widths_us * thresholds, rel=0.03

@@ -9,9 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from studies.paper_effects import CLEAR_MA, against_all, inner_sites, kernel_ma
+from studies.receptor_spikes import touchsim_rows
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.experiments.paper_effects import CLEAR_MA, against_all, inner_sites, kernel_ma
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.activating_function import potential_mv
 from smarttouch.physiology.anatomy import Anatomy, load_anatomy
@@ -60,6 +61,7 @@ def published(
         lambda: gap_rows(fingers),
         lambda: [letters_row("electric-mouse", "8 × 8", anatomy, seeds, letters)],
         lambda: [letters_row("optacon-24x6", "24 × 6", anatomy, seeds, letters)],
+        lambda: [PublishedRow(*row) for row in touchsim_rows(fingers)],
     )
     for done, part in enumerate(parts):
         rows += part()

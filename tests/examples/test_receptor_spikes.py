@@ -4,9 +4,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from studies.receptor_spikes import skin_spikes
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.instruments.receptor_spikes import skin_spikes
 from smarttouch.instruments.skin_trace import open_trace
 from smarttouch.physiology.finger import Finger
 from smarttouch.profile import load_profile

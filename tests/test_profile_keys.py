@@ -3,14 +3,14 @@
 from pathlib import Path
 
 import pytest
+from profile_keys import _tables, key_reference, key_rows
 
 from smarttouch.base.errors import ProfileError
 from smarttouch.base.files import read_toml
 from smarttouch.profile import list_profiles
-from smarttouch.profile.key_reference import _tables, key_reference, key_rows
 from smarttouch.profile.toml_files import profile_path
 
-REFERENCE = Path(__file__).parents[2] / "docs" / "reference" / "profile-keys.md"
+REFERENCE = Path(__file__).parents[1] / "docs" / "reference" / "profile-keys.md"
 TABLES = dict(_tables())
 
 

@@ -3,20 +3,13 @@
 import numpy as np
 import pytest
 from matplotlib.text import Text
+from studies.slot_figures import LETTER, MIXED, drawable, frame_figure, plan_letter, plan_mixed
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.physiology.activating_function import af_matrix, everywhere
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.frame_slots import FrameSlots
 from smarttouch.views.figure_style import save
-from smarttouch.views.slot_figures import (
-    LETTER,
-    MIXED,
-    drawable,
-    frame_figure,
-    plan_letter,
-    plan_mixed,
-)
 
 from ..said import numbers_in
 

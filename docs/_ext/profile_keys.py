@@ -1,4 +1,6 @@
-"""Reference of all keys of a profile, made from the models that check them."""
+"""Reference of all keys of a profile, made from the models that check them:
+``python docs/_ext/profile_keys.py > docs/reference/profile-keys.md``.
+"""
 
 import ast
 import inspect
@@ -42,7 +44,7 @@ def key_reference() -> str:
     """Return all keys of a profile as Markdown: type, unit, default, limits and meaning."""
     parts = [
         "# Keys of a profile\n",
-        "Made by `smarttouch profiles keys` from the models that check every profile; a key that "
+        "Made by `docs/_ext/profile_keys.py` from the models that check every profile; a key that "
         "is not here is refused. A key without a default must be given. Currents are magnitudes.\n",
     ]
     for name, table in _tables():
@@ -159,3 +161,7 @@ def _attribute_docstrings(table: type[Table]) -> Mapping[str, str]:
             assert isinstance(before.target, ast.Name)
             found[before.target.id] = ast.literal_eval(after.value)
     return found
+
+
+if __name__ == "__main__":
+    print(key_reference(), end="")

@@ -71,7 +71,7 @@ def skin_spikes(
     --------
     >>> import smarttouch as st
     >>> from smarttouch.physiology.finger import Finger
-    >>> from smarttouch.instruments.receptor_spikes import skin_spikes
+    >>> from studies.receptor_spikes import skin_spikes
     >>> from smarttouch.instruments.skin_trace import open_trace
     >>> finger = Finger(st.load_profile("smarttouch-4x4"), seed=1, anatomy="paper")
     >>> spikes = skin_spikes(finger, open_trace("tone:30Hz,8um", 1.0))

@@ -3,8 +3,8 @@
 from functools import partial
 
 import pytest
+from studies import af_error
 
-from smarttouch.physiology import af_error
 from smarttouch.physiology.membrane import threshold_ma
 
 # The shallowest, those of RA and SAI, and the deepest.

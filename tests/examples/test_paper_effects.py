@@ -4,9 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-
-from smarttouch.base.afferent import Afferent
-from smarttouch.experiments.paper_effects import (
+from studies.paper_effects import (
     CLEAR_MA,
     CONCENTRIC_MM,
     against_all,
@@ -18,7 +16,9 @@ from smarttouch.experiments.paper_effects import (
     shift,
     stages,
 )
-from smarttouch.experiments.published import resolves_two_points
+from studies.published import resolves_two_points
+
+from smarttouch.base.afferent import Afferent
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.anatomy import load_anatomy
 from smarttouch.physiology.finger import Finger
