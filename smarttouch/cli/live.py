@@ -40,16 +40,18 @@ def live(
     ] = False,
 ) -> None:
     """Show on the finger what a source sees, until it ends, a key or Ctrl-C."""
+    from smarttouch.base.afferent import Mode
     from smarttouch.base.files import data_folder
     from smarttouch.cli.options import parse_mode
+    from smarttouch.instruments.pushed_stimuli import PushedStimuli
     from smarttouch.sources import open_source
 
     chosen = run.load_profile()
-    config = run.config(
-        parse_mode(mode), rate_hz=rate_hz, light_on_dark=light_on_dark, seed=seed or 0
-    )
     url = source or f"page:{data_folder('sample_images') / 'page.png'}"
     with open_source(url, chosen, light_on_dark=light_on_dark, seed=seed) as opened:
+        color = mode.lower() == Mode.COLOR and isinstance(opened, PushedStimuli)
+        driven = Mode.COLOR if color else parse_mode(mode)
+        config = run.config(driven, rate_hz=rate_hz, light_on_dark=light_on_dark, seed=seed or 0)
         run.start(opened, chosen, config, keys=opened.keys, keys_help=opened.keys_help)
 
 

@@ -1,12 +1,10 @@
 """``osc:``: images and points from other programs, by Open Sound Control over UDP."""
 
 import ipaddress
-import math
 import re
 import select
 import socket
 import threading
-import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,30 +15,33 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import SourceError
-from smarttouch.imaging.array_window import reading_force_n
 from smarttouch.instruments.osc_senders import STAMP, Key, OwnPrograms, Packet, Verdict, received
+from smarttouch.instruments.pushed_stimuli import PushedStimuli
 from smarttouch.profile import Profile
-from smarttouch.sources.source_contract import Stimulus, StimulusSource
 
-SILENT_S = 0.5  # silence after which nothing is felt
 MOST_PIXELS = 1_000_000
 _SIGNED = "/smarttouch/signed"
 _LOOK_S = 0.1
 _JOIN_S = 1.0
 
 
-def open_osc(rest: str, profile: Profile, key: Path | None = None) -> "OscSource":
-    """Open ``osc:PORT``, which listens on 127.0.0.1, or ``osc:ADDRESS:PORT?key=FILE``."""
+def open_osc(
+    rest: str, profile: Profile, key: Path | None = None, *, follow: bool = False
+) -> "OscSource":
+    """Open ``osc:PORT``, which listens on 127.0.0.1, or ``osc:ADDRESS:PORT?key=FILE``.
+
+    With ``follow`` each packet is one pulse, see `PushedStimuli`.
+    """
     host, _, port = rest.rpartition(":")
     if not re.fullmatch(r"\d{1,5}", port) or not 0 < int(port) < 65536:
         raise SourceError(
             f"{rest!r} is no place to listen at: give osc:PORT or osc:ADDRESS:PORT, as in osc:9000",
             about="address",
         )
-    return OscSource(profile, host.strip("[]") or "127.0.0.1", int(port), key)
+    return OscSource(profile, host.strip("[]") or "127.0.0.1", int(port), key, follow)
 
 
-class OscSource(StimulusSource):
+class OscSource(PushedStimuli):
     """Source of what arrives as messages; half a second of silence is an empty pattern.
 
     ========================================  ==================================================
@@ -50,8 +51,9 @@ class OscSource(StimulusSource):
     ``/smarttouch/clear``                     no electrode is active
     ========================================  ==================================================
 
-    Numbers are from 0 to 1, bytes from 0 to 255. Each packet is a pattern of its own: points of one
-    bundle belong together.
+    Numbers are from 0 to 1, bytes from 0 to 255. All classes of afferents get what a message says;
+    one does with its name in the address, as in ``/smarttouch/sai/point``. Each packet is a pattern
+    of its own: points and classes of one bundle belong together.
 
     Without a key, packets of programs of this user on this machine are taken and no others, see
     `OwnPrograms`. With the key of a file, needed where other machines can send, each comes within
@@ -59,41 +61,24 @@ class OscSource(StimulusSource):
     `refused` those of others.
     """
 
-    knows_force = True
-
-    def __init__(self, profile: Profile, host: str, port: int, key: Path | None = None) -> None:
+    def __init__(
+        self,
+        profile: Profile,
+        host: str,
+        port: int,
+        key: Path | None = None,
+        follow: bool = False,
+    ) -> None:
         self._parse = _import_parser()
         self._key = None if key is None else Key(key)
         self._programs = OwnPrograms() if key is None else None
-        super().__init__(f"OSC at {host}:{port}")
+        super().__init__(f"OSC at {host}:{port}", profile, follow)
         self.wrong = self.refused = 0
         self._electrodes = profile.electrodes
-        self._press_n = reading_force_n(profile)
-        self._level = np.zeros(len(profile.electrodes), np.float32)
-        self._received_s = -math.inf
-        self._given = 0
-        self._read: int | None = None
         self._line = _bound(host, port, alone=key is None)
         self._closing = False
         self._thread = threading.Thread(target=self._listen, name="osc", daemon=True)
         self._thread.start()
-
-    def read(self, time_ns: int) -> Stimulus:
-        """Return what came last; stale after a silence."""
-        level, given = self._level, self._given
-        since_s = time.monotonic() - self._received_s
-        if given != self._read:
-            self.frames += 1
-            self.dropped_frames += max(0, given - (self._read or 0) - 1)
-            self._read = given
-        stale = since_s > SILENT_S
-        activation = np.zeros((len(Afferent), len(level)), np.float32)
-        if not stale:
-            activation[:] = level
-        age_ns = 0 if stale else int(1e9 * max(0.0, since_s))
-        return Stimulus(
-            activation, time_ns, self._press_n, number=given, age_ns=age_ns, stale=stale
-        )
 
     def close(self) -> None:
         self._closing = True
@@ -147,36 +132,36 @@ class OscSource(StimulusSource):
 
     def _take(self, data: bytes) -> None:
         """Take the messages of one packet, all or none."""
-        level = np.zeros_like(self._level)
+        levels = np.zeros((len(Afferent), len(self._electrodes)), np.float32)
         try:
             messages = self._parse(data)
             if not messages:
                 raise ValueError(data)
             for address, values in messages:
-                level = self._changed(level, address, values)
+                self._change(levels, address, values)
         except Exception:  # whatever the parser makes of what a program may send
             self.wrong += 1
             return
-        self._level, self._received_s = level, time.monotonic()
-        self._given += 1
+        self.push(levels)
 
-    def _changed(
-        self, level: NDArray[np.float32], address: str, values: Sequence[Any]
-    ) -> NDArray[np.float32]:
-        """Return the activation of the electrodes after a message."""
-        kind = address.removeprefix("/smarttouch/")
+    def _change(self, levels: NDArray[np.float32], address: str, values: Sequence[Any]) -> None:
+        """Change the activation of one class or of all by a message."""
+        *named, kind = address.removeprefix("/smarttouch/").split("/")
+        (rows,) = [slice(None)] if not named else [Afferent[each.upper()] for each in named]
         if kind == "clear":
-            return np.zeros_like(level)
-        if kind == "electrodes":
-            return _numbers(values, len(level))
-        if kind == "image":
+            levels[rows] = 0
+        elif kind == "electrodes":
+            levels[rows] = _numbers(values, len(self._electrodes))
+        elif kind == "image":
             width, height = int(values[0]), int(values[1])
             if not (width > 0 and height > 0 and width * height <= MOST_PIXELS):
                 raise ValueError(values[:2])
-            return self._sampled(_numbers(values[2:], width * height).reshape(height, width))
-        if kind == "point":
-            return np.maximum(level, self._point(*map(float, values)))
-        raise ValueError(address)
+            image = _numbers(values[2:], width * height).reshape(height, width)
+            levels[rows] = self._sampled(image)
+        elif kind == "point":
+            levels[rows] = np.maximum(levels[rows], self._point(*map(float, values)))
+        else:
+            raise ValueError(address)
 
     def _sampled(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the mean of an image over the cell of each electrode; it fills the array."""

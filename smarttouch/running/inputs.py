@@ -132,7 +132,10 @@ class Inputs:
 
         ``time_ns`` is of the run, ``now_ns`` of the loop's clock. None at the end of the source.
         """
-        source = self.source
+        source, state = self.source, self.controls.state(time_ns)
+        if state.mode is not self.pipeline.mode:
+            self.pipeline.change_mode(state.mode)
+        source.afferents = state.mode.afferents
         given = source.read(time_ns)
         if given is None:
             return None
@@ -149,12 +152,9 @@ class Inputs:
         counts_n = 0.0 if blind else force_n
         if counts_n != given.force_n:
             given = replace(given, force_n=counts_n)
-        state = self.controls.state(time_ns)
         level = state.current_level
         if state is not self._before:
             self._say_changes(state, time_ns)
-        if state.mode is not self.pipeline.mode:
-            self.pipeline.change_mode(state.mode)
         if self.board.lifted or now_ns < self._lifted_until_ns:
             self._handle_lift(time_ns, now_ns)
         return given, level

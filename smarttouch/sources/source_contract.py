@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.base.afferent import Afferent
 from smarttouch.base.events import Emit, drop_event
 from smarttouch.base.one_line import one_line
 from smarttouch.base.stopping import Closing
@@ -200,6 +201,8 @@ class Source(Device, ABC):
     """Message at its end."""
     emit: Emit = staticmethod(drop_event)
     """Receives events of the source; set by the run."""
+    afferents: tuple[Afferent, ...] = tuple(Afferent)
+    """Classes that the next input may drive; set by the run."""
     knows_force: bool = False
     """Whether its inputs have a force."""
     measures_force: bool = False

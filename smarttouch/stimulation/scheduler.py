@@ -86,6 +86,7 @@ class ScanScheduler:
         self._first = driven[0]
         self._softness = softness
         self._least_us = math.ceil(1e6 / limits.rate_hz)
+        self._has_rates = bool(rates_hz)
         self._rates = PulseRates(rates_hz, self._least_us)
         self._one_rate_hz = rates_hz[afferents[0]] if len(afferents) == 1 else None
         self._always: tuple[tuple[Afferent, ...], int] | None = None
@@ -225,6 +226,13 @@ class ScanScheduler:
     def _due(self, time_ns: int, pressure: float) -> tuple[tuple[Afferent, ...], int]:
         """Return the classes that pulse now, and the time until the next is due, µs."""
         share = rate_share(pressure, self._softness)
+        if not self._has_rates:
+            raise ScheduleError(
+                "mode color is for stimuli with periods of their own, and this source gives none: "
+                "choose RA",
+                about="mode",
+                remedy="mode RA",
+            )
         if self._one_rate_hz is None:
             return self._rates.due(time_ns, {Afferent.RA: 1.0, Afferent.SAI: share})
         slowed_hz = self._one_rate_hz * (share if self._first is Afferent.SAI else 1.0)

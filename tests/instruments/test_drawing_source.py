@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 import smarttouch as st
-from smarttouch.base.errors import SourceError
+from smarttouch.base.errors import ScheduleError, SourceError
 from smarttouch.instruments.drawing_source import (
     LONGEST_MS,
     DrawSource,
@@ -191,3 +191,8 @@ def test_a_list_does_not_grow_without_end(source):
     source.draw("keep 500")
     assert len(source.patterns) == 500
     assert source.message()["said"]
+
+
+def test_all_classes_at_once_need_periods_that_drawings_have_not():
+    with raises(ScheduleError, about="mode"):
+        st.run("draw:", "simulated:", mode="color", seconds=0.2)

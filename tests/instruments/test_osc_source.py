@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import smarttouch as st
+from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import SourceError
-from smarttouch.instruments import osc_senders, osc_source
+from smarttouch.instruments import osc_senders, pushed_stimuli
 
 from ..raising import raises
 
@@ -26,13 +27,13 @@ def built(address, *values):
     return builder.build()
 
 
-SILENT_S = osc_source.SILENT_S
+SILENT_S = pushed_stimuli.SILENT_S
 
 
 @pytest.fixture(autouse=True)
 def patience(monkeypatch):
     """Nothing falls silent while a busy machine lets a test wait."""
-    monkeypatch.setattr(osc_source, "SILENT_S", 1000)
+    monkeypatch.setattr(pushed_stimuli, "SILENT_S", 1000)
 
 
 def free_port(address="127.0.0.1"):
@@ -62,9 +63,9 @@ def send(source):
         wait_for(lambda: line.getsockname()[1] in source._programs._seen)
 
         def sent(data):
-            before = source._given + source.wrong
+            before = source.given + source.wrong
             line.send(data)
-            while source._given + source.wrong == before:
+            while source.given + source.wrong == before:
                 time.sleep(0.001)
 
         yield sent
@@ -109,12 +110,58 @@ def test_points_and_images(source, send):
     assert source.frames == 8
 
 
+def test_a_class_gets_what_is_addressed_to_it(source, send, profile):
+    """In a bundle each class has its own; a message without a class is for all three."""
+    own = np.random.default_rng(1).random((3, 64)).astype(np.float32)
+    bundle = bundles.OscBundleBuilder(bundles.IMMEDIATELY)
+    for name, levels in zip(("ra", "SAI", "pc"), own, strict=True):
+        bundle.add_content(built(f"{name}/electrodes", *levels.tolist()))
+    send(bundle.build().dgram)
+    np.testing.assert_array_equal(source.read(0).activation, own)
+    bundle = bundles.OscBundleBuilder(bundles.IMMEDIATELY)
+    for each in (
+        built("electrodes", *own[0].tolist()),
+        built("sai/clear"),
+        built("PC/point", 0, 0),
+    ):
+        bundle.add_content(each)
+    send(bundle.build().dgram)
+    expected = np.array([own[0], np.zeros(64), own[0]], np.float32)
+    expected[2, 0] = 1
+    np.testing.assert_array_equal(source.read(0).activation, expected)
+    for wrong in ("rb/clear", "ra/sai/clear", "ra/", "/clear"):
+        send(built(wrong).dgram)
+    assert source.wrong == 4
+
+
+@pytest.mark.parametrize(("query", "mode", "active_ns", "period_us"), [
+    ("", Mode.NATURAL, 0, None), ("?follow", Mode.RA, 20_000_000, 5000),
+    ("", Mode.COLOR, 20_000_000, 5000),
+])  # fmt: skip
+def test_what_wakes_the_loop(profile, query, mode, active_ns, period_us):
+    """What follows silence does, and each that is followed; others keep the profile's rates."""
+    with st.open_source(f"osc:{free_port()}{query}", profile) as source:
+        source.afferents = mode.afferents
+        assert source.patience_ns(0) > 0
+        source.push(np.ones((3, 64), np.float32))
+        assert source.news.is_set()
+        assert source.patience_ns(0) == 0
+        stimulus = source.read(0)
+        assert stimulus.period_us == period_us
+        assert np.flatnonzero(stimulus.activation[:, 0]).tolist() == [*mode.afferents]
+        assert source.patience_ns(0) == active_ns
+        source.push(np.zeros((3, 64), np.float32))
+        assert source.patience_ns(5_000_000) == 0
+        source.read(5_000_000)
+        assert source.patience_ns(5_000_000) > 0
+
+
 def test_silence_is_nothing(source, send, monkeypatch):
     send(built("point", 0.0, 0.0).dgram)
     assert felt(source) == ([0], False)
     heard_s = time.monotonic()
-    monkeypatch.setattr(osc_source, "SILENT_S", SILENT_S)
-    monkeypatch.setattr(osc_source.time, "monotonic", lambda: heard_s + 0.51)
+    monkeypatch.setattr(pushed_stimuli, "SILENT_S", SILENT_S)
+    monkeypatch.setattr(pushed_stimuli.time, "monotonic", lambda: heard_s + 0.51)
     assert felt(source) == ([], True)
     assert SILENT_S == 0.5
 
@@ -211,10 +258,10 @@ def test_with_a_key_each_packet_is_signed_and_taken_once(profile, key, address):
         wait_for(lambda: source.refused == len(refused))
         assert felt(source) == ([], True)
         line.sendto(first, place)
-        wait_for(lambda: source._given == 1)
+        wait_for(lambda: source.given == 1)
         assert felt(source) == ([0], False)
         line.sendto(later, place)
-        wait_for(lambda: source._given == 2)
+        wait_for(lambda: source.given == 2)
         for each in (first, later):
             line.sendto(each, place)
         wait_for(lambda: source.refused == len(refused) + 2)
@@ -310,13 +357,13 @@ def test_a_port_that_another_user_leaves_to_us_brings_nothing(source, other_acco
     source._take = lambda data: taken.append(data) or take(data)
     with other_account("-c", LEAVER, here[1], packets[0].hex()) as process:
         for _ in range(10):
-            port, before = free_port(), source._given
+            port, before = free_port(), source.given
             process.stdin.write(f"{port}\n")
             process.stdin.flush()
             assert process.stdout.readline() == "bound\n"
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
                 wait_for(lambda ours=ours, port=port: is_bound(ours, port))
-                while source._given == before:
+                while source.given == before:
                     ours.sendto(packets[1], here)
                     time.sleep(0.005)
     assert set(taken) == {packets[1]}
@@ -342,3 +389,18 @@ def test_a_point_comes_out_of_the_board(source, send, profile):
     display = st.open_display("simulated:", profile)
     st.run(source, display, seconds=0.3, listeners=[results.append])
     assert {each for result in results for each in result.sequence.site.tolist()} == {27}
+
+
+def test_classes_that_differ_come_out_of_the_board(source, send, profile):
+    """Mode color drives all three, each with its own electrodes."""
+    own = np.zeros((3, 64), np.float32)
+    own[[0, 1, 2], [9, 18, 36]] = 1
+    bundle = bundles.OscBundleBuilder(bundles.IMMEDIATELY)
+    for name, levels in zip(("ra", "sai", "pc"), own.tolist(), strict=True):
+        bundle.add_content(built(f"{name}/electrodes", *levels))
+    send(bundle.build().dgram)
+    results = []
+    st.run(source, "simulated:", mode="color", seconds=0.3, listeners=[results.append])
+    np.testing.assert_array_equal(results[-1].step.tactile.activation, own)
+    assert {each for result in results for each in result.sequence.site.tolist()} > {9, 18}
+    assert results[-1].sequence.slots == 3
