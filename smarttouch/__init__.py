@@ -39,8 +39,9 @@ if TYPE_CHECKING:
     from smarttouch.running.listener import Listener
     from smarttouch.running.recorded_run import RecordedRun, load_recording
     from smarttouch.running.recorder import Recorder
-    from smarttouch.running.session import Session, Shown, show_together
+    from smarttouch.running.session import Session, show_together
     from smarttouch.running.step import RunStatistics, StepResult
+    from smarttouch.running.touch import Shown
     from smarttouch.sources import open_source
     from smarttouch.sources.source_contract import Frame, OpticalSource, StimulusSource
     from smarttouch.stimulation.safety_gate import SafetyLimits
@@ -124,13 +125,13 @@ _WHERE = {
     "running.recorder": ("Recorder",),
     "running.session": (
         "Session",
-        "Shown",
         "show_together",
     ),
     "running.step": (
         "RunStatistics",
         "StepResult",
     ),
+    "running.touch": ("Shown",),
     "sources": ("open_source",),
     "sources.source_contract": (
         "Frame",

@@ -161,7 +161,8 @@ class Runner:
             self._warn_of_simulation(profile)
             regulator = make_regulator(board, profile, self.config, self._advise)
             context.settings |= self._board_settings(regulator)
-            for listener in self._listeners:
+            source = self.source
+            for listener in (*([source] if isinstance(source, Listener) else ()), *self._listeners):
                 listener.start(context)
             run_loop(
                 self.source,

@@ -10,6 +10,8 @@ import sys
 import threading
 import time
 
+import numpy as np
+
 import smarttouch as st
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.sources.force import FixedForce
@@ -34,6 +36,12 @@ def run():
     source = st.open_source(TEXT, display.profile)
     done = st.run(source, display, intensity=1.0, seconds=60, listeners=[recorder], force=FORCE)
     print("ended by", done.ended, flush=True)
+
+
+def session():
+    recorder = st.Recorder(f"{os.getpid()}.mcap")
+    with display.session(intensity=1.0, listeners=[recorder], force=FORCE) as touch:
+        touch.show(np.eye(64)[0], 60)
 
 
 def drive(board, seconds=60.0):
@@ -74,6 +82,8 @@ if KIND == "thread":
         thread.join(0.1)
 elif KIND in ("run", "own handler"):
     attempt("run", run)
+elif KIND == "session":
+    attempt("session", session)
 elif KIND == "left open":
     display.board.open()
     attempt("drive", lambda: drive(display.board))

@@ -53,6 +53,7 @@ def is_whole(path):
     ("run", {"run": "done"}),
     ("thread", {"run": "done"}),
     ("own handler", {"run": "done"}),
+    ("session", {"session": "SmartTouchError"}),
     ("board", {"drive": "BoardStoppedError"}),
     ("left open", {"drive": "BoardStoppedError", "send": "BoardStoppedError"}),
 ])  # fmt: skip
@@ -66,7 +67,7 @@ def test_smarttouch_stop_ends_what_a_program_drives(start, start_program, tmp_pa
     until(lambda: read_state(books)["reason"] == "stop")
     after = read_state(books)
     assert after["state"] == "shorted"
-    if "run" in first:
+    if first.keys() & {"run", "session"}:
         assert is_whole(tmp_path / f"{process.pid}.mcap")
     attempts, out = told(process)
     assert attempts == first | REFUSED | ({"again": "BoardError"} if kind == "left open" else {})
@@ -84,7 +85,7 @@ def test_a_display_that_is_stopped_stops_what_drives_its_board(start):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-@pytest.mark.parametrize("kind", ["run", "thread", "board"])
+@pytest.mark.parametrize("kind", ["run", "session", "thread", "board"])
 def test_a_signal_ends_a_program_at_zero_with_its_recording(start, tmp_path, kind, number):
     process, books = start(kind)
     until(lambda: read_state(books)["slots"] > 50)
@@ -96,7 +97,7 @@ def test_a_signal_ends_a_program_at_zero_with_its_recording(start, tmp_path, kin
         return
     until(lambda: read_state(books)["reason"] == "stop")
     assert read_state(books)["state"] == "shorted"
-    if kind == "run":
+    if kind != "board":
         assert is_whole(tmp_path / f"{process.pid}.mcap")
 
 

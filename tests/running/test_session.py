@@ -1,8 +1,10 @@
 """Sessions: patterns when a program asks for them, at the level asked, and zero at the end."""
 
 import asyncio
+import contextlib
 import itertools
 import os
+import signal
 import threading
 import time
 
@@ -11,7 +13,7 @@ import pytest
 
 import smarttouch as st
 from smarttouch.base.errors import BoardError, SmartTouchError
-from smarttouch.running import session as module
+from smarttouch.running import touch as module
 from smarttouch.running.check_recording import assert_replays
 from smarttouch.running.recording_reader import Recording
 
@@ -194,13 +196,122 @@ def test_a_program_awaits_patterns_while_others_go_on():
     assert ticks > 1
 
 
-def test_two_displays_begin_together():
-    one, _ = session("memory:")
-    other, _ = session("memory:", profile="smarttouch-4x4")
-    with one, other:
-        shown = st.show_together({one: RING, other: RING[:16]}, 0.2)
+@pytest.mark.parametrize("url", ["memory:", "simulated:"])
+def test_the_displays_of_a_hand_begin_together(url):
+    profiles = ["electric-mouse", "smarttouch-4x4", "electric-mouse", "electric-mouse"]
+    hand = [session(url, profile=each)[0] for each in profiles]
+    began = time.monotonic()
+    with contextlib.ExitStack() as stack:
+        for each in hand:
+            stack.enter_context(each)
+        patterns = {each: RING[: len(each._display.profile.electrodes)] for each in hand}
+        shown = st.show_together(patterns, 0.2)
+        with raises(st.LevelNotReachedError, about="level"):
+            hand[1].pause()
+            st.show_together(patterns, 0.2)
     assert {each.sequences for each in shown.values()} == {10}
     assert {each.ramped_s for each in shown.values()} == {0}
+    # They rise at the same time, too.
+    assert url == "simulated:" or time.monotonic() - began < 20
+
+
+@pytest.mark.parametrize("url", ["memory:", "simulated:"])
+def test_a_level_may_be_a_function_of_time_that_also_ends_its_pattern(url):
+    touch, results = session(url, intensity=1.0)
+    times = []
+
+    def level(since_s):
+        times.append(since_s)
+        return 0.1 + since_s if since_s < 0.15 else None
+
+    with touch:
+        touch.rise()
+        shown = touch.show(RING, 1.0, level, rate_hz=25)
+        touch.wait(0.1)
+        touch.show(RING, 0.1)
+    own = shown_by(results, shown.time_ns, 0.15)
+    assert [each.sequence.period_us for each in own] == [40_000] * 4
+    assert [each.sequence.intensity for each in own] == pytest.approx([0.1, 0.14, 0.18, 0.22])
+    assert shown.current_ma == pytest.approx(abs(own[-1].sequence.current_ua).max() / 1000)
+    assert shown.sequences == 4
+    if url == "simulated:":
+        after = [each for each in results if each.input.time_ns >= shown.time_ns + 160_000_000]
+        silent = [each for each in after if not each.sequence.slots]
+        assert sum(each.sequence.period_us for each in silent) == 100_000
+
+
+@pytest.mark.parametrize("level", [0.3, 0.6])
+def test_an_image_in_natural_mode_is_at_the_level_asked_and_recorded(level):
+    touch, results = session("simulated:", mode="natural", intensity=0.5)
+    with touch:
+        touch.rise()
+        shown = touch.show(LETTER, 0.1, level)
+    assert shown.intensity == pytest.approx(0.5 * level)
+    own = shown_by(results, shown.time_ns, 0.1)
+    assert all(each.sequence.intensity == pytest.approx(0.5 * level) for each in own)
+    np.testing.assert_array_equal(own[0].input.image, LETTER)
+
+
+def test_a_task_that_is_canceled_ends_its_pattern():
+    touch, results = session()
+
+    async def main():
+        await touch.rise_async()
+        showing = asyncio.create_task(touch.show_async(RING, 30.0))
+        waiting = asyncio.create_task(touch.show_async(np.roll(RING, 1), 30.0))
+        await asyncio.sleep(0.2)
+        for each in (waiting, showing):
+            each.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await each
+        return await touch.show_async(RING, 0.1)
+
+    with touch:
+        assert asyncio.run(main()).sequences == 5
+    rolled = [each for each in results if each.tactile.activation[0, 21] > 0.5]
+    assert rolled == []
+
+
+@pytest.mark.parametrize("call", ["show", "wait"])
+def test_what_interrupts_a_call_ends_what_it_shows(call):
+    """As Ctrl-C does where a notebook goes on with the session."""
+    touch, results = session()
+    main = threading.main_thread().ident
+    with touch:
+        threading.Timer(1.0, signal.pthread_kill, (main, signal.SIGINT)).start()
+        with pytest.raises(KeyboardInterrupt):
+            touch.show(RING, 30.0) if call == "show" else touch.wait(30.0)
+        assert touch.show(RING, 0.1).sequences == 5
+    full = [each for each in results if each.tactile.activation.max() == 1]
+    assert len(full) < 100
+
+
+def test_a_generator_that_is_closed_ends_its_session():
+    touch, _ = session()
+
+    def patterns():
+        with touch:
+            while True:
+                yield touch.show(RING, 0.1)
+
+    shown = patterns()
+    assert next(shown).sequences == 5
+    shown.close()
+    assert "GeneratorExit" in touch.statistics.ended
+    assert not touch._thread.is_alive()
+
+
+@pytest.mark.parametrize("when", ["prepare", "start", "step", "finish"])
+def test_a_listener_that_fails_ends_the_session_with_its_own_error(when):
+    class Fails(st.Listener):
+        def fail(self, _):
+            raise ZeroDivisionError(when)
+
+    setattr(Fails, when, Fails.fail)
+    touch, _ = session("emulator:", listeners=[Fails()])
+    with pytest.raises(ZeroDivisionError), touch:
+        touch.show(RING, 30.0 if when == "step" else 0.1)
+    assert not touch._thread.is_alive()
 
 
 def test_what_ends_the_block_ends_at_zero():
