@@ -5,6 +5,7 @@ another class is then reached by at most the sum of what it gets from those
 that excite it, whichever of them are on; the worst node bounds all subsets.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -25,6 +26,11 @@ _STEPS = (2, 3, 4)
 _SINGLE = 1.0001
 """Factor above the loss of single precision in a field."""
 _HALF_UA_MA = 0.0005
+_HALF_AMPLITUDE_MA = 0.000125 * (1 + 1e-9)
+"""Half a step of an amplitude."""
+_HALF_WEIGHT = (0.5 + 1e-6) / 32_768
+"""Half a step of a weight, over what stands for a whole one."""
+_WEIGHT_PEAK = 32_767 / 32_768
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,23 +50,28 @@ class SharedKernels:
         return self.operator.judge.wish_af[self.sites]
 
     @cached_property
-    def off_target(self) -> float:
-        """Upper bound of `FrameFigures.off_target` over all subsets."""
-        judge = self.operator.judge
-        reached = [np.maximum(field(self.kernels), 0).sum(axis=0).max() for field in judge.others]
-        return self._against_targets(float(max(reached)))
+    def excited(self) -> tuple[Array, Array]:
+        """What each kernel excites, (A, N) V/mm²: nodes of other classes, and of the own.
 
-    @cached_property
-    def spill(self) -> float:
-        """Upper bound of `FrameFigures.spill` over all subsets.
-
-        A node counts only if every active site is more than a pitch away: nearer ones add nothing.
+        A node of the own class counts only if every active site is more than a pitch away: nearer
+        ones add nothing.
         """
         judge = self.operator.judge
+        others = np.concatenate([field(self.kernels) for field in judge.others], axis=1)
         own = np.maximum(judge.own(self.kernels), 0)
         for row, site in zip(own, self.sites, strict=True):
             row[~judge.far(np.array([site]))] = 0
-        return self._against_targets(float(own.sum(axis=0).max()))
+        return np.maximum(others, 0), own
+
+    @property
+    def off_target(self) -> float:
+        """Upper bound of `FrameFigures.off_target` over all subsets."""
+        return self._against_targets(float(self.excited[0].sum(axis=0).max()))
+
+    @property
+    def spill(self) -> float:
+        """Upper bound of `FrameFigures.spill` over all subsets."""
+        return self._against_targets(float(self.excited[1].sum(axis=0).max()))
 
     @cached_property
     def totals_ma(self) -> Array:
@@ -97,62 +108,93 @@ class SharedKernels:
         return np.asarray(own + np.minimum(each - np.diag(own), 0).sum(axis=1))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Certainty:
-    """Bounds over all subsets of a set, in V/mm², after currents are rounded to whole µA."""
+    """Bounds over all subsets of N sets, in V/mm², of currents as they are sent, all rounding
+    included.
 
-    # most that nodes of other classes and of the own get, per intensity
-    reached: tuple[float, float]
-    rounding: tuple[float, float]  # most that rounding adds to it
-    target: float  # least that the weakest target gets, scaled to level 1, per intensity
-    lost: float  # most that rounding takes from it
+    A slot asks kernel k, of peak p_k, for c_k K_k mA, where c_k is aim times intensity times level.
+    What is sent differs by three errors, each with an exact bound (`KernelLists.current_ua`):
+
+    - Amplitudes are whole quarters of a µA: c_k is off by at most e_k, an eighth of a µA over p_k.
+    - Weights are whole parts of 32,767: all currents are smaller by φ = 32,767/32,768, and each
+      kernel's sum of currents from electrode 0 to any other is off by at most half a part. Those of
+      a slot, whose peaks add up to P at most, are off by P/65,536 together.
+    - The sum of currents from electrode 0 to any other is rounded to whole µA: by half a µA.
+
+    The last two are an error h of the running sum, which is 0 at the last electrode. By summation
+    by parts a row g of a field is then off by at most h Σ|g_j − g_j+1|. A node of another class
+    gets at most Σ_k (c_k + e_k) max(g·K_k, 0) + h Σ|g_j − g_j+1|; target i, over its level, at
+    least φ [(c_i − e_i) T_ii + Σ_k≠i (c_k + e_k) min(T_ik, 0)] − h Σ|T_j − T_j+1|. Currents that
+    are added up in doubles and rounded once, as for boards that keep no kernels, have less error.
+    """
+
+    # (2, N) most that nodes of other classes and of the own get, per intensity
+    reached: Array
+    rounding: Array  # (2, N) most that rounding adds to it
+    target: Array  # (N,) least that the weakest target gets, scaled to level 1, per intensity
+    lost: Array  # (N,) most that rounding takes from it
+    total_ua: float  # most that rounding adds to the total current of a slot
 
     @classmethod
-    def of(cls, kernels: SharedKernels, aim: float, faintest: float) -> "Certainty":
-        """Return the bounds for levels from ``faintest`` to 1 and targets at ``aim`` of theirs.
+    def of(
+        cls, sets: Sequence[SharedKernels], aim: float, faintest: float, most_ma: float
+    ) -> "Certainty":
+        """Return the bounds for levels from ``faintest`` to 1, targets at ``aim`` of theirs, and
+        slots of a total current of ``most_ma``."""
+        found = [cls._of_one(each, aim, faintest, most_ma) for each in sets]
+        columns = np.array(found, np.float64).reshape(-1, 7).T
+        return cls(
+            columns[:2], columns[2:4], columns[4], columns[5], float(columns[6].max(initial=0))
+        )
 
-        `round_charge_balanced` leaves the running sum of currents off by half a µA at most, so each
-        row of a field is off by at most half the sum of its steps from electrode to electrode.
-        """
+    @staticmethod
+    def _of_one(
+        kernels: SharedKernels, aim: float, faintest: float, most_ma: float
+    ) -> tuple[float, ...]:
         judge = kernels.operator.judge
+        peaks_ma = np.abs(kernels.kernels).max(axis=1)
+        error = _HALF_AMPLITUDE_MA / peaks_ma
+        # A kernel's peak is no more than its total.
+        peak_ma = min(most_ma, float(aim * peaks_ma.sum())) + len(peaks_ma) * _HALF_AMPLITUDE_MA
+        running_ma = _HALF_UA_MA + peak_ma * _HALF_WEIGHT
         rows = judge.target[kernels.sites]
         each = rows @ kernels.kernels.T
         own = np.diag(each)
+        against = np.minimum(each - np.diag(own), 0)
         # What is fainter than another point gets so much more of what that one's kernel does.
-        least = own + np.minimum(each - np.diag(own), 0).sum(axis=1) / faintest
-        lost = float(np.abs(np.diff(rows, axis=1)).sum(axis=1).max()) / faintest
-        other, spill = judge.uneven_af
-        smallest = kernels.smallest
-        return cls(
-            (
-                _SINGLE * aim * kernels.off_target * smallest,
-                _SINGLE * aim * kernels.spill * smallest,
-            ),
-            (_HALF_UA_MA * other, _HALF_UA_MA * spill),
-            aim * float(least.min()),
-            _HALF_UA_MA * lost,
+        least = own + against.sum(axis=1) / faintest
+        lost = own * error - against @ error
+        lost += running_ma * np.abs(np.diff(rows, axis=1)).sum(axis=1)
+        reached = (aim * _SINGLE * each.sum(axis=0).max() for each in kernels.excited)
+        rounding = (
+            _SINGLE * (error @ each).max() + running_ma * steps
+            for each, steps in zip(kernels.excited, judge.uneven_af, strict=True)
+        )
+        total_ma = running_ma * len(judge.full_ma) + error @ kernels.totals_ma
+        return (
+            *reached,
+            *rounding,
+            aim * _WEIGHT_PEAK * float(least.min()),
+            float(lost.max()) / faintest,
+            1000 * float(total_ma),
         )
 
-    def figures(self, intensity: float) -> tuple[float, float]:
-        """Return the upper bounds of `FrameFigures.off_target` and `spill`."""
+    def figures(self, intensity: float) -> Array:
+        """Return the upper bounds of `FrameFigures.off_target` and `spill` of each set, (2, N)."""
         weakest = intensity * self.target - self.lost
-        if weakest <= 0:
-            return np.inf, np.inf
-        other, spill = (
-            (intensity * reached + rounding) / weakest
-            for reached, rounding in zip(self.reached, self.rounding, strict=True)
-        )
-        return other, spill
+        most = intensity * self.reached + self.rounding
+        with np.errstate(divide="ignore"):
+            return np.asarray(np.where(weakest > 0, most / np.maximum(weakest, 0), np.inf))
 
     def least(self, bounds: FrameBounds) -> float:
         """Return the intensity from which bounds are kept; infinite if never."""
-        least = 0.0
-        for most, reached, rounding in zip(
-            (bounds.other, bounds.spill), self.reached, self.rounding, strict=True
-        ):
-            room = most * self.target - reached
-            least = max(least, (rounding + most * self.lost) / room if room > 0 else np.inf)
-        return least
+        most = np.array([[bounds.other], [bounds.spill]])
+        room = most * self.target - self.reached
+        needed = self.rounding + most * self.lost
+        if (room <= 0).any():
+            return np.inf
+        return float((needed / room).max(initial=0))
 
 
 def color_classes(operator: FrameOperator[FrameJudge], step: int) -> list[SharedKernels]:

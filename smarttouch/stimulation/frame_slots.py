@@ -171,8 +171,8 @@ class FrameSlots:
     ) -> tuple[NDArray[np.int16], KernelLists | None, SelectivityReport, bool]:
         """Return the currents as sent, their effects, and whether all bounds are certainly kept.
 
-        The effects of single points are those of their kernels, as designed. Nothing is certain of
-        sums in whole numbers, as their weights are rounded too.
+        The effects of single points are those of their kernels, as designed; of kernels that are
+        added up `Certainty` bounds them.
         """
         found, do = plan.found, plan.do.copy()
         sums = self._whole_sums(plan, intensity)
@@ -180,12 +180,11 @@ class FrameSlots:
             current_ua = sums.current_ua()
         else:
             current_ua = round_charge_balanced(1000 * intensity * plan.current_ma)
-        if sums is None and self._sums is not None and intensity >= self._sums.certain_from:
+        if self._sums is not None and intensity >= self._sums.certain_from:
             do[:, : len(found.owner)] = self._sums.figures(intensity)[:, found.owner]
-            # All that rounding can add is half a µA for each electrode.
-            most_ua = 1000 * intensity * found.most_ma + len(self._driven) / 2
+            most_ua = 1000 * intensity * found.most_ma + self._sums.rounding_ua
             certain = most_ua < 1000 * self._limit_ma
-            return current_ua, None, SelectivityReport(plan.points, *do), certain
+            return current_ua, sums, SelectivityReport(plan.points, *do), certain
         shared = np.flatnonzero(plan.points > 1)
         with self._blas.limit(limits=1, user_api="blas"):
             do[:, shared] = _selectivity(

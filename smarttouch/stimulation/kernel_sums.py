@@ -82,16 +82,14 @@ class KernelSums:
         self._scratch_ma = np.empty_like(self.kernels_ma)
         self._totals_ma = np.concatenate([np.empty(0), *(each.totals_ma for _, each in every)])
         self._owner = np.repeat(np.arange(len(every)), [len(each.sites) for _, each in every])
-        self._certain = [Certainty.of(each, aim, faintest) for _, each in every]
-        self.certain_from = max((each.least(bounds) for each in self._certain), default=0.0)
-        """Intensity from which no sum breaks a bound, whatever rounding to whole µA does."""
-        self.figures = lru_cache(maxsize=1)(self._figures)
+        self._certain = Certainty.of([each for _, each in every], aim, faintest, most_ma)
+        self.certain_from = self._certain.least(bounds)
+        """Intensity from which no sum breaks a bound, whatever rounding to whole numbers does."""
+        self.rounding_ua = self._certain.total_ua
+        """Most that rounding adds to a slot's total current."""
+        self.figures = lru_cache(maxsize=1)(self._certain.figures)
         """Upper bounds of any slot's worst other and worst spill at an intensity, of each set, (2,
         sets)."""
-
-    def _figures(self, intensity: float) -> NDArray[np.float32]:
-        found = [each.figures(intensity) for each in self._certain]
-        return np.array(found, np.float32).reshape(-1, 2).T
 
     def most_ma(self, alone_ma: Array) -> Array:
         """Return an upper bound of each electrode's magnitudes summed over a frame, (E,) mA, where

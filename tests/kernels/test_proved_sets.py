@@ -17,6 +17,7 @@ from smarttouch.kernels.proved_sets import (
     proved_sets,
 )
 from smarttouch.profile import load_profile
+from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, quantized
 from smarttouch.stimulation.slot_sums import round_charge_balanced
 
 from ..raising import raises
@@ -127,30 +128,38 @@ def test_no_subset_breaks_what_is_certain_after_rounding(
     operator = make_operator(afferent)
     rng = np.random.default_rng(seed)
     one = rng.choice(color_classes(operator, step))
-    certain = Certainty.of(one, 0.96, faintest)
+    most_ma = 0.96 * one.totals_ma.sum()
+    certain = Certainty.of([one], 0.96, faintest, most_ma)
     on = rng.random(len(one.sites)) < rng.uniform(0.1, 1)
     on[rng.integers(len(on))] = True
     level = np.zeros(64)
     level[one.sites[on]] = rng.choice([faintest, 1, rng.uniform(faintest, 1)], on.sum())
-    exact_ua = 1000 * intensity * 0.96 * (level[one.sites] @ one.kernels)
-    current_ma = round_charge_balanced(exact_ua[None])[0] / 1000
-    figures = operator.judge.judge(current_ma, level)
-    off_target, spill = certain.figures(intensity)
-    assert figures.off_target <= off_target
-    assert figures.spill <= spill
+    share = 0.96 * level[one.sites]
+    exact_ua = 1000 * intensity * (share @ one.kernels)
+    peak_ua = 1000 * np.abs(one.kernels).max(axis=1)
+    # The worst that rounding of amplitudes may do, besides what it does.
+    amplitude = 4 * intensity * share * peak_ua
+    amplitude += rng.choice([0, -0.4999, 0.4999]) * (share > 0)
+    kernel = np.flatnonzero(share).astype(np.uint16)
+    table = KernelTable(quantized(one.kernels), one.sites.astype(np.uint16), {}, {})
+    first = np.array([0, len(kernel)])
+    lists = KernelLists(table, first, kernel, np.rint(amplitude[kernel]).astype(np.uint16))
+    for current_ua in (round_charge_balanced(exact_ua[None])[0], lists.current_ua()[0]):
+        figures = operator.judge.judge(current_ua / 1000, level)
+        off_target, spill = certain.figures(intensity)[:, 0]
+        assert figures.off_target <= off_target
+        assert figures.spill <= spill
+        assert 1000 * figures.total_ma <= np.abs(exact_ua).sum() / 2 + certain.total_ua
 
 
 def test_from_the_least_intensity_on_bounds_are_kept(make_operator):
     bounds = FrameBounds(0.3, 0.3)
-    for one in color_classes(make_operator(Afferent.RA), 2):
-        certain = Certainty.of(one, 0.96, 0.5)
-        least = certain.least(bounds)
-        assert 0 < least < 1
-        for intensity in (least * 1.0001, 0.5, 1.0):
-            other, spill = certain.figures(intensity)
-            assert other <= bounds.other
-            assert spill <= bounds.spill
-        below = certain.figures(least * 0.9)
-        assert below[0] > bounds.other or below[1] > bounds.spill
-        assert certain.least(FrameBounds(0.001, 0.3)) == np.inf
-        assert certain.figures(0.0) == (np.inf, np.inf)
+    sets = color_classes(make_operator(Afferent.RA), 2)
+    certain = Certainty.of(sets, 0.96, 0.5, 10.0)
+    least = certain.least(bounds)
+    assert 0 < least < 1
+    for intensity in (least * 1.0001, 0.5, 1.0):
+        assert (certain.figures(intensity) <= 0.3).all()
+    assert (certain.figures(least * 0.9) > 0.3).any()
+    assert certain.least(FrameBounds(0.001, 0.3)) == np.inf
+    assert np.isinf(certain.figures(0.0)).all()

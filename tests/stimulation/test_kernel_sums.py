@@ -2,28 +2,41 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.kernels.frame_operator import AIM, FrameOperator
 from smarttouch.kernels.proved_sets import proved_sets
 from smarttouch.stimulation.frame_slots import FrameSlots
 from smarttouch.stimulation.kernel_sums import _parts
+from smarttouch.stimulation.scan_sequence import KernelTable
 from smarttouch.stimulation.slot_sums import round_charge_balanced
 
 INTENSITIES = (1.0, 0.6, 0.3, 0.1, 0.03, 0.01, 0.003)
 
 
+def made(profile, bank, whole):
+    """Slots of sums of kernels, in whole numbers or in doubles."""
+    slots = FrameSlots(profile, bank, (Afferent.RA,), planned=False)
+    if whole:
+        slots.table = KernelTable.of(bank.weights, {Afferent.RA: slots.kernels()})
+    return slots
+
+
 @pytest.fixture(scope="module")
 def slots(profile, bank):
-    return FrameSlots(profile, bank, (Afferent.RA,), planned=False)
+    return made(profile, bank, whole=False)
 
 
 @pytest.fixture(scope="module")
-def judged(profile, bank):
-    """The same, with a judge for each frame."""
-    slots = FrameSlots(profile, bank, (Afferent.RA,), planned=False)
-    slots._sums.certain_from = np.inf
-    return slots
+def both(profile, bank):
+    """The same, without and with a judge for each frame."""
+    found = {}
+    for whole in (False, True):
+        found[whole] = made(profile, bank, whole), made(profile, bank, whole)
+        found[whole][1]._sums.certain_from = np.inf
+    return found
 
 
 def activations(count):
@@ -33,18 +46,29 @@ def activations(count):
         yield drawn * (random.random((1, 64)) < random.choice([0.05, 0.2, 0.5, 1]))
 
 
-@pytest.mark.parametrize("intensity", INTENSITIES)
-def test_without_a_judge_for_each_frame_currents_are_the_same(slots, judged, intensity):
-    for activation in activations(30):
-        found, expected = slots.slots(activation, intensity), judged.slots(activation, intensity)
-        assert np.array_equal(found.current_ua, expected.current_ua)
-        assert np.array_equal(found.site, expected.site)
-        assert np.array_equal(found.proof.points, expected.proof.points)
-        several = found.proof.points > 1
-        for name in ("off_target", "spill"):
-            stated, true = getattr(found.proof, name), getattr(expected.proof, name)
-            assert np.array_equal(stated[~several], true[~several])
-            assert (stated[several] >= true[several]).all()
+@settings(deadline=None, max_examples=150)
+@given(
+    whole=st.booleans(),
+    seed=st.integers(0, 2**32 - 1),
+    density=st.floats(0, 1),
+    faintest=st.floats(0, 1),
+    intensity=st.one_of(st.floats(0, 0.05), st.floats(0, 1), st.sampled_from(INTENSITIES)),
+)
+def test_without_a_judge_for_each_frame_currents_are_the_same(
+    both, whole, seed, density, faintest, intensity
+):
+    random = np.random.default_rng(seed)
+    activation = random.uniform(faintest, 1, (1, 64)).astype(np.float32)
+    activation *= random.random((1, 64)) < density
+    found, expected = (each.slots(activation, intensity) for each in both[whole])
+    assert np.array_equal(found.current_ua, expected.current_ua)
+    assert np.array_equal(found.site, expected.site)
+    assert np.array_equal(found.proof.points, expected.proof.points)
+    several = found.proof.points > 1
+    for name in ("off_target", "spill"):
+        stated, true = getattr(found.proof, name), getattr(expected.proof, name)
+        assert np.array_equal(stated[~several], true[~several])
+        assert (stated[several] >= true[several]).all()
 
 
 def test_hardly_any_intensity_needs_a_judge(slots, profile):
