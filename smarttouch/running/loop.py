@@ -21,6 +21,7 @@ from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board
 from smarttouch.running.inputs import Controls, ControlState, Inputs
 from smarttouch.running.listener import Listener
+from smarttouch.running.phase_lock import PhaseLock, Sent
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulation import Regulator
 from smarttouch.running.step import RunStatistics, StepResult
@@ -106,7 +107,8 @@ def run_loop(
     ]
     regulator = regulator or Regulator()
     regulates = None if regulator.is_idle(board) else regulator
-    loop = _Loop(inputs, regulates, stop, steps, clock or board.clock)
+    phase = PhaseLock(board, statistics)
+    loop = _Loop(inputs, regulates, stop, steps, clock or board.clock, phase)
     with contextlib.nullcontext(Pace()) if board.simulated_time else paced() as pace:
         statistics.real_time = pace.real_time
         for note in pace.notes if board.on_a_finger else ():
@@ -122,6 +124,7 @@ class _Loop:
     stop: StopRequest
     steps: Sequence[Callable[[StepResult], None]]
     clock: Clock
+    phase: PhaseLock
     elapsed_ns: int = 0
     _shift_ns: int = 0
     _expected_ns: int | None = None
@@ -158,7 +161,15 @@ class _Loop:
             if not self._step(now_ns, late_ns, now_ns if board_ns is None else board_ns):
                 break
         board.drain()
+        self.phase.follow(self._shift_ns)
         statistics.seconds = (clock.now_ns() - start_ns) / 1e9
+
+    def _move(self, by_ns: int) -> None:
+        """Move the schedule later: what comes then is not late."""
+        self._shift_ns += by_ns
+        self._over_ns += by_ns
+        if self._expected_ns is not None:
+            self._expected_ns += by_ns
 
     def _step(self, now_ns: int, late_ns: int, board_ns: int) -> bool:
         """Deliver one input; return False at the end of the source."""
@@ -202,25 +213,41 @@ class _Loop:
             work_us,
             board.acknowledged,
             board.refused,
+            self.phase.newest,
         )
         period_ns = 1000 * step.sequence.period_us
         if number is None:
             self._shift_ns += sent_ns - now_ns
             self._expected_ns = None
             self._over_ns = 0
+            self.phase.forget()
         else:
             expected_ns, self._expected_ns = self._expected_ns, now_ns + period_ns
             error_us = None if expected_ns is None else abs(now_ns - expected_ns) / 1000
             statistics.enter(result, error_us)
             self._over_ns = sent_ns + period_ns
             waited_ns = sent_ns - sending_ns
-            if HELD_UP_NS < waited_ns < LATE_NS:
+            held_up = HELD_UP_NS < waited_ns < LATE_NS
+            self.phase.note(
+                Sent(
+                    number,
+                    in_hand_ns - step.input.age_ns,
+                    now_ns - late_ns,
+                    self._shift_ns,
+                    waited_ns * held_up,
+                    sent_ns,
+                    period_ns,
+                    board_ns - now_ns,
+                )
+            )
+            if held_up:
                 # The board's clock is behind: frames taken later reach the skin as soon, and
                 # fresher.
                 self._shift_ns += waited_ns
             if late_ns > period_ns:
                 statistics.late += 1
                 self._shift_ns += late_ns
+            self._move(self.phase.follow(self._shift_ns))
         self.elapsed_ns += period_ns
         for follow in self.steps:
             follow(result)

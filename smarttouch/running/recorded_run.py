@@ -36,6 +36,8 @@ class RunArrays:
         Force that counted, and the place on the page.
     latency_us : ndarray, (N,) float64
         From the input in hand to the last byte written.
+    first_pulse_us : ndarray, (N,) float64
+        From the taking of the image to its first pulse; NaN if the board did not say.
     activation : ndarray, (N, 3, E) float32
         Of RA, SAI and PC.
     first_slot : ndarray, (N + 1,) int64
@@ -60,6 +62,7 @@ class RunArrays:
     x_mm: NDArray[np.float64]
     y_mm: NDArray[np.float64]
     latency_us: NDArray[np.float64]
+    first_pulse_us: NDArray[np.float64]
     activation: NDArray[np.float32]
     first_slot: NDArray[np.int64]
     current_ua: NDArray[np.int16]
@@ -73,7 +76,7 @@ class RunArrays:
 
 
 _SLOTS = ("current_ua", "width_us", "discharge_us", "site")
-_REAL = ("level", "intensity", "force_n", "x_mm", "y_mm", "latency_us")
+_REAL = ("level", "intensity", "force_n", "x_mm", "y_mm", "latency_us", "first_pulse_us")
 
 
 class ArrayCollector:
@@ -84,6 +87,7 @@ class ArrayCollector:
         self._columns: dict[str, list[Any]] = {each.name: [] for each in fields(RunArrays)}
         self._columns["first_slot"] = [0]
         self._step_at: dict[int, int] = {}
+        self._step_of: dict[int, int] = {}
 
     def add(self, recorded: RecordedStep) -> None:
         """Add a step."""
@@ -102,6 +106,7 @@ class ArrayCollector:
             "x_mm": given.pose.x_mm,
             "y_mm": given.pose.y_mm,
             "latency_us": recorded.sent.latency_us,
+            "first_pulse_us": np.nan,
             "activation": step.tactile.activation,
             "first_slot": columns["first_slot"][-1] + sequence.slots,
             "recharge_us": sequence.recharge_us,
@@ -110,6 +115,11 @@ class ArrayCollector:
             columns[name].append(value)
         for name in _SLOTS:
             columns[name].append(getattr(sequence, name))
+        if recorded.sent.number is not None:
+            self._step_of[recorded.sent.number] = len(columns["step"]) - 1
+        pulse = recorded.sent.first_pulse
+        if pulse is not None and pulse.number in self._step_of:
+            columns["first_pulse_us"][self._step_of[pulse.number]] = pulse.latency_us
         self._step_at[sequence.time_ns] = recorded.index
         for measured, volts in step.observed:
             columns["volts"].append(volts)
@@ -222,7 +232,7 @@ class RecordedRun:
         found = {}
         for each in fields(RunArrays):
             mine, theirs = getattr(self.arrays, each.name), getattr(other.arrays, each.name)
-            if each.name == "latency_us":
+            if each.name in ("latency_us", "first_pulse_us"):
                 continue
             if mine.shape != theirs.shape:
                 found[each.name] = float("inf")

@@ -204,7 +204,8 @@ TABLES = {
                "stale"),
     "sequence": ("step", "time_ns", "sent", "mode", "level", "restarted", "intensity",
                  "asked_us", "period_us", "slots", "strongest_ua"),
-    "board": ("step", "time_ns", "sent", "acknowledged", "refused", "latency_us", "work_us"),
+    "board": ("step", "time_ns", "sent", "acknowledged", "refused", "latency_us", "work_us",
+              "begun", "first_pulse_us"),
 }  # fmt: skip
 """Columns of each table; `events.csv` has ``time_ns`` and ``words``."""
 
@@ -254,7 +255,7 @@ def _export(recording: Recording, folder: Path) -> list[Path]:
 
 def _rows(recorded: RecordedStep, image: str) -> dict[str, Sequence[Any]]:
     step, sent = recorded.step, recorded.sent
-    given, sequence, pose = step.input, step.sequence, step.input.pose
+    given, sequence, pose, pulse = step.input, step.sequence, step.input.pose, sent.first_pulse
     strongest_ua = int(np.abs(sequence.current_ua.astype(np.int32)).max(initial=0))
     return {
         "finger": (
@@ -266,6 +267,7 @@ def _rows(recorded: RecordedStep, image: str) -> dict[str, Sequence[Any]]:
         ),
         "board": (
             sent.number, recorded.acknowledged, recorded.refused, sent.latency_us, sent.work_us,
+            pulse and pulse.number, pulse and pulse.latency_us,
         ),
     }  # fmt: skip
 

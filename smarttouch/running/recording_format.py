@@ -130,6 +130,12 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
             "refused": _INTEGER,
             "latency_us": _NUMBER,
             "work_us": _NUMBER,
+            "begun": {
+                "type": ["integer", "null"],
+                "description": "newest sequence that is known to have begun since the last step",
+            },
+            "first_pulse_us": {**_PERHAPS, "description": "from its image to its first pulse"},
+            "waited_us": {**_PERHAPS, "description": "from its last byte to its first pulse"},
         },
     ),
     "/event": (

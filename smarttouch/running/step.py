@@ -60,6 +60,25 @@ class Step:
         return titled(title, activation, cells_svg(sequence.current_ua))
 
 
+@dataclass(frozen=True)
+class FirstPulse:
+    """When a sequence began to be felt.
+
+    Attributes
+    ----------
+    number : int
+        The board's number of the sequence.
+    latency_us : float, µs
+        From the taking of its image to its first pulse.
+    waited_us : float, µs
+        From its last byte written to its first pulse.
+    """
+
+    number: int
+    latency_us: float
+    waited_us: float
+
+
 @dataclass(frozen=True, eq=False)
 class StepResult:
     """One step, and how it was sent.
@@ -75,6 +94,9 @@ class StepResult:
         Processor time that it took the loop.
     acknowledged, refused : int
         Sequences that the board had begun to deliver, or declined, until then.
+    first_pulse : FirstPulse or None
+        Of the newest sequence of which the board has said since the step before when it began:
+        one or two before this. None for boards that never say it.
 
     Examples
     --------
@@ -94,6 +116,7 @@ class StepResult:
     work_us: float = 0.0
     acknowledged: int = 0
     refused: int = 0
+    first_pulse: FirstPulse | None = None
 
     def _repr_html_(self) -> str:
         return self.step._repr_html_()
@@ -152,6 +175,10 @@ class LatencyHistogram:
     def figures(self) -> dict[str, float]:
         """Return p50, p99 and the maximum, µs."""
         return {"p50": self.quantile(0.5), "p99": self.quantile(0.99), "max": self.largest_us}
+
+    def known_figures(self) -> dict[str, float] | None:
+        """Return `figures`; None if there was no duration."""
+        return self.figures() if self.count else None
 
 
 def add_durations(durations: Iterable[tuple[LatencyHistogram, float]]) -> None:
@@ -213,6 +240,10 @@ class RunStatistics:
     """From the input in hand to the last byte written."""
     motion_to_bytes: LatencyHistogram = field(default_factory=LatencyHistogram)
     """From the taking of the image to the last byte written."""
+    first_pulse: LatencyHistogram = field(default_factory=LatencyHistogram)
+    """From the taking of the image to its first pulse, where the board says when it began."""
+    waited: LatencyHistogram = field(default_factory=LatencyHistogram)
+    """From the last byte written to the first pulse."""
     work: LatencyHistogram = field(default_factory=LatencyHistogram)
     """Processor time that a frame took the loop, without waiting."""
     period_error: LatencyHistogram = field(default_factory=LatencyHistogram)
@@ -249,6 +280,10 @@ class RunStatistics:
         if error_us is not None:
             took.append((self.period_error, error_us))
         add_durations(took)
+
+    def enter_first_pulse(self, pulse: FirstPulse) -> None:
+        """Enter the start of a sequence that was sent before."""
+        add_durations([(self.first_pulse, pulse.latency_us), (self.waited, pulse.waited_us)])
 
     @property
     def work_share(self) -> float:
@@ -296,6 +331,8 @@ def figures_of(
         "slowed_sequences": statistics.slowed,
         "latency_us": statistics.latency.figures(),
         "motion_to_bytes_us": statistics.motion_to_bytes.figures(),
+        "motion_to_pulse_us": statistics.first_pulse.known_figures(),
+        "bytes_to_pulse_us": statistics.waited.known_figures(),
         "real_time": statistics.real_time,
         "period_error_us": statistics.period_error.figures(),
         "work_us": statistics.work.figures(),
@@ -313,7 +350,9 @@ def figures_of(
 
 def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
     """Return how a run went in lines of text, from the figures of `figures_of`."""
-    latency = figures["motion_to_bytes_us"]
+    pulse = figures["motion_to_pulse_us"]
+    latency = pulse or figures["motion_to_bytes_us"]
+    until = "first pulse" if pulse else "last byte (the board does not say when pulses begin)"
     net_uc = figures["max_net_charge_uc"] or 0
     net = (
         f"all pulses add up to {net_uc:.2g} µC on one electrode"
@@ -327,7 +366,7 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
         f"{figures['acknowledged']} sequences {'acknowledged' if acknowledges else 'sent'}",
         f"{figures['rate_hz']:.1f} Hz of {figures['rate_asked_hz'] or 0:.1f} asked"
         + _slowed(figures)
-        + f"; image to last byte {latency['p50'] / 1000:.1f} ms median, "
+        + f"; image to {until} {latency['p50'] / 1000:.1f} ms median, "
         f"{latency['p99'] / 1000:.1f} ms p99; own work {figures['work_share']:.1%} of it",
         f"strongest pulse {figures['max_current_ma']:.2f} mA, "
         f"{figures['max_charge_uc']:.3f} µC; {net}",

@@ -14,7 +14,7 @@ from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.tactile_image import TactileImage
 from smarttouch.running.mcap_chunks import parse_message
 from smarttouch.running.recording_format import LAST
-from smarttouch.running.step import Measured, Step, StepResult
+from smarttouch.running.step import FirstPulse, Measured, Step, StepResult
 from smarttouch.running.step_encoder import Message, remember
 from smarttouch.sources.source_contract import Frame, Input, Pose, Stimulus
 from smarttouch.stimulation.scan_sequence import ScanSequence, SelectivityReport
@@ -117,7 +117,8 @@ class StepDecoder:
             observed=tuple(self._measured(each) for each in self._parts.get("/volts", ())),
         )
         number = None if board["sent"] is None else int(board["sent"])
-        sent = StepResult(step, number, float(board["latency_us"]), float(board["work_us"]))
+        took = float(board["latency_us"]), float(board["work_us"])
+        sent = StepResult(step, number, *took, first_pulse=_begun(board))
         return RecordedStep(self._index, sent, int(board["acknowledged"]), int(board["refused"]))
 
     def _image_of(self, parts: dict[str, Message]) -> NDArray[np.uint8] | None:
@@ -138,6 +139,15 @@ class StepDecoder:
         if len(volts) != sequence.slots:
             raise ValueError(f"{len(volts)} voltages for {sequence.slots} slots")
         return sequence, volts
+
+
+def _begun(board: Message) -> FirstPulse | None:
+    # Older recordings say nothing of it.
+    if board.get("begun") is None:
+        return None
+    return FirstPulse(
+        int(board["begun"]), float(board["first_pulse_us"]), float(board["waited_us"])
+    )
 
 
 def _sequence_of(message: Message, electrodes: int) -> ScanSequence:

@@ -16,7 +16,7 @@ from smarttouch.base.array_picture import ElectrodePicture
 from smarttouch.base.electrodes import ElectrodeArray
 from smarttouch.physiology.response import in_color
 from smarttouch.running.recording_format import INFO, LAST
-from smarttouch.running.step import Step, StepResult
+from smarttouch.running.step import FirstPulse, Step, StepResult
 from smarttouch.sources.source_contract import Input, Stimulus
 from smarttouch.stimulation.scan_sequence import SelectivityReport
 
@@ -86,6 +86,7 @@ class StepEncoder:
                 "refused": result.refused,
                 "latency_us": result.latency_us,
                 "work_us": result.work_us,
+                **_begun(result.first_pulse),
             },
         )
 
@@ -193,6 +194,14 @@ def _sequence(result: StepResult) -> Message:
         if sequence.recharge_ua is None
         else _base64(sequence.recharge_ua.astype("<i2").tobytes()),
     }
+
+
+def _begun(pulse: FirstPulse | None) -> Message:
+    if pulse is None:
+        return dict.fromkeys(("begun", "first_pulse_us", "waited_us"))
+    return {
+        "begun": pulse.number, "first_pulse_us": pulse.latency_us, "waited_us": pulse.waited_us,
+    }  # fmt: skip
 
 
 def _proof(proof: SelectivityReport | None) -> Message:

@@ -19,7 +19,7 @@ from smarttouch.base import terminal
 from smarttouch.base.events import Advice, Event
 from smarttouch.profile import Profile
 from smarttouch.running.listener import Listener, RunContext
-from smarttouch.running.step import StepResult, summary_lines
+from smarttouch.running.step import FirstPulse, StepResult, summary_lines
 
 MOST_ROWS, MOST_COLUMNS = 16, 64  # of a picture, in characters: drawing takes the loop's time
 
@@ -124,6 +124,7 @@ class Screen(Listener):
         self._title = ""
         self._early: list[str] | None = []  # lines on what happened before the board was open
         self._latest: StepResult | None = None
+        self._pulse: FirstPulse | None = None
         self._event = ""
         self._keys = keys_help + _KEYS
         self._live: Live | None = None
@@ -160,7 +161,7 @@ class Screen(Listener):
 
     def step(self, result: StepResult) -> None:
         """Keep the newest step for the screen's own thread."""
-        self._latest = result
+        self._latest, self._pulse = result, result.first_pulse or self._pulse
         title = self._source.title
         if self._plain and title != self._title:
             self._title = title
@@ -270,7 +271,7 @@ class Screen(Listener):
         return (
             ("time", f"{frame.time_ns / 1e9:.1f}{length} s"),
             ("rate", f"{sequence.rate_hz:.0f} Hz, {sequence.points} points, {slots}"),
-            ("latency", f"{frame.age_ns / 1e6 + sent.latency_us / 1e3:.1f} ms, image to last byte"),
+            ("latency", _latency(sent, self._pulse)),
             ("session", f"{dose.seconds:.0f}/{limits.session_s:.0f} s, {charge}"),
             ("net", f"{dose.most_net_uc:.0f} µC of one sign"),
             ("finger", f"x {pose.x_mm:.1f}  y {pose.y_mm:.1f} mm"),
@@ -286,6 +287,14 @@ class Screen(Listener):
         wrote = (f"wrote {path}" for path in files)
         for line in (lines[0], *(f"  {each}" for each in (*lines[1:], *notes, *wrote))):
             self._print(line)
+
+
+def _latency(sent: StepResult, pulse: FirstPulse | None) -> str:
+    """Return the latency to the first pulse, or as far as it is known, in words."""
+    if pulse is not None:
+        return f"{pulse.latency_us / 1e3:.1f} ms, image to first pulse"
+    known_ms = sent.step.input.age_ns / 1e6 + sent.latency_us / 1e3
+    return f"{known_ms:.1f} ms to last byte, to first pulse unknown"
 
 
 def _beside(shared: tuple[float, float] | None) -> str:

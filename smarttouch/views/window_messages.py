@@ -74,6 +74,7 @@ def picture_message(sent: StepResult) -> Message:
         "force_n": _number(given.force_n),
         "age_ms": given.age_ns / 1e6,
         "latency_ms": given.age_ns / 1e6 + sent.latency_us / 1e3,
+        "pulse_ms": sent.first_pulse and sent.first_pulse.latency_us / 1e3,
         **sequence_message(sequence),
     }
     if given.image is not None:

@@ -1,6 +1,6 @@
 // The page of a run: takes the newest, steers, and stops.
 
-import { ElectrodesView, FeltView, SensorView, TactileView, bytes, calm } from "./views.js";
+import { ElectrodesView, FeltView, SensorView, TactileView, bytes, calm, latencyOf } from "./views.js";
 import { SlotPlayer } from "./slots.js";
 import { Drawing } from "./draw.js";
 
@@ -201,7 +201,7 @@ function showState() {
     ["mode", state.mode],
     picture && ["rate", `${(1e6 / picture.period_us).toFixed(1)} Hz`],
     picture && ["scan", `${picture.points} points, ${picture.slots} slots`],
-    picture && ["latency", `${picture.latency_ms.toFixed(1)} ms`],
+    picture && ["latency", latencyOf(picture)],
     ...(views.blind ? [] : [
       ["sequences", `${state.sequences}, ${state.acknowledged} acknowledged`],
       ["late", String(state.late)],

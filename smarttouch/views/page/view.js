@@ -1,6 +1,6 @@
 // Recordings: a time line, steps and slots, events to jump to, one or two side by side.
 
-import { ElectrodesView, SensorView, TactileView, calm } from "./views.js";
+import { ElectrodesView, SensorView, TactileView, calm, latencyOf } from "./views.js";
 
 const find = (id) => document.getElementById(id);
 const AGAIN_MS = 500;
@@ -110,7 +110,7 @@ class Side {
       ["rate", `${(1e6 / picture.period_us).toFixed(1)} Hz`],
       ["scan", `${picture.points} points, ${picture.slots} slots`],
       ["strongest", `${picture.peak_ma.toFixed(3)} mA, ${picture.charge_uc.toFixed(3)} µC`],
-      ["latency", `${picture.latency_ms.toFixed(1)} ms`],
+      ["latency", latencyOf(picture)],
     ];
     this.get("numbers").replaceChildren(...rows.flatMap(([name, value]) => {
       const term = document.createElement("dt");

@@ -26,6 +26,11 @@ export function currentColor(part) {
   return `rgb(${mixed.join(",")})`;
 }
 
+/** Latency of a picture in words: to the first pulse, if the board says when that was. */
+export const latencyOf = (picture) =>
+  picture.pulse_ms === null
+    ? `${picture.latency_ms.toFixed(1)} ms, to last byte`
+    : `${picture.pulse_ms.toFixed(1)} ms, to first pulse`;
 export const calm = () => window.matchMedia("(prefers-reduced-motion: reduce)").matches;
 
 // A canvas in millimeters, with the array's own places.
