@@ -24,6 +24,7 @@ ORDER = (
     "live_camera",
     "own_stimulus",
     "own_imaging",
+    "own_experiment",
     "show_patterns",
     "errors",
 )

@@ -4,7 +4,7 @@ import functools
 import inspect
 from collections.abc import Callable, Iterable, Sequence
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from smarttouch.base.errors import SmartTouchError
 
@@ -38,6 +38,7 @@ _OWN = {
     },
 }
 """The package's own, by entry-point group; no other package can take their names."""
+_T = TypeVar("_T")
 _BY_POSITION = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 
@@ -50,7 +51,12 @@ class Fault(NamedTuple):
 
 def known_names(group: str) -> list[str]:
     """Return the names that a URL of a group can begin with, plug-ins included."""
-    return sorted({*_OWN[group], *(point.name for point in _plug_ins(group))})
+    return sorted({*_OWN[group], *plug_in_names(group)})
+
+
+def plug_in_names(group: str) -> list[str]:
+    """Return the names that other packages have in a group."""
+    return sorted({point.name for point in _plug_ins(group)})
 
 
 def find_opener(
@@ -69,16 +75,35 @@ def find_opener(
     kind = _kind(group)
     if colon and name in _OWN[group]:
         return EntryPoint(name, _OWN[group][name], group).load(), rest
-    points = [point for point in _plug_ins(group) if point.name == name] if colon else []
-    if not points:
+    point = _plug_in(group, name, error) if colon else None
+    if point is None:
         raise unknown(kind, url, known_names(group), error)
+    return _load(point, error, base, arguments), rest
+
+
+def load_plug_in(group: str, name: str, error: type[SmartTouchError], kind: type[_T]) -> _T | None:
+    """Return an object that another package has under a name; None if there is none."""
+    point = _plug_in(group, name, error)
+    if point is None:
+        return None
+    found = _loaded(point, error)
+    if not isinstance(found, kind):
+        how = f"{point.value} is no {kind.__name__}"
+        raise _refusal(point, Fault(point.value, how), error)
+    return found
+
+
+def _plug_in(group: str, name: str, error: type[SmartTouchError]) -> EntryPoint | None:
+    """Return the entry point of another package by its name, which only one may have."""
+    points = [point for point in _plug_ins(group) if point.name == name]
     packages = sorted({package_of(point) for point in points})
     if len(packages) > 1:
+        kind = _kind(group)
         raise error(
             f"the packages {' and '.join(packages)} both have a {kind} {name}: remove one of them",
             about=kind,
         )
-    return _load(points[0], error, base, arguments), rest
+    return points[0] if points else None
 
 
 def unknown(
@@ -175,33 +200,36 @@ def _kind(group: str) -> str:
 
 def _plug_ins(group: str) -> list[EntryPoint]:
     """Return the entry points of other packages."""
-    return [point for point in entry_points(group=group) if point.name not in _OWN[group]]
+    return [point for point in entry_points(group=group) if point.name not in _OWN.get(group, ())]
+
+
+def _refusal(point: EntryPoint, fault: Fault, error: type[SmartTouchError]) -> SmartTouchError:
+    return error(
+        f"{point.name}: of the package {package_of(point)} cannot be used: {fault.sentence}",
+        about=fault.about,
+    )
+
+
+def _loaded(point: EntryPoint, error: type[SmartTouchError]) -> Any:
+    try:
+        return point.load()
+    except Exception as broken:
+        why = f"{point.value} cannot be loaded ({type(broken).__name__}: {broken})"
+        raise _refusal(point, Fault(point.value, why), error) from broken
 
 
 def _load(
     point: EntryPoint, error: type[SmartTouchError], base: type, arguments: tuple[str, ...]
 ) -> Callable[..., Any]:
     """Return the opener of an entry point, if it and its class keep the contract."""
-    package = package_of(point)
-
-    def refusal(fault: Fault) -> SmartTouchError:
-        return error(
-            f"{point.name}: of the package {package} cannot be used: {fault.sentence}",
-            about=fault.about,
-        )
-
-    try:
-        opener = point.load()
-    except Exception as broken:
-        why = f"{point.value} cannot be loaded ({type(broken).__name__}: {broken})"
-        raise refusal(Fault(point.value, why)) from broken
+    opener = _loaded(point, error)
     if not callable(opener) or not _can_take(opener, arguments):
         how = f"{point.attr} cannot be called as {point.attr}({', '.join(arguments)})"
-        raise refusal(Fault(point.attr, how))
+        raise _refusal(point, Fault(point.attr, how), error)
     if isinstance(opener, type):
         fault = fault_of(opener, base)
         if fault is not None:
-            raise refusal(fault)
+            raise _refusal(point, fault, error)
         return opener
 
     @functools.wraps(opener)
@@ -209,7 +237,7 @@ def _load(
         made = opener(*given, **options)
         fault = fault_of(type(made), base)
         if fault is not None:
-            raise refusal(fault)
+            raise _refusal(point, fault, error)
         return made
 
     return checked

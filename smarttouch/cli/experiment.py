@@ -248,9 +248,12 @@ _Output = Annotated[
 @experiment.command("list")
 def list_all() -> None:
     """Show which experiments there are."""
-    from smarttouch.experiments.psychophysics.catalog import CATALOG
+    from smarttouch.base.registry import plug_in_names
+    from smarttouch.experiments.psychophysics.catalog import CATALOG, find_experiment
+    from smarttouch.experiments.psychophysics.own_experiments import GROUP
 
-    for name, entry in CATALOG.items():
+    for name in (*CATALOG, *plug_in_names(GROUP)):
+        entry = find_experiment(name)
         typer.echo(f"{name:13} {entry.about} [{', '.join(entry.methods)}]")
     typer.echo(f"{'free':13} turn amplitude, rate and mode by hand: smarttouch experiment free")
 
@@ -260,7 +263,10 @@ def list_all() -> None:
 @takes_options(scan="points", anatomy="paper")
 def run_listed(
     run: RunOptionGroup,
-    name: Annotated[str, typer.Argument(metavar="NAME", help="See smarttouch experiment list.")],
+    name: Annotated[
+        str,
+        typer.Argument(metavar="NAME|FILE.py", help="See smarttouch experiment list; or your own."),
+    ],
     mode: _Mode = "RA",
     procedure: Annotated[
         str | None,
@@ -310,7 +316,7 @@ def run_listed(
         typer.Option(metavar="URL", help="As for live; with --simulate simulated:"),
     ] = None,
 ) -> None:
-    """Run an experiment of the list; the same command again goes on where it was.
+    """Run an experiment of the list or of a file; the same command again goes on where it was.
 
     Keys: the answers that the screen names, r for the trial once more, and those of live; q to
     go on another time.
@@ -341,7 +347,7 @@ def run_listed(
         )
     chosen = run.load_profile()
     afferent = parse_afferent(mode)
-    named = f"{name}-{afferent.name}"
+    named = f"{Path(name).stem}-{afferent.name}"
     stem, order = session_name(named, run.subject, session, seed)
     options = ExperimentOptions(
         afferent, procedure, parse_standards(standards), repetitions, trials, site, train_s,

@@ -1,12 +1,14 @@
-"""Catalog of experiments, and how to build each from the user's options."""
+"""Experiments by name or file, and how to build each from the user's options."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError
+from smarttouch.base.registry import plug_in_names
+from smarttouch.experiments.psychophysics.own_experiments import GROUP, OwnTask, called, load_own
 from smarttouch.experiments.psychophysics.procedures import (
     REPETITIONS,
     STANDARDS_HZ,
@@ -71,21 +73,32 @@ class Design:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One experiment of the catalog."""
+    """One experiment: what it asks, and the function that puts it together."""
 
     about: str  # in one line
-    methods: tuple[str, ...]  # procedures that make sense, the usual one first
-    train_s: float  # default length of a train
-    make: Callable[[Stimuli, ExperimentOptions, str], Design]  # puts it together
+    make: Callable[[Stimuli, ExperimentOptions, str], Design]  # called with the procedure's name
+    methods: tuple[str, ...] = (CONSTANT,)  # procedures that make sense, the usual one first
+    train_s: float = 0.5  # default length of a train
+
+
+def find_experiment(name: str) -> Experiment:
+    """Return an experiment by its name in the catalog, by its file, or of another package."""
+    if name in CATALOG:
+        return CATALOG[name]
+    found = load_own(name, Experiment)
+    if found is None:
+        known = [*CATALOG, *plug_in_names(GROUP)]
+        raise ExperimentError(
+            f"there is no experiment {name!r}: choose {' or '.join(known)}, or give a file of "
+            "your own, as in mine.py",
+            about="experiment",
+        )
+    return found
 
 
 def design(name: str, profile: Profile, wanted: ExperimentOptions) -> Design:
-    """Build an experiment of the catalog."""
-    if name not in CATALOG:
-        raise ExperimentError(
-            f"there is no experiment {name!r}: choose {' or '.join(CATALOG)}", about="experiment"
-        )
-    entry = CATALOG[name]
+    """Build an experiment of the catalog, of a file or of another package."""
+    entry = find_experiment(name)
     method = wanted.procedure or entry.methods[0]
     if method not in entry.methods:
         raise ExperimentError(
@@ -100,7 +113,11 @@ def design(name: str, profile: Profile, wanted: ExperimentOptions) -> Design:
             about="pulse.carrier",
         )
     train_s = entry.train_s if wanted.train_s is None else wanted.train_s
-    return entry.make(Stimuli(profile, wanted.afferent, train_s), wanted, method)
+    stimuli = Stimuli(profile, wanted.afferent, train_s)
+    if name in CATALOG:
+        return entry.make(stimuli, wanted, method)
+    made = called(name, entry.make, Design, stimuli, wanted, method)
+    return replace(made, task=OwnTask(made.task, name))
 
 
 def _site(stimuli: Stimuli, wanted: ExperimentOptions) -> int:
@@ -217,13 +234,11 @@ def _letters(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design
 
 
 CATALOG = {
-    "frequency": Experiment("which of two is faster (paper, III-C)", ADAPTIVE, 1.0, _frequency),
-    "detection": Experiment("is it felt: threshold current, mA", ADAPTIVE, 0.5, _detection),
-    "discomfort": Experiment("when is a rising current enough, mA", (LIMITS,), 10.0, _discomfort),
-    "two-point": Experiment("which had two points: distance, mm", (CONSTANT,), 0.5, _two_point),
-    "localization": Experiment(
-        "was the second left or right: distance, mm", (CONSTANT,), 0.5, _localization
-    ),
-    "letters": Experiment("which letter was drawn", (CONSTANT,), 1.0, _letters),
-}  # fmt: skip
-"""All experiments by name."""
+    "frequency": Experiment("which of two is faster (paper, III-C)", _frequency, ADAPTIVE, 1.0),
+    "detection": Experiment("is it felt: threshold current, mA", _detection, ADAPTIVE),
+    "discomfort": Experiment("when is a rising current enough, mA", _discomfort, (LIMITS,), 10.0),
+    "two-point": Experiment("which had two points: distance, mm", _two_point),
+    "localization": Experiment("was the second left or right: distance, mm", _localization),
+    "letters": Experiment("which letter was drawn", _letters, train_s=1.0),
+}
+"""The package's own experiments by name."""

@@ -21,7 +21,7 @@ from smarttouch.experiments.psychophysics.trials import (
 _WHERE = {1: "first", 2: "second"}
 
 
-def _in_two_intervals(
+def in_two_intervals(
     condition: Condition,
     own: Train,
     other: Train,
@@ -31,7 +31,11 @@ def _in_two_intervals(
     unit: str,
     **more: Any,
 ) -> Trial:
-    """Return a trial of two intervals: ``own`` is in that of the comparison."""
+    """Return a trial of two intervals: ``own`` is in that of the comparison, which is right.
+
+    ``task`` is the kind of question for simulated observers, ``words`` the comparison in words, and
+    ``unit`` its unit; ``more`` are other fields of a `Trial`.
+    """
     at = condition.comparison_interval
     return Trial(
         condition,
@@ -63,7 +67,7 @@ class FrequencyTask:
         own, other = (self.stimuli.train([self.site], each) for each in (comparison, standard))
         target = "" if comparison == standard else str(at if comparison > standard else 3 - at)
         words = f"standard {standard:g} Hz, comparison {comparison:g} Hz"
-        return _in_two_intervals(
+        return in_two_intervals(
             condition, own, other, "faster", "which was faster?", words, "Hz",
             target=target, compares=True,
         )  # fmt: skip
@@ -101,7 +105,7 @@ class DetectionTask:
                 condition, (train,), "felt", "did you feel it? y or n", YES_OR_NO, target, "y",
                 words, "mA", exact=True,
             )  # fmt: skip
-        return _in_two_intervals(
+        return in_two_intervals(
             condition, train, blank, "felt", "in which did you feel it?", f"{current_ma:.3f} mA",
             "mA", exact=True,
         )  # fmt: skip
@@ -152,9 +156,7 @@ class TwoPointTask:
         one = self.stimuli.nearest(place_mm[list(pair)].mean(axis=0))
         two, single = (self.stimuli.train(each, self.rate_hz) for each in (pair, (one,)))
         words = f"two points {apart_mm:g} mm apart"
-        return _in_two_intervals(
-            condition, two, single, "two", "which had two points?", words, "mm"
-        )
+        return in_two_intervals(condition, two, single, "two", "which had two points?", words, "mm")
 
 
 @dataclass(frozen=True, eq=False)

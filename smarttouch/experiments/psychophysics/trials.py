@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,8 +66,9 @@ class Stimuli:
             )
         self.profile, self.afferent, self.train_s = profile, afferent, train_s
 
-    def train(self, where: Sequence[int] | NDArray[np.float32], rate_hz: float) -> Train:
-        """Return a train on some sites, or with an activation of each, (E,)."""
+    def train(self, where: Sequence[int] | NDArray[Any], rate_hz: float) -> Train:
+        """Return a train on some sites, given as whole numbers, or with an activation of each, (E,)
+        of numbers or bool."""
         limit_hz = self.profile.limits.rate_hz
         if not 0 < rate_hz <= limit_hz:
             raise ExperimentError(
@@ -83,7 +84,13 @@ class Stimuli:
                 about="train_s",
             )
         activation = np.zeros((len(Afferent), len(self.profile.electrodes)), np.float32)
-        if isinstance(where, np.ndarray):
+        if isinstance(where, np.ndarray) and where.dtype.kind not in "iu":
+            if where.shape != activation[0].shape:
+                raise ExperimentError(
+                    f"an activation of {where.shape} is not for the {activation.shape[1]} sites of "
+                    f"{self.profile.name}: give one for each, or sites by their numbers",
+                    about="where",
+                )
             activation[self.afferent] = where
         else:
             activation[self.afferent, list(where)] = 1
