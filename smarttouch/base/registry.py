@@ -167,7 +167,7 @@ def fault_of(kind: type, base: type) -> Fault | None:
 
 def final_names(base: type) -> list[str]:
     """Return the names of the final methods and properties of a class."""
-    return [name for name in dir(base) if _is_final(inspect.getattr_static(base, name))]
+    return [name for name in dir(base) if is_final(inspect.getattr_static(base, name))]
 
 
 def replaced_finals(kind: type, base: type) -> list[str]:
@@ -176,7 +176,8 @@ def replaced_finals(kind: type, base: type) -> list[str]:
     return [name for name in final_names(base) if static(kind, name) is not static(base, name)]
 
 
-def _is_final(member: object) -> bool:
+def is_final(member: object) -> bool:
+    """Whether a member of a class is a method or property marked as final."""
     inner = member.fget if isinstance(member, property) else member
     return getattr(inner, "__final__", False) is True
 

@@ -205,14 +205,15 @@ class Board(TimedBoard, ABC):
             self._require_open("sending")
             self._go_on_unless_stopped()
         self._require_seal()
-        if self._time() is not None or self.on_a_finger:
+        timed = self._time() is not None or self.on_a_finger
+        if timed:
             _require_same_clock(self._due_ns, now_ns)
         # By the class: a driver cannot replace it.
         Capabilities.require(self.capabilities, sequence, times)
         times = int(times)
         proved = self._gate.prove(sequence, times)
         try:
-            if self._time() is not None or self.on_a_finger:
+            if timed:
                 self._refuse_late(self._due_ns)
             with self._driving() if self.drives_in_send else contextlib.nullcontext():
                 number = self._send(proved, times)

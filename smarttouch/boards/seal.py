@@ -18,7 +18,7 @@ from smarttouch.base.errors import (
     BoardStoppedError,
     SequenceLateError,
 )
-from smarttouch.base.registry import final_names
+from smarttouch.base.registry import final_names, is_final
 from smarttouch.stimulation.safety_gate import NanosecondClock, SafetyGate, SafetyLimits
 
 _ALWAYS = frozenset({"__bases__", "__class__", "__getattribute__", "_sealed"})
@@ -38,7 +38,9 @@ class SealedType(ABCMeta):
         cls, name: str, bases: tuple[type, ...], members: dict[str, Any], **more: Any
     ) -> None:
         super().__init__(name, bases, members, **more)
-        type.__setattr__(cls, "_sealed", _ALWAYS.union(final_names(cls)))
+        own = {each for each, member in members.items() if is_final(member)}
+        above = [getattr(each, "_sealed", None) or final_names(each) for each in bases]
+        type.__setattr__(cls, "_sealed", _ALWAYS.union(own, *above))
         static = inspect.getattr_static
         if static(cls, "__getattribute__") is not object.__getattribute__:
             raise _replaced(cls, "__getattribute__")
@@ -284,7 +286,7 @@ class TimedBoard(Sealed):
 
     @final
     def _is_late(self, due_ns: int) -> bool:
-        return self.clock.now_ns() - due_ns > LATE_NS
+        return self._clock.now_ns() - due_ns > LATE_NS
 
     @final
     def _refuse_late(self, due_ns: int) -> None:

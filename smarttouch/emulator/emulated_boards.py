@@ -253,8 +253,8 @@ class EmulatorBoard(LinkBoard):
                         "computer is too busy, try again",
                         about="emulator",
                     )
-                if not select.select([output], [], [], 0)[0]:
-                    self._pause(0.01)
+                if not select.select([output], [], [], 0.02)[0]:
+                    self._go_on_unless_stopped()
                     continue
                 if not (piece := os.read(output.fileno(), 256)):
                     message = f"the emulator did not start (exit {self._process.wait()})"

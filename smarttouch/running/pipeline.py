@@ -2,6 +2,7 @@
 
 import contextlib
 import copy
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,15 +21,14 @@ from smarttouch.stimulation.net_plan import NetPlan
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import KernelTable
-from smarttouch.stimulation.scheduler import ScanScheduler
+from smarttouch.stimulation.scheduler import ScanScheduler, SchedulerContext
 
 
 class Pipeline:
     """Turns frames and stimuli into scan sequences; time comes in with each.
 
     With ``vibrated`` mechanical vibrators drive PC, and no current does (paper, Section V). With
-    ``in_sums`` slots are sums of kernels in whole numbers, kept in ``table``, for boards that store
-    kernels.
+    ``in_sums`` slots are sums of kernels in whole numbers, for boards that store kernels.
     """
 
     def __init__(
@@ -44,35 +44,37 @@ class Pipeline:
         config = config or RunConfig()
         self._profile, self._bank, self._config = profile, bank, config
         self._timing, self._vibrated = timing, vibrated
-        self._sharing = config.sharing(profile)
+        self.electrodes = len(profile.electrodes)
         self._mapper = TactileMapper(profile, config.light_on_dark, config.tone)
         self._limits = SafetyLimits.of(profile)
         self._soft_start = SoftStart(profile.limits.ramp_s)
         self._restarted = True
-        self._net = None if config.balance else NetPlan(len(profile.electrodes))
+        self._common = SchedulerContext(config.sharing(profile))
+        if not config.balance:
+            self._common.net = NetPlan(self.electrodes)
         self._scans: dict[Mode, ScanScheduler] = {}
-        self._frames: dict[tuple[Afferent, ...], FrameSlots] = {}
-        self.table: KernelTable | None = None
         if in_sums and profile.output.kind == "weighted":
-            self.table = self._made_table()
+            self._common.table = self._made_table()
         self.change_mode(Mode(config.mode))
 
     def _made_table(self) -> KernelTable:
         """Return all kernels of the bank, and those by which slots are shared, in whole numbers."""
-        classes = () if self._sharing.planned else self._sharing.afferents
+        sharing, frames = self._common.sharing, self._common.frames
+        classes = () if sharing.planned else sharing.afferents
         shared = [each for each in classes if each in self._bank.weights]
         for each in shared:
-            self._frames[each,] = FrameSlots(self._profile, self._bank, (each,), planned=False)
+            frames[each,] = FrameSlots(self._profile, self._bank, (each,), planned=False)
         table = KernelTable.of(
-            self._bank.weights, {each: self._frames[each,].kernels() for each in shared}
+            self._bank.weights, {each: frames[each,].kernels() for each in shared}
         )
-        for frames in self._frames.values():
-            frames.table = table
+        for slots in frames.values():
+            slots.table = table
         return table
 
     @property
-    def electrodes(self) -> int:
-        return len(self._profile.electrodes)
+    def table(self) -> KernelTable | None:
+        """Kernels whose sums slots are, for a board that stores them."""
+        return self._common.table
 
     def change_mode(self, mode: Mode) -> None:
         """Drive other afferents from the next input on; intensity begins at zero.
@@ -117,10 +119,7 @@ class Pipeline:
                 self._timing,
                 self._profile.pulse.softness if softness is None else softness,
                 vibrated,
-                self._sharing,
-                self._frames,
-                self.table,
-                self._net,
+                self._common,
             )
         return self._scans[mode]
 
@@ -177,7 +176,7 @@ class Pipeline:
         twin._mapper = TactileMapper(self._profile, self._config.light_on_dark, self._config.tone)
         twin._soft_start = SoftStart(self._profile.limits.ramp_s)
         # What shares slots remembers nothing but what it has planned.
-        twin._scans, twin._net = {}, None
+        twin._scans, twin._common = {}, replace(self._common, net=None)
         twin.change_mode(self.mode)
         profile, force_n = self._profile, self._profile.force.full_n
         image = np.full((profile.optics.sensor_rows, profile.optics.sensor_columns), 230, np.uint8)

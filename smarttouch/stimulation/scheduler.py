@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,17 +43,28 @@ _BOTH = (Afferent.RA, Afferent.SAI)
 """Classes of opposite polarity: if both are due, points of one are the return of the other's."""
 
 
+@dataclass
+class SchedulerContext:
+    """What the schedulers of one run have in common."""
+
+    sharing: SlotPolicy = NO_SHARING
+    frames: dict[tuple[Afferent, ...], FrameSlots] = field(default_factory=dict)
+    """Slots shared by classes, of all schedulers."""
+    table: KernelTable | None = None
+    """Kernels whose sums slots are, in whole numbers, if given."""
+    net: NetPlan | None = None
+    """Bound of periods by net charge, unless recharge phases return it."""
+
+
 class ScanScheduler:
     """Scheduler of one slot for each active point (paper, Section IV-A, Fig. 19), or fewer.
 
     Each of several classes has its own pulse rate; `rate_hz` is that of a single one. Softness, in
     [0, 1], reduces the effect of force on the rate of SAI pulses. If `vibrated`, mechanical
-    vibrators stimulate PC, without current. Slots shared by classes are taken from `frames` or
-    added to it; with a `table` slots are sums of kernels in whole numbers. `net` bounds periods by
-    net charge, unless recharge phases return it. `net_slowed` and `net_emptied` count sequences
-    made longer or left without slots for it; `asked_us` is the period of the last one if its slots
-    fit. An impossible rate, pulses that the board does not have, and a bank that drives a masked
-    electrode raise a ScheduleError.
+    vibrators stimulate PC, without current. `net_slowed` and `net_emptied` count sequences made
+    longer or left without slots for net charge; `asked_us` is the period of the last one if its
+    slots fit. An impossible rate, pulses that the board does not have, and a bank that drives a
+    masked electrode raise a ScheduleError.
     """
 
     def __init__(
@@ -64,11 +76,9 @@ class ScanScheduler:
         timing: ScanTiming | None = None,
         softness: float = 1.0,
         vibrated: bool = False,
-        sharing: SlotPolicy = NO_SHARING,
-        frames: dict[tuple[Afferent, ...], FrameSlots] | None = None,
-        table: KernelTable | None = None,
-        net: NetPlan | None = None,
+        common: SchedulerContext | None = None,
     ) -> None:
+        common = SchedulerContext() if common is None else common
         timing = ScanTiming() if timing is None else timing
         timing.check(profile)
         pulse, limits = profile.pulse, profile.limits
@@ -76,12 +86,11 @@ class ScanScheduler:
         self._vibrated = vibrated
         self._driven = driven = tuple(e for e in afferents if not vibrated or e is not Afferent.PC)
         self._points = {
-            each: PointSlots(profile, bank, each, timing, table)
+            each: PointSlots(profile, bank, each, timing, common.table)
             for each in driven
-            if each not in sharing.afferents
+            if each not in common.sharing.afferents
         }
-        frames = {} if frames is None else frames
-        self._frames = _shared_slots(profile, bank, driven, sharing, frames)
+        self._frames = _shared_slots(profile, bank, driven, common)
         self.asked_us = 0
         self._first = driven[0]
         self._softness = softness
@@ -105,15 +114,11 @@ class ScanScheduler:
         self._adder = SlotAdder(self._limits.felt_ua)
         # Before anything is sent: the longest scan must be possible too.
         self._shortest_us(self._electrodes, self._electrodes * pulse.width_us)
-        self._shortest: list[int] = []
+        self._one_width_us = pulse.width_us if bank.single or pulse.carrier != "width" else None
+        self._shortest: dict[int, int] = {}
         """Shortest period by the number of slots, where all have one width."""
-        if bank.single or pulse.carrier != "width":
-            self._shortest = [
-                self._shortest_us(slots, slots * pulse.width_us)
-                for slots in range(self._electrodes + 1)
-            ]
         self.net_slowed = self.net_emptied = 0
-        self._net = net
+        self._net = common.net
         self._felt_us, self._charge_us, self._net_at_most_pc = (math.inf,) * 3
         if not bank.single:
             self._bound_exposure(pulse.width_us)
@@ -154,10 +159,11 @@ class ScanScheduler:
                 made = _slots_of(makers, image.activation, intensity)
         site, current_ua, width_us, proof, sums = made
         slots = len(site)
-        if slots < len(self._shortest):
-            shortest_us = self._shortest[slots]
-        else:
+        shortest_us = self._shortest.get(slots)
+        if shortest_us is None:
             shortest_us = self._shortest_us(slots, extent_us(width_us.tobytes())[2])
+            if self._one_width_us is not None:
+                self._shortest[slots] = shortest_us
         if self._timing.whole_hz:
             asked_us = self._timing.possible_period_us(asked_us)
         period_us = max(asked_us, shortest_us)
@@ -316,10 +322,10 @@ def _shared_slots(
     profile: Profile,
     bank: KernelBank,
     afferents: Sequence[Afferent],
-    sharing: SlotPolicy,
-    frames: dict[tuple[Afferent, ...], FrameSlots],
+    common: SchedulerContext,
 ) -> dict[tuple[Afferent, ...], FrameSlots]:
-    """Return the shared slots of classes, alone and together, from `frames` or added to it."""
+    """Return the shared slots of classes, alone and together, from those in common or added."""
+    sharing, frames = common.sharing, common.frames
     shared: list[tuple[Afferent, ...]] = [
         (each,) for each in afferents if each in sharing.afferents
     ]

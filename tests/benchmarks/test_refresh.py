@@ -19,7 +19,7 @@ from smarttouch.kernels.frame_operator import FrameOperator
 from smarttouch.sources import open_source
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import SlotPolicy
-from smarttouch.stimulation.scheduler import ScanScheduler
+from smarttouch.stimulation.scheduler import ScanScheduler, SchedulerContext
 from tests.rising import open_level
 
 from .frame_sets import LETTERS, array_named, drawn, judge_of, scattered
@@ -59,7 +59,11 @@ def swept_page(profile, count):
 def delivered(profile, bank, afferent, frames, activations):
     """Return the board's slots, its own time in µs, proofs and the host's seconds a frame."""
     scan = ScanScheduler(
-        profile, bank, (afferent,), profile.limits.rate_hz, sharing=SlotPolicy(frames)
+        profile,
+        bank,
+        (afferent,),
+        profile.limits.rate_hz,
+        common=SchedulerContext(SlotPolicy(frames)),
     )
     proofs, spent, period_us = [], 0.0, 0
     with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:

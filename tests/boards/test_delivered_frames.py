@@ -9,13 +9,15 @@ from smarttouch.emulator.emulated_boards import SimulatedBoard
 from smarttouch.kernels.design_problem import Problem
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence, SlotPolicy
-from smarttouch.stimulation.scheduler import ScanScheduler
+from smarttouch.stimulation.scheduler import ScanScheduler, SchedulerContext
 
 
 @pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
 def test_delivered_currents_do_what_was_planned(profile, bank, afferent):
     rng = np.random.default_rng(8)
-    scan = ScanScheduler(profile, bank, (afferent,), sharing=SlotPolicy((afferent,)))
+    scan = ScanScheduler(
+        profile, bank, (afferent,), common=SchedulerContext(SlotPolicy((afferent,)))
+    )
     sent = {}
     with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
         for step in range(60):

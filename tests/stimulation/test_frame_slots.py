@@ -18,7 +18,7 @@ from smarttouch.stimulation.point_slots import PointSlots
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import SlotPolicy
-from smarttouch.stimulation.scheduler import ScanScheduler
+from smarttouch.stimulation.scheduler import ScanScheduler, SchedulerContext
 
 from ..raising import raises
 
@@ -72,7 +72,9 @@ def test_every_slot_is_within_limits_and_bounds_and_its_proof_is_true(
     random = np.random.default_rng(seed)
     activation = random.random(64, np.float32) * (random.random(64) < density)
     site, current_ua, _, proof, _ = made[afferent, planned].slots(activation[None], intensity)
-    scan = ScanScheduler(profile, bank, (afferent,), 10.0, sharing=SlotPolicy((afferent,), planned))
+    scan = ScanScheduler(
+        profile, bank, (afferent,), 10.0, common=SchedulerContext(SlotPolicy((afferent,), planned))
+    )
     sequence = scan.schedule(image(activation, afferent), intensity)
     assert np.array_equal(sequence.current_ua, current_ua)
     SafetyGate(SafetyLimits.of(profile)).prove_measurement(sequence)
@@ -133,7 +135,11 @@ def test_limits_of_electrodes_that_are_no_whole_microamperes(profile, changed):
     gate = SafetyGate(SafetyLimits.of(limited))
     for afferent in (Afferent.RA, Afferent.SAI):
         scan = ScanScheduler(
-            limited, bank, (afferent,), 10.0, sharing=SlotPolicy((afferent,), False)
+            limited,
+            bank,
+            (afferent,),
+            10.0,
+            common=SchedulerContext(SlotPolicy((afferent,), False)),
         )
         for seed in range(20):
             activation = np.zeros(64, np.float32)
@@ -154,7 +160,7 @@ def test_natural_mode_joins_what_is_proved_with_what_is_not(profile, bank):
     rows[Afferent.RA, LETTER_T] = rows[Afferent.SAI, :3] = 1
     both = (Afferent.RA, Afferent.SAI)
     only_ra, each = (
-        ScanScheduler(profile, bank, both, sharing=SlotPolicy(frames)).schedule(
+        ScanScheduler(profile, bank, both, common=SchedulerContext(SlotPolicy(frames))).schedule(
             TactileImage(rows, 0, 1.0), 1.0
         )
         for frames in (both[:1], both)
@@ -178,11 +184,11 @@ def test_both_classes_share_slots_where_both_are_due(profile, bank, problems):
     both = (Afferent.RA, Afferent.SAI)
     rows = np.zeros((3, 64), np.float32)
     rows[Afferent.RA, :8], rows[Afferent.SAI, 48:56] = 1, 0.5
-    scan = ScanScheduler(profile, bank, both, sharing=SlotPolicy(both))
+    scan = ScanScheduler(profile, bank, both, common=SchedulerContext(SlotPolicy(both)))
     sequence = scan.schedule(TactileImage(rows, 0, 1.0), 1.0)
     SafetyGate(SafetyLimits.of(profile)).prove_measurement(sequence)
     apart = sum(
-        ScanScheduler(profile, bank, (each,), sharing=SlotPolicy(both))
+        ScanScheduler(profile, bank, (each,), common=SchedulerContext(SlotPolicy(both)))
         .schedule(TactileImage(rows, 0, 1.0), 1.0)
         .slots
         for each in both
@@ -311,7 +317,9 @@ def test_points_that_go_with_no_other_are_rounded_within_their_limit(profile, ba
     alone = changed(profile, keys | {"perception.comfort_ma": (2.35,) * 64})
     activation = np.zeros(64, np.float32)
     activation[[0, 9, 20, 27, 38, 45]] = 1
-    scan = ScanScheduler(alone, bank, (Afferent.RA,), 10.0, sharing=SlotPolicy((Afferent.RA,)))
+    scan = ScanScheduler(
+        alone, bank, (Afferent.RA,), 10.0, common=SchedulerContext(SlotPolicy((Afferent.RA,)))
+    )
     sequence = scan.schedule(image(activation), 1.0)
     assert sequence.slots == 6
     assert np.abs(sequence.current_ua).max() > 2310

@@ -18,7 +18,7 @@ from smarttouch.stimulation.point_slots import perceived_at, spread_order
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
-from smarttouch.stimulation.scheduler import ScanScheduler
+from smarttouch.stimulation.scheduler import ScanScheduler, SchedulerContext
 
 from ..raising import raises
 from ..rising import open_level
@@ -212,9 +212,13 @@ def test_classes_that_are_due_together_follow_one_another(profile, bank, changed
 )
 def test_proofs_stay_with_their_slots_where_classes_are_joined(profile, bank, sharing, proved):
     both = (Afferent.RA, Afferent.SAI)
-    joined = ScanScheduler(profile, bank, both, sharing=sharing).schedule(natural_image(), 0.7)
+    joined = ScanScheduler(profile, bank, both, common=SchedulerContext(sharing)).schedule(
+        natural_image(), 0.7
+    )
     parts = [
-        ScanScheduler(profile, bank, (each,), 10.0, sharing=sharing).schedule(natural_image(), 0.7)
+        ScanScheduler(profile, bank, (each,), 10.0, common=SchedulerContext(sharing)).schedule(
+            natural_image(), 0.7
+        )
         for each in both
     ]
     assert [each.proof is not None for each in parts] == list(proved)
@@ -242,12 +246,12 @@ def test_three_classes_are_joined_as_two_are(profile, bank):
     rows[Afferent.PC, 2::11] = 0.5
     image = TactileImage(rows, 10**9, 1.0, 200_000)
     for sharing in (NO_SHARING, SlotPolicy(tuple(Afferent), planned=True)):
-        scan = ScanScheduler(profile, bank, tuple(Afferent), sharing=sharing)
+        scan = ScanScheduler(profile, bank, tuple(Afferent), common=SchedulerContext(sharing))
         joined = scan.schedule(image, 0.7)
         together = (Afferent.RA, Afferent.SAI)
         groups = [together, (Afferent.PC,)] if sharing.afferents else [(each,) for each in Afferent]
         parts = [
-            ScanScheduler(profile, bank, group, sharing=sharing).schedule(
+            ScanScheduler(profile, bank, group, common=SchedulerContext(sharing)).schedule(
                 replace(image, activation=np.where(np.isin(range(3), group)[:, None], rows, 0)),
                 0.7,
             )
