@@ -2,7 +2,7 @@
 Live camera in OpenCV
 =====================
 
-``smarttouch live --source camera:0`` takes a camera. In a program of your own that has its frames
+``smarttouch live camera:0`` takes a camera. In a program of your own that has its frames
 from OpenCV already, a source is a class with one method. Where there is no camera, this example
 films a page by moving a window over it.
 """

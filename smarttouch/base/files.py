@@ -101,6 +101,26 @@ def decoded(data: bytes, path: Path, error: type[SmartTouchError]) -> str:
         raise error(message, about="file") from None
 
 
+_FILE_NAME = re.compile(r"\.{0,2}/\S+|\S*\.[A-Za-z]\w{1,3}")
+
+
+def named_file(name: str, error: type[SmartTouchError]) -> Path | None:
+    """Return the file that a name stands for, None for words; a missing file is an error."""
+    there = file_at(name)
+    if there is None and _FILE_NAME.fullmatch(name):
+        message = f"there is no file {name}: check its name, or give text:{name} for these words"
+        raise error(message, about="file")
+    return there
+
+
+def file_at(name: str) -> Path | None:
+    """Return the file or folder of this name, None if there is none."""
+    try:
+        return Path(name) if name and Path(name).exists() else None
+    except (OSError, ValueError):
+        return None
+
+
 def read_toml(path: Path, error: type[SmartTouchError]) -> dict[str, Any]:
     """Return the tables of a TOML file, of which nothing has been checked yet."""
     text = read_text(path, error, MOST_TOML_BYTES)

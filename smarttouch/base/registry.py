@@ -3,6 +3,7 @@
 import functools
 import inspect
 from collections.abc import Callable, Iterable, Sequence
+from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, NamedTuple, TypeVar
 
@@ -110,8 +111,16 @@ def unknown(
     kind: str, url: str, known: Sequence[str], error: type[SmartTouchError]
 ) -> SmartTouchError:
     """Return the error of a URL that begins with no known name."""
-    names = ", ".join(f"{each}:" for each in known)
-    return error(f"unknown {kind} {url!r}: it must begin with one of {names}", about=kind)
+    name, colon, _ = url.partition(":")
+    close = [name] if name in known else get_close_matches(name.lower(), known, 1, 0.75)
+    meant = close[0] if close else ""
+    if meant:
+        way = f"did you mean {meant}:{url[len(name) + len(colon) :]}"
+    elif kind == "board" and url.startswith("/"):
+        way = f"a port does not say which board is on it; write its kind first, as in link:{url}"
+    else:
+        way = "it must begin with one of " + ", ".join(f"{each}:" for each in known)
+    return error(f"unknown {kind} {url!r}: {way}", about=kind, remedy=meant and f"{meant}:")
 
 
 def given_options(

@@ -9,6 +9,7 @@ from typing import Any, Union, get_args, get_origin
 from urllib.parse import unquote
 
 from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.files import file_at
 
 
 def read_options(
@@ -26,7 +27,7 @@ def read_options(
     if not (mark and known) or not all(_NAME.fullmatch(name) for name, _ in parts):
         return rest, {}
     # Flags without a value must be known, or "text:Why?because" had one.
-    if not all(name in known or f"{name}=" in query for name, _ in parts) or _exists(rest):
+    if not all(name in known or f"{name}=" in query for name, _ in parts) or file_at(rest):
         return rest, {}
     found: dict[str, Any] = {}
     for name, text in parts:
@@ -95,13 +96,6 @@ def _read_option(name: str, text: str, kind: Any, error: type[SmartTouchError]) 
         needed = {bool: "1 or 0", int: "a whole number", float: "a number"}[kind]
         message = f"?{name}={text} cannot be read: give {needed}, as in ?{name}=1"
         raise error(message, about=f"?{name}") from None
-
-
-def _exists(rest: str) -> bool:
-    try:
-        return Path(rest).exists()
-    except (OSError, ValueError):
-        return False
 
 
 def named_options(error: SmartTouchError, command: Any, arguments: Iterable[str]) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from smarttouch.base.errors import BrailleError
-from smarttouch.base.files import write_bytes
+from smarttouch.base.files import named_file, write_bytes
 from smarttouch.braille.cells import (
     BLANK,
     FileKind,
@@ -99,8 +99,6 @@ def _is_continued(line: str, columns: int) -> bool:
 
 TEXT = "text:"
 """Prefix of words that are not a file name."""
-_NAME = re.compile(r"\.{0,2}/\S+|\S*\.[A-Za-z]\w{1,3}")
-"""A word that ends like a file name or begins like a path."""
 _MOST_NAMED = 12  # characters listed in a note on left-out ones
 
 
@@ -115,18 +113,7 @@ class Loaded:
 
 def file_of(source: str) -> Path | None:
     """Return the file that a source names, None if words; a missing file's name is an error."""
-    if source.startswith(TEXT) or not source:
-        return None
-    try:
-        there = Path(source).exists()
-    except (OSError, ValueError):
-        return None
-    if not there and _NAME.fullmatch(source):
-        raise BrailleError(
-            f"there is no file {source}: check its name, or give {TEXT}{source} for these words",
-            about="file",
-        )
-    return Path(source) if there else None
+    return None if source.startswith(TEXT) or not source else named_file(source, BrailleError)
 
 
 def load_cells(source: str, table: BrailleTable, leave_out: bool = False) -> Loaded:

@@ -16,12 +16,13 @@ if TYPE_CHECKING:
 
 
 def design(
+    site: Annotated[
+        int | None,
+        typer.Argument(metavar="SITE", help="One site, with all its weights; else all sites."),
+    ] = None,
     profile: ArrayOption = "electric-mouse",
     mode: Annotated[
         str | None, typer.Option(metavar="RA|SAI|PC", help="Which afferents to reach; all if none.")
-    ] = None,
-    site: Annotated[
-        int | None, typer.Option(metavar="N", help="One site, with all its weights.")
     ] = None,
     robust: Annotated[
         bool, typer.Option("--robust", help="Best on the worst finger of the profile's spread.")

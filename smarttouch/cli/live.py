@@ -22,11 +22,12 @@ def live(
     run: RunOptionGroup,
     source: Annotated[
         str | None,
-        typer.Option(
+        typer.Argument(
             callback=or_standard_input,
-            metavar="URL",
-            help="page:, text:, camera:, video:, frames:, serial-array:, brltty:, draw:, osc: or "
-            "recording: and a place; options follow: page:a.png?dpi=300&speed_mm_s=40",
+            metavar="SOURCE",
+            help="A file, words, or a source by its URL: page:, text:, camera:, video:, frames:, "
+            "serial-array:, brltty:, draw:, osc:, recording:. Options follow: "
+            "scan.png?dpi=300&speed_mm_s=40. A sample page is shown without one.",
         ),
     ] = None,
     mode: ModeOption = "RA",

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.files import named_file
 from smarttouch.cli.options import OptionGroup
 
 if TYPE_CHECKING:
@@ -96,15 +97,18 @@ class DocumentOptions(OptionGroup):
 
     def recognition(self, source: str, **more: Any) -> "tuple[str, RecognitionOptions]":
         """Return the document, and its options: these, and those that follow its name."""
-        from smarttouch.base.errors import PageError
+        from smarttouch.base.errors import BrailleError, PageError
         from smarttouch.base.url_options import joined_options, read_options
         from smarttouch.reading.material import RecognitionOptions
 
+        source = source.removeprefix("page:")
         place, in_name = source, dict[str, Any]()
         if Path(source.rpartition("?")[0]).is_file():
             place, in_name = read_options(
                 RecognitionOptions, source, PageError, but=("password", *more)
             )
+        if not place.startswith("text:") and named_file(place, BrailleError) is None:
+            place = f"text:{place}"
         own = {each.name: getattr(self, each.name) for each in fields(DocumentOptions)}
         if self.languages is not None:
             own["languages"] = "+".join(

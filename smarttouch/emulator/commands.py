@@ -274,7 +274,7 @@ def _sensor_advice(name: str, curve: str, port: str) -> str:
     if name == "serial-array":
         return (
             f"A sensor array. In another terminal:\n\n  smarttouch sensor show {name}:{port}\n"
-            f"  smarttouch live --source {name}:{port} --force fixed:0.5\n\nCtrl-C ends it."
+            f"  smarttouch live {name}:{port} --force fixed:0.5\n\nCtrl-C ends it."
         )
     return (
         f"A load cell. In another terminal:\n\n"

@@ -1,13 +1,49 @@
 """Frames, stimuli and finger force: from pages, cameras, videos, serial sensors and load cells."""
 
 import inspect
+import re
+from difflib import get_close_matches
+from pathlib import Path
 from typing import Any
 
 from smarttouch.base.errors import SourceError
-from smarttouch.base.registry import find_opener, given_options
+from smarttouch.base.files import file_at, named_file
+from smarttouch.base.registry import find_opener, given_options, known_names, unknown
 from smarttouch.base.url_options import joined_options, read_options
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Source
+
+_SUFFIXES = {"recording": (".mcap",), "video": (".avi", ".mkv", ".mov", ".mp4", ".webm")}
+
+
+def kind_of(path: Path) -> str:
+    """Return the kind of source that shows a file or a folder."""
+    if path.is_dir():
+        return "frames"
+    suffix = path.suffix.lower()
+    return next((kind for kind, known in _SUFFIXES.items() if suffix in known), "page")
+
+
+_KIND = re.compile("[A-Za-z0-9_-]+")
+
+
+def source_url(name: str) -> str:
+    """Return the URL of a source: itself, or that of a file, a folder or words named without one.
+
+    Raises a SourceError for what may be a misspelt kind of source or a missing file.
+    """
+    kind, colon, rest = name.partition(":")
+    known = known_names("smarttouch.sources")
+    # "Note: this" and "3:30 p.m." are words.
+    if colon and _KIND.fullmatch(kind) and not (rest[:1].isspace() or kind.isdecimal()):
+        return name
+    place = name.rpartition("?")[0] or name
+    path = named_file(place, SourceError) if file_at(name) is None else Path(name)
+    if path is not None:
+        return f"{kind_of(path)}:{name}"
+    if name in known or (len(name) > 3 and get_close_matches(name.lower(), known, 1, 0.8)):
+        raise unknown("source", name, known, SourceError)
+    return f"text:{name}"
 
 
 def open_source(
@@ -19,7 +55,8 @@ def open_source(
     ----------
     url : str
         Kind and place of the source; options of its kind may follow, as in
-        ``page:scan.png?dpi=300``, except ``light_on_dark``, which imaging needs as well.
+        ``page:scan.png?dpi=300``, except ``light_on_dark``, which imaging needs as well. A file, a
+        folder or words may stand without their kind: ``scan.png``, ``Hello``.
     profile : Profile
         Its optics and the finger's force.
     light_on_dark : bool
@@ -39,6 +76,7 @@ def open_source(
     ...     source.read(0).image.shape
     (64, 64)
     """
+    url = source_url(url)
     opener, rest = find_opener("smarttouch.sources", url, SourceError, Source, ("rest", "profile"))
     rest, in_url = read_options(opener, rest, SourceError, but=("light_on_dark",))
     given = given_options(opener, url, options, SourceError)

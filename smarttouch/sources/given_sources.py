@@ -13,7 +13,7 @@ from smarttouch.base.electrodes import ElectrodeArray
 from smarttouch.base.errors import SourceError
 from smarttouch.base.events import Emit
 from smarttouch.profile import Profile
-from smarttouch.sources import open_source
+from smarttouch.sources import kind_of, open_source
 from smarttouch.sources.source_contract import (
     Frame,
     Input,
@@ -109,8 +109,6 @@ def _kind(value: Any) -> str:
 
 Given = Source | str | Path | NDArray[np.uint8] | Iterable[Any]
 """What a source can be made of."""
-_BY_SUFFIX = {".mcap": "recording", ".avi": "video", ".mkv": "video", ".mov": "video",
-              ".mp4": "video", ".webm": "video"}  # fmt: skip
 
 
 class Images(OpticalSource):
@@ -156,14 +154,9 @@ def source_of(given: Given, profile: Profile, *, light_on_dark: bool = False) ->
     """
     if isinstance(given, Source):
         return given
-    if isinstance(given, str):
-        path = Path(given)
-        if ":" in given or not path.exists():
-            return open_source(given, profile, light_on_dark=light_on_dark)
-        given = path
-    if isinstance(given, Path):
-        kind = "frames" if given.is_dir() else _BY_SUFFIX.get(given.suffix.lower(), "page")
-        return open_source(f"{kind}:{given}", profile, light_on_dark=light_on_dark)
+    if isinstance(given, str | Path):
+        url = given if isinstance(given, str) else f"{kind_of(given)}:{given}"
+        return open_source(url, profile, light_on_dark=light_on_dark)
     if isinstance(given, np.ndarray) and given.ndim < 3:
         raise SourceError(
             f"an array of {given.dtype} {given.shape} is no row of images: give (N, H, W) uint8",

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import PageError, SourceError, UnknownSizeError, require_within
+from smarttouch.base.files import read_text
 from smarttouch.base.tables import read_csv
 from smarttouch.pages.document import open_document
 from smarttouch.pages.ink import separate_ink
@@ -218,7 +219,9 @@ def _magnification(text: str, page: Page, profile: Profile, light_on_dark: bool)
 
 
 def load_or_guess(path: Path, dpi: float | None, width_mm: float | None) -> tuple[Page, str]:
-    """Return a page, and a sentence if its scale is guessed; empty if it is known."""
+    """Return a page, and a sentence if its scale is guessed; a text in a .txt file is printed."""
+    if path.suffix.lower() == ".txt":
+        return print_text(read_text(path, PageError).strip()), ""
     try:
         return load_page(path, dpi=dpi, page_width_mm=width_mm), ""
     except UnknownSizeError:

@@ -253,3 +253,14 @@ def test_a_display_of_a_class_has_the_gate_too(profile):
     with raises(BoardError, about="limits", value="Wide"):
         open_display(Wide, profile)
     assert open_display(MemoryBoard, profile).board.capabilities is not None
+
+
+@pytest.mark.parametrize(("url", "remedy"), [
+    ("emulator", "emulator:"), ("emulater:", "emulator:"), ("lnk:/dev/x", "link:"),
+    ("/dev/ttyUSB0", ""), ("zzz:", ""),
+])  # fmt: skip
+def test_what_was_meant(url, remedy):
+    with pytest.raises(BoardError) as raised:
+        find_opener("smarttouch.boards", url, BoardError, object, ())
+    assert (raised.value.about, raised.value.remedy) == ("board", remedy)
+    assert remedy or "link:" in str(raised.value)

@@ -29,7 +29,7 @@ PROGRAM = "import sys; from smarttouch.cli import main; main()"
 def live(folder, seconds, *more):
     source = f"text:{'touch what a sensor sees ' * 8}?speed_mm_s=8"
     return subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, "live", "--source", source, "--seconds", str(seconds),
+        [sys.executable, "-c", PROGRAM, "live", source, "--seconds", str(seconds),
          "--rate", str(RATE_HZ), "--json", "run.json", "--quiet", *more],
         cwd=folder, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip

@@ -13,7 +13,7 @@ from .conftest import refused, says
 @pytest.fixture
 def live(program_here):
     """Return a runner of ``live`` over a short word."""
-    touch = "live --source text:touch --json run.json --intensity 1"
+    touch = "live text:touch --json run.json --intensity 1"
     return lambda options: program_here(f"{touch} {options}")
 
 

@@ -156,7 +156,7 @@ def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(program_here
     assert found["masked"] == [5, 9]
     assert "masked = [5, 9]" in done.stdout
     assert found["impedance_kohm"][5] is None
-    done = program_here(f"live --board {url} {FULL} --measure --source text:oooo").fine()
+    done = program_here(f"live --board {url} {FULL} --measure text:oooo").fine()
     assert "30 of 32" in done.stderr
     assert "[5, 9]" in done.stderr
     fresh_state(books)

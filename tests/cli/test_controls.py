@@ -96,15 +96,15 @@ def test_nobody_knows_the_force(program_here, tmp_path):
     (tmp_path / "frames").mkdir()
 
     Image.new("L", (64, 64), 255).save(tmp_path / "frames" / "1.png")
-    done = program_here("live --source frames:frames --board memory:")
+    done = program_here("live frames:frames --board memory:")
     says(SourceError, about="force", remedy="force")(refused(done))
 
 
 @pytest.mark.parametrize(("arguments", "wrong"), [
     ("--intensity 1.2", says(about="intensity", value=1.2, allowed=(0, 1))),
     ("--softness nan", says(about="softness", value=math.nan, allowed=(0, 1))),
-    ("--source camera:0?size=640", says(SourceError, "size", "640x480")),
-    ("--source text:a?exposure=3", says(SourceError, " exposure:", "speed_mm_s")),
+    ("camera:0?size=640", says(SourceError, "size", "640x480")),
+    ("text:a?exposure=3", says(SourceError, " exposure:", "speed_mm_s")),
     ("--mode natural --rate 50",
      says(ScheduleError, " 50 Hz", "pulse.ra_rate_hz", "pulse.sai_rate_hz")),
     ("--force cell:", says(SourceError, about="force", value="cell:")),

@@ -36,7 +36,7 @@ def designed(program_here, tmp_path):
 
 
 def test_one_site_of_the_paper(designed):
-    printed, table = designed("--profile=line-7", "--mode=sai", "--site=3")
+    printed, table = designed("--profile=line-7", "--mode=sai", "3")
     assert "-0.191" in printed
     assert table["profile"] == "line-7"
     (kernel,) = table["kernels"]
@@ -72,15 +72,13 @@ def test_three_states_on_a_weighted_board(designed):
 
 
 def test_robust_three_states(designed):
-    _, table = designed(
-        "--profile=smarttouch-4x4", "--robust", "--three-state", "--mode=SAI", "--site=5"
-    )
+    _, table = designed("--profile=smarttouch-4x4", "--robust", "--three-state", "--mode=SAI", "5")
     assert all(kernel["optimal"] for kernel in table["kernels"])
     assert min(kernel["worst_other"] for kernel in table["kernels"]) > 0.4
 
 
 def test_robust_and_any_node(designed):
-    _, robust = designed("--profile=line-7", "--robust", "--mode=SAI", "--site=3")
+    _, robust = designed("--profile=line-7", "--robust", "--mode=SAI", "3")
     assert robust["kernels"][0]["worst_other"] > 0.31
     _, anywhere = designed("--profile=line-7", "--any-node", "--mode=PC")
     first, last = (anywhere["kernels"][site] for site in (0, 6))
@@ -89,7 +87,7 @@ def test_robust_and_any_node(designed):
 
 
 def test_kinds_compared(designed):
-    printed, table = designed("--profile=line-7", "--compare", "--site=3", "--mode=RA")
+    printed, table = designed("--profile=line-7", "--compare", "3", "--mode=RA")
     for variant in ("weighted", "robust", "three-state", "one-of-n"):
         assert variant in printed
     by_name = {kernel["variant"]: kernel for kernel in table["kernels"]}
@@ -106,7 +104,7 @@ def test_a_bank_is_made_anew(program_here, tmp_path):
 
 @pytest.mark.parametrize("profile", ["smarttouch-4x4", "line-7", "kajimoto-61"])
 def test_a_site_is_drawn(program_here, tmp_path, profile):
-    program_here("design", f"--profile={profile}", "--site=5", "--plot=k.png").fine()
+    program_here("design", f"--profile={profile}", "5", "--plot=k.png").fine()
     with Image.open(tmp_path / "k.png") as picture:
         assert min(picture.size) > 400
         assert len(picture.getcolors(1 << 20)) > 50
@@ -118,7 +116,7 @@ def test_one_site_of_a_large_array_is_not_its_whole_bank(designed, tmp_path):
     text = (data_folder("calibration") / "electric-mouse.toml").read_text(encoding="utf-8")
     large = text.replace("rows = 8", "rows = 12").replace("columns = 8", "columns = 12")
     (tmp_path / "large.toml").write_text(large, encoding="utf-8")
-    _, table = designed("--profile=large.toml", "--mode=RA", "--site=78")
+    _, table = designed("--profile=large.toml", "--mode=RA", "78")
     (kernel,) = table["kernels"]
     assert len(kernel["weights"]) == 144
     assert kernel["own_spill"] <= 0.2 + 1e-6
@@ -158,8 +156,8 @@ def test_an_array_and_a_skin_of_one_s_own(designed, tmp_path):
 
 
 @pytest.mark.parametrize(("arguments", "wrong"), [
-    ("--profile=line-7 --site=7", says(about="site", value=7, allowed=(0, 6))),
-    ("--site=-1", says(about="site", value=-1, allowed=(0, 63))),
+    ("7 --profile=line-7", says(about="site", value=7, allowed=(0, 6))),
+    ("64", says(about="site", value=64, allowed=(0, 63))),
     ("--mode=PA", says(about="mode", value="PA", allowed=("RA", "SAI", "PC"))),
     ("--profile=kajimoto-61 --mode=SAI",
      says(DesignError, about="mode", value="SAI", allowed=("RA",))),
@@ -181,7 +179,7 @@ def test_figures_without_matplotlib(monkeypatch):
 
 
 def test_one_site_by_driving_functions(designed):
-    _, table = designed("--profile=line-7", "--mode=sai", "--site=3", "--driving")
+    _, table = designed("--profile=line-7", "--mode=sai", "3", "--driving")
     (kernel,) = table["kernels"]
     assert "threshold" in table["weights_unit"]
     assert 1 < np.abs(kernel["weights"]).max() < 20

@@ -134,7 +134,7 @@ def test_an_exception_in_a_stage(monkeypatch, capsys, start_emulator, stage):
 
 def test_a_recording_that_is_removed_is_no_recording(start_program, tmp_path):
     host = start_program(
-        "live", "--source", "text:touch?speed_mm_s=1", "--board", "simulated:",
+        "live", "text:touch?speed_mm_s=1", "--board", "simulated:",
         "--record", "run.mcap",
     )  # fmt: skip
     until((tmp_path / "run.mcap").exists)

@@ -83,7 +83,7 @@ def test_the_screen_shows_every_point_of_a_slot(profile, bank):
 
 
 def test_a_replay_shares_slots_only_where_the_board_can(program_here, figures_of):
-    recorded = "live --source text:on?speed_mm_s=200 --board simulated: --quiet"
+    recorded = "live text:on?speed_mm_s=200 --board simulated: --quiet"
     program_here(f"{recorded} --record run.mcap").fine()
     figures = figures_of("replay run.mcap --profile kajimoto-61 --board simulated:")
     assert figures["slots"] > 0

@@ -52,7 +52,7 @@ def ink_agreement(page, touch):
 
 def test_the_sample_page(program, tmp_path):
     done = program(
-        "live", "--source", f"{SAMPLE}?speed_mm_s=120", "--felt", "felt.png", "--anatomy", "paper",
+        "live", f"{SAMPLE}?speed_mm_s=120", "--felt", "felt.png", "--anatomy", "paper",
         "--json", "run.json", "--record", "run.mcap", real=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -78,7 +78,7 @@ def test_the_sample_page(program, tmp_path):
 def test_a_photographed_page(program_here, tmp_path):
     Image.fromarray(data.page()).save(tmp_path / "page.png")
     page = "page:page.png?page_width_mm=110&speed_mm_s=300"
-    live = f"live --board simulated: --source {page} --seconds 3 --quiet --json run.json"
+    live = f"live --board simulated: {page} --seconds 3 --quiet --json run.json"
     done = program_here(live).flawless()
     assert done.stdout == ""
     assert_safe(done.figures)
@@ -99,7 +99,7 @@ BLANK = {
 def test_blank_pages_are_silent(figures_of, tmp_path, name):
     Image.fromarray(BLANK[name]).save(tmp_path / "blank.png")
     page = "page:blank.png?dpi=300&speed_mm_s=360"
-    figures = figures_of(f"live --board simulated: --source {page} --quiet")
+    figures = figures_of(f"live --board simulated: {page} --quiet")
     assert figures["active_fraction"] <= 0.02
 
 
@@ -108,7 +108,7 @@ def test_every_profile_runs(figures_of, tmp_path, name):
     # Axons that branch take seconds beneath a large array.
     anatomy = "branched" if len(load_profile(name).electrodes) <= 32 else "paper"
     # The first letters open the level, with their pulses.
-    live = "live --board=simulated: --source='text:the the the the?speed_mm_s=30'"
+    live = "live --board=simulated: 'text:the the the the?speed_mm_s=30'"
     assert_safe(figures_of(f"{live} --profile={name} --felt=felt.png --anatomy={anatomy}"))
     if name.startswith("line"):
         assert (tmp_path / "felt.png").stat().st_size > 1000
@@ -122,11 +122,11 @@ def test_every_profile_runs(figures_of, tmp_path, name):
 def test_sai_and_light_on_dark(figures_of):
     page = data_folder("sample_images") / "light_on_dark.png"
     options = "--board=simulated: --mode=sai --light-on-dark --seconds=2"
-    assert_safe(figures_of(f"live --source=page:{page}?speed_mm_s=500 {options}"))
+    assert_safe(figures_of(f"live page:{page}?speed_mm_s=500 {options}"))
 
 
 def recorded(program_here, tmp_path, name, seed):
-    same = "live --board memory: --source=text:same?speed_mm_s=200 --quiet"
+    same = "live --board memory: text:same?speed_mm_s=200 --quiet"
     program_here(f"{same} --seed={seed} --record={name}").fine()
     sequences = messages(tmp_path / name, "/sequence")
     return [
@@ -152,7 +152,7 @@ def test_seconds(program_here):
 def along(folder, rows):
     """Return a command over the sample page along a recorded path."""
     (folder / "p.csv").write_text("time_s,x_mm,y_mm,angle_deg,force_n\n" + rows)
-    return f"live --board simulated: --source {SAMPLE}?path=p.csv"
+    return f"live --board simulated: {SAMPLE}?path=p.csv"
 
 
 def test_recorded_path(figures_of, tmp_path):
@@ -170,7 +170,7 @@ def test_light_touch_no_current(figures_of, tmp_path):
 
 
 def test_many_points_in_a_slot(program_here, tmp_path):
-    page = "live --source text:on?speed_mm_s=100 --board simulated: --json f.json"
+    page = "live text:on?speed_mm_s=100 --board simulated: --json f.json"
     done = program_here(f"{page} --scan points --record points.mcap").fine()
     points, done = done.figures, program_here(f"{page} --record auto.mcap").fine()
     frames = done.figures
@@ -194,7 +194,7 @@ def test_many_points_in_a_slot(program_here, tmp_path):
 
 
 def test_points_one_by_one_where_each_is_measured(figures_of):
-    page = "live --source text:on?speed_mm_s=100 --hold energy"
+    page = "live text:on?speed_mm_s=100 --hold energy"
     figures = figures_of(f"{page} --seconds 1.5 --quiet")
     assert figures["slots"] > 0
     assert figures["worst_other"] is None

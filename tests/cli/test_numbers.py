@@ -32,7 +32,7 @@ def free_port():
 SMALL = "--profile smarttouch-4x4"
 PAGE = "--seconds 0.2 --board memory: --quiet"
 BASES = {
-    "live": f"live --source text:i {SMALL} {PAGE}",
+    "live": f"live text:i {SMALL} {PAGE}",
     "read": f"read text:i {SMALL} {PAGE}",
     "braille": "braille hello",
     "braille-display": f"braille-display listen:{free_port()} {SMALL} {PAGE}",

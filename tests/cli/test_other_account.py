@@ -89,7 +89,7 @@ def test_another_account_gets_in_by_no_door(
     before = os.umask(0)
     try:
         run = start_program(
-            "live", "--source", f"osc:{free_port}", "--board", "simulated:", "--window",
+            "live", f"osc:{free_port}", "--board", "simulated:", "--window",
             "--record", path, "--quiet", real=True,
         )  # fmt: skip
     finally:

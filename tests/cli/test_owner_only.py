@@ -5,7 +5,7 @@ import stat
 
 import pytest
 
-LIVE = ("live", "--source", "text:oo", "--board", "simulated:", "--seconds", "0.3", "--quiet")
+LIVE = ("live", "text:oo", "--board", "simulated:", "--seconds", "0.3", "--quiet")
 COMMANDS = {
     "run": (
         (*LIVE, "--record", "run.mcap", "--json", "run.json", "--frames", "pictures/in"),

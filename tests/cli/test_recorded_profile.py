@@ -130,7 +130,7 @@ def test_a_recording_brings_to_a_finger_neither_limits_nor_force(
     forge_a_strong_one(tmp_path / "a.mcap", comfort_ma)
     _, port, books = start_emulator(64, "link", *events)
     board = ("--board", f"link:{port}", "--intensity", 1)
-    for command in (("replay", "a.mcap"), ("live", "--source", "recording:a.mcap")):
+    for command in (("replay", "a.mcap"), ("live", "recording:a.mcap")):
         program_here(*command, *board).fine()
     state = fresh_state(books)
     assert (state["unsafe"], state["violations"]) == (0, 0)
@@ -143,7 +143,7 @@ def test_a_recording_brings_no_press_where_no_force_is_measured(
     forge_a_strong_one(tmp_path / "a.mcap", 4.998)
     # A board without a sensor of force: a person says that one presses, or there is no run.
     _, port, books = start_emulator(61, "kajimoto61")
-    for command in (("replay", "a.mcap"), ("live", "--source", "text:on")):
+    for command in (("replay", "a.mcap"), ("live", "text:on")):
         done = program_here(*command, "--board", f"kajimoto61:{port}", "--intensity", 1)
         says(SourceError, about="force", remedy="force")(refused(done))
     assert fresh_state(books)["max_current_ma"] == 0

@@ -84,7 +84,7 @@ def test_an_array_is_played_and_shown(run, tmp_path):
             assert select.select([process.stdout], [], [], 30)[0], "it prints nothing"
             said = [process.stdout.readline() for _ in range(4)]
             url = said[2].split()[-1]
-            assert said[3].startswith(f"  smarttouch live --source {url} ")
+            assert said[3].startswith(f"  smarttouch live {url} ")
             shown = run("show", url, "--seconds", 0.3)
             assert shown.exit_code == 0, shown.exception
             rows = table(shown.output)

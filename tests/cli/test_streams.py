@@ -18,7 +18,7 @@ from smarttouch.running.recording_reader import Recording
 from ..forks import PROGRAM, Forked
 
 GOLDEN = Path(__file__).parent.parent / "running" / "goldens" / "ra.mcap"
-SHORT = "live --source text:i --profile smarttouch-4x4 --seconds 0.2 --board simulated:"
+SHORT = "live text:i --profile smarttouch-4x4 --seconds 0.2 --board simulated:"
 EVIL = "a\x1b]0;owned\x07\x1b[31m\x9b5m\u202eb"
 SHOWN = "a␛]0;owned␛[31m�5m�b"
 """As it is shown; rich drops the bell before we see it."""
@@ -118,7 +118,7 @@ def test_the_fewest_open_files_that_are_asked_for_suffice(shell):
 
 
 def test_a_run_that_fills_the_disk_keeps_what_it_took(shell, tmp_path):
-    run = "smarttouch live --source text:touch --board simulated: --record r.mcap --json f.json"
+    run = "smarttouch live text:touch --board simulated: --record r.mcap --json f.json"
     done = shell(f"ulimit -f 40; {run}")
     assert "r.mcap" in refused(done.returncode, done.stderr)
     assert json.loads((tmp_path / "f.json").read_text())["ended"] == "fault"
@@ -157,9 +157,9 @@ def test_no_name_title_or_note_is_obeyed(program_here, tmp_path):
 
 
 @pytest.mark.parametrize("command", [
-    "board info simulated: --profile {}.toml", "design --site 1 --profile {}.toml",
+    "board info simulated: --profile {}.toml", "design 1 --profile {}.toml",
     "sensor show frames:{}", "live --board {}:x", "live --profile {}", "live --{}", "{}", "read {}",
-    "replay {}", "live --source page:{}.toml", "experiment fit {}.toml",
+    "replay {}", "live page:{}.toml", "experiment fit {}.toml",
 ])  # fmt: skip
 def test_what_is_said_of_names_is_not_obeyed(program_here, tmp_path, command):
     evil_profile(tmp_path, EVIL + ".toml")
@@ -184,7 +184,7 @@ def test_names_with_newlines_bytes_and_length(program_here, tmp_path):
     for name in map(os.fsdecode, names[:-1]):
         (tmp_path / name).write_bytes(b"\0 no picture")
     for name in map(os.fsdecode, names):
-        for command in (("live", "--source", f"page:{name}"), ("read", name), ("replay", name)):
+        for command in (("live", f"page:{name}"), ("read", name), ("replay", name)):
             done = program_here(*command)
             assert done.returncode == 2
             assert done.stderr.startswith("smarttouch: ")

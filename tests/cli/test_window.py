@@ -49,7 +49,7 @@ def test_without_the_extra_it_says_which(program_here, monkeypatch, library):
 
 
 def test_recordings_are_shown_until_ctrl_c(start_program, program_here, tmp_path):
-    program_here("live --board simulated: --source text:a --record run.mcap --quiet").fine()
+    program_here("live --board simulated: text:a --record run.mcap --quiet").fine()
     done = program_here("recordings view run.mcap --save a.svg --step 5")
     assert (done.returncode, done.stdout) == (0, "a.svg\n")
     assert (tmp_path / "a.svg").read_text().count("<circle") == 64
@@ -65,7 +65,7 @@ def test_recordings_are_shown_until_ctrl_c(start_program, program_here, tmp_path
 
 def test_a_page_stops_a_run(start_program, tmp_path):
     run = start_program(
-        "live", "--source", "text:touch?speed_mm_s=2", "--window", "--quiet",
+        "live", "text:touch?speed_mm_s=2", "--window", "--quiet",
         "--profile", "smarttouch-4x4", "--anatomy", "paper", "--record", "run.mcap",
     )  # fmt: skip
     address = re.fullmatch("window: (http://[^ ]+)\n", run.stderr.readline())[1]
@@ -105,7 +105,7 @@ def test_on_a_finger_a_page_turns_it_up_from_nothing(start_program, start_emulat
     _, port, _ = start_emulator()
     run = start_program(
         "live", "--board", f"link:{port}", "--force", "fixed:1", "--window", "--quiet",
-        "--source", "text:touch touch?speed_mm_s=2", "--anatomy", "paper", "--record", "run.mcap",
+        "text:touch touch?speed_mm_s=2", "--anatomy", "paper", "--record", "run.mcap",
     )  # fmt: skip
     address = re.match("window: (http://[^ ]+)\n", run.stderr.readline())[1]
     with page_of(address) as page:

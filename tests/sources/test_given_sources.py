@@ -146,7 +146,7 @@ def test_a_run_takes_what_is_at_hand(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "given", [None, 3, GRAY, b"text:a", {"image": GRAY}, "letter", "nothing:there", 0.5]
+    "given", [None, 3, GRAY, b"text:a", {"image": GRAY}, "lettr.png", "nothing:there", 0.5]
 )
 def test_what_is_no_source_is_one_sentence(given, profile):
     with raises(SourceError):
