@@ -48,44 +48,174 @@ static void turn_away(st_board *board, uint8_t reason)
     }
 }
 
-void st_init(st_board *board, const st_config *config, const st_port *port)
+/* Return what is wrong with what a board is, or NULL. */
+static const char *wrong_config(const st_config *config)
+{
+    const unsigned known = ST_VOLTAGE | ST_FORCE | ST_RECHARGE | ST_KERNELS | ST_SWITCH;
+    if (config->electrodes == 0u || config->electrodes == ST_NOTHING) {
+        return "config.electrodes is missing";
+    }
+    if (config->output < ST_WEIGHTED || config->output > ST_ONE_AGAINST_ALL) {
+        return "config.output is missing: ST_WEIGHTED, ST_THREE_STATE or ST_ONE_AGAINST_ALL";
+    }
+    if ((config->features & ~known) != 0u
+        || (config->output != ST_WEIGHTED && (config->features & ST_RECHARGE) != 0u)) {
+        return "config.features has one that this board cannot have";
+    }
+    if (config->most_slots == 0u || config->most_slots > ST_MAX_SLOTS) {
+        return "config.most_slots is not from 1 to 8000";
+    }
+    if (config->packet_bytes < 64u + 8u * (uint32_t)config->electrodes) {
+        return "config.packet_bytes is below 64 + 8 for each electrode";
+    }
+    for (unsigned index = 0; index < ST_BUFFERS; index++) {
+        for (unsigned other = 0; other < index; other++) {
+            if (config->buffer[index] == config->buffer[other]) {
+                return "config.buffer has the same memory twice";
+            }
+        }
+        if (config->buffer[index] == NULL) {
+            return "config.buffer is missing";
+        }
+    }
+    if (config->current_ua == NULL || config->pulse_ua == NULL || config->each == NULL
+        || config->current_ua == config->pulse_ua) {
+        return "config.current_ua, pulse_ua or each is missing, or two are the same";
+    }
+    if ((config->features & ST_KERNELS) != 0u
+        && (config->kernels == NULL || config->kernel_at == NULL || config->sums == NULL
+            || config->kernel_bytes == 0u || config->most_kernels == 0u)) {
+        return "with ST_KERNELS config.kernels, kernel_at, sums, kernel_bytes or most_kernels is "
+               "missing";
+    }
+    if ((config->features & ST_VOLTAGE) != 0u && config->volts == NULL) {
+        return "with ST_VOLTAGE config.volts is missing";
+    }
+    return config->name == NULL ? "config.name is missing" : NULL;
+}
+
+/* Return what is wrong with a port, or NULL. */
+static const char *wrong_port(const st_config *config, const st_port *port)
+{
+    if (port->now_us == NULL || port->draw == NULL || port->send == NULL || port->pulse == NULL
+        || port->shorted == NULL) {
+        return "port.now_us, draw, send, pulse or shorted is missing";
+    }
+    if ((config->features & ST_FORCE) != 0u && port->force_mn == NULL) {
+        return "with ST_FORCE port.force_mn is missing";
+    }
+    if ((config->features & ST_VOLTAGE) != 0u && port->volts == NULL) {
+        return "with ST_VOLTAGE port.volts is missing";
+    }
+    if ((config->features & ST_SWITCH) != 0u && port->emergency_open == NULL) {
+        return "with ST_SWITCH port.emergency_open is missing";
+    }
+    return NULL;
+}
+
+#define CLOCK_READS 1000000u
+#define CLOCK_STEPS 8u
+#define CLOCK_STEP_US 50u
+
+/* Return what is wrong with the port's clock, or NULL; waits for a few of its steps. */
+static const char *wrong_clock(const st_port *port)
+{
+    uint64_t before_us = port->now_us(port->self);
+    uint64_t least_us = UINT64_MAX;
+    unsigned steps = 0;
+    for (uint32_t read = 0; read < CLOCK_READS && steps < CLOCK_STEPS; read++) {
+        const uint64_t now_us = port->now_us(port->self);
+        if (now_us < before_us) {
+            return "port.now_us goes back";
+        }
+        if (now_us > before_us) {
+            least_us = now_us - before_us < least_us ? now_us - before_us : least_us;
+            before_us = now_us;
+            steps++;
+        }
+    }
+    if (steps < CLOCK_STEPS) {
+        return "port.now_us stands still";
+    }
+    return least_us > CLOCK_STEP_US ? "port.now_us goes in steps above 50 us" : NULL;
+}
+
+const char *st_init(st_board *board, const st_config *config, const st_port *port)
 {
     memset(board, 0, sizeof *board);
     board->config = *config;
-    if (config->most_slots > ST_MAX_SLOTS) {
-        board->config.most_slots = ST_MAX_SLOTS;
-    }
     board->port = *port;
     board->last_number = -1;
     board->refusing = ST_NOT_BEGUN;
-    memset(config->each, 0, config->electrodes * sizeof *config->each);
-    st_session_init(board);
-    board->port.shorted(board->port.self, "start");
+    board->port_us = UINT32_MAX;
+    if (port->shorted != NULL) {
+        port->shorted(port->self, "start");
+    }
+    const char *wrong = wrong_config(config);
+    wrong = wrong == NULL ? wrong_port(config, port) : wrong;
+    wrong = wrong == NULL && !st_is_played(board) ? wrong_clock(port) : wrong;
+    if (wrong == NULL) {
+        if (config->ramp_ms == 0u) {
+            board->config.ramp_ms = ST_SAFE_RAMP_MS;
+        }
+        memset(config->each, 0, config->electrodes * sizeof *config->each);
+        st_session_init(board);
+        board->right = true;
+    }
+    return wrong;
 }
 
-void st_look_at_switch(st_board *board)
+uint64_t st_clock(st_board *board)
+{
+    const uint64_t now_us = board->port.now_us(board->port.self);
+    board->now_us = now_us > board->now_us ? now_us : board->now_us;
+    return board->now_us;
+}
+
+/* What interrupts write is one pointer, read and written whole. */
+bool st_may_pulse(const st_board *board)
+{
+    return __atomic_load_n(&board->zero_reason, __ATOMIC_SEQ_CST) == NULL;
+}
+
+void st_zero(st_board *board, const char *reason)
+{
+    /* Called once more before the core has seen it, also by the port's own shorted. */
+    const char *why = reason != NULL ? reason : "zero";
+    if (st_may_pulse(board)) {
+        __atomic_store_n(&board->zero_reason, why, __ATOMIC_SEQ_CST);
+        if (board->port.shorted != NULL) {
+            board->port.shorted(board->port.self, why);
+        }
+    }
+}
+
+bool st_may_go_on(st_board *board)
 {
     const st_port *port = &board->port;
-    board->open = (board->config.features & ST_SWITCH) != 0u
-                  && (port->emergency_open == NULL || port->emergency_open(port->self));
+    const char *reason = __atomic_load_n(&board->zero_reason, __ATOMIC_SEQ_CST);
+    if (reason != NULL) {
+        st_end_session(board, ST_NOT_BEGUN, reason);
+        __atomic_store_n(&board->zero_reason, NULL, __ATOMIC_SEQ_CST);
+    }
+    board->open = (board->config.features & ST_SWITCH) != 0u && port->emergency_open(port->self);
     if (board->open && board->refusing == 0u) {
         st_end_session(board, ST_EMERGENCY, "emergency");
         refuse(board, 0, ST_EMERGENCY);
     }
+    return board->refusing == 0u;
 }
 
-void st_advance(st_board *board, uint64_t now_us)
+void st_advance(st_board *board)
 {
-    const uint64_t deadline_us = board->heard_us + ST_SILENCE_US;
-    board->executed_us = now_us;
-    st_look_at_switch(board);
-    if (now_us < deadline_us) {
-        st_execute(board, now_us);
-    } else if (!board->config.real_time) {
-        /* Where time is played, what was due before the deadline has been. */
-        st_execute(board, deadline_us);
+    if (!board->right) {
+        return;
     }
-    if (now_us >= deadline_us && board->refusing == 0u) {
+    board->executed_us = st_clock(board);
+    (void)st_may_go_on(board);
+    st_execute(board);
+    const uint64_t now_us = st_clock(board);
+    if (now_us >= board->heard_us + ST_SILENCE_US && board->refusing == 0u) {
         const st_sequence *dropped = board->waiting;
         st_end_session(board, ST_SILENCE, "silence");
         if (dropped != NULL) {
@@ -93,9 +223,11 @@ void st_advance(st_board *board, uint64_t now_us)
         }
     }
     if (board->greeted && now_us - board->alive_us >= ST_ALIVE_US) {
-        uint8_t force[2];
+        uint8_t force[2] = { 0, 0 };
         board->alive_us = now_us;
-        (void)st_put_u16(force, (uint16_t)board->port.force_mn(board->port.self));
+        if ((board->config.features & ST_FORCE) != 0u) {
+            (void)st_put_u16(force, (uint16_t)board->port.force_mn(board->port.self));
+        }
         st_tell(board, ST_ALIVE, 0, force, sizeof force);
         st_note_alive(board, now_us);
     }
@@ -104,13 +236,15 @@ void st_advance(st_board *board, uint64_t now_us)
 uint64_t st_next_us(const st_board *board)
 {
     uint64_t next_us = board->greeted ? board->alive_us + ST_ALIVE_US : UINT64_MAX;
+    if (!st_may_pulse(board)) {
+        return 0;
+    }
     if (board->refusing == 0u && board->heard_us + ST_SILENCE_US < next_us) {
         next_us = board->heard_us + ST_SILENCE_US;
     }
     if (board->running != NULL) {
         const st_sequence *sequence = board->running;
-        const bool more = sequence->place.slot < sequence->slots || !sequence->recharged;
-        const uint64_t due_us = more ? sequence->next_us : sequence->end_us;
+        const uint64_t due_us = board->ready ? sequence->next_us : sequence->end_us;
         next_us = due_us < next_us ? due_us : next_us;
     }
     return next_us;
@@ -128,7 +262,7 @@ static void offer(st_board *board, const st_message *hello)
         return;
     }
     uint8_t *at = st_put_u16(payload, config->electrodes);
-    *at++ = config->output;
+    *at++ = (uint8_t)(config->output - ST_WEIGHTED);
     *at++ = config->features;
     at = st_put_u16(st_put_u16(at, ST_MAX_CURRENT_UA), config->most_slots);
     at = st_put_u16(st_put_u16(at, ST_SILENCE_US / 1000u), config->compliance_v);
@@ -188,7 +322,7 @@ static uint8_t free_buffer(const st_board *board)
     return buffer;
 }
 
-static void accept(st_board *board, const st_message *message, uint64_t now_us)
+static void accept(st_board *board, const st_message *message)
 {
     const uint32_t number = message->about;
     st_refusal refusal = { 0, ST_RULE_NONE, ST_NOTHING, ST_NOTHING, 0, 0 };
@@ -213,11 +347,15 @@ static void accept(st_board *board, const st_message *message, uint64_t now_us)
     }
     st_sequence *sequence = &board->sequence[board->running == &board->sequence[0] ? 1 : 0];
     /* What waits begins when the scan at hand is over. */
-    const uint64_t start_us = board->running != NULL ? board->running->end_us : now_us;
+    const uint64_t start_us = board->running != NULL ? board->running->end_us : board->now_us;
     if (!st_read_sequence(board, message->payload, message->size, sequence, &refusal)
         || !st_obeys(board, sequence, start_us, &refusal)) {
         board->books.violations++;
         say_refusal(board, number, &refusal);
+        return;
+    }
+    if (!st_may_go_on(board)) {
+        refuse(board, number, board->refusing);
         return;
     }
     st_rise_note(board, sequence, start_us);
@@ -226,15 +364,13 @@ static void accept(st_board *board, const st_message *message, uint64_t now_us)
     board->last_number = number;
     board->last_begun = false;
     if (board->running == NULL) {
-        st_begin_sequence(board, sequence, now_us);
+        st_begin_sequence(board, sequence, st_clock(board));
     } else {
         board->waiting = sequence;
     }
     /* The sequence stays where it came in; the next packet comes into another buffer. */
     board->stream.packet = free_buffer(board);
-    if (!board->config.real_time) {
-        st_execute(board, now_us);
-    }
+    st_execute(board);
 }
 
 /* Refuse to open a session while the emergency switch is open: the same BEGIN may come again. */
@@ -286,10 +422,10 @@ static void answer(st_board *board, const st_message *message, uint64_t began_us
         }
         break;
     case ST_SEQUENCE:
-        accept(board, message, now_us);
+        accept(board, message);
         break;
     case ST_STOP:
-        st_zero(board, "stop");
+        st_end_session(board, ST_NOT_BEGUN, "stop");
         st_tell(board, ST_STOPPED, message->number, NULL, 0);
         break;
     case ST_STATUS:
@@ -308,12 +444,16 @@ static void answer(st_board *board, const st_message *message, uint64_t began_us
     }
 }
 
-void st_feed(st_board *board, const uint8_t *data, size_t size, uint64_t now_us)
+void st_feed(st_board *board, const uint8_t *data, size_t size)
 {
     const uint32_t garbled = board->books.framing_errors;
     st_message message;
     uint32_t length = 0;
-    st_advance(board, now_us);
+    if (!board->right) {
+        return;
+    }
+    st_advance(board);
+    const uint64_t now_us = board->now_us;
     for (size_t index = 0; index < size; index++) {
         const uint64_t began_us = board->stream.packet_us;
         if (st_take_byte(board, data[index], now_us, &length)) {
@@ -331,11 +471,11 @@ void st_feed(st_board *board, const uint8_t *data, size_t size, uint64_t now_us)
     }
 }
 
-void st_hang_up(st_board *board, uint64_t now_us)
+void st_hang_up(st_board *board)
 {
-    st_advance(board, now_us);
-    if (board->refusing != ST_NOT_BEGUN) {
-        st_zero(board, "host closed");
+    st_advance(board);
+    if (board->right && board->refusing != ST_NOT_BEGUN) {
+        st_end_session(board, ST_NOT_BEGUN, "host closed");
     }
     board->greeted = false;
 }

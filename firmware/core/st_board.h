@@ -1,8 +1,9 @@
 /* Core of a SmartTouch board: the link protocol of version 5 between bytes and pulses.
  *
- * It knows no hardware, has no heap and no clock: a port gives it memory, bytes and the time in
- * microseconds, and makes pulses. docs/reference/link.md is the specification.
- * Currents are positive cathodic.
+ * It knows no hardware and has no heap: a port gives it memory, bytes and a clock in microseconds,
+ * and makes pulses. docs/reference/link.md is the specification.
+ * Currents are positive cathodic. A field that is left at zero is the safest there is, or st_init
+ * says that it is missing.
  */
 #ifndef ST_BOARD_H
 #define ST_BOARD_H
@@ -19,15 +20,18 @@
 #define ST_BUCKETS 21u        /* of 50 ms: the last second, whose beginning lies within the first */
 #define ST_STARTS 201u        /* passes that begin in a second, at 5 ms each */
 #define ST_IDENTITY_BYTES 16u /* of a table of kernels, and of the proof that it is here */
-#define ST_NO_RAMP 0xFFFFu    /* only in tests: intensity may be full at once */
+#define ST_NOT_BEGUN_US UINT64_MAX /* returned by a port's pulse that did not begin */
 
-enum { ST_WEIGHTED = 0, ST_THREE_STATE = 1, ST_ONE_AGAINST_ALL = 2 };
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+enum { ST_WEIGHTED = 1, ST_THREE_STATE = 2, ST_ONE_AGAINST_ALL = 3 };
 enum { ST_VOLTAGE = 1, ST_FORCE = 2, ST_RECHARGE = 4, ST_KERNELS = 8, ST_SWITCH = 16 };
 
-/* A pulse that begins now. The port ends it after width_us by a timer of its own, and shorts all
- * electrodes then; so the core may be late, and a pulse never is too long. */
+/* A pulse to begin now. */
 typedef struct {
-    uint64_t start_us;
+    uint64_t start_us;         /* when it was due: now, or a little before */
     uint32_t number;           /* of the sequence */
     uint16_t slot;             /* ST_NOTHING: the recharge phase */
     uint16_t site;
@@ -37,21 +41,29 @@ typedef struct {
     const int16_t *current_ua; /* (E,) of a weighted board; of a switched one states 1, -1, 0 */
 } st_pulse;
 
-/* What a port does for the core. */
+/* What a port does for the core. Every function may call st_zero. */
 typedef struct {
     void *self;
+    /* Microseconds since switched on: in steps of 50 at most, never back; st_longer_us extends 32
+     * bits. */
+    uint64_t (*now_us)(void *self);
     uint32_t (*draw)(void *self); /* random bits, or a counter that survives switching off; not 0 */
     void (*send)(void *self, const uint8_t *data, size_t size);
-    void (*pulse)(void *self, const st_pulse *pulse);
-    void (*shorted)(void *self, const char *reason); /* all electrodes shorted, now */
-    int16_t (*force_mn)(void *self);
+    /* Set all outputs, start the timer that ends the pulse after width_us with all electrodes
+     * shorted, and switch the current on. Return when it was switched on, by now_us: however long
+     * all this takes, the rest after the pulse is kept. With interrupts off from there on, ask
+     * st_may_pulse right before the current is switched on; if not, leave all electrodes shorted
+     * and return ST_NOT_BEGUN_US. */
+    uint64_t (*pulse)(void *self, const st_pulse *pulse);
+    /* Short all electrodes, now; also called from an interrupt if st_zero is. */
+    void (*shorted)(void *self, const char *reason);
+    int16_t (*force_mn)(void *self); /* with ST_FORCE */
     /* With ST_VOLTAGE: the source's voltage at the end of the last pulse, in 10 mV. Asked for when
      * that pulse is over. */
     uint16_t (*volts)(void *self);
     /* The largest charge that was left on an electrode after a discharge; NULL if nobody knows. */
     uint32_t (*left_pc)(void *self);
-    /* With ST_SWITCH: whether the emergency switch is open. NULL counts as open. */
-    bool (*emergency_open)(void *self);
+    bool (*emergency_open)(void *self); /* with ST_SWITCH */
 } st_port;
 
 /* What a pass of a sequence does to one electrode. */
@@ -64,7 +76,6 @@ typedef struct {
 /* What the core knows of one electrode: limits of the session, and what has passed through it. */
 typedef struct {
     st_load load[2];       /* of a pass of each of the two sequences */
-    int64_t driven_pc;     /* net since switched on; what flows back is not counted */
     int64_t net_pc;        /* of the passes that began in the session */
     uint64_t session_pc;   /* of either sign, in the session */
     uint32_t limit_pc;     /* of a pulse */
@@ -82,20 +93,23 @@ typedef struct {
     uint8_t features;      /* ST_VOLTAGE, ST_FORCE, ST_RECHARGE, ST_KERNELS, ST_SWITCH */
     uint16_t most_slots;
     uint16_t compliance_v;
-    uint16_t ramp_ms;      /* least time from zero to full intensity; 500 at least */
+    uint16_t ramp_ms;      /* least time from zero to full intensity, from 500; 0: 10,000 */
     uint16_t most_kernels;
-    bool real_time;        /* a slot that is late moves all that follow it, so that no discharge is
-                              shorter than asked; false only where time is played */
-    uint32_t packet_bytes; /* of each buffer */
+    uint32_t packet_bytes; /* of each buffer; 64 + 8 E at least */
     uint32_t kernel_bytes;
     uint8_t *buffer[ST_BUFFERS];
     uint8_t *kernels;
     uint32_t *kernel_at;   /* (most_kernels,) */
-    int32_t *sums;         /* (E,) */
-    int16_t *current_ua;   /* (E,) */
+    int32_t *sums;         /* (E,), with ST_KERNELS */
+    int16_t *current_ua;   /* (E,), of a slot that is checked */
+    int16_t *pulse_ua;     /* (E,), of the next pulse */
     st_electrode *each;    /* (E,) */
     uint8_t *volts;        /* (2 most_slots,), with ST_VOLTAGE */
     const char *name;
+#ifdef ST_FOR_TESTS
+    bool played;  /* time is what the port says: what is due begins then, however late */
+    bool no_ramp; /* intensity may be full at once */
+#endif
 } st_config;
 
 typedef struct {
@@ -222,20 +236,43 @@ typedef struct {
     bool last_begun, greeted;
     bool open; /* the emergency switch, when it was looked at last */
     uint8_t refusing; /* a reason, 0 if sequences are taken */
+    uint64_t now_us;  /* by the clock when it was read last */
+    st_pulse next;    /* the next pulse of the running sequence, if it is ready */
+    bool ready;
+    uint32_t next_ua, next_poles; /* of the next pulse: the strongest; electrodes with current */
+    uint64_t free_us; /* end of the rest after the last pulse, whatever session it was of */
+    uint32_t port_us; /* least time that the port's pulse has taken */
+    bool right;       /* st_init has found nothing wrong */
+    const char *zero_reason; /* of a zero that the core has not seen yet; written by interrupts */
 } st_board;
 
-/* Begin, with all electrodes shorted. */
-void st_init(st_board *board, const st_config *config, const st_port *port);
+/* Begin, with all electrodes shorted. Return what is wrong with what is given, in one sentence, or
+ * NULL; a board with something wrong does nothing at all but short. */
+const char *st_init(st_board *board, const st_config *config, const st_port *port);
 /* Take bytes of the host. */
-void st_feed(st_board *board, const uint8_t *data, size_t size, uint64_t now_us);
-/* Do all that is due; put all at zero if the host is silent. In real time pulses begin here, and at
- * the start of st_feed: read the clock just before. */
-void st_advance(st_board *board, uint64_t now_us);
-/* When there is something to do at the latest, if no byte comes and no switch opens. */
+void st_feed(st_board *board, const uint8_t *data, size_t size);
+/* Do all that is due; put all at zero if the host is silent. */
+void st_advance(st_board *board);
+/* Return when there is something to do at the latest, if no byte comes and no switch opens. */
 uint64_t st_next_us(const st_board *board);
-/* The host has closed the line. */
-void st_hang_up(st_board *board, uint64_t now_us);
-/* Short all electrodes and end the session, for example where the port finds a fault. */
+/* End the session, as the host has closed the line. */
+void st_hang_up(st_board *board);
+/* Short all electrodes and end the session, for example where the port finds a fault. May be called
+ * from an interrupt, and from every function of the port: no pulse begins after it until the host
+ * begins another session. */
 void st_zero(st_board *board, const char *reason);
+/* Return whether a pulse may begin: for the port's pulse to ask, see there. */
+bool st_may_pulse(const st_board *board);
+/* Return a clock of 32 bits, in microseconds, extended by what it was before: to be called at least
+ * every 35 minutes. One that seems to go back stands still. */
+static inline uint64_t st_longer_us(uint64_t before_us, uint32_t now_us)
+{
+    const uint32_t passed_us = now_us - (uint32_t)before_us;
+    return passed_us < 0x80000000u ? before_us + passed_us : before_us;
+}
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

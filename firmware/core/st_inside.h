@@ -20,7 +20,7 @@ enum {
     ST_RULE_BALANCE, ST_RULE_CURRENT, ST_RULE_TOTAL, ST_RULE_CHARGE, ST_RULE_STATES, ST_RULE_MEAN,
     ST_RULE_INTENSITY, ST_RULE_RISE, ST_RULE_RECHARGE, ST_RULE_PERIOD_PULSES,
     ST_RULE_SECOND_PULSES, ST_RULE_SECOND_CHARGE, ST_RULE_SECOND_NET, ST_RULE_SECOND_STARTS,
-    ST_RULE_SESSION_TIME, ST_RULE_SESSION_CHARGE
+    ST_RULE_SESSION_TIME, ST_RULE_SESSION_CHARGE, ST_RULE_READY
 };
 enum { ST_POINTS = 0, ST_SUM = 1, ST_CURRENTS = 2, ST_STATES = 3 };
 
@@ -52,7 +52,7 @@ enum { ST_POINTS = 0, ST_SUM = 1, ST_CURRENTS = 2, ST_STATES = 3 };
 #define ST_MAX_SESSION_S 3600u
 #define ST_MAX_SESSION_UC 1800000u
 #define ST_MIN_RAMP_MS 500u
-#define ST_SAFE_RAMP_MS 10000u /* where a host names none */
+#define ST_SAFE_RAMP_MS 10000u /* where host or board names none */
 #define ST_LEVEL_KEPT_US 15000000u
 #define ST_BUCKET_US 50000u
 #define ST_MAX_RECHARGE_UA 500u
@@ -102,13 +102,26 @@ void st_say(st_board *board, uint8_t kind, uint64_t session, uint32_t number, ui
             uint32_t about, const uint8_t *payload, size_t size);
 /* Take one byte; return whether it completes a packet, which then is in the stream's buffer. */
 bool st_take_byte(st_board *board, uint8_t byte, uint64_t now_us, uint32_t *size);
-/* Return whether the head of the incomplete packet is there. */
+/* Read the head of the packet that comes in; return whether all of it is there. */
 bool st_head(st_board *board, st_message *message);
 void st_parse(const uint8_t *body, uint32_t size, st_message *message);
 
 /* st_board.c */
-/* Look at the emergency switch; if it is open, short all electrodes and end the session. */
-void st_look_at_switch(st_board *board);
+/* Return whether time is what a test says. */
+static inline bool st_is_played(const st_board *board)
+{
+#ifdef ST_FOR_TESTS
+    return board->config.played;
+#else
+    (void)board;
+    return false;
+#endif
+}
+/* Read the port's clock, which never goes back. */
+uint64_t st_clock(st_board *board);
+/* If st_zero was called, or the emergency switch is open, end the session; return whether one is
+ * still live. */
+bool st_may_go_on(st_board *board);
 /* Send the next packet of the session. */
 void st_tell(st_board *board, uint8_t kind, uint32_t about, const uint8_t *payload, size_t size);
 /* Acknowledge the last sequence: when it began, by the port's clock. */
@@ -116,8 +129,10 @@ void st_tell_begun(st_board *board);
 
 /* st_engine.c */
 void st_begin_sequence(st_board *board, st_sequence *sequence, uint64_t start_us);
-/* Do all that is due until then. */
-void st_execute(st_board *board, uint64_t until_us);
+/* Begin the pulses that are due in the pass at hand, and end no pass. */
+void st_execute_pulses(st_board *board);
+/* Do all that is due. */
+void st_execute(st_board *board);
 /* Short all electrodes and end the session; what comes after is refused so. */
 void st_end_session(st_board *board, uint8_t refusing, const char *reason);
 
@@ -152,9 +167,9 @@ void st_first_slot(const st_sequence *sequence, st_place *place);
 void st_next_slot(const st_sequence *sequence, st_place *place, uint16_t electrodes);
 uint16_t st_shape_width(const st_sequence *sequence, uint8_t shape);
 uint16_t st_shape_discharge(const st_sequence *sequence, uint8_t shape);
-/* Write the slot's currents or states into the board's; return its site. */
+/* Write a slot's currents or states; return its site. */
 uint16_t st_slot_currents(st_board *board, const st_sequence *sequence, const st_place *place,
-                          uint16_t *source_ua);
+                          int16_t *current_ua, uint16_t *source_ua);
 
 /* st_limits.c */
 bool st_limits_take(st_board *board, const uint8_t *payload, uint32_t size);

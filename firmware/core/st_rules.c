@@ -1,4 +1,6 @@
 /* Rules that every sequence is checked by, whatever the host has proved. */
+#include <string.h>
+
 #include "st_inside.h"
 
 typedef struct {
@@ -115,50 +117,89 @@ static bool each_obeys(st_board *board, st_sequence *sequence, uint32_t slot, ui
     return true;
 }
 
-static bool slot_obeys(st_board *board, st_sequence *sequence, const st_place *place,
-                       peaks *most, st_refusal *refusal)
+/* What a slot's currents or states amount to. */
+typedef struct {
+    int32_t net_ua;
+    uint32_t all_ua, poles[2];
+    bool wrong; /* a state that these outputs do not have */
+    uint16_t source_ua;
+} slot_sum;
+
+/* Compute a slot as for its pulse. */
+static void add_slot(st_board *board, const st_sequence *sequence, const st_place *place,
+                     slot_sum *sum)
 {
-    const uint32_t electrodes = board->config.electrodes;
     const int16_t *current_ua = board->config.current_ua;
+    memset(sum, 0, sizeof *sum);
+    (void)st_slot_currents(board, sequence, place, board->config.current_ua, &sum->source_ua);
+    for (uint32_t each = 0; each < board->config.electrodes; each++) {
+        const int16_t ua = current_ua[each];
+        sum->net_ua += ua;
+        sum->all_ua += st_magnitude(ua);
+        sum->poles[0] += ua > 0 ? 1u : 0u;
+        sum->poles[1] += ua < 0 ? 1u : 0u;
+        sum->wrong = sum->wrong || ua == 2
+                     || (ua == 0 && board->config.output == ST_ONE_AGAINST_ALL);
+    }
+}
+
+/* Check that the slot is ready when the one before it is over: what it takes to compute, the least
+ * of a few times, and what a pulse takes the port at least. */
+static bool ready_in_time(st_board *board, const st_sequence *sequence, const st_place *place,
+                          uint64_t took_us, uint32_t slot_us, st_refusal *refusal)
+{
+    const uint32_t port_us = board->port_us == UINT32_MAX ? 0u : board->port_us;
+    for (unsigned again = 0; again < 2u && took_us + port_us > slot_us; again++) {
+        slot_sum sum;
+        const uint64_t from_us = st_clock(board);
+        add_slot(board, sequence, place, &sum);
+        const uint64_t again_us = st_clock(board) - from_us;
+        took_us = again_us < took_us ? again_us : took_us;
+    }
+    if (took_us + port_us > slot_us) {
+        return st_refuse(refusal, ST_RULE_READY, place->slot, ST_NOTHING, took_us + port_us,
+                         slot_us);
+    }
+    return true;
+}
+
+/* Check one slot, after one that takes slot_us; add up its load. */
+static bool slot_obeys(st_board *board, st_sequence *sequence, const st_place *place,
+                       uint32_t slot_us, peaks *most, st_refusal *refusal)
+{
     const uint32_t width_us = st_shape_width(sequence, place->shape);
-    uint16_t source_ua = 0;
+    slot_sum sum;
     if ((place->kind == ST_STATES) != (board->config.output != ST_WEIGHTED)) {
         return st_refuse(refusal, ST_RULE_KIND, place->slot, ST_NOTHING, place->kind, 0);
     }
     if (place->kind <= ST_SUM && !kernels_obey(board, sequence, place, refusal)) {
         return false;
     }
-    (void)st_slot_currents(board, sequence, place, &source_ua);
-    int32_t net_ua = 0;
-    uint32_t all_ua = 0;
-    uint32_t poles[2] = { 0, 0 };
-    bool wrong = false;
-    for (uint32_t each = 0; each < electrodes; each++) {
-        const int16_t ua = current_ua[each];
-        net_ua += ua;
-        all_ua += st_magnitude(ua);
-        poles[0] += ua > 0 ? 1u : 0u;
-        poles[1] += ua < 0 ? 1u : 0u;
-        wrong = wrong || ua == 2 || (ua == 0 && board->config.output == ST_ONE_AGAINST_ALL);
-    }
+    const uint64_t from_us = st_clock(board);
+    add_slot(board, sequence, place, &sum);
+    const uint64_t took_us = st_clock(board) - from_us;
     if (board->config.output == ST_WEIGHTED) {
-        if (net_ua != 0) {
+        if (sum.net_ua != 0) {
             (void)st_refuse(refusal, ST_RULE_BALANCE, place->slot, ST_NOTHING, 0, 0);
-            refusal->value = net_ua;
+            refusal->value = sum.net_ua;
             return false;
         }
-        return each_obeys(board, sequence, place->slot, width_us, NULL, all_ua / 2u, most,
-                          refusal);
+        return each_obeys(board, sequence, place->slot, width_us, NULL, sum.all_ua / 2u, most,
+                          refusal)
+               && ready_in_time(board, sequence, place, took_us, slot_us, refusal);
     }
-    if (wrong || poles[0] == 0u || poles[1] == 0u
-        || (board->config.output == ST_ONE_AGAINST_ALL && st_least(poles[0], poles[1]) != 1u)) {
+    if (sum.wrong || sum.poles[0] == 0u || sum.poles[1] == 0u
+        || (board->config.output == ST_ONE_AGAINST_ALL
+            && st_least(sum.poles[0], sum.poles[1]) != 1u)) {
         return st_refuse(refusal, ST_RULE_STATES, place->slot, ST_NOTHING, 0, 0);
     }
     /* What one source splits equally, rounded up. */
     const uint32_t share[2] = {
-        (source_ua + poles[0] - 1u) / poles[0], (source_ua + poles[1] - 1u) / poles[1]
+        (uint32_t)st_upward(sum.source_ua, sum.poles[0]),
+        (uint32_t)st_upward(sum.source_ua, sum.poles[1])
     };
-    return each_obeys(board, sequence, place->slot, width_us, share, source_ua, most, refusal);
+    return each_obeys(board, sequence, place->slot, width_us, share, sum.source_ua, most, refusal)
+           && ready_in_time(board, sequence, place, took_us, slot_us, refusal);
 }
 
 static uint64_t magnitude(int64_t value)
@@ -307,10 +348,16 @@ bool st_obeys(st_board *board, st_sequence *sequence, uint64_t start_us, st_refu
         *st_load_of(board, sequence, each) = (st_load){ 0, 0, 0 };
     }
     st_first_slot(sequence, &place);
+    /* Before the first slot there is what is left of the period, and as much as it takes. */
+    uint32_t slot_us = UINT32_MAX;
     while (place.slot < sequence->slots) {
-        if (!slot_obeys(board, sequence, &place, &most, refusal)) {
+        if (!slot_obeys(board, sequence, &place, slot_us, &most, refusal)) {
             return false;
         }
+        /* Pulses go on meanwhile. */
+        st_execute_pulses(board);
+        slot_us = (uint32_t)st_shape_width(sequence, place.shape)
+                  + st_shape_discharge(sequence, place.shape);
         st_next_slot(sequence, &place, config->electrodes);
     }
     if ((sequence->flags & 2u) != 0u && !recharge_obeys(board, sequence, refusal)) {

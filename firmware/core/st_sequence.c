@@ -113,7 +113,8 @@ uint16_t st_shape_discharge(const st_sequence *sequence, uint8_t shape)
     return st_u16(sequence->data + HEAD + 4u * shape + 2u);
 }
 
-static void add_up(st_board *board, const uint8_t *pairs, uint32_t count)
+/* Write the currents of a sum of kernels; uses the board's sums. */
+static void add_up(st_board *board, const uint8_t *pairs, uint32_t count, int16_t *current_ua)
 {
     const uint32_t electrodes = board->config.electrodes;
     int32_t *sums = board->config.sums;
@@ -128,17 +129,16 @@ static void add_up(st_board *board, const uint8_t *pairs, uint32_t count)
         carried += sums[each];
         /* The floor of a quotient by 2^17, for either sign. */
         const int64_t floor = carried >= 0 ? carried / 131072 : -((131071 - carried) / 131072);
-        board->config.current_ua[each] = (int16_t)((int32_t)floor - before);
+        current_ua[each] = (int16_t)((int32_t)floor - before);
         before = (int32_t)floor;
     }
 }
 
 uint16_t st_slot_currents(st_board *board, const st_sequence *sequence, const st_place *place,
-                          uint16_t *source_ua)
+                          int16_t *current_ua, uint16_t *source_ua)
 {
     const uint32_t electrodes = board->config.electrodes;
     const uint8_t *at = sequence->data + place->at;
-    int16_t *current_ua = board->config.current_ua;
     static const int16_t states[4] = { 0, 1, -1, 2 };
     *source_ua = 0;
     switch (place->kind) {
@@ -155,7 +155,7 @@ uint16_t st_slot_currents(st_board *board, const st_sequence *sequence, const st
         }
         return st_u16(at);
     default:
-        add_up(board, at, place->pairs);
+        add_up(board, at, place->pairs, current_ua);
         return st_kernel_site(board, st_u16(at));
     }
 }

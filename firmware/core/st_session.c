@@ -69,7 +69,7 @@ bool st_offers(st_board *board, const st_message *hello, uint64_t *number)
 bool st_may_begin(const st_board *board, const st_message *begin)
 {
     const st_session *session = &board->session;
-    return !session->live && begin->version == ST_VERSION && (uint32_t)begin->session != 0u
+    return !session->live && session->challenge != 0u && begin->version == ST_VERSION && (uint32_t)begin->session != 0u
            && (uint32_t)(begin->session >> 32) == session->challenge;
 }
 

@@ -33,7 +33,7 @@ class Core:
     columns = tuple(np.zeros(ROOM // 4, np.uint32) for _ in range(4))
     starts, currents = np.zeros(ROOM // 4, np.uint64), np.zeros(ROOM, np.int16)
 
-    def __init__(self, library, electrodes, output="weighted", ramp_ms=500, real_time=False):
+    def __init__(self, library, electrodes, output="weighted", ramp_ms=500, played=True):
         self._core = ctypes.CDLL(str(library))
         for name in ("st_rig_new", "st_rig_reason"):
             getattr(self._core, name).restype = ctypes.c_void_p
@@ -43,11 +43,11 @@ class Core:
         self._rig = ctypes.c_void_p(
             self._core.st_rig_new(
                 electrodes,
-                OUTPUTS.index(output),
+                1 + OUTPUTS.index(output),
                 features,
                 int(COMPLIANCE_V),
                 ramp_ms,
-                real_time,
+                played,
                 self._name,
             )
         )

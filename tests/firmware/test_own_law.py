@@ -138,7 +138,10 @@ def test_a_core_without_one_rule_is_found_out(make_life, tmp_path, name):
     source.write_text(text.replace(old, new), encoding="utf-8")
     files = [*folder.glob("core/*.c"), folder / "ports" / "host" / "st_library.c"]
     include = f"-I{folder / 'core'}"
-    subprocess.run(["cc", "-O1", "-fPIC", "-shared", include, *files, "-o", built], check=True)
+    subprocess.run(
+        ["cc", "-O1", "-DST_FOR_TESTS", "-fPIC", "-shared", include, *files, "-o", built],
+        check=True,
+    )
     with pytest.raises(AssertionError):
         lived(make_life, built, play)
 

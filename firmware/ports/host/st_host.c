@@ -30,6 +30,7 @@ typedef struct {
     uint32_t unsafe;
     double zero_after_ms;
     st_skin skin;
+    st_driven driven;
 } host;
 
 static volatile sig_atomic_t ended;
@@ -62,6 +63,12 @@ static void step_clock(host *self)
         *since_us -= *since_us < away_us ? *since_us : away_us;
     }
     self->now_us += step_us;
+}
+
+static uint64_t now_us(void *self)
+{
+    const host *own = self;
+    return own->now_us;
 }
 
 static uint32_t draw(void *self)
@@ -129,11 +136,13 @@ static void record(host *own, const st_pulse *pulse)
     }
 }
 
-static void pulse(void *self, const st_pulse *pulse)
+static uint64_t pulse(void *self, const st_pulse *pulse)
 {
     host *own = self;
     own->state = "driving";
+    st_driven_pulse(&own->driven, &own->board, pulse);
     record(own, pulse);
+    return pulse->start_us;
 }
 
 static void shorted(void *self, const char *reason)
@@ -141,6 +150,8 @@ static void shorted(void *self, const char *reason)
     host *own = self;
     own->state = "shorted";
     own->reason = reason;
+    st_driven_until(&own->driven, own->board.config.electrodes,
+                    strcmp(reason, "end") == 0 ? UINT64_MAX : own->board.executed_us);
     if (strcmp(reason, "end") != 0) {
         own->zero_after_ms = (double)(own->now_us - own->board.heard_us) / 1000.0;
     }
@@ -156,12 +167,6 @@ static uint32_t left_pc(void *self)
 {
     const host *own = self;
     return (uint32_t)lrint(1e12 * own->skin.left_c);
-}
-
-static int16_t force_mn(void *self)
-{
-    (void)self;
-    return 1000;
 }
 
 static void write_state(host *own)
@@ -194,7 +199,7 @@ static void write_state(host *own)
                   (double)own->stood_still_us / 1000.0);
     for (uint32_t each = 0; each < own->board.config.electrodes; each++) {
         (void)fprintf(file, each == 0u ? "%.9g" : ", %.9g",
-                      (double)own->board.config.each[each].driven_pc * 1e-6);
+                      (double)own->driven.pc[each] * 1e-6);
     }
     (void)fprintf(file, "]}\n");
     (void)fclose(file);
@@ -231,12 +236,12 @@ static void serve(host *own, uint64_t linger_us)
         const ssize_t size = (line.revents & POLLIN) != 0 ? read(own->line, data, sizeof data) : 0;
         const bool here = (line.revents & POLLHUP) == 0;
         if (size > 0) {
-            st_feed(&own->board, data, (size_t)size, own->now_us);
+            st_feed(&own->board, data, (size_t)size);
         } else {
-            st_advance(&own->board, own->now_us);
+            st_advance(&own->board);
         }
         if (hosted && !here) {
-            st_hang_up(&own->board, own->now_us);
+            st_hang_up(&own->board);
             write_state(own);
         }
         hosted = here;
@@ -272,8 +277,7 @@ int main(int count, char **words)
 {
     static host own;
     st_config config;
-    const st_port port = { &own, draw, send, pulse, shorted, force_mn, volts, left_pc,
-                           NULL };
+    const st_port port = { &own, now_us, draw, send, pulse, shorted, NULL, volts, left_pc, NULL };
     const char *kind = option(count, words, "--output", "weighted");
     const long electrodes = strtol(option(count, words, "--electrodes", "64"), NULL, 10);
     const long ramp_ms = strtol(option(count, words, "--ramp-ms", "500"), NULL, 10);
@@ -317,7 +321,11 @@ int main(int count, char **words)
     st_configure(&config, &own.memory, (uint16_t)electrodes, output, (uint16_t)ramp_ms);
     config.features |= ST_VOLTAGE;
     config.compliance_v = (uint16_t)ST_COMPLIANCE_V;
-    st_init(&own.board, &config, &port);
+    const char *wrong = st_init(&own.board, &config, &port);
+    if (wrong != NULL) {
+        (void)fprintf(stderr, "error: %s\n", wrong);
+        return 2;
+    }
     write_state(&own);
     (void)puts(ptsname(own.line));
     (void)fflush(stdout);

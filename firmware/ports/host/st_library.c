@@ -16,6 +16,8 @@ typedef struct {
     uint32_t numbers[ROOM / 4], slots[ROOM / 4], sites[ROOM / 4], widths[ROOM / 4];
     uint64_t starts[ROOM / 4];
     const char *reason;
+    st_driven driven;
+    uint64_t now_us;
     bool open; /* the emergency switch */
     void (*skin)(const uint32_t *times, uint64_t start_us, const int16_t *current_ua,
                  uint32_t *found);
@@ -24,7 +26,7 @@ typedef struct {
 
 /* What the tests call. */
 st_rig *st_rig_new(uint16_t electrodes, uint8_t output, uint8_t features, uint16_t compliance_v,
-                   uint16_t ramp_ms, bool real_time, const char *name);
+                   uint16_t ramp_ms, bool played, const char *name);
 void st_rig_free(st_rig *rig);
 void st_rig_wear(st_rig *rig, void (*skin)(const uint32_t *times, uint64_t start_us,
                                            const int16_t *current_ua, uint32_t *found));
@@ -40,6 +42,12 @@ uint32_t st_rig_take(st_rig *rig, uint8_t *out, uint32_t *numbers, uint32_t *slo
                      uint32_t *pulses);
 void st_rig_books(const st_rig *rig, uint64_t *books);
 const char *st_rig_reason(const st_rig *rig);
+
+static uint64_t now_us(void *self)
+{
+    const st_rig *rig = self;
+    return rig->now_us;
+}
 
 static uint32_t draw(void *self)
 {
@@ -57,26 +65,29 @@ static void send(void *self, const uint8_t *data, size_t size)
     }
 }
 
-static void pulse(void *self, const st_pulse *pulse)
+static uint64_t pulse(void *self, const st_pulse *pulse)
 {
     st_rig *rig = self;
     const uint32_t electrodes = rig->board.config.electrodes;
     const uint32_t at = rig->pulses;
     rig->reason = "driving";
+    st_driven_pulse(&rig->driven, &rig->board, pulse);
     if (rig->skin != NULL) {
         const uint32_t times[3] = { pulse->width_us, pulse->rest_us, pulse->source_ua };
         rig->skin(times, pulse->start_us, pulse->current_ua, rig->found);
     }
+    const uint64_t begun_us = rig->board.config.played ? pulse->start_us : rig->now_us;
     if (at >= ROOM / 4 || (at + 1u) * electrodes > ROOM) {
-        return;
+        return begun_us;
     }
     rig->numbers[at] = pulse->number;
     rig->slots[at] = pulse->slot;
     rig->sites[at] = pulse->site;
     rig->widths[at] = pulse->width_us;
-    rig->starts[at] = pulse->start_us;
+    rig->starts[at] = begun_us;
     memcpy(rig->currents + at * electrodes, pulse->current_ua, 2u * electrodes);
     rig->pulses++;
+    return begun_us;
 }
 
 static uint16_t volts(void *self)
@@ -95,6 +106,8 @@ static void shorted(void *self, const char *reason)
 {
     st_rig *rig = self;
     rig->reason = reason;
+    st_driven_until(&rig->driven, rig->board.config.electrodes,
+                    strcmp(reason, "end") == 0 ? UINT64_MAX : rig->board.executed_us);
 }
 
 static int16_t force_mn(void *self)
@@ -110,19 +123,23 @@ static bool emergency_open(void *self)
 }
 
 st_rig *st_rig_new(uint16_t electrodes, uint8_t output, uint8_t features, uint16_t compliance_v,
-                   uint16_t ramp_ms, bool real_time, const char *name)
+                   uint16_t ramp_ms, bool played, const char *name)
 {
     st_rig *rig = calloc(1, sizeof *rig);
     st_config config;
-    const st_port port = { rig, draw, send, pulse, shorted, force_mn, volts, left_pc,
+    const st_port port = { rig, now_us, draw, send, pulse, shorted, force_mn, volts, left_pc,
                            emergency_open };
     if (rig != NULL) {
         st_configure(&config, &rig->memory, electrodes, output, ramp_ms);
         config.features = features;
         config.compliance_v = compliance_v;
-        config.real_time = real_time;
         config.name = name;
-        st_init(&rig->board, &config, &port);
+        if (st_init(&rig->board, &config, &port) != NULL) {
+            free(rig);
+            return NULL;
+        }
+        /* In real time the clock still stands within a call. */
+        rig->board.config.played = played;
     }
     return rig;
 }
@@ -142,23 +159,26 @@ void st_rig_wear(st_rig *rig, void (*skin)(const uint32_t *times, uint64_t start
 void st_rig_driven(const st_rig *rig, int64_t *driven_pc)
 {
     for (uint32_t each = 0; each < rig->board.config.electrodes; each++) {
-        driven_pc[each] = rig->memory.each[each].driven_pc;
+        driven_pc[each] = rig->driven.pc[each];
     }
 }
 
 void st_rig_feed(st_rig *rig, const uint8_t *data, size_t size, uint64_t now_us)
 {
-    st_feed(&rig->board, data, size, now_us);
+    rig->now_us = now_us;
+    st_feed(&rig->board, data, size);
 }
 
 void st_rig_advance(st_rig *rig, uint64_t now_us)
 {
-    st_advance(&rig->board, now_us);
+    rig->now_us = now_us;
+    st_advance(&rig->board);
 }
 
 void st_rig_hang_up(st_rig *rig, uint64_t now_us)
 {
-    st_hang_up(&rig->board, now_us);
+    rig->now_us = now_us;
+    st_hang_up(&rig->board);
 }
 
 void st_rig_zero(st_rig *rig)

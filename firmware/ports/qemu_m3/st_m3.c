@@ -8,7 +8,7 @@
  * sign of life, u16 0, u16 refused sequences. It may be told what to be by words after its name:
  * electrodes (64 at most), output (0, 1, 2), least time from zero to full in ms.
  *
- * With ST_MEASURE it counts instructions instead, where QEMU runs with -icount shift=0.
+ * With ST_MEASURE it measures itself instead: see st_measure.h.
  */
 #include <string.h>
 
@@ -43,7 +43,7 @@ static uint8_t buffer[ST_BUFFERS][PACKET_BYTES];
 static uint8_t kernels[KERNEL_BYTES];
 static uint32_t kernel_at[MOST_KERNELS];
 static int32_t sums[ST_ELECTRODES];
-static int16_t current_ua[ST_ELECTRODES];
+static int16_t current_ua[ST_ELECTRODES], pulse_ua[ST_ELECTRODES];
 static st_electrode electrodes[ST_ELECTRODES];
 static uint8_t ring[RING];
 static volatile uint32_t ring_in, ring_out, milliseconds;
@@ -77,19 +77,19 @@ __attribute__((section(".vectors"), used)) static const uintptr_t vectors[] = {
     (uintptr_t)on_byte,
 };
 
-static uint64_t now_us(void)
+static uint64_t now_us(void *self)
 {
     static uint64_t last_us;
+    (void)self;
     uint32_t before;
     uint32_t value;
     do {
         before = milliseconds;
         value = TICK_VALUE;
     } while (before != milliseconds);
-    const uint64_t found_us =
-        1000u * (uint64_t)before + (1000u * CLOCK_PER_US - 1u - value) / CLOCK_PER_US;
-    /* The counter may have begun anew with its interrupt still to come. */
-    last_us = found_us > last_us ? found_us : last_us;
+    /* The counter may have begun anew with its interrupt still to come: then it stands still. */
+    last_us = st_longer_us(
+        last_us, 1000u * before + (1000u * CLOCK_PER_US - 1u - value) / CLOCK_PER_US);
     return last_us;
 }
 
@@ -105,7 +105,7 @@ static uint32_t draw(void *self)
 {
     (void)self;
     do {
-        random_state ^= (uint32_t)now_us();
+        random_state ^= (uint32_t)now_us(NULL);
         random_state ^= random_state << 13;
         random_state ^= random_state >> 17;
         random_state ^= random_state << 5;
@@ -129,20 +129,29 @@ static void send(void *self, const uint8_t *data, size_t size)
     put(UART0, data, size);
 }
 
-static void pulse(void *self, const st_pulse *pulse)
+static uint64_t pulse(void *self, const st_pulse *pulse)
 {
-    const uint32_t times[2] = { pulse->number, (uint32_t)pulse->start_us };
+    /* Interrupts off, so that nothing comes between the question and the current. */
+    __asm__ volatile("cpsid i" ::: "memory");
+    const bool may = st_may_pulse(&board);
+    const uint64_t begun_us = now_us(NULL);
+    __asm__ volatile("cpsie i" ::: "memory");
+    if (!may) {
+        return ST_NOT_BEGUN_US;
+    }
+    const uint32_t times[2] = { pulse->number, (uint32_t)begun_us };
     const uint16_t others[4] = { pulse->slot, pulse->site, pulse->width_us, pulse->source_ua };
     (void)self;
     put(UART1, times, sizeof times);
     put(UART1, others, sizeof others);
     put(UART1, pulse->current_ua, 2u * (size_t)board.config.electrodes);
+    return begun_us;
 }
 
 static void shorted(void *self, const char *reason)
 {
     static const int16_t nothing[ST_ELECTRODES];
-    const uint32_t now = (uint32_t)now_us();
+    const uint32_t now = (uint32_t)now_us(NULL);
     const uint32_t times[2] = { now, now - (uint32_t)board.heard_us };
     const uint16_t others[2] = { 0, (uint16_t)board.books.violations };
     (void)self;
@@ -177,8 +186,9 @@ static void read_words(const char *text, uint16_t *numbers, size_t most)
 
 static void start(void)
 {
-    static const st_port port = { NULL, draw, send, pulse, shorted, force_mn, NULL, NULL, NULL };
-    uint16_t numbers[3] = { ST_ELECTRODES, ST_WEIGHTED, 500 };
+    static const st_port port = { NULL, now_us, draw, send, pulse, shorted, force_mn, NULL, NULL,
+                                  NULL };
+    uint16_t numbers[3] = { ST_ELECTRODES, 0, 500 };
     st_config config;
 #ifndef ST_MEASURE
     static char words[80];
@@ -194,13 +204,13 @@ static void start(void)
 #endif
     memset(&config, 0, sizeof config);
     config.electrodes = numbers[0] <= ST_ELECTRODES ? numbers[0] : ST_ELECTRODES;
-    config.output = (uint8_t)numbers[1];
+    config.output = (uint8_t)(ST_WEIGHTED + numbers[1]);
     config.features = ST_KERNELS | ST_FORCE;
     config.features |= config.output == ST_WEIGHTED ? ST_RECHARGE : 0;
     config.most_slots = 4096;
-    config.ramp_ms = numbers[2] == 0u ? ST_NO_RAMP : numbers[2];
+    config.ramp_ms = numbers[2];
+    config.no_ramp = numbers[2] == 0u;
     config.most_kernels = MOST_KERNELS;
-    config.real_time = true;
     config.packet_bytes = PACKET_BYTES;
     config.kernel_bytes = KERNEL_BYTES;
     for (unsigned index = 0; index < ST_BUFFERS; index++) {
@@ -210,100 +220,18 @@ static void start(void)
     config.kernel_at = kernel_at;
     config.sums = sums;
     config.current_ua = current_ua;
+    config.pulse_ua = pulse_ua;
     config.each = electrodes;
     config.name = "SmartTouch firmware 1, Cortex-M3";
-    st_init(&board, &config, &port);
+    const char *wrong = st_init(&board, &config, &port);
+    if (wrong != NULL) {
+        put(UART0, wrong, strlen(wrong));
+        put(UART0, "\n", 1);
+    }
 }
 
 #ifdef ST_MEASURE
-
-static void say_count(const char *what, uint32_t points, uint64_t instructions)
-{
-    char text[80];
-    size_t at = strlen(what);
-    const uint64_t numbers[2] = { points, instructions };
-    memcpy(text, what, at);
-    for (unsigned which = 0; which < 2u; which++) {
-        uint32_t rest = (uint32_t)numbers[which];
-        uint32_t unit = 1;
-        while (rest / unit >= 10u) {
-            unit *= 10u;
-        }
-        text[at++] = ' ';
-        for (; unit > 0u; unit /= 10u) {
-            text[at++] = (char)('0' + rest / unit % 10u);
-        }
-    }
-    text[at++] = '\n';
-    put(UART0, text, at);
-}
-
-/* Instructions of a slot of a number of kernels: to check it, and to compute it again when it is
- * delivered; and of what is checked once for a sequence. With -icount shift=0 one takes a
- * nanosecond. */
-static void measure(void)
-{
-    static uint8_t payload[4096];
-    static const uint8_t head[14] = { 0x10, 0x27, 0, 0, 1, 0, 0xFF, 0xFF, 0, 1, 100, 0, 50, 0 };
-    static const uint32_t counts[4] = { 1, 2, 8, 16 };
-    uint8_t *at = kernels + 4;
-    kernel_at[0] = 4;
-    at[2] = 1;
-    at[6] = ST_ELECTRODES & 0xFFu;
-    at[7] = ST_ELECTRODES >> 8;
-    for (uint32_t each = 0; each < ST_ELECTRODES; each++) {
-        at[8u + 2u * each] = (uint8_t)(each + 1u);
-        at[9u + 2u * each] = (each & 1u) != 0u ? 0xFF : 0;
-    }
-    for (uint32_t each = 0; each < ST_ELECTRODES; each += 2) {
-        /* Minus as much at the neighbor. */
-        const int32_t less = -(int32_t)st_i16(at + 8u + 2u * each);
-        at[10u + 2u * each] = (uint8_t)less;
-        at[11u + 2u * each] = (uint8_t)((uint32_t)less >> 8);
-    }
-    board.keep.whole = true;
-    board.keep.count = 1;
-    board.limits = (st_limits){ 5000, 10000, 200, 5000, 100, 0, 0, 3600, 1800000, 80, 200, true };
-    for (uint32_t each = 0; each < ST_ELECTRODES; each++) {
-        electrodes[each].limit_ua = 5000;
-        electrodes[each].limit_pc = 500000;
-    }
-    for (unsigned which = 0; which < 4u; which++) {
-        const uint32_t count = counts[which];
-        st_sequence sequence;
-        st_refusal refusal;
-        uint16_t source_ua = 0;
-        memcpy(payload, head, sizeof head);
-        payload[14] = ST_SUM;
-        payload[16] = (uint8_t)count;
-        memset(payload + 18, 0, 4u * count);
-        for (uint32_t pair = 0; pair < count; pair++) {
-            payload[20u + 4u * pair] = 100;
-        }
-        const uint32_t group = 4u + 4u * count;
-        memcpy(payload + 14u + group, payload + 14, group);
-        (void)st_read_sequence(&board, payload, 14u + group, &sequence, &refusal);
-        st_first_slot(&sequence, &sequence.place);
-        uint64_t begun_us = now_us();
-        for (unsigned turn = 0; turn < 1000u; turn++) {
-            (void)st_slot_currents(&board, &sequence, &sequence.place, &source_ua);
-        }
-        say_count("deliver", count, now_us() - begun_us);
-        uint64_t took_us[2];
-        bool obeyed = true;
-        for (unsigned more = 0; more < 2u; more++) {
-            (void)st_read_sequence(&board, payload, 14u + (1u + more) * group, &sequence, &refusal);
-            begun_us = now_us();
-            for (unsigned turn = 0; turn < 1000u; turn++) {
-                obeyed = obeyed && st_obeys(&board, &sequence, 1000000u, &refusal);
-            }
-            took_us[more] = now_us() - begun_us;
-        }
-        say_count(obeyed ? "check" : "refused", count, took_us[1] - took_us[0]);
-        say_count("sequence", count, 2u * took_us[0] - took_us[1]);
-    }
-}
-
+#include "st_measure.h"
 #endif
 
 void st_reset(void)
@@ -340,12 +268,11 @@ void st_reset(void)
             on_byte();
             __asm__ volatile("cpsie i" ::: "memory");
         }
-        const uint64_t now = now_us();
         if (size > 0u) {
-            st_feed(&board, data, size, now);
+            st_feed(&board, data, size);
         } else {
-            st_advance(&board, now);
-            if (st_next_us(&board) > now + 1000u) {
+            st_advance(&board);
+            if (st_next_us(&board) > now_us(NULL) + 1000u) {
                 __asm__ volatile("wfi");
             }
         }

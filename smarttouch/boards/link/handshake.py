@@ -150,6 +150,7 @@ _RULES = {
     Rule.OFTEN: "too many sequences in a second",
     Rule.SESSION_TIME: "too long a session, s",
     Rule.SESSION_CHARGE: "too much charge in the session, µC",
+    Rule.READY: "the board needs longer to compute a slot than the one before it lasts, µs",
 }
 
 

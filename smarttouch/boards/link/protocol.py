@@ -134,6 +134,7 @@ class Rule(IntEnum):
     OFTEN = 24
     SESSION_TIME = 25
     SESSION_CHARGE = 26
+    READY = 27
 
 
 _VOLT = 100

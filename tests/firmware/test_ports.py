@@ -1,0 +1,119 @@
+"""What no port may break: its times, its interrupts, what it leaves out."""
+
+import re
+import shutil
+import subprocess
+
+import pytest
+
+from tests.firmware.build import SOURCES, WHOLE, built
+
+SAFE = "as safe as can be"
+LEFT_OUT = {
+    "electrodes": 1, "output": 1, "features": 0, "most_slots": 1, "compliance_v": 0, "ramp_ms": 0,
+    "most_kernels": 1, "packet_bytes": 1, "kernel_bytes": 1, "buffer[0]": 1, "buffer[1]": 1,
+    "buffer[2]": 1, "kernels": 1, "kernel_at": 1, "sums": 1, "current_ua": 1, "pulse_ua": 1,
+    "each": 1, "volts": 1, "name": 1,
+}  # fmt: skip
+NOT_THERE = {
+    "now_us": 1, "draw": 1, "send": 1, "pulse": 1, "shorted": 1, "force_mn": 1, "volts": 1,
+    "left_pc": 0, "emergency_open": 1,
+}  # fmt: skip
+
+
+def check(program, *words, seconds=400):
+    """Return what a program found; raise `AssertionError` if it found something wrong."""
+    # One that has lost a guard may go on for ever.
+    command = ["timeout", str(seconds), program, *map(str, words)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def checks(name="st_checks"):
+    return built("checks", name, "cc")
+
+
+@pytest.mark.parametrize("slots", [100_000, pytest.param(10_000_000, marks=WHOLE)])
+def test_the_rest_is_kept_however_long_a_port_takes(slots):
+    """Functions that take 0 to 500 us at random, and call `st_zero` now and then."""
+    found = re.match(
+        r"(\d+) slots, 0 overlaps, 0 after (\d+) zeros", check(checks(), "times", slots)
+    )
+    assert int(found[1]) >= slots
+    assert int(found[2]) > 100
+
+
+def test_an_interrupt_ends_all():
+    """Under a thread sanitizer, which ends the program if two threads meet in memory."""
+    assert " 0 overlaps, 0 after " in check(checks("st_checks_threads"), "interrupts", 1000)
+
+
+def test_a_field_that_is_left_out_is_safe_or_named():
+    found = dict(line.split(": ", 1) for line in check(checks(), "init").splitlines())
+    for kind, fields in (("config", LEFT_OUT), ("port", NOT_THERE)):
+        for field, named in fields.items():
+            said = found.pop(f"{kind}.{field}")
+            assert (field.partition("[")[0] in said) if named else (said == SAFE)
+            assert "BUT" not in said
+    assert found.pop("nothing left out") == SAFE
+    assert "stands still" in found.pop("a clock that stands")
+    assert "steps" in found.pop("a clock of milliseconds")
+    assert found == {}
+
+
+ENGINE, BOARD = "st_engine.c", "st_board.c"
+MUTANTS = {
+    "when a pulse truly began": (
+        "times", ENGINE, "begun_us = board->port.", "begun_us = before_us + 0 * board->port."
+    ),
+    "the rest of another session": ("times", ENGINE, "|| before_us < board->free_us", ""),
+    "zero before a pulse": (
+        "times", BOARD, "    return __atomic_load_n", "    return true || __atomic_load_n"
+    ),
+    "zero in a pulse": ("times", BOARD, "    if (reason != NULL) {", "    if (0) {"),
+    "a clock that stands": ("init", BOARD, "if (steps < CLOCK_STEPS)", "if (steps > CLOCK_STEPS)"),
+    "a port without a short": ("init", BOARD, "|| port->pulse == NULL", ""),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=WHOLE) for name in MUTANTS])
+def test_a_core_without_one_guard_is_found_out(tmp_path, name):
+    what, file, old, new = MUTANTS[name]
+    if shutil.which("cc") is None:
+        pytest.skip("needs cc")
+    folder = shutil.copytree(SOURCES, tmp_path / "firmware")
+    source = folder / "core" / file
+    text = source.read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    source.write_text(text.replace(old, new), encoding="utf-8")
+    program = tmp_path / "st_checks"
+    files = [*folder.glob("core/*.c"), folder / "fuzz" / "st_checks.c"]
+    include = f"-I{folder / 'core'}"
+    subprocess.run(["cc", "-O1", "-pthread", include, *files, "-o", program], check=True)
+    try:
+        found = check(program, what, 200_000, seconds=60)
+    except AssertionError:
+        return
+    assert what == "init"
+    assert found != check(checks(), "init")
+
+
+@pytest.mark.parametrize("shift", [3, *(pytest.param(each, marks=WHOLE) for each in (2, 4, 6))])
+def test_rests_on_a_cortex_m3(shift):
+    """Of slots of 1 to 24 kernels at 250 to 15.6 MIPS: kept, or refused with the slot."""
+    elf = built("measure", "st_measure.elf", "arm-none-eabi-gcc", "qemu-system-arm")
+    command = ["qemu-system-arm", "-M", "mps2-an385", "-kernel", elf, "-display", "none",
+               "-monitor", "none", "-semihosting", "-icount", f"shift={shift}", "-serial",
+               "stdio", "-serial", "null"]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, check=True, timeout=300)
+    said = done.stdout.decode(errors="replace")
+    rests = [tuple(map(int, each)) for each in re.findall(r"^rest" + r" (\d+)" * 6, said, re.M)]
+    refused = re.findall(r"^refused" + r" (\d+)" * 6 + "$", said, re.M)
+    assert len(rests) + len(refused) == 15
+    assert [each for each in rests if each[4] < each[2] or each[3] != 32] == []
+    # Rule 27, by the slot that takes longest to compute.
+    assert {(int(rule), int(slot) < 2) for *_, rule, slot, _ in refused} <= {(27, True)}
+    assert len(rests) >= (5 if shift == 6 else 15)
+    # At most 150 us beyond what was asked, and what a pass takes to begin.
+    assert [each for each in rests if each[5] > 32 * (250 + each[2]) + 6000] == []
