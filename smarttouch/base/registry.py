@@ -15,6 +15,7 @@ _OWN = {
         "camera": "smarttouch.sources.camera:open_camera",
         "draw": "smarttouch.instruments.drawing_source:open_draw",
         "frames": "smarttouch.sources.video:open_frames",
+        "mcap": "smarttouch.running.mcap_images:open_mcap",
         "osc": "smarttouch.instruments.osc_source:open_osc",
         "page": "smarttouch.sources.virtual_finger:open_page",
         "recording": "smarttouch.running.recorded_source:open_recording",

@@ -26,8 +26,8 @@ def live(
             callback=or_standard_input,
             metavar="SOURCE",
             help="A file, words, or a source by its URL: page:, text:, camera:, video:, frames:, "
-            "serial-array:, brltty:, draw:, osc:, recording:. Options follow: "
-            "scan.png?dpi=300&speed_mm_s=40. A sample page is shown without one.",
+            "serial-array:, brltty:, draw:, osc:, lsl:, socket:, mcap:, recording:. Options "
+            "follow: scan.png?dpi=300&speed_mm_s=40. A sample page is shown without one.",
         ),
     ] = None,
     mode: ModeOption = "RA",

@@ -1,68 +1,42 @@
 """Reader of recordings, also of those that were cut or damaged."""
 
 import math
-import os
-import struct
 from collections.abc import Generator, Iterator
 from datetime import UTC, datetime
 from functools import cached_property
-from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
-from mcap.data_stream import ReadDataStream
-from mcap.opcode import Opcode
-from mcap.records import Channel, Message, Metadata, Schema
-from mcap.writer import MCAP0_MAGIC
+from mcap.records import Message
 from pydantic import ValidationError
 
 from smarttouch.base.errors import ProfileError, RecordingError
-from smarttouch.base.files import open_file, unreadable
 from smarttouch.profile import Profile
 from smarttouch.running.mcap_chunks import (
     BASE_BYTES,
     BASE_MESSAGES,
-    MOST_BYTES,
     MOST_CHUNK_BYTES,
     MOST_INFLATION,
-    chunk_records,
     parse_message,
-    read_record,
-    records_in,
 )
+from smarttouch.running.mcap_file import McapFile
 from smarttouch.running.recording_format import FORMAT, METADATA, RecordedSettings, read_settings
 from smarttouch.running.step_decoder import RecordedStep, StepDecoder
 from smarttouch.stimulation.sequence_limits import LONGEST_PERIOD_US
 
-_CHUNK = struct.Struct("<QQQ")
-"""Head of a chunk: first time, last time, decompressed bytes."""
-_LONGEST_ABOUT = 4 * 2**20
 
-
-class Recording:
+class Recording(McapFile):
     """A recording of a run, also one that was cut or damaged.
 
-    The reader of mcap needs the index at the end, which a killed program did not write. This one
-    goes record by record, checks each chunk's CRC, and leaves out what is damaged. ``about`` is the
-    result of `about_run`; ``broken_steps`` counts incomplete steps of the last reading. Raises
-    RecordingError if there is no such file, or it is not from SmartTouch.
+    ``about`` is the result of `about_run`; ``broken_steps`` counts incomplete steps of the last
+    reading. Raises RecordingError if there is no such file, or it is not from SmartTouch.
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
-        self.about: dict[str, str] = {}
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, Channel] = {}
+        super().__init__(path)
+        self.about = self.metadata.get(METADATA, {})
         self.broken_steps = 0
-        self._bad_at: set[int] = set()
-        self._ended = False
-        self._last_ns = 0
-        self._most_messages = 0
-        try:
-            with open_file(path, RecordingError, MOST_BYTES) as file:
-                self._look_through(file)
-        except OSError as error:
-            raise unreadable(RecordingError, path, error) from None
+        self._require_size()
         found = self.about.get("format")
         if found is None:
             message = f"{path} tells nothing of a run: it is no recording of SmartTouch"
@@ -77,12 +51,7 @@ class Recording:
     @property
     def whole(self) -> bool:
         """True if it ended properly, and everything read so far was intact."""
-        return self._ended and not self._bad_at and not self.broken_steps
-
-    @property
-    def damaged_chunks(self) -> int:
-        """Number of damaged chunks so far."""
-        return len(self._bad_at)
+        return self.ended and not self._bad_at and not self.broken_steps
 
     @cached_property
     def started_unix_ns(self) -> int:
@@ -182,89 +151,20 @@ class Recording:
                 yield message.log_time - self.started_unix_ns, words
 
     def messages(self) -> Iterator[tuple[str, Message]]:
-        """Yield all messages with their topics, in the order of the file."""
-        count = 0
-        try:
-            with open_file(self.path, RecordingError, MOST_BYTES) as file:
-                for opcode, at, length in records_in(file, len(MCAP0_MAGIC)):
-                    if opcode not in (Opcode.CHUNK, Opcode.MESSAGE):
-                        continue
-                    if length > MOST_CHUNK_BYTES:
-                        self._bad_at.add(at)
-                        continue
-                    file.seek(at)
-                    for each in self._messages_in(opcode, at, file.read(length)):
-                        count += 1
-                        if count > self._most_messages:
-                            raise RecordingError(
-                                f"{self.path} holds more than {self._most_messages:,} messages, "
-                                "too many for its size: it was not made by recording",
-                                about="messages",
-                            )
-                        yield each
-        except OSError as error:
-            raise unreadable(RecordingError, self.path, error) from None
+        """Yield all messages in JSON with their topics, in the order of the file."""
+        for count, (channel, message) in enumerate(self.all_messages(), 1):
+            if count > self._most_messages:
+                raise RecordingError(
+                    f"{self.path} holds more than {self._most_messages:,} messages, too many for "
+                    "its size: it was not made by recording",
+                    about="messages",
+                )
+            if channel.message_encoding == "json":
+                yield channel.topic, message
 
-    def _messages_in(self, opcode: int, at: int, data: bytes) -> Iterator[tuple[str, Message]]:
-        records = (
-            chunk_records(data) if opcode == Opcode.CHUNK else map(read_record, [opcode], [data])
-        )
-        while True:
-            try:
-                record = next(records, None)
-            except ValueError:
-                self._bad_at.add(at)
-                return
-            if record is None:
-                return
-            if isinstance(record, Message):
-                channel = self.channels.get(record.channel_id)
-                if channel is not None and channel.message_encoding == "json":
-                    yield channel.topic, record
-            else:
-                self._note(record)
-
-    def _note(self, record: object) -> None:
-        if isinstance(record, Schema):
-            self.schemas[record.id] = record
-        elif isinstance(record, Channel):
-            self.channels[record.id] = record
-
-    def _look_through(self, file: BinaryIO) -> None:
-        """Read everything but the messages."""
-        if not file.seek(0, os.SEEK_END):
-            raise RecordingError(f"{self.path} is empty", about="file")
-        file.seek(0)
-        if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-            raise RecordingError(f"{self.path} is no MCAP file", about="file")
-        kinds: dict[int, Any] = {
-            Opcode.METADATA: Metadata,
-            Opcode.SCHEMA: Schema,
-            Opcode.CHANNEL: Channel,
-        }
-        claims: list[int] = []
-        for opcode, at, length in records_in(file, len(MCAP0_MAGIC)):
-            file.seek(at)
-            if opcode == Opcode.CHUNK and length >= _CHUNK.size:
-                _, last_ns, claimed = _CHUNK.unpack(file.read(_CHUNK.size))
-                self._last_ns = max(self._last_ns, last_ns)
-                claims.append(claimed)
-            elif opcode == Opcode.FOOTER:
-                file.seek(at + length)
-                self._ended = file.read() == MCAP0_MAGIC
-            elif opcode in kinds and length <= _LONGEST_ABOUT:
-                try:
-                    record = kinds[opcode].read(ReadDataStream(BytesIO(file.read(length))))
-                except Exception:
-                    self._bad_at.add(at)
-                    continue
-                self._note(record)
-                if isinstance(record, Metadata) and record.name == METADATA:
-                    self.about = record.metadata
-        self._require_size(claims, file.seek(0, os.SEEK_END))
-
-    def _require_size(self, claims: list[int], size: int) -> None:
-        """Raise if the chunks of a file declare more than a recording can hold."""
+    def _require_size(self) -> None:
+        """Raise if the chunks declare more than a recording can hold."""
+        size, claims = self.path.stat().st_size, self.claims
         believed = [each for each in claims if each <= MOST_CHUNK_BYTES]
         most = BASE_BYTES + MOST_INFLATION * size
         if sum(believed) > most or (claims and not believed):

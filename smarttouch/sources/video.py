@@ -67,6 +67,10 @@ class Clip(ABC):
     def next(self) -> NDArray[np.uint8] | None:
         """Return the next image, grey, (H, W); None at the end."""
 
+    def due_ns(self, number: int) -> int:
+        """Return the time of the last or the next image, by its number from 0, since the first."""
+        return round(number * 1e9 / self.rate_hz)
+
     @abstractmethod
     def skip(self) -> bool:
         """Skip the next image; return False at the end."""
@@ -276,7 +280,7 @@ HOPELESS_NS = 250_000_000
 
 def open_video(rest: str, profile: Profile, *, unpaced: bool = False) -> OpticalSource:
     """Open ``video:FILE``, any video that OpenCV reads; ``unpaced`` gives one frame a read."""
-    return _open(VideoFile(Path(rest)), profile, unpaced)
+    return open_clip(VideoFile(Path(rest)), profile, unpaced)
 
 
 def open_frames(
@@ -289,10 +293,11 @@ def open_frames(
     rate_hz = USUAL_HZ if fps is None else fps
     words = f"a rate of {rate_hz:g} images a second"
     require_within(SourceError, "fps", rate_hz, 0, FASTEST_HZ, words, above=True)
-    return _open(ImageFolder(Path(rest), rate_hz), profile, unpaced)
+    return open_clip(ImageFolder(Path(rest), rate_hz), profile, unpaced)
 
 
-def _open(clip: Clip, profile: Profile, unpaced: bool) -> OpticalSource:
+def open_clip(clip: Clip, profile: Profile, unpaced: bool) -> OpticalSource:
+    """Return the source of a clip, at its own pace or with an image for each read."""
     if unpaced:
         return UnpacedClip(clip, profile)
     source = LiveSource(PacedClip(clip), profile)
@@ -346,7 +351,7 @@ class PacedClip(ImageDevice):
         return shot
 
     def _due_ns(self) -> int:
-        return (self._start_ns or 0) + round(self._number * 1e9 / self._clip.rate_hz)
+        return (self._start_ns or 0) + self._clip.due_ns(self._number)
 
     def _catch_up(self) -> None:
         """Skip images that are too late."""
