@@ -4,6 +4,8 @@ import itertools
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
@@ -14,6 +16,7 @@ from smarttouch.kernels.switched_design import (
     design_one_of_n,
     design_three_state,
     polarity,
+    pole_shares,
     possible_modes,
 )
 from smarttouch.kernels.weighted_design import design_kernel
@@ -56,6 +59,19 @@ def by_trying_all(problem, site):
         spills = kernel.spill > 0.2
         best = min(best, max(kernel.off_target, kernel.spill) if spills else kernel.off_target)
     return best
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 40))
+def test_a_pole_has_one_voltage_and_both_carry_the_source(seed, count):
+    rng = np.random.default_rng(seed)
+    states = rng.integers(-1, 2, (5, count)).astype(np.int8)
+    admittance = rng.uniform(0.2, 5.0, count)
+    for state, share in zip(states, pole_shares(states, admittance), strict=True):
+        assert (np.sign(share) == state).all()
+        for pole in (1, -1):
+            voltage = (share / admittance)[state == pole]
+            assert voltage == pytest.approx(np.full(len(voltage), voltage[:1]))
+            assert share[state == pole].sum() == pytest.approx(pole * (len(voltage) > 0))
 
 
 IMPEDANCES = [1.0, [1.0, 3.0, 0.5, 2.0, 1.0, 0.7]]
