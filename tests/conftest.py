@@ -28,15 +28,21 @@ from .firmware import build
 from .safety.watch import Watch
 from .whole import WHOLE
 
-PATIENCE_S = 5
-"""How long boards and keepers bear a host's silence, where it is not what is tested."""
-NEVER_LATE_NS = 60_000_000_000
-"""How late a sequence may be, and still be sent, where that is not what is tested."""
-LATENESS = [
-    f"smarttouch.{module}.LATE_NS"
-    for module in ("running.loop", "boards.link.link_board", "boards.kits.streamed", "boards.seal")
-]
-"""Bounds of what boards and the loop call late."""
+PATIENCE_S, NEVER_LATE_NS = 5, 60_000_000_000
+PATIENT_KEEPER = (
+    f"import sys; sys.path.append({str(Path(keeper.__file__).parent)!r}); import keeper; "
+    f"keeper.SILENCE_S = {PATIENCE_S}; keeper.main()"
+)
+PATIENT = {
+    "smarttouch.boards.kits.kept_line.COMMAND": [sys.executable, "-I", "-S", "-c", PATIENT_KEEPER],
+    "smarttouch.boards.link.packet_line.SILENCE_S": PATIENCE_S,
+    "smarttouch.emulator.link_firmware.SILENCE_MS": 1000 * PATIENCE_S,
+    "smarttouch.running.loop.LATE_NS": NEVER_LATE_NS,
+    "smarttouch.boards.link.link_board.LATE_NS": NEVER_LATE_NS,
+    "smarttouch.boards.kits.streamed.LATE_NS": NEVER_LATE_NS,
+    "smarttouch.boards.seal.LATE_NS": NEVER_LATE_NS,
+}
+"""What `patient_boards` changes, in this process and in the programs that it starts."""
 
 _STATES = itertools.count()
 
@@ -97,36 +103,18 @@ def own_state(tmp_path_factory, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(folder))
 
 
-@pytest.fixture(scope="session")
-def patient_keeper(tmp_path_factory):
-    """Return a keeper's program that bears a host's silence for long."""
-    path = tmp_path_factory.mktemp("keeper") / "keeper.py"
-    source = Path(keeper.__file__).read_text("utf-8")
-    usual = f"SILENCE_S = {keeper.SILENCE_S:g}"
-    assert source.count(usual) == 1
-    path.write_text(source.replace(usual, f"SILENCE_S = {PATIENCE_S}"), "utf-8")
-    return path
+@pytest.fixture
+def patient_boards(monkeypatch):
+    """Let boards, keepers and the loop bear a host that waits for a processor.
 
-
-@pytest.fixture(autouse=True)
-def patient_lines(request, monkeypatch):
-    """Who waits for a processor is neither silent nor late yet.
-
-    Tests of silence are marked as such, and those of lateness.
+    Of tests beside others on few cores, of neither silence nor lateness. All others have what
+    users have.
     """
-    monkeypatch.setattr("smarttouch.boards.link.packet_line.SILENCE_S", PATIENCE_S)
-    if "silence" not in request.keywords:
-        changes = {
-            "smarttouch.emulator.link_firmware.SILENCE_MS": 1000 * PATIENCE_S,
-            "smarttouch.boards.kits.keeper.__file__": str(
-                request.getfixturevalue("patient_keeper")
-            ),
-        } | dict.fromkeys(LATENESS, NEVER_LATE_NS)
-        monkeypatch.setattr(forks.Forked, "changes", changes)
-        monkeypatch.setattr(keeper, "__file__", changes["smarttouch.boards.kits.keeper.__file__"])
-        monkeypatch.setattr(build, "silence_ms", 1000 * PATIENCE_S)
-        for name in () if "lateness" in request.keywords else LATENESS:
-            monkeypatch.setattr(name, NEVER_LATE_NS)
+    changes = dict(PATIENT)
+    monkeypatch.setattr(forks.Forked, "changes", changes)
+    for name, value in changes.items():
+        monkeypatch.setattr(name, value)
+    monkeypatch.setattr(build, "silence_ms", 1000 * PATIENCE_S)
 
 
 @pytest.fixture(scope="session")

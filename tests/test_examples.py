@@ -13,6 +13,7 @@ import smarttouch as st
 EXAMPLES = Path(__file__).parent.parent / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))
 LONG = (
+    "activating_function",
     "array_study",
     "braille_page",
     "electric_mouse",

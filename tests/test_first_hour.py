@@ -1,7 +1,11 @@
 """The first hour of docs/tutorial, step by step, as a reader would go through it."""
 
+import pytest
+
 from .documented import ROOT, Reader
 from .forks import Forked
+
+pytestmark = pytest.mark.usefixtures("patient_boards")
 
 
 def test_every_step_works(tmp_path):

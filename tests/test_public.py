@@ -42,6 +42,7 @@ def test_importing_it_imports_nothing_heavy():
     assert int(done.stdout) == 0
 
 
+@pytest.mark.usefixtures("patient_boards")
 def test_a_run_in_ten_lines(tmp_path):
     profile = st.load_profile("electric-mouse")
     with (
@@ -69,6 +70,7 @@ def test_steps_without_a_board_are_those_of_a_run():
         np.testing.assert_array_equal(ours.tactile.activation, run.tactile.activation)
 
 
+@pytest.mark.usefixtures("patient_boards")
 def test_a_run_in_a_thread_ends_by_its_display():
     profile, found = st.load_profile("electric-mouse"), []
     display = st.open_display("emulator:", profile)

@@ -25,6 +25,8 @@ from tests.boards.sent import SentBytes, pulses_in_books
 from ..raising import raises
 from ..whole import WHOLE
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 SECOND = 10**9
 
 

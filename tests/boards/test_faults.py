@@ -21,7 +21,7 @@ from tests.boards.fresh import alive, deliver, until
 
 from ..raising import assert_says, raises
 
-pytestmark = [pytest.mark.realtime, pytest.mark.silence]
+pytestmark = pytest.mark.realtime
 
 HOST = """
 import sys, time

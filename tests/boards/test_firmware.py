@@ -33,7 +33,6 @@ class TestFirmware(Contract):
 
         return url
 
-    @pytest.mark.silence
     def test_it_tells_what_it_can_do(self, new_board):
         super().test_it_tells_what_it_can_do(new_board)
 
@@ -89,6 +88,7 @@ class TestCortexM3(TestFirmware):
         return [replace(pulse, discharge_us=None) for pulse in super().pulses()]
 
 
+@pytest.mark.usefixtures("patient_boards")
 def test_a_sudden_rise_is_refused(start_firmware, tmp_path, make_limits, make_sequence):
     """By a board with a ramp of its own: what the gate was made to overlook the board does not."""
     port = start_firmware(f"--books={tmp_path}")[1]
@@ -103,7 +103,6 @@ def test_a_sudden_rise_is_refused(start_firmware, tmp_path, make_limits, make_se
 
 
 @pytest.mark.realtime
-@pytest.mark.silence
 def test_a_host_that_is_killed_leaves_zero(start_firmware, tmp_path, make_limits, make_sequence):
     port = start_firmware(f"--books={tmp_path}")[1]
     # A second way to the port: it stays open when the host is gone.

@@ -13,6 +13,8 @@ from smarttouch.emulator.emulated_boards import EmulatorBoard
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 PATIENCE_S = 20
 LIMITS = SafetyLimits(61, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
 OUTPUT = Output(kind="one-against-all")

@@ -17,6 +17,8 @@ from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.boards.fresh import until
 from tests.boards.told import MS, ToldKit
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 PATTERNS = int(os.environ.get("SMARTTOUCH_PATTERNS", "150"))
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
 PERIOD_US = 20_000

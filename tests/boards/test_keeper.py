@@ -24,7 +24,7 @@ from smarttouch.boards.kits.kept_line import KeptLine
 from ..raising import raises
 from .fresh import alive, until
 
-pytestmark = [pytest.mark.realtime, pytest.mark.silence]
+pytestmark = pytest.mark.realtime
 
 ZERO = b"these bytes mean zero"
 TWICE = ZERO + ZERO

@@ -16,6 +16,8 @@ from smarttouch.profile.device import Output
 from ..forks import PROGRAM
 from .fresh import starter
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 FAULTY = str(Path(__file__).with_name("faulty_board.py"))
 
 

@@ -16,8 +16,6 @@ from smarttouch.stimulation.safety_gate import Rise, SafetyLimits
 from .fresh import deliver
 from .told import ToldKit
 
-pytestmark = pytest.mark.lateness
-
 HOUR_NS = 3600 * 10**9
 
 

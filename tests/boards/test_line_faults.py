@@ -98,6 +98,7 @@ MISHAPS = [
 ]  # fmt: skip
 
 
+@pytest.mark.usefixtures("patient_boards")
 @pytest.mark.parametrize(("hosted", "change"), MISHAPS, indirect=["hosted"])
 def test_bytes_lost_or_doubled_on_the_way_to_the_board(hosted, change):
     with hosted.board as board:
@@ -112,6 +113,7 @@ def test_bytes_lost_or_doubled_on_the_way_to_the_board(hosted, change):
     hosted.assert_zero()
 
 
+@pytest.mark.usefixtures("patient_boards")
 @pytest.mark.parametrize("hosted", [
     "link", "link C", "etactilekit", "etactilekit 936c6c0", "etactilekit newest", FIRMWARES[1],
 ], indirect=True)  # fmt: skip
@@ -132,7 +134,6 @@ def test_a_reply_that_is_not_whole(hosted, change):
     ["link", "kajimoto61", "etactilekit", FIRMWARES[0]],
     indirect=True,
 )
-@pytest.mark.silence
 def test_a_measurement_that_is_cut_short_ends_in_zero_and_the_next_is_whole(hosted, monkeypatch):
     # Only answers are lost here: its parser needs no long silence.
     monkeypatch.setattr("smarttouch.boards.kits.etactilekit_line.FORGETS_S", 0.1)
@@ -150,7 +151,6 @@ def test_a_measurement_that_is_cut_short_ends_in_zero_and_the_next_is_whole(host
 
 
 @ALL
-@pytest.mark.silence
 def test_a_port_that_goes_and_comes_back_begins_at_zero(hosted, known_by_usb):
     # A kajimoto61 cannot be asked who it is.
     known_by_usb(hosted.line.path, hosted.kind == "kajimoto61")
@@ -182,7 +182,6 @@ def test_a_port_that_stays_away_is_told_of(hosted, monkeypatch):
 
 @pytest.mark.parametrize("hosted", ["etactilekit"], indirect=True)
 @pytest.mark.parametrize("known", [False, True], ids=["asked", "known"])
-@pytest.mark.silence
 def test_a_board_that_is_back_gets_zero_first(hosted, known_by_usb, known):
     """Where USB does not say that it is the same, its answer does; it is not given time to boot."""
     known_by_usb(hosted.line.path, known)

@@ -22,6 +22,8 @@ from .test_etactilekit import OPEN, PING, QUIET, ZERO, make  # noqa: F401
 from .test_kajimoto61 import LIMITS, RECOVERY
 from .test_kajimoto61 import OPEN as KAJIMOTO_OPEN
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 STOPS = {"stop": lambda board: board.stop(), "halt": lambda board: board.halt()}
 NO_SENSE = b"\xf9\0\0\xf8\0\0"
 SENSE = QUIET + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, 50, 0xF9, 100])

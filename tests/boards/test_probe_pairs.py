@@ -10,6 +10,8 @@ from smarttouch.boards.probe_scans import measure_in_pairs
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 LIMITS = SafetyLimits(24, 5.0, 200, 0.5, 200, 0.8, 0.5, 2.4)
 COMPLIANCE_V = 300.0
 

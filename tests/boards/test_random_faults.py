@@ -18,7 +18,7 @@ from tests.boards.conftest import FIRMWARES
 from tests.boards.fresh import HANGS_S
 
 SECONDS = float(os.environ.get("SMARTTOUCH_FAULT_SECONDS", "2"))
-pytestmark = [pytest.mark.realtime, pytest.mark.silence]
+pytestmark = pytest.mark.realtime
 
 
 class Weather:

@@ -13,6 +13,8 @@ from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import RechargeRules, add_recharge
 from tests.boards.fresh import deliver
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 RULES = RechargeRules(np.full(8, 119, np.int64), 10_000, ScanTiming())
 BOARDS = ("memory:", "simulated:", "emulator:")
 

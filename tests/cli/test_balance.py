@@ -9,6 +9,8 @@ from smarttouch.emulator.firmware import read_recharges
 from ..boards.fresh import fresh_state
 from .conftest import refused, says
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 
 @pytest.fixture
 def live(program_here):

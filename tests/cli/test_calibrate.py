@@ -29,6 +29,8 @@ from ..boards.fresh import fresh_state, until
 from ..forks import EMULATOR, Forked
 from .conftest import PRESSED, says
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 
 @pytest.fixture
 def run(monkeypatch, tmp_path):

@@ -14,7 +14,7 @@ from smarttouch.running.recording_reader import Recording
 
 from .conftest import refused, says
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("patient_boards")]
 
 RUN = ("live", "--seconds", "60", "--json", "run.json", "--record", "run.mcap")
 

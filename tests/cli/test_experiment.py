@@ -25,6 +25,8 @@ from smarttouch.views.screen import BlindScreen
 
 from .conftest import refused, says
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 SMALL = "experiment run frequency --standards 30 --train-s 0.15"
 SIMULATED = f"{SMALL} --simulate model --gap-s 0.1"
 ONCE = f"{SIMULATED} --repetitions 1"

@@ -36,6 +36,7 @@ def ending(host):
     return host.returncode, output, errors
 
 
+@pytest.mark.usefixtures("patient_boards")
 @pytest.mark.parametrize(
     ("number", "name"),
     [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP")],
@@ -51,7 +52,6 @@ def test_signals_end_in_order(running, number, name):
     assert (state["state"], state["reason"]) == ("shorted", "stop")
 
 
-@pytest.mark.silence
 def test_the_host_is_killed(running):
     host, emulator, books = running
     host.kill()
@@ -63,7 +63,6 @@ def test_the_host_is_killed(running):
     assert state["zero_after_ms"] <= 1000
 
 
-@pytest.mark.silence
 def test_the_host_hangs(running):
     """Stopped in its tracks, with the port still open: the board's watchdog ends it."""
     host, _, books = running
@@ -132,6 +131,7 @@ def test_an_exception_in_a_stage(monkeypatch, capsys, start_emulator, stage):
     assert read_state(books)["state"] == "shorted"
 
 
+@pytest.mark.usefixtures("patient_boards")
 def test_a_recording_that_is_removed_is_no_recording(start_program, tmp_path):
     host = start_program(
         "live", "text:touch?speed_mm_s=1", "--board", "simulated:",

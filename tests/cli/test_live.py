@@ -14,6 +14,8 @@ from smarttouch.profile import list_profiles, load_profile
 
 from .conftest import panels
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 SAMPLE = f"page:{data_folder('sample_images') / 'page.png'}"
 KEYS = {
     "frames", "sequences", "slots", "pulses", "acknowledged", "dropped_frames", "rate_asked_hz",

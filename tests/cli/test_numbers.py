@@ -15,6 +15,8 @@ from smarttouch.cli import app
 
 from ..forks import PROGRAM, Forked
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 RUNS = int(os.environ.get("SMARTTOUCH_NUMBERS", "12"))
 """How many of all pairs of an option and a number are tried; 0 is all."""
 NUMBERS = (

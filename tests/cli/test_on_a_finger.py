@@ -7,6 +7,8 @@ from smarttouch.boards.open import may_touch_a_finger
 from ..boards.fresh import fresh_state
 from .conftest import refused, says
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 
 @pytest.mark.parametrize(("url", "finger"), [
     ("link:x", True), ("kajimoto61:x", True), ("etactilekit:x", True), ("vibrators:x", True),

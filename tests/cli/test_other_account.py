@@ -17,7 +17,7 @@ import pytest
 
 from smarttouch.running.recording_reader import Recording
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("patient_boards")]
 
 INTRUDER = r"""
 import glob, http.client, json, os, re, socket, sys

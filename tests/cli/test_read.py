@@ -27,6 +27,8 @@ from smarttouch.running.recording_reader import Recording
 from ..braille.embossed import emboss
 from .conftest import panels, refused, says
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 needs_tesseract = pytest.mark.skipif(
     shutil.which("tesseract") is None, reason="needs Tesseract: apt install tesseract-ocr"
 )

@@ -19,6 +19,8 @@ from ..boards.fresh import fresh_state
 from ..running.forged_recordings import put_together, take_apart
 from .conftest import refused, says
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 GOLDEN = Path(__file__).parents[1] / "running" / "goldens" / "kajimoto.mcap"
 
 

@@ -23,6 +23,8 @@ from smarttouch.sources.source_contract import Stimulus
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
 from smarttouch.views.screen import ArrayPicture, BlindScreen, Screen, _beside, image_text
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 SIZES = [(120, 40), (80, 24), (60, 15)]
 MARKS = "·○◔◑◕●"
 

@@ -15,7 +15,7 @@ from smarttouch.running.recording_reader import Recording
 
 from ..boards.fresh import starter, until
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("patient_boards")]
 
 PATIENCE_S = 60
 SOURCE = Path(__file__).with_name("programs.py")

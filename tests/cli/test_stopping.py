@@ -19,7 +19,7 @@ from ..boards.fresh import until
 from ..forks import PROGRAM, Forked
 from .conftest import PRESSED, refused, says
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("patient_boards")]
 
 PATIENCE_S = 30
 

@@ -17,7 +17,7 @@ from smarttouch.running.recording_reader import Recording
 
 from .conftest import refused, says
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("patient_boards")]
 
 
 @pytest.mark.parametrize(("words", "expected"), [

@@ -24,6 +24,8 @@ from smarttouch.sources.load_cell import open_cell
 from ..boards.fresh import starter, until
 from ..forks import EMULATOR, Forked
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 ZERO = b"\xff" + bytes(61)
 
 

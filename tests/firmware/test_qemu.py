@@ -68,7 +68,6 @@ class OverSocket:
         return answer, []
 
 
-@pytest.mark.silence
 def test_noise_is_nothing_and_silence_is_zero_within_100_ms(machine):
     port, pulses = machine
     number = int(port.rpartition(":")[2])

@@ -22,10 +22,12 @@ from smarttouch.running.display import Display
 from smarttouch.running.runner import Runner
 from tests.reading.real_brltty import Brltty, cells_of, free_port, require_brltty, wait_until
 
+from ..whole import WHOLE
+
 HANGS_S = 60
 ROUTE = 1 << 16
 WIDTH = 6
-TEXTS = int(os.environ.get("SMARTTOUCH_TEXTS", "100"))
+TEXTS = int(os.environ.get("SMARTTOUCH_TEXTS", "100" if WHOLE else "20"))
 RISING = 12
 """Texts felt before, until intensity is up."""
 PERIODS_A_CELL = 3

@@ -144,7 +144,6 @@ def test_a_late_loop_moves_its_schedule_and_never_hurries(pipeline, board):
     assert clock.deadlines[3] - clock.deadlines[2] == 85_000_000
 
 
-@pytest.mark.lateness
 def test_after_a_stall_nothing_comes_on_suddenly(pipeline, board):
     clock = FakeClock([0] * 40 + [150_000_000])
     with board:
@@ -364,6 +363,7 @@ def test_what_could_not_be_held_is_told(profile):
     assert "2 sites" in note
 
 
+@pytest.mark.usefixtures("patient_boards")
 @pytest.mark.realtime
 def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
     """By the voltages and the force that the board tells; it comes back from zero."""
@@ -559,7 +559,6 @@ def test_the_age_of_an_image_counts(pipeline, board):
     assert 0 < tally.work_share < 1
 
 
-@pytest.mark.lateness
 def test_what_was_computed_before_a_pause_is_not_sent(monkeypatch, pipeline, board):
     """The computer stands still between the making of a sequence and its sending."""
     clock, tally, words = FakeClock(), RunStatistics(), []
@@ -589,7 +588,6 @@ def test_what_was_computed_before_a_pause_is_not_sent(monkeypatch, pipeline, boa
     assert any(isinstance(event, BoardRestarted) for event in words)
 
 
-@pytest.mark.lateness
 def test_a_pause_before_a_frame_is_taken_drops_nothing(pipeline, board):
     board._clock = clock = FakeClock([0] * 40 + [300_000_000])
     with board:

@@ -19,6 +19,8 @@ from smarttouch.running.recording_reader import Recording
 
 from ..raising import raises
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 RING = np.zeros(64, np.float32)
 RING[[18, 19, 20, 26, 28, 34, 35, 36]] = 1
 LETTER = st.open_source("text:AAAAA", st.load_profile("electric-mouse")).read(9 * 10**8).image

@@ -196,6 +196,7 @@ class Brighter(StimulusSource):
         return Stimulus(activation, time_ns, self._press_n, self._period_us)
 
 
+@pytest.mark.usefixtures("patient_boards")
 @pytest.mark.parametrize("url", ["memory:", "emulator:"])
 @pytest.mark.parametrize("period_us", [20_000, 120_000])
 def test_strong_pulses_after_weak_ones_rise_by_the_ramp(url, period_us, profile, changed):

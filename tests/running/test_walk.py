@@ -61,7 +61,6 @@ def test_each_electrode_rises_from_zero_against_all_others():
             assert others[-1] - others[0] <= 1
 
 
-@pytest.mark.lateness
 def test_after_a_pause_the_current_rises_from_zero_again():
     clock = TwitchingClock([0] * 10 + [10**9] + [0] * 10**4)
     _, sequences, _ = walked(clock, seconds=0.8, sites=[0])

@@ -19,7 +19,7 @@ LONG = "SMARTTOUCH_KILLS" in os.environ
 WITHIN_MS = 100
 SLOW_WIRE_MS = 54
 """What means zero for 32 outputs are 143 bytes: 18 pieces of 8, each with a pause of 3 ms."""
-pytestmark = [pytest.mark.realtime, pytest.mark.silence]
+pytestmark = pytest.mark.realtime
 WATCHED_MS = 600
 STEP_MS = 10
 """By so much the clock of an emulated board may run on while its process is kept from running."""

@@ -32,7 +32,6 @@ pytestmark = pytest.mark.timeout(120 + 30 * ROUNDS)
 
 
 @pytest.mark.realtime
-@pytest.mark.silence
 @pytest.mark.skipif(sys.platform != "linux", reason="it collects orphans as only Linux lets it")
 @pytest.mark.parametrize("action", ["measuring", "rising", "repeating"])
 @pytest.mark.parametrize("kind", ["link", "kajimoto61", *KITS])

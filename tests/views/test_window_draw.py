@@ -11,7 +11,7 @@ from smarttouch.instruments.drawing_source import DrawSource
 from ..waiting import until
 from .browser import opened, violations
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("patient_boards")]
 
 
 def stroke(page, *places):

@@ -16,7 +16,7 @@ from ..waiting import until
 from .browser import opened, violations
 from .conftest import colors, drawn, strongest
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("patient_boards")]
 
 
 @pytest.fixture

@@ -21,6 +21,8 @@ BEAT_S = 0.02
 ANSWER_S = 2.0  # longest time of the keeper's start or answer
 ENDS_WITHIN_S = 1.5  # of the keeper; zero for 253 outputs takes .4 s in small pieces
 WRITE_S = 0.5
+COMMAND = [sys.executable, "-I", "-S", keeper.__file__]
+"""Of the keeper; isolated: no user setting or package can keep it from starting."""
 
 _WHY = {
     keeper.SILENT: "this program stood still for more than "
@@ -63,8 +65,7 @@ class KeptLine:
             its.enter_context(controlled)
             ends = (_descriptor(self._port), there.fileno(), controlled.fileno())
             self._process = subprocess.Popen(
-                # Isolated: no user setting or package can keep it from starting.
-                [sys.executable, "-I", "-S", keeper.__file__, *map(str, ends)],
+                [*COMMAND, *map(str, ends)],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
