@@ -13,7 +13,7 @@ from smarttouch.boards.kits.etactilekit import ETactileKitBoard
 from smarttouch.boards.link.link_board import LinkBoard
 from smarttouch.profile.device import Output
 
-from ..forks import PROGRAM
+from ..forks import PROGRAM, Forked
 from .fresh import starter
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
@@ -97,18 +97,19 @@ def test_a_record_outlives_its_process_and_is_private(tmp_path, make_limits):
 
 
 def test_the_command_line_refuses_and_clears(start_emulator):
-    _, port = start_emulator(electrodes=64)
+    _, port = start_emulator("--linger=30", electrodes=64)
     latch(str(Path(port).resolve()), "a fault")
 
     def run(*arguments):
-        return subprocess.run(
-            [PROGRAM, "board", *arguments], capture_output=True, text=True, check=False
-        )
+        command, pipe = [PROGRAM, "board", *arguments, f"link:{port}"], subprocess.PIPE
+        with Forked(command, stdout=pipe, stderr=pipe, text=True) as program:
+            out, _ = program.communicate()
+        return program.returncode, out
 
-    assert run("info", f"link:{port}").returncode == 2
-    assert "a fault" in run("clear", f"link:{port}").stdout
-    assert run("info", f"link:{port}").returncode == 0
-    assert "a fault" not in run("clear", f"link:{port}").stdout
+    assert run("info")[0] == 2
+    assert "a fault" in run("clear")[1]
+    assert run("info")[0] == 0
+    assert "a fault" not in run("clear")[1]
 
 
 def test_a_fault_is_the_error_of_whatever_is_sent_after_it(

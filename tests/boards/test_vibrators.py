@@ -26,6 +26,8 @@ from ..raising import raises
 from . import test_contract
 from .fresh import deliver
 
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 MS = 1_000_000
 SECOND = 1000 * MS
 PERIOD_US = 20_000

@@ -50,16 +50,21 @@ def wait_for(holds):
 
 
 @pytest.fixture
-def source(profile):
-    with st.open_source(f"osc:{free_port()}", profile) as opened:
+def port():
+    return free_port()
+
+
+@pytest.fixture
+def source(profile, port):
+    with st.open_source(f"osc:{port}", profile) as opened:
         yield opened
 
 
 @pytest.fixture
-def send(source):
+def send(source, port):
     """Return a sender of a packet, from a socket that is known; it waits until that is taken."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
-        line.connect(source._line.getsockname())
+        line.connect(("127.0.0.1", port))
         wait_for(lambda: line.getsockname()[1] in source._programs._seen)
 
         def sent(data):
@@ -192,8 +197,8 @@ def test_what_is_no_port_is_refused(profile, place):
         st.open_source(f"osc:{place}", profile)
 
 
-def test_a_port_that_is_taken_is_refused(source, profile):
-    port = source._line.getsockname()[1]
+@pytest.mark.usefixtures("source")
+def test_a_port_that_is_taken_is_refused(port, profile):
     with raises(SourceError, about="address"):
         st.open_source(f"osc:{port}", profile)
 
@@ -243,8 +248,8 @@ def signed(packet, key=b"0123456789abcdef", after_s=0):
 
 @pytest.mark.parametrize("address", ["127.0.0.1", "0.0.0.0"])
 def test_with_a_key_each_packet_is_signed_and_taken_once(profile, key, address):
-    source = st.open_source(f"osc:{address}:{free_port(address)}?key={key}", profile)
-    place = ("127.0.0.1", source._line.getsockname()[1])
+    place = ("127.0.0.1", free_port(address))
+    source = st.open_source(f"osc:{address}:{place[1]}?key={key}", profile)
     point = built("point", 0.0, 0.0).dgram
     first, later = signed(point), signed(built("point", 1.0, 1.0).dgram)
     with source, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
@@ -320,9 +325,8 @@ with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
 
 
 @pytest.mark.parametrize("shares", [False, True])
-def test_another_user_is_refused(source, send, other_account, shares):
+def test_another_user_is_refused(source, port, send, other_account, shares):
     """With a port of its own, and with one that it shares with a program of ours."""
-    port = source._line.getsockname()[1]
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         ours.bind(("127.0.0.1", 0))
@@ -349,20 +353,20 @@ for port in sys.stdin:
 """
 
 
-def test_a_port_that_another_user_leaves_to_us_brings_nothing(source, other_account):
+def test_a_port_that_another_user_leaves_to_us_brings_nothing(source, port, other_account):
     """Its packets wait while a program of ours takes the port: by the port they would be ours."""
-    here = source._line.getsockname()
+    here = ("127.0.0.1", port)
     packets = [built("point", at, at).dgram for at in (0.0, 1.0)]
     taken, take = [], source._take
     source._take = lambda data: taken.append(data) or take(data)
     with other_account("-c", LEAVER, here[1], packets[0].hex()) as process:
         for _ in range(10):
-            port, before = free_port(), source.given
-            process.stdin.write(f"{port}\n")
+            other, before = free_port(), source.given
+            process.stdin.write(f"{other}\n")
             process.stdin.flush()
             assert process.stdout.readline() == "bound\n"
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
-                wait_for(lambda ours=ours, port=port: is_bound(ours, port))
+                wait_for(lambda ours=ours, other=other: is_bound(ours, other))
                 while source.given == before:
                     ours.sendto(packets[1], here)
                     time.sleep(0.005)

@@ -318,17 +318,6 @@ def test_a_person_is_told_what_to_do_and_stops(procedure, key):
     assert len(said) == 2
 
 
-def test_a_simulated_subject_answers_for_a_person(procedure, profile):
-    """Over 48 electrodes: bias 0 %, spread 4 %; comfort -1 and 4 %."""
-    said, found = measured(procedure(simulate=True, adaptive=True))
-    assert [each.partition(":")[0] for each in said] == ["electrode 5"]
-    measuring = measuring_profile(profile)
-    tops_ma = measuring.full_ma.tolist()
-    truth = simulated_finger(profile, measuring, tops_ma, 0)
-    assert found[5].threshold_ma == pytest.approx(truth.threshold_ma[5], rel=0.12)
-    assert found[5].comfort_ma == pytest.approx(truth.enough_ma[5], rel=0.12)
-
-
 def found(threshold=1.0, comfort=2.0):
     return Thresholds(threshold, comfort, 0.05, 3, 1)
 
