@@ -87,19 +87,9 @@ def test_a_photographed_page(program_here, tmp_path):
     assert 0.1 < done.figures["active_fraction"] < 0.5
 
 
-BLANK = {
-    "white": np.full((180, 600), 255, np.uint8),
-    "gradient": np.tile(np.linspace(90, 220, 600), (180, 1)).astype(np.uint8),
-    "noise": np.random.default_rng(0).integers(0, 256, (180, 600), np.uint8),
-    "coarser noise": np.kron(
-        np.random.default_rng(1).integers(0, 256, (90, 300), np.uint8), np.ones((2, 2), np.uint8)
-    ),
-}
-
-
-@pytest.mark.parametrize("name", BLANK)
-def test_blank_pages_are_silent(figures_of, tmp_path, name):
-    Image.fromarray(BLANK[name]).save(tmp_path / "blank.png")
+def test_a_blank_page_is_silent(figures_of, tmp_path):
+    noise = np.random.default_rng(1).integers(0, 256, (90, 300), np.uint8)
+    Image.fromarray(np.kron(noise, np.ones((2, 2), np.uint8))).save(tmp_path / "blank.png")
     page = "page:blank.png?dpi=300&speed_mm_s=360"
     figures = figures_of(f"live --board simulated: {page} --quiet")
     assert figures["active_fraction"] <= 0.02

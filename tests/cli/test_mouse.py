@@ -34,17 +34,6 @@ def test_without_options_a_virtual_hand_strokes_a_grating(stroke, tmp_path):
         assert picture.width > 900
 
 
-def test_faster_is_as_many_pulses_in_less_time(stroke):
-    slots, seconds = [], []
-    for speed in (40, 80):
-        figures = stroke(f"--motion sweep:?speed_mm_s={speed} --intensity 0.5 --quiet")
-        assert figures["printed"] == ""
-        slots.append(figures["slots"])
-        seconds.append(figures["seconds"])
-    assert slots[0] == pytest.approx(slots[1], abs=64)
-    assert seconds[0] - seconds[1] == pytest.approx(1.5, abs=0.1)
-
-
 def test_an_image_under_a_recorded_hand(stroke, tmp_path):
     object_file(tmp_path / "o.png", "disc")
     (tmp_path / "way.csv").write_text(

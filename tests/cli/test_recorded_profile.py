@@ -9,9 +9,8 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from smarttouch.base.errors import BoardError, ProfileError, RecordingError, SourceError
+from smarttouch.base.errors import BoardError, RecordingError, SourceError
 from smarttouch.cli.recordings import replay
-from smarttouch.profile import load_profile
 from smarttouch.running.recording_files import repair
 from smarttouch.running.recording_reader import Recording
 
@@ -149,20 +148,3 @@ def test_a_recording_brings_no_press_where_no_force_is_measured(
         done = program_here(*command, "--board", f"kajimoto61:{port}", "--intensity", 1)
         says(SourceError, about="force", remedy="force")(refused(done))
     assert fresh_state(books)["max_current_ma"] == 0
-
-
-@pytest.mark.parametrize(("key", "value"), NONSENSE)
-def test_nor_may_a_file(tmp_path, key, value):
-    import tomlkit
-
-    from smarttouch.base.files import data_folder
-
-    text = (data_folder("calibration") / "kajimoto-61.toml").read_text(encoding="utf-8")
-    table = tomlkit.parse(text)
-    first, last = key.split(".")
-    table[first][last] = value
-    path = tmp_path / "own.toml"
-    path.write_text(tomlkit.dumps(table), encoding="utf-8")
-    with pytest.raises(ProfileError) as error:
-        load_profile(path)
-    assert "\n" not in str(error.value)
