@@ -13,7 +13,7 @@ import numpy as np
 from studies.af_error import DEPTHS_MM, af_error_table, ratio_rows
 
 import smarttouch as st
-from smarttouch.views.figure_style import ANODIC, CATHODIC
+from smarttouch.lab import ANODIC, CATHODIC
 
 # %%
 # Threshold by the AF over that of the fiber, by depth in mm: 1 is right; below 1 the AF takes a

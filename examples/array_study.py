@@ -13,9 +13,7 @@ from tempfile import TemporaryDirectory
 import matplotlib.pyplot as plt
 from joblib import parallel_config
 
-from smarttouch.experiments.study_plan import Study
-from smarttouch.experiments.study_run import NAMES, run_study, summed, table_rows
-from smarttouch.views.experiment_figures import study_figure
+from smarttouch.lab import STUDY_NAMES, Study, run_study, study_figure, study_sums, study_table
 
 study = Study(
     title="Two arrays, two modes",
@@ -34,13 +32,13 @@ print(rows[0])
 
 # %%
 # Medians over fingers.
-found = summed(rows)
-heading, lines = table_rows(found)
+found = study_sums(rows)
+heading, lines = study_table(found)
 for line in [heading, *lines]:
     print("".join(cell.ljust(24 if column == 1 else 11) for column, cell in enumerate(line)))
 
 # %%
 # A dot for each finger: how many letters are misread, how many points are silent, how many spikes
 # are of another class, and how many are felt beyond a pitch of every electrode of the letter.
-study_figure(found, NAMES, study.title)
+study_figure(found, STUDY_NAMES, study.title)
 plt.show()

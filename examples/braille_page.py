@@ -13,13 +13,17 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 import smarttouch as st
-from smarttouch.braille.cell_pages import lay_out
-from smarttouch.braille.code_tables import open_table
-from smarttouch.imaging.array_window import profile_for_reading, reading_force_n
-from smarttouch.reading.braille_lines import Braille
-from smarttouch.reading.line_source import LineFeed, ReadingSource, SweepingCursor
-from smarttouch.reading.material import ReadingMaterial
-from smarttouch.views.outputs import DeliveredPicture
+from smarttouch.lab import (
+    Braille,
+    LineFeed,
+    ReadingMaterial,
+    ReadingSource,
+    SweepingCursor,
+    lay_out,
+    open_table,
+    profile_for_reading,
+    reading_force_n,
+)
 
 # %%
 # Cells, and back.
@@ -43,7 +47,7 @@ with tempfile.TemporaryDirectory() as folder:
     source = ReadingSource(text.title, profile, feed, cursor)
     display = st.open_display("simulated:", profile)
     statistics = st.run(
-        source, display, mode="RA", tone=braille.tone, listeners=[DeliveredPicture(felt)]
+        source, display, mode="RA", tone=braille.tone, listeners=[st.DeliveredPicture(felt)]
     )
     feed.close()
     picture = plt.imread(felt)

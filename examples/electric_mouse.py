@@ -15,10 +15,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import smarttouch as st
-from smarttouch.imaging.array_window import profile_for_reading, reading_force_n
-from smarttouch.instruments.electric_mouse import MouseSource, open_motion_over
-from smarttouch.instruments.relief import open_texture
-from smarttouch.views.outputs import DeliveredPicture
+from smarttouch.lab import (
+    MouseSource,
+    open_motion_over,
+    open_texture,
+    profile_for_reading,
+    reading_force_n,
+)
 
 own = st.load_profile("electric-mouse")
 profile = profile_for_reading(own)
@@ -52,7 +55,7 @@ for speed_mm_s in (20, 40, 80):
 # A word of 12 mm, and where the pulses were.
 with tempfile.TemporaryDirectory() as folder:
     felt = Path(folder) / "felt.png"
-    move(open_texture("text:touch"), 60, [DeliveredPicture(felt)])
+    move(open_texture("text:touch"), 60, [st.DeliveredPicture(felt)])
     picture = plt.imread(felt)
 figure, axes = plt.subplots(figsize=(9, 5), layout="constrained")
 axes.imshow(picture, cmap="gray")

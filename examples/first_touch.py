@@ -14,7 +14,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import smarttouch as st
-from smarttouch.views.outputs import DeliveredPicture
 
 # %%
 # A profile says all of one device on one finger: electrodes, skin, limits. `steps` goes through a
@@ -54,7 +53,7 @@ with tempfile.TemporaryDirectory() as folder:
     felt = Path(folder) / "felt.png"
     source = st.open_source("text:touch", profile, speed_mm_s=60)
     with st.open_display("simulated:", profile) as display:
-        statistics = st.run(source, display, mode="RA", listeners=[DeliveredPicture(felt)])
+        statistics = st.run(source, display, mode="RA", listeners=[st.DeliveredPicture(felt)])
     picture = plt.imread(felt)
 print(f"{statistics.frames} frames, {statistics.slots} slots delivered")
 

@@ -14,16 +14,21 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 import smarttouch as st
-from smarttouch.experiments.fitting.answers import read_table, usual_model
-from smarttouch.experiments.fitting.findings import as_series, judge
-from smarttouch.experiments.fitting.fit import BootstrapOptions
-from smarttouch.experiments.fitting.psychometric import Shape
-from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, design
-from smarttouch.experiments.psychophysics.experiment_session import open_experiment
-from smarttouch.experiments.psychophysics.trial_rows import About
-from smarttouch.experiments.psychophysics.trials import TrialTiming
-from smarttouch.imaging.array_window import reading_force_n
-from smarttouch.views.experiment_figures import discrimination_figure
+from smarttouch.lab import (
+    About,
+    BootstrapOptions,
+    ExperimentOptions,
+    Shape,
+    TrialTiming,
+    as_series,
+    discrimination_figure,
+    judge_answers,
+    new_experiment,
+    open_experiment,
+    read_table,
+    reading_force_n,
+    usual_model,
+)
 
 profile = st.load_profile("electric-mouse")
 
@@ -33,7 +38,7 @@ def sit(folder, standards_hz, repetitions):
     options = ExperimentOptions(
         standards=standards_hz, repetitions=repetitions, train_s=0.5, seed=1
     )
-    made = design("frequency", profile, options)
+    made = new_experiment("frequency", profile, options)
     path = Path(folder) / "frequency-RA.csv"
     about = About("frequency-RA", made.method, "S1", "", 1)
     timing = TrialTiming(patience_s=10.0)
@@ -50,7 +55,7 @@ def sit(folder, standards_hz, repetitions):
 with tempfile.TemporaryDirectory() as folder:
     table = read_table(sit(folder, (30.0,), 8))
 model = usual_model(table.answers, Shape.NORMAL, None, None, None, 0.1)
-findings = [judge(each, model, BootstrapOptions(100)) for each in table.answers]
+findings = [judge_answers(each, model, BootstrapOptions(100)) for each in table.answers]
 for found in findings:
     print(found.answers.standard, "Hz:", found.verdict or "has a threshold")
 

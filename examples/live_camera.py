@@ -12,7 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import smarttouch as st
-from smarttouch.pages.prepared_page import print_text
+from smarttouch.lab import print_text
 
 
 class Film:

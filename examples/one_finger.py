@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import smarttouch as st
-from smarttouch.base.afferent import CLASS_COLORS
+from smarttouch.lab import CLASS_COLORS
 
 profile = st.load_profile("electric-mouse")
 finger = st.Finger(profile, seed=1, anatomy="paper")

@@ -12,7 +12,7 @@ import sys
 
 import numpy as np
 
-from smarttouch.experiments import ConstantStimuli, Design, Experiment, in_two_intervals
+from smarttouch.lab import ConstantStimuli, Design, Experiment, in_two_intervals
 
 
 class GapTask:

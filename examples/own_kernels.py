@@ -10,7 +10,7 @@ electrodes lie and from the skin below them.
 import matplotlib.pyplot as plt
 
 import smarttouch as st
-from smarttouch.views.kernel_figures import kernel_figure
+from smarttouch.lab import kernel_figure
 
 # %%
 # The 4 x 4 electrodes of the paper's SmartTouch, one kernel of each class near the middle. Left

@@ -12,8 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import smarttouch as st
-from smarttouch.imaging.array_window import profile_for_reading, reading_force_n
-from smarttouch.sources.source_contract import Stimulus
+from smarttouch.lab import profile_for_reading, reading_force_n
 
 
 # %%
@@ -30,7 +29,7 @@ class Circle(st.StimulusSource):
         self._press_n = reading_force_n(profile)
         self.duration_s = 2.0
 
-    def read(self, time_ns: int) -> Stimulus | None:
+    def read(self, time_ns: int) -> st.Stimulus | None:
         if time_ns >= 2e9:
             return None
         turn = 2 * math.pi * time_ns / 1e9
@@ -39,7 +38,7 @@ class Circle(st.StimulusSource):
         activation = np.zeros((3, len(away_mm)), np.float32)
         activation[st.Afferent.RA] = np.clip(1.5 - away_mm / 2, 0, 1)
         self.frames += 1
-        return Stimulus(activation, time_ns, self._press_n, 20_000, number=self.frames - 1)
+        return st.Stimulus(activation, time_ns, self._press_n, 20_000, number=self.frames - 1)
 
 
 # %%

@@ -12,14 +12,11 @@ import numpy as np
 from studies import paper_effects
 
 import smarttouch as st
-from smarttouch.base.afferent import CLASS_COLORS
-from smarttouch.physiology.finger import Finger
-from smarttouch.views.figure_style import ANODIC, CATHODIC
-from smarttouch.views.kernel_figures import electrode_patches
+from smarttouch.lab import ANODIC, CATHODIC, CLASS_COLORS, electrode_patches
 
 profile = st.load_profile("electric-mouse")
 sites = paper_effects.inner_sites(profile)
-fingers = [Finger(profile, seed, "paper") for seed in range(1, 9)]
+fingers = [st.Finger(profile, seed, "paper") for seed in range(1, 9)]
 
 # %%
 # SAI mode on lines, with a current that rises: pressure first, vibration later, as in Section
@@ -79,7 +76,7 @@ print(f"PC is felt {-found.y_mm:.1f} mm toward the fingertip")
 # The concentric electrode of Section III-C, an array of two shapes, under an anodic middle.
 _, ring = plt.subplots(figsize=(5, 4.5), layout="constrained")
 electrode = paper_effects.concentric(paper_effects.CONCENTRIC_MM)
-finger = Finger(electrode, 4, "paper")
+finger = st.Finger(electrode, 4, "paper")
 fires = paper_effects.fired(finger, np.array([[-2.4, 2.4]]))[:, 0]
 for patch in electrode_patches(electrode):
     patch.set(facecolor="0.85", edgecolor="0.4")

@@ -11,11 +11,17 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import smarttouch as st
-from smarttouch.base.afferent import CLASS_COLORS
-from smarttouch.physiology.activating_function import depth_mm, field
-from smarttouch.physiology.potential import line_in_plane
-from smarttouch.views.figure_style import ANODIC, CATHODIC, GREY
-from smarttouch.views.kernel_figures import draw_field, draw_weights
+from smarttouch.lab import (
+    ANODIC,
+    CATHODIC,
+    CLASS_COLORS,
+    GREY,
+    depth_mm,
+    draw_field,
+    draw_weights,
+    field_at,
+    line_in_plane,
+)
 
 line = st.load_profile("line-7")
 center = 3
@@ -54,7 +60,7 @@ def af_of(weights, x_mm, depths, rising):
     """Return the AF of a pattern over depths and places, (D, X)."""
     direction = np.array([0.0, 0, 1]) if rising else np.array([1.0, 0, 0])
     places = np.column_stack([x_mm, np.zeros_like(x_mm)])
-    fields = (field(line.electrodes, line.skin, places, float(each))[0] for each in depths)
+    fields = (field_at(line.electrodes, line.skin, places, float(each))[0] for each in depths)
     return np.array([found.along(direction) @ weights for found in fields])
 
 

@@ -9,11 +9,7 @@ answer, and each class is let fire as its afferents would have.
 import matplotlib.pyplot as plt
 
 import smarttouch as st
-from smarttouch.instruments.color_mix import mix
-from smarttouch.instruments.color_source import picture
-from smarttouch.instruments.receptor_responses import split
-from smarttouch.instruments.skin_trace import open_trace
-from smarttouch.views.class_figures import thresholds_figure
+from smarttouch.lab import draw_mixture, mix_answers, open_trace, split_trace, thresholds_figure
 
 # %%
 # The basis of it: the smallest vibration that each class answers, by frequency. RA is best at 30
@@ -23,13 +19,13 @@ thresholds_figure()
 # %%
 # Two vibrations and a press at once.
 trace = open_trace("tone:30Hz,9um+tone:250Hz,1.5um+press:0.45N")
-answers = split(trace)
+answers = split_trace(trace)
 for afferent, answer in answers.items():
     print(f"{afferent.name}: drive {answer.drive.mean():.2f}")
 
 # %%
 # Pulses for each class, at its own rate, by its own kernels.
 profile = st.load_profile("electric-mouse")
-mixture = mix(answers, trace.duration_s, profile, st.load_kernels(profile))
-picture(trace, answers, mixture)
+mixture = mix_answers(answers, trace.duration_s, profile, st.load_kernels(profile))
+draw_mixture(trace, answers, mixture)
 plt.show()

@@ -12,12 +12,16 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 import smarttouch as st
-from smarttouch.base.files import data_folder
-from smarttouch.imaging.array_window import profile_for_reading, reading_force_n
-from smarttouch.reading.letter_shapes import Shapes
-from smarttouch.reading.line_source import LineFeed, ReadingSource, SweepingCursor
-from smarttouch.reading.material import ReadingMaterial
-from smarttouch.views.outputs import DeliveredPicture
+from smarttouch.lab import (
+    LineFeed,
+    ReadingMaterial,
+    ReadingSource,
+    Shapes,
+    SweepingCursor,
+    data_folder,
+    profile_for_reading,
+    reading_force_n,
+)
 
 # %%
 # The photograph.
@@ -41,7 +45,7 @@ with tempfile.TemporaryDirectory() as folder:
     source = ReadingSource(text.title, profile, feed, cursor)
     with st.open_display("simulated:", profile) as display:
         statistics = st.run(
-            source, display, tone=shapes.tone, seconds=5, listeners=[DeliveredPicture(felt)]
+            source, display, tone=shapes.tone, seconds=5, listeners=[st.DeliveredPicture(felt)]
         )
     feed.close()
     picture = plt.imread(felt)

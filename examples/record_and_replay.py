@@ -11,7 +11,7 @@ from pathlib import Path
 from tempfile import mkdtemp
 
 import smarttouch as st
-from smarttouch.running.check_recording import assert_replays, check_recording
+from smarttouch.lab import assert_replays, check_recording
 
 path = Path(mkdtemp()) / "line-1.mcap"
 

@@ -12,8 +12,7 @@ import numpy as np
 from studies.af_error import potential_at_nodes
 
 import smarttouch as st
-from smarttouch.physiology.membrane import Fiber, threshold_ma, weiss_fit
-from smarttouch.views.figure_style import ANODIC, CATHODIC
+from smarttouch.lab import ANODIC, CATHODIC, Fiber, threshold_ma, weiss_fit
 
 # %%
 # One electrode of 1.0 mm, a fiber that runs flat 0.9 mm below it (SAI): five widths, both

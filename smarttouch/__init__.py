@@ -14,9 +14,9 @@ proved safe before an electro-tactile display board gets it::
 Nothing heavy is imported before it is used.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from smarttouch.base.lazy_names import lazy_names
 from smarttouch.base.version import __version__
 
 if TYPE_CHECKING:
@@ -43,14 +43,16 @@ if TYPE_CHECKING:
     from smarttouch.running.step import RunStatistics, StepResult
     from smarttouch.running.touch import Shown
     from smarttouch.sources import open_source
-    from smarttouch.sources.source_contract import Frame, OpticalSource, StimulusSource
+    from smarttouch.sources.source_contract import Frame, OpticalSource, Stimulus, StimulusSource
     from smarttouch.stimulation.safety_gate import SafetyLimits
     from smarttouch.stimulation.scan_sequence import ScanSequence
+    from smarttouch.views.outputs import DeliveredPicture
 
 __all__ = [
     "Afferent",
     "Board",
     "BoardError",
+    "DeliveredPicture",
     "Display",
     "Finger",
     "Frame",
@@ -71,6 +73,7 @@ __all__ = [
     "SmartTouchError",
     "SourceError",
     "StepResult",
+    "Stimulus",
     "StimulusSource",
     "TactileImage",
     "__version__",
@@ -87,72 +90,31 @@ __all__ = [
     "steps",
 ]
 
-_WHERE = {
-    "base.afferent": ("Afferent",),
-    "base.errors": (
-        "BoardError",
-        "LevelNotReachedError",
-        "ProfileError",
-        "SafetyError",
-        "SmartTouchError",
-        "SourceError",
-    ),
-    "base.tactile_image": ("TactileImage",),
-    "boards.board": ("Board",),
-    "physiology.finger": ("Finger",),
-    "profile": (
-        "Profile",
-        "list_profiles",
-        "load_profile",
-    ),
-    "running.config": ("RunConfig",),
-    "running.display": (
-        "Display",
-        "open_display",
-    ),
-    "running.functions": (
-        "design_kernel",
-        "load_kernels",
-        "replay",
-        "run",
-        "steps",
-    ),
-    "running.listener": ("Listener",),
-    "running.recorded_run": (
-        "RecordedRun",
-        "load_recording",
-    ),
-    "running.recorder": ("Recorder",),
-    "running.session": (
-        "Session",
-        "show_together",
-    ),
-    "running.step": (
-        "RunStatistics",
-        "StepResult",
-    ),
-    "running.touch": ("Shown",),
-    "sources": ("open_source",),
-    "sources.source_contract": (
-        "Frame",
-        "OpticalSource",
-        "StimulusSource",
-    ),
-    "stimulation.safety_gate": ("SafetyLimits",),
-    "stimulation.scan_sequence": ("ScanSequence",),
-}
-_MODULE = {name: f"smarttouch.{module}" for module, names in _WHERE.items() for name in names}
-
-
 if not TYPE_CHECKING:  # else any name would be one to a type checker
-
-    def __getattr__(name: str) -> Any:
-        """Import a public name when it is used first."""
-        if name not in _MODULE:
-            raise AttributeError(f"module 'smarttouch' has no attribute {name!r}")
-        value = getattr(import_module(_MODULE[name]), name)
-        globals()[name] = value
-        return value
+    _WHERE = {
+        "base.afferent": "Afferent",
+        "base.errors": "BoardError LevelNotReachedError ProfileError SafetyError SmartTouchError "
+        "SourceError",
+        "base.tactile_image": "TactileImage",
+        "boards.board": "Board",
+        "physiology.finger": "Finger",
+        "profile": "Profile list_profiles load_profile",
+        "running.config": "RunConfig",
+        "running.display": "Display open_display",
+        "running.functions": "design_kernel load_kernels replay run steps",
+        "running.listener": "Listener",
+        "running.recorded_run": "RecordedRun load_recording",
+        "running.recorder": "Recorder",
+        "running.session": "Session show_together",
+        "running.step": "RunStatistics StepResult",
+        "running.touch": "Shown",
+        "sources": "open_source",
+        "sources.source_contract": "Frame OpticalSource Stimulus StimulusSource",
+        "stimulation.safety_gate": "SafetyLimits",
+        "stimulation.scan_sequence": "ScanSequence",
+        "views.outputs": "DeliveredPicture",
+    }
+    __getattr__ = lazy_names(__name__, _WHERE)
 
 
 def __dir__() -> list[str]:

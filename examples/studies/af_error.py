@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import DesignError
-from smarttouch.physiology.activating_function import field
+from smarttouch.physiology.activating_function import field_at
 from smarttouch.physiology.membrane import Fiber, threshold_ma
 from smarttouch.profile import Profile
 
@@ -80,7 +80,7 @@ def potential_at_nodes(profile: Profile, fiber: Fiber, depth_mm: float) -> NDArr
     spaced = np.arange(_NODES) * fiber.internode_mm
     if fiber.end == "through":
         away = spaced - spaced[_NODES // 2]
-        here, scale = field(
+        here, scale = field_at(
             profile.electrodes,
             profile.skin,
             center + np.column_stack([away, np.zeros(_NODES)]),
@@ -89,7 +89,7 @@ def potential_at_nodes(profile: Profile, fiber: Fiber, depth_mm: float) -> NDArr
         return np.asarray(1000 * scale * here.potential[:, 0])
     values = []
     for depth in depth_mm + spaced[: _NODES // 2]:
-        here, scale = field(profile.electrodes, profile.skin, center[None], float(depth))
+        here, scale = field_at(profile.electrodes, profile.skin, center[None], float(depth))
         values.append(1000 * scale * float(here.potential[0, 0]))
     return np.array(values)
 

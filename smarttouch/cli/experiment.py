@@ -163,7 +163,7 @@ def fit(
     from smarttouch.base.files import require_folder, write_json
     from smarttouch.cli.options import parse_choice
     from smarttouch.experiments.fitting.answers import read_table, usual_model
-    from smarttouch.experiments.fitting.findings import as_figures, as_series, judge
+    from smarttouch.experiments.fitting.findings import as_figures, as_series, judge_answers
     from smarttouch.experiments.fitting.fit import BootstrapOptions
     from smarttouch.experiments.fitting.psychometric import Shape
     from smarttouch.views import figure_style
@@ -184,7 +184,7 @@ def fit(
             table = replace(table, name=str(path))
         axis = None if linear is None else not linear
         model = usual_model(table.answers, shape, guessed, axis, at, lapse)
-        found.append((table, [judge(each, model, bootstrap) for each in table.answers]))
+        found.append((table, [judge_answers(each, model, bootstrap) for each in table.answers]))
     if not quiet:
         _print(found)
     if json_file is not None:
@@ -325,7 +325,7 @@ def run_listed(
 
     from smarttouch.base.errors import ExperimentError
     from smarttouch.cli.options import parse_afferent, parse_choice, require_answers
-    from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, design
+    from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, new_experiment
     from smarttouch.experiments.psychophysics.experiment_session import (
         numbered,
         open_experiment,
@@ -353,7 +353,7 @@ def run_listed(
         afferent, procedure, parse_standards(standards), repetitions, trials, site, train_s,
         rate_hz, letters, two_intervals, order,
     )  # fmt: skip
-    made = design(name, chosen, options)
+    made = new_experiment(name, chosen, options)
     # Nobody is there who could press harder, or turn the intensity up.
     patience_s = None if simulate is None else 10.0
     timing = TrialTiming(gap_s, answer_s or None, made.again, patience_s)

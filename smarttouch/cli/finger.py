@@ -110,7 +110,13 @@ def study(
     from smarttouch.base.errors import not_offered
     from smarttouch.base.terminal import print_table
     from smarttouch.experiments.study_plan import load_study
-    from smarttouch.experiments.study_run import NAMES, ROWS_FILE, run_study, summed, table_rows
+    from smarttouch.experiments.study_run import (
+        ROWS_FILE,
+        STUDY_NAMES,
+        run_study,
+        study_sums,
+        study_table,
+    )
     from smarttouch.views import figure_style
     from smarttouch.views.progress import bank_progress, lines_progress
 
@@ -128,9 +134,9 @@ def study(
         lines_progress(quiet, "Fingers") as progress,
     ):
         rows = run_study(asked, plan.parent, output, designing, progress)
-    found = summed(rows)
+    found = study_sums(rows)
     if not quiet:
-        heading, lines = table_rows(found)
+        heading, lines = study_table(found)
         print_table(
             lines,
             heading,
@@ -146,6 +152,6 @@ def study(
         from smarttouch.views.experiment_figures import study_figure
 
         picture = output / f"study.{kind}"
-        figure_style.save(study_figure(found, NAMES, asked.title), picture)
+        figure_style.save(study_figure(found, STUDY_NAMES, asked.title), picture)
         if not quiet:
             print(picture)

@@ -144,16 +144,16 @@ def color(
     from smarttouch.base.files import require_folder
     from smarttouch.base.terminal import print_table
     from smarttouch.imaging.array_window import reading_force_n
-    from smarttouch.instruments.color_mix import mix, parse_places
+    from smarttouch.instruments.color_mix import mix_answers, parse_places
     from smarttouch.instruments.color_source import (
         ColorSource,
         as_figures,
+        draw_mixture,
         mixture_rows,
         notes,
         pacinian_crosstalk,
-        picture,
     )
-    from smarttouch.instruments.receptor_responses import split
+    from smarttouch.instruments.receptor_responses import split_trace
     from smarttouch.instruments.skin_trace import is_spec, open_trace
     from smarttouch.kernels.bank import load_bank
     from smarttouch.views.progress import bank_progress
@@ -166,7 +166,9 @@ def color(
     json_file = run.json_file
     trace = open_trace(source, 2.0 if run.seconds is None else run.seconds, seed)
     chosen = run.load_profile()
-    answers = split(trace, sai_full_n=chosen.force.full_n, sai_rate_hz=chosen.pulse.sai_rate_hz)
+    answers = split_trace(
+        trace, sai_full_n=chosen.force.full_n, sai_rate_hz=chosen.pulse.sai_rate_hz
+    )
     if split_only:
         _show_answers(run, trace, answers, source, plot)
         return
@@ -175,7 +177,7 @@ def color(
     places = parse_places(chosen, sites, None)
     shaken = run.vibrators is not None
     timing = run.display(chosen).board.timing
-    mixture = mix(answers, trace.duration_s, chosen, bank, places, timing, shaken)
+    mixture = mix_answers(answers, trace.duration_s, chosen, bank, places, timing, shaken)
     seconds = None if is_spec(source) else run.seconds
     config = run.config(mixture.mode, seconds=seconds, seed=seed)
     vibration = ColorSource(source, chosen, mixture, reading_force_n(chosen))
@@ -189,7 +191,7 @@ def color(
     if json_file is not None:
         _add(json_file, as_figures(answers, mixture, vibration, crosstalk))
     if plot is not None:
-        figure_style.save(picture(trace, answers, mixture), plot)
+        figure_style.save(draw_mixture(trace, answers, mixture), plot)
     if not run.quiet:
         print_table(
             mixture_rows(answers, mixture, vibration),
@@ -210,11 +212,11 @@ def _show_answers(
     """Draw, write and print the response of each class, as far as the options ask for it."""
     from smarttouch.base.files import write_json
     from smarttouch.base.terminal import print_table
-    from smarttouch.instruments.color_source import answer_rows, as_figures, picture
+    from smarttouch.instruments.color_source import answer_rows, as_figures, draw_mixture
     from smarttouch.views import figure_style
 
     if plot is not None:
-        figure_style.save(picture(trace, answers), plot)
+        figure_style.save(draw_mixture(trace, answers), plot)
     if run.json_file is not None:
         write_json(run.json_file, as_figures(answers))
     if not run.quiet:

@@ -172,7 +172,7 @@ def _kept(path: Path) -> list[StudyRow] | None:
 
 
 MEASURES = ("error", "silent_points", "wrong_class", "misplaced")
-NAMES = {
+STUDY_NAMES = {
     "error": "read wrongly",
     "silent_points": "silent points",
     "wrong_class": "spikes of another class",
@@ -197,7 +197,7 @@ class Summed:
         return ignore_nan(median, self.fingers[measure])
 
 
-def summed(rows: Sequence[StudyRow]) -> list[Summed]:
+def study_sums(rows: Sequence[StudyRow]) -> list[Summed]:
     """Return each choice on each anatomy, in the order of the rows."""
     differ = [name for name in _CHOSEN if len({getattr(row, name) for row in rows}) > 1]
     groups: dict[tuple[str, str], dict[int, list[StudyRow]]] = defaultdict(
@@ -229,7 +229,7 @@ def summed(rows: Sequence[StudyRow]) -> list[Summed]:
     ]
 
 
-def table_rows(found: Iterable[Summed]) -> tuple[list[str], list[list[str]]]:
+def study_table(found: Iterable[Summed]) -> tuple[list[str], list[list[str]]]:
     """Return a heading, and the medians of each choice and anatomy in words."""
     heading = ["anatomy", "choice", "errors", "silent", "wrong", "misplaced", "best on", "mA"]
     rows = [

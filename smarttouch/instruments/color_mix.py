@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.electrodes import parse_ranges
 from smarttouch.base.errors import ScheduleError, SmartTouchError
-from smarttouch.instruments.receptor_responses import ReceptorResponse, split
+from smarttouch.instruments.receptor_responses import ReceptorResponse, split_trace
 from smarttouch.instruments.skin_trace import Trace
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
@@ -210,11 +210,15 @@ def mix_colors(
     >>> mixture.stimuli[0].activation.shape
     (3, 64)
     """
-    answers = split(trace, sai_full_n=profile.force.full_n, sai_rate_hz=profile.pulse.sai_rate_hz)
-    return mix(answers, trace.duration_s, profile, bank, sites, timing, vibrated, pc_rate_hz)
+    answers = split_trace(
+        trace, sai_full_n=profile.force.full_n, sai_rate_hz=profile.pulse.sai_rate_hz
+    )
+    return mix_answers(
+        answers, trace.duration_s, profile, bank, sites, timing, vibrated, pc_rate_hz
+    )
 
 
-def mix(
+def mix_answers(
     answers: Mapping[Afferent, ReceptorResponse],
     duration_s: float,
     profile: Profile,
@@ -224,7 +228,7 @@ def mix(
     vibrated: bool = False,
     pc_rate_hz: float = PC_RATE_HZ,
 ) -> Mixture:
-    """Return the pulses of given responses, such as those of `split`; see `mix_colors`."""
+    """Return the pulses of given responses, such as those of `split_trace`; see `mix_colors`."""
     timing = ScanTiming() if timing is None else timing
     places = disc(profile) if sites is None else chosen(profile, sites)
     pulsing, left_out = _drivable(answers, profile, bank, places, vibrated)

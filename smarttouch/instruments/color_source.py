@@ -252,7 +252,7 @@ def as_figures(
     return figures
 
 
-def picture(
+def draw_mixture(
     trace: Trace, answers: Mapping[Afferent, ReceptorResponse], mixture: Mixture | None = None
 ) -> "Figure":
     """Draw a vibration, what each class answers, and the pulses if there are any."""

@@ -73,7 +73,7 @@ class ReceptorResponse:
         return float(firing.mean()) if len(firing) else 0.0
 
 
-def split(
+def split_trace(
     trace: Trace,
     span_db: float = SPAN_DB,  # from the threshold of RA or PC to a drive of 1
     sai_full_n: float = SAI_FULL_N,  # force at which SAI is driven in full

@@ -35,7 +35,7 @@ from smarttouch.profile.device import Kernels
 
 if TYPE_CHECKING:
     from smarttouch.kernels.batch_design import Timed
-    from smarttouch.kernels.design_problem import Kernel, Kind, Problem
+    from smarttouch.kernels.design_problem import Kernel, KernelKind, Problem
 
 DESIGN_VERSION = 2
 """Version of the design, raised when the same problem would get other kernels."""
@@ -89,7 +89,7 @@ class KernelBank:
         peak = np.abs(weights).max(axis=1, keepdims=True)
         return np.asarray(weights / np.where(peak > 0, peak, 1.0), np.float32)
 
-    def kernel(self, afferent: Afferent, site: int, kind: "Kind") -> "Kernel":
+    def kernel(self, afferent: Afferent, site: int, kind: "KernelKind") -> "Kernel":
         """Return one kernel; DesignError if the board has no such mode or the site is masked."""
         from smarttouch.kernels.design_problem import Kernel, masked_site
 

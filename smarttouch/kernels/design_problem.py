@@ -93,7 +93,7 @@ def _keeps(axons: NDArray[np.float64], matrix: NDArray[np.int_]) -> bool:
 
 
 Array = NDArray[np.float64]
-Kind = Literal["weighted", "three-state", "one-of-n"]
+KernelKind = Literal["weighted", "three-state", "one-of-n"]
 
 _ALIKE = 1e-6
 
@@ -109,7 +109,7 @@ class Kernel:
     off_target_class: Afferent  # class of that activation
     spill: float  # largest activation of the own class beyond one pitch, over the target's
     node: int = 0  # index of the activated node on its axon; 0 is under the electrode
-    kind: Kind = "weighted"
+    kind: KernelKind = "weighted"
     gap: float = 0.0  # largest relative distance from the optimum; 0 is proven
 
     @property
@@ -266,7 +266,12 @@ class Problem:
         return patterns
 
     def judge(
-        self, weights: Array, site: int, node: int = 0, kind: Kind = "weighted", gap: float = 0.0
+        self,
+        weights: Array,
+        site: int,
+        node: int = 0,
+        kind: KernelKind = "weighted",
+        gap: float = 0.0,
     ) -> Kernel:
         """Return weights scaled to an activation of 1, with their figures on the worst skin;
         DesignError if they do not activate the target in one of them."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
-from smarttouch.kernels.design_problem import Array, Kernel, Kind, Problem
+from smarttouch.kernels.design_problem import Array, Kernel, KernelKind, Problem
 from smarttouch.kernels.weighted_design import SPILL, design_kernel
 from smarttouch.profile import Profile
 
@@ -252,7 +252,7 @@ def possible_modes(profile: Profile) -> list[Afferent]:
     return [each for each in Afferent if not offered or polarity(profile, each) in offered]
 
 
-def kind_of(profile: Profile) -> Kind:
+def kind_of(profile: Profile) -> KernelKind:
     """Return the kind of kernel of a profile's board."""
     kind = profile.output.kind
     return "one-of-n" if kind == "one-against-all" else kind
@@ -260,7 +260,7 @@ def kind_of(profile: Profile) -> Kind:
 
 def designer(profile: Profile) -> Callable[[Problem, int], Kernel]:
     """Return the function that designs kernels for a profile's kind of board."""
-    designers: dict[Kind, Callable[[Problem, int], Kernel]] = {
+    designers: dict[KernelKind, Callable[[Problem, int], Kernel]] = {
         "weighted": design_kernel,
         "three-state": design_three_state,
         "one-of-n": design_one_of_n,

@@ -147,7 +147,7 @@ def _lattice(profile: Profile, spacing_mm: float) -> tuple[NDArray[np.float64], 
     return np.column_stack([x.ravel(), y.ravel()]), x.shape
 
 
-def field(
+def field_at(
     electrodes: ElectrodeArray,
     skin: Skin,
     position_mm: NDArray[np.float64],
@@ -198,7 +198,7 @@ def _field_of_kinds(
     position_mm: NDArray[np.float64],
     depth_mm: float | NDArray[np.float64],
 ) -> tuple[Field, float]:
-    """Return `field` of an array that mixes shapes, from that of each shape alone."""
+    """Return `field_at` of an array that mixes shapes, from that of each shape alone."""
     whole = Field(*np.zeros((len(Field._fields), len(position_mm), len(electrodes))))
     scale = 1.0
     for (shape, size_mm), which in electrodes.kinds.items():
@@ -207,7 +207,7 @@ def _field_of_kinds(
         if len(which) == 1:
             places = np.vstack([places, places + electrodes.pitch_mm])
         alone = replace(electrodes, position_mm=places, shape=shape, size_mm=size_mm, own=None)
-        part, scale = field(alone, skin, position_mm, depth_mm)
+        part, scale = field_at(alone, skin, position_mm, depth_mm)
         for into, values in zip(whole, part, strict=True):
             into[:, which] = values[:, : len(which)]
     return whole, scale
@@ -222,7 +222,7 @@ def af_matrix(
     current from its only neighbor, one internode away (McNeal's end node).
     """
     skin = skin or profile.skin
-    here, scale = field(profile.electrodes, skin, afferents.position_mm, afferents.depth_mm)
+    here, scale = field_at(profile.electrodes, skin, afferents.position_mm, afferents.depth_mm)
     rows = []
     for direction in afferents.direction:
         if afferents.ending == "active":
@@ -232,7 +232,7 @@ def af_matrix(
                 position_mm=afferents.position_mm + step * direction[:2],
                 depth_mm=float(afferents.depth_mm + step * direction[2]),
             )
-            next_one, _ = field(profile.electrodes, skin, beside.position_mm, beside.depth_mm)
+            next_one, _ = field_at(profile.electrodes, skin, beside.position_mm, beside.depth_mm)
             rows.append((next_one.potential - here.potential) / step**2)
         else:
             rows.append(here.along(direction))
@@ -273,6 +273,6 @@ def potential_mv(
                 found[:, which] = potential.annulus_potential(r, depth, outer / 2, inner / 2)
         found *= -1000 * scale
     else:
-        fields, scale = field(electrodes, skin, flat, depth)
+        fields, scale = field_at(electrodes, skin, flat, depth)
         found = 1000 * scale * fields.potential
     return np.asarray(found.reshape(*points_mm.shape[:-1], len(electrodes)))

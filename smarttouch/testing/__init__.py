@@ -1,1 +1,37 @@
 """Contract tests for boards, sources and forces of other packages."""
+
+from typing import TYPE_CHECKING
+
+from smarttouch.base.lazy_names import lazy_names
+
+if TYPE_CHECKING:
+    from smarttouch.base.wire.device_lines import PtyLine, TcpLine
+    from smarttouch.testing.board_contract import BoardContract
+    from smarttouch.testing.pulses import ZERO, SentPulse
+    from smarttouch.testing.source_contracts import (
+        ForceContract,
+        SourceContract,
+        StimulusContract,
+    )
+
+__all__ = [
+    "ZERO",
+    "BoardContract",
+    "ForceContract",
+    "PtyLine",
+    "SentPulse",
+    "SourceContract",
+    "StimulusContract",
+    "TcpLine",
+]
+
+if not TYPE_CHECKING:  # pytest loads a plug-in from here before it can rewrite what it asserts
+    __getattr__ = lazy_names(
+        __name__,
+        {
+            "base.wire.device_lines": "PtyLine TcpLine",
+            "testing.board_contract": "BoardContract",
+            "testing.pulses": "ZERO SentPulse",
+            "testing.source_contracts": "ForceContract SourceContract StimulusContract",
+        },
+    )

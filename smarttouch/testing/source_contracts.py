@@ -1,25 +1,28 @@
-"""Contract tests of sources of frames and of finger force: subclass those of yours."""
+"""Contract tests of sources of frames, of stimuli and of finger force: subclass those of yours."""
 
 import contextlib
 import math
 import time
 from collections.abc import Iterator
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import SmartTouchError, SourceError
 from smarttouch.base.registry import fault_of
 from smarttouch.profile import DEFAULT_PROFILE, Profile, load_profile
 from smarttouch.sources.force import ForceSource
-from smarttouch.sources.source_contract import Frame, OpticalSource, Source
+from smarttouch.sources.source_contract import Frame, Input, Source, Stimulus
 
 READS = 30  # of a source
 
 
 class SourceContract:
-    """Contract of every source: subclass it as ``TestMine``, with `make`.
+    """Contract of every source of frames: subclass it as ``TestMine``, with `make`.
 
     Attributes
     ----------
@@ -37,7 +40,7 @@ class SourceContract:
     step_s = 0.02
     quickest_s = 0.01
 
-    def make(self, profile: Profile) -> OpticalSource:
+    def make(self, profile: Profile) -> Source:
         """Return a new source, from its beginning."""
         # Not abstract: pytest could not make the class to run what needs no device.
         raise NotImplementedError("return your source")
@@ -55,49 +58,61 @@ class SourceContract:
         return load_profile(DEFAULT_PROFILE)
 
     @pytest.fixture
-    def source(self, profile: Profile) -> Iterator[OpticalSource]:
+    def source(self, profile: Profile) -> Iterator[Source]:
         """Return a new source, closed after the test."""
         with self.make(profile) as source:
             yield source
 
-    def read(self, source: OpticalSource, reads: int = READS) -> list[Frame]:
+    def read(self, source: Source, reads: int = READS) -> list[Input]:
         """Return what it gives, until it ends or has been read often enough."""
-        frames: list[Frame] = []
-        for number in range(reads):
-            frame = source.read(round(number * self.step_s * 1e9))
-            if frame is None:
-                break
-            frames.append(frame)
+        given: list[Input] = []
+        time_ns = 0
+        while len(given) < reads and (each := source.read(time_ns)) is not None:
+            assert each.time_ns == time_ns
+            given.append(each)
             self.pause()
-        return frames
+            time_ns += self.lasts_ns(each)
+        return given
+
+    def lasts_ns(self, given: Input) -> int:
+        """Return the time to the next read."""
+        return round(self.step_s * 1e9)
+
+    def check(self, given: Input, first: Input, profile: Profile) -> None:
+        """Compare one of its inputs with what a run takes, and with its first."""
+        assert isinstance(given, Frame)
+        assert isinstance(first, Frame)
+        assert given.image.dtype == np.uint8
+        assert given.image.shape == first.image.shape
+        assert given.image.ndim == 2
+
+    def check_same(self, one: Input, other: Input) -> None:
+        """Compare two inputs of one number."""
+        np.testing.assert_array_equal(_content(one), _content(other))
 
     # -- what is kept ------------------------------------------------------
 
-    def test_its_class_keeps_the_contract(self, source: OpticalSource) -> None:
+    def test_its_class_keeps_the_contract(self, source: Source) -> None:
         assert fault_of(type(source), Source) is None
         assert source.title
         assert source.ended
         assert source.duration_s is None or source.duration_s > 0
         assert all(isinstance(note, str) and note for note in source.notes)
 
-    def test_frames_are_what_they_are_to_be(self, source: OpticalSource) -> None:
-        frames = self.read(source)
-        assert frames
-        for number, frame in enumerate(frames):
-            assert isinstance(frame, Frame)
-            assert frame.image.dtype == np.uint8
-            assert frame.image.shape == frames[0].image.shape
-            assert frame.image.ndim == 2
-            assert frame.time_ns == round(number * self.step_s * 1e9)
-            assert frame.age_ns >= 0
-            assert math.isnan(frame.force_n) or frame.force_n >= 0
-            pose = frame.pose
+    def test_each_is_what_it_is_to_be(self, source: Source, profile: Profile) -> None:
+        given = self.read(source)
+        assert given
+        for each in given:
+            self.check(each, given[0], profile)
+            assert each.age_ns >= 0
+            assert math.isnan(each.force_n) or each.force_n >= 0
+            pose = each.pose
             assert np.isfinite([pose.x_mm, pose.y_mm, pose.angle_rad]).all()
         assert source.knows_force or not source.measures_force
         if source.knows_force:
-            assert not all(math.isnan(frame.force_n) for frame in frames)
+            assert not all(math.isnan(each.force_n) for each in given)
 
-    def test_every_frame_is_counted(self, source: OpticalSource) -> None:
+    def test_every_frame_is_counted(self, source: Source) -> None:
         frames = self.read(source)
         source.close()
         numbers = [frame.number for frame in frames]
@@ -105,23 +120,22 @@ class SourceContract:
         assert numbers[0] >= 0
         assert source.frames == len(set(numbers)) + source.dropped_frames
 
-    def test_one_number_is_one_image_and_stays_it(self, source: OpticalSource) -> None:
-        frames: list[Frame] = []
+    def test_one_number_is_one_image_and_stays_it(self, source: Source) -> None:
+        given: list[Input] = []
         copies = []
-        for number in range(READS):
-            frame = source.read(round(number * self.step_s * 1e9))
-            if frame is None:
-                break
-            frames.append(frame)
-            copies.append(frame.image.copy())
+        time_ns = 0
+        while len(given) < READS and (each := source.read(time_ns)) is not None:
+            given.append(each)
+            copies.append(_content(each).copy())
             self.pause()
-        for frame, copy in zip(frames, copies, strict=True):
-            np.testing.assert_array_equal(frame.image, copy)
-        for one, next_one in pairwise(frames):
+            time_ns += self.lasts_ns(each)
+        for each, copy in zip(given, copies, strict=True):
+            np.testing.assert_array_equal(_content(each), copy)
+        for one, next_one in pairwise(given):
             if one.number == next_one.number:
-                np.testing.assert_array_equal(one.image, next_one.image)
+                self.check_same(one, next_one)
 
-    def test_it_ends_and_stays_at_its_end(self, source: OpticalSource) -> None:
+    def test_it_ends_and_stays_at_its_end(self, source: Source) -> None:
         if not self.ends:
             pytest.skip("it never ends by itself")
         time_s, frame = 0.0, source.read(0)
@@ -139,24 +153,27 @@ class SourceContract:
         source.close()
         self.make(profile).close()
 
-    def test_reading_it_when_closed_is_no_fault(self, source: OpticalSource) -> None:
+    def test_reading_it_when_closed_is_no_fault(self, source: Source) -> None:
         source.read(0)
         source.close()
         frame = None
         with contextlib.suppress(SmartTouchError):
             frame = source.read(round(self.step_s * 1e9))
-        assert frame is None or isinstance(frame, Frame)
+        assert frame is None or isinstance(frame, Input)
 
-    def test_reading_waits_for_nothing(self, source: OpticalSource) -> None:
+    def test_reading_waits_for_nothing(self, source: Source) -> None:
         # The first may wait for a device that starts; one of the others may meet a busy computer.
-        source.read(0)
-        took_s = []
-        for number in range(1, READS):
+        given = source.read(0)
+        assert given is not None
+        time_ns = self.lasts_ns(given)
+        took_s: list[float] = []
+        while len(took_s) < READS:
             start = time.perf_counter()
-            frame = source.read(round(number * self.step_s * 1e9))
+            given = source.read(time_ns)
             took_s.append(time.perf_counter() - start)
-            if frame is None:
+            if given is None:
                 break
+            time_ns += self.lasts_ns(given)
         assert min(took_s) < self.quickest_s
 
     def test_one_that_is_not_there_is_an_error_with_a_sentence(self, profile: Profile) -> None:
@@ -164,6 +181,39 @@ class SourceContract:
             self.make_impossible(profile)
         assert str(error.value)
         assert "\n" not in str(error.value)
+
+
+class StimulusContract(SourceContract):
+    """Contract of every source of stimuli: subclass it as ``TestMine``, with `make`.
+
+    One that says how long a stimulus lasts is read again when it is over, any other each `step_s`.
+    """
+
+    def lasts_ns(self, given: Input) -> int:
+        """Return the time to the next read."""
+        assert isinstance(given, Stimulus)
+        return super().lasts_ns(given) if given.period_us is None else 1000 * given.period_us
+
+    def check(self, given: Input, first: Input, profile: Profile) -> None:
+        """Compare a stimulus with what a run takes."""
+        assert isinstance(given, Stimulus)
+        assert given.activation.dtype == np.float32
+        assert given.activation.shape == (len(Afferent), len(profile.electrodes))
+        # Nothing is above NaN.
+        assert 0 <= given.activation.min() <= given.activation.max() <= 1
+        assert 0 <= given.level <= 1
+        assert given.period_us is None or given.period_us > 0
+        if given.image is not None:
+            assert given.image.dtype == np.uint8
+            assert given.image.ndim == 2
+
+    def check_same(self, one: Input, other: Input) -> None:
+        """Compare two stimuli of one number: they are of one place, and may pulse or not."""
+        assert one.pose == other.pose
+
+
+def _content(given: Input) -> NDArray[Any]:
+    return given.image if isinstance(given, Frame) else given.activation
 
 
 class ForceContract:

@@ -7,7 +7,7 @@ import numpy as np
 
 from smarttouch.base.afferent import CLASS_COLORS, Afferent
 from smarttouch.kernels.design_problem import Array, Kernel
-from smarttouch.physiology.activating_function import depth_mm, directions, field
+from smarttouch.physiology.activating_function import depth_mm, directions, field_at
 from smarttouch.profile import Profile
 from smarttouch.views.figure_style import ANODIC, CATHODIC, GREY, SIGNED_MAP, new_figure, plain
 
@@ -89,7 +89,9 @@ def _per_ma(profile: Profile, places: Array) -> dict[Afferent, Array]:
     skin = profile.skin
     per_ma = {}
     for shown in Afferent:
-        found, scale = field(profile.electrodes, skin, places.reshape(-1, 2), depth_mm(skin, shown))
+        found, scale = field_at(
+            profile.electrodes, skin, places.reshape(-1, 2), depth_mm(skin, shown)
+        )
         along = scale * np.array([found.along(each) for each in directions(skin, shown)])
         per_ma[shown] = along.reshape(len(along), *places.shape[:-1], -1)
     return per_ma

@@ -18,7 +18,7 @@ import pytest
 from smarttouch.base.afferent import Afferent
 from smarttouch.instruments.color_mix import mix_colors
 from smarttouch.instruments.color_source import ColorSource
-from smarttouch.instruments.receptor_responses import split
+from smarttouch.instruments.receptor_responses import split_trace
 from smarttouch.instruments.skin_trace import open_trace
 
 from ..instruments.color_delivered import feel
@@ -40,7 +40,7 @@ def test_what_comes_back(profile, bank, row, quick, seconds):
     specs = list(mixtures())
     for spec in specs[-1:] if quick else specs:
         got, sensor = feel(spec, profile, bank, seconds=seconds)
-        answers = split(open_trace(spec, seconds), sai_full_n=profile.force.full_n)
+        answers = split_trace(open_trace(spec, seconds), sai_full_n=profile.force.full_n)
         for afferent, found in got.items():
             answer = answers[afferent]
             off_ms = np.abs(sensor.error_us(afferent)) / 1000
@@ -65,7 +65,7 @@ def test_who_answers_where(row, quick):
     for hz in rates_hz[::6] if quick else rates_hz:
         cells = {"Hz": hz}
         for um in (3, 10, 100):
-            answers = split(open_trace(f"tone:{hz}Hz,{um}um", 1.0))
+            answers = split_trace(open_trace(f"tone:{hz}Hz,{um}um", 1.0))
             for each in Afferent:
                 cells[f"{um} µm: {each.name}"] = f"{np.median(answers[each].drive):.2f}"
         row("Who answers where", cells)

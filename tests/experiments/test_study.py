@@ -10,7 +10,7 @@ from smarttouch.base.errors import ProfileError, SmartTouchError
 from smarttouch.experiments import study_run
 from smarttouch.experiments.study_plan import Grid, Study, load_study
 from smarttouch.experiments.study_rows import from_csv
-from smarttouch.experiments.study_run import NAMES, summed, table_rows
+from smarttouch.experiments.study_run import STUDY_NAMES, study_sums, study_table
 from smarttouch.views.experiment_figures import study_figure
 
 from ..raising import raises
@@ -81,13 +81,13 @@ def test_a_broken_part_is_made_anew(tmp_path, broken):
 
 
 def test_the_summary_is_by_choice(rows):
-    found = summed(rows)
+    found = study_sums(rows)
     assert [each.label for each in found] == ["RA, 0.5", "RA, 1", "SAI, 0.5", "SAI, 1"]
     assert all(0 <= each.best <= 1 for each in found)
-    heading, lines = table_rows(found)
+    heading, lines = study_table(found)
     assert {len(line) for line in lines} == {len(heading)}
-    figure = study_figure(found, NAMES, "small")
-    assert len(figure.axes) == len(NAMES)
+    figure = study_figure(found, STUDY_NAMES, "small")
+    assert len(figure.axes) == len(STUDY_NAMES)
 
 
 def test_a_page_is_read_on_fingers(tmp_path):

@@ -8,7 +8,7 @@ from scipy.io import wavfile
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.boards.vibrators.vibrator_board import VibratorBoard
-from smarttouch.instruments.receptor_responses import split
+from smarttouch.instruments.receptor_responses import split_trace
 from smarttouch.instruments.skin_trace import open_trace
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
@@ -28,7 +28,7 @@ class's filter lets a little of the other's vibration through."""
 
 
 def drive_of(spec, afferent, profile):
-    answers = split(open_trace(spec), sai_full_n=profile.force.full_n)
+    answers = split_trace(open_trace(spec), sai_full_n=profile.force.full_n)
     return float(np.median(answers[afferent].drive[2400:7200]))
 
 

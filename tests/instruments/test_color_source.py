@@ -12,7 +12,7 @@ from smarttouch.instruments.color_source import (
     notes,
     pacinian_crosstalk,
 )
-from smarttouch.instruments.receptor_responses import split
+from smarttouch.instruments.receptor_responses import split_trace
 from smarttouch.instruments.skin_trace import open_trace
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
@@ -112,7 +112,7 @@ def test_where_pc_cannot_be_driven_it_has_no_price(profile, bank):
 
 def test_figures_and_notes_say_what_went_out(profile, bank, make_source):
     spec = "tone:30Hz,9um+press:0.45N"
-    answers = split(open_trace(spec, 0.5), sai_full_n=profile.force.full_n)
+    answers = split_trace(open_trace(spec, 0.5), sai_full_n=profile.force.full_n)
     source, mixture = make_source(spec, sites=range(64))
     asked(source)
     figures = as_figures(answers, mixture, source, None)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ScheduleError
-from smarttouch.instruments.receptor_responses import SPAN_DB, shares, split
+from smarttouch.instruments.receptor_responses import SPAN_DB, shares, split_trace
 from smarttouch.instruments.skin_trace import Trace, open_trace
 from smarttouch.physiology.vibration_thresholds import threshold_um
 
@@ -19,7 +19,8 @@ SILENT = 0.01
 
 def drives(spec, seconds=2.0):
     return {
-        afferent: each.peak_drive for afferent, each in split(open_trace(spec, seconds)).items()
+        afferent: each.peak_drive
+        for afferent, each in split_trace(open_trace(spec, seconds)).items()
     }
 
 
@@ -43,7 +44,7 @@ def test_what_each_class_answers_best_drives_it_alone(spec, alone):
 def test_a_slow_indentation_is_for_sai():
     time_s = np.arange(16000) / 4000
     pressed = np.where(np.abs(time_s - 2) < 1, 800.0, 0.0)
-    answers = split(Trace(pressed, np.zeros_like(pressed)))
+    answers = split_trace(Trace(pressed, np.zeros_like(pressed)))
     held = slice(7000, 9000)
     assert np.allclose(answers[Afferent.SAI].drive[held], 775 / 1475, atol=0.01)
     assert answers[Afferent.PC].drive[held].max() == 0
@@ -57,7 +58,7 @@ def test_drive_is_linear_in_decibels_above_threshold(afferent, frequency_hz):
     threshold = float(threshold_um(afferent, frequency_hz))
     for above_db in (-1, 1, 3, 6):
         spec = f"tone:{frequency_hz}Hz,{threshold * 10 ** (above_db / 20):.6f}um"
-        answer = split(open_trace(spec))[afferent]
+        answer = split_trace(open_trace(spec))[afferent]
         expected = min(1, max(0, above_db / SPAN_DB))
         assert np.median(answer.drive) == pytest.approx(expected, abs=0.01)
 
@@ -66,7 +67,7 @@ def test_drive_is_linear_in_decibels_above_threshold(afferent, frequency_hz):
     ("afferent", "hz"), [(Afferent.RA, 25), (Afferent.RA, 60), (Afferent.PC, 217)]
 )
 def test_one_spike_each_cycle_at_the_same_phase(afferent, hz):
-    answer = split(open_trace(f"tone:{hz}Hz,8um"))[afferent]
+    answer = split_trace(open_trace(f"tone:{hz}Hz,8um"))[afferent]
     spikes = answer.spike_s[(answer.spike_s > 0.2) & (answer.spike_s < 1.8)]
     assert len(spikes) == pytest.approx(1.6 * hz, abs=1)
     assert np.ptp(np.mod(spikes * hz + 0.5, 1)) < 0.01
@@ -74,19 +75,19 @@ def test_one_spike_each_cycle_at_the_same_phase(afferent, hz):
 
 
 def test_ra_keeps_its_cycles_under_a_stronger_vibration_of_pc():
-    answers = split(open_trace("tone:30Hz,10um+tone:250Hz,9um"))
+    answers = split_trace(open_trace("tone:30Hz,10um+tone:250Hz,9um"))
     assert answers[Afferent.RA].mean_rate_hz == pytest.approx(30, rel=0.1)
     assert answers[Afferent.PC].mean_rate_hz == pytest.approx(250, rel=0.01)
 
 
 def test_silence_between_two_bursts_has_no_spikes():
-    answer = split(open_trace("tone:30Hz,11um@0-0.8+tone:30Hz,11um@1.2-2"))[Afferent.RA]
+    answer = split_trace(open_trace("tone:30Hz,11um@0-0.8+tone:30Hz,11um@1.2-2"))[Afferent.RA]
     assert not ((answer.spike_s > 0.81) & (answer.spike_s < 1.19)).any()
     assert ((answer.spike_s < 0.8).sum(), (answer.spike_s > 1.2).sum()) == (23, 23)
 
 
 def test_sai_fires_faster_when_pressed_harder():
-    rates = [split(open_trace(f"press:{n}N"))[Afferent.SAI] for n in (0.1, 0.5, 1, 3)]
+    rates = [split_trace(open_trace(f"press:{n}N"))[Afferent.SAI] for n in (0.1, 0.5, 1, 3)]
     found = [np.median(each.rate_hz) for each in rates]
     np.testing.assert_allclose(found, [10, 25, 50, 50], rtol=0.01)
     counts = [len(each.spike_s) for each in rates]
@@ -94,15 +95,15 @@ def test_sai_fires_faster_when_pressed_harder():
 
 
 def test_shares_are_parts_of_the_whole():
-    part = shares(split(open_trace("tone:30Hz,8um+press:0.5N")))
+    part = shares(split_trace(open_trace("tone:30Hz,8um+press:0.5N")))
     assert sum(part.values()) == pytest.approx(1)
     assert part[Afferent.PC] == 0
-    nothing = shares(split(open_trace("press:0N")))
+    nothing = shares(split_trace(open_trace("press:0N")))
     assert set(nothing.values()) == {0.0}
 
 
 def test_who_answers_where_in_a_sweep():
-    answers = split(open_trace("sweep:5-500Hz,9um", 4.0))
+    answers = split_trace(open_trace("sweep:5-500Hz,9um", 4.0))
     hz = 5 * 100 ** (np.arange(16000) / 16000)
     bands = {each: hz[answers[each].drive > 0.02] for each in Afferent}
     # What 9 µm reach is just about the paper's band of RA, 20 to 70 Hz; PC comes in before.
@@ -121,7 +122,7 @@ def test_who_answers_where_in_a_sweep():
 def test_any_trace_gives_drives_from_0_to_1_and_spikes_within_it(moved, pressed, sample_hz):
     size = min(len(moved), len(pressed))
     trace = Trace(np.array(moved[:size]), np.array(pressed[:size]), sample_hz)
-    for answer in split(trace).values():
+    for answer in split_trace(trace).values():
         assert answer.drive.shape == answer.rate_hz.shape == (size,)
         assert ((answer.drive >= 0) & (answer.drive <= 1)).all()
         assert np.isfinite(answer.rate_hz).all()
@@ -134,11 +135,11 @@ def test_any_trace_gives_drives_from_0_to_1_and_spikes_within_it(moved, pressed,
 def test_more_of_the_same_drives_no_class_less(seed, factor):
     trace = open_trace("noise:5-400Hz,4um+press:0.2N", 0.3, seed)
     more = Trace(trace.displacement_um * factor, trace.force_n * factor)
-    before, after = split(trace), split(more)
+    before, after = split_trace(trace), split_trace(more)
     for afferent in Afferent:
         assert (after[afferent].drive >= before[afferent].drive - 1e-9).all()
 
 
 def test_a_force_at_which_sai_is_full_before_it_answers_is_refused():
     with raises(ScheduleError, about="force.full_n", value=0.001):
-        split(open_trace("press:0.5N", 0.2), sai_full_n=0.001)
+        split_trace(open_trace("press:0.5N", 0.2), sai_full_n=0.001)

@@ -10,7 +10,7 @@ from smarttouch.base.errors import DesignError
 from smarttouch.physiology.activating_function import (
     af_matrix,
     everywhere,
-    field,
+    field_at,
     potential_mv,
     targets,
 )
@@ -89,7 +89,8 @@ def test_an_active_ending_is_mcneal_s_end_node(profile, changed):
     active = changed(profile, {"skin.ra_ending": "active"})
     nodes, step = targets(active, Afferent.RA), active.skin.internode_mm
     potentials = [
-        field(active.electrodes, active.skin, nodes.position_mm, 0.7 + down) for down in (0, step)
+        field_at(active.electrodes, active.skin, nodes.position_mm, 0.7 + down)
+        for down in (0, step)
     ]
     (end, scale), (next_one, _) = potentials
     expected = scale * (next_one.potential - end.potential) / step**2
@@ -138,7 +139,7 @@ def test_an_array_of_several_shapes_has_the_fields_of_each(profile, changed):
             changed(profile, {"array": one | {"size_mm": size}}).electrodes,
             position_mm=mixed.electrodes.position_mm[[index, (index + 2) % 4]],
         )
-        found, scale = field(alone, mixed.skin, nodes.position_mm, nodes.depth_mm)
+        found, scale = field_at(alone, mixed.skin, nodes.position_mm, nodes.depth_mm)
         expected = np.concatenate([found.along(each)[:, 0] for each in nodes.direction])
         assert whole[:, index] == pytest.approx(scale * expected)
 
@@ -150,6 +151,6 @@ def test_a_ring_s_potential_is_that_of_its_spectrum(profile, changed, depth_mm):
     place = (
         np.column_stack([np.linspace(0, 12, 25), np.zeros(25)]) + rings.electrodes.position_mm[0]
     )
-    found, scale = field(rings.electrodes, rings.skin, place, depth_mm)
+    found, scale = field_at(rings.electrodes, rings.skin, place, depth_mm)
     points = np.column_stack([place, np.full(25, depth_mm)])
     assert potential_mv(rings, points) == pytest.approx(1000 * scale * found.potential, rel=2e-3)

@@ -5,15 +5,11 @@ from .test_mutants import failed
 BROKEN = """
 import math, threading, time
 import numpy as np
+from smarttouch import Frame, OpticalSource, SmartTouchError, Stimulus, StimulusSource
 from smarttouch.boards.open import MemoryBoard
-from smarttouch.base.errors import SmartTouchError
-from smarttouch.sources.force import ForceSource
-from smarttouch.sources.source_contract import Frame, Pose
-from smarttouch.sources.source_contract import OpticalSource
-from smarttouch.testing.board_contract import BoardContract
-from smarttouch.testing.pulses import ZERO, planned_pulses
-from smarttouch.testing.source_contracts import ForceContract
-from smarttouch.testing.source_contracts import SourceContract
+from smarttouch.plugins import ForceSource, Pose
+from smarttouch.testing import ZERO, BoardContract, ForceContract, SourceContract, StimulusContract
+from smarttouch.testing.pulses import planned_pulses
 
 
 class Boards(BoardContract):
@@ -129,6 +125,41 @@ class TestEndless(Sources):
             return self.seen(time_ns)
 
 
+class Stimuli(StimulusContract):
+    def make(self, profile):
+        return self.kind("stimuli")
+    def make_impossible(self, profile):
+        raise SmartTouchError("no")
+
+
+class Right(StimulusSource):
+    most, period_us = 1.0, 20_000
+    def read(self, time_ns):
+        if time_ns > 1e9:
+            return None
+        self.frames += 1
+        activation = np.full((3, 64), self.most, np.float32)
+        return Stimulus(activation, time_ns, 0.9, self.period_us, number=self.frames - 1)
+
+
+class TestRight(Stimuli):
+    kind = Right
+
+
+class TestStrong(Stimuli):
+    class kind(Right):
+        most = 1.01
+
+
+class TestUnknown(Stimuli):
+    class kind(Right):
+        most = math.nan
+
+
+class TestFrames(Stimuli):
+    kind = Plain
+
+
 class Forces(ForceContract):
     def make(self, profile):
         return self.kind("a force")
@@ -156,10 +187,16 @@ FOUND = {
     "Limits": {"its_driver_keeps_the_contract", "an_unsafe_sequence_never_leaves"},
     "Shared": {"one_number_is_one_image_and_stays_it"},
     "Numbers": {"every_frame_is_counted"},
-    "Wide": {"frames_are_what_they_are_to_be"},
+    "Wide": {"each_is_what_it_is_to_be"},
     "Waits": {"reading_waits_for_nothing"},
     "Once": {"it_can_be_closed_twice"},
     "Endless": {"it_ends_and_stays_at_its_end"},
+    "Strong": {"each_is_what_it_is_to_be"},
+    "Unknown": {"each_is_what_it_is_to_be"},
+    "Frames": {
+        "each_is_what_it_is_to_be", "one_number_is_one_image_and_stays_it",
+        "every_frame_is_counted", "reading_waits_for_nothing",
+    },
     "Pull": {
         "it_is_a_force_or_not_known", "it_can_be_closed_twice_and_still_be_read",
         "one_that_is_not_there_is_an_error_with_a_sentence",

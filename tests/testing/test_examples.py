@@ -17,7 +17,7 @@ def program(tmp_path, monkeypatch):
     """Return what runs Python where both are installed."""
     place = tmp_path / "site"
     place.mkdir()
-    for name in ("board", "source"):
+    for name in ("board", "source", "stimulus"):
         install_project(EXAMPLES / name, place)
     monkeypatch.setenv("PYTHONPATH", str(place), prepend=":")
 
@@ -30,7 +30,7 @@ def program(tmp_path, monkeypatch):
     return run
 
 
-@pytest.mark.parametrize("name", ["board", "source"])
+@pytest.mark.parametrize("name", ["board", "source", "stimulus"])
 def test_their_own_tests_pass(program, name):
     options = ("-q", "-W", "error", "-p", "no:cacheprovider", "-c", "pyproject.toml")
     done = program("-m", "pytest", *options, folder=EXAMPLES / name)

@@ -4,14 +4,11 @@ import threading
 from pathlib import Path
 from typing import IO
 
-from smarttouch.base.errors import BoardError
-from smarttouch.boards.board import Board
-from smarttouch.profile.device import Output
-from smarttouch.stimulation.safety_gate import SafetyLimits
-from smarttouch.stimulation.scan_sequence import ScanSequence
+import smarttouch as st
+from smarttouch.plugins import Output
 
 
-class JournalBoard(Board):
+class JournalBoard(st.Board):
     """Writes a line for each slot, and ``zero`` where all electrodes would be shorted.
 
     Parameters
@@ -27,7 +24,7 @@ class JournalBoard(Board):
     on_a_finger = False
     """A file makes no current. A board that does leaves this out."""
 
-    def __init__(self, rest: str, limits: SafetyLimits, output: Output | None = None) -> None:
+    def __init__(self, rest: str, limits: st.SafetyLimits, output: Output | None = None) -> None:
         super().__init__(
             limits,
             output,
@@ -38,7 +35,7 @@ class JournalBoard(Board):
             clock="host",
         )
         if not rest:
-            raise BoardError("journal: needs a file, for example journal:run.txt", about="file")
+            raise st.BoardError("journal: needs a file, for example journal:run.txt", about="file")
         self._path = Path(rest)
         self._file: IO[str] | None = None
         self._lock = threading.Lock()
@@ -48,13 +45,13 @@ class JournalBoard(Board):
         try:
             self._file = self._path.open("w", encoding="utf-8")
         except OSError as error:
-            raise BoardError(
+            raise st.BoardError(
                 f"cannot write {self._path} ({error.strerror}): give another file", about="file"
             ) from None
         self._number = 0
         self._write("zero")
 
-    def _send(self, sequence: ScanSequence, times: int) -> int:
+    def _send(self, sequence: st.ScanSequence, times: int) -> int:
         lines = [f"scan: {times} x {sequence.period_us} us"]
         for width_us, discharge_us, current_ua in zip(
             sequence.width_us, sequence.discharge_us, sequence.current_ua, strict=True

@@ -6,11 +6,8 @@ from pathlib import Path
 import pytest
 from smarttouch_journal import JournalBoard
 
-from smarttouch.base.errors import BoardError
-from smarttouch.boards.board import Board
-from smarttouch.stimulation.safety_gate import SafetyLimits
-from smarttouch.testing.board_contract import BoardContract
-from smarttouch.testing.pulses import ZERO, SentPulse
+import smarttouch as st
+from smarttouch.testing import ZERO, BoardContract, SentPulse
 
 
 class TestJournal(BoardContract):
@@ -18,7 +15,7 @@ class TestJournal(BoardContract):
     def _file(self, tmp_path: Path) -> None:
         self.path = tmp_path / "run.txt"
 
-    def make(self, limits: SafetyLimits) -> Board:
+    def make(self, limits: st.SafetyLimits) -> st.Board:
         return JournalBoard(str(self.path), limits)
 
     def received(self) -> bytes:
@@ -53,6 +50,6 @@ class TestJournal(BoardContract):
 
 @pytest.mark.parametrize("rest", ["", "no/such/folder/run.txt"])
 def test_files_that_cannot_be(rest: str) -> None:
-    with pytest.raises(BoardError) as error:
-        JournalBoard(rest, SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)).open()
+    with pytest.raises(st.BoardError) as error:
+        JournalBoard(rest, st.SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)).open()
     assert error.value.about == "file"

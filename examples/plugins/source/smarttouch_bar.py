@@ -4,9 +4,8 @@ import math
 
 import numpy as np
 
-from smarttouch.base.errors import SourceError
-from smarttouch.profile import Profile
-from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
+import smarttouch as st
+from smarttouch.plugins import Pose
 
 PAPER, INK = 220, 30
 """Grey levels."""
@@ -14,26 +13,26 @@ PASSES = 5
 USUAL_MM = 1.0
 
 
-def open_bar(rest: str, profile: Profile, *, speed_mm_s: float = 10.0) -> "BarSource":
+def open_bar(rest: str, profile: st.Profile, *, speed_mm_s: float = 10.0) -> "BarSource":
     """Open ``bar:`` or ``bar:WIDTH``; what follows the star are its options."""
     try:
         width_mm = float(rest or USUAL_MM)
     except ValueError:
         width_mm = math.nan
     if not 0 < width_mm <= profile.optics.field_width_mm:
-        raise SourceError(
+        raise st.SourceError(
             f"bar:{rest} is no width: give millimeters above 0, at most "
             f"{profile.optics.field_width_mm:g}",
             about="width",
         )
     if not 0 < speed_mm_s <= 1000:
-        raise SourceError(
+        raise st.SourceError(
             f"{speed_mm_s:g} mm/s cannot be: give above 0, at most 1000", about="speed_mm_s"
         )
     return BarSource(width_mm, speed_mm_s, profile)
 
 
-class BarSource(OpticalSource):
+class BarSource(st.OpticalSource):
     """Frames of a bar that enters at the left and leaves at the right, five times.
 
     Parameters
@@ -46,7 +45,7 @@ class BarSource(OpticalSource):
 
     ended = "the bar has passed"
 
-    def __init__(self, width_mm: float, speed_mm_s: float, profile: Profile) -> None:
+    def __init__(self, width_mm: float, speed_mm_s: float, profile: st.Profile) -> None:
         super().__init__(f"a bar of {width_mm:g} mm")
         optics = profile.optics
         self._shape = (optics.sensor_rows, optics.sensor_columns)
@@ -55,7 +54,7 @@ class BarSource(OpticalSource):
         self._way_mm = self._field_mm + width_mm
         self.duration_s = self._end_s = PASSES * self._way_mm / speed_mm_s
 
-    def read(self, time_ns: int) -> Frame | None:
+    def read(self, time_ns: int) -> st.Frame | None:
         """Return the frame at a time since the start; None when the bar has passed."""
         time_s = time_ns / 1e9
         if time_s > self._end_s:
@@ -67,4 +66,4 @@ class BarSource(OpticalSource):
         # Every frame that it gives is one more that was read.
         self.frames += 1
         pose = Pose(-time_s * self._speed_mm_s, 0.0)
-        return Frame(image, time_ns, pose, math.nan, number=self.frames - 1)
+        return st.Frame(image, time_ns, pose, math.nan, number=self.frames - 1)

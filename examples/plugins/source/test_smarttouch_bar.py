@@ -4,22 +4,20 @@ import numpy as np
 import pytest
 from smarttouch_bar import open_bar
 
-from smarttouch.base.errors import SourceError
-from smarttouch.profile import Profile
-from smarttouch.sources.source_contract import OpticalSource
-from smarttouch.testing.source_contracts import SourceContract
+import smarttouch as st
+from smarttouch.testing import SourceContract
 
 
 class TestBar(SourceContract):
     longest_s = 10.0
 
-    def make(self, profile: Profile) -> OpticalSource:
+    def make(self, profile: st.Profile) -> st.OpticalSource:
         return open_bar("", profile)
 
-    def make_impossible(self, profile: Profile) -> None:
+    def make_impossible(self, profile: st.Profile) -> None:
         open_bar("wide", profile)
 
-    def test_it_moves_to_the_right(self, profile: Profile) -> None:
+    def test_it_moves_to_the_right(self, profile: st.Profile) -> None:
         with open_bar("2", profile, speed_mm_s=20.0) as source:
             centers = [np.flatnonzero(source.read(t * 10**8).image[0] < 100).mean() for t in (1, 2)]
         optics = profile.optics
@@ -27,7 +25,7 @@ class TestBar(SourceContract):
         assert moved_mm == pytest.approx(2.0, abs=0.1)
 
     @pytest.mark.parametrize("speed_mm_s", [0.0, -1.0, 1001.0])
-    def test_speeds_that_cannot_be(self, profile: Profile, speed_mm_s: float) -> None:
-        with pytest.raises(SourceError) as error:
+    def test_speeds_that_cannot_be(self, profile: st.Profile, speed_mm_s: float) -> None:
+        with pytest.raises(st.SourceError) as error:
             open_bar("1", profile, speed_mm_s=speed_mm_s)
         assert error.value.about == "speed_mm_s"

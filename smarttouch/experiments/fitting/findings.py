@@ -125,7 +125,7 @@ class Finding:
         return Bounded(*(each / standard - 1 for each in found))
 
 
-def judge(answers: Answers, model: Model, how: BootstrapOptions | None = None) -> Finding:
+def judge_answers(answers: Answers, model: Model, how: BootstrapOptions | None = None) -> Finding:
     """Fit the answers to one standard, or give the reason why not."""
     how = how or BootstrapOptions()
 
@@ -174,7 +174,7 @@ def judge(answers: Answers, model: Model, how: BootstrapOptions | None = None) -
 
 def estimate(answers: Answers) -> Estimate | None:
     """Return threshold and spread of the answers to one standard; None if there is none."""
-    found = judge(answers, usual_model([answers]), BootstrapOptions(samples=_SAMPLES))
+    found = judge_answers(answers, usual_model([answers]), BootstrapOptions(samples=_SAMPLES))
     if found.threshold is None:
         return None
     value, low, high = found.threshold

@@ -96,7 +96,7 @@ def find_experiment(name: str) -> Experiment:
     return found
 
 
-def design(name: str, profile: Profile, wanted: ExperimentOptions) -> Design:
+def new_experiment(name: str, profile: Profile, wanted: ExperimentOptions) -> Design:
     """Build an experiment of the catalog, of a file or of another package."""
     entry = find_experiment(name)
     method = wanted.procedure or entry.methods[0]

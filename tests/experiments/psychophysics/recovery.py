@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smarttouch.experiments.fitting.answers import usual_model
-from smarttouch.experiments.fitting.findings import judge
+from smarttouch.experiments.fitting.findings import judge_answers
 from smarttouch.experiments.fitting.fit import BootstrapOptions
 from smarttouch.experiments.fitting.psychometric import Model
 from smarttouch.experiments.psychophysics.adaptive_procedures import QuestPlus, WeightedStaircase
@@ -82,7 +82,7 @@ def recover(task, name, subjects, covering=0, samples=1000, seed=0):
         estimate = None if name == "constant" else procedure.estimate()
         if estimate is not None:
             own.append(np.log(estimate.threshold / subject.threshold))
-        found = judge(answers, usual_model([answers]), BootstrapOptions(samples))
+        found = judge_answers(answers, usual_model([answers]), BootstrapOptions(samples))
         if found.verdict is not None:
             continue
         fitted.append(np.log(found.fit.threshold / subject.threshold))

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, design
+from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, new_experiment
 from smarttouch.experiments.psychophysics.experiment_session import TrialSession
 from smarttouch.experiments.psychophysics.trial_rows import About, RowFile, read_rows
 from smarttouch.experiments.psychophysics.trials import Answer
@@ -29,7 +29,7 @@ def respond(path, answers, method="constant", most=1000, seed=0):
     wanted = ExperimentOptions(
         procedure=method, standards=(30.0, 60.0), repetitions=1, trials=8, seed=seed
     )
-    made = design("frequency", MOUSE, wanted)
+    made = new_experiment("frequency", MOUSE, wanted)
     with RowFile(path, About("f", made.method, "p", "s", seed)) as file:
         session = TrialSession(made.task, made.procedure, file, DATE)
         for _ in range(most):
@@ -71,7 +71,9 @@ def test_stopped_and_killed_sessions_have_each_trial_once(
 def whole(profile, bank, tmp_path_factory):
     """Return the rows of a session that was not interrupted."""
     path = tmp_path_factory.mktemp("whole") / "whole.csv"
-    return sit(design("frequency", profile, SHORT), profile, bank, path, Perfect()).session.rows
+    return sit(
+        new_experiment("frequency", profile, SHORT), profile, bank, path, Perfect()
+    ).session.rows
 
 
 @pytest.mark.parametrize("stop_after", [0, 4, 9])
@@ -81,7 +83,7 @@ def test_a_run_that_is_stopped_in_the_middle_of_a_trial_goes_on(
     parts = tmp_path / "parts.csv"
 
     def design_it():
-        return design("frequency", profile, SHORT)
+        return new_experiment("frequency", profile, SHORT)
 
     first = sit(design_it(), profile, bank, parts, Perfect(), stop_after=stop_after)
     assert first.session.done == stop_after
@@ -96,7 +98,7 @@ def test_a_run_that_is_stopped_in_the_middle_of_a_trial_goes_on(
 
 def test_rows_say_what_was_shown_and_answered(profile, bank, tmp_path):
     path = tmp_path / "rows.csv"
-    sat = sit(design("frequency", profile, SHORT), profile, bank, path, Perfect())
+    sat = sit(new_experiment("frequency", profile, SHORT), profile, bank, path, Perfect())
     rows = read_rows(path)
     assert [row.number for row in rows] == list(range(10))
     for row in rows:
@@ -118,7 +120,9 @@ def test_another_experiment_s_answers_are_not_gone_on_with(tmp_path, more):
     path = tmp_path / "rows.csv"
     respond(path, ["1"], seed=3)
     standards = (30.0, 60.0) if more else (45.0,)
-    made = design("frequency", MOUSE, ExperimentOptions(standards=standards, repetitions=1, seed=3))
+    made = new_experiment(
+        "frequency", MOUSE, ExperimentOptions(standards=standards, repetitions=1, seed=3)
+    )
     for _ in range(3 if more else 0):
         made.procedure.next()
         made.procedure.answer(True)
@@ -128,14 +132,14 @@ def test_another_experiment_s_answers_are_not_gone_on_with(tmp_path, more):
 
 
 def test_a_level_that_rose_is_kept_as_it_was_reached(tmp_path, profile):
-    made = design("discomfort", profile, ExperimentOptions(repetitions=2))
+    made = new_experiment("discomfort", profile, ExperimentOptions(repetitions=2))
     path = tmp_path / "rows.csv"
     for expected in (1, 2):
-        made = design("discomfort", profile, ExperimentOptions(repetitions=2))
+        made = new_experiment("discomfort", profile, ExperimentOptions(repetitions=2))
         with RowFile(path, About("d", "limits", "p", "s", 0)) as file:
             session = TrialSession(made.task, made.procedure, file, DATE)
             assert session.done == expected - 1
             session.record(session.next(), Answer("y", None, 4.0, 1.0, reached=1.5 + expected))
     assert [(row.comparison, row.success) for row in read_rows(path)] == [(2.5, True), (3.5, True)]
-    rising = design("discomfort", profile, ExperimentOptions())
+    rising = new_experiment("discomfort", profile, ExperimentOptions())
     assert np.isnan(made.task.trial(rising.procedure.next()).condition.comparison)

@@ -7,7 +7,7 @@ import pytest
 
 from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, design
+from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, new_experiment
 from smarttouch.experiments.psychophysics.experiment_source import AGAIN, ExperimentSource
 from smarttouch.experiments.psychophysics.observers import SilentObserver
 from smarttouch.experiments.psychophysics.trial_rows import read_rows
@@ -31,7 +31,7 @@ def take(profile, bank, tmp_path):
 
     def run_it(observer, wanted=FEW, name="frequency", **how):
         path = tmp_path / "rows.csv"
-        sat = sit(design(name, profile, wanted), profile, bank, path, observer, **how)
+        sat = sit(new_experiment(name, profile, wanted), profile, bank, path, observer, **how)
         return sat, read_rows(path)
 
     return run_it
@@ -197,7 +197,7 @@ class OneTrial:
     title, done, total = "try", 0, 1
 
     def __init__(self, profile, name="frequency", train_s=0.1):
-        made = design(name, profile, ExperimentOptions(train_s=train_s))
+        made = new_experiment(name, profile, ExperimentOptions(train_s=train_s))
         self.trial = made.task.trial(made.procedure.next())
         self.answers = []
 
@@ -353,7 +353,9 @@ def test_courses_that_cannot_be(arguments):
 def test_a_board_that_cannot_keep_a_frequency_is_noted(profile, changed, tmp_path):
     """A profile whose slots take longer than the period asked for."""
     slow = changed(profile, {"pulse.discharge_us": 5000})
-    made = design("letters", slow, ExperimentOptions(letters="EF", repetitions=1, train_s=0.1))
+    made = new_experiment(
+        "letters", slow, ExperimentOptions(letters="EF", repetitions=1, train_s=0.1)
+    )
     sat = sit(made, slow, load_bank(slow), tmp_path / "rows.csv", Perfect(), experiment="l",
               course=TrialTiming(answer_s=0.1))  # fmt: skip
     (note,) = sat.source.notes

@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments import ConstantStimuli, Stimuli
-from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, design, find_experiment
+from smarttouch.experiments.psychophysics.catalog import (
+    ExperimentOptions,
+    find_experiment,
+    new_experiment,
+)
+from smarttouch.lab import ConstantStimuli, Stimuli
 from smarttouch.profile import load_profile
 
 from ...installed import install
@@ -42,7 +46,7 @@ class Counts:
 
 
 def test_a_file_is_an_experiment(tmp_path, bank):
-    made = design(str(EXAMPLE), MOUSE, replace(WANTED, repetitions=1))
+    made = new_experiment(str(EXAMPLE), MOUSE, replace(WANTED, repetitions=1))
     sat = sit(made, MOUSE, bank, tmp_path / "rows.csv", Counts(), experiment="gap-RA")
     assert sat.report.violations == 0
     rows = [(row.unit, row.comparison, row.success) for row in sat.session.rows]
@@ -58,7 +62,7 @@ def test_another_package_has_one(tmp_path, monkeypatch):
     points = {"smarttouch.experiments": {"gap": "their_gap:experiment", "other": "their_gap:make"}}
     install(tmp_path, "theirs", points, {"their_gap": EXAMPLE.read_text("utf-8")})
     assert find_experiment("gap").about == "which had a gap: width, mm"
-    assert design("gap", MOUSE, WANTED).procedure.total == 9
+    assert new_experiment("gap", MOUSE, WANTED).procedure.total == 9
     with raises(ExperimentError, value="theirs", about="their_gap:make"):
         find_experiment("other")
     install(tmp_path, "more", points, {})
@@ -81,7 +85,7 @@ def test_what_is_wrong_in_it_is_one_sentence(tmp_path, changed, words):
     path = tmp_path / "mine.py"
     path.write_text(FILE.format(**GOOD | changed), encoding="utf-8")
     with pytest.raises(ExperimentError) as error:
-        design(str(path), MOUSE, WANTED).task.trial(ConstantStimuli([(0, 1)]).next())
+        new_experiment(str(path), MOUSE, WANTED).task.trial(ConstantStimuli([(0, 1)]).next())
     assert all(each in str(error.value) for each in words)
     assert "\n" not in str(error.value)
 
@@ -90,7 +94,7 @@ def test_what_is_wrong_in_it_is_one_sentence(tmp_path, changed, words):
 def test_one_that_is_not_there(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with raises(ExperimentError, value=name):
-        design(name, MOUSE, WANTED)
+        new_experiment(name, MOUSE, WANTED)
 
 
 def test_sites_are_whole_numbers_and_activations_are_not():

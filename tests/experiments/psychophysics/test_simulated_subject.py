@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from smarttouch.base.errors import ExperimentError
 from smarttouch.boards.open import MemoryBoard
-from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, design
+from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, new_experiment
 from smarttouch.experiments.psychophysics.observers import (
     RandomObserver,
     SameObserver,
@@ -59,7 +59,9 @@ def test_an_interval_of_silence_is_empty():
 def test_letters_are_felt_where_they_were_drawn(profile, bank, tmp_path):
     """All slots of a scan, and in none but the asked sites is the kernel's strongest."""
     observer = Perfect()
-    made = design("letters", profile, ExperimentOptions(letters="LT", repetitions=1, train_s=0.1))
+    made = new_experiment(
+        "letters", profile, ExperimentOptions(letters="LT", repetitions=1, train_s=0.1)
+    )
     from smarttouch.experiments.psychophysics.trials import TrialTiming
 
     sit(made, profile, bank, tmp_path / "rows.csv", observer, course=TrialTiming(answer_s=0.2))
@@ -107,7 +109,7 @@ def test_two_looks_make_a_choice():
 @pytest.mark.parametrize("name", ["detection", "two-point", "localization", "discomfort"])
 def test_the_model_sits_every_experiment(profile, bank, tmp_path, name):
     wanted = ExperimentOptions(repetitions=2, train_s=1.0 if name == "discomfort" else 0.1)
-    made = design(name, profile, wanted)
+    made = new_experiment(name, profile, wanted)
     observer = make_observer("model", profile, 1)
     sat = sit(made, profile, bank, tmp_path / "rows.csv", observer, experiment=name)
     rows = read_rows(tmp_path / "rows.csv")
@@ -119,7 +121,7 @@ def test_the_model_sits_every_experiment(profile, bank, tmp_path, name):
 
 
 def test_the_model_finds_detection_in_two_intervals(profile, bank, tmp_path):
-    made = design(
+    made = new_experiment(
         "detection", profile, ExperimentOptions(repetitions=3, train_s=0.1, two_intervals=True)
     )
     sit(made, profile, bank, tmp_path / "rows.csv", make_observer("model", profile, 1))

@@ -7,7 +7,11 @@ import pytest
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.psychophysics.catalog import CATALOG, ExperimentOptions, design
+from smarttouch.experiments.psychophysics.catalog import (
+    CATALOG,
+    ExperimentOptions,
+    new_experiment,
+)
 from smarttouch.experiments.psychophysics.procedures import Condition
 from smarttouch.profile import load_profile
 
@@ -28,7 +32,7 @@ def sites(train, afferent=Afferent.RA):
 
 
 def test_the_paper_s_frequencies(profile):
-    made = design("frequency", profile, ExperimentOptions())
+    made = new_experiment("frequency", profile, ExperimentOptions())
     shown = conditions(made)
     assert len(shown) == 500
     assert {each.standard for each in shown} == {15, 30, 45, 60, 75}
@@ -38,12 +42,12 @@ def test_the_paper_s_frequencies(profile):
 
 
 def test_comparisons_above_the_limit_are_not_offered_and_that_is_said(profile, changed):
-    made = design("frequency", profile, ExperimentOptions(Afferent.PC, repetitions=1))
+    made = new_experiment("frequency", profile, ExperimentOptions(Afferent.PC, repetitions=1))
     assert max(each.comparison for each in conditions(made)) <= 200
-    made = design("frequency", profile, ExperimentOptions(Afferent.PC))
+    made = new_experiment("frequency", profile, ExperimentOptions(Afferent.PC))
     assert {each.standard for each in conditions(made)} == {15, 30, 45, 60, 75, 90, 100}
     slow = changed(profile, {"limits.rate_hz": 100.0})
-    made = design("frequency", slow, ExperimentOptions(repetitions=1, standards=(75.0,)))
+    made = new_experiment("frequency", slow, ExperimentOptions(repetitions=1, standards=(75.0,)))
     (note,) = made.notes
     assert "3 " in note
     assert "100 Hz" in note
@@ -53,7 +57,7 @@ def test_comparisons_above_the_limit_are_not_offered_and_that_is_said(profile, c
 @pytest.mark.parametrize("method", ["staircase", "questplus"])
 def test_adaptive_frequencies_are_above_their_standards_and_mixed(profile, method):
     wanted = ExperimentOptions(procedure=method, standards=(30.0, 75.0), trials=8)
-    shown = conditions(design("frequency", profile, wanted))
+    shown = conditions(new_experiment("frequency", profile, wanted))
     assert {each.standard for each in shown} == {30, 75}
     assert all(1 < each.comparison / each.standard <= 2 for each in shown)
     order = [each.standard for each in shown]
@@ -61,7 +65,7 @@ def test_adaptive_frequencies_are_above_their_standards_and_mixed(profile, metho
 
 
 def test_a_frequency_trial(profile):
-    task = design("frequency", profile, ExperimentOptions()).task
+    task = new_experiment("frequency", profile, ExperimentOptions()).task
     for at, target in ((1, "1"), (2, "2")):
         trial = task.trial(Condition(30.0, 45.0, at, 0, 0))
         assert (trial.target, trial.success) == (target, target)
@@ -75,7 +79,7 @@ def test_a_frequency_trial(profile):
 
 
 def test_detection_counts_in_milliamperes(profile):
-    made = design("detection", profile, ExperimentOptions(site=9))
+    made = new_experiment("detection", profile, ExperimentOptions(site=9))
     shown = conditions(made)
     assert len(shown) == 80
     assert sum(each.comparison == 0 for each in shown) == 10
@@ -89,7 +93,7 @@ def test_detection_counts_in_milliamperes(profile):
 
 
 def test_detection_in_two_intervals_has_a_blank_of_the_same_level(profile):
-    made = design("detection", profile, ExperimentOptions(two_intervals=True))
+    made = new_experiment("detection", profile, ExperimentOptions(two_intervals=True))
     assert not any(each.comparison == 0 for each in conditions(made))
     first, second = made.task.trial(Condition(0.0, 1.0, 2, 0, 0)).intervals
     assert not first.activation.any()
@@ -100,14 +104,14 @@ def test_detection_in_two_intervals_has_a_blank_of_the_same_level(profile):
 def test_no_level_is_above_the_strongest(profile, changed):
     tight = changed(profile, {"perception.comfort_ratio": 1.05})
     for method in ("constant", "staircase", "questplus"):
-        made = design("detection", tight, ExperimentOptions(procedure=method))
+        made = new_experiment("detection", tight, ExperimentOptions(procedure=method))
         for each in conditions(made)[:20]:
             assert each.comparison <= tight.full_ma.max() + 1e-6
             assert all(train.level <= 1 for train in made.task.trial(each).intervals)
 
 
 def test_discomfort_rises_to_the_profile_s_own_ceiling(profile):
-    made = design("discomfort", profile, ExperimentOptions(repetitions=3))
+    made = new_experiment("discomfort", profile, ExperimentOptions(repetitions=3))
     shown = conditions(made)
     assert len(shown) == 3
     assert all(math.isnan(each.comparison) for each in shown)
@@ -118,7 +122,7 @@ def test_discomfort_rises_to_the_profile_s_own_ceiling(profile):
 
 
 def test_two_points_and_one_between(profile):
-    made = design("two-point", profile, ExperimentOptions())
+    made = new_experiment("two-point", profile, ExperimentOptions())
     shown = conditions(made)
     assert {each.comparison for each in shown} == {2, 4, 6, 8, 10, 12, 14}
     place_mm = profile.electrodes.position_mm
@@ -133,7 +137,7 @@ def test_two_points_and_one_between(profile):
 
 
 def test_the_second_point_is_as_far_right_as_it_says(profile):
-    made = design("localization", profile, ExperimentOptions())
+    made = new_experiment("localization", profile, ExperimentOptions())
     shown = conditions(made)
     assert {each.comparison for each in shown} == {-6, -4, -2, 2, 4, 6}
     for each in shown[:12]:
@@ -145,7 +149,7 @@ def test_the_second_point_is_as_far_right_as_it_says(profile):
 
 
 def test_letters_are_asked_for_by_their_names(profile):
-    made = design("letters", profile, ExperimentOptions(letters="AEZ", repetitions=2))
+    made = new_experiment("letters", profile, ExperimentOptions(letters="AEZ", repetitions=2))
     shown = conditions(made)
     assert len(shown) == 6
     trial = made.task.trial(Condition(0.0, 2.0, 0, 0, 0))
@@ -157,7 +161,7 @@ def test_letters_are_asked_for_by_their_names(profile):
 
 def test_every_experiment_has_a_question_and_answers(profile):
     for name in CATALOG:
-        made = design(name, profile, ExperimentOptions())
+        made = new_experiment(name, profile, ExperimentOptions())
         trial = made.task.trial(made.procedure.next())
         assert trial.question
         assert trial.alternatives
@@ -180,17 +184,17 @@ def test_every_experiment_has_a_question_and_answers(profile):
 )
 def test_what_cannot_be_asked_for(profile, name, options, about, value, allowed):
     with raises(ExperimentError, about=about, value=value, allowed=allowed):
-        design(name, profile, ExperimentOptions(**options))
+        new_experiment(name, profile, ExperimentOptions(**options))
 
 
 @pytest.mark.parametrize("name", ["detection", "discomfort"])
 def test_where_width_carries_intensity_nothing_counts_in_milliamperes(profile, changed, name):
     by_width = changed(profile, {"pulse.carrier": "width"})
     with raises(ExperimentError, about="pulse.carrier", value="width", allowed=("height",)):
-        design(name, by_width, ExperimentOptions())
+        new_experiment(name, by_width, ExperimentOptions())
 
 
 def test_arrays_without_neighbors_have_no_two_points():
     line = load_profile("line-8")
-    made = design("two-point", line, ExperimentOptions(repetitions=1))
+    made = new_experiment("two-point", line, ExperimentOptions(repetitions=1))
     assert {each.comparison for each in conditions(made)} == {1, 2, 3, 4, 5, 6, 7}

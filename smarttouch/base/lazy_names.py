@@ -1,0 +1,20 @@
+"""Names of a package that are imported when they are used first."""
+
+import sys
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any
+
+
+def lazy_names(package: str, where: Mapping[str, str]) -> Callable[[str], Any]:
+    """Return the ``__getattr__`` of a package, by the names that each module of the project has."""
+    module_of = {name: module for module, names in where.items() for name in names.split()}
+
+    def find(name: str) -> Any:
+        if name not in module_of:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        value = getattr(import_module(f"smarttouch.{module_of[name]}"), name)
+        setattr(sys.modules[package], name, value)
+        return value
+
+    return find

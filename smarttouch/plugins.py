@@ -1,0 +1,21 @@
+"""What packages with boards, sources and forces of their own need beside the names at the top."""
+
+from smarttouch.base.errors import LineLostError as LineLostError
+from smarttouch.base.errors import SourceLostError as SourceLostError
+from smarttouch.base.wire.port import LINE_ERRORS as LINE_ERRORS
+from smarttouch.base.wire.port import Port as Port
+from smarttouch.base.wire.port import open_port as open_port
+from smarttouch.base.wire.port import reason as reason
+from smarttouch.boards.reports import BoardReport as BoardReport
+from smarttouch.boards.reports import Capabilities as Capabilities
+from smarttouch.boards.reports import Impedance as Impedance
+from smarttouch.profile.device import Output as Output
+from smarttouch.sources.force import ForceSource as ForceSource
+from smarttouch.sources.live_capture import ImageDevice as ImageDevice
+from smarttouch.sources.live_capture import LiveSource as LiveSource
+from smarttouch.sources.live_capture import Shot as Shot
+from smarttouch.sources.source_contract import Device as Device
+from smarttouch.sources.source_contract import DeviceWarnings as DeviceWarnings
+from smarttouch.sources.source_contract import OutageTracker as OutageTracker
+from smarttouch.sources.source_contract import Pose as Pose
+from smarttouch.stimulation.pulse_rates import ScanTiming as ScanTiming
