@@ -28,6 +28,7 @@ from smarttouch.base.files import (
     open_file,
     require_replaceable,
     unwritable,
+    write_bytes,
 )
 from smarttouch.base.tables import read_arrays
 from smarttouch.profile import Profile, list_profiles
@@ -88,6 +89,29 @@ class KernelBank:
             return np.asarray(weights, np.float32)
         peak = np.abs(weights).max(axis=1, keepdims=True)
         return np.asarray(weights / np.where(peak > 0, peak, 1.0), np.float32)
+
+    def to_c(self, path: str | Path) -> None:
+        """Write a C header of all kernels in the whole numbers that boards get.
+
+        `st_table_weight` has a row for each class and electrode, `st_table_image` the same as the
+        firmware keeps it; the header's first lines say how currents come of them.
+
+        Raises
+        ------
+        DesignError
+            If the file cannot be written.
+
+        Examples
+        --------
+        >>> import smarttouch as st, tempfile
+        >>> with tempfile.NamedTemporaryFile("r") as file:
+        ...     st.load_kernels(st.load_profile("line-8")).to_c(file.name)
+        ...     print(file.readline().strip())
+        /* Kernels as SmartTouch 0.9.0 gives them to boards. Positive is cathodic.
+        """
+        from smarttouch.kernels.c_header import c_header
+
+        write_bytes(Path(path), c_header(self.weights).encode(), DesignError)
 
     def kernel(self, afferent: Afferent, site: int, kind: "KernelKind") -> "Kernel":
         """Return one kernel; DesignError if the board has no such mode or the site is masked."""

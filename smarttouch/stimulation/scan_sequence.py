@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.one_line import one_line
+from smarttouch.base.whole_kernels import quantized
 from smarttouch.profile import Profile
 
 
@@ -46,8 +47,6 @@ def unsupported_reason(profile: Profile) -> tuple[str, str] | None:
     return None
 
 
-PEAK = 32_767
-"""Largest magnitude of a kernel's weights."""
 PER_UA = 4
 """Amplitudes are in quarters of a µA."""
 SHIFT = 17
@@ -96,17 +95,6 @@ class KernelTable:
                 sites.append(kernels[afferent][1])
         site = np.concatenate(sites).astype(np.uint16)
         return cls(quantized(np.concatenate(parts)), site, points, sharing)
-
-
-def quantized(kernels: NDArray[np.float64]) -> NDArray[np.int16]:
-    """Return kernels (K, E) as whole numbers, each row with sum zero; zero stays zero."""
-    peak = np.abs(kernels).max(axis=1, keepdims=True, initial=0)
-    carried = np.cumsum(kernels * (PEAK / np.where(peak > 0, peak, 1)), axis=1)
-    carried[:, -1:] = 0
-    # Halves upward: to even, the peak of (-0.5, 1, -0.5) would be 32,768. Sums of doubles are
-    # exact to far less than the sixth decimal.
-    whole = np.floor(carried.round(6) + 0.5)
-    return np.asarray(np.diff(whole, axis=1, prepend=0), np.int16)
 
 
 @dataclass(frozen=True, eq=False)

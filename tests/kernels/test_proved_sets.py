@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
+from smarttouch.base.whole_kernels import quantized
 from smarttouch.kernels.frame_fields import FrameBounds
 from smarttouch.kernels.frame_judges import FrameJudge
 from smarttouch.kernels.frame_operator import FrameOperator
@@ -17,7 +18,7 @@ from smarttouch.kernels.proved_sets import (
     proved_sets,
 )
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, quantized
+from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable
 from smarttouch.stimulation.slot_sums import round_charge_balanced
 
 from ..raising import raises

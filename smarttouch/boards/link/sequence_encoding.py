@@ -11,15 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import BoardError
+from smarttouch.base.whole_kernels import kept_kernels
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import IDENTITY_BYTES, pack_states, source_of
 from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, parts_per_billion
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence
 from smarttouch.stimulation.slot_sums import extent_us
-
-_IMAGE_HEAD = struct.Struct("<HH")
-_RUN = struct.Struct("<HH")
-_SHORTEST_GAP = 3  # zeros from which a new run is shorter than to write them out
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,16 +35,7 @@ class KernelImage:
         flat = np.frombuffer(table.weights.tobytes(), np.int16)
         site_of = np.frombuffer(table.site.tobytes(), np.uint16)
         own = KernelTable(flat.reshape(table.weights.shape), site_of, {}, {})
-        parts, size = [b""], _IMAGE_HEAD.size
-        for weights, site in zip(own.weights[:most], own.site, strict=False):
-            record = _record(weights, int(site))
-            if size + len(record) > room:
-                break
-            parts.append(record)
-            size += len(record)
-        count = len(parts) - 1
-        parts[0] = _IMAGE_HEAD.pack(own.weights.shape[1], count)
-        data = b"".join(parts)
+        data, count = kept_kernels(own.weights, own.site, room, most)
         return cls(table, own, count, data, digest_of(data))
 
     def proof(self, session: int) -> bytes:
@@ -57,20 +45,6 @@ class KernelImage:
 
 def digest_of(data: bytes) -> bytes:
     return hashlib.sha256(data).digest()[:IDENTITY_BYTES]
-
-
-def _record(weights: NDArray[np.int16], site: int) -> bytes:
-    """Return a kernel as runs of weights; long gaps of zeros are left out."""
-    active = np.flatnonzero(weights)
-    if not len(active):
-        return _RUN.pack(site, 0)
-    breaks = np.flatnonzero(np.diff(active) > _SHORTEST_GAP)
-    starts = active[np.concatenate([[0], breaks + 1])].tolist()
-    ends = (active[np.concatenate([breaks, [len(active) - 1]])] + 1).tolist()
-    parts = [_RUN.pack(site, len(starts))]
-    for start, end in zip(starts, ends, strict=True):
-        parts += [_RUN.pack(start, end - start), weights[start:end].astype("<i2").tobytes()]
-    return b"".join(parts)
 
 
 _HEAD = struct.Struct("<IHHBB")
