@@ -21,9 +21,9 @@ print(f"{len(finger.classes)} afferents")
 steps = list(st.steps(st.open_source("text:T", profile, speed_mm_s=40), profile, seconds=2))
 strongest = max(steps, key=lambda step: np.abs(step.sequence.current_ua).sum(dtype=int))
 feeling = finger.feel(strongest)
-for name, count in feeling.felt.afferents.items():
+for name, count in feeling.quality.afferents.items():
     print(f"{name.name}: {count} fired")
-print(f"silent points: {feeling.felt.silent_points:.2f}")
+print(f"silent points: {feeling.quality.silent_points:.2f}")
 feeling
 
 # %%

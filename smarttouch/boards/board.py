@@ -229,8 +229,8 @@ class Board(TimedBoard, ABC):
             self._recover(lost)
             # Nothing was delivered for a while: what comes next begins at zero.
             self._gate.restart()
-            self.notes.append(f"{lost}: started anew")
-            raise BoardRestartedError(f"{lost}, and was started anew", about=lost.about) from None
+            self.notes.append(f"{lost}: restarted")
+            raise BoardRestartedError(f"{lost}, and was restarted", about=lost.about) from None
         except BoardError:
             # On a stopped board any failure is due to the stop.
             self._go_on_unless_stopped()

@@ -100,7 +100,7 @@ class Capabilities:
             ("clock", f"the {self.clock}'s"),
             ("host lost", silence),
             *([("emergency", "switch, closed")] if self.emergency_switch else []),
-            ("while it scans", "tells of " + (", ".join(reported) or "nothing")),
+            ("while it scans", "reports " + (", ".join(reported) or "nothing")),
         ]
 
 

@@ -97,10 +97,10 @@ def finish(
     others: dict[Path, bytes] | None = None,
 ) -> None:
     """Write the profile; print what was found and the paths."""
-    told = f"simulated: {found}" if simulated else found
-    file.note(what, told)
+    result = f"simulated: {found}" if simulated else found
+    file.note(what, result)
     file.write(others)
-    typer.echo(told)
+    typer.echo(result)
     typer.echo("written: " + ", ".join(str(each) for each in (*(others or {}), file.output)))
 
 
@@ -240,7 +240,7 @@ def force(
     yes: _Yes = False,
     simulate: _Simulate = False,
 ) -> None:
-    """The load cell's curve, by known weights; one given twice tells the hysteresis."""
+    """The load cell's curve, by known weights; one given twice measures the hysteresis."""
     from smarttouch.base.errors import CalibrationError, require_within
     from smarttouch.experiments.calibration.contact import show_force
     from smarttouch.experiments.calibration.force_curve import (
@@ -312,8 +312,7 @@ def thresholds(
             )
         except BoardStoppedError:
             raise procedure.stopped(progress) from None
-    told = procedure.put_down(progress)
-    finish(file, "thresholds", told, simulated)
+    finish(file, "thresholds", procedure.put_down(progress), simulated)
     progress.forget()
 
 

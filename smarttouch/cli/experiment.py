@@ -237,7 +237,7 @@ _Mode = Annotated[str, typer.Option("--mode", metavar="CLASS", help="RA, SAI or 
 _Site = Annotated[
     int | None, typer.Option("--site", metavar="N", help="Electrode; in the middle if none.")
 ]
-_Overwrite = Annotated[bool, typer.Option("--overwrite", help="Begin the CSV file anew.")]
+_Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the CSV file.")]
 _Session = Annotated[str, typer.Option("--session", metavar="NAME", help="Which session.")]
 _Output = Annotated[
     Path | None,

@@ -124,7 +124,7 @@ class SimulatedBoard(LinkHost):
         self._take_offer(self._line.ask(MessageKind.HELLO))
         self._line.ask(MessageKind.BEGIN)
         self._set_up()
-        # Until it tells the finger's force.
+        # Until it reports the finger's force.
         self._wait_until(protocol.ALIVE_MS * 1_000_000)
 
     def _power_up(self) -> None:
@@ -155,7 +155,7 @@ class SimulatedBoard(LinkHost):
         """Return when a sequence with a time stamp begins."""
         now_ns, before_ns, self._stamp_ns = self._line.now_ns, self._stamp_ns, stamp_ns
         if self._number == 1 or stamp_ns < before_ns:
-            # Stamps have begun anew, as they may.
+            # Time stamps have started again, as they may.
             self._ahead_ns = stamp_ns - now_ns
         gap_ns = stamp_ns - self._ahead_ns - now_ns
         self._ahead_ns += max(0, gap_ns - _LONGEST_GAP_NS)

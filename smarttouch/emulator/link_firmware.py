@@ -27,15 +27,9 @@ from smarttouch.boards.link.protocol import (
 )
 from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.emulator.firmware import DeliveryLog, Firmware
+from smarttouch.emulator.link_limits import MAX_CURRENT_UA, MAX_SLOTS, Load, SessionLimits
 from smarttouch.emulator.link_packets import BoardSession, KernelStore, decode_lists
-from smarttouch.emulator.link_rules import (
-    MAX_CURRENT_UA,
-    MAX_SLOTS,
-    BrokenRule,
-    Load,
-    SessionLimits,
-    complaint,
-)
+from smarttouch.emulator.link_rules import BrokenRule, complaint
 from smarttouch.emulator.rules_over_time import RAMP_MS, LastSecond, Ramp
 from smarttouch.emulator.skin import COMPLIANCE_V, SkinCircuit
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.boards.link.protocol import NOTHING, Rule
-from smarttouch.emulator.link_rules import FULL, MAX_PULSES_HZ, BrokenRule, Load, SessionLimits
+from smarttouch.emulator.link_limits import FULL, MAX_PULSES_HZ, Load, SessionLimits
+from smarttouch.emulator.link_rules import BrokenRule
 
 BUCKET_US = 50_000
 BUCKETS = 20

@@ -44,7 +44,7 @@ class StudyRow:
     read_as: str  # letter that was read of the spikes; nothing for a page
     # 1 where a letter was read as another, else 0; of a page the error rate of characters
     error: float
-    # silent_points, wrong_class, misplaced: see `felt.ResponseQuality`; NaN without a spike
+    # silent_points, wrong_class, misplaced: see `ResponseQuality`; NaN without a spike
     silent_points: float
     wrong_class: float
     misplaced: float
@@ -63,21 +63,21 @@ class StudyRow:
         anatomy: str,
         finger: int,
         pattern: str,
-        felt: ResponseQuality | NerveReading,
+        quality: ResponseQuality | NerveReading,
         current_ua: Sequence[NDArray[np.int16]],
         error: float,
         read_as: str = "",
     ) -> "StudyRow":
         """Return the row of one response; of a page nothing is counted. Currents are (S, E) µA
         each."""
-        letter = felt if isinstance(felt, ResponseQuality) else None
+        letter = quality if isinstance(quality, ResponseQuality) else None
         ra, sai, pc = (letter.afferents[each] if letter else 0 for each in Afferent)
         slots = sum(map(len, current_ua))
         total_ua = sum(int(np.abs(each.astype(np.int64)).sum()) for each in current_ua)
         return cls(
             choice.profile, anatomy, finger, choice.kernels, choice.mode, choice.scan,
-            choice.intensity, pattern, read_as, error, felt.silent_points, felt.wrong_class,
-            felt.misplaced, letter.spikes if letter else 0, ra, sai, pc, slots,
+            choice.intensity, pattern, read_as, error, quality.silent_points, quality.wrong_class,
+            quality.misplaced, letter.spikes if letter else 0, ra, sai, pc, slots,
             total_ua / 2000 / max(1, slots),
         )  # fmt: skip
 
@@ -103,7 +103,14 @@ def rows_of_finger(
                 error = float(one.read_as != letter)
                 rows.append(
                     StudyRow.of(
-                        each.choice, name, seed, letter, one.felt, [current_ua], error, one.read_as
+                        each.choice,
+                        name,
+                        seed,
+                        letter,
+                        one.quality,
+                        [current_ua],
+                        error,
+                        one.read_as,
                     )
                 )
     return rows
@@ -182,6 +189,6 @@ def row_of_page(
     from threadpoolctl import threadpool_limits
 
     with threadpool_limits(limits=1, user_api="blas"):
-        felt, error = legibility_on_finger(found, reading, seed, anatomy)
+        quality, error = legibility_on_finger(found, reading, seed, anatomy)
     slots = [line.current_ua for lines, _ in found.delivered for line in lines]
-    return [StudyRow.of(choice, name, seed, page, felt, slots, error)]
+    return [StudyRow.of(choice, name, seed, page, quality, slots, error)]

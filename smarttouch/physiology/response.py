@@ -104,14 +104,14 @@ class Feeling:
         return counts
 
     @cached_property
-    def felt(self) -> ResponseQuality:
+    def quality(self) -> ResponseQuality:
         """Afferents that fired, silent points, and spikes of other classes and elsewhere."""
         return response_quality(self.finger, self.counts, self.active, self.wanted)
 
     def _repr_html_(self) -> str:
         """Return the receptors that fired, by class, among the electrodes, for notebooks."""
-        fired = ", ".join(f"{count} {each.name}" for each, count in self.felt.afferents.items())
-        title = f"{self.felt.spikes} spikes of {fired} afferents"
+        fired = ", ".join(f"{count} {each.name}" for each, count in self.quality.afferents.items())
+        title = f"{self.quality.spikes} spikes of {fired} afferents"
         return titled(title, finger_svg(self.finger, self.counts, self.active))
 
 

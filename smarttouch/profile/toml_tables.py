@@ -87,11 +87,11 @@ def load_model(path: Path, kind: type[_Table], **more: object) -> _Table:
 def table_error(kind: type[_Error], name: object, error: ValidationError) -> _Error:
     """Return the error that lists all that is wrong in a file."""
     found = [*_complaints(error)]
-    told = [words for words, _ in found[:_MOST_IN_A_SENTENCE]]
-    if len(found) > len(told):
-        told.append(f"and {len(found) - len(told)} more")
+    sentences = [words for words, _ in found[:_MOST_IN_A_SENTENCE]]
+    if len(found) > len(sentences):
+        sentences.append(f"and {len(found) - len(sentences)} more")
     complaints = [(each["about"], f"{name}: {words}") for words, each in found]
-    return kind(f"{name}: {'; '.join(told)}", complaints=complaints, **found[0][1])
+    return kind(f"{name}: {'; '.join(sentences)}", complaints=complaints, **found[0][1])
 
 
 def _complaints(error: ValidationError) -> Iterator[Found]:

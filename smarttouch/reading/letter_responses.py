@@ -54,7 +54,7 @@ class LetterResponse:
 
     letter: str
     seed: int
-    felt: ResponseQuality
+    quality: ResponseQuality
     read_as: str  # letter that the spikes resemble most; empty without a spike
 
 
@@ -162,7 +162,7 @@ def summary(found: Sequence[LetterResponse]) -> dict[str, float]:
         name: ignore_nan(
             median,
             (
-                ignore_nan(fmean, (getattr(one.felt, name) for one in them))
+                ignore_nan(fmean, (getattr(one.quality, name) for one in them))
                 for them in by_finger.values()
             ),
         )
@@ -173,7 +173,7 @@ def summary(found: Sequence[LetterResponse]) -> dict[str, float]:
 
 def fired(found: Sequence[LetterResponse]) -> dict[str, float]:
     """Return how many afferents of each class fire: medians over letters and fingers."""
-    return {each.name: median(one.felt.afferents[each] for one in found) for each in Afferent}
+    return {each.name: median(one.quality.afferents[each] for one in found) for each in Afferent}
 
 
 def letter_templates(profile: Profile) -> dict[str, Floats]:

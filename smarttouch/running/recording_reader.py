@@ -39,7 +39,7 @@ class Recording(McapFile):
         self._require_size()
         found = self.about.get("format")
         if found is None:
-            message = f"{path} tells nothing of a run: it is no recording of SmartTouch"
+            message = f"{path} has nothing of a run: it is no recording of SmartTouch"
             raise RecordingError(message, about="file")
         if found != FORMAT:
             raise RecordingError(

@@ -136,7 +136,7 @@ def make_regulator(
     if config.hold is not None:
         if not can.measures or can.compliance_v is None:
             raise BoardError(
-                "hold needs a board that tells the voltage of each slot, and this one does not",
+                "hold needs a board that measures the voltage of each slot, and this one does not",
                 about="hold",
             )
         if not board.timing.own_widths and config.hold == "charge":

@@ -210,7 +210,7 @@ class RunStatistics:
     """Sequences sent; each from one input."""
     seen: int = 0
     """Different frames or stimuli that were read."""
-    felt: int = 0
+    delivered: int = 0
     """Different frames or stimuli of which a sequence was sent."""
     real_time: bool = False
     """Whether the loop's thread had real-time priority."""
@@ -260,7 +260,7 @@ class RunStatistics:
         """Enter a step whose sequence was sent."""
         step, sequence = result.step, result.step.sequence
         self.frames += 1
-        self.felt += step.input.number != self._last_sent
+        self.delivered += step.input.number != self._last_sent
         self._last_sent = step.input.number
         self.slots += len(sequence.width_us)
         if sequence.proof is not None and (shared := sequence.proof.shared) is not None:
@@ -304,8 +304,8 @@ def figures_of(
         "seconds": statistics.seconds,
         "frames": statistics.frames,
         "frames_in": source.frames,
-        "frames_felt": statistics.felt,
-        "dropped_frames": source.dropped_frames + statistics.seen - statistics.felt,
+        "frames_delivered": statistics.delivered,
+        "dropped_frames": source.dropped_frames + statistics.seen - statistics.delivered,
         "sequences": statistics.frames,
         "slots": statistics.slots,
         "worst_other": statistics.off_target or None,
@@ -361,7 +361,7 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
     )
     lines = [
         f"Ended after {figures['seconds']:.1f} s ({figures['ended']}): all electrodes off.",
-        f"{figures['frames_in']} frames in, {figures['frames_felt']} felt, "
+        f"{figures['frames_in']} frames in, {figures['frames_delivered']} delivered, "
         f"{figures['dropped_frames']} dropped; {figures['slots']} slots in "
         f"{figures['acknowledged']} sequences {'acknowledged' if acknowledges else 'sent'}",
         f"{figures['rate_hz']:.1f} Hz of {figures['rate_asked_hz'] or 0:.1f} asked"

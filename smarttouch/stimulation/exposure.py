@@ -11,65 +11,21 @@ from numpy.typing import NDArray
 
 from smarttouch.base.clock import LATE_NS
 from smarttouch.base.errors import SafetyError
-from smarttouch.profile.ceilings import (
-    BURST_S,
-    CEILING_MEAN_MA,
-    CEILING_NET_MA,
-    CEILING_PULSES_HZ,
+from smarttouch.stimulation.pass_load import (
+    BURST_US,
+    MOST_PER_US,
+    NET_PC,
+    PER_PC,
+    PER_PULSE,
+    WINDOW_NS,
+    Charge,
+    Load,
+    PassLoad,
+    Sums,
 )
 from smarttouch.stimulation.safety_limits import SafetyLimits, decimal
 
-WINDOW_NS = 1_000_000_000
-BURST_US = round(1e6 * BURST_S)
-PER_PULSE = 1_000_000
-PER_PC = round(1000 * CEILING_PULSES_HZ / (1e6 * CEILING_MEAN_MA))
-"""Weights that give felt pulses and charge one limit, in whole numbers: 3 of it for 1 pC, a
-million for a pulse, and `MOST_PER_US` of either for each microsecond."""
-MOST_PER_US = round(CEILING_PULSES_HZ)
-NET_PC = round(1e9 * CEILING_NET_MA)
-"""Largest net charge of an electrode in a second."""
-PLANNED = 0.9
-"""Part of the limit used by schedules, so that jittered steps keep the window of a second."""
 _LAST_NS = WINDOW_NS - 1
-
-Load = NDArray[np.float64]
-"""Felt pulses × `PER_PULSE` and charge in pC × `PER_PC` of each electrode, (2, E): whole numbers,
-all far below 2^53, where doubles are exact."""
-Charge = NDArray[np.float64]
-"""Signed charge of each electrode, positive cathodic, (E,) pC: whole numbers below 2^53."""
-
-
-Sums = NDArray[np.float64]
-"""Load and signed charge of each electrode, (3, E)."""
-
-
-class PassLoad(NamedTuple):
-    """Load of one pass of a sequence on each electrode.
-
-    Attributes
-    ----------
-    sums : ndarray, (3, E)
-        Load and net charge, with its recharge phase.
-    recharge_pc : ndarray, (E,) pC
-        Charge of its recharge phase if it has one, positive cathodic.
-    busy_us : int, µs
-        Time of its slots and its recharge phase.
-    peak_pc : int, pC
-        Largest charge of one pulse of its slots; 0 if none has current.
-    """
-
-    sums: Sums
-    recharge_pc: Charge | None
-    busy_us: int
-    peak_pc: int
-
-
-def shortest_period_us(load: Load) -> int:
-    """Return the shortest period that a schedule plans for a load, µs.
-
-    Above `BURST_US` it is more than any period allows.
-    """
-    return int(np.ceil(load.max(initial=0) / (PLANNED * MOST_PER_US)))
 
 
 @dataclass(frozen=True)
@@ -187,7 +143,7 @@ class Exposure:
         self._session[:] = 0
 
     def forget_second(self) -> None:
-        """Reset the last second, where time starts anew; the session continues."""
+        """Reset the last second, where time restarts; the session continues."""
         self._last = None
         self._window.clear()
         self._second_at_most = self._net_at_most = 0.0
@@ -349,7 +305,7 @@ class Exposure:
         if (last := self._last) is not None:
             session_ns -= (last.times - begun) * last.period_ns * last.flows
             session -= (last.times - begun) * last.first.sums[1]
-        remedy = "take the finger off, look at the skin, and begin anew later"
+        remedy = "take the finger off, look at the skin, and continue later"
         if session_ns > self._most_session_ns:
             seconds = session_ns / 1e9
             raise SafetyError(

@@ -12,7 +12,9 @@ from smarttouch.base.errors import ScheduleError
 from smarttouch.base.tactile_image import TactileImage
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
-from smarttouch.stimulation.exposure import (
+from smarttouch.stimulation.frame_slots import FrameSlots
+from smarttouch.stimulation.net_plan import NetPlan
+from smarttouch.stimulation.pass_load import (
     BURST_US,
     MOST_PER_US,
     PER_PC,
@@ -21,8 +23,6 @@ from smarttouch.stimulation.exposure import (
     Load,
     shortest_period_us,
 )
-from smarttouch.stimulation.frame_slots import FrameSlots
-from smarttouch.stimulation.net_plan import NetPlan
 from smarttouch.stimulation.point_slots import PointSlots, Slots, constant_us, joined
 from smarttouch.stimulation.pulse_rates import PulseRates, ScanTiming, rate_share, rates_of
 from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import SafetyError
 from smarttouch.profile.ceilings import LEAST_DISCHARGE_US
-from smarttouch.stimulation.exposure import PER_PC, Load, PassLoad
+from smarttouch.stimulation.pass_load import PER_PC, Load, PassLoad
 from smarttouch.stimulation.recharge import prove_recharge
 from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, decimal
 from smarttouch.stimulation.scan_sequence import ScanSequence

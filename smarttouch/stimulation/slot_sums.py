@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.stimulation.exposure import PER_PC, PER_PULSE, Load, Sums
+from smarttouch.stimulation.pass_load import PER_PC, PER_PULSE, Load, Sums
 
 BLOCK = 131_072
 """Currents per block: in single precision half a megabyte, which stays in a

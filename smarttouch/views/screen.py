@@ -264,7 +264,7 @@ class Screen(Listener):
     def _numbers(self, sent: StepResult) -> Rows:
         frame, sequence, statistics = sent.step.input, sent.step.sequence, self._statistics
         limits, dose, pose = self._profile.limits, self._board.dose, frame.pose
-        dropped = self._source.dropped_frames + statistics.seen - statistics.felt
+        dropped = self._source.dropped_frames + statistics.seen - statistics.delivered
         length = "" if self._source.duration_s is None else f" of {self._source.duration_s:.0f}"
         slots = f"{sequence.slots} slots"
         charge = f"{dose.most_mc:.1f}/{limits.session_mc:.0f} mC"
@@ -276,7 +276,7 @@ class Screen(Listener):
             ("net", f"{dose.most_net_uc:.0f} µC of one sign"),
             ("finger", f"x {pose.x_mm:.1f}  y {pose.y_mm:.1f} mm"),
             ("beside", _beside(sequence.proof.shared if sequence.proof else None)),
-            ("frames", f"{statistics.felt} felt, {dropped} dropped of {self._source.frames}"),
+            ("frames", f"{statistics.delivered} sent, {dropped} dropped of {self._source.frames}"),
             ("board", f"{self._board.acknowledged} of {statistics.frames} acknowledged"),
             ("own work", f"{sent.work_us:.0f} µs, {statistics.work_share:.1%} of the scans"),
         )

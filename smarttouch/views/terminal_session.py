@@ -155,8 +155,7 @@ def _window(
         keys_help=keys_help,
         alone=alone,
         blind=blind,
-        finger=outputs.finger,
-        anatomy=outputs.anatomy,
+        finger=(outputs.finger, outputs.anatomy),
     )
 
 

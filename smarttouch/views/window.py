@@ -35,8 +35,8 @@ class Window(Listener):
 
     The loop's thread only stores the newest step. Port 0 of 127.0.0.1 is a free one. With
     ``alone``, a run is paused once no page controls it; with ``blind``, pages do not show what is
-    delivered. ``finger`` is the seed of a simulated finger, None for none. ``show`` is called with
-    the address once it is served.
+    delivered. ``finger`` is the seed and the anatomy of a simulated finger, None for none. ``show``
+    is called with the address once it is served.
     """
 
     def __init__(
@@ -48,14 +48,13 @@ class Window(Listener):
         keys_help: str = "",
         alone: bool = True,
         blind: bool = False,
-        finger: int | None = 1,
-        anatomy: str = "branched",
+        finger: tuple[int, str] | None = (1, "branched"),
         show: Callable[[str], object] | None = None,
     ) -> None:
         super().__init__()
         self._run_stop, self._keys, self._keys_help = stop, keys or {}, keys_help
         self._alone, self._blind, self._show = alone, blind, show or _announce
-        self._seed, self._anatomy = finger, anatomy
+        self._simulated = finger
         self._pages = Pages(self)
         self.server = PageServer(port, self._pages.routes())
         self.steering: Steering
@@ -144,10 +143,10 @@ class Window(Listener):
             sys.setswitchinterval(self._switch_s)
 
     def _finger(self, run: RunContext) -> Finger | None:
-        if self._blind or self._seed is None:
+        if self._blind or self._simulated is None:
             return None
         try:
-            return Finger(run.profile, self._seed, self._anatomy)
+            return Finger(run.profile, *self._simulated)
         except DesignError as error:
             self.notes.append(f"the window shows no finger: {error}")
             return None

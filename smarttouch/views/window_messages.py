@@ -52,7 +52,7 @@ def finger_message(finger: Finger) -> Message:
 
 def response_message(feeling: Feeling) -> Message:
     """Return the spikes of each afferent, and the quality of the response."""
-    quality = feeling.felt
+    quality = feeling.quality
     return {
         "counts": _base64(np.minimum(feeling.counts, 255).astype(np.uint8)),
         "spikes": quality.spikes,

@@ -36,8 +36,8 @@ def test_steps_sequences_and_lists_of_them_feel_the_same(finger, steps):
     # What is too faint for a pulse is in no sequence.
     assert not (bare.active & ~one.active).any()
     assert bare.active.any()
-    assert bare.felt.wrong_class == 0
-    assert one.felt.spikes == one.counts.sum()
+    assert bare.quality.wrong_class == 0
+    assert one.quality.spikes == one.counts.sum()
 
 
 def test_a_list_is_one_stretch_of_time(finger, steps):
@@ -55,7 +55,7 @@ def test_a_list_is_one_stretch_of_time(finger, steps):
 def test_nothing_is_felt_of_nothing(finger):
     feeling = finger.feel([])
     assert feeling.spikes == ()
-    assert feeling.felt.spikes == 0
+    assert feeling.quality.spikes == 0
     assert list(fire_all(SpikeModel(finger), [])) == []
 
 
@@ -75,4 +75,4 @@ def test_it_shows_itself_in_notebooks(finger, steps):
     for picture in (shown, quiet):
         assert all(color in picture for color in CLASS_COLORS.values())
         assert picture.count("<circle") == len(finger.classes) + len(finger.profile.electrodes)
-    assert str(finger.feel(strong).felt.spikes) in shown
+    assert str(finger.feel(strong).quality.spikes) in shown

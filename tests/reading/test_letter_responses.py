@@ -39,7 +39,7 @@ def test_the_same_fingers_feel_the_same(small):
 def test_ra_mode_fires_mostly_ra_in_the_paper_s_anatomy(small):
     profile, bank = small
     found = letter_responses.respond_to_letters(profile, bank, Mode.RA, "paper", (1, 2, 3), "T")
-    assert sum(each.felt.afferents[Afferent.RA] for each in found) > 0
+    assert sum(each.quality.afferents[Afferent.RA] for each in found) > 0
     assert letter_responses.summary(found)["wrong_class"] < 0.5
 
 

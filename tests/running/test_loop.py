@@ -514,7 +514,7 @@ def test_the_user_s_wish_is_heeded_and_told_of(pipeline, board):
 
 def test_the_same_image_again_is_felt_once(pipeline, board):
     tally, _ = play(board, pipeline, Bars(40, number=lambda time_ns: time_ns // 50_000_000))
-    assert (tally.frames, tally.seen, tally.felt) == (40, 16, 16)
+    assert (tally.frames, tally.seen, tally.delivered) == (40, 16, 16)
 
 
 def test_every_step_is_observed_also_one_that_was_lost(pipeline, board, monkeypatch):
@@ -530,7 +530,7 @@ def test_every_step_is_observed_also_one_that_was_lost(pipeline, board, monkeypa
     monkeypatch.setattr(board, "_recover", lambda lost: None)
     tally, told = play(board, pipeline, Bars(30), listeners=[seen.append])
     assert [sent.number is None for sent in seen] == [i == 20 for i in range(30)]
-    assert (tally.seen, tally.felt) == (30, 29)
+    assert (tally.seen, tally.delivered) == (30, 29)
     assert [sent.step.restarted for sent in seen] == [i in (0, 21) for i in range(30)]
     assert [time_ns for time_ns, words in told if str(lost) in words] == [400_000_000]
 

@@ -55,7 +55,7 @@ def test_frames_are_felt_once(steps):
     tally, numbers = RunStatistics(), np.cumsum(steps, dtype=int).tolist()
     for number in numbers:
         tally.enter(sent(number), None)
-    assert (tally.frames, tally.felt) == (len(numbers), len(set(numbers)))
+    assert (tally.frames, tally.delivered) == (len(numbers), len(set(numbers)))
     assert (tally.slots, tally.scan_us) == (len(numbers), 20_000 * len(numbers))
 
 

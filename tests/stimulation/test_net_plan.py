@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from smarttouch.stimulation.exposure import NET_PC
 from smarttouch.stimulation.net_plan import NetPlan
+from smarttouch.stimulation.pass_load import NET_PC
 
 SECOND_US = 1_000_000
 

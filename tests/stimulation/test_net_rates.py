@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from smarttouch.stimulation.exposure import NET_PC
 from smarttouch.stimulation.net_plan import NetPlan
+from smarttouch.stimulation.pass_load import NET_PC
 
 BUSY_US = 300
 

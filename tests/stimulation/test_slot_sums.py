@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.stimulation import slot_sums as module
-from smarttouch.stimulation.exposure import PER_PC, PER_PULSE
+from smarttouch.stimulation.pass_load import PER_PC, PER_PULSE
 from smarttouch.stimulation.slot_sums import SlotAdder, extent_us
 
 

@@ -261,7 +261,7 @@ def test_what_would_tell_the_answer_is_not_sent(running):
 
 def test_a_finger_feels_what_is_delivered(running):
     source = Spots(load_profile("smarttouch-4x4"))
-    with running(source, finger=1, anatomy="paper") as run, connect(run) as socket:
+    with running(source, finger=(1, "paper")) as run, connect(run) as socket:
         hello = receive(socket, "hello")
         assert hello["finger"]["classes"]
         while "felt" not in (update := receive(socket, "update")):

@@ -152,7 +152,7 @@ class ETactileKitLine(KeptBoard):
                 "not spoken: update it",
                 about="firmware",
             )
-        raise self._lost(f"told {len(answer)} bytes of readings, not {codec.answer_bytes}")
+        raise self._lost(f"sent {len(answer)} bytes of readings, not {codec.answer_bytes}")
 
     def _forgets_hosts(self) -> bool:
         """Return whether it drops a partial command when its host was away for a while."""

@@ -147,7 +147,7 @@ class StreamedBoard(Board):
         self._close()
         if self._identity is None and not self.can_be_asked:
             raise BoardError(
-                f"{lost}; USB tells no serial number of it and it cannot be asked who it is, so "
+                f"{lost}; it has no USB serial number and cannot be identified, so "
                 "nothing is sent to what comes back: check the cable, then start again",
                 about=lost.about,
             )

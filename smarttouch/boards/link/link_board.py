@@ -288,13 +288,13 @@ class LinkBoard(LinkHost):
         line = self._line
         if why in (Refusal.UNSAFE, Refusal.MALFORMED):
             self._unsafe_refused += 1
-            # Clocks differ: what rose too fast for the board's begins anew at zero.
+            # Clocks differ: what rose too fast for the board's restarts at zero.
             fault = line.lost if rule == Rule.RISE else line.gone
             line.fail(fault(f"refused sequence {message.about} as unsafe: {words}"))
         elif why == Refusal.STOPPED and not line.overtaken:
-            line.fail(line.gone("has been stopped or started anew by someone else"))
+            line.fail(line.gone("has been stopped or restarted by another program"))
         elif why == Refusal.SILENCE:
-            line.fail(line.lost("heard nothing for 100 ms"))
+            line.fail(line.lost("received nothing for 100 ms"))
 
     def _aftermath(self) -> str:
         done = f", {self.acknowledged} sequences acknowledged"

@@ -135,9 +135,9 @@ class LinkHost(Board):
         return account_of(self._line.ask(MessageKind.STATUS), self._line.name)
 
     def _checked_account(self) -> tuple[Any, ...]:
-        """Return the board's account; latch the board if it tells of what was not sent."""
-        told, before, limits = self._status(), self._account_before, self._gate.limits
-        violations, slots = told[3] - before[3], told[1] - before[1]
+        """Return the board's account; latch the board if that has what was not sent."""
+        now, before, limits = self._status(), self._account_before, self._gate.limits
+        violations, slots = now[3] - before[3], now[1] - before[1]
         largest_ma = limits.total_ua / 1000 if limits.one_source else limits.current_ua.max() / 1000
         if violations > self._unsafe_refused:
             raise self._latch(
@@ -148,16 +148,16 @@ class LinkHost(Board):
             raise self._latch(
                 f"the board delivered {slots} slots where {self._slots_sent} were sent"
             )
-        if told[4] > max(before[4], largest_ma):
+        if now[4] > max(before[4], largest_ma):
             raise self._latch(
-                f"the board delivered {told[4]:g} mA, above the {largest_ma:g} mA that may be sent"
+                f"the board delivered {now[4]:g} mA, above the {largest_ma:g} mA that may be sent"
             )
-        return told
+        return now
 
     def report(self) -> BoardReport:
-        told = self._checked_account()
-        refused = max(0, sum(told[OLD_PACKETS]) - self._packets_before)
-        return replace(BoardReport(*told[:7]), refused_packets=refused)
+        account = self._checked_account()
+        refused = max(0, sum(account[OLD_PACKETS]) - self._packets_before)
+        return replace(BoardReport(*account[:7]), refused_packets=refused)
 
     def take_volts(self) -> list[Measured]:
         return [self._measured.popleft() for _ in range(len(self._measured))]
