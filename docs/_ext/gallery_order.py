@@ -25,6 +25,8 @@ ORDER = (
     "own_stimulus",
     "own_imaging",
     "own_experiment",
+    "irregular_array",
+    "analyze_recording",
     "show_patterns",
     "errors",
 )

@@ -201,3 +201,44 @@ def copy(
     copied = ProfileFile(name, file, overwrite)
     copied.write()
     typer.echo(f"written: {copied.output}")
+
+
+@profiles.command()
+def new(
+    table: Annotated[
+        Path, typer.Argument(metavar="TABLE.csv", help="Columns x_mm, y_mm, maybe diameter_mm.")
+    ],
+    file: _File,
+    like: Annotated[
+        str, typer.Option("--like", metavar="NAME|FILE", help="Where all else comes from.")
+    ] = "electric-mouse",
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="The file may be there already.")
+    ] = False,
+) -> None:
+    """Write a profile with electrodes at the places of a table, to be edited."""
+    from smarttouch.base.errors import ProfileError
+    from smarttouch.base.files import require_replaceable, write_bytes
+    from smarttouch.profile import load_profile
+    from smarttouch.profile.toml_writer import as_toml
+
+    require_replaceable(file, ProfileError)
+    if file.exists() and not overwrite:
+        raise ProfileError(
+            f"{file} is there already: give another name, or let it be overwritten",
+            about="file",
+            remedy="overwrite",
+        )
+    made = load_profile(like).with_electrodes(table, f"{table.stem}, else as {like}")
+    write_bytes(file, as_toml(made).encode(), ProfileError)
+    typer.echo(f"written: {file}, {len(made.electrodes)} electrodes")
+
+
+@profiles.command()
+def schema() -> None:
+    """Print the JSON Schema of a profile's file, for editors and other programs."""
+    import json
+
+    from smarttouch.profile import Profile
+
+    typer.echo(json.dumps(Profile.model_json_schema(), indent=1))

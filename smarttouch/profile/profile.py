@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Mapping
 from functools import cached_property
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -25,6 +26,7 @@ from smarttouch.profile.device import (
     Pulse,
     Skin,
 )
+from smarttouch.profile.electrode_table import layout_of, lowest_for_all
 from smarttouch.profile.layouts import ArrayLayout
 from smarttouch.profile.toml_tables import Table, UnfitError, raise_all, table_error
 
@@ -176,6 +178,8 @@ class Profile(Table):
         kind = self.output.kind
         return f"Profile({self.name or self.title!r}, {len(self.electrodes)} electrodes, {kind})"
 
+    __str__ = __repr__
+
     @cached_property
     def electrodes(self) -> ElectrodeArray:
         return self.array.build()
@@ -262,6 +266,43 @@ class Profile(Table):
             return super().model_copy(update=update, deep=deep)
         except ValidationError as error:
             raise table_error(ProfileError, self.name or "profile", error) from None
+
+    def with_electrodes(
+        self, table: Path | str | NDArray[np.floating[Any]], title: str = ""
+    ) -> Self:
+        """Return a profile of the same device with electrodes elsewhere.
+
+        Parameters
+        ----------
+        table : path or array-like, (E, 2) or (E, 3), mm
+            Places right and down, in the order of the board's electrodes, and diameters if they
+            are given; else 1 mm. A CSV file has the columns ``x_mm``, ``y_mm``, ``diameter_mm``.
+        title : str
+            Description of the device, for people.
+
+        Raises
+        ------
+        ProfileError
+            If that is no table of electrodes, or they do not fit the rest of the profile.
+
+        Notes
+        -----
+        What this profile says of each electrode, such as limits, becomes the least of all; masks,
+        the order of wiring and what was measured on its electrodes go, and so do its defaults of
+        commands.
+
+        Examples
+        --------
+        >>> import smarttouch as st
+        >>> mouse = st.load_profile("electric-mouse")
+        >>> mouse.with_electrodes([(0, 0), (2, 0), (1, 1.8)], "a triangle")
+        Profile('a triangle', 3 electrodes, weighted)
+        """
+        layout = layout_of(table)
+        count = len(layout.positions_mm)
+        own = lowest_for_all(count, self.output, self.perception, self.limits, self.calibrated)
+        title = title or f"{count} electrodes, else as {self.title}"
+        return self.model_copy(update={**own, "array": layout, "title": title, "name": ""})
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

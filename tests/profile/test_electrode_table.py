@@ -1,0 +1,97 @@
+"""Profiles with electrodes from a table: of a file, an array or a command, and what is refused."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import smarttouch as st
+from smarttouch.base.errors import ProfileError
+from smarttouch.profile.toml_writer import as_toml
+
+from ..raising import raises
+
+MOUSE = st.load_profile("electric-mouse")
+PLACES = np.array([[0, 0], [2, 0.1], [4, 0], [0.1, 2], [2, 2.1], [4, 1.9]])
+
+
+@pytest.fixture
+def table(tmp_path):
+    path = tmp_path / "mine.csv"
+    rows = [f"{x},{y},{1 + 0.1 * number}" for number, (x, y) in enumerate(PLACES.tolist())]
+    path.write_text("\n".join(["x_mm,y_mm,diameter_mm", *rows]), encoding="utf-8")
+    return path
+
+
+def test_places_and_sizes_are_those_of_the_table(table):
+    """In its order, about their middle."""
+    electrodes = MOUSE.with_electrodes(table).electrodes
+    np.testing.assert_allclose(electrodes.position_mm, PLACES - [2, 1.05])
+    assert [size for _, (size, _) in electrodes.own] == [1 + 0.1 * each for each in range(6)]
+    discs = MOUSE.with_electrodes(PLACES, "mine")
+    assert discs.title == "mine"
+    assert (discs.electrodes.shape, discs.electrodes.size_mm) == ("disc", (1.0, 0.0))
+
+
+def test_what_was_said_of_each_electrode_is_the_least_of_all():
+    perception = MOUSE.perception.model_dump() | {
+        "threshold_ma": tuple(np.linspace(1, 1.5, 64).tolist()),
+        "comfort_ma": tuple(np.linspace(1.8, 2.4, 64).tolist()),
+    }
+    limits = MOUSE.limits.model_dump() | {"electrode_ma": tuple(np.linspace(2.5, 5, 64).tolist())}
+    output = MOUSE.output.model_dump() | {"masked": (3, 4)}
+    own = MOUSE.model_copy(update={"perception": perception, "limits": limits, "output": output})
+    made = own.with_electrodes(PLACES)
+    assert made.threshold_ma.tolist() == [1.0] * 6
+    np.testing.assert_allclose(made.full_ma, 1.8)
+    assert made.limits.electrode_ma == (2.5,) * 6
+    assert made.output.masked == ()
+    assert made.pulse == MOUSE.pulse
+
+
+@pytest.mark.parametrize(("places", "words"), [
+    ([(0, 0), (0, 0)], "coincide"), ([(0, 0)], "1 electrode"), ([], "(0,)"), ([1, 2], "(2,)"),
+    ([(0, 0), (np.nan, 1)], "nan"), ([(0, 0, 1), (2, 0, -1)], "-1"),
+    (np.zeros((5000, 2)), "4096"),
+])  # fmt: skip
+def test_what_is_no_array_is_one_sentence(places, words):
+    with raises(ProfileError, value=words):
+        MOUSE.with_electrodes(places)
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("x,y\n1,2\n3,4", "x_mm"), ("x_mm,y_mm\n1,2\n3,a", "line 3"), ("x_mm,y_mm\n1,2", "1 row"),
+])  # fmt: skip
+def test_what_is_no_table_is_one_sentence(tmp_path, text, words):
+    path = tmp_path / "mine.csv"
+    path.write_text(text, encoding="utf-8")
+    with raises(ProfileError, value=words):
+        MOUSE.with_electrodes(path)
+
+
+def smarttouch(*words):
+    command = [sys.executable, "-m", "smarttouch", *map(str, words)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def test_a_command_writes_a_profile_of_it(table, tmp_path):
+    path = tmp_path / "mine.toml"
+    done = smarttouch("profiles", "new", table, path)
+    assert (done.returncode, done.stderr) == (0, "")
+    made = st.load_profile(path)
+    expected = MOUSE.with_electrodes(table, made.title)
+    assert as_toml(made).replace(" # default", "") == as_toml(expected).replace(" # default", "")
+    again = smarttouch("profiles", "new", table, path)
+    assert again.returncode == 2
+    assert "--overwrite" in again.stderr
+
+
+def test_a_command_prints_the_schema_of_profiles():
+    """It says of each table and key what a profile may say."""
+    done = smarttouch("profiles", "schema")
+    schema = json.loads(done.stdout)
+    assert schema == st.Profile.model_json_schema()
+    assert set(schema["properties"]) == {*type(MOUSE).model_fields}
+    assert schema["$defs"]["FreeLayout"]["properties"]["positions_mm"]["maxItems"] == 4096
