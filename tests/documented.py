@@ -78,18 +78,8 @@ _PART = re.compile(
 
 @dataclass(frozen=True)
 class Block:
-    """A block of a page.
-
-    Attributes
-    ----------
-    page : Path
-    line : int
-        Of its first line.
-    language, text : str
-    file : str
-        Name that the page gives it; empty if none.
-    not_run : tuple of str
-        Parts of lines that are not run.
+    """A block of a page: its first line, the name that the page gives it (or none), its text, and
+    parts of lines that are not run.
     """
 
     page: Path
@@ -140,14 +130,7 @@ class PageError(Exception):
 
 @dataclass
 class Reader:
-    """Goes through pages in a folder of its own.
-
-    Parameters
-    ----------
-    folder : Path
-    popen : type
-        Starts programs, as `subprocess.Popen` does.
-    """
+    """Goes through pages in a folder of its own, and starts programs as `subprocess.Popen` does."""
 
     folder: Path
     popen: type[subprocess.Popen] = subprocess.Popen
@@ -155,13 +138,7 @@ class Reader:
     not_run: list[str] = field(default_factory=list)
 
     def read(self, page: Path) -> None:
-        """Run all of a page.
-
-        Raises
-        ------
-        PageError
-            Page and line of the first thing that fails, and what it said.
-        """
+        """Run all of a page; raise PageError with page and line of the first thing that fails."""
         self._place, self._cache = self.folder / "site", self.folder / "cache"
         self._here = self.folder / page.stem
         for each in (self._here, self._place):

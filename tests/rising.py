@@ -12,20 +12,9 @@ from smarttouch.stimulation.safety_limits import STRENGTH
 def open_level(send, like, limits, time_ns=0, clock=None, electrodes=(0, 1)):
     """Send a silent sequence and weak ones for less than a second; then any intensity is open.
 
-    Parameters
-    ----------
-    send : callable
-        Of a gate or a board.
-    like : ScanSequence
-        Of the array.
-    limits : SafetyLimits
-        Its ramp takes half a second at most.
-    time_ns : int
-        That the silent one claims; what follows may claim a second more.
-    clock : optional
-        Of the gate, moved on by a second.
-    electrodes : tuple of int
-        That carry the current.
+    Sequences are like the one given, through two electrodes; the silent one claims ``time_ns``,
+    those after it up to a second more, by which the clock of a gate, if given, is moved on. The
+    limits' ramp takes half a second at most.
     """
     first = np.zeros(2, np.uint16)
     weak = np.zeros((2, like.current_ua.shape[1]), np.int16)

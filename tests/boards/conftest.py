@@ -184,12 +184,8 @@ def pour(ends, data):
 class FaultyLine:
     """A line between host and board on which bytes get lost, and which can be pulled out.
 
-    It has real-time priority, where that is allowed: bytes are not held up on it.
-
-    Attributes
-    ----------
-    to_board, to_host : callable
-        What becomes of each piece of bytes on its way.
+    What becomes of each piece of bytes, ``to_board`` and ``to_host`` say. It has real-time
+    priority, where that is allowed: bytes are not held up on it.
     """
 
     def __init__(self, behind, path):

@@ -13,8 +13,6 @@ from smarttouch.emulator.emulated_boards import EmulatorBoard
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 PATIENCE_S = 20
 LIMITS = SafetyLimits(61, 5.0, 200, 0.5, 200, 0.8, 0.5, 4.0)
 OUTPUT = Output(kind="one-against-all")
@@ -50,15 +48,6 @@ class Opening(threading.Thread):
         self.join(PATIENCE_S)
         assert not self.is_alive()
         return self.raised
-
-
-@pytest.mark.parametrize("url", ["memory:", "simulated:", "emulator:", "kajimoto61:/dev/null"])
-def test_a_board_that_was_halted_is_never_opened(url):
-    board = make_board(url, LIMITS, OUTPUT)
-    board.halt()
-    for _ in range(2):
-        with pytest.raises(BoardStoppedError):
-            board.open()
 
 
 @pytest.mark.parametrize("kind", ["kajimoto61", "etactilekit", "link"])

@@ -17,8 +17,6 @@ from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.boards.fresh import until
 from tests.boards.told import MS, ToldKit
 
-pytestmark = pytest.mark.usefixtures("patient_boards")
-
 PATTERNS = int(os.environ.get("SMARTTOUCH_PATTERNS", "150"))
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
 PERIOD_US = 20_000
@@ -173,6 +171,7 @@ def test_another_polarity_and_rate_are_set_in_between(monkeypatch, firmware):
 
 
 @pytest.mark.realtime
+@pytest.mark.usefixtures("patient_boards")
 @FIRMWARES
 def test_over_a_line_too_none_is_left_out(start_emulator, tmp_path, monkeypatch, firmware):
     monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 0.0)

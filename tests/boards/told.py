@@ -38,14 +38,9 @@ class ToldClock:
 
 
 class ToldPort:
-    """A line to a firmware: bytes take a while each way, and the board's clock runs differently.
+    """A line to a firmware: bytes take 100 µs each way and ``wire_us`` more on average.
 
-    Parameters
-    ----------
-    phase_ns, drift : int, float
-        The board's time is that of the host plus the one, times 1 plus the other.
-    wire_us : float
-        Mean time of a message on its way, beside a fixed 100 µs.
+    The board's time is that of the host plus ``phase_ns``, times 1 plus ``drift``.
     """
 
     def __init__(self, firmware, clock, phase_ns=0, drift=0.0, wire_us=100.0):

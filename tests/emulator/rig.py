@@ -14,10 +14,7 @@ MS = 1_000_000
 class LinkRig:
     """A board, and a session begun at time zero, under limits, where they are not None.
 
-    Attributes
-    ----------
-    alive : list of Message
-        What it said unasked.
+    What it said unasked is in ``alive``.
     """
 
     def __init__(

@@ -25,13 +25,7 @@ def trace_of(electrodes):
 
 
 class CortexM3:
-    """One machine, whose line is a socket.
-
-    Attributes
-    ----------
-    name : str
-        Of the port.
-    """
+    """One machine, whose line is a socket; ``name`` is that of its port."""
 
     def __init__(self, folder, electrodes=ELECTRODES, output="weighted", ramp_ms=500):
         with socket.create_server(("127.0.0.1", 0)) as free:

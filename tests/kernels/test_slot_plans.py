@@ -94,10 +94,7 @@ def test_points_join_slots_that_they_leave_within_bounds():
 class ToldSlots:
     """Slots that are within their bounds where their points are far enough apart, and no skin.
 
-    Attributes
-    ----------
-    asked : list of FrameSlot
-        All that were looked at, in order.
+    All that were looked at, in order, are in ``asked``.
     """
 
     hopeless = (0, 1)

@@ -77,14 +77,7 @@ def _nabcc():
 class Brltty:
     """BRLTTY with its virtual display, started anew as often as one likes.
 
-    Parameters
-    ----------
-    device : str
-        As behind its option ``-d``.
-    folder : Path
-        For its process number.
-    screen : str
-        Driver of the screen that it reads.
+    Its device is as behind its option ``-d``; the screen is the driver of what it reads.
     """
 
     def __init__(self, device: str, folder: Path, screen: str = "no") -> None:

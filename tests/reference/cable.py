@@ -14,46 +14,17 @@ def cable_response(
     step_us: float,
     initial_mv: ArrayLike | None = None,
 ) -> NDArray[np.float64]:
-    """Return the response of the membrane potential to a current waveform.
+    """Return the membrane potential after each step (T, N), mV relative to rest.
 
-    Solves Eq. 1 of the paper, −(λ²/τ) V″ + dV/dt + V/τ = (λ²/τ) AF(r) s(t),
-    at equally spaced points. Sealed ends let no current through: V′ = 0 half
-    a spacing beyond the outer points. Between points the second difference
-    stands for V″; in time the answer is exact for a waveform that holds each
-    value for one step, because every mode of the cable relaxes exponentially
-    on its own. With sealed ends those modes are the cosines of the discrete
-    cosine transform, the eigenvectors of the second difference.
-
-    Parameters
-    ----------
-    activating : array_like, (N,), mV/mm²
-        Activating function along the fiber (Eq. 2) for a waveform of 1;
-        positive depolarizes. In mV/mm² per mA of cathodic current the
-        waveform is a current in mA, cathodic positive. Where the fiber truly
-        ends, current cannot leave along it, which adds Ψ′ / `spacing_mm` at
-        the first point and subtracts it at the last.
-    spacing_mm : float, mm
-        Distance between neighboring points.
-    length_constant_mm : float, mm
-        λ.
-    time_constant_us : float, µs
-        τ.
-    waveform : array_like, (T,), dimensionless
-        s(t), held for one step each.
-    step_us : float, µs
-        Length of a step.
-    initial_mv : array_like, (N,), mV, optional
-        Membrane potential before the first step; 0 (at rest) if not given.
-
-    Returns
-    -------
-    ndarray, (T, N) float64, mV
-        Membrane potential, relative to rest, at the end of each step.
-
-    Raises
-    ------
-    ValueError
-        If a constant is not positive or a shape does not fit.
+    Solves Eq. 1 of the paper, −(λ²/τ) V″ + dV/dt + V/τ = (λ²/τ) AF(r) s(t), at points
+    ``spacing_mm`` apart, for an activating function (N,) in mV/mm² (Eq. 2; positive
+    depolarizes; per mA cathodic where the waveform (T,), held for one step each, is in mA).
+    Sealed ends let no current through: V′ = 0 half a spacing beyond the outer points; where a
+    fiber truly ends, that adds Ψ′ /
+    ``spacing_mm`` at the first point and subtracts it at the last. Between points the second
+    difference stands for V″; in time the answer is exact, as every mode of the cable, here the
+    cosines of the discrete cosine transform, relaxes exponentially on its own. Raises ValueError
+    for a constant that is not positive, or a shape that does not fit.
     """
     drive = np.asarray(activating, dtype=np.float64)
     held = np.asarray(waveform, dtype=np.float64)

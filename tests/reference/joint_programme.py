@@ -33,17 +33,7 @@ _AGREE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class JointOptimum:
-    """Optimum of one slot.
-
-    Attributes
-    ----------
-    current : ndarray, (E,) mA
-    figures : FrameFigures
-    optimum : float
-        The smallest possible t.
-    rounds_n, rows_n : int
-        Number of solver runs, and of rows in them.
-    """
+    """Optimum of one slot: currents (E,) mA, smallest t, and number of solver runs and rows."""
 
     current: Array
     figures: FrameFigures
@@ -59,24 +49,10 @@ def joint_programme(
     total_ma: float | None = None,
     electrode_ma: Array | None = None,
 ) -> JointOptimum:
-    """Return the currents with the least worst other for levels (E,).
+    """Return the currents with the least worst other for levels (E,) of the wish, 0 for none.
 
-    Parameters
-    ----------
-    judge : FrameJudge
-    level : ndarray, (E,)
-        Of the wish at each site; 0 has no wish.
-    bounds : FrameBounds
-        Its spill and unevenness; `FrameBounds.other` is what is minimized.
-    total_ma : float, optional
-        None leaves the total free.
-    electrode_ma : ndarray, (E,), optional
-        By default what the judge allows.
-
-    Raises
-    ------
-    DesignError
-        If no currents keep the bounds, or the solver fails.
+    Bounds are spill and unevenness; None leaves the total free, and electrodes have by default
+    what the judge allows. Raises DesignError if no currents keep the bounds, or the solver fails.
     """
     return _Joint(judge, level, bounds, total_ma, electrode_ma).solve()
 

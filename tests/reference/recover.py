@@ -11,19 +11,9 @@ from smarttouch.profile import Profile
 
 @dataclass(frozen=True, eq=False)
 class Recovered:
-    """Recovered classes of pulses, one by one.
-
-    Attributes
-    ----------
-    afferent : ndarray, (N,) int8
-        Class whose kernel each pulse is most like.
-    site : ndarray, (N,)
-        Site of the kernel of that class.
-    drive : ndarray, (N,) float32
-        Activation that leads to such a current at full intensity; below 0 where it is
-        weaker than the threshold.
-    likeness : ndarray, (N,) float32
-        Cosine between current and kernel; 1 but for whole microamperes.
+    """Recovered classes of pulses, one by one, each (N,): class and site of the likeliest kernel,
+    the activation that leads to such a current at full intensity (below 0 where weaker
+    than the threshold), and the cosine between current and kernel, 1 but for whole microamperes.
     """
 
     afferent: NDArray[np.int8]
@@ -33,17 +23,7 @@ class Recovered:
 
 
 def recover(current_ua: NDArray[np.int16], profile: Profile, bank: KernelBank) -> Recovered:
-    """Return the class and site of each pulse.
-
-    Parameters
-    ----------
-    current_ua : ndarray, (N, E) int16, µA
-        As delivered, positive cathodic.
-    profile : Profile
-        Its thresholds and strongest currents.
-    bank : KernelBank
-        Bank of the kernels to compare.
-    """
+    """Return the class and site of each pulse as delivered, (N, E) µA, positive cathodic."""
     classes = sorted(bank.weights)
     kernels = np.concatenate([bank.kernels(each) for each in classes])
     size = np.linalg.norm(kernels, axis=1)

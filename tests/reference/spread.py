@@ -44,19 +44,12 @@ class Worst:
 def spread_judges(
     judge: FrameJudge, part: float = 1.0, depth: bool = True, angle: bool = True
 ) -> list[FrameJudge]:
-    """Return judges for every finger of the profile's spread, or of a part of it.
+    """Return judges for every finger of a part of ``skin.spread``, in depth, direction or both.
 
-    The own class is taken at each depth and in each direction by itself, as
-    ratios are to it; of the other classes each depth is taken by itself, both
-    classes shifted alike (the larger of the two counts, so other combinations
-    say nothing new), and all directions together.
-
-    Parameters
-    ----------
-    part : float
-        Of ``skin.spread``; above 1 is beyond it.
-    depth, angle : bool
-        Whether these vary. Conductivities vary with depth, where skin is layered.
+    The own class is taken at each depth and in each direction by itself, as ratios are to it; of
+    the other classes each depth is taken by itself, both classes shifted alike (the larger of the
+    two counts, so other combinations say nothing new), and all directions together. Conductivities
+    vary with depth, where skin is layered.
     """
     skin, afferent = judge.profile.skin, judge.afferent
     turn = skin.spread.angle_deg * part if angle else 0.0

@@ -63,23 +63,11 @@ class Proof(NamedTuple):
 
 
 def spared(rows, targets, passing, limits, level=1.0):
-    """Return currents that fire a target and drive nothing that passes far, or why there are none.
+    """Return currents (E,) mA that fire a target and drive nothing that passes to a level, and [].
 
-    Parameters
-    ----------
-    rows : ndarray, (N, E), 1/mA
-        Drive of each node for 1 mA at each electrode: 1 is its threshold.
-    targets, passing : ndarray of int
-        Nodes of which one is to fire, and nodes that are not to.
-    limits : Limits
-    level : float
-        Drive that the others must stay below.
-
-    Returns
-    -------
-    ndarray, (E,) mA, or None
-    list of Proof
-        Of each target that can fire at all, if there are no currents.
+    Rows (N, E) are the drive of each node for 1 mA at each electrode: 1 is its threshold; targets
+    are nodes of which one is to fire. Where there are no such currents: None, and a proof for each
+    target that can fire at all.
     """
     strongest = limits.most(rows[targets])
     order = np.argsort(-strongest)

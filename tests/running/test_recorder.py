@@ -149,13 +149,7 @@ def test_about_says_with_what_it_was_made(profile):
 
 
 class ToldQueue:
-    """A queue and a clock: what is handed over comes at its time, and waiting takes none.
-
-    Parameters
-    ----------
-    handed : list of (float, tuple)
-        When each comes, s, and what it is.
-    """
+    """A queue and a clock: what is handed over comes at its time, s, and waiting takes none."""
 
     def __init__(self, handed):
         self.now_s, self._handed = 0.0, list(handed)

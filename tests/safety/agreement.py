@@ -114,16 +114,8 @@ class RunStatistics:
 
 
 def drawn(oracle, rng, clock_ns, time_ns, attack=None):
-    """Draw a sequence: ordinary, at the edge of a limit, or with fields that are garbage.
-
-    Parameters
-    ----------
-    attack : str, optional
-        The limit at whose edge it has to be.
-
-    Returns
-    -------
-    draft, sequence, attack : Draft, ScanSequence, str
+    """Return a draft, its sequence and what it is: ordinary, garbage, or the limit at whose edge it
+    is, which may be given.
     """
     draft = ordinary(oracle, rng, clock_ns, time_ns, full=attack is not None)
     chance = 1.0 if attack else rng.random()

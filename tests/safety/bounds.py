@@ -79,21 +79,12 @@ def charge_pc(charge_uc, area, density_uc_cm2):
 class Bounds:
     """Whole numbers that no sequence of a display may exceed.
 
-    Attributes
-    ----------
-    electrode_ua, strong_ua, recharge_ua : tuple of int
-        Of each electrode: largest current, what counts as a strong pulse, and the largest
-        current of a recharge phase. The latter two are None where no threshold is known.
-    full_ua : Fraction
-        The strongest current at full intensity.
-    usual_us : int
-        Width of a full pulse, of whose charge others are a share.
-    full_us : int or None
-        The longest pulse at full intensity where width carries it.
-    source_pc : int or None
-        Charge of a pulse of all cathodes, where one source drives them: others may be off the skin.
-    session_us, session_pc : int
-        Time with current, and charge through an electrode, of a whole session.
+    Of each electrode: the largest current, what counts as a strong pulse, and the largest current
+    of a recharge phase (the latter two None where no threshold is known). ``full_ua`` is the
+    strongest current at full intensity, ``usual_us`` the width of a full pulse, of whose charge
+    others are a share, ``full_us`` the longest pulse at full intensity where width carries it,
+    ``source_pc`` the charge of a pulse of all cathodes where one source drives them: others may be
+    off the skin. ``session_us`` and ``session_pc`` are of a whole session and one electrode.
     """
 
     electrodes: int

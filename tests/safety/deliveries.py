@@ -61,13 +61,8 @@ class Pulses:
 def judge_pulses(pulses, bounds, period_us=None):
     """Return the names of all limits that pulses break.
 
-    Parameters
-    ----------
-    pulses : Pulses
-    bounds : Bounds
-    period_us : int, optional
-        Longest period of a scan. Where it is given the first pulses are held to the rise as
-        well: none may be stronger than a start from zero when the board was switched on allows.
+    Where the longest period of a scan is given the first pulses are held to the rise as well: none
+    may be stronger than a start from zero when the board was switched on allows.
     """
     if not len(pulses.current_ua):
         return []

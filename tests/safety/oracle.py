@@ -120,16 +120,8 @@ class Level:
 class Oracle:
     """Judges what is sent to one display, from its opening to its closing.
 
-    Parameters
-    ----------
-    profile : Profile or Bounds
-    alone : callable
-        The judge of a single sequence; `quick.judge_alone_quickly` for long runs.
-
-    Attributes
-    ----------
-    time_ns, clock_ns : int or None
-        Claimed time and clock of the last sequence that was accepted.
+    Each sequence is judged alone by ``alone`` (`quick.judge_alone_quickly` for long runs) and after
+    the last accepted, whose claimed time and clock are ``time_ns`` and ``clock_ns``.
     """
 
     def __init__(self, profile, alone=judge_alone):
@@ -154,22 +146,9 @@ class Oracle:
             level.close()
 
     def judge(self, sequence, clock_ns, times=1, measuring=False):
-        """Judge a sequence that is about to be sent; one that breaks nothing counts as sent.
-
-        Parameters
-        ----------
-        sequence : ScanSequence
-        clock_ns : int
-            The display's clock.
-        times : int
-            How often it is to be repeated.
-        measuring : bool
-            Whether it is a scan that a firmware fixes.
-
-        Returns
-        -------
-        list of str
-            The names of all rules that it breaks.
+        """Return the names of all rules that a sequence, sent so many times, breaks at the
+        display's clock; one that breaks nothing counts as sent. ``measuring`` is of scans that a
+        firmware fixes.
         """
         alone = self._alone(sequence, self.bounds)
         if isinstance(times, bool) or not isinstance(times, int | np.integer):

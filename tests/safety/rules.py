@@ -262,13 +262,7 @@ class Judged:
 
 
 def judge_alone(sequence, bounds):
-    """Return what a sequence breaks by itself.
-
-    Returns
-    -------
-    Judged
-        With the names of all rules that it breaks.
-    """
+    """Return what a sequence breaks by itself, with the names of all rules that it breaks."""
     if wrong := wrong_types(sequence, bounds):
         return Judged(wrong)
     scan = plain(sequence)

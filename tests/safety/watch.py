@@ -39,12 +39,8 @@ class HeardClock:
 class Watch:
     """Judges what the gates of this process accept, and what its simulated boards deliver.
 
-    Attributes
-    ----------
-    broken : list of str
-        What was broken since it was last taken.
-    on : bool
-        Off, it looks away, as where time is measured.
+    What was broken since it was last taken is in ``broken``; off, it looks away, as where time is
+    measured.
     """
 
     def __init__(self):
@@ -110,15 +106,8 @@ class Watch:
             self._delivered(Pulses.taken(*pulses), self.bounds_of(board._gate.limits), "simulated:")
 
     def judge_books(self, folder, bounds=None, period_us=None):
-        """Judge what an emulator's books in a folder say.
-
-        Parameters
-        ----------
-        folder : Path
-        bounds : Bounds or Profile, optional
-            By default of the last display of this test with as many electrodes.
-        period_us : int, optional
-            See `judge_pulses`.
+        """Judge what an emulator's books in a folder say, by default by the bounds of the last
+        display of this test with as many electrodes; the period as in `judge_pulses`.
         """
         pulses = Pulses.of_books(folder)
         if bounds is None:

@@ -248,10 +248,7 @@ def wait_for_end(process, seconds):
 def spread(work, count, workers, folder):
     """Do work for each of so many numbers, in some forks at once; return all that it returned.
 
-    Parameters
-    ----------
-    work : callable
-        Given a number and a folder of its own, returns what JSON can hold.
+    It is given a number and a folder of its own, and returns what JSON can hold.
     """
     processes = []
     for worker in range(workers):
