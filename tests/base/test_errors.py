@@ -10,17 +10,14 @@ from smarttouch.base.errors import SourceError, not_offered, require_within
 from ..raising import assert_says, raises
 
 
-@pytest.mark.parametrize(
-    ("value", "lowest", "highest", "above", "within"),
-    [
-        *((value, 1, 4, False, True) for value in (1, 2.5, 4)),
-        *((value, 1, 4, False, False) for value in (0.999, 4.001, -math.inf, math.inf)),
-        (math.nan, -math.inf, math.inf, False, False),
-        # Without its lower end.
-        (1e-9, 0, 1, True, True),
-        (0, 0, 1, True, False),
-    ],
-)
+@pytest.mark.parametrize(("value", "lowest", "highest", "above", "within"), [
+    *((value, 1, 4, False, True) for value in (1, 2.5, 4)),
+    *((value, 1, 4, False, False) for value in (0.999, 4.001, -math.inf, math.inf)),
+    (math.nan, -math.inf, math.inf, False, False),
+    # Without its lower end.
+    (1e-9, 0, 1, True, True),
+    (0, 0, 1, True, False),
+])  # fmt: skip
 def test_numbers_and_ranges(value, lowest, highest, above, within):
     ends = (lowest, highest)
     with nullcontext() if within else raises(SourceError, about="hz", value=value, allowed=ends):

@@ -95,22 +95,12 @@ def test_what_is_no_text(tmp_path):
     assert "byte 4" in str(error.value)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "a." * 30_000 + "a = 1",
-        "'a' . " * 30_000 + "a = 1",
-        "[" + "a." * 300_000 + "a]",
-        "a = " + "[" * 100_000,
-        "a = " + "{a = " * 5_000 + "1" + "}" * 5_000,
-        "a = 0x" + "f" * 10_000,
-        "a = " + "9" * 10_000,
-        "a = 9223372036854775808",
-        "a = [{b = [1, 0x10000000000000000]}]",
-        "a = 9999-99-99",
-        "\x00",
-    ],
-)
+@pytest.mark.parametrize("text", [
+    "a." * 30_000 + "a = 1", "'a' . " * 30_000 + "a = 1", "[" + "a." * 300_000 + "a]",
+    "a = " + "[" * 100_000, "a = " + "{a = " * 5_000 + "1" + "}" * 5_000, "a = 0x" + "f" * 10_000,
+    "a = " + "9" * 10_000, "a = 9223372036854775808", "a = [{b = [1, 0x10000000000000000]}]",
+    "a = 9999-99-99", "\x00",
+])  # fmt: skip
 def test_toml_that_no_table_of_ours_needs(text):
     with pytest.raises(ValueError):
         parse_toml(text)

@@ -153,10 +153,9 @@ class Event:
         return False
 
 
-@pytest.mark.parametrize(
-    ("spin_ns", "real_time", "spun_ns"),
-    [(None, False, 0), (None, True, SPIN_NS), (0, True, 0), (2_000_000, False, 2_000_000)],
-)
+@pytest.mark.parametrize(("spin_ns", "real_time", "spun_ns"), [
+    (None, False, 0), (None, True, SPIN_NS), (0, True, 0), (2_000_000, False, 2_000_000),
+])  # fmt: skip
 def test_only_where_it_has_priority_a_wait_is_spun(monkeypatch, spin_ns, real_time, spun_ns):
     monkeypatch.setattr(clock_module, "is_prioritized", lambda: real_time)
     clock, event = MonotonicClock(spin_ns), Event()

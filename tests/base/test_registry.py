@@ -230,14 +230,9 @@ def test_ours_keep_the_contract():
     assert all("has no method" in fault.sentence for fault in faults if fault)
 
 
-@pytest.mark.parametrize(
-    ("group", "base"),
-    [
-        ("smarttouch.sources", object),
-        ("smarttouch.forces", object),
-        ("smarttouch.boards", Board),
-    ],
-)
+@pytest.mark.parametrize(("group", "base"), [
+    ("smarttouch.sources", object), ("smarttouch.forces", object), ("smarttouch.boards", Board),
+])  # fmt: skip
 def test_ours_are_where_they_are_said_to_be(group, base):
     for name in known_names(group):
         opener, rest = find_opener(group, f"{name}:rest", SmartTouchError, base, ())

@@ -51,10 +51,9 @@ def test_one_that_cannot_be_told_keeps_nobody_else_from_it():
     assert told == [1]
 
 
-@pytest.mark.parametrize(
-    ("number", "name"),
-    [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP")],
-)
+@pytest.mark.parametrize(("number", "name"), [
+    (signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP"),
+])  # fmt: skip
 def test_a_signal_ends_in_order_and_then_by_force(forced, number, name):
     stop, told = StopRequest(), threading.Event()
     before = [signal.getsignal(each) for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)]

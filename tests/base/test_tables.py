@@ -33,19 +33,12 @@ def test_a_quoted_cell_may_go_over_lines(table):
     assert read.lines == [3, 4]
 
 
-@pytest.mark.parametrize(
-    ("text", "about", "value"),
-    [
-        ("", "columns", ()),
-        ("a,c\n1,2\n", "columns", ("a", "c")),
-        ("a,b\n1,2\n", "rows", 1),
-        ("a,b\n1,2\n\n2\n", "line", 4),
-        ("a,b\n1,2\n2,\n", "line", 3),
-        ("a,b\n1,2\n2,1e999\n", "line", 3),
-        ("a,b\n0,5,1\n", "line", 2),
-        ("a,b\n1,2\n3,4\n3,5\n", "line", 4),
-    ],
-)
+@pytest.mark.parametrize(("text", "about", "value"), [
+    ("", "columns", ()), ("a,c\n1,2\n", "columns", ("a", "c")), ("a,b\n1,2\n", "rows", 1),
+    ("a,b\n1,2\n\n2\n", "line", 4), ("a,b\n1,2\n2,\n", "line", 3),
+    ("a,b\n1,2\n2,1e999\n", "line", 3), ("a,b\n0,5,1\n", "line", 2),
+    ("a,b\n1,2\n3,4\n3,5\n", "line", 4),
+])  # fmt: skip
 def test_what_is_wrong_is_said_with_its_line(table, text, about, value):
     with raises(SourceError, about=about, value=value):
         table(text).numbers(("a", "b"))

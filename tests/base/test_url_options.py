@@ -35,17 +35,14 @@ def opener(
     """Take options of every type."""
 
 
-@pytest.mark.parametrize(
-    ("url", "rest", "options"),
-    [
-        ("0?size=640x480&fps=12.5", "0", {"size": (640, 480), "fps": 12.5}),
-        ("a?seed=3&path=b%20c.csv", "a", {"seed": 3, "path": Path("b c.csv")}),
-        ("a?unpaced", "a", {"unpaced": True}),
-        ("a?unpaced=0", "a", {"unpaced": False}),
-        ("?events=1 lift&events=2 press", "", {"events": ["1 lift", "2 press"]}),
-        ("a?b?seed=1", "a?b", {"seed": 1}),
-    ],
-)
+@pytest.mark.parametrize(("url", "rest", "options"), [
+    ("0?size=640x480&fps=12.5", "0", {"size": (640, 480), "fps": 12.5}),
+    ("a?seed=3&path=b%20c.csv", "a", {"seed": 3, "path": Path("b c.csv")}),
+    ("a?unpaced", "a", {"unpaced": True}),
+    ("a?unpaced=0", "a", {"unpaced": False}),
+    ("?events=1 lift&events=2 press", "", {"events": ["1 lift", "2 press"]}),
+    ("a?b?seed=1", "a?b", {"seed": 1}),
+])  # fmt: skip
 def test_options_in_their_types(url, rest, options):
     assert read_options(opener, url, SourceError) == (rest, options)
 
@@ -60,20 +57,17 @@ def test_an_opener_without_options_reads_its_own():
     assert read_options(lambda rest, limits: None, url, BoardError) == (url, {})
 
 
-@pytest.mark.parametrize(
-    ("url", "about", "value"),
-    [
-        ("a?speed=1", "?speed", "speed"),
-        ("a?other=1", "?other", "other"),
-        ("a?light_on_dark=1", "?light_on_dark", "light_on_dark"),
-        ("a?seed=x", "?seed", "x"),
-        ("a?seed=1.5", "?seed", "1.5"),
-        ("a?fps=", "?fps", ""),
-        ("a?unpaced=maybe", "?unpaced", "maybe"),
-        ("a?size=640", "?size", "640"),
-        ("a?seed=1&seed=2", "?seed", None),
-    ],
-)
+@pytest.mark.parametrize(("url", "about", "value"), [
+    ("a?speed=1", "?speed", "speed"),
+    ("a?other=1", "?other", "other"),
+    ("a?light_on_dark=1", "?light_on_dark", "light_on_dark"),
+    ("a?seed=x", "?seed", "x"),
+    ("a?seed=1.5", "?seed", "1.5"),
+    ("a?fps=", "?fps", ""),
+    ("a?unpaced=maybe", "?unpaced", "maybe"),
+    ("a?size=640", "?size", "640"),
+    ("a?seed=1&seed=2", "?seed", None),
+])  # fmt: skip
 def test_options_that_are_none(url, about, value):
     with raises(SourceError, about=about, value=value):
         read_options(opener, url, SourceError, but=("light_on_dark",))

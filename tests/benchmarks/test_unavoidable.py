@@ -17,10 +17,9 @@ SITES = (27, 18, 0)
 LEVELS = (1.0, 0.5)
 
 
-@pytest.mark.parametrize(
-    ("anatomy", "judged", "together"),
-    [("paper", 4, 1), ("paper", 1, 3), ("branched", 2, 1)],
-)
+@pytest.mark.parametrize(("anatomy", "judged", "together"), [
+    ("paper", 4, 1), ("paper", 1, 3), ("branched", 2, 1),
+])  # fmt: skip
 @pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
 def test_what_no_currents_spare(row, quick, profile, afferent, anatomy, judged, together):
     limits = Limits(profile.limits.current_ma, profile.limits.total_ma)

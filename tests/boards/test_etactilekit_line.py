@@ -171,10 +171,9 @@ def test_a_user_may_say_which_it_is(meet, firmware, option, is_one):
     assert (meeting.driver.capabilities.time_to_zero_ms is None) == (firmware != "newest")
 
 
-@pytest.mark.parametrize(
-    ("option", "about", "value"),
-    [("?fast", "option", "fast"), ("?firmware=2", "?firmware", "2"), ("?slow&&x", "option", "")],
-)
+@pytest.mark.parametrize(("option", "about", "value"), [
+    ("?fast", "option", "fast"), ("?firmware=2", "?firmware", "2"), ("?slow&&x", "option", ""),
+])  # fmt: skip
 def test_an_unknown_option_is_named(option, about, value):
     with raises(BoardError, about=about, value=value):
         ETactileKitBoard("x" + option, LIMITS)

@@ -57,21 +57,18 @@ def test_what_looks_like_a_name_is_no_text(load, tmp_path):
         assert load(words).paragraphs
 
 
-@pytest.mark.parametrize(
-    ("name", "data", "kind"),
-    [
-        ("a.md", "é".encode() * 2048, FileKind.TEXT),
-        ("a", b"x" + "é".encode() * 2048, FileKind.TEXT),
-        ("a.dat", b'<?xml version="1.0"?>\n<pef version="2008-1">', FileKind.PEF),
-        ("a.brf", b"ABC", FileKind.BRF),
-        ("a.txt", b"\x00", FileKind.TEXT),
-        ("a", b"\x89PNG\r\n\x1a\n", FileKind.PAGES),
-        ("a", b"%PDF-1.4\nplain", FileKind.PAGES),
-        ("a", b"\xffabc", FileKind.PAGES),
-        ("a", b"a\x00b", FileKind.PAGES),
-        ("a", b"", FileKind.TEXT),
-    ],
-)
+@pytest.mark.parametrize(("name", "data", "kind"), [
+    ("a.md", "é".encode() * 2048, FileKind.TEXT),
+    ("a", b"x" + "é".encode() * 2048, FileKind.TEXT),
+    ("a.dat", b'<?xml version="1.0"?>\n<pef version="2008-1">', FileKind.PEF),
+    ("a.brf", b"ABC", FileKind.BRF),
+    ("a.txt", b"\x00", FileKind.TEXT),
+    ("a", b"\x89PNG\r\n\x1a\n", FileKind.PAGES),
+    ("a", b"%PDF-1.4\nplain", FileKind.PAGES),
+    ("a", b"\xffabc", FileKind.PAGES),
+    ("a", b"a\x00b", FileKind.PAGES),
+    ("a", b"", FileKind.TEXT),
+])  # fmt: skip
 def test_kinds_of_files(tmp_path, name, data, kind):
     (tmp_path / name).write_bytes(data)
     assert file_kind(tmp_path / name) is kind
@@ -102,18 +99,15 @@ def test_what_is_left_out_is_noted(load, table):
     assert load("a").notes == [table.note] * bool(table.note)
 
 
-@pytest.mark.parametrize(
-    ("name", "data", "attributes"),
-    [
-        ("none.brf", None, {"about": "file"}),
-        ("folder.brf", "folder", {"about": "file", "value": "folder.brf"}),
-        ("bad.txt", b"ab\xff", {"about": "file"}),
-        ("empty.txt", b"\n \n", {"about": "text"}),
-        ("empty.brf", b"", {"about": "text"}),
-        ("bad.pef", b"<a/>", {"about": "file", "value": "a"}),
-        ("bad.brf", b"\xff", {"about": "cell", "value": "ÿ"}),
-    ],
-)
+@pytest.mark.parametrize(("name", "data", "attributes"), [
+    ("none.brf", None, {"about": "file"}),
+    ("folder.brf", "folder", {"about": "file", "value": "folder.brf"}),
+    ("bad.txt", b"ab\xff", {"about": "file"}),
+    ("empty.txt", b"\n \n", {"about": "text"}),
+    ("empty.brf", b"", {"about": "text"}),
+    ("bad.pef", b"<a/>", {"about": "file", "value": "a"}),
+    ("bad.brf", b"\xff", {"about": "cell", "value": "ÿ"}),
+])  # fmt: skip
 def test_bad_files(load, tmp_path, name, data, attributes):
     if data == "folder":
         (tmp_path / name).mkdir()

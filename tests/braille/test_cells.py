@@ -14,10 +14,9 @@ from ..raising import raises
 LINES = st.text(st.characters(min_codepoint=0x2800, max_codepoint=0x28FF))
 
 
-@pytest.mark.parametrize(
-    ("cell", "dots"),
-    [("⠀", []), ("⠁", [1]), ("⠉", [1, 4]), ("⠼", [3, 4, 5, 6]), ("⡀", [7]), ("⢀", [8])],
-)
+@pytest.mark.parametrize(("cell", "dots"), [
+    ("⠀", []), ("⠁", [1]), ("⠉", [1, 4]), ("⠼", [3, 4, 5, 6]), ("⡀", [7]), ("⢀", [8]),
+])  # fmt: skip
 def test_dots_of_a_cell(cell, dots):
     assert (np.flatnonzero(cells_to_dots(cell)[0]) + 1).tolist() == list(dots)
 

@@ -14,19 +14,16 @@ from .liblouis import needs_liblouis
 
 
 @needs_liblouis
-@pytest.mark.parametrize(
-    ("table", "text", "cells"),
-    [
-        ("en-ueb-g2.ctb", "The child will go.", "⠠⠮⠀⠡⠀⠺⠀⠛⠲"),
-        ("en-ueb-g2.ctb", "knowledge for people", "⠅⠀⠿⠀⠏"),
-        ("de-g0.utb", "Straße 12", "⠎⠞⠗⠁⠮⠑⠀⠼⠁⠃"),
-        ("de-g1.ctb", "schön", "⠱⠪⠝"),
-        ("de-g1.ctb", "die Bäume", "⠙⠬⠀⠃⠌⠍⠑"),
-        ("de-g2.ctb", "die und", "⠬⠀⠥"),
-        ("fr-bfu-comp6.utb", "été garçon", "⠿⠞⠿⠀⠛⠁⠗⠯⠕⠝"),
-        ("fr-bfu-comp6.utb", "Où est-il ?", "⠨⠕⠾⠀⠑⠎⠞⠤⠊⠇⠀⠢"),
-    ],
-)
+@pytest.mark.parametrize(("table", "text", "cells"), [
+    ("en-ueb-g2.ctb", "The child will go.", "⠠⠮⠀⠡⠀⠺⠀⠛⠲"),
+    ("en-ueb-g2.ctb", "knowledge for people", "⠅⠀⠿⠀⠏"),
+    ("de-g0.utb", "Straße 12", "⠎⠞⠗⠁⠮⠑⠀⠼⠁⠃"),
+    ("de-g1.ctb", "schön", "⠱⠪⠝"),
+    ("de-g1.ctb", "die Bäume", "⠙⠬⠀⠃⠌⠍⠑"),
+    ("de-g2.ctb", "die und", "⠬⠀⠥"),
+    ("fr-bfu-comp6.utb", "été garçon", "⠿⠞⠿⠀⠛⠁⠗⠯⠕⠝"),
+    ("fr-bfu-comp6.utb", "Où est-il ?", "⠨⠕⠾⠀⠑⠎⠞⠤⠊⠇⠀⠢"),
+])  # fmt: skip
 def test_known_words(table, text, cells):
     code = LouisCode(table)
     assert code.encode(text) == cells
@@ -126,10 +123,9 @@ def test_texts_stay_as_liblouis_knows_them(table, text, same):
 
 
 @needs_liblouis
-@pytest.mark.parametrize(
-    ("emphasis", "sign"),
-    [(Emphasis.ITALIC, "⠨⠂"), (Emphasis.BOLD, "⠘⠂"), (Emphasis.UNDERLINE, "⠸⠂")],
-)
+@pytest.mark.parametrize(("emphasis", "sign"), [
+    (Emphasis.ITALIC, "⠨⠂"), (Emphasis.BOLD, "⠘⠂"), (Emphasis.UNDERLINE, "⠸⠂"),
+])  # fmt: skip
 def test_emphasis_is_shown(emphasis, sign):
     code = LouisCode("en-ueb-g1.ctb")
     plain = code.encode("a tiny cat")

@@ -55,20 +55,17 @@ def test_volumes_and_sections_of_others():
 BOMB = b"<!DOCTYPE x [<!ENTITY a '\xe2\xa0\x81'>]><pef>&a;</pef>"
 
 
-@pytest.mark.parametrize(
-    ("data", "about"),
-    [
-        (b"", "file"),
-        (b"hello", "file"),
-        (b"<pef>", "file"),
-        (b"<?xml version='1.0' encoding='nonsense'?><a/>", "file"),
-        (b"<html/>", "file"),
-        (f"<pef xmlns='{PEF[1:-1]}'/>".encode(), "file"),
-        (format_pef([["⠁"]], "").replace("⠁".encode(), b"A"), "cell"),
-        (BOMB, "file"),
-        (BOMB.decode().encode("utf-16"), "file"),
-    ],
-)
+@pytest.mark.parametrize(("data", "about"), [
+    (b"", "file"),
+    (b"hello", "file"),
+    (b"<pef>", "file"),
+    (b"<?xml version='1.0' encoding='nonsense'?><a/>", "file"),
+    (b"<html/>", "file"),
+    (f"<pef xmlns='{PEF[1:-1]}'/>".encode(), "file"),
+    (format_pef([["⠁"]], "").replace("⠁".encode(), b"A"), "cell"),
+    (BOMB, "file"),
+    (BOMB.decode().encode("utf-16"), "file"),
+])  # fmt: skip
 def test_nonsense(data, about):
     with raises(BrailleError, about=about):
         parse_pef(data)

@@ -37,10 +37,9 @@ def ending(host):
 
 
 @pytest.mark.usefixtures("patient_boards")
-@pytest.mark.parametrize(
-    ("number", "name"),
-    [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP")],
-)
+@pytest.mark.parametrize(("number", "name"), [
+    (signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP"),
+])  # fmt: skip
 def test_signals_end_in_order(running, number, name):
     host, emulator, books = running
     host.send_signal(number)

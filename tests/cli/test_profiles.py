@@ -74,10 +74,9 @@ def test_no_intensity_is_kept_in_a_profile(program_here, tmp_path):
     assert "defaults.intensity" in one_sentence(program_here("live --profile mine.toml"))
 
 
-@pytest.mark.parametrize(
-    ("kept", "given", "drawn"),
-    [(True, None, False), (True, False, True), (False, None, True), (False, True, False)],
-)
+@pytest.mark.parametrize(("kept", "given", "drawn"), [
+    (True, None, False), (True, False, True), (False, None, True), (False, True, False),
+])  # fmt: skip
 def test_what_is_drawn(profile, kept, given, drawn, monkeypatch):
     shown = []
     monkeypatch.setattr(

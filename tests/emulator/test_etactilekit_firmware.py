@@ -264,14 +264,11 @@ def test_hardware_version_2_is_lost_with_a_pattern_for_no_electrodes(make_rig):
     assert rig.feed(1000, bytes(600) + b"\xf5") == b""
 
 
-@pytest.mark.parametrize(
-    ("firmware", "text", "charge_uc"),
-    [
-        # The shortest pulse has a length, and 936c6c0 keeps its width where zero is asked for.
-        ("71adee2", "FC04 FA0100" + ONE, 2.1978 * 6.6e-3),
-        ("936c6c0", "FC04 FA6400 FA0000 FB6400 FE 01000000", 0.0999),
-    ],
-)
+@pytest.mark.parametrize(("firmware", "text", "charge_uc"), [
+    # The shortest pulse has a length, and 936c6c0 keeps its width where zero is asked for.
+    ("71adee2", "FC04 FA0100" + ONE, 2.1978 * 6.6e-3),
+    ("936c6c0", "FC04 FA6400 FA0000 FB6400 FE 01000000", 0.0999),
+])  # fmt: skip
 def test_the_width_of_a_pulse(make_rig, firmware, text, charge_uc):
     rig = make_rig(firmware=firmware).after(15, text)
     assert rig.books.max_charge_uc == pytest.approx(charge_uc)

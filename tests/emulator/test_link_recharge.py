@@ -125,10 +125,9 @@ def test_what_breaks_the_boards_own_limits_is_refused(bad, good, rule):
     assert (rig.books.slots, rig.books.recharges, rig.books.violations) == (0, 0, 1)
 
 
-@pytest.mark.parametrize(
-    ("current_ua", "width_us", "unsafe"),
-    [(500, 4000, 0), (501, 10, 1), (100, 20_001, 1), (500, 4001, 1)],
-)
+@pytest.mark.parametrize(("current_ua", "width_us", "unsafe"), [
+    (500, 4000, 0), (501, 10, 1), (100, 20_001, 1), (500, 4001, 1),
+])  # fmt: skip
 def test_the_books_look_for_themselves(current_ua, width_us, unsafe):
     books, current = DeliveryLog(2), np.array([current_ua, -current_ua], float)
     books.enter_recharge(1, Delivered(current, current * width_us, current, 0.0), width_us,

@@ -75,10 +75,9 @@ def test_stimuli_are_within_limits_and_at_the_right_sites(profile, bank):
     assert mixture.mode is Mode.COLOR
 
 
-@pytest.mark.parametrize(
-    ("spec", "mode"),
-    [("tone:30Hz,9um", Mode.RA), ("press:0.4N", Mode.SAI), ("tone:250Hz,1um", Mode.PC)],
-)
+@pytest.mark.parametrize(("spec", "mode"), [
+    ("tone:30Hz,9um", Mode.RA), ("press:0.4N", Mode.SAI), ("tone:250Hz,1um", Mode.PC),
+])  # fmt: skip
 def test_one_class_alone_is_that_mode(spec, mode, profile, bank):
     assert mix_colors(open_trace(spec, 0.3), profile, bank).mode is mode
 

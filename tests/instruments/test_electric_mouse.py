@@ -59,10 +59,9 @@ def test_an_oblique_grating_pulses_by_the_cosine(mouse, mouse_bank, angle):
     assert np.abs(pulses_hz - want_hz).max() <= 80 / 60
 
 
-@pytest.mark.parametrize(
-    ("pitch", "angle", "kind", "noise"),
-    [(2, 60, "thin", 0), (4, 0, "square", 0), (4, 30, "faint", 5)],
-)
+@pytest.mark.parametrize(("pitch", "angle", "kind", "noise"), [
+    (2, 60, "thin", 0), (4, 0, "square", 0), (4, 30, "faint", 5),
+])  # fmt: skip
 def test_a_grating_in_an_image_pulses_as_often(
     tmp_path, mouse, mouse_bank, pitch, angle, kind, noise
 ):
@@ -231,18 +230,15 @@ def test_other_classes_feel_it_too(mouse, mouse_bank, mode):
     assert pulses_hz == pytest.approx([10] * 64)
 
 
-@pytest.mark.parametrize(
-    ("options", "about", "allowed"),
-    [
-        ({"rate_hz": 5}, "rate_hz", (10, 200)),
-        ({"rate_hz": 201}, "rate_hz", (10, 200)),
-        ({"fastest_hz": 60}, "fastest_hz", 50),
-        ({"fastest_hz": 0}, "fastest_hz", 50),
-        ({"scale": 0}, "scale", 0),
-        ({"mode": Mode.NATURAL}, "mode", ("RA", "SAI", "PC")),
-        ({"mode": Mode.COLOR}, "mode", ("RA", "SAI", "PC")),
-    ],
-)
+@pytest.mark.parametrize(("options", "about", "allowed"), [
+    ({"rate_hz": 5}, "rate_hz", (10, 200)),
+    ({"rate_hz": 201}, "rate_hz", (10, 200)),
+    ({"fastest_hz": 60}, "fastest_hz", 50),
+    ({"fastest_hz": 0}, "fastest_hz", 50),
+    ({"scale": 0}, "scale", 0),
+    ({"mode": Mode.NATURAL}, "mode", ("RA", "SAI", "PC")),
+    ({"mode": Mode.COLOR}, "mode", ("RA", "SAI", "PC")),
+])  # fmt: skip
 def test_what_is_impossible_is_said(mouse, options, about, allowed):
     (value,) = options.values()
     with raises(SourceError, about=about, value=value, allowed=allowed):

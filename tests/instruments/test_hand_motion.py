@@ -90,21 +90,18 @@ def test_a_sensor_tells_the_motion():
         assert motion.force_n > 0
 
 
-@pytest.mark.parametrize(
-    ("url", "options", "about", "value"),
-    [
-        ("wheel:", {}, "motion", "wheel:"),
-        ("sweep", {}, "motion", "sweep"),
-        ("sweep:x", {}, "rounds", "x"),
-        ("sweep:0", {}, "rounds", "0"),
-        ("sweep:99999", {}, "rounds", "99999"),
-        ("sweep:", {"speed_mm_s": 0.0}, "speed_mm_s", 0.0),
-        ("sweep:", {"cpi": 400}, "cpi", "sweep:"),
-        ("path:", {}, "file", None),
-        ("path:none.csv", {}, "file", Path("none.csv")),
-        ("camera:x", {}, "camera", "x"),
-    ],
-)
+@pytest.mark.parametrize(("url", "options", "about", "value"), [
+    ("wheel:", {}, "motion", "wheel:"),
+    ("sweep", {}, "motion", "sweep"),
+    ("sweep:x", {}, "rounds", "x"),
+    ("sweep:0", {}, "rounds", "0"),
+    ("sweep:99999", {}, "rounds", "99999"),
+    ("sweep:", {"speed_mm_s": 0.0}, "speed_mm_s", 0.0),
+    ("sweep:", {"cpi": 400}, "cpi", "sweep:"),
+    ("path:", {}, "file", None),
+    ("path:none.csv", {}, "file", Path("none.csv")),
+    ("camera:x", {}, "camera", "x"),
+])  # fmt: skip
 def test_what_is_wrong_is_said(url, options, about, value):
     known = ("sweep", "path", "evdev", "window", "camera")
     allowed = {"motion": known, "rounds": (1, 10_000)}.get(about)
@@ -117,18 +114,15 @@ def test_too_many_strokes():
         open_motion("sweep:9999", span_mm=(10, 1000))
 
 
-@pytest.mark.parametrize(
-    ("text", "about", "value"),
-    [
-        ("x_mm,y_mm\n0,0\n", "columns", ("x_mm", "y_mm")),
-        ("time_s,x_mm,y_mm\n0,0,0\n", "rows", 1),
-        ("time_s,x_mm,y_mm\n0,0,0\n0,1,1\n", "line", 3),
-        ("time_s,x_mm,y_mm\n0,0,0\n1,1,1\n1,2,2\n3,0,0\n", "line", 4),
-        ("time_s,x_mm,y_mm\n0,0,0\n1,a,1\n", "line", 3),
-        ("time_s,x_mm,y_mm\n0,0,0\n1,inf,1\n", "line", 3),
-        ("time_s,x_mm,y_mm\n0,0,0\n1,1\n", "line", 3),
-    ],
-)
+@pytest.mark.parametrize(("text", "about", "value"), [
+    ("x_mm,y_mm\n0,0\n", "columns", ("x_mm", "y_mm")),
+    ("time_s,x_mm,y_mm\n0,0,0\n", "rows", 1),
+    ("time_s,x_mm,y_mm\n0,0,0\n0,1,1\n", "line", 3),
+    ("time_s,x_mm,y_mm\n0,0,0\n1,1,1\n1,2,2\n3,0,0\n", "line", 4),
+    ("time_s,x_mm,y_mm\n0,0,0\n1,a,1\n", "line", 3),
+    ("time_s,x_mm,y_mm\n0,0,0\n1,inf,1\n", "line", 3),
+    ("time_s,x_mm,y_mm\n0,0,0\n1,1\n", "line", 3),
+])  # fmt: skip
 def test_a_wrong_way_says_where(tmp_path, text, about, value):
     path = tmp_path / "way.csv"
     path.write_text(text)

@@ -24,15 +24,12 @@ def drives(spec, seconds=2.0):
     }
 
 
-@pytest.mark.parametrize(
-    ("spec", "alone"),
-    [
-        ("tone:30Hz,11um", Afferent.RA),  # 4.9 dB above threshold
-        ("tone:250Hz,1.7um", Afferent.PC),
-        ("tone:250Hz,9um", Afferent.PC),
-        ("press:1N", Afferent.SAI),
-    ],
-)
+@pytest.mark.parametrize(("spec", "alone"), [
+    ("tone:30Hz,11um", Afferent.RA),  # 4.9 dB above threshold
+    ("tone:250Hz,1.7um", Afferent.PC),
+    ("tone:250Hz,9um", Afferent.PC),
+    ("press:1N", Afferent.SAI),
+])  # fmt: skip
 def test_what_each_class_answers_best_drives_it_alone(spec, alone):
     for afferent, drive in drives(spec).items():
         if afferent is alone:

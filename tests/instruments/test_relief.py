@@ -219,29 +219,26 @@ def test_letters_are_large():
     assert open_texture("text:Il", width_mm=50).size_mm[0] == pytest.approx(50)
 
 
-@pytest.mark.parametrize(
-    ("spec", "options", "about", "attributes"),
-    [
-        ("grating:", {}, "grating", {"value": "grating:"}),
-        ("grating:4cm", {}, "grating", {"value": "grating:4cm"}),
-        ("grating:0.01mm", {}, "pitch_mm", {"value": 0.01}),
-        ("grating:4mm,400deg", {}, "angle_deg", {"value": 400, "allowed": (-360, 360)}),
-        ("grating:4mm", {"width_mm": 10}, "width_mm", {"value": "grating:4mm"}),
-        ("none.png", {}, "file", {"value": Path("none.png")}),
-        ("none.npy", {"dpi": 100}, "file", {"value": Path("none.npy")}),
-        ("text: ", {}, "text", {}),
-        ("text:a", {"dpi": 100}, "dpi", {"remedy": "width_mm"}),
-        ("o.png", {"dpi": 100, "width_mm": 20}, "dpi", {}),
-        ("o.png", {"grain_mm": 0.0}, "grain_mm", {"value": 0}),
-        ("o.png", {"width_mm": 1e5}, "size_mm", {"remedy": SCALE}),
-        ("flat.png", {"dpi": 100}, "texture", {"value": "flat.png"}),
-        ("unscaled.png", {}, "size_mm", {"value": Path("unscaled.png"), "remedy": SCALE}),
-        ("deep.npy", {}, "size_mm", {"value": Path("deep.npy"), "remedy": SCALE}),
-        ("deep.npy", {"dpi": 100}, "axes", {"value": 3}),
-        ("words.npy", {"dpi": 100}, "file", {"value": Path("words.npy")}),
-        ("words.png", {}, "file", {"value": Path("words.png")}),
-    ],
-)
+@pytest.mark.parametrize(("spec", "options", "about", "attributes"), [
+    ("grating:", {}, "grating", {"value": "grating:"}),
+    ("grating:4cm", {}, "grating", {"value": "grating:4cm"}),
+    ("grating:0.01mm", {}, "pitch_mm", {"value": 0.01}),
+    ("grating:4mm,400deg", {}, "angle_deg", {"value": 400, "allowed": (-360, 360)}),
+    ("grating:4mm", {"width_mm": 10}, "width_mm", {"value": "grating:4mm"}),
+    ("none.png", {}, "file", {"value": Path("none.png")}),
+    ("none.npy", {"dpi": 100}, "file", {"value": Path("none.npy")}),
+    ("text: ", {}, "text", {}),
+    ("text:a", {"dpi": 100}, "dpi", {"remedy": "width_mm"}),
+    ("o.png", {"dpi": 100, "width_mm": 20}, "dpi", {}),
+    ("o.png", {"grain_mm": 0.0}, "grain_mm", {"value": 0}),
+    ("o.png", {"width_mm": 1e5}, "size_mm", {"remedy": SCALE}),
+    ("flat.png", {"dpi": 100}, "texture", {"value": "flat.png"}),
+    ("unscaled.png", {}, "size_mm", {"value": Path("unscaled.png"), "remedy": SCALE}),
+    ("deep.npy", {}, "size_mm", {"value": Path("deep.npy"), "remedy": SCALE}),
+    ("deep.npy", {"dpi": 100}, "axes", {"value": 3}),
+    ("words.npy", {"dpi": 100}, "file", {"value": Path("words.npy")}),
+    ("words.png", {}, "file", {"value": Path("words.png")}),
+])  # fmt: skip
 def test_what_is_wrong_is_said(tmp_path, monkeypatch, spec, options, about, attributes):
     monkeypatch.chdir(tmp_path)
     object_file(tmp_path / "o.png", "disc")

@@ -42,17 +42,11 @@ def test_finer_samples_are_kept():
     assert not trace.force_n.any()
 
 
-@pytest.mark.parametrize(
-    ("time_s", "moved", "about", "value"),
-    [
-        ([0, 1, 1], [0, 0, 0], "samples", 2),
-        ([0, np.nan, 1], [0, 0, 0], "samples", 1),
-        ([0], [0], "samples", (1, 1, 1)),
-        ([0, 1], [0, 0, 0], "samples", (2, 3, 2)),
-        ([0, 601], [0, 0], "duration_s", 601),
-        ([0, 1], [0, np.inf], "samples", None),
-    ],
-)
+@pytest.mark.parametrize(("time_s", "moved", "about", "value"), [
+    ([0, 1, 1], [0, 0, 0], "samples", 2), ([0, np.nan, 1], [0, 0, 0], "samples", 1),
+    ([0], [0], "samples", (1, 1, 1)), ([0, 1], [0, 0, 0], "samples", (2, 3, 2)),
+    ([0, 601], [0, 0], "duration_s", 601), ([0, 1], [0, np.inf], "samples", None),
+])  # fmt: skip
 def test_arrays_that_are_no_trace_are_refused(time_s, moved, about, value):
     with raises(SmartTouchError, about=about, value=value):
         sampled(time_s, moved)
@@ -94,23 +88,20 @@ def test_phases_that_a_spectrum_has_not_follow_the_seed(csv_file):
     assert np.abs(first - other).max() > 1
 
 
-@pytest.mark.parametrize(
-    ("text", "about", "value"),
-    [
-        ("", "columns", ()),
-        ("a,b\n1,2\n", "columns", ("a", "b")),
-        ("time_s,amplitude_um\n1,2\n", "columns", ("time_s", "amplitude_um")),
-        ("frequency_hz,phase_deg\n1,2\n", "columns", ("frequency_hz", "phase_deg")),
-        ("time_s,force_n\n0,1\n", "rows", 1),
-        ("time_s,force_n\n0,1\n\n1,x\n", "line", 4),
-        ("time_s,force_n\n0,1\n1\n", "line", 3),
-        ("time_s,force_n\n0,1\n1,nan\n", "line", 3),
-        ("time_s,force_n\n0,1\n\n2,1\n1.5,1\n", "line", 5),
-        ("frequency_hz,amplitude_um\n30,1\n40,-1\n", "line", 3),
-        ("frequency_hz,amplitude_um\n9000,1\n", "line", 2),
-        ("time_s,force_n\n0,1\n700,1\n", "duration_s", 700),
-    ],
-)
+@pytest.mark.parametrize(("text", "about", "value"), [
+    ("", "columns", ()),
+    ("a,b\n1,2\n", "columns", ("a", "b")),
+    ("time_s,amplitude_um\n1,2\n", "columns", ("time_s", "amplitude_um")),
+    ("frequency_hz,phase_deg\n1,2\n", "columns", ("frequency_hz", "phase_deg")),
+    ("time_s,force_n\n0,1\n", "rows", 1),
+    ("time_s,force_n\n0,1\n\n1,x\n", "line", 4),
+    ("time_s,force_n\n0,1\n1\n", "line", 3),
+    ("time_s,force_n\n0,1\n1,nan\n", "line", 3),
+    ("time_s,force_n\n0,1\n\n2,1\n1.5,1\n", "line", 5),
+    ("frequency_hz,amplitude_um\n30,1\n40,-1\n", "line", 3),
+    ("frequency_hz,amplitude_um\n9000,1\n", "line", 2),
+    ("time_s,force_n\n0,1\n700,1\n", "duration_s", 700),
+])  # fmt: skip
 def test_a_bad_file_is_told_with_its_line(csv_file, text, about, value):
     path = csv_file(text)
     with raises(SmartTouchError, about=about, value=value) as caught:
@@ -164,21 +155,18 @@ def test_a_sweep_passes_its_middle_at_half_time():
     assert 1 / interval == pytest.approx(40, rel=0.05)
 
 
-@pytest.mark.parametrize(
-    ("spec", "about", "value"),
-    [
-        ("tone:30Hz", "trace", "tone:30Hz"),
-        ("tone:30Hz,8mm", "trace", "tone:30Hz,8mm"),
-        ("tone:30Hz,8um+hum:3", "trace", "hum:3"),
-        ("tone:-30Hz,8um", "trace", "tone:-30Hz,8um"),
-        ("tone:0Hz,8um", "frequency", (0,)),
-        ("tone:2000Hz,8um", "frequency", (2000,)),
-        ("sweep:100-50Hz,8um", "frequency", "100-50Hz"),
-        ("press:1N@2-1", "trace", (2, 1)),
-        ("press:1N@0-9", "trace", (0, 9)),
-        ("noise:50.1-50.2Hz,1um", "trace", (50.1, 50.2)),
-    ],
-)
+@pytest.mark.parametrize(("spec", "about", "value"), [
+    ("tone:30Hz", "trace", "tone:30Hz"),
+    ("tone:30Hz,8mm", "trace", "tone:30Hz,8mm"),
+    ("tone:30Hz,8um+hum:3", "trace", "hum:3"),
+    ("tone:-30Hz,8um", "trace", "tone:-30Hz,8um"),
+    ("tone:0Hz,8um", "frequency", (0,)),
+    ("tone:2000Hz,8um", "frequency", (2000,)),
+    ("sweep:100-50Hz,8um", "frequency", "100-50Hz"),
+    ("press:1N@2-1", "trace", (2, 1)),
+    ("press:1N@0-9", "trace", (0, 9)),
+    ("noise:50.1-50.2Hz,1um", "trace", (50.1, 50.2)),
+])  # fmt: skip
 def test_a_line_that_cannot_be_understood(spec, about, value):
     with raises(SmartTouchError, about=about, value=value):
         open_trace(spec)

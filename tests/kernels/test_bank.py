@@ -172,14 +172,10 @@ def test_an_unwritable_cache_is_no_error(tmp_path, mine, monkeypatch):
     assert Afferent.RA in load_bank(mine).weights
 
 
-@pytest.mark.parametrize(
-    "keys",
-    [
-        {"optics.rotation_deg": 5.0},
-        {"output.ua_per_count": 9.7, "output.wiring": list(range(64))[::-1]},
-    ],
-    ids=["optics", "board"],
-)
+@pytest.mark.parametrize("keys", [
+    {"optics.rotation_deg": 5.0},
+    {"output.ua_per_count": 9.7, "output.wiring": list(range(64))[::-1]},
+], ids=["optics", "board"])  # fmt: skip
 def test_what_does_not_matter_to_kernels(profile, changed, keys):
     assert problem_hash(changed(profile, keys)) == problem_hash(profile)
 
@@ -189,10 +185,9 @@ def test_masked_electrodes_matter_to_kernels_their_order_not(profile, changed):
     assert problem_hash(one) == problem_hash(other) != problem_hash(profile)
 
 
-@pytest.mark.parametrize(
-    ("name", "keys"),
-    [("smarttouch-4x4", {"array.rows": 2}), ("etactilekit-32", {}), ("line-7", {})],
-)
+@pytest.mark.parametrize(("name", "keys"), [
+    ("smarttouch-4x4", {"array.rows": 2}), ("etactilekit-32", {}), ("line-7", {}),
+])  # fmt: skip
 def test_a_bank_around_masked_electrodes(name, keys, changed):
     masked = [1, 5]
     mine = changed(load_profile(name), keys | {"output.masked": masked})

@@ -32,15 +32,11 @@ def test_symmetries_leave_the_targets_and_the_rows_alone(name, afferent):
         assert_close(after, before)
 
 
-@pytest.mark.parametrize(
-    "keys",
-    [
-        {"output.impedance_kohm": [2.0] + [1.0] * 15},
-        {"limits.electrode_ma": [2.4] * 15 + [2.5]},
-        {"limits.total_ma": 5.0, "perception.threshold_ma": [1.2] * 4 + [1.1] + [1.2] * 11},
-    ],
-    ids=lambda keys: next(iter(keys)),
-)
+@pytest.mark.parametrize("keys", [
+    {"output.impedance_kohm": [2.0] + [1.0] * 15},
+    {"limits.electrode_ma": [2.4] * 15 + [2.5]},
+    {"limits.total_ma": 5.0, "perception.threshold_ma": [1.2] * 4 + [1.1] + [1.2] * 11},
+], ids=lambda keys: next(iter(keys)))  # fmt: skip
 def test_an_electrode_of_its_own_kind_has_no_mirror_image(changed, keys):
     profile = load_profile("smarttouch-4x4")
     assert len(Problem(profile, Afferent.RA).symmetries) == 8
@@ -55,19 +51,15 @@ FREE = {"layout": "free", "positions_mm": [[0, 0], [2, 0], [1, 1.7], [3.1, 2.4]]
 SQUARE = {"layout": "free", "positions_mm": [[0, 0], [2, 0], [0, 2], [2, 2]], "shape": "rectangle"}
 
 
-@pytest.mark.parametrize(
-    ("name", "keys", "count"),
-    [
-        ("electric-mouse", {"array": FREE}, 1),
-        ("electric-mouse", {"array": SQUARE | {"size_mm": [0.5, 1.5]}}, 4),
-        ("electric-mouse", {"array": SQUARE | {"size_mm": [1.0, 1.0]}}, 8),
-        # The diagonal through it is left.
-        ("electric-mouse", {"output.masked": [27]}, 2),
-        # Thresholds alone do not change kernels.
-        ("smarttouch-4x4", {"perception.threshold_ma": [1.2] * 15 + [1.1]}, 8),
-    ],
-    ids=["free", "upright", "square", "masked", "thresholds"],
-)
+@pytest.mark.parametrize(("name", "keys", "count"), [
+    ("electric-mouse", {"array": FREE}, 1),
+    ("electric-mouse", {"array": SQUARE | {"size_mm": [0.5, 1.5]}}, 4),
+    ("electric-mouse", {"array": SQUARE | {"size_mm": [1.0, 1.0]}}, 8),
+    # The diagonal through it is left.
+    ("electric-mouse", {"output.masked": [27]}, 2),
+    # Thresholds alone do not change kernels.
+    ("smarttouch-4x4", {"perception.threshold_ma": [1.2] * 15 + [1.1]}, 8),
+], ids=["free", "upright", "square", "masked", "thresholds"])  # fmt: skip
 def test_how_many_symmetries_there_are(changed, name, keys, count):
     assert len(Problem(changed(load_profile(name), keys), Afferent.RA).symmetries) == count
 

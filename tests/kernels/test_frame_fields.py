@@ -15,16 +15,10 @@ def random_currents(profile, count=5, seed=0):
 
 
 @pytest.mark.parametrize("afferent", list(Afferent))
-@pytest.mark.parametrize(
-    ("name", "separable"),
-    [
-        ("electric-mouse", True),
-        ("smarttouch-4x4", True),
-        ("optacon-24x6", True),
-        ("kajimoto-61", False),
-        ("line-7", False),
-    ],
-)
+@pytest.mark.parametrize(("name", "separable"), [
+    ("electric-mouse", True), ("smarttouch-4x4", True), ("optacon-24x6", True),
+    ("kajimoto-61", False), ("line-7", False),
+])  # fmt: skip
 def test_a_map_is_what_all_rows_are(name, separable, afferent):
     profile = load_profile(name)
     nodes = everywhere(profile, afferent)

@@ -77,11 +77,9 @@ def test_a_pole_has_one_voltage_and_both_carry_the_source(seed, count):
 IMPEDANCES = [1.0, [1.0, 3.0, 0.5, 2.0, 1.0, 0.7]]
 
 
-@pytest.mark.parametrize(
-    ("impedance_kohm", "masked"),
-    [(IMPEDANCES[0], []), (IMPEDANCES[1], []), (IMPEDANCES[1], [2])],
-    ids=["equal", "measured", "masked"],
-)
+@pytest.mark.parametrize(("impedance_kohm", "masked"), [
+    (IMPEDANCES[0], []), (IMPEDANCES[1], []), (IMPEDANCES[1], [2]),
+], ids=["equal", "measured", "masked"])  # fmt: skip
 @pytest.mark.parametrize("site", [0, 1])
 @pytest.mark.parametrize("afferent", list(Afferent))
 def test_no_assignment_is_better(small, afferent, site, impedance_kohm, masked):

@@ -31,15 +31,12 @@ def three_by_three(changed):
 
 
 @pytest.mark.parametrize("spill", [None, 0.2])
-@pytest.mark.parametrize(
-    ("afferent", "spacing", "worst", "weights"),
-    [
-        (Afferent.SAI, 1.0, 0.3025, [-0.191, -0.164, -0.145, 1]),
-        (Afferent.SAI, 0.25, 0.3025, [-0.191, -0.164, -0.145, 1]),
-        (Afferent.RA, 1.0, 0.1072, [0.168, 0.123, 0.209, -1]),
-        (Afferent.RA, 0.25, 0.1173, [0.183, 0.139, 0.179, -1]),
-    ],
-)
+@pytest.mark.parametrize(("afferent", "spacing", "worst", "weights"), [
+    (Afferent.SAI, 1.0, 0.3025, [-0.191, -0.164, -0.145, 1]),
+    (Afferent.SAI, 0.25, 0.3025, [-0.191, -0.164, -0.145, 1]),
+    (Afferent.RA, 1.0, 0.1072, [0.168, 0.123, 0.209, -1]),
+    (Afferent.RA, 0.25, 0.1173, [0.183, 0.139, 0.179, -1]),
+])  # fmt: skip
 def test_figure_8(line, changed, afferent, spacing, worst, weights, spill):
     problem = Problem(changed(line, {SPACING: spacing}), afferent)
     kernel = design_kernel(problem, 3, spill)

@@ -152,14 +152,10 @@ def test_a_pdf_under_another_name(tmp_path):
     assert squares(first_page(other)) == 1
 
 
-@pytest.mark.parametrize(
-    ("options", "shape", "width_mm"),
-    [
-        ({}, (1200, 600), 50.8),
-        ({"dpi": 72}, (288, 144), 50.8),
-        ({"page_width_mm": 25.4}, (600, 300), 25.4),
-    ],
-)
+@pytest.mark.parametrize(("options", "shape", "width_mm"), [
+    ({}, (1200, 600), 50.8), ({"dpi": 72}, (288, 144), 50.8),
+    ({"page_width_mm": 25.4}, (600, 300), 25.4),
+])  # fmt: skip
 def test_the_scale_of_a_pdf(put, options, shape, width_mm):
     path = put(one_page(b"0 144 72 144 re f"))
     page = first_page(path, **options)
@@ -207,18 +203,15 @@ def test_without_a_user_password_none_is_asked_for(put):
     assert first_page(path).grey.mean() == pytest.approx(127, abs=2)
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"%PDF-1.7\n",
-        b"%PDF-1.7\nnonsense\n%%EOF",
-        pdf_file([b"<</Type/Catalog/Pages 2 0 R>>", b"<</Type/Pages/Kids[]/Count 0>>"]),
-        b"",
-        b"a plain text",
-        None,
-        "folder",
-    ],
-)
+@pytest.mark.parametrize("content", [
+    b"%PDF-1.7\n",
+    b"%PDF-1.7\nnonsense\n%%EOF",
+    pdf_file([b"<</Type/Catalog/Pages 2 0 R>>", b"<</Type/Pages/Kids[]/Count 0>>"]),
+    b"",
+    b"a plain text",
+    None,
+    "folder",
+])  # fmt: skip
 def test_bad_files(tmp_path, content):
     path = tmp_path / "page.pdf"
     if content == "folder":
@@ -232,16 +225,12 @@ def test_bad_files(tmp_path, content):
 SIZES = {"about": "size_mm", "allowed": (2, 2000), "remedy": "page_width_mm"}
 
 
-@pytest.mark.parametrize(
-    ("content", "dpi", "attributes"),
-    [
-        (one_page(size=(14400, 14400)), None, SIZES | {"value": pytest.approx((5080, 5080))}),
-        (one_page(size=(144, 1)), None, SIZES | {"value": pytest.approx((50.8, 0.35278))}),
-        (one_page().replace(b"Kids[3 0 R]", b"Kids[9 0 R]"), None, {"about": "page", "value": 1}),
-        (one_page(), 2, {"about": "pixels", "value": (4, 8), "allowed": (8, 8)}),
-    ],
-    ids=["large", "flat", "damaged", "coarse"],
-)
+@pytest.mark.parametrize(("content", "dpi", "attributes"), [
+    (one_page(size=(14400, 14400)), None, SIZES | {"value": pytest.approx((5080, 5080))}),
+    (one_page(size=(144, 1)), None, SIZES | {"value": pytest.approx((50.8, 0.35278))}),
+    (one_page().replace(b"Kids[3 0 R]", b"Kids[9 0 R]"), None, {"about": "page", "value": 1}),
+    (one_page(), 2, {"about": "pixels", "value": (4, 8), "allowed": (8, 8)}),
+], ids=["large", "flat", "damaged", "coarse"])  # fmt: skip
 def test_pages_that_cannot_be(put, content, dpi, attributes):
     path = put(content)
     with open_document(path, dpi=dpi) as document, raises(PageError, **attributes) as caught:
@@ -344,15 +333,12 @@ def test_a_given_scale_of_an_image(tmp_path, options):
     assert first_page(path, **options).mm_per_pixel == pytest.approx(0.2)
 
 
-@pytest.mark.parametrize(
-    ("options", "about", "value"),
-    [
-        ({"dpi": 300, "page_width_mm": 5}, "dpi", ("dpi", "page_width_mm")),
-        ({"dpi": 0}, "dpi", 0),
-        ({"page_width_mm": math.nan}, "page_width_mm", math.nan),
-        ({"dpi": 1}, "size_mm", pytest.approx((7620, 10160))),
-    ],
-)
+@pytest.mark.parametrize(("options", "about", "value"), [
+    ({"dpi": 300, "page_width_mm": 5}, "dpi", ("dpi", "page_width_mm")),
+    ({"dpi": 0}, "dpi", 0),
+    ({"page_width_mm": math.nan}, "page_width_mm", math.nan),
+    ({"dpi": 1}, "size_mm", pytest.approx((7620, 10160))),
+])  # fmt: skip
 def test_bad_scales(tmp_path, options, about, value):
     path = save(tmp_path / "page.png", sheets(1))
     wrong = raises(PageError, about=about, value=value)
@@ -371,31 +357,22 @@ def test_pages_that_are_not_there(tmp_path, suffix, index):
         document.page(index)
 
 
-@pytest.mark.parametrize(
-    ("text", "indexes"),
-    [
-        ("1", [0]),
-        ("1,3-5", [0, 2, 3, 4]),
-        (" 2 , 1 - 2 ", [1, 0, 1]),
-        ("11-", [10, 11]),
-        ("12-12", [11]),
-    ],
-)
+@pytest.mark.parametrize(("text", "indexes"), [
+    ("1", [0]), ("1,3-5", [0, 2, 3, 4]), (" 2 , 1 - 2 ", [1, 0, 1]), ("11-", [10, 11]),
+    ("12-12", [11]),
+])  # fmt: skip
 def test_pages_asked_for(text, indexes):
     assert parse_pages(text, 12) == indexes
 
 
-@pytest.mark.parametrize(
-    ("text", "value", "more"),
-    [
-        *((each, each, {}) for each in ("", "one", "-3", "²", "1" * 5000)),
-        ("1,,2", "", {}),
-        ("0", 0, {"allowed": 12}),
-        ("1,13", 13, {"allowed": 12}),
-        ("3-999999999", 999_999_999, {"allowed": 12}),
-        ("5-3", (5, 3), {"remedy": "3-5"}),
-    ],
-)
+@pytest.mark.parametrize(("text", "value", "more"), [
+    *((each, each, {}) for each in ("", "one", "-3", "²", "1" * 5000)),
+    ("1,,2", "", {}),
+    ("0", 0, {"allowed": 12}),
+    ("1,13", 13, {"allowed": 12}),
+    ("3-999999999", 999_999_999, {"allowed": 12}),
+    ("5-3", (5, 3), {"remedy": "3-5"}),
+])  # fmt: skip
 def test_what_is_no_page(text, value, more):
     with raises(PageError, about="pages", value=value, **more):
         parse_pages(text, 12)

@@ -73,10 +73,9 @@ def test_a_turned_tiff(picture, tmp_path, compression):
     assert np.array_equal(load_page(path, dpi=300).grey, np.rot90(picture, -1))
 
 
-@pytest.mark.parametrize(
-    ("stated", "shape"),
-    [((200, 100), (120, 80)), ((100, 200), (60, 160)), ((200, 199), (60, 80))],
-)
+@pytest.mark.parametrize(("stated", "shape"), [
+    ((200, 100), (120, 80)), ((100, 200), (60, 160)), ((200, 199), (60, 80)),
+])  # fmt: skip
 def test_pixels_become_square(picture, tmp_path, stated, shape):
     path = tmp_path / "page.tif"
     picture.save(path, dpi=stated)
@@ -110,18 +109,15 @@ def png_header(width, height):
     return b"\x89PNG\r\n\x1a\n" + chunk + struct.pack(">I", 0) + b"IDAT" + b"\0\0\0\0"
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        None,
-        b"",
-        b"hello, I am a text",
-        # Pillow has its own mind of an image without pixels, by version.
-        png_header(0, 0),
-        png_header(100, 100),
-        "folder",
-    ],
-)
+@pytest.mark.parametrize("content", [
+    None,
+    b"",
+    b"hello, I am a text",
+    # Pillow has its own mind of an image without pixels, by version.
+    png_header(0, 0),
+    png_header(100, 100),
+    "folder",
+])  # fmt: skip
 def test_bad_files(tmp_path, content):
     path = tmp_path / "page.png"
     if content == "folder":
@@ -132,15 +128,12 @@ def test_bad_files(tmp_path, content):
         load_page(path, dpi=300)
 
 
-@pytest.mark.parametrize(
-    ("side", "value", "allowed"),
-    [
-        # So large that Pillow does not even tell how large.
-        (60_000, None, 10**8),
-        (12_000, (12_000, 12_000), 10**8),
-        (1, (1, 1), (8, 8)),
-    ],
-)
+@pytest.mark.parametrize(("side", "value", "allowed"), [
+    # So large that Pillow does not even tell how large.
+    (60_000, None, 10**8),
+    (12_000, (12_000, 12_000), 10**8),
+    (1, (1, 1), (8, 8)),
+])  # fmt: skip
 def test_too_many_and_too_few_pixels(tmp_path, side, value, allowed):
     path = tmp_path / "page.png"
     path.write_bytes(png_header(side, side))
@@ -150,17 +143,14 @@ def test_too_many_and_too_few_pixels(tmp_path, side, value, allowed):
     assert str(path) in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("options", "about", "value"),
-    [
-        ({"dpi": 300, "page_width_mm": 5}, "dpi", ("dpi", "page_width_mm")),
-        ({"dpi": 0}, "dpi", 0),
-        ({"dpi": math.nan}, "dpi", math.nan),
-        ({"page_width_mm": -5}, "page_width_mm", -5),
-        ({"dpi": 0.1}, "size_mm", pytest.approx((20_320, 15_240))),
-        ({"dpi": 1e5}, "size_mm", pytest.approx((0.02032, 0.01524))),
-    ],
-)
+@pytest.mark.parametrize(("options", "about", "value"), [
+    ({"dpi": 300, "page_width_mm": 5}, "dpi", ("dpi", "page_width_mm")),
+    ({"dpi": 0}, "dpi", 0),
+    ({"dpi": math.nan}, "dpi", math.nan),
+    ({"page_width_mm": -5}, "page_width_mm", -5),
+    ({"dpi": 0.1}, "size_mm", pytest.approx((20_320, 15_240))),
+    ({"dpi": 1e5}, "size_mm", pytest.approx((0.02032, 0.01524))),
+])  # fmt: skip
 def test_bad_scales(picture, tmp_path, options, about, value):
     path = tmp_path / "page.png"
     picture.save(path)

@@ -29,10 +29,9 @@ def assert_level(page):
     assert abs(np.median(slopes_deg)) < 0.12
 
 
-@pytest.mark.parametrize(
-    ("skew_deg", "inverted"),
-    [(-14, True), (-3, False), (-0.5, True), (0.5, False), (2, True), (8, False), (14.5, False)],
-)
+@pytest.mark.parametrize(("skew_deg", "inverted"), [
+    (-14, True), (-3, False), (-0.5, True), (0.5, False), (2, True), (8, False), (14.5, False),
+])  # fmt: skip
 def test_skew_is_turned_back(printed, skew_deg, inverted):
     tilted = degrade(printed, skew_deg=skew_deg, inverted=inverted, noise=5).page
     page, notes = straighten(tilted)

@@ -36,16 +36,10 @@ def likeness(strip, other):
     return best
 
 
-@pytest.mark.parametrize(
-    "mistreated",
-    [
-        {"skew_deg": 3},
-        {"curvature": 4},
-        {"uneven": 0.8, "noise": 6},
-        {"perspective": 0.08, "noise": 3},
-        {"inverted": True},
-    ],
-)
+@pytest.mark.parametrize("mistreated", [
+    {"skew_deg": 3}, {"curvature": 4}, {"uneven": 0.8, "noise": 6},
+    {"perspective": 0.08, "noise": 3}, {"inverted": True},
+])  # fmt: skip
 def test_strips_look_as_if_nothing_had_happened(printed, straight, mistreated):
     prepared = prepare_page(degrade(printed, **mistreated).page)
     assert len(prepared.lines) == len(straight)

@@ -84,17 +84,14 @@ def test_the_scale_of_the_page_is_not_believed(mm_per_pixel):
     )
 
 
-@pytest.mark.parametrize(
-    "lines",
-    [
-        ['He said — "well" … and then', "went on - quietly - to say", "... and so on, etc. ..."],
-        ["• a point in a list", "– and another one", "x", "5", "II."],
-        ["A TITLE IN CAPITALS", "and words under it that are", "1984", "MORE"],
-        [">>> a = markers(b)", "if x == y - 1: return", "a = 5"],
-        ["Été à Évian, où naïve Ångström", "Straße, größer, übel, ÄÖÜ"],
-        ["word"],
-    ],
-)
+@pytest.mark.parametrize("lines", [
+    ['He said — "well" … and then', "went on - quietly - to say", "... and so on, etc. ..."],
+    ["• a point in a list", "– and another one", "x", "5", "II."],
+    ["A TITLE IN CAPITALS", "and words under it that are", "1984", "MORE"],
+    [">>> a = markers(b)", "if x == y - 1: return", "a = 5"],
+    ["Été à Évian, où naïve Ångström", "Straße, größer, übel, ÄÖÜ"],
+    ["word"],
+])  # fmt: skip
 def test_marks_and_short_lines_stay_whole(lines):
     page = print_page(lines, size_pt=12, dpi=150)
     assert_found(page, find_lines(page.page))

@@ -33,10 +33,9 @@ def whole_ua(current_ma):
     return np.rint(1000 * current_ma).astype(np.float32) / np.float32(1000)
 
 
-@pytest.mark.parametrize(
-    ("mode", "amplitude"),
-    [(Afferent.RA, 1.0), (Afferent.SAI, 0.97), (Afferent.RA, 0.75), (Afferent.SAI, 0.55)],
-)
+@pytest.mark.parametrize(("mode", "amplitude"), [
+    (Afferent.RA, 1.0), (Afferent.SAI, 0.97), (Afferent.RA, 0.75), (Afferent.SAI, 0.55),
+])  # fmt: skip
 def test_scaled_kernels_are_known(rows, bank, mode, amplitude):
     memory = DriveMemory(*rows, EXACT_FROM)
     kernels = bank.kernels(mode)[20:40]

@@ -159,14 +159,11 @@ def test_second_differences():
     assert bend_operator("active", 5) @ potential == pytest.approx([3, 2, 2, 2])
 
 
-@pytest.mark.parametrize(
-    ("end", "width_us", "about", "value"),
-    [
-        ("passive", 200.0, "fiber", ("trunk", "passive")),
-        ("through", 20.0, "width_us", 20.0),
-        ("through", 600.0, "width_us", 600.0),
-    ],
-)
+@pytest.mark.parametrize(("end", "width_us", "about", "value"), [
+    ("passive", 200.0, "fiber", ("trunk", "passive")),
+    ("through", 20.0, "width_us", 20.0),
+    ("through", 600.0, "width_us", 600.0),
+])  # fmt: skip
 def test_what_is_not_offered(end, width_us, about, value):
     with raises(DesignError, about=about, value=value):
         load_driving("trunk", end, width_us)

@@ -87,10 +87,9 @@ def test_two_layers_are_a_row_of_images(upper, lower):
     )
 
 
-@pytest.mark.parametrize(
-    ("outer", "inner", "depth"),
-    [(0.0, 0.0, 0.7), (0.5, 0.0, 0.2), (0.5, 0.0, 2.0), (0.8, 0.4, 0.2), (0.8, 0.4, 0.7)],
-)
+@pytest.mark.parametrize(("outer", "inner", "depth"), [
+    (0.0, 0.0, 0.7), (0.5, 0.0, 0.2), (0.5, 0.0, 2.0), (0.8, 0.4, 0.2), (0.8, 0.4, 0.7),
+])  # fmt: skip
 def test_three_layers_against_adaptive_quadrature(outer, inner, depth):
     x, y = axis(0.0, 0.5, 1.3, 4.0)
     found = round_electrode(x, y, depth, outer, inner, SKIN)

@@ -160,10 +160,9 @@ def test_far_ends_do_not_matter_once_out_of_the_field():
     assert polarities(flat(0.9, nodes=151), Fiber()) == pytest.approx(long, rel=0.005)
 
 
-@pytest.mark.parametrize(
-    ("source", "geometry"),
-    [(point_mv_per_ma, {}), (disc_mv_per_ma, {}), (disc_mv_per_ma, TRUNK)],
-)
+@pytest.mark.parametrize(("source", "geometry"), [
+    (point_mv_per_ma, {}), (disc_mv_per_ma, {}), (disc_mv_per_ma, TRUNK),
+])  # fmt: skip
 def test_the_ending_decides_what_fires_an_upright_fiber(source, geometry):
     potential = upright(source, **geometry)
     cathodic, anodic = polarities(potential, Fiber(end="passive", **geometry))

@@ -105,27 +105,24 @@ def test_electrodes_anywhere(edited):
     assert profile.electrodes.pitch_mm == pytest.approx(np.hypot(1, 1.5))
 
 
-@pytest.mark.parametrize(
-    ("positions", "shape", "size", "attributes"),
-    [
-        ("[]", "disc", "[1, 0]", wrong("electrodes", "no electrodes", "two")),
-        ("[[0, 0]]", "disc", "[1, 0]", wrong("electrodes", 1, "two")),
-        ("[[0, 0], [2, 0], [0, 0]]", "disc", "[1, 0]", wrong("electrodes", (0, 2))),
-        (
-            "[[0, 0], [2, 0]]",
-            "annulus",
-            "[1, 1]",
-            wrong("array.size_mm", (1, 1), remedy="array.shape"),
-        ),
-        (
-            "[[0, 0], [2, 0]]",
-            "rectangle",
-            "[1, 0]",
-            wrong("array.size_mm", (1, 0), remedy="array.shape"),
-        ),
-        ("[[0, 0], [2, 0]]", "star", "[1, 0]", wrong("array.shape", "star")),
-    ],
-)
+@pytest.mark.parametrize(("positions", "shape", "size", "attributes"), [
+    ("[]", "disc", "[1, 0]", wrong("electrodes", "no electrodes", "two")),
+    ("[[0, 0]]", "disc", "[1, 0]", wrong("electrodes", 1, "two")),
+    ("[[0, 0], [2, 0], [0, 0]]", "disc", "[1, 0]", wrong("electrodes", (0, 2))),
+    (
+        "[[0, 0], [2, 0]]",
+        "annulus",
+        "[1, 1]",
+        wrong("array.size_mm", (1, 1), remedy="array.shape"),
+    ),
+    (
+        "[[0, 0], [2, 0]]",
+        "rectangle",
+        "[1, 0]",
+        wrong("array.size_mm", (1, 0), remedy="array.shape"),
+    ),
+    ("[[0, 0], [2, 0]]", "star", "[1, 0]", wrong("array.shape", "star")),
+])  # fmt: skip
 def test_impossible_arrays(edited, positions, shape, size, attributes):
     path = with_free_array(edited, positions, shape, size)
     with raises(ProfileError, **attributes) as caught:
@@ -221,19 +218,16 @@ def test_a_ring_around_a_disc(edited, tmp_path):
     assert load_profile(path).array == profile.array
 
 
-@pytest.mark.parametrize(
-    ("shapes", "sizes", "attributes"),
-    [
-        ('["disc", "annulus"]', "[[6.5, 0.0], [8.0, 6.0]]", wrong("electrodes", (0, 1))),
-        ('["disc", "disc"]', "[[1.0, 0.0], [2.0, 0.0]]", wrong("electrodes", (0, 1))),
-        ('["disc"]', "[[1.0, 0.0], [2.0, 0.0]]", wrong("array.shapes", 1, 2)),
-        (
-            '["disc", "annulus"]',
-            "[[1.0, 0.0], [6.0, 6.0]]",
-            wrong("array.sizes_mm", (6, 6), remedy="array.shapes"),
-        ),
-    ],
-)
+@pytest.mark.parametrize(("shapes", "sizes", "attributes"), [
+    ('["disc", "annulus"]', "[[6.5, 0.0], [8.0, 6.0]]", wrong("electrodes", (0, 1))),
+    ('["disc", "disc"]', "[[1.0, 0.0], [2.0, 0.0]]", wrong("electrodes", (0, 1))),
+    ('["disc"]', "[[1.0, 0.0], [2.0, 0.0]]", wrong("array.shapes", 1, 2)),
+    (
+        '["disc", "annulus"]',
+        "[[1.0, 0.0], [6.0, 6.0]]",
+        wrong("array.sizes_mm", (6, 6), remedy="array.shapes"),
+    ),
+])  # fmt: skip
 def test_impossible_mixtures_of_shapes(edited, shapes, sizes, attributes):
     with raises(ProfileError, **attributes):
         load_profile(with_shapes(edited, shapes, sizes))

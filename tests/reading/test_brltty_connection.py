@@ -13,17 +13,11 @@ from ..raising import raises
 HANGS_S = 60
 
 
-@pytest.mark.parametrize(
-    ("text", "host", "port", "listens"),
-    [
-        ("", "127.0.0.1", USUAL_PORT, True),
-        ("listen", "127.0.0.1", USUAL_PORT, True),
-        ("listen:4101", "127.0.0.1", 4101, True),
-        ("listen:0.0.0.0:4101", "0.0.0.0", 4101, True),
-        ("desk.local:4101", "desk.local", 4101, False),
-        ("[::1]:4101", "::1", 4101, False),
-    ],
-)
+@pytest.mark.parametrize(("text", "host", "port", "listens"), [
+    ("", "127.0.0.1", USUAL_PORT, True), ("listen", "127.0.0.1", USUAL_PORT, True),
+    ("listen:4101", "127.0.0.1", 4101, True), ("listen:0.0.0.0:4101", "0.0.0.0", 4101, True),
+    ("desk.local:4101", "desk.local", 4101, False), ("[::1]:4101", "::1", 4101, False),
+])  # fmt: skip
 def test_addresses(text, host, port, listens):
     assert Address.parse(text) == Address(host, port, listens)
 

@@ -57,18 +57,15 @@ def test_what_is_no_message_is_counted(line):
     assert messages.shown == DisplayContent()
 
 
-@pytest.mark.parametrize(
-    ("before", "now", "first"),
-    [
-        ("⠓⠊⠀⠀", "⠓⠊⠀⠀", None),
-        ("⠓⠊⠀⠀", "⠓⠊⠞⣀", 2),  # typed: the cursor stands behind it
-        ("⠓⠊⠞⣀", "⠓⠊⣀⠀", 2),  # deleted: the cursor stands there
-        ("⠓⠊⣀⠀", "⠓⣊⠀⠀", None),  # only the cursor moved
-        ("⠓⠊⠞⠀", "⠓⠊⠙⠀", 0),  # another line, as nobody types
-        ("", "⠓⠊", 0),
-        ("⠓⠊⠞", "⠓⠊", 0),
-    ],
-)
+@pytest.mark.parametrize(("before", "now", "first"), [
+    ("⠓⠊⠀⠀", "⠓⠊⠀⠀", None),
+    ("⠓⠊⠀⠀", "⠓⠊⠞⣀", 2),  # typed: the cursor stands behind it
+    ("⠓⠊⠞⣀", "⠓⠊⣀⠀", 2),  # deleted: the cursor stands there
+    ("⠓⠊⣀⠀", "⠓⣊⠀⠀", None),  # only the cursor moved
+    ("⠓⠊⠞⠀", "⠓⠊⠙⠀", 0),  # another line, as nobody types
+    ("", "⠓⠊", 0),
+    ("⠓⠊⠞", "⠓⠊", 0),
+])  # fmt: skip
 def test_the_first_new_cell(before, now, first):
     assert DisplayContent(now).first_new(DisplayContent(before)) == first
 

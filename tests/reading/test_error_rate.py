@@ -14,37 +14,27 @@ words = st.text("abcd ", max_size=30)
 truths = words.filter(normalize)
 
 
-@pytest.mark.parametrize(
-    ("truth", "text", "characters", "in_words"),
-    [
-        ("touch", "touch", 0, 0),
-        ("touch", "touches", 2 / 5, 1),
-        ("finger tip", "finger lip", 1 / 10, 1 / 2),
-        ("finger tip", "fingertip", 1 / 10, 1),
-        ("finger tip", "", 1, 1),
-        ("a", "aaaa", 3, 1),
-        ("Case counts", "case counts", 1 / 11, 1 / 2),
-    ],
-)
+@pytest.mark.parametrize(("truth", "text", "characters", "in_words"), [
+    ("touch", "touch", 0, 0), ("touch", "touches", 2 / 5, 1),
+    ("finger tip", "finger lip", 1 / 10, 1 / 2), ("finger tip", "fingertip", 1 / 10, 1),
+    ("finger tip", "", 1, 1), ("a", "aaaa", 3, 1), ("Case counts", "case counts", 1 / 11, 1 / 2),
+])  # fmt: skip
 def test_known_rates(truth, text, characters, in_words):
     assert character_error_rate(truth, text) == pytest.approx(characters)
     assert word_error_rate(truth, text) == pytest.approx(in_words)
 
 
-@pytest.mark.parametrize(
-    ("one", "other"),
-    [
-        ("“so”, ‘he’ said", "\"so\", 'he' said"),
-        ("„so“ «so»", '"so" "so"'),
-        ("don´t", "don't"),
-        ("1914–18 — a war", "1914-18 - a war"),
-        ("a\N{SOFT HYPHEN}way", "away"),
-        ("ﬁnal oﬃce", "final office"),
-        ("and so on…", "and so on..."),
-        ("e\N{COMBINING ACUTE ACCENT}te", "éte"),
-        (" two\n\nlines\t\N{NO-BREAK SPACE}of text ", "two lines of text"),
-    ],
-)
+@pytest.mark.parametrize(("one", "other"), [
+    ("“so”, ‘he’ said", "\"so\", 'he' said"),
+    ("„so“ «so»", '"so" "so"'),
+    ("don´t", "don't"),
+    ("1914–18 — a war", "1914-18 - a war"),
+    ("a\N{SOFT HYPHEN}way", "away"),
+    ("ﬁnal oﬃce", "final office"),
+    ("and so on…", "and so on..."),
+    ("e\N{COMBINING ACUTE ACCENT}te", "éte"),
+    (" two\n\nlines\t\N{NO-BREAK SPACE}of text ", "two lines of text"),
+])  # fmt: skip
 def test_what_makes_no_difference(one, other):
     assert normalize(one) == normalize(other) == other
     assert character_error_rate(one, other) == 0

@@ -100,14 +100,10 @@ def test_words_become_lines_and_paragraphs(program, spotted):
     assert 0.5 < read.confidence < 0.96
 
 
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        (["点字", "を", "読む"], "点字を読む"),
-        (["点字", "2", "級", "です"], "点字 2 級です"),
-        (["한국어", "점자"], "한국어 점자"),
-    ],
-)
+@pytest.mark.parametrize(("words", "text"), [
+    (["点字", "を", "読む"], "点字を読む"), (["点字", "2", "級", "です"], "点字 2 級です"),
+    (["한국어", "점자"], "한국어 점자"),
+])  # fmt: skip
 def test_only_chinese_and_japanese_need_no_spaces(program, spotted, words, text):
     program("cat > /dev/null; cat TABLE", [row(word) for word in words])
     assert recognize(spotted).text == text

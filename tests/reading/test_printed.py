@@ -59,15 +59,10 @@ def test_paragraphs_are_put_together_and_divided_words_joined(tesseract, notes):
     assert notes == []
 
 
-@pytest.mark.parametrize(
-    ("lines", "text"),
-    [
-        ("North-\nSouth", "North-South"),
-        ("divi-\nded", "divided"),
-        ("so -\nor not", "so - or not"),
-        ("one\ntwo", "one two"),
-    ],
-)
+@pytest.mark.parametrize(("lines", "text"), [
+    ("North-\nSouth", "North-South"), ("divi-\nded", "divided"), ("so -\nor not", "so - or not"),
+    ("one\ntwo", "one two"),
+])  # fmt: skip
 def test_hyphens_at_the_end_of_a_line(tesseract, notes, lines, text):
     tesseract(lines)
     assert recognized_text(prepare_text(lines), RecognitionOptions(), notes.append) == text
@@ -153,29 +148,26 @@ def at(left_mm, y_mm, x_height_mm=2.0, length_mm=80.0):
     )
 
 
-@pytest.mark.parametrize(
-    ("lines", "texts", "found"),
-    [
-        # Headings, indents and gaps begin paragraphs.
-        (
-            [at(10, 20, 3.0), at(10, 28), at(10, 32), at(13, 36), at(10, 40), at(10, 50)],
-            ["Of pages", "one", "two", "three", "four", "five"],
-            ["Of pages", "one two", "three four", "five"],
-        ),
-        # A column goes on at the top of the next.
-        (
-            [at(10, 20), at(10, 24), at(100, 20), at(100, 24)],
-            ["one", "two", "three", "four"],
-            ["one two three four"],
-        ),
-        # A hyphen stays where the page has the word with it.
-        (
-            [at(10, 20), at(10, 24), at(10, 28)],
-            ["add one-half cup and one-", "half more as it is writ-", "ten"],
-            ["add one-half cup and one-half more as it is written"],
-        ),
-    ],
-)
+@pytest.mark.parametrize(("lines", "texts", "found"), [
+    # Headings, indents and gaps begin paragraphs.
+    (
+        [at(10, 20, 3.0), at(10, 28), at(10, 32), at(13, 36), at(10, 40), at(10, 50)],
+        ["Of pages", "one", "two", "three", "four", "five"],
+        ["Of pages", "one two", "three four", "five"],
+    ),
+    # A column goes on at the top of the next.
+    (
+        [at(10, 20), at(10, 24), at(100, 20), at(100, 24)],
+        ["one", "two", "three", "four"],
+        ["one two three four"],
+    ),
+    # A hyphen stays where the page has the word with it.
+    (
+        [at(10, 20), at(10, 24), at(10, 28)],
+        ["add one-half cup and one-", "half more as it is writ-", "ten"],
+        ["add one-half cup and one-half more as it is written"],
+    ),
+])  # fmt: skip
 def test_where_paragraphs_begin(lines, texts, found):
     assert paragraphs(lines, texts) == found
 

@@ -150,15 +150,10 @@ def test_nothing_is_not_identical(record, tmp_path):
         check_recording(path)
 
 
-@pytest.mark.parametrize(
-    ("wrong", "key"),
-    [
-        ({}, "mode"),
-        ({"mode": "XY"}, "mode"),
-        ({"timing": {"width": 3}}, "timing.width"),
-        ({"hold": "tight"}, "hold"),
-    ],
-)
+@pytest.mark.parametrize(("wrong", "key"), [
+    ({}, "mode"), ({"mode": "XY"}, "mode"), ({"timing": {"width": 3}}, "timing.width"),
+    ({"hold": "tight"}, "hold"),
+])  # fmt: skip
 def test_settings_that_do_not_say_how(tmp_path, record, about, settings, steps, wrong, key):
     table = json.dumps({**settings, **wrong} if wrong else {})
     path = record(tmp_path / "run.mcap", steps[:2], about={**about, "settings": table})

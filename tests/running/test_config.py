@@ -31,19 +31,16 @@ def test_holding_goes_point_by_point(profile):
         RunConfig(scan="frame", hold="energy").sharing(profile)
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "allowed"),
-    [
-        ("intensity", 1.5, (0, 1)),
-        ("intensity", float("nan"), (0, 1)),
-        ("softness", -0.1, (0, 1)),
-        ("seconds", 0.0, 0),
-        ("seconds", float("nan"), 0),
-        ("mode", "XY", tuple(each.value for each in Mode)),
-        ("scan", "all", SCANS),
-        ("hold", "voltage", ("charge", "energy")),
-    ],
-)
+@pytest.mark.parametrize(("name", "value", "allowed"), [
+    ("intensity", 1.5, (0, 1)),
+    ("intensity", float("nan"), (0, 1)),
+    ("softness", -0.1, (0, 1)),
+    ("seconds", 0.0, 0),
+    ("seconds", float("nan"), 0),
+    ("mode", "XY", tuple(each.value for each in Mode)),
+    ("scan", "all", SCANS),
+    ("hold", "voltage", ("charge", "energy")),
+])  # fmt: skip
 def test_impossible_values_are_named(name, value, allowed):
     with raises(SmartTouchError, about=name, value=value, allowed=allowed):
         RunConfig(**{name: value})

@@ -34,14 +34,10 @@ class Kept(st.Listener):
             self.volts[sequence.time_ns] = volts.tolist()
 
 
-@pytest.mark.parametrize(
-    ("name", "mode", "scan", "balance"),
-    [
-        ("electric-mouse", "natural", "auto", False),
-        ("electric-mouse", "RA", "points", True),
-        ("smarttouch-4x4", "RA", "auto", False),
-    ],
-)
+@pytest.mark.parametrize(("name", "mode", "scan", "balance"), [
+    ("electric-mouse", "natural", "auto", False), ("electric-mouse", "RA", "points", True),
+    ("smarttouch-4x4", "RA", "auto", False),
+])  # fmt: skip
 def test_a_run_is_the_same_on_both(name, mode, scan, balance, tmp_path):
     profile, found = st.load_profile(name), {}
     for url in ("simulated:", "emulator:"):

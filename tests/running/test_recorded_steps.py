@@ -219,14 +219,11 @@ def test_messages_are_as_their_schemas_say(steps, with_volts):
             assert isinstance(value, tuple(np.hstack([types[kind] for kind in kinds])))
 
 
-@pytest.mark.parametrize(
-    ("topic", "name", "required"),
-    [
-        ("/frame", "foxglove.CompressedImage", {"timestamp", "frame_id", "data", "format"}),
-        ("/tactile_image", "foxglove.CompressedImage", {"timestamp", "frame_id", "data", "format"}),
-        ("/event", "foxglove.Log", {"timestamp", "level", "message", "name", "file", "line"}),
-    ],
-)
+@pytest.mark.parametrize(("topic", "name", "required"), [
+    ("/frame", "foxglove.CompressedImage", {"timestamp", "frame_id", "data", "format"}),
+    ("/tactile_image", "foxglove.CompressedImage", {"timestamp", "frame_id", "data", "format"}),
+    ("/event", "foxglove.Log", {"timestamp", "level", "message", "name", "file", "line"}),
+])  # fmt: skip
 def test_images_and_words_are_what_foxglove_wants(topic, name, required):
     """By schemas/jsonschema of foxglove-sdk."""
     assert SCHEMAS[topic][0] == name

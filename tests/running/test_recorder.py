@@ -95,13 +95,10 @@ def test_a_failure_is_told_at_the_next_step_and_once(recorder, tmp_path, steps, 
     assert len(list(Recording(tmp_path / "run.mcap").steps())) == 1
 
 
-@pytest.mark.parametrize(
-    ("place", "error", "words"),
-    [
-        (("_writer", "finish"), OSError(28, "full"), "full"),
-        (("_encoder", "messages"), ValueError("this cannot be written"), "this cannot be written"),
-    ],
-)
+@pytest.mark.parametrize(("place", "error", "words"), [
+    (("_writer", "finish"), OSError(28, "full"), "full"),
+    (("_encoder", "messages"), ValueError("this cannot be written"), "this cannot be written"),
+])  # fmt: skip
 def test_a_failure_that_nobody_heard_of_is_told_at_the_end(
     recorder, steps, monkeypatch, place, error, words
 ):

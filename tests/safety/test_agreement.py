@@ -63,10 +63,9 @@ def test_it_is_the_same_every_time(tally):
     assert again.only != tally.only
 
 
-@pytest.mark.parametrize(
-    ("rule", "count"),
-    [("discharge", 500), ("time", 500), ("strong in a second", 4000), ("session time", 500)],
-)
+@pytest.mark.parametrize(("rule", "count"), [
+    ("discharge", 500), ("time", 500), ("strong in a second", 4000), ("session time", 500),
+])  # fmt: skip
 def test_it_finds_what_a_gate_overlooks(rule, count):
     careless = type("Overlooks", (Careless,), {"overlooks": rule})
     assert set(attack(0, count, careless).unsafe) == {(rule,)}

@@ -97,25 +97,14 @@ def test_width_carries_intensity(judge):
 
 
 @pytest.mark.parametrize("judge", [judge_alone, judge_alone_quickly])
-@pytest.mark.parametrize(
-    ("name", "wrong"),
-    [
-        ("current_ua", np.zeros((1, 4), np.int32)),
-        ("current_ua", np.zeros((1, 4), ">i2")),
-        ("current_ua", np.zeros((1, 5), np.int16)),
-        ("current_ua", np.zeros((2, 4), np.int16)),
-        ("current_ua", [[0, 0, 0, 0]]),
-        ("width_us", np.zeros(1, np.int16)),
-        ("width_us", np.array(9, np.uint16)),
-        ("discharge_us", np.full(1, 50.0)),
-        ("site", np.zeros((1, 1), np.uint16)),
-        ("site", None),
-        ("period_us", math.nan),
-        ("intensity", "1"),
-        ("intensity", np.int64(1)),
-        ("recharge_us", 1.0),
-    ],
-)
+@pytest.mark.parametrize(("name", "wrong"), [
+    ("current_ua", np.zeros((1, 4), np.int32)), ("current_ua", np.zeros((1, 4), ">i2")),
+    ("current_ua", np.zeros((1, 5), np.int16)), ("current_ua", np.zeros((2, 4), np.int16)),
+    ("current_ua", [[0, 0, 0, 0]]), ("width_us", np.zeros(1, np.int16)),
+    ("width_us", np.array(9, np.uint16)), ("discharge_us", np.full(1, 50.0)),
+    ("site", np.zeros((1, 1), np.uint16)), ("site", None), ("period_us", math.nan),
+    ("intensity", "1"), ("intensity", np.int64(1)), ("recharge_us", 1.0),
+])  # fmt: skip
 def test_wrong_types_end_it(judge, name, wrong):
     good = sequence(pair(9))
     assert judge(good, FULL).broken == []

@@ -152,10 +152,9 @@ def test_a_sequence_that_lies(kind, level_ua):
         assert not (answer.accepted and level_ua == 3000)
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("current_ua", 3000), ("width_us", 60_000), ("discharge_us", 3), ("site", 60_000)],
-)
+@pytest.mark.parametrize(("name", "value"), [
+    ("current_ua", 3000), ("width_us", 60_000), ("discharge_us", 3), ("site", 60_000),
+])  # fmt: skip
 def test_an_array_that_lies(name, value):
     made = sequence()
     array = getattr(made, name)

@@ -163,17 +163,14 @@ def test_images_are_compressed_only_where_more_come(profile, device, compressed_
         assert [numbers_in(note) for note in sensor.notes] == ([] if coded else [[0, 30, 90]])
 
 
-@pytest.mark.parametrize(
-    ("rest", "options", "about", "value"),
-    [
-        *((rest, {}, "camera", rest) for rest in ("", "-1", "1e3", "99999", "http://x/y")),
-        *(("0", {"size": size}, "size", size) for size in ((0, 480), (10**6, 10**6))),
-        *(("0", {"fps": fps}, "fps", fps) for fps in (math.nan, -5.0)),
-        ("0", {"exposure": math.nan}, "exposure", math.nan),
-        # An option of other sensors is not taken.
-        ("0", {"baud": 9600}, "baud", ("size", "exposure", "fps")),
-    ],
-)
+@pytest.mark.parametrize(("rest", "options", "about", "value"), [
+    *((rest, {}, "camera", rest) for rest in ("", "-1", "1e3", "99999", "http://x/y")),
+    *(("0", {"size": size}, "size", size) for size in ((0, 480), (10**6, 10**6))),
+    *(("0", {"fps": fps}, "fps", fps) for fps in (math.nan, -5.0)),
+    ("0", {"exposure": math.nan}, "exposure", math.nan),
+    # An option of other sensors is not taken.
+    ("0", {"baud": 9600}, "baud", ("size", "exposure", "fps")),
+])  # fmt: skip
 def test_what_cannot_be(profile, device, rest, options, about, value):
     with raises(SourceError, about=about, value=value):
         open_source(f"camera:{rest}", profile, **options)
@@ -243,15 +240,12 @@ def test_the_driver_may_tell_when_an_image_was_taken(device, monkeypatch):
         assert source.grab(0.0).taken_ns == now_ns
 
 
-@pytest.mark.parametrize(
-    "place",
-    [
-        pytest.param("camera:0", marks=without_a_camera),
-        "camera:971",
-        "camera:/dev/null",
-        "camera:/dev/video971",
-    ],
-)
+@pytest.mark.parametrize("place", [
+    pytest.param("camera:0", marks=without_a_camera),
+    "camera:971",
+    "camera:/dev/null",
+    "camera:/dev/video971",
+])  # fmt: skip
 def test_a_missing_camera_is_one_sentence_and_nothing_else(profile, capfd, place):
     """The real OpenCV."""
     with raises(SourceError, about="camera", value=place.removeprefix("camera:")):
@@ -280,16 +274,11 @@ def test_opencv_speaks_again_when_all_are_done():
     assert OPENCV_LOG.getLogLevel() == level
 
 
-@pytest.mark.parametrize(
-    ("image", "level"),
-    [
-        (np.full((3, 4), 77, np.uint8), 77),
-        (np.full((3, 4, 1), 77, np.uint8), 77),
-        (np.full((3, 4, 3), 77, np.uint8), 77),
-        (np.full((3, 4, 4), 77, np.uint8), 77),
-        (np.full((3, 4), 77 * 256, np.uint16), 77),
-    ],
-)
+@pytest.mark.parametrize(("image", "level"), [
+    (np.full((3, 4), 77, np.uint8), 77), (np.full((3, 4, 1), 77, np.uint8), 77),
+    (np.full((3, 4, 3), 77, np.uint8), 77), (np.full((3, 4, 4), 77, np.uint8), 77),
+    (np.full((3, 4), 77 * 256, np.uint16), 77),
+])  # fmt: skip
 def test_every_image_becomes_grey(image, level):
     grey = to_grey(image)
     assert grey.shape == (3, 4)

@@ -112,16 +112,13 @@ def test_a_file_that_is_none(tmp_path, content):
         FlatField.load(path)
 
 
-@pytest.mark.parametrize(
-    ("dark", "gain", "value"),
-    [
-        (np.zeros((2, 2)), np.ones((2, 3)), ((2, 2), (2, 3))),
-        (np.zeros((2, 2)), np.full((2, 2), np.nan), None),
-        (np.zeros((2, 2)), -np.ones((2, 2)), None),
-        (np.zeros((2, 2)), np.zeros((2, 2)), None),
-        (np.zeros(4), np.ones(4), ((4,), (4,))),
-    ],
-)
+@pytest.mark.parametrize(("dark", "gain", "value"), [
+    (np.zeros((2, 2)), np.ones((2, 3)), ((2, 2), (2, 3))),
+    (np.zeros((2, 2)), np.full((2, 2), np.nan), None),
+    (np.zeros((2, 2)), -np.ones((2, 2)), None),
+    (np.zeros((2, 2)), np.zeros((2, 2)), None),
+    (np.zeros(4), np.ones(4), ((4,), (4,))),
+])  # fmt: skip
 def test_arrays_that_are_no_field(dark, gain, value):
     with raises(SourceError, about="optics.flat_field", value=value):
         FlatField(dark.astype(np.float32), gain.astype(np.float32))
@@ -131,17 +128,14 @@ def grey(level, shape=(8, 8)):
     return [np.full(shape, level, np.uint8)]
 
 
-@pytest.mark.parametrize(
-    ("dark", "white", "about", "value"),
-    [
-        ([], grey(200), "frames", None),
-        (grey(10), grey(30), "white", 20),
-        (grey(200), grey(20), "white", -180),
-        (grey(10), grey(255), "white", 1.0),
-        (grey(10), grey(200, (8, 9)), "frames", (8, 9)),
-        (grey(10), grey(200) + grey(200, (9, 9)), "frames", ((8, 8), (9, 9))),
-    ],
-)
+@pytest.mark.parametrize(("dark", "white", "about", "value"), [
+    ([], grey(200), "frames", None),
+    (grey(10), grey(30), "white", 20),
+    (grey(200), grey(20), "white", -180),
+    (grey(10), grey(255), "white", 1.0),
+    (grey(10), grey(200, (8, 9)), "frames", (8, 9)),
+    (grey(10), grey(200) + grey(200, (9, 9)), "frames", ((8, 8), (9, 9))),
+])  # fmt: skip
 def test_references_that_are_none(dark, white, about, value):
     with raises(CalibrationError, about=about, value=value):
         FlatField.measure(dark, white)

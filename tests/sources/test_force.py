@@ -56,22 +56,13 @@ def test_a_recorded_path_is_a_recorded_force_too(recorded):
     assert source.read(SECOND // 4) == 0.25
 
 
-@pytest.mark.parametrize(
-    ("text", "about", "value"),
-    [
-        ("", "columns", ()),
-        ("0,1\n1,2\n", "columns", ("0", "1")),
-        (HEADER, "rows", 0),
-        (HEADER + "0,1\n", "rows", 1),
-        (HEADER + "0,1\n1,x\n", "line", 3),
-        (HEADER + "0,1\n\n1\n", "line", 4),
-        (HEADER + "0,1\n1,nan\n", "line", 3),
-        (HEADER + "0,1\ninf,1\n", "line", 3),
-        (HEADER + "0,1\n1,150\n", "force_n", 150),
-        (HEADER + "0,1\n\n2,1\n2,1\n3,1\n", "line", 5),
-        (HEADER + '0,1\n1,"', "line", 3),
-    ],
-)
+@pytest.mark.parametrize(("text", "about", "value"), [
+    ("", "columns", ()), ("0,1\n1,2\n", "columns", ("0", "1")), (HEADER, "rows", 0),
+    (HEADER + "0,1\n", "rows", 1), (HEADER + "0,1\n1,x\n", "line", 3),
+    (HEADER + "0,1\n\n1\n", "line", 4), (HEADER + "0,1\n1,nan\n", "line", 3),
+    (HEADER + "0,1\ninf,1\n", "line", 3), (HEADER + "0,1\n1,150\n", "force_n", 150),
+    (HEADER + "0,1\n\n2,1\n2,1\n3,1\n", "line", 5), (HEADER + '0,1\n1,"', "line", 3),
+])  # fmt: skip
 def test_bad_records(recorded, text, about, value):
     allowed = ("time_s", "force_n") if about == "columns" else None
     with raises(SourceError, about=about, value=value, allowed=allowed) as caught:

@@ -27,18 +27,15 @@ from ..raising import raises
 GRAY = np.arange(64, dtype=np.uint8).reshape(8, 8)
 
 
-@pytest.mark.parametrize(
-    ("image", "gray"),
-    [
-        (GRAY, GRAY),
-        (GRAY[:, :, None], GRAY),
-        (np.dstack([GRAY] * 3), GRAY),
-        (np.dstack([GRAY] * 3 + [np.full_like(GRAY, 255)]), GRAY),
-        (np.dstack([GRAY] * 3 + [np.zeros_like(GRAY)]), np.full_like(GRAY, 255)),
-        (GRAY > 31, np.where(GRAY > 31, 255, 0)),
-        (np.full((2, 2, 3), (255, 0, 0), np.uint8), np.full((2, 2), 76)),
-    ],
-)
+@pytest.mark.parametrize(("image", "gray"), [
+    (GRAY, GRAY),
+    (GRAY[:, :, None], GRAY),
+    (np.dstack([GRAY] * 3), GRAY),
+    (np.dstack([GRAY] * 3 + [np.full_like(GRAY, 255)]), GRAY),
+    (np.dstack([GRAY] * 3 + [np.zeros_like(GRAY)]), np.full_like(GRAY, 255)),
+    (GRAY > 31, np.where(GRAY > 31, 255, 0)),
+    (np.full((2, 2, 3), (255, 0, 0), np.uint8), np.full((2, 2), 76)),
+])  # fmt: skip
 def test_what_is_certain_is_converted(image, gray):
     made = gray_image(image, "mine:")
     assert made.dtype == np.uint8
@@ -186,14 +183,11 @@ def test_imaging_of_ones_own_and_its_recording(tmp_path):
     assert_replays(path)
 
 
-@pytest.mark.parametrize(
-    ("source", "imaging", "about"),
-    [
-        ([GRAY], lambda frame, electrodes: frame.image, "activation"),
-        ([GRAY], lambda frame, electrodes: np.full((3, len(electrodes)), 2.0), "activation"),
-        (Mine(Stimulus(np.zeros((3, 64), np.float32), 0, 0.9)), Halves(), "imaging"),
-    ],
-)
+@pytest.mark.parametrize(("source", "imaging", "about"), [
+    ([GRAY], lambda frame, electrodes: frame.image, "activation"),
+    ([GRAY], lambda frame, electrodes: np.full((3, len(electrodes)), 2.0), "activation"),
+    (Mine(Stimulus(np.zeros((3, 64), np.float32), 0, 0.9)), Halves(), "imaging"),
+])  # fmt: skip
 def test_imaging_that_makes_no_activation_is_refused(source, imaging, about):
     with raises(SourceError, about=about):
         smarttouch.run(source, "memory:", imaging=imaging)

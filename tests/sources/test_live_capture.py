@@ -224,13 +224,10 @@ def test_no_image_at_first(profile, monkeypatch):
         sensor.read(0)
 
 
-@pytest.mark.parametrize(
-    ("error", "attributes"),
-    [
-        (SourceError("of its own", about="image"), {"about": "image", "__cause__": None}),
-        (ODD, {"about": "source", "value": "camera 0", "__cause__": ODD}),
-    ],
-)
+@pytest.mark.parametrize(("error", "attributes"), [
+    (SourceError("of its own", about="image"), {"about": "image", "__cause__": None}),
+    (ODD, {"about": "source", "value": "camera 0", "__cause__": ODD}),
+])  # fmt: skip
 def test_errors_of_the_thread_reach_the_reader(profile, error, attributes):
     source = Script(error)
     with LiveSource(source, profile) as sensor:

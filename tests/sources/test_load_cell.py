@@ -29,27 +29,13 @@ SECOND = 10**9
 GRAMS = (0.0, 0.00980665)
 
 
-@pytest.mark.parametrize(
-    ("line", "reading"),
-    [
-        (b"Reading: 12.34 g", 12.34),
-        (b"-8388608", -8388608),
-        (b"HX711 reading: -77", -77),
-        (b"one reading:\t4.5\t| average:\t4.6", 4.5),
-        (b"0.00 kg", 0),
-        (b"Load_cell output val: +.5", 0.5),
-        (b"Weight:-4.5g", -4.5),
-        (b"1.5e3", 1500),
-        (b"12,5", 12),
-        (b"", None),
-        (b"HX711 not found.", None),
-        (b"1.2.3", None),
-        (b"--3", None),
-        (b"information", None),
-        (b"\xff12", None),
-        (b"1\x002", None),
-    ],
-)
+@pytest.mark.parametrize(("line", "reading"), [
+    (b"Reading: 12.34 g", 12.34), (b"-8388608", -8388608), (b"HX711 reading: -77", -77),
+    (b"one reading:\t4.5\t| average:\t4.6", 4.5), (b"0.00 kg", 0),
+    (b"Load_cell output val: +.5", 0.5), (b"Weight:-4.5g", -4.5), (b"1.5e3", 1500), (b"12,5", 12),
+    (b"", None), (b"HX711 not found.", None), (b"1.2.3", None), (b"--3", None),
+    (b"information", None), (b"\xff12", None), (b"1\x002", None),
+])  # fmt: skip
 def test_lines(line, reading):
     assert parse_line(line) == reading
 
@@ -94,17 +80,14 @@ def test_lines_in_any_pieces(values, size):
     assert readings.garbled == 0
 
 
-@pytest.mark.parametrize(
-    ("text", "came", "garbled", "last"),
-    [
-        # The first line may have lost its start.
-        (b"345\n12345\n", [12345], 0, ""),
-        # Labels are no garbage, but words are.
-        (b"\nHX711 reading:\n5\n\nHX711 not found.\n6\n", [5, 6], 1, "'HX711 not found.'"),
-        # A number between garbage is not believed.
-        (b"\n\xfe\x01\n7\n\x80\n8\n\x90\n1\n2\n3\n", [2, 3], 3, None),
-    ],
-)
+@pytest.mark.parametrize(("text", "came", "garbled", "last"), [
+    # The first line may have lost its start.
+    (b"345\n12345\n", [12345], 0, ""),
+    # Labels are no garbage, but words are.
+    (b"\nHX711 reading:\n5\n\nHX711 not found.\n6\n", [5, 6], 1, "'HX711 not found.'"),
+    # A number between garbage is not believed.
+    (b"\n\xfe\x01\n7\n\x80\n8\n\x90\n1\n2\n3\n", [2, 3], 3, None),
+])  # fmt: skip
 def test_what_is_read_of_a_text(text, came, garbled, last):
     readings = TextReadings()
     assert readings.feed(text) == came
@@ -265,13 +248,10 @@ def in_grams(profile, changed):
     return changed(profile, {"force.curve": GRAMS})
 
 
-@pytest.mark.parametrize(
-    ("kind", "data"),
-    [
-        ("hx711", lambda number: b"Reading: %d g\r\n" % (50 + number % 2)),
-        ("loadcell", lambda number: encode_force(number, 0, 50 + number % 2)),
-    ],
-)
+@pytest.mark.parametrize(("kind", "data"), [
+    ("hx711", lambda number: b"Reading: %d g\r\n" % (50 + number % 2)),
+    ("loadcell", lambda number: encode_force(number, 0, 50 + number % 2)),
+])  # fmt: skip
 def test_newtons_and_raw_readings_from_a_port(make_device, in_grams, kind, data):
     cell = make_device(data)
     url = f"{kind}:{cell.line.name}"
@@ -307,17 +287,14 @@ def test_unplugged_and_back(make_device, in_grams, tmp_path):
         assert f"HX711 at {name}" in note
 
 
-@pytest.mark.parametrize(
-    ("curve", "reading", "force_n"),
-    [
-        ((0.0, 0.01), 50, 0.5),
-        ((-1.0, 0.01), 50, 0.0),
-        ((1.0, 0.01, 0.001), 20, 1.6),
-        ((0.0, 1.0), 101, math.nan),
-        ((0.0, 0.0, 0.0, 0.0, 0.0, 1e300), 1e6, math.nan),
-        ((0.0, 0.0, 0.0, 0.0, 0.0, -1e300), 1e6, math.nan),
-    ],
-)
+@pytest.mark.parametrize(("curve", "reading", "force_n"), [
+    ((0.0, 0.01), 50, 0.5),
+    ((-1.0, 0.01), 50, 0.0),
+    ((1.0, 0.01, 0.001), 20, 1.6),
+    ((0.0, 1.0), 101, math.nan),
+    ((0.0, 0.0, 0.0, 0.0, 0.0, 1e300), 1e6, math.nan),
+    ((0.0, 0.0, 0.0, 0.0, 0.0, -1e300), 1e6, math.nan),
+])  # fmt: skip
 def test_the_curve(make_device, profile, changed, curve, reading, force_n):
     cell = make_device(lambda number: b"%d\r\n" % reading)
     with open_force(f"hx711:{cell.line.name}", changed(profile, {"force.curve": curve})) as force:
@@ -333,17 +310,14 @@ def test_a_profile_without_a_curve(profile):
         open_force("hx711:/dev/nowhere", profile)
 
 
-@pytest.mark.parametrize(
-    ("url", "about", "value"),
-    [
-        ("scale:/dev/x", "force", "scale:/dev/x"),
-        ("hx711:", "port", "hx711:"),
-        ("hx711:?baud=9600", "port", "hx711:?baud=9600"),
-        ("hx711:/dev/x?baud=fast", "?baud=", "fast"),
-        ("hx711:/dev/x?baud=", "?baud=", ""),
-        ("loadcell:/dev/nowhere", "port", "/dev/nowhere"),
-    ],
-)
+@pytest.mark.parametrize(("url", "about", "value"), [
+    ("scale:/dev/x", "force", "scale:/dev/x"),
+    ("hx711:", "port", "hx711:"),
+    ("hx711:?baud=9600", "port", "hx711:?baud=9600"),
+    ("hx711:/dev/x?baud=fast", "?baud=", "fast"),
+    ("hx711:/dev/x?baud=", "?baud=", ""),
+    ("loadcell:/dev/nowhere", "port", "/dev/nowhere"),
+])  # fmt: skip
 def test_what_cannot_be_opened(url, about, value):
     with raises(SourceError, about=about, value=value):
         open_cell(url)

@@ -150,10 +150,9 @@ def test_motion_along_an_edge_is_not_known(profile):
     assert np.abs(down).max() < 0.003
 
 
-@pytest.mark.parametrize(
-    ("side", "speed_mm_s", "most_px", "most_drift"),
-    [(64, 40, 0.03, 0.005), (64, 200, 0.1, 0.005), (32, 40, 0.04, 0.01), (16, 40, 0.06, 0.03)],
-)
+@pytest.mark.parametrize(("side", "speed_mm_s", "most_px", "most_drift"), [
+    (64, 40, 0.03, 0.005), (64, 200, 0.1, 0.005), (32, 40, 0.04, 0.01), (16, 40, 0.06, 0.03),
+])  # fmt: skip
 def test_a_line_of_print(profile, changed, tmp_path, side, speed_mm_s, most_px, most_drift):
     """At 100 images a second over the last line of the sample page, wavering up and down."""
     times = np.linspace(0, 60 / speed_mm_s, 200)

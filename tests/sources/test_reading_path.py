@@ -128,20 +128,17 @@ def test_recorded_path(tmp_path):
     assert path.duration_s == 1
 
 
-@pytest.mark.parametrize(
-    ("text", "about", "value"),
-    [
-        (None, "file", "path.csv"),
-        ("", "columns", ()),
-        ("a,b\n", "columns", ("a", "b")),
-        (HEADER, "rows", 0),
-        (HEADER + "0,0,0,0,0\n", "rows", 1),
-        (HEADER + "0,0,0,0,0\n1,x,0,0,0\n", "line", 3),
-        (HEADER + "0,0,0,0,0\n1,nan,0,0,0\n", "line", 3),
-        (HEADER + "0,0,0,0,0\n1,0,0,0\n", "line", 3),
-        (HEADER + "0,0,0,0,0\n0,0,0,0,0\n", "line", 3),
-    ],
-)
+@pytest.mark.parametrize(("text", "about", "value"), [
+    (None, "file", "path.csv"),
+    ("", "columns", ()),
+    ("a,b\n", "columns", ("a", "b")),
+    (HEADER, "rows", 0),
+    (HEADER + "0,0,0,0,0\n", "rows", 1),
+    (HEADER + "0,0,0,0,0\n1,x,0,0,0\n", "line", 3),
+    (HEADER + "0,0,0,0,0\n1,nan,0,0,0\n", "line", 3),
+    (HEADER + "0,0,0,0,0\n1,0,0,0\n", "line", 3),
+    (HEADER + "0,0,0,0,0\n0,0,0,0,0\n", "line", 3),
+])  # fmt: skip
 def test_bad_recorded_paths(tmp_path, text, about, value):
     file = tmp_path / "path.csv"
     if text is not None:

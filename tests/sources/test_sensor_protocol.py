@@ -84,17 +84,14 @@ def test_the_page_in_the_docstring_is_what_is_sent():
     assert encode_force(6, 2000, -3) == cobs.encode(body) + b"\0"
 
 
-@pytest.mark.parametrize(
-    ("image", "value"),
-    [
-        (np.zeros((0, 4), np.uint8), (0, 4)),
-        (np.zeros((4, 0), np.uint8), (4, 0)),
-        (np.zeros((256, 4), np.uint8), (256, 4)),
-        (np.zeros((4, 256), np.uint8), (4, 256)),
-        (np.zeros((4, 4, 3), np.uint8), ((4, 4, 3), "uint8")),
-        (np.zeros((4, 4)), ((4, 4), "float64")),
-    ],
-)
+@pytest.mark.parametrize(("image", "value"), [
+    (np.zeros((0, 4), np.uint8), (0, 4)),
+    (np.zeros((4, 0), np.uint8), (4, 0)),
+    (np.zeros((256, 4), np.uint8), (256, 4)),
+    (np.zeros((4, 256), np.uint8), (4, 256)),
+    (np.zeros((4, 4, 3), np.uint8), ((4, 4, 3), "uint8")),
+    (np.zeros((4, 4)), ((4, 4), "float64")),
+])  # fmt: skip
 def test_what_no_frame_can_hold(image, value):
     with raises(SourceError, about="frame", value=value):
         encode_frame(0, 0, image)
@@ -109,21 +106,12 @@ def test_what_no_reading_can_hold(reading):
 HEAD = bytes([2, 3, 0, 0, 0, 0])
 
 
-@pytest.mark.parametrize(
-    ("kind", "payload"),
-    [
-        (PacketKind.FRAME, b""),
-        (PacketKind.FRAME, HEAD[:5]),
-        (PacketKind.FRAME, HEAD + bytes(5)),
-        (PacketKind.FRAME, HEAD + bytes(7)),
-        (PacketKind.FRAME, bytes([0, 3, 0, 0, 0, 0])),
-        (PacketKind.FRAME, bytes([3, 0, 0, 0, 0, 0])),
-        (PacketKind.FORCE, bytes(7)),
-        (PacketKind.FORCE, bytes(9)),
-        (PacketKind.INFO, bytes(256)),
-        (0x44, b""),
-    ],
-)
+@pytest.mark.parametrize(("kind", "payload"), [
+    (PacketKind.FRAME, b""), (PacketKind.FRAME, HEAD[:5]), (PacketKind.FRAME, HEAD + bytes(5)),
+    (PacketKind.FRAME, HEAD + bytes(7)), (PacketKind.FRAME, bytes([0, 3, 0, 0, 0, 0])),
+    (PacketKind.FRAME, bytes([3, 0, 0, 0, 0, 0])), (PacketKind.FORCE, bytes(7)),
+    (PacketKind.FORCE, bytes(9)), (PacketKind.INFO, bytes(256)), (0x44, b""),
+])  # fmt: skip
 def test_malformed_payloads_say_nothing(kind, payload):
     assert decode(WirePacket(kind, 0, payload, VERSION)) is None
 
@@ -173,9 +161,8 @@ def test_the_piece_one_joins_in_is_not_broken_but_later_ones_are():
     assert stream.broken == 2
 
 
-@pytest.mark.parametrize(
-    ("before", "number", "missing"),
-    [(0, 1, 0), (0, 13, 12), (2**32 - 1, 0, 0), (2**32 - 2, 1, 2), (500, 0, 0), (7, 7, 0)],
-)
+@pytest.mark.parametrize(("before", "number", "missing"), [
+    (0, 1, 0), (0, 13, 12), (2**32 - 1, 0, 0), (2**32 - 2, 1, 2), (500, 0, 0), (7, 7, 0),
+])  # fmt: skip
 def test_gaps_in_numbers(before, number, missing):
     assert gap(before, number) == missing

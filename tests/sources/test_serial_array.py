@@ -235,16 +235,13 @@ def test_the_books_of_the_live_sensor(line, profile):
     assert sensor.frames >= sent
 
 
-@pytest.mark.parametrize(
-    ("url", "baud", "about", "value"),
-    [
-        ("serial-array:", None, "port", None),
-        ("serial-array:/dev/nowhere", None, "port", "/dev/nowhere"),
-        ("serial-array:/dev/null", None, "port", "/dev/null"),
-        ("serial-array:tcp://localhost", None, "port", "tcp://localhost"),
-        ("serial-array:/dev/null", 0, "baud", 0),
-    ],
-)
+@pytest.mark.parametrize(("url", "baud", "about", "value"), [
+    ("serial-array:", None, "port", None),
+    ("serial-array:/dev/nowhere", None, "port", "/dev/nowhere"),
+    ("serial-array:/dev/null", None, "port", "/dev/null"),
+    ("serial-array:tcp://localhost", None, "port", "tcp://localhost"),
+    ("serial-array:/dev/null", 0, "baud", 0),
+])  # fmt: skip
 def test_what_cannot_be_opened(profile, url, baud, about, value):
     with raises(SourceError, about=about, value=value):
         open_source(url, profile, baud=baud)

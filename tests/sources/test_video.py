@@ -240,18 +240,15 @@ def tiny(path, width):
     Image.fromarray(np.zeros((6, width), np.uint8)).save(path)
 
 
-@pytest.mark.parametrize(
-    ("url", "kind", "place", "make", "attributes"),
-    [
-        ("video:", "file", "", None, {"remedy": "frames:"}),
-        ("frames:notes.txt", "folder", "notes.txt", None, {"remedy": "video:"}),
-        ("frames:nowhere", "folder", "nowhere", None, {}),
-        ("frames:empty", "folder", "empty", Path.mkdir, {}),
-        ("frames:", "file", "b11.png", lambda path: tiny(path, 9), {"allowed": (8, 6)}),
-        ("frames:", "file", "1.png", lambda path: tiny(path, 1), {}),
-        ("frames:", "file", "20.png", lambda path: path.write_bytes(b"hello"), {}),
-    ],
-)
+@pytest.mark.parametrize(("url", "kind", "place", "make", "attributes"), [
+    ("video:", "file", "", None, {"remedy": "frames:"}),
+    ("frames:notes.txt", "folder", "notes.txt", None, {"remedy": "video:"}),
+    ("frames:nowhere", "folder", "nowhere", None, {}),
+    ("frames:empty", "folder", "empty", Path.mkdir, {}),
+    ("frames:", "file", "b11.png", lambda path: tiny(path, 9), {"allowed": (8, 6)}),
+    ("frames:", "file", "1.png", lambda path: tiny(path, 1), {}),
+    ("frames:", "file", "20.png", lambda path: path.write_bytes(b"hello"), {}),
+])  # fmt: skip
 def test_what_is_neither_a_video_nor_a_folder(profile, folder, url, kind, place, make, attributes):
     if make is not None:
         make(folder / place)
@@ -333,13 +330,10 @@ def test_a_hopelessly_late_clip_skips_to_the_present():
     assert missed == numbers[11] - 11
 
 
-@pytest.mark.parametrize(
-    "playlist",
-    [
-        "ffconcat version 1.0\nfile pipe.ts\n",
-        "#EXTM3U\n#EXT-X-TARGETDURATION:10\n#EXTINF:10,\npipe.ts\n#EXT-X-ENDLIST\n",
-    ],
-)
+@pytest.mark.parametrize("playlist", [
+    "ffconcat version 1.0\nfile pipe.ts\n",
+    "#EXTM3U\n#EXT-X-TARGETDURATION:10\n#EXTINF:10,\npipe.ts\n#EXT-X-ENDLIST\n",
+])  # fmt: skip
 @pytest.mark.parametrize("ending", ["mp4", "m3u8"])
 def test_a_playlist_leads_nowhere(tmp_path, profile, playlist, ending):
     os.mkfifo(tmp_path / "pipe.ts")

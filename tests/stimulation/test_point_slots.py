@@ -134,14 +134,11 @@ def test_hard_things_pulse_faster_when_pressed(profile, bank):
     assert scan.schedule(image(np.ones(64)), 1.0, 0.1).period_us == 20_000
 
 
-@pytest.mark.parametrize(
-    ("options", "attributes"),
-    [
-        ({"rate_hz": 50.0}, {"about": "rate_hz", "value": 50, "remedy": "pulse.ra_rate_hz"}),
-        ({"timing": ScanTiming(whole_hz=True)}, {"about": "mode", "allowed": ("RA", "SAI")}),
-        ({"timing": ScanTiming(in_index_order=True)}, {"about": "mode", "allowed": ("RA", "SAI")}),
-    ],
-)
+@pytest.mark.parametrize(("options", "attributes"), [
+    ({"rate_hz": 50.0}, {"about": "rate_hz", "value": 50, "remedy": "pulse.ra_rate_hz"}),
+    ({"timing": ScanTiming(whole_hz=True)}, {"about": "mode", "allowed": ("RA", "SAI")}),
+    ({"timing": ScanTiming(in_index_order=True)}, {"about": "mode", "allowed": ("RA", "SAI")}),
+])  # fmt: skip
 def test_where_two_rates_are_not_possible(profile, bank, options, attributes):
     with raises(ScheduleError, **attributes):
         ScanScheduler(profile, bank, Mode.NATURAL.afferents, **options)

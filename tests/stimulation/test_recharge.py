@@ -202,31 +202,28 @@ def test_a_good_phase_and_none_pass():
     prove(with_phase([-1, 1, 0, 0], 19_680))
 
 
-@pytest.mark.parametrize(
-    ("bad", "limit"),
-    [
-        (with_phase([-121, 61, 0, 60]), "recharge_ua"),
-        (with_phase([0, -1, -60, 61]), "recharge_ua"),
-        (with_phase([-32768, 32767, 1, 0]), "recharge_ua"),
-        (with_phase([-120, 60, 0, 60], 16_667), "recharge_ua"),
-        (with_phase([-100, 100, 0, 0], 20_001, period_us=50_000), "recharge_us"),
-        (with_phase([-1, 1, 0, 0], 0), "recharge_us"),
-        (with_phase([-1, 1, 0, 0], -5), "recharge_us"),
-        (with_phase([-1, 1, 0, 0], 100.0), "recharge_us"),
-        (with_phase([-1, 1, 0, 0], True), "recharge_us"),
-        (with_phase([-1, 1, 0, 0], float("nan")), "recharge_us"),
-        (with_phase([-100, 60, 0, 39]), "balance"),
-        (with_phase([-1, 1, 0, 0], 19_681), "period_us"),
-        (with_phase([-1, 1, 0]), "recharge_ua"),
-        (with_phase([[-1, 1, 0, 0]]), "recharge_ua"),
-        (replace(with_phase([-1, 1, 0, 0]), recharge_ua=np.array([-1.0, 1, 0, 0])), "recharge_ua"),
-        (replace(with_phase([-1, 1, 0, 0]), recharge_ua=[-1, 1, 0, 0]), "recharge_ua"),
-        (replace(with_phase([-1, 1, 0, 0]), recharge_ua=np.int16(0)), "recharge_ua"),
-        (replace(with_phase([-1, 1, 0, 0]), recharge_ua=None), "recharge_ua"),
-        (with_phase([-1, 1, 0, 0], 10**30), "recharge_us"),
-        (sequence([], recharge_ua=np.zeros(4, np.int16), recharge_us=5), "recharge_ua"),
-    ],
-)
+@pytest.mark.parametrize(("bad", "limit"), [
+    (with_phase([-121, 61, 0, 60]), "recharge_ua"),
+    (with_phase([0, -1, -60, 61]), "recharge_ua"),
+    (with_phase([-32768, 32767, 1, 0]), "recharge_ua"),
+    (with_phase([-120, 60, 0, 60], 16_667), "recharge_ua"),
+    (with_phase([-100, 100, 0, 0], 20_001, period_us=50_000), "recharge_us"),
+    (with_phase([-1, 1, 0, 0], 0), "recharge_us"),
+    (with_phase([-1, 1, 0, 0], -5), "recharge_us"),
+    (with_phase([-1, 1, 0, 0], 100.0), "recharge_us"),
+    (with_phase([-1, 1, 0, 0], True), "recharge_us"),
+    (with_phase([-1, 1, 0, 0], float("nan")), "recharge_us"),
+    (with_phase([-100, 60, 0, 39]), "balance"),
+    (with_phase([-1, 1, 0, 0], 19_681), "period_us"),
+    (with_phase([-1, 1, 0]), "recharge_ua"),
+    (with_phase([[-1, 1, 0, 0]]), "recharge_ua"),
+    (replace(with_phase([-1, 1, 0, 0]), recharge_ua=np.array([-1.0, 1, 0, 0])), "recharge_ua"),
+    (replace(with_phase([-1, 1, 0, 0]), recharge_ua=[-1, 1, 0, 0]), "recharge_ua"),
+    (replace(with_phase([-1, 1, 0, 0]), recharge_ua=np.int16(0)), "recharge_ua"),
+    (replace(with_phase([-1, 1, 0, 0]), recharge_ua=None), "recharge_ua"),
+    (with_phase([-1, 1, 0, 0], 10**30), "recharge_us"),
+    (sequence([], recharge_ua=np.zeros(4, np.int16), recharge_us=5), "recharge_ua"),
+])  # fmt: skip
 def test_a_bad_phase_is_refused(bad, limit):
     with raises(SafetyError, limit=limit):
         prove(bad)
@@ -263,18 +260,15 @@ def test_the_gate_proves_the_phase_and_counts_its_charge(times):
     assert gate.dose.net_uc[0] == pytest.approx(times * 0.08, abs=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("phase", "width_us", "limit"),
-    [
-        ([120, -72, -48, 0], 1000, "recharge_ua"),
-        (BACK, 1667, "recharge_ua"),
-        ([-119, 71, 47, 1], 100, "recharge_ua"),
-        (BACK, 1666, None),
-        # Of a period of 20 ms, 12 may have current: 200 µs of pulses are among them.
-        ([-1, 1, 0, 0], 11_800, None),
-        ([-1, 1, 0, 0], 11_801, "duty"),
-    ],
-)
+@pytest.mark.parametrize(("phase", "width_us", "limit"), [
+    ([120, -72, -48, 0], 1000, "recharge_ua"),
+    (BACK, 1667, "recharge_ua"),
+    ([-119, 71, 47, 1], 100, "recharge_ua"),
+    (BACK, 1666, None),
+    # Of a period of 20 ms, 12 may have current: 200 µs of pulses are among them.
+    ([-1, 1, 0, 0], 11_800, None),
+    ([-1, 1, 0, 0], 11_801, "duty"),
+])  # fmt: skip
 def test_a_phase_takes_back_charge_and_nothing_else(phase, width_us, limit):
     """Nearly direct current: the same sign in pulse and phase, for all of the time."""
     gate, given = gate_for(), replace(with_phase(phase, width_us), **LATER)

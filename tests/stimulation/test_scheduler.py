@@ -202,14 +202,11 @@ def test_classes_that_are_due_together_follow_one_another(profile, bank, changed
     started(profile, bank).prove_measurement(joined)
 
 
-@pytest.mark.parametrize(
-    ("sharing", "proved"),
-    [
-        (SlotPolicy((Afferent.RA,), planned=False), (True, False)),
-        (SlotPolicy((Afferent.SAI,), planned=True), (False, True)),
-        (SlotPolicy((Afferent.RA, Afferent.SAI), planned=False), (True, True)),
-    ],
-)
+@pytest.mark.parametrize(("sharing", "proved"), [
+    (SlotPolicy((Afferent.RA,), planned=False), (True, False)),
+    (SlotPolicy((Afferent.SAI,), planned=True), (False, True)),
+    (SlotPolicy((Afferent.RA, Afferent.SAI), planned=False), (True, True)),
+])  # fmt: skip
 def test_proofs_stay_with_their_slots_where_classes_are_joined(profile, bank, sharing, proved):
     both = (Afferent.RA, Afferent.SAI)
     joined = ScanScheduler(profile, bank, both, common=SchedulerContext(sharing)).schedule(

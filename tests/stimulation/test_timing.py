@@ -61,13 +61,10 @@ def test_less_than_one_hertz_is_no_rate():
         ETACTILEKIT.shortest_period_us(0, 255, 200, 5000)
 
 
-@pytest.mark.parametrize(
-    ("timing", "key", "value", "allowed"),
-    [
-        (ScanTiming(width_us=100), "pulse.width_us", 50, 100),
-        (ScanTiming(50, 20), "pulse.discharge_us", 150, 20),
-    ],
-)
+@pytest.mark.parametrize(("timing", "key", "value", "allowed"), [
+    (ScanTiming(width_us=100), "pulse.width_us", 50, 100),
+    (ScanTiming(50, 20), "pulse.discharge_us", 150, 20),
+])  # fmt: skip
 def test_other_pulses_than_the_board_s(timing, key, value, allowed):
     profile = load_profile("kajimoto-61")
     KAJIMOTO.check(profile)

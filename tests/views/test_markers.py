@@ -187,13 +187,10 @@ class TestFaults:
             opened(profile)
         assert str(lsl.refuse) in str(error.value)
 
-    @pytest.mark.parametrize(
-        ("missing", "about", "remedy"),
-        [
-            (ImportError(), "pylsl", "pip install 'smarttouch[lsl]'"),
-            (RuntimeError("no library"), "liblsl", "https://labstreaminglayer.org"),
-        ],
-    )
+    @pytest.mark.parametrize(("missing", "about", "remedy"), [
+        (ImportError(), "pylsl", "pip install 'smarttouch[lsl]'"),
+        (RuntimeError("no library"), "liblsl", "https://labstreaminglayer.org"),
+    ])  # fmt: skip
     def test_what_is_missing_is_said(self, profile, monkeypatch, missing, about, remedy):
         def refuse(name):
             raise missing

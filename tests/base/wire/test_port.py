@@ -20,10 +20,9 @@ from smarttouch.base.wire.port import (
 from ...raising import raises
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["/dev/nowhere", "/dev/null", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", "nonsense://x"],
-)
+@pytest.mark.parametrize("name", [
+    "/dev/nowhere", "/dev/null", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", "nonsense://x",
+])  # fmt: skip
 def test_what_cannot_be_opened_is_named(name):
     with raises(BoardError, about="port", value=name) as error:
         open_port(name)

@@ -90,20 +90,17 @@ def say(world, kind, about, payload=b""):
     world.wait(2)
 
 
-@pytest.mark.parametrize(
-    ("kind", "payload"),
-    [
-        (MessageKind.ACK, b""),
-        (MessageKind.ACK, bytes(8)),
-        (MessageKind.NAK, b"\x03too much"),
-        (MessageKind.NAK, b""),
-        (MessageKind.VOLTAGES, encode_volts(np.ones(1))),
-        (MessageKind.REPORT, bytes(protocol.REPORT.size)),
-        (MessageKind.STOPPED, b""),
-        (MessageKind.HEARTBEAT, b""),
-        (0x99, b""),
-    ],
-)
+@pytest.mark.parametrize(("kind", "payload"), [
+    (MessageKind.ACK, b""),
+    (MessageKind.ACK, bytes(8)),
+    (MessageKind.NAK, b"\x03too much"),
+    (MessageKind.NAK, b""),
+    (MessageKind.VOLTAGES, encode_volts(np.ones(1))),
+    (MessageKind.REPORT, bytes(protocol.REPORT.size)),
+    (MessageKind.STOPPED, b""),
+    (MessageKind.HEARTBEAT, b""),
+    (0x99, b""),
+])  # fmt: skip
 def test_what_answers_nothing_is_counted_and_has_no_effect(world, board, kind, payload):
     send(board)
     say(world, kind, 77, payload)

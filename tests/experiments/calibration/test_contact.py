@@ -67,19 +67,16 @@ def test_what_goes_into_the_profile(profile, changed):
 LIFTED = {"about": "finger"}
 
 
-@pytest.mark.parametrize(
-    ("runs", "attributes"),
-    [
-        ([measured([np.inf] * 6, ["open"] * 6)], LIFTED),
-        ([measured([30] * 6, GOOD), measured([np.inf] * 6, ["open"] * 6)], LIFTED),
-        (
-            [measured([30, 30] + [np.inf] * 4, ["good"] * 2 + ["open"] * 4)],
-            {"about": "contact", "value": 4},
-        ),
-        ([measured([30] * 6, ["unsure"] * 6)], {"about": "contact", "value": 0}),
-        ([measured([10 * 4**i] * 6, GOOD) for i in range(3)], {"about": "contact"}),
-    ],
-)
+@pytest.mark.parametrize(("runs", "attributes"), [
+    ([measured([np.inf] * 6, ["open"] * 6)], LIFTED),
+    ([measured([30] * 6, GOOD), measured([np.inf] * 6, ["open"] * 6)], LIFTED),
+    (
+        [measured([30, 30] + [np.inf] * 4, ["good"] * 2 + ["open"] * 4)],
+        {"about": "contact", "value": 4},
+    ),
+    ([measured([30] * 6, ["unsure"] * 6)], {"about": "contact", "value": 0}),
+    ([measured([10 * 4**i] * 6, GOOD) for i in range(3)], {"about": "contact"}),
+])  # fmt: skip
 def test_no_contact_is_one_sentence(runs, attributes):
     with raises(CalibrationError, **attributes):
         judge_contact(runs)

@@ -182,19 +182,16 @@ def bars():
     return np.tile(np.repeat(np.array([200, 40], np.uint8), 4), 8)[None].repeat(64, axis=0)
 
 
-@pytest.mark.parametrize(
-    ("image", "about"),
-    [
-        (np.full(COARSE, 200, np.uint8), "dots"),
-        (np.zeros(COARSE, np.uint8), "dots"),
-        (bars(), "dots"),
-        # By chance an L may be seen in some, whose dots do not lie on a grid.
-        (speckle(0), "residual"),
-        *((speckle(seed), "dots") for seed in range(1, 5)),
-        (np.zeros((2, 2), np.uint8), "image"),
-        (speckle(9)[:3], "image"),
-    ],
-)
+@pytest.mark.parametrize(("image", "about"), [
+    (np.full(COARSE, 200, np.uint8), "dots"),
+    (np.zeros(COARSE, np.uint8), "dots"),
+    (bars(), "dots"),
+    # By chance an L may be seen in some, whose dots do not lie on a grid.
+    (speckle(0), "residual"),
+    *((speckle(seed), "dots") for seed in range(1, 5)),
+    (np.zeros((2, 2), np.uint8), "image"),
+    (speckle(9)[:3], "image"),
+])  # fmt: skip
 def test_no_target_is_one_sentence(profile, image, about):
     with raises(CalibrationError, about=about):
         register(image, profile, target_for(profile))

@@ -45,15 +45,12 @@ def test_a_cut_line_is_dropped(tmp_path):
     assert read_table(path).answers[0].presented == 1
 
 
-@pytest.mark.parametrize(
-    ("text", "comparison", "success"),
-    [
-        ("comparison,success\n1.5,1\n2,0\n", [1.5, 2], [1, 0]),
-        ("comparison;success\r\n1,5;yes\r\n2;No\r\n", [1.5, 2], [1, 0]),
-        ("comparison\tsuccess\n1.5\tTrue\n2\tFALSE", [1.5, 2], [1, 0]),
-        ("\ufeffid, comparison ,success\n7, 1.5 ,correct\n\n8,2, wrong\n", [1.5, 2], [1, 0]),
-    ],
-)
+@pytest.mark.parametrize(("text", "comparison", "success"), [
+    ("comparison,success\n1.5,1\n2,0\n", [1.5, 2], [1, 0]),
+    ("comparison;success\r\n1,5;yes\r\n2;No\r\n", [1.5, 2], [1, 0]),
+    ("comparison\tsuccess\n1.5\tTrue\n2\tFALSE", [1.5, 2], [1, 0]),
+    ("\ufeffid, comparison ,success\n7, 1.5 ,correct\n\n8,2, wrong\n", [1.5, 2], [1, 0]),
+])  # fmt: skip
 def test_others(tmp_path, text, comparison, success):
     (answers,) = read_table(file(tmp_path, text)).answers
     assert (answers.standard, answers.alternatives) == (0, 0)
@@ -69,35 +66,31 @@ def test_columns_by_name(tmp_path):
     assert table.answers[0].answered == 1
 
 
-@pytest.mark.parametrize(
-    ("responses", "alternatives"),
-    [("y n y", 0), ("1 2 1", 2), ("1 1 1", 2), ("A B C", 3)],
-)
+@pytest.mark.parametrize(("responses", "alternatives"), [
+    ("y n y", 0), ("1 2 1", 2), ("1 1 1", 2), ("A B C", 3),
+])  # fmt: skip
 def test_alternatives(tmp_path, responses, alternatives):
     lines = "".join(f"1,1,{each}\n" for each in responses.split())
     (answers,) = read_table(file(tmp_path, "comparison,success,response\n" + lines)).answers
     assert answers.alternatives == alternatives
 
 
-@pytest.mark.parametrize(
-    ("text", "attributes", "line"),
-    [
-        ("", {"about": "file"}, None),
-        ("comparison,success\n", {"about": "file"}, None),
-        (
-            "a,success\n1,1\n",
-            {"about": "x", "value": "comparison", "allowed": ("a", "success")},
-            None,
-        ),
-        ("comparison,b\n1,1\n", {"about": "y", "value": "success"}, None),
-        ("comparison,success\n1,1\nx,1\n", {"about": "comparison", "value": "x"}, 3),
-        ("comparison,success\n1,0.7\n", {"about": "success", "value": "0.7"}, 2),
-        ("comparison,success\n1\n1,1\n", {"about": "line", "value": 1, "allowed": 2}, 2),
-        ("comparison,success\ninf,1\n", {"about": "comparison", "value": "inf"}, 2),
-        (b"\xff\xfe", {"about": "file"}, None),
-        ('comparison,success\n"1,1\n', {"about": "file"}, None),
-    ],
-)
+@pytest.mark.parametrize(("text", "attributes", "line"), [
+    ("", {"about": "file"}, None),
+    ("comparison,success\n", {"about": "file"}, None),
+    (
+        "a,success\n1,1\n",
+        {"about": "x", "value": "comparison", "allowed": ("a", "success")},
+        None,
+    ),
+    ("comparison,b\n1,1\n", {"about": "y", "value": "success"}, None),
+    ("comparison,success\n1,1\nx,1\n", {"about": "comparison", "value": "x"}, 3),
+    ("comparison,success\n1,0.7\n", {"about": "success", "value": "0.7"}, 2),
+    ("comparison,success\n1\n1,1\n", {"about": "line", "value": 1, "allowed": 2}, 2),
+    ("comparison,success\ninf,1\n", {"about": "comparison", "value": "inf"}, 2),
+    (b"\xff\xfe", {"about": "file"}, None),
+    ('comparison,success\n"1,1\n', {"about": "file"}, None),
+])  # fmt: skip
 def test_errors(tmp_path, text, attributes, line):
     path = file(tmp_path, text)
     with raises(ExperimentError, **attributes) as caught:

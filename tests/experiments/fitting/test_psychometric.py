@@ -233,14 +233,11 @@ def test_separated_answers_have_most_of_the_gap_for_an_interval():
         assert 37 < found.high < 45
 
 
-@pytest.mark.parametrize(
-    ("model", "subject"),
-    [
-        (Model(guess=0.0), Subject(30.0, 0.4, 0.5, guess=0.0)),
-        (Model(), Subject(30.0, 0.4)),
-        (Model(guess=0.5), Subject(30.0, 0.3, 0.5, guess=0.5)),
-    ],
-)
+@pytest.mark.parametrize(("model", "subject"), [
+    (Model(guess=0.0), Subject(30.0, 0.4, 0.5, guess=0.0)),
+    (Model(), Subject(30.0, 0.4)),
+    (Model(guess=0.5), Subject(30.0, 0.3, 0.5, guess=0.5)),
+])  # fmt: skip
 def test_posterior_against_bootstrap_where_both_are_good(model, subject):
     stimulus = np.geomspace(10, 90, 9)
     counts = counts_of(stimulus, np.full(9, 120), np.round(120 * subject.probability(stimulus)))
@@ -281,17 +278,14 @@ def test_goodness():
     assert sure.by_posterior
 
 
-@pytest.mark.parametrize(
-    ("arguments", "about", "value"),
-    [
-        ({"shape": Shape.WEIBULL, "logarithmic": False}, "shape", "Weibull"),
-        ({"guess": 1.0}, "guess", 1.0),
-        ({"guess": -0.1}, "guess", -0.1),
-        ({"guess": 0.5, "at": 0.4}, "at", 0.4),
-        ({"at": 1.0}, "at", 1.0),
-        ({"most_lapses": 0.5}, "most_lapses", 0.5),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "about", "value"), [
+    ({"shape": Shape.WEIBULL, "logarithmic": False}, "shape", "Weibull"),
+    ({"guess": 1.0}, "guess", 1.0),
+    ({"guess": -0.1}, "guess", -0.1),
+    ({"guess": 0.5, "at": 0.4}, "at", 0.4),
+    ({"at": 1.0}, "at", 1.0),
+    ({"most_lapses": 0.5}, "most_lapses", 0.5),
+])  # fmt: skip
 def test_contradictions(arguments, about, value):
     with raises(ExperimentError, about=about, value=value):
         replace(Model(), **arguments)

@@ -164,14 +164,11 @@ def test_rows_are_on_disk_at_once(line, tmp_path):
         FreeLog(tmp_path / "free.csv")
 
 
-@pytest.mark.parametrize(
-    ("options", "attributes"),
-    [
-        ({"rate_hz": 5.0}, {"about": "rate_hz", "value": 5, "allowed": (10, 200)}),
-        ({"afferent": Afferent.PC}, {"about": "mode", "value": "PC", "allowed": ("RA",)}),
-        ({"site": 8}, {"about": "site", "value": 8}),
-    ],
-)
+@pytest.mark.parametrize(("options", "attributes"), [
+    ({"rate_hz": 5.0}, {"about": "rate_hz", "value": 5, "allowed": (10, 200)}),
+    ({"afferent": Afferent.PC}, {"about": "mode", "value": "PC", "allowed": ("RA",)}),
+    ({"site": 8}, {"about": "site", "value": 8}),
+])  # fmt: skip
 def test_what_cannot_be_asked_for(line, tmp_path, options, attributes):
     with FreeLog(tmp_path / "free.csv") as log, raises(ExperimentError, **attributes):
         FreeSource(line, (Afferent.RA,), log, **options)

@@ -319,10 +319,9 @@ class TestTheTasks:
         with raises(ExperimentError, about="template", value="X"):
             sharp.respond("which", trial, ["I", "X"])
 
-    @pytest.mark.parametrize(
-        ("task", "alternatives"),
-        [("faster", "12"), ("two", "12"), ("side", "lr"), ("which", "AB")],
-    )
+    @pytest.mark.parametrize(("task", "alternatives"), [
+        ("faster", "12"), ("two", "12"), ("side", "lr"), ("which", "AB"),
+    ])  # fmt: skip
     def test_where_nothing_was_felt_it_guesses(self, observer, task, alternatives):
         subject = observer(seed=10, templates=dict.fromkeys("AB", np.ones(64)))
         trial = [NOTHING, NOTHING]

@@ -31,14 +31,11 @@ def test_least_expected_entropy():
         procedure.answer(bool(random.random() < 0.7))
 
 
-@pytest.mark.parametrize(
-    ("model", "subject"),
-    [
-        (Model(guess=0.5), Subject(20.0, 0.3, 0.5, 0.02, guess=0.5)),
-        (Model(guess=0.0), Subject(20.0, 0.2, 0.5, 0.02, guess=0.0)),
-        (Model(), Subject(20.0, 0.3, 0.75, 0.02)),
-    ],
-)
+@pytest.mark.parametrize(("model", "subject"), [
+    (Model(guess=0.5), Subject(20.0, 0.3, 0.5, 0.02, guess=0.5)),
+    (Model(guess=0.0), Subject(20.0, 0.2, 0.5, 0.02, guess=0.0)),
+    (Model(), Subject(20.0, 0.3, 0.75, 0.02)),
+])  # fmt: skip
 def test_learns_the_threshold(model, subject):
     procedure = QuestPlus(5.0, 80.0, model, most_trials=200)
     answers = answer_all(procedure, subject.probability, seed=6)
@@ -75,14 +72,11 @@ def test_a_linear_axis():
     assert not answers.interval.any()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "about", "value"),
-    [
-        ((2.0, 1.0), "range", (2, 1)),
-        ((0.0, 1.0), "range", (0, 1)),
-        ((1.0, 2.0, Model(guess="free")), "guess", "guess rate"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "about", "value"), [
+    ((2.0, 1.0), "range", (2, 1)),
+    ((0.0, 1.0), "range", (0, 1)),
+    ((1.0, 2.0, Model(guess="free")), "guess", "guess rate"),
+])  # fmt: skip
 def test_errors(arguments, about, value):
     with raises(ExperimentError, about=about, value=value):
         QuestPlus(*arguments)

@@ -100,16 +100,13 @@ def test_ends_where_the_range_does(answer):
         procedure.next()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "about", "value"),
-    [
-        ((3.0, 1.0, 2.0, 0.1), "start", 3.0),
-        ((1.0, 1.0, 1.0, 0.1), "start", 1.0),
-        ((0.5, 0.0, 2.0, 0.1), "lowest", 0.0),
-        ((1.5, 1.0, 2.0, 0.0), "step", 0.0),
-        ((1.5, 1.0, 2.0, 0.1, 1.0, 1.0), "target", 1.0),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "about", "value"), [
+    ((3.0, 1.0, 2.0, 0.1), "start", 3.0),
+    ((1.0, 1.0, 1.0, 0.1), "start", 1.0),
+    ((0.5, 0.0, 2.0, 0.1), "lowest", 0.0),
+    ((1.5, 1.0, 2.0, 0.0), "step", 0.0),
+    ((1.5, 1.0, 2.0, 0.1, 1.0, 1.0), "target", 1.0),
+])  # fmt: skip
 def test_errors(arguments, about, value):
     with raises(ExperimentError, about=about, value=value):
         WeightedStaircase(*arguments)

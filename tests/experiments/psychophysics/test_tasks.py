@@ -169,19 +169,16 @@ def test_every_experiment_has_a_question_and_answers(profile):
         assert trial.success in trial.alternatives
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "about", "value", "allowed"),
-    [
-        ("hearing", {}, "experiment", "hearing", tuple(CATALOG)),
-        ("letters", {"procedure": "staircase"}, "procedure", "staircase", ("constant",)),
-        ("frequency", {"site": 64}, "site", 64, None),
-        ("frequency", {"standards": (300.0,)}, "standards", None, 200),
-        ("frequency", {"standards": (200.0,), "procedure": "staircase"}, "standards", 200, 200),
-        ("localization", {"site": 0}, "site", 0, None),
-        ("discomfort", {"train_s": 0.9}, "train_s", 0.9, 1),
-        ("letters", {"letters": "7"}, "letters", "7", None),
-    ],
-)
+@pytest.mark.parametrize(("name", "options", "about", "value", "allowed"), [
+    ("hearing", {}, "experiment", "hearing", tuple(CATALOG)),
+    ("letters", {"procedure": "staircase"}, "procedure", "staircase", ("constant",)),
+    ("frequency", {"site": 64}, "site", 64, None),
+    ("frequency", {"standards": (300.0,)}, "standards", None, 200),
+    ("frequency", {"standards": (200.0,), "procedure": "staircase"}, "standards", 200, 200),
+    ("localization", {"site": 0}, "site", 0, None),
+    ("discomfort", {"train_s": 0.9}, "train_s", 0.9, 1),
+    ("letters", {"letters": "7"}, "letters", "7", None),
+])  # fmt: skip
 def test_what_cannot_be_asked_for(profile, name, options, about, value, allowed):
     with raises(ExperimentError, about=about, value=value, allowed=allowed):
         new_experiment(name, profile, ExperimentOptions(**options))

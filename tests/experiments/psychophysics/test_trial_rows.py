@@ -101,16 +101,10 @@ def test_each_row_is_on_disk_before_append_returns(tmp_path, monkeypatch):
             assert synced[-1] == count + 2
 
 
-@pytest.mark.parametrize(
-    ("name", "wanted"),
-    [
-        ("experiment", "detection"),
-        ("procedure", "staircase"),
-        ("participant", "p2"),
-        ("session", "2"),
-        ("seed", 8),
-    ],
-)
+@pytest.mark.parametrize(("name", "wanted"), [
+    ("experiment", "detection"), ("procedure", "staircase"), ("participant", "p2"),
+    ("session", "2"), ("seed", 8),
+])  # fmt: skip
 def test_no_other_session_goes_on(tmp_path, name, wanted):
     path = written(tmp_path / "a.csv", [ROW])
     before = path.read_bytes()
@@ -127,10 +121,9 @@ def test_no_other_session_goes_on(tmp_path, name, wanted):
             file.append(ROW)
 
 
-@pytest.mark.parametrize(
-    ("column", "cell"),
-    [("comparison", b""), ("comparison", b"nan"), ("success", b"2"), ("seed", b"x")],
-)
+@pytest.mark.parametrize(("column", "cell"), [
+    ("comparison", b""), ("comparison", b"nan"), ("success", b"2"), ("seed", b"x"),
+])  # fmt: skip
 def test_a_bad_line_is_named(tmp_path, column, cell):
     path = written(tmp_path / "a.csv", [ROW, ROW])
     lines = path.read_bytes().split(b"\n")

@@ -56,14 +56,11 @@ def test_a_rising_train_reaches_its_level_at_its_last_pulse(stimuli):
     assert np.diff(levels) == pytest.approx(0.08)
 
 
-@pytest.mark.parametrize(
-    ("rate_hz", "attributes"),
-    [
-        (201, {"about": "rate_hz", "value": 201, "allowed": (0, 200)}),
-        (0, {"about": "rate_hz", "value": 0, "allowed": (0, 200)}),
-        (2.9, {"about": "train_s", "value": 1, "allowed": 2}),
-    ],
-)
+@pytest.mark.parametrize(("rate_hz", "attributes"), [
+    (201, {"about": "rate_hz", "value": 201, "allowed": (0, 200)}),
+    (0, {"about": "rate_hz", "value": 0, "allowed": (0, 200)}),
+    (2.9, {"about": "train_s", "value": 1, "allowed": 2}),
+])  # fmt: skip
 def test_trains_that_cannot_be(stimuli, rate_hz, attributes):
     with raises(ExperimentError, **attributes):
         stimuli.train([0], rate_hz)
