@@ -55,10 +55,7 @@ def _motion(path: Path) -> None:
 
 def _recording(path: Path) -> None:
     profile = load_profile("electric-mouse")
-    with (
-        open_source("text:a", profile) as source,
-        open_display("simulated:", profile) as display,
-    ):
+    with open_source("text:a", profile) as source, open_display("simulated:", profile) as display:
         run(source, display, seconds=0.3, listeners=[Recorder(path)])
 
 

@@ -5,12 +5,7 @@ from importlib.metadata import entry_points
 
 import pytest
 
-from smarttouch.base.errors import (
-    BoardClosedError,
-    BoardError,
-    SmartTouchError,
-    SourceError,
-)
+from smarttouch.base.errors import BoardClosedError, BoardError, SmartTouchError, SourceError
 from smarttouch.base.registry import fault_of, find_opener, known_names
 from smarttouch.boards.board import Board
 from smarttouch.boards.open import MemoryBoard, default_profile, make_board, may_touch_a_finger

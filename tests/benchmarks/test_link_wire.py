@@ -31,13 +31,7 @@ from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.source_contract import Stimulus
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence, quantized
-from tests.benchmarks.test_link_latency import (
-    Bare,
-    acknowledged_s,
-    beside,
-    limits_of,
-    raised,
-)
+from tests.benchmarks.test_link_latency import Bare, acknowledged_s, beside, limits_of, raised
 from tests.firmware.build import built, host, library
 from tests.firmware.rig import Core, Talk
 from tests.firmware.scenes import random_lists, random_table, sequence_of

@@ -5,12 +5,7 @@ import threading
 import numpy as np
 import pytest
 
-from smarttouch.base.errors import (
-    BoardClosedError,
-    BoardError,
-    BoardStoppedError,
-    LineLostError,
-)
+from smarttouch.base.errors import BoardClosedError, BoardError, BoardStoppedError, LineLostError
 from smarttouch.boards.kits.etactilekit import SENSE_SCANS
 from smarttouch.boards.kits.kajimoto61 import Kajimoto61Board
 from smarttouch.boards.link.protocol import MessageKind

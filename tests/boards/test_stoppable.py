@@ -10,12 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from smarttouch.base.errors import (
-    BoardError,
-    BoardStoppedError,
-    LineLostError,
-    SmartTouchError,
-)
+from smarttouch.base.errors import BoardError, BoardStoppedError, LineLostError, SmartTouchError
 from smarttouch.boards import stoppable
 from smarttouch.boards.announced import running, stop_all
 from smarttouch.boards.board import Board

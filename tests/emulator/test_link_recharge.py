@@ -5,12 +5,7 @@ import pytest
 
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import Feature, MessageKind, Refusal, Rule, decode_volts
-from smarttouch.emulator.firmware import (
-    DeliveryLog,
-    read_delivered,
-    read_recharges,
-    read_slots,
-)
+from smarttouch.emulator.firmware import DeliveryLog, read_delivered, read_recharges, read_slots
 from smarttouch.emulator.skin import Delivered
 
 from .rig import LinkRig

@@ -30,8 +30,7 @@ from ..raising import raises
 ALL = "tone:30Hz,9um+tone:250Hz,1.5um+press:0.45N"
 
 trains = st.lists(
-    st.lists(st.integers(4999, 40_000), max_size=30).map(lambda steps: np.cumsum(steps)),
-    max_size=3,
+    st.lists(st.integers(4999, 40_000), max_size=30).map(lambda steps: np.cumsum(steps)), max_size=3
 )
 
 

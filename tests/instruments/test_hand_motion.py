@@ -39,10 +39,7 @@ def test_a_virtual_hand_strokes_back_and_forth():
 
 
 @given(
-    wide=st.floats(1, 200),
-    high=st.floats(1, 100),
-    across=st.floats(2, 30),
-    down=st.floats(2, 30),
+    wide=st.floats(1, 200), high=st.floats(1, 100), across=st.floats(2, 30), down=st.floats(2, 30)
 )
 def test_strokes_pass_every_electrode_over_all_of_a_texture(wide, high, across, down):
     options = strokes_over((wide, high), (across, down))

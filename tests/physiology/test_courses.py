@@ -6,12 +6,7 @@ import pytest
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
 from smarttouch.physiology import activating_function
-from smarttouch.physiology.activating_function import (
-    along_axon,
-    everywhere,
-    skin_variants,
-    targets,
-)
+from smarttouch.physiology.activating_function import along_axon, everywhere, skin_variants, targets
 from smarttouch.profile import load_profile
 
 from ..raising import raises

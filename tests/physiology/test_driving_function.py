@@ -8,12 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import DesignError
-from smarttouch.physiology.driving_function import (
-    FIBERS,
-    bend_operator,
-    load_driving,
-    passes,
-)
+from smarttouch.physiology.driving_function import FIBERS, bend_operator, load_driving, passes
 from smarttouch.physiology.membrane import threshold_ma, thresholds_ma
 from smarttouch.physiology.potential import disc_potential
 

@@ -64,10 +64,7 @@ def test_transfer_solves_the_boundary_values(depth, k):
 @pytest.mark.parametrize("depth", [0.5, 0.9, 2.0])
 def test_one_layer_is_the_closed_form(depth):
     x, y = np.meshgrid([0.0, 0.3, 0.5, 1.7, 6.0], [0.0, 0.4, -2.0])
-    for radius, closed in (
-        (0.0, point(x, y, depth)),
-        (0.5, disc(x, y, depth, 0.5)),
-    ):
+    for radius, closed in ((0.0, point(x, y, depth)), (0.5, disc(x, y, depth, 0.5))):
         found = round_electrode(x, y, depth, radius, 0.0, HOMOGENEOUS)
         strongest = max(np.abs(part).max() for part in closed[1:])
         for mine, theirs in zip(found, closed, strict=True):

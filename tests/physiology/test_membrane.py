@@ -5,12 +5,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from smarttouch.base.errors import DesignError
-from smarttouch.physiology.membrane import (
-    Axon,
-    Fiber,
-    threshold_ma,
-    weiss_fit,
-)
+from smarttouch.physiology.membrane import Axon, Fiber, threshold_ma, weiss_fit
 
 from ..raising import raises
 

@@ -240,10 +240,7 @@ def test_a_picture_of_what_was_felt_needs_every_pulse(profile, source, tmp_path)
 
 
 def test_where_no_finger_can_be_made_what_was_delivered_is_drawn(profile, tmp_path, changed):
-    layers = (
-        {"thickness_mm": 0.3, "conductivity_s_per_m": 0.01},
-        {"conductivity_s_per_m": 0.3},
-    )
+    layers = ({"thickness_mm": 0.3, "conductivity_s_per_m": 0.01}, {"conductivity_s_per_m": 0.3})
     layered = changed(
         profile,
         {"skin.medium": "layered", "skin.layers": layers, "skin.conductivity_s_per_m": None},

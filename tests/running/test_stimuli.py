@@ -144,10 +144,7 @@ def test_a_sensation_is_placed_at_the_receptor(profile, bank, changed):
     assert sequence.site.tolist() == [27, 35]
 
 
-@given(
-    shift=st.tuples(st.floats(-20, 20), st.floats(-20, 20)),
-    afferent=st.sampled_from(Afferent),
-)
+@given(shift=st.tuples(st.floats(-20, 20), st.floats(-20, 20)), afferent=st.sampled_from(Afferent))
 def test_every_point_is_felt_within_half_a_cell_of_where_it_should_be(
     profile, changed, shift, afferent
 ):

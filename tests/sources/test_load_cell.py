@@ -13,12 +13,7 @@ from smarttouch.sources import load_cell
 from smarttouch.sources.force import open_force
 from smarttouch.sources.load_cell import FRESH_S, CellWatch, open_cell
 from smarttouch.sources.sensor_protocol import encode_force, encode_info
-from smarttouch.sources.serial_input import (
-    LONGEST_LINE,
-    PacketReadings,
-    TextReadings,
-    parse_line,
-)
+from smarttouch.sources.serial_input import LONGEST_LINE, PacketReadings, TextReadings, parse_line
 from smarttouch.sources.source_contract import DeviceWarnings, OutageTracker
 
 from ..raising import raises

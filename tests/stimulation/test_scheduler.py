@@ -249,8 +249,7 @@ def test_three_classes_are_joined_as_two_are(profile, bank):
         groups = [together, (Afferent.PC,)] if sharing.afferents else [(each,) for each in Afferent]
         parts = [
             ScanScheduler(profile, bank, group, common=SchedulerContext(sharing)).schedule(
-                replace(image, activation=np.where(np.isin(range(3), group)[:, None], rows, 0)),
-                0.7,
+                replace(image, activation=np.where(np.isin(range(3), group)[:, None], rows, 0)), 0.7
             )
             for group in groups
         ]

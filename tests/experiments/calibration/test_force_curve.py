@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from smarttouch.base.errors import CalibrationError
-from smarttouch.experiments.calibration.force_curve import (
-    STANDARD_GRAVITY,
-    fit_curve,
-    weigh,
-)
+from smarttouch.experiments.calibration.force_curve import STANDARD_GRAVITY, fit_curve, weigh
 from smarttouch.experiments.calibration.sensor_optics import SimulatedCell
 
 from ...raising import raises
