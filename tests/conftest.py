@@ -360,16 +360,10 @@ def other_account():
         @contextmanager
         def start(*arguments):
             process = subprocess.Popen(
-                [python, "-I", *map(str, arguments)],
-                user=account.pw_uid,
-                group=account.pw_gid,
-                extra_groups=(),
-                cwd="/",
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-            )
+                [python, "-I", *map(str, arguments)], user=account.pw_uid, group=account.pw_gid,
+                extra_groups=(), cwd="/", stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE, text=True,
+            )  # fmt: skip
             try:
                 yield process
             finally:

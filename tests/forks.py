@@ -29,18 +29,13 @@ _SUBREAPER = 36
 _LONGEST = 1 << 20
 _MOST_FILES = 1 << 10
 _IMPORTED = (
-    "smarttouch.boards.kits.etactilekit",
-    "smarttouch.boards.kits.kajimoto61",
-    "smarttouch.emulator.etactilekit_firmware",
-    "smarttouch.emulator.kajimoto61_firmware",
-    "smarttouch.emulator.link_firmware",
-    "smarttouch.views.terminal_session",
-    "smarttouch.emulator.__main__",
-    "smarttouch.emulator.server",
-    "smarttouch.running.check_recording",
-    "smarttouch.sources.force",
+    "smarttouch.boards.kits.etactilekit", "smarttouch.boards.kits.kajimoto61",
+    "smarttouch.emulator.etactilekit_firmware", "smarttouch.emulator.kajimoto61_firmware",
+    "smarttouch.emulator.link_firmware", "smarttouch.views.terminal_session",
+    "smarttouch.emulator.__main__", "smarttouch.emulator.server",
+    "smarttouch.running.check_recording", "smarttouch.sources.force",
     "smarttouch.sources.virtual_finger",
-)
+)  # fmt: skip
 
 
 class _Server:

@@ -13,16 +13,9 @@ import smarttouch as st
 EXAMPLES = Path(__file__).parent.parent / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))
 LONG = (
-    "activating_function",
-    "array_study",
-    "braille_page",
-    "electric_mouse",
-    "frequency_discrimination",
-    "own_kernels",
-    "paper_effects",
-    "read_a_page",
-    "strength_duration",
-)
+    "activating_function", "array_study", "braille_page", "electric_mouse",
+    "frequency_discrimination", "own_kernels", "paper_effects", "read_a_page", "strength_duration",
+)  # fmt: skip
 """Programs that the gallery alone runs, whenever the pages are built."""
 
 

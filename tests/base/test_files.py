@@ -132,12 +132,9 @@ def test_writing(tmp_path, pipe):
 
 def test_what_cannot_be_written(tmp_path, pipe):
     places = (
-        (tmp_path, errno.EISDIR),
-        (tmp_path / "none" / "a", errno.ENOENT),
-        (tmp_path / "nul\0", None),
-        (Path("/dev/full"), errno.ENOSPC),
-        (pipe, None),
-    )
+        (tmp_path, errno.EISDIR), (tmp_path / "none" / "a", errno.ENOENT),
+        (tmp_path / "nul\0", None), (Path("/dev/full"), errno.ENOSPC), (pipe, None),
+    )  # fmt: skip
     for path, number in places:
         with raises(PageError, about="file", value=path) as error:
             write_bytes(path, b"abc", PageError)

@@ -24,12 +24,8 @@ from ..braille.sentences import make_sentences
 
 COUNT = int(os.environ.get("SMARTTOUCH_SENTENCES", "1000"))
 TABLES = {
-    "en-1": "english",
-    "en-2": "english",
-    "de-1": "german",
-    "fr-1": "french",
-    "ja": "japanese",
-}
+    "en-1": "english", "en-2": "english", "de-1": "german", "fr-1": "french", "ja": "japanese",
+}  # fmt: skip
 
 
 @pytest.mark.skipif(

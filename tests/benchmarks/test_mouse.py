@@ -39,12 +39,9 @@ def error_of(texture, speed, want_hz, bank, **options):
     one = speed / STROKE_MM
     assert abs(mean) < want_hz / 2
     return {
-        "expected, Hz": f"{want_hz:.2f}",
-        "mean": f"{mean:+.3f}",
-        "worst electrode": f"{worst:.2f}",
-        "one pulse": f"{one:.2f}",
-        "told": "; ".join(sensor.notes),
-    }
+        "expected, Hz": f"{want_hz:.2f}", "mean": f"{mean:+.3f}", "worst electrode": f"{worst:.2f}",
+        "one pulse": f"{one:.2f}", "told": "; ".join(sensor.notes),
+    }  # fmt: skip
 
 
 def test_frequencies(row, quick, bank, tmp_path):

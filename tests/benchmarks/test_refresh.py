@@ -59,12 +59,9 @@ def swept_page(profile, count):
 def delivered(profile, bank, afferent, frames, activations):
     """Return the board's slots, its own time in µs, proofs and the host's seconds a frame."""
     scan = ScanScheduler(
-        profile,
-        bank,
-        (afferent,),
-        profile.limits.rate_hz,
+        profile, bank, (afferent,), profile.limits.rate_hz,
         common=SchedulerContext(SlotPolicy(frames)),
-    )
+    )  # fmt: skip
     proofs, spent, period_us = [], 0.0, 0
     with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
         for index, activation in enumerate(activations):

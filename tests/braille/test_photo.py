@@ -20,13 +20,8 @@ WORDS = ["⠞⠓⠑⠀⠟⠥⠊⠉⠅⠀⠋⠕⠭"]
 LABEL = ["⠓⠑⠇⠇⠕"]
 TEXT = ["⠠⠞⠓⠑⠀⠟⠥⠊⠉⠅⠀⠃⠗⠕⠺⠝⠀⠋⠕⠭", "⠚⠥⠍⠏⠎⠲", "", "⠀⠀⠠⠝⠑⠺⠀⠏⠁⠗⠁⠛⠗⠁⠏⠓"]
 POOR = {
-    "skew_deg": 5,
-    "blur_px": 2.5,
-    "noise": 6,
-    "shading": 0.5,
-    "texture": 2,
-    "perspective": 0.08,
-}
+    "skew_deg": 5, "blur_px": 2.5, "noise": 6, "shading": 0.5, "texture": 2, "perspective": 0.08,
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -56,15 +51,11 @@ def scores(lines, light_from_deg=None, **how):
 
 
 CONDITIONS = {
-    "clean": {},
-    "skew -20": {"skew_deg": -20, "px_per_mm": 5},
-    "noise": {"noise": 12},
-    "curled": {"curl_mm": 5},
-    "4 px/mm": {"px_per_mm": 4},
+    "clean": {}, "skew -20": {"skew_deg": -20, "px_per_mm": 5}, "noise": {"noise": 12},
+    "curled": {"curl_mm": 5}, "4 px/mm": {"px_per_mm": 4},
     "Japan": {"dot_mm": 2.2, "cell_mm": 5.9, "line_mm": 11.0},
-    "light from below": {"light_deg": 250},
-    "all at once": POOR,
-}
+    "light from below": {"light_deg": 250}, "all at once": POOR,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("condition", CONDITIONS)

@@ -27,13 +27,10 @@ def test_linprog_agrees(seed):
     rows, aim, mine = random_programme(seed)
     count = rows.shape[1]
     theirs = linprog(
-        np.r_[np.zeros(count), 1],
-        np.c_[rows, -np.ones(len(rows))],
-        np.zeros(len(rows)),
-        np.c_[np.vstack([aim, np.ones(count)]), [0, 0]],
-        [1, 0],
+        np.r_[np.zeros(count), 1], np.c_[rows, -np.ones(len(rows))], np.zeros(len(rows)),
+        np.c_[np.vstack([aim, np.ones(count)]), [0, 0]], [1, 0],
         bounds=[(None, None)] * (count + 1),
-    )
+    )  # fmt: skip
     assert mine.most_selective() == pytest.approx(theirs.fun, rel=1e-6, abs=1e-7)
 
 

@@ -23,12 +23,9 @@ def overlap(found, truth):
 
 
 MISTREATED = {
-    "clean": {},
-    "uneven": {"uneven": 0.9, "noise": 6},
-    "noise": {"noise": 20},
-    "jpeg": {"jpeg": 60},
-    "inverted": {"inverted": True, "uneven": 0.6, "noise": 5},
-}
+    "clean": {}, "uneven": {"uneven": 0.9, "noise": 6}, "noise": {"noise": 20},
+    "jpeg": {"jpeg": 60}, "inverted": {"inverted": True, "uneven": 0.6, "noise": 5},
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", MISTREATED)

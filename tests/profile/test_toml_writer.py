@@ -51,16 +51,11 @@ def test_lists_layers_and_calibrations(profile, changed):
 
 
 MEASURED = {
-    "optics.flat_field": "other.npz",
-    "optics.homography": (1.0, 0, 0.1, 0, 1, 0, 0, 0, 1),
-    "optics.sensor_columns": 99,
-    "optics.sensor_rows": 98,
-    "force.curve": (0.0, 0.5),
-    "perception.threshold_ma": 0.9,
-    "perception.comfort_ma": (1.5,) * 64,
-    "output.impedance_kohm": 12.5,
-    "output.masked": (3,),
-}
+    "optics.flat_field": "other.npz", "optics.homography": (1.0, 0, 0.1, 0, 1, 0, 0, 0, 1),
+    "optics.sensor_columns": 99, "optics.sensor_rows": 98, "force.curve": (0.0, 0.5),
+    "perception.threshold_ma": 0.9, "perception.comfort_ma": (1.5,) * 64,
+    "output.impedance_kohm": 12.5, "output.masked": (3,),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("key", [key for keys in CALIBRATED_KEYS.values() for key in keys])

@@ -107,12 +107,9 @@ class Brltty:
         """Connect a program through BrlAPI, as soon as it answers."""
         for _ in range(600):
             program = subprocess.Popen(
-                [_PYTHON, "-c", _WRITER, self.host],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                text=True,
-            )
+                [_PYTHON, "-c", _WRITER, self.host], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL, text=True,
+            )  # fmt: skip
             with program:
                 if program.stdout.readline():
                     yield Writer(program)

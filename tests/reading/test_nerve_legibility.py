@@ -20,14 +20,11 @@ def delivered():
     answer = np.zeros(16, np.float32)
     answer[5] = 1
     line = DeliveredLine(
-        LinePicture(profile.electrodes, 20.0),
-        20.0,
-        {1: Pose(4.0, 0.0), 2: Pose(10.0, 0.0), 3: Pose(16.0, 0.0)},
-        {2: answer},
-        np.array([2], np.uint32),
-        np.array([200], np.float32),
+        LinePicture(profile.electrodes, 20.0), 20.0,
+        {1: Pose(4.0, 0.0), 2: Pose(10.0, 0.0), 3: Pose(16.0, 0.0)}, {2: answer},
+        np.array([2], np.uint32), np.array([200], np.float32),
         np.round(kernel)[None].astype(np.int16),
-    )
+    )  # fmt: skip
     return profile, line
 
 

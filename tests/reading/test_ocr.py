@@ -84,14 +84,11 @@ def spotted():
 
 def test_words_become_lines_and_paragraphs(program, spotted):
     table = [
-        "4\t1\t1\t1\t1\t0\t5\t5\t90\t20\t-1\t",
-        row("Two", (1, 1, 1), (5, 5, 30, 20), 80),
+        "4\t1\t1\t1\t1\t0\t5\t5\t90\t20\t-1\t", row("Two", (1, 1, 1), (5, 5, 30, 20), 80),
         row("words", (1, 1, 1), (45, 8, 50, 22), 96),
-        row('"quoted"', (1, 1, 2), (5, 30, 60, 10), 50),
-        row("  ", (1, 1, 3), confidence=95),
-        row("next", (1, 2, 1)),
-        row("block", (2, 1, 1)),
-    ]
+        row('"quoted"', (1, 1, 2), (5, 30, 60, 10), 50), row("  ", (1, 1, 3), confidence=95),
+        row("next", (1, 2, 1)), row("block", (2, 1, 1)),
+    ]  # fmt: skip
     program("cat > /dev/null; cat TABLE", table)
     read = recognize(spotted)
     assert read.text == 'Two words\n"quoted"\n\nnext\n\nblock'

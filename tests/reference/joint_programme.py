@@ -127,12 +127,9 @@ class _Joint:
                 continue
             if cold:
                 return JointOptimum(
-                    current,
-                    self._judge.judge(current, self._level),
-                    float(answer[-1]),
-                    rounds,
+                    current, self._judge.judge(current, self._level), float(answer[-1]), rounds,
                     int(self._solver.getNumRow()),
-                )
+                )  # fmt: skip
             self._solver.clearSolver()
             cold = True
         message = f"no optimum after {rounds} rounds: loosen the bounds a little"
@@ -160,14 +157,10 @@ class _Joint:
     def _add(self, coefficients: Array, lower: Array, upper: Array) -> None:
         count, width = coefficients.shape
         self._solver.addRows(
-            count,
-            lower,
-            upper,
-            count * width,
-            np.arange(count, dtype=np.int32) * width,
+            count, lower, upper, count * width, np.arange(count, dtype=np.int32) * width,
             np.tile(np.arange(width, dtype=np.int32), count),
             np.ascontiguousarray(coefficients, np.float64).ravel(),
-        )
+        )  # fmt: skip
 
 
 def _worst(field: FieldMap, excess: Array) -> NDArray[np.intp]:

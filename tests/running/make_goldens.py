@@ -178,21 +178,12 @@ def make(golden, path):
     """Record one."""
     profile = load_profile(golden.profile)
     settings = {
-        "mode": golden.mode.value,
-        "rate_hz": golden.rate_hz,
-        "light_on_dark": golden.light_on_dark,
-        "softness": golden.softness,
-        "hold": golden.hold,
-        "balance": golden.balance,
-        "timing": asdict(golden.timing),
-        "compliance_v": 100.0,
-        "sensor": f"text:{golden.text}",
-        "board": "memory:",
-        "force": None,
-        "seed": 0,
-        "subject": "nobody",
+        "mode": golden.mode.value, "rate_hz": golden.rate_hz, "light_on_dark": golden.light_on_dark,
+        "softness": golden.softness, "hold": golden.hold, "balance": golden.balance,
+        "timing": asdict(golden.timing), "compliance_v": 100.0, "sensor": f"text:{golden.text}",
+        "board": "memory:", "force": None, "seed": 0, "subject": "nobody",
         "note": "a golden of the tests",
-    }
+    }  # fmt: skip
     if golden.sharing != NO_SHARING:
         settings["sharing"] = {
             "primaries": [each.name for each in golden.sharing.afferents],

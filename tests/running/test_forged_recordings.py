@@ -40,14 +40,11 @@ def uses(path):
     mended.unlink(missing_ok=True)
     shutil.rmtree(folder, ignore_errors=True)
     return {
-        "info": lambda: describe(path),
-        "check": lambda: check_recording(path),
-        "sound": lambda: is_sound(path),
-        "repair": lambda: repair(path, mended),
-        "export": lambda: export(path, folder),
-        "play": lambda: play(path),
+        "info": lambda: describe(path), "check": lambda: check_recording(path),
+        "sound": lambda: is_sound(path), "repair": lambda: repair(path, mended),
+        "export": lambda: export(path, folder), "play": lambda: play(path),
         "follow": lambda: follow(path),
-    }
+    }  # fmt: skip
 
 
 def outcomes(path, what):

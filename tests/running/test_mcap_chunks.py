@@ -45,13 +45,9 @@ def chunk(content, compression="zstd", claimed=None, checksum=None):
         "rot13": bytes,
     }[compression](content)
     head = struct.pack(
-        "<QQQII",
-        0,
-        0,
-        len(content) if claimed is None else claimed,
-        zlib.crc32(content) if checksum is None else checksum,
-        len(compression),
-    )
+        "<QQQII", 0, 0, len(content) if claimed is None else claimed,
+        zlib.crc32(content) if checksum is None else checksum, len(compression),
+    )  # fmt: skip
     return head + compression.encode() + struct.pack("<Q", len(data)) + data
 
 

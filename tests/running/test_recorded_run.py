@@ -14,12 +14,9 @@ from ..raising import raises
 def recorded(tmp_path_factory):
     path = tmp_path_factory.mktemp("run") / "run.mcap"
     st.run(
-        "text:on and on and on",
-        "simulated:",
-        mode="natural",
-        seconds=2,
+        "text:on and on and on", "simulated:", mode="natural", seconds=2,
         listeners=[st.Recorder(path)],
-    )
+    )  # fmt: skip
     return path
 
 

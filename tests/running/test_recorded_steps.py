@@ -91,15 +91,10 @@ def runs(draw):
             given = Frame(image, time_ns, force_n=force_n, **rest)
             tactile = TactileImage(activation, time_ns, force_n)
         step = Step(
-            input=given,
-            tactile=tactile,
-            sequence=draw(sequences(time_ns, electrodes)),
-            mode=draw(st.sampled_from(Mode)),
-            level=draw(st.floats(0, 1)),
-            restarted=draw(st.booleans()),
-            asked_us=draw(st.integers(0, 10**6)),
-            observed=observed,
-        )
+            input=given, tactile=tactile, sequence=draw(sequences(time_ns, electrodes)),
+            mode=draw(st.sampled_from(Mode)), level=draw(st.floats(0, 1)),
+            restarted=draw(st.booleans()), asked_us=draw(st.integers(0, 10**6)), observed=observed,
+        )  # fmt: skip
         made.append(
             StepResult(step, draw(st.none() | st.integers(0, 2**32)), draw(st.floats(0, 1e9)))
         )

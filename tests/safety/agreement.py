@@ -29,15 +29,9 @@ PLAIN_EVERY = 20
 """One stream of so many is judged by the plain form of the rules, if its array is small."""
 SMALL = 20
 HURRIES = (
-    "sequences in a second",
-    "strong in a second",
-    "mean in a second",
-    "mean in a second",
-    "net in a second",
-    "takes back",
-    "session time",
-    "session charge",
-)
+    "sequences in a second", "strong in a second", "mean in a second", "mean in a second",
+    "net in a second", "takes back", "session time", "session charge",
+)  # fmt: skip
 """Limits over time at whose edge half of the streams stay, one sequence after another."""
 
 

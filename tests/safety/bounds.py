@@ -154,16 +154,11 @@ class Bounds:
         if area is not None:
             area = Decimal(repr(float(np.min(area))))
         return cls._made(
-            limits,
-            limits.electrodes,
-            exact(limits.full_ma),
-            None if limits.full_us is None else dec(limits.full_us),
-            thresholds,
-            area,
-            getattr(limits, "one_source", False),
-            getattr(limits, "masked", ()),
+            limits, limits.electrodes, exact(limits.full_ma),
+            None if limits.full_us is None else dec(limits.full_us), thresholds, area,
+            getattr(limits, "one_source", False), getattr(limits, "masked", ()),
             getattr(limits, "width_us", None),
-        )
+        )  # fmt: skip
 
     @classmethod
     def _made(

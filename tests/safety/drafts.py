@@ -48,12 +48,9 @@ class Draft:
             "current_ua": self.current_ua.astype(np.int16),
             "width_us": self.width_us.astype(np.uint16),
             "discharge_us": self.discharge_us.astype(np.uint16),
-            "site": self.site.astype(np.uint16),
-            "period_us": self.period_us,
-            "intensity": self.intensity,
-            "time_ns": self.time_ns,
-            "vibration": self.vibration,
-        }
+            "site": self.site.astype(np.uint16), "period_us": self.period_us,
+            "intensity": self.intensity, "time_ns": self.time_ns, "vibration": self.vibration,
+        }  # fmt: skip
         if RECHARGES:
             values |= {"recharge_ua": self.recharge_ua, "recharge_us": self.recharge_us}
         return ScanSequence(**values | other)
@@ -109,15 +106,9 @@ def ordinary(oracle, rng, clock_ns, time_ns, full=False):
     slots = rng.choice((0, 1, 1, 1, 2, 2, 3, 4, 6))
     count = bounds.electrodes
     draft = Draft(
-        np.zeros((slots, count), np.int64),
-        np.zeros(slots, np.int64),
-        np.zeros(slots, np.int64),
-        np.zeros(slots, np.int64),
-        0,
-        intensity,
-        time_ns,
-        clock_ns,
-    )
+        np.zeros((slots, count), np.int64), np.zeros(slots, np.int64), np.zeros(slots, np.int64),
+        np.zeros(slots, np.int64), 0, intensity, time_ns, clock_ns,
+    )  # fmt: skip
     level = level_at(bounds, intensity)
     for slot in range(slots):
         site = rng.randrange(count)

@@ -340,32 +340,15 @@ def session_charge(draft, oracle, rng, beyond):
 
 
 EDGES = {
-    "rate": rate,
-    "period": period,
-    "duty": duty,
-    "balance": balance,
-    "width": width,
-    "current": current,
-    "total": total,
-    "charge": charge,
-    "discharge": discharge,
-    "intensity": intensity,
-    "strong pulses": strong_pulses,
-    "mean current": mean_current,
-    "vibration": vibration,
-    "recharge": recharge,
-    "time": time,
-    "claimed rise": claimed_rise,
-    "rise": rise,
-    "strength": strength,
-    "strong in a second": strong_in_a_second,
-    "mean in a second": mean_in_a_second,
-    "net in a second": net_in_a_second,
-    "sequences in a second": sequences_in_a_second,
-    "takes back": recharge,
-    "session time": session_time,
-    "session charge": session_charge,
-}
+    "rate": rate, "period": period, "duty": duty, "balance": balance, "width": width,
+    "current": current, "total": total, "charge": charge, "discharge": discharge,
+    "intensity": intensity, "strong pulses": strong_pulses, "mean current": mean_current,
+    "vibration": vibration, "recharge": recharge, "time": time, "claimed rise": claimed_rise,
+    "rise": rise, "strength": strength, "strong in a second": strong_in_a_second,
+    "mean in a second": mean_in_a_second, "net in a second": net_in_a_second,
+    "sequences in a second": sequences_in_a_second, "takes back": recharge,
+    "session time": session_time, "session charge": session_charge,
+}  # fmt: skip
 """An attack on each limit; the last argument is −1, 0 or 1: inside, at the edge, beyond."""
 
 

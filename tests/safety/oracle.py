@@ -21,18 +21,9 @@ from .bounds import (
 from .rules import RULES, judge_alone
 
 AMONG = (
-    "time",
-    "claimed rise",
-    "rise",
-    "strength",
-    "takes back",
-    "sequences in a second",
-    "strong in a second",
-    "mean in a second",
-    "net in a second",
-    "session time",
-    "session charge",
-)
+    "time", "claimed rise", "rise", "strength", "takes back", "sequences in a second",
+    "strong in a second", "mean in a second", "net in a second", "session time", "session charge",
+)  # fmt: skip
 """The limits from one sequence to the next, by name."""
 NAMES = ("types", "range", *RULES, *AMONG)
 RAMPED = ("time", "claimed rise", "rise", "strength")

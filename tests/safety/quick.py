@@ -82,18 +82,10 @@ def judge_alone_quickly(sequence, bounds):
         "recharge": keeps_recharge,
     }
     return Judged(
-        [name for name, keeps in kept.items() if not keeps],
-        ppb,
-        int(sequence.time_ns),
-        period_us,
-        len(width),
-        strong,
-        through_pc,
-        (signed * width[:, None]).sum(axis=0),
-        recharge_pc,
-        spent_us,
-        peak_pc,
-    )
+        [name for name, keeps in kept.items() if not keeps], ppb, int(sequence.time_ns), period_us,
+        len(width), strong, through_pc, (signed * width[:, None]).sum(axis=0), recharge_pc,
+        spent_us, peak_pc,
+    )  # fmt: skip
 
 
 def _keeps_intensity(peak_ua, peak_pc, share, bounds):

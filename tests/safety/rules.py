@@ -20,13 +20,9 @@ from .bounds import (
 )
 
 ARRAYS = {
-    "current_ua": ("int16", "SE"),
-    "width_us": ("uint16", "S"),
-    "discharge_us": ("uint16", "S"),
-    "site": ("uint16", "S"),
-    "vibration": ("float32", "E"),
-    "recharge_ua": ("int16", "E"),
-}
+    "current_ua": ("int16", "SE"), "width_us": ("uint16", "S"), "discharge_us": ("uint16", "S"),
+    "site": ("uint16", "S"), "vibration": ("float32", "E"), "recharge_ua": ("int16", "E"),
+}  # fmt: skip
 """Type and axes of every array: slots and electrodes."""
 
 
@@ -84,17 +80,11 @@ def plain(sequence):
     recharge = getattr(sequence, "recharge_ua", None)
     intensity = exact(sequence.intensity)
     return Plain(
-        sequence.current_ua.tolist(),
-        sequence.width_us.tolist(),
-        sequence.discharge_us.tolist(),
-        int(sequence.period_us),
-        intensity,
-        math.ceil(intensity * WHOLE),
-        int(sequence.time_ns),
+        sequence.current_ua.tolist(), sequence.width_us.tolist(), sequence.discharge_us.tolist(),
+        int(sequence.period_us), intensity, math.ceil(intensity * WHOLE), int(sequence.time_ns),
         None if vibration is None else vibration.tolist(),
-        None if recharge is None else recharge.tolist(),
-        int(getattr(sequence, "recharge_us", 0)),
-    )
+        None if recharge is None else recharge.tolist(), int(getattr(sequence, "recharge_us", 0)),
+    )  # fmt: skip
 
 
 def strong_pulses(scan, bounds):
@@ -226,21 +216,11 @@ def keeps_recharge(scan, bounds):
 
 
 RULES = {
-    "rate": keeps_rate,
-    "period": keeps_period,
-    "duty": keeps_duty,
-    "balance": keeps_balance,
-    "width": keeps_width,
-    "current": keeps_current,
-    "total": keeps_total,
-    "charge": keeps_charge,
-    "discharge": keeps_discharge,
-    "intensity": keeps_intensity,
-    "strong pulses": keeps_strong,
-    "mean current": keeps_mean,
-    "vibration": keeps_vibration,
-    "recharge": keeps_recharge,
-}
+    "rate": keeps_rate, "period": keeps_period, "duty": keeps_duty, "balance": keeps_balance,
+    "width": keeps_width, "current": keeps_current, "total": keeps_total, "charge": keeps_charge,
+    "discharge": keeps_discharge, "intensity": keeps_intensity, "strong pulses": keeps_strong,
+    "mean current": keeps_mean, "vibration": keeps_vibration, "recharge": keeps_recharge,
+}  # fmt: skip
 """The limits of a single sequence, by name."""
 
 

@@ -135,12 +135,9 @@ def test_limits_of_electrodes_that_are_no_whole_microamperes(profile, changed):
     gate = SafetyGate(SafetyLimits.of(limited))
     for afferent in (Afferent.RA, Afferent.SAI):
         scan = ScanScheduler(
-            limited,
-            bank,
-            (afferent,),
-            10.0,
+            limited, bank, (afferent,), 10.0,
             common=SchedulerContext(SlotPolicy((afferent,), False)),
-        )
+        )  # fmt: skip
         for seed in range(20):
             activation = np.zeros(64, np.float32)
             activation[np.random.default_rng(seed).choice(64, 20, replace=False)] = 1

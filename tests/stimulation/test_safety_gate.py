@@ -19,17 +19,9 @@ from ..rising import open_level
 from ..scans import sequence
 
 LIMITS = SafetyLimits(
-    electrodes=4,
-    current_ma=3.0,
-    pulse_us=200,
-    charge_uc=0.5,
-    rate_hz=100,
-    duty=0.6,
-    ramp_s=0.5,
-    full_ma=2.4,
-    total_ma=3.0,
-    electrode_ma=(3.0, 3.0, 3.0, 0.7),
-)
+    electrodes=4, current_ma=3.0, pulse_us=200, charge_uc=0.5, rate_hz=100, duty=0.6, ramp_s=0.5,
+    full_ma=2.4, total_ma=3.0, electrode_ma=(3.0, 3.0, 3.0, 0.7),
+)  # fmt: skip
 SECOND = 10**9
 
 

@@ -71,14 +71,9 @@ def host(kind, url, folder):
                 stop.event.set()
 
         run_loop(
-            Bars(profile),
-            pipeline,
-            board,
-            stop=stop,
-            statistics=tally,
-            listeners=as_listeners([watch]),
-            controls=Controls(ControlState(Mode.RA)),
-        )
+            Bars(profile), pipeline, board, stop=stop, statistics=tally,
+            listeners=as_listeners([watch]), controls=Controls(ControlState(Mode.RA)),
+        )  # fmt: skip
     account = {"dropped_late": board.dropped_late, "restarts": tally.restarts, "late": tally.late}
     (folder / f"{kind}.json").write_text(json.dumps(account))
 

@@ -28,17 +28,13 @@ def random_view(seed, shape, optics):
     field_mm = min(optics.field_width_mm, optics.field_height_mm)
     pixels = min(shape)
     return View(
-        tilt_deg=random.uniform(0, 25),
-        toward_deg=random.uniform(0, 360),
+        tilt_deg=random.uniform(0, 25), toward_deg=random.uniform(0, 360),
         turn_deg=random.uniform(-180, 180),
         offset_mm=tuple(random.uniform(-0.05, 0.05, 2) * field_mm),
-        distance_mm=random.uniform(4, 10) * field_mm,
-        zoom=random.uniform(0.8, 1.0),
-        blur_px=random.uniform(0.005, 0.012) * pixels,
-        noise_levels=random.uniform(1, 5),
-        uneven=random.uniform(0.0, 0.5),
-        seed=seed,
-    )
+        distance_mm=random.uniform(4, 10) * field_mm, zoom=random.uniform(0.8, 1.0),
+        blur_px=random.uniform(0.005, 0.012) * pixels, noise_levels=random.uniform(1, 5),
+        uneven=random.uniform(0.0, 0.5), seed=seed,
+    )  # fmt: skip
 
 
 def true_error(found, profile, view, shape):

@@ -39,13 +39,9 @@ def ask(subject, rising, seed=0):
 
 
 KINDS = {
-    "usual": {},
-    "steep": {"slope": 0.05},
-    "shallow": {"slope": 0.2},
-    "drifting": {"drift": 0.03},
-    "slow": {"reaction_s": 0.6},
-    "careless": {"guess": 0.02, "lapse": 0.05},
-}
+    "usual": {}, "steep": {"slope": 0.05}, "shallow": {"slope": 0.2}, "drifting": {"drift": 0.03},
+    "slow": {"reaction_s": 0.6}, "careless": {"guess": 0.02, "lapse": 0.05},
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("kind", KINDS)

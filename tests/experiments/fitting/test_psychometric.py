@@ -25,13 +25,9 @@ from ...raising import raises
 from ..psychophysics.simulated import Subject
 
 MODELS = [
-    Model(),
-    Model(Shape.LOGISTIC),
-    Model(Shape.WEIBULL, guess=0.5),
-    Model(guess=0.0, at=0.75),
-    Model(guess="free"),
-    Model(Shape.LOGISTIC, logarithmic=False, guess=0.04),
-]
+    Model(), Model(Shape.LOGISTIC), Model(Shape.WEIBULL, guess=0.5), Model(guess=0.0, at=0.75),
+    Model(guess="free"), Model(Shape.LOGISTIC, logarithmic=False, guess=0.04),
+]  # fmt: skip
 
 
 def parameters_of(*values):

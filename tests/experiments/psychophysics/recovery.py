@@ -89,9 +89,6 @@ def recover(task, name, subjects, covering=0, samples=1000, seed=0):
         if index < covering:
             held.append(found.threshold.low <= subject.threshold <= found.threshold.high)
     return Recovery(
-        np.array(fitted),
-        np.array(own or fitted),
-        subjects - len(fitted),
-        float(np.mean(trials)),
+        np.array(fitted), np.array(own or fitted), subjects - len(fitted), float(np.mean(trials)),
         float(np.mean(held)) if held else np.nan,
-    )
+    )  # fmt: skip

@@ -30,19 +30,11 @@ ROW = TrialRow(
 _words = st.text(st.characters(blacklist_categories=("Cs", "Cc")), max_size=8)
 _numbers = st.floats(allow_nan=False, allow_infinity=False)
 _rows = st.builds(
-    dataclasses.replace,
-    st.just(ROW),
-    number=st.integers(0, 10**6),
-    standard=st.none() | _numbers,
-    comparison=_numbers,
-    comparison_interval=st.sampled_from([None, 1, 2]),
-    target=_words,
-    response=_words,
-    success=st.sampled_from([None, True, False]),
-    rt=st.none() | _numbers,
-    time_s=_numbers,
-    frame_rate_hz=st.none() | _numbers,
-)
+    dataclasses.replace, st.just(ROW), number=st.integers(0, 10**6), standard=st.none() | _numbers,
+    comparison=_numbers, comparison_interval=st.sampled_from([None, 1, 2]), target=_words,
+    response=_words, success=st.sampled_from([None, True, False]), rt=st.none() | _numbers,
+    time_s=_numbers, frame_rate_hz=st.none() | _numbers,
+)  # fmt: skip
 
 
 def written(path, rows):
