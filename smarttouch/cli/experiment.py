@@ -35,7 +35,6 @@ def sit(
     simulate: str | None,
 ) -> None:
     """Run an experiment to its end or until a user ends it; print how far it came."""
-    from smarttouch.imaging.array_window import reading_force_n
     from smarttouch.views.screen import BlindScreen
 
     def say(lines: Iterable[str]) -> None:
@@ -46,8 +45,7 @@ def sit(
     if sitting.session.over:
         say(sitting.after())
         return
-    in_real_time = options.board_url != _SIMULATED
-    source = sitting.source(reading_force_n(sitting.profile), in_real_time=in_real_time)
+    source = sitting.source(simulated=options.board_url == _SIMULATED)
     try:
         options.start(
             source,

@@ -25,7 +25,7 @@ from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulation import Regulator, make_regulator, masked_where_broken
 from smarttouch.running.step import RunStatistics, StepResult, figures_of
 from smarttouch.sources.force import ForceSource, open_force
-from smarttouch.sources.source_contract import Source, StimulusSource
+from smarttouch.sources.source_contract import Source
 from smarttouch.stimulation.safety_limits import rms_ma_cm2
 
 MakeControls = Callable[[ControlState, tuple[Mode, ...]], Controls]
@@ -136,8 +136,8 @@ class Runner:
             profile, bank, config, board.timing, vibrated=vibrated, in_sums=board.keeps_kernels
         )
         state = ControlState(pipeline.mode, self._first)
-        chosen = isinstance(source, StimulusSource)
-        controls = self._controls(state, (state.mode,) if chosen else pipeline.offered())
+        offered = (state.mode,) if source.fixed_mode else pipeline.offered()
+        controls = self._controls(state, offered)
         controls.most = self._most
         context = RunContext(
             source, board, profile, bank, config, controls, self.statistics,

@@ -108,6 +108,7 @@ class SessionFeed(Source, Listener):
         """What force and the user let flow of a level, in [0, 1]."""
         self.now_ns = 0
         """Time of the last read, since the start of the run."""
+        self._read_at_ns = (0, 0)
         self._profile, self._simulated, self._stop = profile, simulated, stop or StopRequest()
         self._press_n = profile.force.full_n
         self._least_us = math.ceil(1e6 / profile.limits.rate_hz)
@@ -222,9 +223,14 @@ class SessionFeed(Source, Listener):
                 return max(0, self._put_sent_ns + self._usual_ns - time_ns)
         return IDLE_NS
 
+    def time_ns(self) -> int:
+        """Return the time since the start of the run; in simulated time that of the last read."""
+        read_ns, clock_ns = self._read_at_ns
+        return read_ns + (0 if self._simulated else time.monotonic_ns() - clock_ns)
+
     def read(self, time_ns: int) -> Input | None:
         """Return what is shown now."""
-        self.now_ns = time_ns
+        self.now_ns, self._read_at_ns = time_ns, (time_ns, time.monotonic_ns())
         while True:
             with self._lock:
                 given = None if self.is_over else self._shown_now(time_ns)
@@ -379,8 +385,11 @@ class SessionFeed(Source, Listener):
                 return
             asked = step.tactile.level * self._scale(show)
             if not show.began:
-                if sequence.slots and 0 < STEADY * asked <= sequence.intensity:
-                    # Claimed in full, and not open: pulses this weak do not open that much.
+                if 0 < STEADY * asked <= sequence.intensity:
+                    # Claimed in full, and not open: pulses this weak do not open that much, and
+                    # where the strongest are none, there is nothing to open.
+                    if show.faint == 1 and not sequence.slots:
+                        show.opens = None
                     show.faint = min(1.0, 2 * show.faint)
                 return
             show.first = result.number if show.first is None else show.first

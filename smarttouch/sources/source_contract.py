@@ -212,6 +212,8 @@ class Source(Device, ABC):
     """Distinct frames or stimuli that it delivered."""
     dropped_frames: int = 0
     """Frames or stimuli that arrived but were never read."""
+    fixed_mode: ClassVar[bool] = False
+    """Whether it chooses the classes that it drives, so that the user cannot."""
     keys_help: ClassVar[str] = ""
     """Help text for its keys."""
 
@@ -246,6 +248,8 @@ class OpticalSource(Source):
 
 class StimulusSource(Source):
     """Source of stimuli, which also chooses the classes that they drive."""
+
+    fixed_mode = True
 
     @abstractmethod
     def read(self, time_ns: int) -> Stimulus | None:

@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 
-from smarttouch.base.clock import MonotonicClock
 from smarttouch.base.electrodes import parse_ranges
 from smarttouch.base.errors import CalibrationError
 from smarttouch.base.events import Advice, BoardRestarted, Event, FingerLifted
@@ -171,8 +170,7 @@ class ThresholdProcedure:
                 patience_s=_PATIENCE_S if self.simulate else None,
                 most_spoiled=_MOST_SPOILED,
             ),
-            measuring.force.full_n,
-            None if self.simulate else MonotonicClock(),
+            simulated=self.simulate,
         )
         listeners: list[Listener] = [_Prompts(source, say)]
         if self.simulate:

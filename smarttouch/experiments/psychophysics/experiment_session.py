@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.clock import MonotonicClock
 from smarttouch.base.errors import ExperimentError, SmartTouchError
 from smarttouch.base.version import __version__
 from smarttouch.experiments.psychophysics.catalog import LIMITS, Design
@@ -204,10 +203,9 @@ class ExperimentSession:
     course: TrialTiming
     path: Path  # file of the answers
 
-    def source(self, pressing_n: float | None, *, in_real_time: bool) -> ExperimentSource:
-        """Return the source of its stimuli; force is made up if it is given."""
-        clock = MonotonicClock() if in_real_time else None
-        source = ExperimentSource(self.session, self.profile, self.course, pressing_n, clock)
+    def source(self, *, simulated: bool) -> ExperimentSource:
+        """Return the source of its stimuli."""
+        source = ExperimentSource(self.session, self.profile, self.course, simulated=simulated)
         source.url = f"experiment:{self.session.title}"
         return source
 

@@ -108,7 +108,7 @@ def run(display, profile, felt_by, sites, progress, stop=None, listeners=(), **o
         show=lambda site, _found: shown.append(site), **options,
     )  # fmt: skip
     timing = TrialTiming(answer_s=None, again=False, patience_s=10.0, most_spoiled=3)
-    source = ExperimentSource(session, measuring, timing, measuring.force.full_n)
+    source = ExperimentSource(session, measuring, timing)
     Runner(
         source,
         display,

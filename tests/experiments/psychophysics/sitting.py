@@ -6,20 +6,16 @@ import numpy as np
 
 from smarttouch.base.afferent import Mode
 from smarttouch.base.stopping import StopRequest
-from smarttouch.emulator.emulated_boards import SimulatedBoard
 from smarttouch.experiments.psychophysics.experiment_session import TrialSession
 from smarttouch.experiments.psychophysics.experiment_source import ExperimentSource
 from smarttouch.experiments.psychophysics.simulated_subject import Subject
 from smarttouch.experiments.psychophysics.trial_rows import About, RowFile
 from smarttouch.experiments.psychophysics.trials import TrialTiming
-from smarttouch.imaging.array_window import reading_force_n
 from smarttouch.running.config import RunConfig
+from smarttouch.running.display import Display
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.listener import OnEvent
-from smarttouch.running.pipeline import Pipeline
-from smarttouch.stimulation.safety_gate import SafetyLimits
-
-from ...looping import loop_through
+from smarttouch.running.listener import OnEvent, OnStep
+from smarttouch.running.runner import Runner
 
 DATE = "2026-01-01T00:00:00+00:00"
 
@@ -47,7 +43,7 @@ class Sat:
     source: ExperimentSource
     session: TrialSession
     told: list
-    report: object
+    figures: dict
 
 
 def sit(
@@ -66,25 +62,26 @@ def sit(
     """Run an experiment; stop it before the answer of a trial is written if asked to."""
     stop, told = StopRequest(), []
     about = About(experiment, made.method, "p1", "s1", 0)
+    display = Display("simulated:", profile)
     with RowFile(path, about) as file:
         session = TrialSession(made.task, made.procedure, file, DATE)
-        source = ExperimentSource(
-            session, profile, course or TrialTiming(), reading_force_n(profile)
-        )
-        pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points"))
+        source = ExperimentSource(session, profile, course or TrialTiming())
         controls = controls or Controls(ControlState(Mode.RA))
-        with SimulatedBoard("", SafetyLimits.of(profile), profile.output) as board:
-            subject = Subject(source, observer)
-            subject.attend(board)
 
-            def observe(sent):
-                subject.step(sent)
-                if watch is not None:
-                    watch(sent, source, controls)
-                if stop_after is not None and session.done >= stop_after and source.playing:
-                    stop.ask("killed")
+        def observe(sent):
+            if watch is not None:
+                watch(sent, source, controls)
+            if stop_after is not None and session.done >= stop_after and source.playing:
+                stop.ask("killed")
 
-            events = OnEvent(lambda event: told.append((event.time_ns, str(event))))
-            loop_through(source, pipeline, board, observe, events, stop=stop, controls=controls)
-            report = board.report()
-    return Sat(source, session, told, report)
+        events = OnEvent(lambda event: told.append((event.time_ns, str(event))))
+        statistics = Runner(
+            source,
+            display,
+            RunConfig(mode=Mode.RA, scan="points"),
+            listeners=[Subject(source, observer), OnStep(observe), events],
+            controls=lambda _state, _modes: controls,
+            stop=stop,
+            load_kernels=lambda _profile: bank,
+        ).run()
+    return Sat(source, session, told, statistics.figures)

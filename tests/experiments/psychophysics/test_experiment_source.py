@@ -1,12 +1,14 @@
 """Trials reach the skin as they are asked for, or are presented again."""
 
 import re
+import time
 
 import numpy as np
 import pytest
 
 from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import ExperimentError
+from smarttouch.boards.open import MemoryBoard
 from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, new_experiment
 from smarttouch.experiments.psychophysics.experiment_source import AGAIN, ExperimentSource
 from smarttouch.experiments.psychophysics.observers import SilentObserver
@@ -15,8 +17,10 @@ from smarttouch.experiments.psychophysics.trials import TrialTiming
 from smarttouch.kernels.bank import load_bank
 from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
+from smarttouch.running.listener import RunContext
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.step import StepResult
+from smarttouch.running.step import RunStatistics, StepResult
+from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ...raising import raises
 from .sitting import Perfect, sit
@@ -54,7 +58,7 @@ def test_trains_have_the_asked_frequency_to_the_microsecond(profile, take):
             assert strongest == pytest.approx(profile.full_ma[27], abs=0.005)
             assert felt.width_us == pytest.approx(200)
             assert felt.time_s[0] == 0
-    assert sat.report.violations == 0
+    assert sat.figures["emulator_violations"] == 0
     assert sat.source.notes == []
     assert sat.source.spoiled == 0
 
@@ -211,9 +215,24 @@ class OneTrial:
 class Loop:
     """Asks a source for frames as the loop does, with everything in order."""
 
-    def __init__(self, source, pipeline):
-        self.source, self.pipeline, self.time_ns = source, pipeline, 0
+    def __init__(self, source, profile, bank):
+        config, controls = RunConfig(mode=Mode.RA, scan="points"), Controls(ControlState(Mode.RA))
+        self.source, self.pipeline, self.time_ns = source, Pipeline(profile, bank, config), 0
         self.frames = []
+        board = MemoryBoard("", SafetyLimits.of(profile))
+        source.start(
+            RunContext(
+                source,
+                board,
+                profile,
+                bank,
+                config,
+                controls,
+                RunStatistics(),
+                {},
+                self.pipeline.open_level,
+            )
+        )
 
     def step(self):
         frame = self.source.read(self.time_ns)
@@ -233,14 +252,17 @@ class Loop:
 @pytest.fixture
 def begin(profile, bank):
     """Return a maker of loops over one trial."""
+    loops = []
 
-    def begin_it(name="frequency", train_s=0.1, clock=None, **timing):
+    def begin_it(name="frequency", train_s=0.1, simulated=True, **timing):
         trials = OneTrial(profile, name, train_s)
-        source = ExperimentSource(trials, profile, TrialTiming(**timing), press_n=1.0, clock=clock)
-        pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan="points"))
-        return Loop(source, pipeline), trials
+        source = ExperimentSource(trials, profile, TrialTiming(**timing), simulated=simulated)
+        loops.append(Loop(source, profile, bank))
+        return loops[-1], trials
 
-    return begin_it
+    yield begin_it
+    for each in loops:
+        each.source.close()
 
 
 def test_keys_before_the_question_do_not_count(begin):
@@ -270,6 +292,7 @@ def test_a_trial_is_felt_again_on_request(begin):
     pulses = sum(each.activation.max() == 1 for each in loop.frames)
     loop.source.keys["r"]()
     loop.step()
+    assert not loop.source.asking
     loop.until(lambda: loop.source.asking)
     assert sum(each.activation.max() == 1 for each in loop.frames) == 2 * pulses > 0
     assert loop.source.repeats == 1
@@ -291,20 +314,14 @@ def test_an_experiment_may_forbid_to_feel_again(begin):
 
 
 def test_reaction_times_are_of_the_key_and_not_of_the_next_frame(begin):
-    class Clock:
-        ns = 0
-
-        def now_ns(self):
-            return self.ns
-
-    clock = Clock()
-    loop, trials = begin(clock=clock)
-    loop.until(lambda: loop.source.asking)
-    clock.ns += 7_000_000
+    loop, _ = begin(simulated=False)
+    loop.step()
+    before_ns = loop.source.time_ns()
+    time.sleep(0.003)
     loop.source.press("1")
-    clock.ns += 13_000_000
-    loop.until(lambda: trials.answers)
-    assert trials.answers[0].rt_s == pytest.approx(0.007)
+    ((key, at_ns),) = loop.source._pressed
+    assert key == "1"
+    assert before_ns + 3_000_000 <= at_ns <= loop.source.time_ns()
 
 
 def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, begin):
@@ -328,13 +345,16 @@ def test_a_current_that_is_never_enough_stops_at_the_ceiling(profile, take):
     full_ma = profile.full_ma[27]
     assert [row.response for row in rows] == ["n", "n"]
     assert [row.comparison for row in rows] == pytest.approx([full_ma] * 2, abs=0.005)
-    assert sat.report.max_current_ma == pytest.approx(full_ma, abs=0.01)
+    assert sat.figures["max_current_ma"] == pytest.approx(full_ma, abs=0.01)
 
 
 def test_every_stimulus_is_numbered_and_none_has_an_image(begin):
-    loop, _ = begin()
+    loop, trials = begin()
     loop.until(lambda: loop.source.asking)
-    assert [each.number for each in loop.frames] == list(range(loop.source.frames))
+    # A pattern has a number of its own, whatever follows it.
+    numbers = [each.number for each in loop.frames if each.activation.max() == 1]
+    assert numbers == sorted(numbers)
+    assert len(set(numbers)) == len(trials.trial.intervals) == 2
     assert {each.image for each in loop.frames} == {None}
     # Silence, pulses of threshold that open the level, and those of the trial.
     assert len({each.activation.tobytes() for each in loop.frames}) == 3
