@@ -9,7 +9,7 @@ from smarttouch.base.events import TrialEvent
 from smarttouch.experiments.psychophysics.trials import Answer, Train, Trial, Trials, TrialTiming
 from smarttouch.profile import Profile
 from smarttouch.running.program_source import ProgramSource
-from smarttouch.running.session_feed import FAINT, SILENT_US, STEADY, Level, Show
+from smarttouch.running.session_feed import SILENT_US, STEADY, Level, Show
 from smarttouch.running.step import StepResult
 from smarttouch.running.touch import Touch
 from smarttouch.stimulation.intensity import FIRST_NS, MOST_STEP_NS
@@ -96,23 +96,32 @@ class ExperimentSource(ProgramSource):
         train, patience_s = trial.intervals[0], self._timing.patience_s
         # A blank begins as the train that it stands for, so that nothing distinguishes the two.
         activation = train.activation if train.blanked is None else train.blanked
-        # What rises within the trial begins low, and needs no more than that.
-        level = train.level_at(0) if trial.course is None else FAINT
+        level = train.level_at(0)
         opened = True
         while opened:
             self._say("")
             self._touch.wait(PAUSE_S)
             opening = Show(activation, level, 0.0, level, patience_s, exact=trial.exact)
+            if trial.course is not None:
+                # It rises by itself, from zero; only force and the user's level must be there.
+                opening = Show(None, self._unless_ready, patience_s)
             self._touch.present(opening)
             # Nothing was to be opened where no pulses are as weak.
             opened = opening.ramped_ns > 0 and opening.opens is not None
-            if opening.fault:
+            if opening.fault or (trial.course is not None and self._unless_ready(0.0)):
                 raise ExperimentError(
                     f"no trial could begin for {patience_s:g} s, and nobody is there to "
                     f"{self._missing}: give more intensity or force",
                     about="trial",
                     remedy="intensity or force",
                 )
+
+    def _unless_ready(self, _since_s: float) -> float | None:
+        """Return a level, and say what is missing, until a current can follow the keys."""
+        if self.gate * self.user_level >= STEADY:
+            return None
+        self.note_opening()
+        return 1.0
 
     def _attempt(self, trial: Trial) -> Answer | None:
         """Present a trial and ask; return None if it is to be presented again."""
