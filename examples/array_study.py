@@ -3,8 +3,8 @@ Arrays and scans compared
 =========================
 
 A *study* puts letters on many simulated fingers in every combination of what is asked for, and
-reads them from the spikes. ``smarttouch study`` runs one from a file, on all cores or on a Dask
-cluster; here a small one is run in this process.
+reads them from the spikes. ``smarttouch simulate study`` runs one from a file, on all cores or on
+a Dask cluster; here a small one is run in this process.
 """
 
 from pathlib import Path

@@ -48,8 +48,8 @@ SHORT = {
     "calibrate force": "--simulate",
     "calibrate registration": "--simulate",
     "calibrate optics": "--simulate",
-    "board test": "--seconds 0.1",
-    "board calibrate-scale": "--volts 1.0",
+    "devices test": "--seconds 0.1",
+    "calibrate scale": "--volts 1.0",
 }
 """Options that are added to a command, where it has not got them."""
 NOT_WITH = {"replay": "--check", "color": "--split-only", "read": "--frames"}
@@ -61,9 +61,9 @@ STAND_INS = {
     "camera:0": "video:clip.mp4",
 }
 EMULATED = {
-    "/dev/ttyUSB0": ("board", "emulate", "kajimoto61"),
-    "/dev/ttyACM0": ("board", "emulate", "etactilekit"),
-    "/dev/ttyUSB1": ("sensor", "emulate", "hx711"),
+    "/dev/ttyUSB0": ("devices", "emulate", "kajimoto61?port_only"),
+    "/dev/ttyACM0": ("devices", "emulate", "etactilekit?port_only"),
+    "/dev/ttyUSB1": ("devices", "emulate", "hx711?port_only"),
 }
 """Devices, and the commands that play them: their ports stand for them."""
 ENVIRONMENT = ("python3 -m venv", ".venv/bin/pip", ". .venv/bin/", "pip install", "mkdir", "cd ")
@@ -239,7 +239,9 @@ class Reader:
         for device, command in EMULATED.items():
             if device in word:
                 if device not in self._ports:
-                    self._ports[device] = self._emulated((*command, "--port-only"))
+                    self._ports[device] = self._emulated(
+                        (*command[:-1], f"{command[-1]}?port_only")
+                    )
                 word = word.replace(device, self._ports[device])
         return STAND_INS.get(word, word)
 

@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
 from types import UnionType
-from typing import Any, Union, get_args, get_origin
+from typing import Annotated, Any, Union, get_args, get_origin
 from urllib.parse import unquote
 
 from smarttouch.base.errors import SmartTouchError
@@ -77,9 +77,12 @@ def options_of(opener: Callable[..., Any], but: Collection[str] = ()) -> dict[st
         if each.default is inspect.Parameter.empty or each.name in but:
             continue
         kind = each.annotation
+        if get_origin(kind) is Annotated:
+            kind = get_args(kind)[0]
         if get_origin(kind) in (Union, UnionType):
             kind = next(part for part in get_args(kind) if part is not type(None))
         kind = get_origin(kind) or kind
+        kind = Sequence if kind is list else kind
         if kind in (bool, int, float, str, tuple, Path, Sequence):
             kinds[each.name] = kind
     return kinds

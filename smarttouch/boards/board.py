@@ -271,9 +271,9 @@ class Board(TimedBoard, ABC):
         """Put the board at zero for good and record its fault; return the error to raise."""
         self._fault_found = BoardFaultError(
             f"{reason}: the board is at zero and latched; have it checked, then clear it with "
-            "smarttouch board clear",
+            "smarttouch devices clear",
             about="board",
-            remedy="smarttouch board clear",
+            remedy="smarttouch devices clear",
         )
         with contextlib.suppress(BoardError):
             self.halt()

@@ -69,9 +69,9 @@ def refuse_latched(device: str | None) -> None:
     if device is not None and (found := find_latch(device)) is not None:
         raise BoardLatchedError(
             f"the board ({device}) is latched since {found.date}: {found.reason}; have it checked, "
-            "then clear it with smarttouch board clear",
+            "then clear it with smarttouch devices clear",
             about="board",
-            remedy="smarttouch board clear",
+            remedy="smarttouch devices clear",
         )
 
 

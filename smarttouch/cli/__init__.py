@@ -15,15 +15,15 @@ from smarttouch.base.stopping import RunStopped
 from smarttouch.base.terminal import guarded_output
 from smarttouch.base.url_options import named_options
 from smarttouch.base.version import __version__
-from smarttouch.cli.board import board, boards, sensor
 from smarttouch.cli.calibrate import calibrate
 from smarttouch.cli.design import design, profiles
+from smarttouch.cli.devices import devices
 from smarttouch.cli.experiment import experiment, fit
-from smarttouch.cli.finger import finger, study
 from smarttouch.cli.live import color, live, mouse, stop
 from smarttouch.cli.options import RunCommand
-from smarttouch.cli.read import braille, braille_display, legibility, read
+from smarttouch.cli.read import braille, braille_display, read
 from smarttouch.cli.recordings import recordings, replay, report
+from smarttouch.cli.simulate import simulate
 
 _FEWEST_FILES = 64
 
@@ -33,17 +33,15 @@ _COMMANDS: dict[str, dict[str, Callable[..., object] | typer.Typer]] = {
         "read": read,
         "braille": braille,
         "braille-display": braille_display,
-        "legibility": legibility,
     },
     "Calibrate": {"calibrate": calibrate},
     "Experiment": {"experiment": experiment},
-    "Boards, sensors": {"boards": boards, "board": board, "sensor": sensor, "report": report},
+    "Devices": {"devices": devices, "report": report},
     "Recordings": {"replay": replay, "recordings": recordings},
     "Design": {
         "profiles": profiles,
         "design": design,
-        "finger": finger,
-        "study": study,
+        "simulate": simulate,
     },
 }
 """Commands by the panel of the help that lists them."""

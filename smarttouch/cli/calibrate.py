@@ -2,17 +2,19 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from smarttouch.base.errors import CalibrationError
-from smarttouch.cli.options import ForceOption, OptionGroup, takes_options
+from smarttouch.cli.options import ForceOption, OptionGroup, ProfileOption, takes_options
 from smarttouch.views.keys_and_signals import command_stop, drives_a_board, opened
 
 if TYPE_CHECKING:
     from smarttouch.experiments.calibration.profile_file import ProfileFile
+    from smarttouch.running.step import StepResult
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -348,3 +350,72 @@ def contact(
     file.set("output.impedance_kohm", found.impedances(chosen))
     file.set("output.masked", masked)
     finish(file, "contact", found.sentence(), simulated)
+
+
+@calibrate.command()
+@drives_a_board
+def scale(
+    url: Annotated[str, typer.Argument(metavar="URL", help="kajimoto61:PORT, link:PORT, ...")],
+    ohm: Annotated[
+        float, typer.Option(metavar="OHM", help="The resistor between electrode and all others.")
+    ] = 1000.0,
+    electrode: Annotated[int, typer.Option(metavar="N", help="Where it is connected.")] = 0,
+    current_ma: Annotated[float, typer.Option(metavar="MA", help="Nominal current.")] = 1.0,
+    volts: Annotated[
+        float | None,
+        typer.Option(metavar="V", help="Peak that was seen; asked for while it pulses if not."),
+    ] = None,
+    profile: ProfileOption = None,
+) -> None:
+    """Check the scale of a board's current with a resistor in place of the finger."""
+    from smarttouch.base.errors import SmartTouchError
+    from smarttouch.boards.kits.current_scale import check_reading, measured_scale
+    from smarttouch.cli.options import require_site
+    from smarttouch.running.display import open_display
+    from smarttouch.running.listener import OnStep
+    from smarttouch.running.walk import Walk, run_walk
+
+    # Before anything pulses; the voltage is not known yet.
+    check_reading(current_ma * ohm / 1000 if volts is None else volts, ohm, current_ma)
+    display = open_display(url, profile)
+    require_site(display.profile, electrode)
+    if volts is None:
+        walk, answer = Walk(display.profile, current_ma, sites=[electrode]), ""
+
+        def take_answer(_result: "StepResult") -> None:
+            nonlocal answer
+            if (line := _line_entered()) is not None:
+                answer = line
+                walk.go_on()
+
+        typer.echo(
+            f"Pulses of nominally {current_ma:g} mA go through electrode {electrode}. No finger "
+            f"on the array: {ohm:g} ohm between it and all others."
+        )
+        typer.echo("Peak voltage across it, V: ", nl=False)
+        # No finger is there: a resistor takes the current, whatever the force.
+        force = f"fixed:{display.profile.force.full_n:g}"
+        opening = partial(opened, display.board)
+        run_walk(walk, display, [OnStep(take_answer)], command_stop(), opening, force)
+        try:
+            volts = float(answer)
+        except ValueError:
+            message = f"{answer!r} is no voltage: give a number of volts"
+            raise SmartTouchError(message, about="volts") from None
+    ratio = check_reading(volts, ohm, current_ma)
+    scale_ua = measured_scale(url.partition(":")[0], display.board.ua_per_count, ratio)
+    typer.echo(
+        f"{volts:g} V across {ohm:g} ohm are {1000 * volts / ohm:.3f} mA: {ratio:.3f} of nominal."
+    )
+    if scale_ua is not None:
+        typer.echo("In the profile of this board:\n")
+        typer.echo(f"[output]\nua_per_count = {scale_ua:.4g}")
+
+
+def _line_entered() -> str | None:
+    """Return a line if one was entered; never waits."""
+    import select
+    import sys
+
+    ready = select.select([sys.stdin], [], [], 0)[0]
+    return sys.stdin.readline().strip() if ready else None

@@ -1,5 +1,7 @@
 """``smarttouch live``, ``mouse``, ``color`` and ``stop``: current in the skin, and its end."""
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -237,12 +239,23 @@ def _add(path: Path, figures: dict[str, object]) -> None:
     write_json(path, parse_json(read_bytes(path, SmartTouchError)) | {"color": figures})
 
 
-def stop() -> None:
+def stop(
+    url: Annotated[
+        str | None,
+        typer.Argument(metavar="BOARD", help="A board that is put at zero, by its URL, as well."),
+    ] = None,
+) -> None:
     """End every run of this user with all electrodes at zero, and wait for it.
 
-    What was started before and has not begun yet does not begin.
+    Runs that are still starting are canceled, too.
     """
     from smarttouch.boards.announced import stop_all
 
     asked = stop_all()
     typer.echo(f"{asked} stopped." if asked else "Nothing runs.")
+    if url is not None:
+        # A board is at zero once it was opened and closed: by a program that was not stopped.
+        looks = [sys.executable, "-m", "smarttouch", "devices", "show", url]
+        if subprocess.run(looks, stdout=subprocess.DEVNULL, check=False).returncode:
+            raise typer.Exit(2)
+        typer.echo(f"All electrodes of {url} are at zero.")

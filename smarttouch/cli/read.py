@@ -1,4 +1,4 @@
-"""``smarttouch read``, ``braille``, ``braille-display``, ``legibility``: text under a finger."""
+"""``smarttouch read``, ``braille`` and ``braille-display``: text under a finger."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -6,14 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from smarttouch.cli.options import (
-    AnatomyOption,
-    ArrayOption,
-    ClusterOption,
-    JsonOption,
     ModeOption,
-    QuietOption,
     RateOption,
-    ScanOption,
     takes_options,
 )
 from smarttouch.cli.run_options import RunOptionGroup
@@ -267,66 +261,3 @@ def braille_display(
     }
     with open_source(f"brltty:{address}", chosen, **options) as source:
         run.start(source, chosen, config, keys=source.keys, keys_help=source.keys_help)
-
-
-@takes_options()
-def legibility(
-    feel: FormOptions,
-    document: DocumentOptions,
-    source: Annotated[
-        str,
-        typer.Argument(
-            callback=or_standard_input,
-            metavar="FILE",
-            help="As for smarttouch read.",
-        ),
-    ],
-    profile: ArrayOption = "electric-mouse",
-    truth: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE.txt", help="What the page says; what Tesseract reads if none."),
-    ] = None,
-    mode: Annotated[str, typer.Option(metavar="RA|SAI", help="Whose receptors.")] = "RA",
-    fingers: Annotated[
-        int, typer.Option(min=0, max=1000, metavar="N", help="Simulated fingers that feel it, too.")
-    ] = 0,
-    anatomy: AnatomyOption = "branched",
-    json_file: JsonOption = None,
-    scan: ScanOption = "auto",
-    cluster: ClusterOption = None,
-    quiet: QuietOption = False,
-) -> None:
-    """Measure it: the whole chain to a simulated board, and Tesseract on what the skin got."""
-    from smarttouch.base.cluster import on_cluster
-    from smarttouch.base.files import require_folder, write_json
-    from smarttouch.base.terminal import print_table
-    from smarttouch.cli.options import parse_choice, parse_mode
-    from smarttouch.imaging.array_window import profile_for_reading
-    from smarttouch.kernels.bank import load_bank
-    from smarttouch.profile import load_profile
-    from smarttouch.reading.delivered_lines import LineDelivery
-    from smarttouch.reading.legibility import measure_legibility
-    from smarttouch.reading.material import ReadingMaterial
-    from smarttouch.running.config import SCANS, RunConfig
-    from smarttouch.views.progress import bank_progress, lines_progress
-
-    require_folder(json_file)
-    chosen = profile_for_reading(load_profile(profile))
-    notes: list[str] = []
-    text = ReadingMaterial(*document.recognition(source), notes.append)
-    presentation = feel.presentation(chosen.defaults.read_as)
-    motion = presentation.motion(chosen, feel.speed_mm_s)
-    with bank_progress(quiet) as progress:
-        bank = load_bank(chosen, progress)
-    sharing = RunConfig(scan=parse_choice("scan", scan, SCANS)).sharing(chosen)
-    reading = LineDelivery(chosen, bank, presentation.tone, motion, parse_mode(mode), sharing)
-    with on_cluster(cluster), lines_progress(quiet) as advance:
-        found = measure_legibility(text, reading, presentation, truth, advance, fingers, anatomy)
-    figures = {"source": source, "profile": chosen.name, "notes": notes, **found.figures}
-    if json_file is not None:
-        write_json(json_file, figures)
-    if not quiet:
-        print_table(found.rows, left=2)
-        typer.echo(f"\nWhat was read from the delivered pulses:\n{found.text}")
-        for note in notes:
-            typer.echo(note, err=True)

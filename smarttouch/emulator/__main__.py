@@ -1,4 +1,4 @@
-"""``python -m smarttouch.emulator``: ``smarttouch board emulate`` and ``sensor emulate`` alone."""
+"""``python -m smarttouch.emulator``: ``smarttouch devices emulate``, with options."""
 
 import sys
 from collections.abc import Sequence

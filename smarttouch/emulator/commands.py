@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from smarttouch.emulator.server import LineStatistics
     from smarttouch.profile import Profile
 
-_ELECTRODES = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
+BOARDS = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 """Usual number of electrodes of each board."""
 _MOST_ELECTRODES = {"link": 1024, "kajimoto61": 61, "etactilekit": 255}
 """That of a link board bounds the skin model, which takes the square of it."""
-_RATE_HZ = {"serial-array": 200.0, "hx711": 80.0, "loadcell": 80.0}
+SENSORS = {"serial-array": 200.0, "hx711": 80.0, "loadcell": 80.0}
 _RATES_HZ = (0.01, 2000.0)
 _COMPLIANCES_V = (1.0, 10_000.0)
 _LARGEST = 1e9
@@ -85,9 +85,9 @@ def emulate_board(
     from smarttouch.emulator.firmware import DeliveryLog
     from smarttouch.emulator.skin import COMPLIANCE_V
 
-    if name not in _ELECTRODES:
-        raise not_offered("emulator", name, _ELECTRODES)
-    electrodes = _ELECTRODES[name] if electrodes is None else electrodes
+    if name not in BOARDS:
+        raise not_offered("emulator", name, BOARDS)
+    electrodes = BOARDS[name] if electrodes is None else electrodes
     volts = COMPLIANCE_V if compliance is None else compliance
     _require_board(name, electrodes, volts, output, firmware)
     _require_places(tcp, discovery_port, books)
@@ -210,9 +210,9 @@ def emulate_sensor(
     from smarttouch.profile import DEFAULT_PROFILE, load_profile
     from smarttouch.sources.sensor_protocol import MOST_PIXELS_A_SIDE
 
-    if name not in _RATE_HZ:
-        raise not_offered("emulator", name, _RATE_HZ)
-    rate_hz = _RATE_HZ[name] if rate is None else rate
+    if name not in SENSORS:
+        raise not_offered("emulator", name, SENSORS)
+    rate_hz = SENSORS[name] if rate is None else rate
     for about, value, least, most in (
         ("rate", rate_hz, *_RATES_HZ),
         ("rows", rows, 2, MOST_PIXELS_A_SIDE),
@@ -273,12 +273,12 @@ def _look(url: str | None, profile: "Profile", rows: int, columns: int) -> "Look
 def _sensor_advice(name: str, curve: str, port: str) -> str:
     if name == "serial-array":
         return (
-            f"A sensor array. In another terminal:\n\n  smarttouch sensor show {name}:{port}\n"
+            f"A sensor array. In another terminal:\n\n  smarttouch devices show {name}:{port}\n"
             f"  smarttouch live {name}:{port} --force fixed:0.5\n\nCtrl-C ends it."
         )
     return (
         f"A load cell. In another terminal:\n\n"
-        f"  smarttouch sensor show --force {name}:{port} --profile P\n"
+        f"  smarttouch devices show {name}:{port} --profile P\n"
         f"  smarttouch live --force {name}:{port} --profile P\n\n"
         f"with {curve} in [force] of the profile P, or smarttouch calibrate force to find it. "
         "A line typed here puts something else on it: weight 100 (grams), force 0.5 (newtons). "

@@ -189,7 +189,7 @@ _SPEAKS_WITHIN_S = 5.0  # longest silence: it may wait for a processor
 class EmulatorBoard(LinkBoard):
     """Board emulated by a process of its own, which runs as long as it is open: ``emulator:``.
     ``books`` is an existing folder for its delivery log, and ``events`` of the finger are as
-    ``smarttouch board emulate`` takes them."""
+    ``smarttouch devices emulate`` takes them."""
 
     on_a_finger = False
     device = None

@@ -4,6 +4,7 @@ import os
 import sys
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -43,6 +44,12 @@ def open_camera(
     camera's own settings are used for what is not given.
     """
     return LiveSource(CameraDevice(rest, size, exposure, fps), profile)
+
+
+def cameras() -> list[tuple[int, str]]:
+    """Return number and name of the cameras that Linux lists; none is opened."""
+    known = Path("/sys/class/video4linux").glob("video*/name")
+    return sorted((int(each.parent.name[5:]), each.read_text().strip()) for each in known)
 
 
 OPENCV_LOG = cv2.utils.logging if hasattr(cv2.utils, "logging") else cv2

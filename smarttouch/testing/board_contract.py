@@ -38,7 +38,7 @@ class BoardContract:
     """Contract of every board: subclass it as ``TestMine``, with `make`, `received` and `decode`.
 
     What the device is sent is compared with what was proved. A scale that is wrong in the driver
-    and in `decode` alike is not found by this, but by ``smarttouch board calibrate-scale``.
+    and in `decode` alike is not found by this, but by ``smarttouch calibrate scale``.
 
     Attributes
     ----------

@@ -7,7 +7,7 @@ Run with::
 Pages at 10, 12 and 14 points, clean, turned, unevenly lit and noisy, and the page of scikit-image,
 felt in 8, 12, 16 and 24 rows, plain, thinned and graded, and graded with shared slots: character
 error rates, beside those of the page itself and of the ideal at the same pitch and sweep (see
-``smarttouch legibility``).
+``smarttouch simulate page``).
 """
 
 import os

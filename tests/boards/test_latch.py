@@ -101,14 +101,14 @@ def test_the_command_line_refuses_and_clears(start_emulator):
     latch(str(Path(port).resolve()), "a fault")
 
     def run(*arguments):
-        command, pipe = [PROGRAM, "board", *arguments, f"link:{port}"], subprocess.PIPE
+        command, pipe = [PROGRAM, "devices", *arguments, f"link:{port}"], subprocess.PIPE
         with Forked(command, stdout=pipe, stderr=pipe, text=True) as program:
             out, _ = program.communicate()
         return program.returncode, out
 
-    assert run("info")[0] == 2
+    assert run("show")[0] == 2
     assert "a fault" in run("clear")[1]
-    assert run("info")[0] == 0
+    assert run("show")[0] == 0
     assert "a fault" not in run("clear")[1]
 
 

@@ -109,7 +109,7 @@ def wait_for_pulses(books):
 def test_a_killed_host(start_program, kit):
     """The host-clocked board is at zero by itself, the other by its keeper."""
     url, books = kit
-    running = start_program("board", "test", url, *PRESSED, "--seconds", 30, "--current-ma", 0.5)
+    running = start_program("devices", "test", url, *PRESSED, "--seconds", 30, "--current-ma", 0.5)
     wait_for_pulses(books)
     # By then its current has risen, and nothing changes any more.
     time.sleep(0.5)
@@ -126,7 +126,7 @@ def test_info_of_the_newest_kit_tells_how_long_it_goes_on(program_here, start_em
     _, port, _ = start_emulator(32, "etactilekit", "--firmware=newest")
     # On a busy computer it may pass for the one before it: then once more.
     for _ in range(10):
-        done = program_here("board info", f"etactilekit:{port}").fine()
+        done = program_here("devices show", f"etactilekit:{port}").fine()
         if "newest" in done.stdout:
             break
     assert "newest" in done.stdout
@@ -135,7 +135,7 @@ def test_info_of_the_newest_kit_tells_how_long_it_goes_on(program_here, start_em
 
 @on("kajimoto61", "etactilekit", "link")
 def test_info(program_here, kit):
-    done = program_here("board info", kit[0]).fine()
+    done = program_here("devices show", kit[0]).fine()
     told = {line[:14].strip(): line[14:].split() for line in done.stdout.splitlines()}
     electrodes, profile = {
         "kajimoto61": ("61,", "kajimoto-61:"),
@@ -153,7 +153,7 @@ def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(program_here
     events = ("--event=0 open 5", "--event=0 short 9")
     _, port, books = start_emulator(32, "etactilekit", *events)
     url = f"etactilekit:{port}"
-    done = program_here(f"board measure {url} --json found.json").fine()
+    done = program_here(f"devices measure {url} --json found.json").fine()
     found = done.figures
     assert found["masked"] == [5, 9]
     assert "masked = [5, 9]" in done.stdout
@@ -175,7 +175,7 @@ def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(program_here
 def test_measuring_without_a_finger_says_so(program_here, start_emulator):
     _, port, _ = start_emulator(16, "link", "--output=three-state", "--event=0 lift")
     small = f"link:{port} --profile smarttouch-4x4"
-    found = program_here(f"board measure {small} --json found.json").fine().figures
+    found = program_here(f"devices measure {small} --json found.json").fine().figures
     assert found["condition"] == ["open"] * 16
     assert found["impedance_kohm"] == [None] * 16
     done = program_here(f"live --board {small} {FULL} --measure")
@@ -185,7 +185,9 @@ def test_measuring_without_a_finger_says_so(program_here, start_emulator):
 @on("etactilekit")
 def test_a_walk_through_the_electrodes(program_here, kit):
     url, books = kit
-    done = program_here(f"board test {url} --force fixed:1 --seconds 0.08 --current-ma 0.3").fine()
+    done = program_here(
+        f"devices test {url} --force fixed:1 --seconds 0.08 --current-ma 0.3"
+    ).fine()
     assert "32 of 32 electrodes" in done.stdout
     state = state_of(books)
     assert (state["state"], state["unsafe"]) == ("shorted", 0)
@@ -197,7 +199,7 @@ def test_a_walk_through_the_electrodes(program_here, kit):
 def test_a_key_goes_on_to_the_next_electrode_and_q_ends_it():
     keyboard, there = os.openpty()
     with Forked(
-        [PROGRAM, "board", "test", "memory:"], stdin=there, stdout=subprocess.PIPE, text=True
+        [PROGRAM, "devices", "test", "memory:"], stdin=there, stdout=subprocess.PIPE, text=True
     ) as walking:
         os.close(there)
         for number, key in enumerate("nnq"):
@@ -212,7 +214,7 @@ def test_a_key_goes_on_to_the_next_electrode_and_q_ends_it():
 
 
 def test_a_voltage_is_asked_for_while_it_pulses(program):
-    arguments = ("board", "calibrate-scale", "memory:", "--electrode", "3")
+    arguments = ("calibrate", "scale", "memory:", "--electrode", "3")
     done = program(*arguments, given="one volt\n")
     assert done.returncode == 2
     for told in ("1 mA", "electrode 3", "1000 ohm"):
@@ -223,14 +225,14 @@ def test_a_voltage_is_asked_for_while_it_pulses(program):
 
 @on("etactilekit")
 def test_stop(program_here, kit):
-    program_here("board stop", kit[0]).fine()
+    program_here("stop", kit[0]).fine()
     state = state_of(kit[1])
     assert (state["state"], state["slots"]) == ("shorted", 0)
 
 
 @on("kajimoto61")
 def test_the_scale_from_a_resistor(program_here, kit):
-    done = program_here("board calibrate-scale", kit[0], "--volts", 1.1, "--ohm", 1000).fine()
+    done = program_here("calibrate scale", kit[0], "--volts", 1.1, "--ohm", 1000).fine()
     assert "1.100 mA" in done.stdout
     assert "ua_per_count = 2.686" in done.stdout
     assert fresh_state(kit[1])["slots"] == 0
@@ -242,7 +244,7 @@ def test_a_scale_is_not_measured_out_of_its_band_step_by_step(program_here, tmp_
     text = (data_folder("calibration") / "kajimoto-61.toml").read_text(encoding="utf-8")
     path = tmp_path / "own.toml"
     path.write_text(text.replace("[output]", "[output]\nua_per_count = 3.0"), encoding="utf-8")
-    measure = ("board", "calibrate-scale", "kajimoto61:x", "--profile", path, "--volts")
+    measure = ("calibrate", "scale", "kajimoto61:x", "--profile", path, "--volts")
     done = program_here(*measure, 1.2)
     assert done.stdout == ""
     says(BoardError, "ua_per_count = 3.6")(refused(done))
@@ -251,7 +253,7 @@ def test_a_scale_is_not_measured_out_of_its_band_step_by_step(program_here, tmp_
 
 
 def test_what_is_there_is_listed_and_nothing_is_opened(program_here):
-    done = program_here("boards --no-network").fine()
+    done = program_here("devices --no-network").fine()
     assert "kajimoto61:" in done.stdout
 
 
@@ -263,11 +265,11 @@ def test_an_emulator_is_played_until_it_is_ended(program_here, start_program, tm
     books = tmp_path / "books"
     books.mkdir()
     real = name == "link"
-    playing = start_program("board", "emulate", name, "--books", str(books), real=real)
+    playing = start_program("devices", "emulate", f"{name}?books={books}", real=real)
     lines = [playing.stdout.readline() for _ in range(3)]
     url = lines[2].split()[-1]
     assert url.startswith(f"{name}:/dev/")
-    program_here("board info", url).fine()
+    program_here("devices show", url).fine()
     playing.send_signal(how)
     assert playing.wait(60) == 0
     state = state_of(books)
@@ -275,7 +277,7 @@ def test_an_emulator_is_played_until_it_is_ended(program_here, start_program, tm
 
 
 def test_an_emulator_that_is_killed_leaves_no_board_behind(start_program, tmp_path):
-    playing = start_program("board", "emulate", "link", "--books", str(tmp_path), real=True)
+    playing = start_program("devices", "emulate", f"link?books={tmp_path}", real=True)
     assert playing.stdout.readline()
 
     def written():

@@ -1,18 +1,18 @@
-"""`smarttouch finger` and `study`: figures, tables, pictures, and what they refuse."""
+"""`smarttouch simulate letters` and `study`: figures, tables, pictures, and what they refuse."""
 
 import joblib
 import pytest
 from PIL import Image
 
 from smarttouch.base.errors import ExperimentError, ProfileError, SmartTouchError
-from smarttouch.cli.finger import study
+from smarttouch.cli.simulate import study
 
 from ..raising import assert_says, raises
 from .conftest import refused
 
 
 def test_a_letter_on_one_finger(figures_of, tmp_path):
-    one = "finger IT --profile=smarttouch-4x4 --anatomy=paper --fingers=2 --plot=felt.png"
+    one = "simulate letters IT --profile=smarttouch-4x4 --anatomy=paper --fingers=2 --plot=felt.png"
     table = figures_of(one)
     assert (table["letters"], table["fingers"], table["anatomy"]) == ("IT", 2, "paper")
     for name in ("wrong_class", "misplaced", "silent_points", "at_board"):
@@ -33,7 +33,7 @@ def test_a_letter_on_one_finger(figures_of, tmp_path):
     ("T --mode=SAII", SmartTouchError, {"about": "mode"}),
 ])  # fmt: skip
 def test_fingers_of_nonsense(program_here, arguments, kind, says):
-    error = refused(program_here("finger", *arguments.split()))
+    error = refused(program_here("simulate letters", *arguments.split()))
     assert isinstance(error, kind)
     assert_says(error, **says)
 
@@ -66,9 +66,9 @@ def test_a_format_that_is_none_is_refused(plan, tmp_path):
 
 def test_it_ends_with_one_sentence(program_here, tmp_path):
     (tmp_path / "plan.toml").write_text("fingers = 3")
-    error = refused(program_here("study plan.toml --output out"))
+    error = refused(program_here("simulate study plan.toml --output out"))
     assert type(error) is ProfileError
     assert_says(error, about="title")
     (tmp_path / "plan.toml").write_text(PLAN)
-    error = refused(program_here("study plan.toml --output out --cluster nowhere:x"))
+    error = refused(program_here("simulate study plan.toml --output out --cluster nowhere:x"))
     assert_says(error, about="cluster")

@@ -91,7 +91,7 @@ def test_a_replay_shares_slots_only_where_the_board_can(program_here, figures_of
 
 
 @pytest.mark.parametrize(("module", "command", "scan"), [
-    ("live", "live", "auto"), ("read", "read", "auto"), ("read", "legibility", "auto"),
+    ("live", "live", "auto"), ("read", "read", "auto"), ("simulate", "simulate_page", "auto"),
     ("live", "mouse", "points"), ("live", "color", "points"), ("experiment", "free", "points"),
 ])  # fmt: skip
 def test_what_it_is_if_nothing_is_asked_for(module, command, scan):

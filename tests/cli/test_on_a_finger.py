@@ -20,7 +20,7 @@ def test_which_boards_a_finger_may_be_on(url, finger):
 
 @pytest.mark.parametrize("command", [
     ("live",), ("mouse",), ("read", "text:a"), ("color", "tone:30Hz,8um+press:0.5N"),
-    ("experiment", "free", "--seconds", "1"), ("board", "test", "--seconds", "1"),
+    ("experiment", "free", "--seconds", "1"), ("devices", "test", "--seconds", "1"),
 ])  # fmt: skip
 def test_no_command_drives_a_real_board_that_nobody_controls(program_here, command):
     board = ("link:/dev/nowhere",) if command[0] == "board" else ("--board", "link:/dev/nowhere")
@@ -35,7 +35,7 @@ def test_no_command_drives_a_real_board_that_nobody_controls(program_here, comma
         ("read", "text:a"), ("mouse",), ("color", "tone:30Hz,8um+press:0.5N"),
         ("experiment", "run", "detection"),
         ("experiment", "free", "--seconds", "1", "--profile", "kajimoto-61"),
-        ("board", "test", "--seconds", "1", "--current-ma", "0.5"),
+        ("devices", "test", "--seconds", "1", "--current-ma", "0.5"),
         ("calibrate", "thresholds", "--output", "mine.toml", "--electrodes", "5"),
     ],
     ids=" ".join,

@@ -106,14 +106,14 @@ def test_files_of_cells_and_texts(program_here, figures_of, tmp_path):
 
 @needs_tesseract
 def test_an_image_becomes_braille(figures_of, page_file):
-    figures = figures_of(f"legibility {page_file} --as braille --quiet")
+    figures = figures_of(f"simulate page {page_file} --as braille --quiet")
     assert (figures["cell_error_rate"], figures["text"]) == (0, "a thin\nlight beam")
 
 
 @needs_tesseract
 def test_legibility_of_a_page(program_here, tmp_path, page_file):
     (tmp_path / "truth.txt").write_text("a thin light beam")
-    done = program_here(f"legibility {page_file} --truth truth.txt --json f.json").fine()
+    done = program_here(f"simulate page {page_file} --truth truth.txt --json f.json").fine()
     figures = done.figures
     assert figures["page_error_rate"] <= 0.05
     assert figures["sampling_limit"] <= 0.1
@@ -141,7 +141,7 @@ def test_legibility_at_the_nerve_of_fingers(program_here):
     found = {}
     small = "--profile smarttouch-4x4 --fingers 2 --json f.json"
     for anatomy in ("paper", "branched"):
-        done = program_here(f"legibility 'text:touch it' {small} --anatomy {anatomy}").fine()
+        done = program_here(f"simulate page 'text:touch it' {small} --anatomy {anatomy}").fine()
         found[anatomy] = figures = done.figures
         assert (figures["fingers"], figures["anatomy"]) == (2, anatomy)
         assert figures["at_board"] == figures["character_error_rate"]
@@ -158,7 +158,7 @@ def test_legibility_at_the_nerve_of_fingers(program_here):
 
 
 def test_legibility_of_no_anatomy_is_refused_before_anything_is_read(program_here):
-    done = program_here("legibility text:touch --fingers 2 --anatomy none")
+    done = program_here("simulate page text:touch --fingers 2 --anatomy none")
     says(ProfileError, about="anatomy", value="none")(refused(done))
 
 
@@ -167,19 +167,19 @@ def test_legibility_knows_what_cannot_be_read(figures_of, tmp_path):
     """The measure can fail: compared with another text, all of it is wrong."""
     (tmp_path / "truth.txt").write_text("0123456789")
     Image.fromarray(print_text("thin beam").grey).save(tmp_path / "page.png")
-    figures = figures_of("legibility page.png --truth truth.txt --quiet")
+    figures = figures_of("simulate page page.png --truth truth.txt --quiet")
     assert figures["character_error_rate"] > 0.6
 
 
 def test_legibility_of_braille_needs_no_tesseract(figures_of, monkeypatch):
     monkeypatch.setenv("PATH", "")
-    figures = figures_of("legibility 'text:Hello, 42' --as braille")
+    figures = figures_of("simulate page 'text:Hello, 42' --as braille")
     assert (figures["cell_error_rate"], figures["text"]) == (0, "Hello, 42")
 
 
 def test_without_tesseract_it_says_how_to_get_it(program_here, page_file, monkeypatch):
     monkeypatch.setenv("PATH", "")
-    for command in ("legibility", "read --as braille"):
+    for command in ("simulate page", "read --as braille"):
         says(ReadingError, "apt install tesseract-ocr")(refused(program_here(command, page_file)))
 
 
@@ -232,7 +232,7 @@ def test_a_photograph_of_braille(program_here, figures_of, tmp_path):
     Image.fromarray(np.asarray(photo.page.grey)).save(tmp_path / "dots.png")
     back = program_here("braille dots.png --back").flawless()
     assert back.stdout == "Raised dots\ncast shadows\n"
-    figures = figures_of("legibility dots.png --as braille")
+    figures = figures_of("simulate page dots.png --as braille")
     assert figures["cell_error_rate"] == 0
     assert figures["wanted"].split("\n") == lines
 

@@ -1,4 +1,4 @@
-"""``smarttouch sensor``: what it shows of sensors, and the ones it plays."""
+"""``smarttouch devices``: what it shows of sensors, and the ones it plays."""
 
 import json
 import math
@@ -14,7 +14,7 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from smarttouch.base.errors import ProfileError, SourceError
-from smarttouch.cli.board import sensor
+from smarttouch.cli.devices import devices
 
 from .conftest import says
 
@@ -24,7 +24,7 @@ def run(monkeypatch, tmp_path):
     """Return a runner of the command in an empty folder."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
-    return lambda *arguments: CliRunner().invoke(sensor, [str(each) for each in arguments])
+    return lambda *arguments: CliRunner().invoke(devices, [str(each) for each in arguments])
 
 
 def table(output):
@@ -45,7 +45,7 @@ def test_a_page_is_shown_and_its_last_frame_kept(run, tmp_path):
 
 def test_a_force_is_shown(run, tmp_path):
     (tmp_path / "force.csv").write_text("time_s,force_n\n0,0.25\n0.1,0.25\n")
-    shown = run("show", "recorded:force.csv", "--force", "--seconds", 0.2)
+    shown = run("show", "recorded:force.csv", "--seconds", 0.2)
     assert shown.exit_code == 0, shown.exception
     assert re.findall(r"\b\d\.\d{3}\b", shown.output)[:3] == ["0.250"] * 3
     assert "10 of 21 " in shown.output
@@ -53,21 +53,20 @@ def test_a_force_is_shown(run, tmp_path):
 
 @pytest.mark.parametrize(("arguments", "wrong"), [
     ("show nothing:", says(SourceError, about="source", value="nothing:")),
-    ("show text:x --force", says(SourceError, about="force", value="text:x")),
     ("show text:x --seconds 0", says(about="seconds", value=0, allowed=(0, 3600))),
     ("show text:x --seconds nan", says(about="seconds", value=math.nan, allowed=(0, 3600))),
     ("show text:x --save no/where.png", says(about="file", value=Path("no/where.png"))),
     ("show text:x?baud=9600", says(SourceError, " baud:", "seed")),
     ("show camera:0?size=9", says(SourceError, "size", "640x480")),
-    ("show fixed:1 --force --save a.png", says(about="force")),
+    ("show fixed:1 --save a.png", says(about="save")),
     ("show text:x --profile none", says(ProfileError, "'none'")),
     ("show serial-array:/dev/nowhere", says(SourceError, "/dev/nowhere")),
-    ("show hx711:/dev/nowhere --force",
+    ("show hx711:/dev/nowhere",
      says(SourceError, "electric-mouse", "force.curve", "0.00980665")),
     ("emulate mouse",
      says(about="emulator", value="mouse", allowed=("serial-array", "hx711", "loadcell"))),
-    ("emulate hx711 --books no/where", says(about="file", value=Path("no/where"))),
-    ("emulate hx711 --rate -1", says(about="rate", value=-1, allowed=(0.01, 2000))),
+    ("emulate hx711?books=no/where", says(about="file", value=Path("no/where"))),
+    ("emulate hx711?rate=-1", says(about="rate", value=-1, allowed=(0.01, 2000))),
 ])  # fmt: skip
 def test_wrong_requests_end_in_one_sentence(run, arguments, wrong):
     wrong(run(*arguments.split()).exception)
@@ -75,8 +74,8 @@ def test_wrong_requests_end_in_one_sentence(run, arguments, wrong):
 
 def test_an_array_is_played_and_shown(run, tmp_path):
     books = tmp_path / "books.json"
-    program = "from smarttouch.cli.board import sensor; sensor()"
-    arguments = ["emulate", "serial-array", "--rows=8", "--columns=12", f"--books={books}"]
+    program = "from smarttouch.cli.devices import devices; devices()"
+    arguments = ["emulate", f"serial-array?rows=8&columns=12&books={books}"]
     with subprocess.Popen(
         [sys.executable, "-c", program, *arguments], stdout=subprocess.PIPE, text=True
     ) as process:

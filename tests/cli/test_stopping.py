@@ -56,7 +56,7 @@ def is_asked_to_end(process):
 
 def test_a_stop_while_a_board_is_being_opened(start_program, deaf):
     port, written = deaf
-    process = start_program("board", "measure", f"link:{port}")
+    process = start_program("devices", "measure", f"link:{port}")
     until(written)
     process.send_signal(signal.SIGSTOP)
     stop = start_program("stop")

@@ -55,7 +55,7 @@ def test_closed_streams_lead_nowhere(shell, tmp_path, closed):
 
 @pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
 def test_errors_are_told_where_that_stream_is_open(shell, closed):
-    done = shell(f"smarttouch board info link:/dev/nothing {closed}")
+    done = shell(f"smarttouch devices show link:/dev/nothing {closed}")
     assert done.returncode == 2
     assert (b"/dev/nothing" in done.stderr) == ("2>&-" not in closed)
     assert b"Traceback" not in done.stderr
@@ -157,8 +157,9 @@ def test_no_name_title_or_note_is_obeyed(program_here, tmp_path):
 
 
 @pytest.mark.parametrize("command", [
-    "board info simulated: --profile {}.toml", "design 1 --profile {}.toml",
-    "sensor show frames:{}", "live --board {}:x", "live --profile {}", "live --{}", "{}", "read {}",
+    "devices show simulated: --profile {}.toml", "design 1 --profile {}.toml",
+    "devices show frames:{}", "live --board {}:x", "live --profile {}", "live --{}", "{}",
+    "read {}",
     "replay {}", "live page:{}.toml", "experiment fit {}.toml",
 ])  # fmt: skip
 def test_what_is_said_of_names_is_not_obeyed(program_here, tmp_path, command):

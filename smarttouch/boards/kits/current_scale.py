@@ -75,7 +75,7 @@ def _likely(kind: str, measured_ua: float) -> str:
     for other, nominal_ua in NOMINAL_UA.items():
         if in_band(measured_ua / nominal_ua):
             return f"that is the scale of a {other} board; is this the right profile?"
-    return "measure it again (smarttouch board calibrate-scale), or remove it"
+    return "measure it again (smarttouch calibrate scale), or remove it"
 
 
 def check_reading(volts: float, ohm: float, current_ma: float) -> float:

@@ -1,0 +1,271 @@
+"""``smarttouch devices``: boards, sensors and cameras found, looked at, measured and tried."""
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.terminal import print_table
+from smarttouch.cli.options import ForceOption, ProfileOption
+from smarttouch.emulator.commands import emulate_board, emulate_sensor
+from smarttouch.views.keys_and_signals import (
+    asks_a_board,
+    command_stop,
+    drives_a_board,
+    opened,
+)
+
+if TYPE_CHECKING:
+    from smarttouch.base.events import Event
+    from smarttouch.boards.reports import Impedance
+
+
+devices = typer.Typer(
+    help="List boards, sensors and cameras, or look at one, measure, try or emulate it.",
+    invoke_without_command=True,
+)
+
+
+@devices.callback()
+def list_devices(
+    context: typer.Context,
+    network: Annotated[
+        bool, typer.Option(help="Ask the network for eTactileKits by a broadcast.")
+    ] = True,
+) -> None:
+    # Nothing is opened, and no unknown device gets a byte.
+    if context.invoked_subcommand is not None:
+        return
+    from smarttouch.base.registry import known_names
+    from smarttouch.boards.open import network_boards, serial_ports
+    from smarttouch.sources.camera import cameras
+
+    rows = [(port.device, port.description) for port in serial_ports()]
+    rows += [(f"camera:{number}", name) for number, name in cameras()]
+    for board in network_boards() if network else ():
+        rows.append((board.url, f"eTactileKit {board.name}" + ", in use" * board.busy))
+    if rows:
+        print_table(rows, ("port", "what the system says of it"), left=2)
+    else:
+        typer.echo("No serial port, no camera, and no board answers on the network.")
+    names = ", ".join(f"{each}:" for each in known_names("smarttouch.boards"))
+    typer.echo(
+        f"\nDrivers: {names}. You choose which one fits what is plugged in, for example "
+        "--board kajimoto61:/dev/ttyUSB0.\nWithout hardware: smarttouch devices emulate kajimoto61"
+    )
+
+
+@devices.command()
+def emulate(
+    device: Annotated[
+        str,
+        typer.Argument(
+            metavar="KIND",
+            help="link, kajimoto61, etactilekit, serial-array, hx711 or loadcell. Options follow, "
+            "as in 'link?electrodes=16&event=2 lift'.",
+        ),
+    ],
+) -> None:
+    """Emulate a board on skin, or a sensor, behind a port, until Ctrl-C."""
+    from smarttouch.base.errors import not_offered
+    from smarttouch.base.url_options import options_of, read_options
+    from smarttouch.emulator.commands import BOARDS, SENSORS
+
+    name = device.partition("?")[0]
+    if name not in (*BOARDS, *SENSORS):
+        raise not_offered("emulator", name, (*BOARDS, *SENSORS))
+    command = emulate_board if name in BOARDS else emulate_sensor
+    place, options = read_options(command, device, SmartTouchError)
+    if place != name:
+        known = ", ".join(sorted(options_of(command)))
+        raise SmartTouchError(
+            f"{device!r} has an option that {name} has not: choose {known}", about="emulator"
+        )
+    command(name, **options)
+
+
+_Url = Annotated[
+    str, typer.Argument(metavar="URL", help="kajimoto61:PORT, etactilekit:PORT, link:PORT")
+]
+
+_WALK_MA = 0.5
+_ENDS = ("q", "\x03", "\x04", "")
+"""Keys that end a walk; the empty one is a terminal that is gone."""
+
+
+@devices.command()
+@asks_a_board
+def show(
+    url: Annotated[
+        str,
+        typer.Argument(
+            metavar="URL",
+            help="A board, a source of frames or a load cell: link:PORT, camera:0, hx711:PORT.",
+        ),
+    ],
+    seconds: Annotated[
+        float, typer.Option(metavar="S", help="Look at a sensor for this long.")
+    ] = 2.0,
+    save: Annotated[
+        Path | None, typer.Option(metavar="PNG", help="Write the last frame to this file.")
+    ] = None,
+    profile: ProfileOption = None,
+) -> None:
+    """Say what a board is and can do, or what a sensor or load cell delivers."""
+    import cv2
+
+    from smarttouch.base.errors import require_within
+    from smarttouch.base.files import require_folder, write_bytes
+    from smarttouch.base.registry import known_names
+    from smarttouch.profile import DEFAULT_PROFILE, load_profile
+    from smarttouch.sources import open_source
+    from smarttouch.sources.force import open_force
+    from smarttouch.sources.source_sample import sample_force, sample_source
+
+    kind = url.partition(":")[0]
+    if kind in known_names("smarttouch.boards"):
+        _describe_board(url, profile)
+        return
+    require_within(SmartTouchError, "seconds", seconds, 0, 3600, above=True)
+    require_folder(save)
+    chosen = load_profile(profile or DEFAULT_PROFILE)
+    if kind in known_names("smarttouch.forces"):
+        if save is not None:
+            raise SmartTouchError(f"{url} has no frames to save: leave this out", about="save")
+        with open_force(url, chosen) as pressed:
+            rows = sample_force(pressed, seconds)
+        print_table([*rows, *(("note", note) for note in pressed.notes)], left=2)
+        return
+    with open_source(url, chosen) as source:
+        look = sample_source(source, seconds)
+    notes = [("note", note) for note in source.notes]
+    print_table([*look.rows(source), *notes], left=2)
+    if save is not None and look.last is not None and look.last.image is not None:
+        write_bytes(save, cv2.imencode(".png", look.last.image)[1].tobytes())
+        typer.echo(f"The last frame is in {save}.")
+
+
+def _describe_board(url: str, profile: str | None) -> None:
+    from smarttouch.running.display import open_display
+
+    display = open_display(url, profile)
+    with opened(display.board) as board:
+        rows, force = board.capabilities.describe(), board.force_n
+    if force is not None:
+        rows.append(("force", f"{force:.2f} N"))
+    rows.append(("profile", f"{display.profile.name}: {display.profile.title}"))
+    for name, value in rows:
+        typer.echo(f"{name:>14}  {value}")
+
+
+@devices.command()
+def clear(url: _Url, profile: ProfileOption = None) -> None:
+    """Clear the fault of a board that was found and latched, once it has been checked."""
+    from smarttouch.boards.faults import clear_latch
+    from smarttouch.running.display import open_display
+
+    device = open_display(url, profile).board.device
+    found = None if device is None else clear_latch(device)
+    if found is None:
+        typer.echo(f"{url} is not latched.")
+    else:
+        typer.echo(f"Cleared ({found.device}): {found.reason}, {found.date}.")
+
+
+@devices.command()
+@drives_a_board
+def measure(
+    url: _Url,
+    profile: ProfileOption = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the impedances.")
+    ] = None,
+) -> None:
+    """Measure the impedance of every electrode on the finger, with small currents."""
+    from smarttouch.base.files import require_folder, write_json
+    from smarttouch.running.display import open_display
+
+    require_folder(json_file)
+    with opened(open_display(url, profile).board) as board:
+        found = board.measure()
+    _print_impedance(found)
+    if json_file is not None:
+        write_json(json_file, found.figures())
+
+
+@devices.command("test")
+@drives_a_board
+def try_out(
+    url: _Url,
+    current_ma: Annotated[
+        float | None,
+        typer.Option(
+            metavar="MA", help=f"Through each electrode in turn; {_WALK_MA:g} with a keyboard."
+        ),
+    ] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="For each electrode; waits for a key if not given."),
+    ] = None,
+    force: ForceOption = None,
+    profile: ProfileOption = None,
+) -> None:
+    """Walk through the electrodes, each against all others, from zero up to a small current."""
+    import sys
+
+    from smarttouch.boards.open import may_touch_a_finger
+    from smarttouch.running.display import open_display
+    from smarttouch.running.listener import OnEvent
+    from smarttouch.running.walk import ElectrodeReached, Walk, run_walk
+    from smarttouch.views.keys_and_signals import keyboard_listener
+
+    display = open_display(url, profile)
+    if current_ma is None:
+        if may_touch_a_finger(url) and not sys.stdin.isatty():
+            raise SmartTouchError(
+                "there is no keyboard to end it with, and a finger may be on the board: say how "
+                f"strong it is to become, for example {_WALK_MA:g} mA",
+                about="keyboard",
+                remedy="current_ma",
+            )
+        current_ma = _WALK_MA
+    if seconds is None and not sys.stdin.isatty():
+        message = "there is no keyboard to wait for: give seconds"
+        raise SmartTouchError(message, about="keyboard", remedy="seconds")
+    walk, stop = Walk(display.profile, current_ma, seconds), command_stop()
+
+    def say(event: "Event") -> None:
+        if isinstance(event, ElectrodeReached):
+            typer.echo(event)
+
+    def on_key(key: str) -> None:
+        if key in _ENDS:
+            stop.ask(f"key {key!r}")
+        else:
+            walk.go_on()
+
+    with keyboard_listener(on_key):
+        run_walk(walk, display, [OnEvent(say)], stop, partial(opened, display.board), force)
+    count = len(display.profile.electrodes)
+    typer.echo(f"{walk.tried} of {count} electrodes tried; all are at zero.")
+
+
+def _print_impedance(found: "Impedance") -> None:
+    rows = [
+        (str(index), "-" if condition == "open" else f"{kohm:.1f}", condition.removeprefix("good"))
+        for index, (kohm, condition) in enumerate(zip(found.kohm, found.condition, strict=True))
+    ]
+    print_table(rows, ("electrode", "kohm", ""), left=3)
+    if found.lifted:
+        typer.echo("No electrode touches anything: put the finger on, and measure again.")
+    elif found.broken:
+        typer.echo("Open or shorted electrodes. To plan around them, in the profile:\n")
+        typer.echo(f"[output]\nmasked = {list(found.broken)}")
+    unsure = found.condition.count("unsure")
+    if unsure:
+        typer.echo(
+            f"{unsure} readings fit more than one voltage (this board's wrap): the least is shown, "
+            "so an open electrode may look like a good one."
+        )
