@@ -2,7 +2,6 @@
 
 import hmac
 import os
-import re
 import socket
 import struct
 import time
@@ -14,17 +13,12 @@ from typing import NamedTuple
 
 from smarttouch.base.errors import SourceError
 from smarttouch.base.files import open_file
+from smarttouch.base.wire.socket_owners import UDP_TABLES, read_sockets
 
 LEAST_KEY_BYTES = 16
 _MOST_KEY_BYTES = 4096
 _APART_NS = 10_000_000_000  # most difference between the clocks of sender and receiver
 _MAC_BYTES, _TIME_BYTES = 32, 8
-_TABLES = (Path("/proc/net/udp"), Path("/proc/net/udp6"))
-"""Open sockets: https://www.kernel.org/doc/html/latest/networking/proc_net_tcp.html."""
-_ENTRY = re.compile(
-    rb"^ *\d+: [0-9A-F]+:([0-9A-F]{4})(?: \S+){5} +(\d+) +\d+ +(\d+) ", re.MULTILINE
-)
-"""Port, user, and the unique number of the socket."""
 STAMP = getattr(socket, "SO_TIMESTAMPNS", 35)  # Linux's ``asm-generic/socket.h``
 _STAMPED = struct.Struct("@ll")
 _MOST_BYTES = 65_536
@@ -56,21 +50,21 @@ class OwnPrograms:
     def __init__(self) -> None:
         self._user = os.geteuid()
         self._seen: dict[int, tuple[frozenset[tuple[int, int]], int]] = {}
-        if not _TABLES[0].exists():
+        if not UDP_TABLES[0].exists():
             raise SourceError(
-                f"this system has no {_TABLES[0]}, which says whose program sends: give a key, as "
-                "in osc:9000?key=FILE",
+                f"this system has no {UDP_TABLES[0]}, which says whose program sends: give a key, "
+                "as in osc:9000?key=FILE",
                 about="key",
             )
         self.look()
 
     def look(self) -> None:
         """Read which sockets there are now; raise OSError if the system does."""
-        data = b"\n".join(each.read_bytes() for each in _TABLES if each.exists())
+        every = list(read_sockets(UDP_TABLES))
         now_ns, before = time.time_ns(), self._seen
         sockets: dict[int, frozenset[tuple[int, int]]] = defaultdict(frozenset)
-        for port, user, number in _ENTRY.findall(data):
-            sockets[int(port, 16)] |= {(int(user), int(number))}
+        for each in every:
+            sockets[each.local[1]] |= {(each.user, each.number)}
         self._seen = {}
         for port, found in sockets.items():
             known, since_ns = before.get(port, (None, now_ns))

@@ -215,7 +215,7 @@ def test_other_machines_need_a_key(profile, address):
 
 
 def test_a_system_that_does_not_say_who_sends_needs_a_key(profile, monkeypatch, tmp_path):
-    monkeypatch.setattr(osc_senders, "_TABLES", (tmp_path / "none", tmp_path / "none6"))
+    monkeypatch.setattr(osc_senders, "UDP_TABLES", (tmp_path / "none", tmp_path / "none6"))
     with raises(SourceError, about="key"):
         st.open_source("osc:9000", profile)
 
@@ -297,7 +297,7 @@ OURS, OTHER = 1000, 65534
 def test_a_socket_is_ours_before_a_packet_and_after_it(tmp_path, monkeypatch, tables, verdicts):
     """Each table is read just after a packet came from port 9: ours, new or foreign."""
     paths = tmp_path / "udp", tmp_path / "udp6"
-    monkeypatch.setattr(osc_senders, "_TABLES", paths)
+    monkeypatch.setattr(osc_senders, "UDP_TABLES", paths)
     monkeypatch.setattr(osc_senders.os, "geteuid", lambda: OURS)
     for path in paths:
         path.write_text(HEAD)
