@@ -39,8 +39,6 @@ SHORT = {
     "live": "--seconds 1",
     "read": "--seconds 1",
     "braille-display": "--seconds 1",
-    "mouse": "--seconds 1",
-    "color": "--seconds 1",
     "replay": "--seconds 1",
     "experiment free": "--seconds 1",
     "experiment run": "--simulate model --repetitions 1 --board simulated:",
@@ -52,7 +50,7 @@ SHORT = {
     "calibrate scale": "--volts 1.0",
 }
 """Options that are added to a command, where it has not got them."""
-NOT_WITH = {"replay": "--check", "color": "--split-only", "read": "--frames"}
+NOT_WITH = {"replay": "--check", "read": "--frames"}
 """An option beside which none is added: such a command ends by itself."""
 
 STAND_INS = {

@@ -23,6 +23,8 @@ _OWN = {
         "serial-array": "smarttouch.sources.serial_array:open_serial_array",
         "socket": "smarttouch.instruments.socket_source:open_socket",
         "text": "smarttouch.sources.virtual_finger:open_text",
+        "texture": "smarttouch.instruments.electric_mouse:open_texture_source",
+        "vibration": "smarttouch.instruments.color_source:open_vibration",
         "video": "smarttouch.sources.video:open_video",
     },
     "smarttouch.forces": {

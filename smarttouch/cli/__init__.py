@@ -19,7 +19,7 @@ from smarttouch.cli.calibrate import calibrate
 from smarttouch.cli.design import design, profiles
 from smarttouch.cli.devices import devices
 from smarttouch.cli.experiment import experiment, fit
-from smarttouch.cli.live import color, live, mouse, stop
+from smarttouch.cli.live import live, stop
 from smarttouch.cli.options import RunCommand
 from smarttouch.cli.read import braille, braille_display, read
 from smarttouch.cli.recordings import recordings, replay, report
@@ -28,7 +28,7 @@ from smarttouch.cli.simulate import simulate
 _FEWEST_FILES = 64
 
 _COMMANDS: dict[str, dict[str, Callable[..., object] | typer.Typer]] = {
-    "Run": {"live": live, "mouse": mouse, "color": color, "stop": stop},
+    "Run": {"live": live, "stop": stop},
     "Read, Braille": {
         "read": read,
         "braille": braille,

@@ -211,7 +211,7 @@ ClusterOption = Annotated[
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
 ScanOption = Annotated[
-    str,
+    str | None,
     typer.Option(
         "--scan",
         metavar="HOW",

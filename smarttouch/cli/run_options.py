@@ -48,7 +48,7 @@ class RunOptionGroup(OptionGroup):
             metavar="URL", rich_help_panel=BOARD, help="To shake what PC is to feel; no current."
         ),
     ] = None
-    scan: ScanOption = "auto"
+    scan: ScanOption = None
     measure: Annotated[
         bool,
         typer.Option("--measure", rich_help_panel=BOARD, help="Find and avoid bad electrodes."),
@@ -184,7 +184,9 @@ class RunOptionGroup(OptionGroup):
             "scan", "seconds", "intensity", "softness", "measure", "hold", "balance", "subject",
             "note",
         )  # fmt: skip
-        return {name: getattr(self, name) for name in names if name not in but}
+        given = {name: getattr(self, name) for name in names if name not in but}
+        # A command or its source has a usual way to scan.
+        return {name: value for name, value in given.items() if (name, value) != ("scan", None)}
 
     def start(
         self,

@@ -123,7 +123,7 @@ def simulate_page(
     ] = 0,
     anatomy: AnatomyOption = "branched",
     json_file: JsonOption = None,
-    scan: ScanOption = "auto",
+    scan: ScanOption = None,
     cluster: ClusterOption = None,
     quiet: QuietOption = False,
 ) -> None:
@@ -149,7 +149,7 @@ def simulate_page(
     motion = presentation.motion(chosen, feel.speed_mm_s)
     with bank_progress(quiet) as progress:
         bank = load_bank(chosen, progress)
-    sharing = RunConfig(scan=parse_choice("scan", scan, SCANS)).sharing(chosen)
+    sharing = RunConfig(scan=parse_choice("scan", scan or "auto", SCANS)).sharing(chosen)
     reading = LineDelivery(chosen, bank, presentation.tone, motion, parse_mode(mode), sharing)
     with on_cluster(cluster), lines_progress(quiet) as advance:
         found = measure_legibility(text, reading, presentation, truth, advance, fingers, anatomy)

@@ -1,4 +1,4 @@
-"""A mixture as a source of stimuli, and the report, crosstalk and picture of what it sends.
+"""A mixture as a source of stimuli, and the crosstalk of what it sends.
 
 PC lies below RA and SAI, and no current from the skin reaches it alone (paper, Section II-D;
 the best kernels that there are do more to another class than to PC, `smarttouch.kernels`).
@@ -7,18 +7,20 @@ the best kernels that there are do more to another class than to PC, `smarttouch
 import math
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.instruments.color_mix import Mixture, Times, stimulated
-from smarttouch.instruments.receptor_responses import ReceptorResponse, shares
-from smarttouch.instruments.skin_trace import Trace
-from smarttouch.kernels.bank import KernelBank
+from smarttouch.imaging.array_window import reading_force_n
+from smarttouch.instruments.color_mix import Mixture, Times, mix_answers, parse_places, stimulated
+from smarttouch.instruments.receptor_responses import ReceptorResponse, split_trace
+from smarttouch.instruments.skin_trace import Trace, open_trace
+from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile
+from smarttouch.running.display import Display
 from smarttouch.running.listener import Listener
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Stimulus, StimulusSource
@@ -80,6 +82,7 @@ class ColorSource(StimulusSource, Listener):
         super().__init__(title)
         self.knows_force = not math.isnan(force_n)
         self.duration_s = mixture.end_us / 1e6
+        self.settings = {"scan": "points", "mode": mixture.mode}
         self._mixture, self._force_n = mixture, force_n
         self._next = 0
         self._given_us = np.full(len(mixture.time_us), -1, np.int64)
@@ -123,90 +126,6 @@ class ColorSource(StimulusSource, Listener):
         return (given_us - mixture.ideal_us[afferent])[given_us >= 0]
 
 
-@dataclass(frozen=True)
-class Answered:
-    """Response of one class: means over the trace; of the rate, while it fires."""
-
-    mean_drive: float
-    peak_drive: float
-    rate_hz: float
-    share: float
-
-
-@dataclass(frozen=True)
-class SentOut:
-    """Output to one class: pulses at each site, and their delays."""
-
-    pulses: int
-    planned: int
-    rate_hz: float
-    off_p50_us: float
-    off_max_us: float
-
-
-def answered(answers: Mapping[Afferent, ReceptorResponse]) -> dict[Afferent, Answered]:
-    """Return the response of each class."""
-    part = shares(answers)
-    return {
-        afferent: Answered(each.mean_drive, each.peak_drive, each.mean_rate_hz, part[afferent])
-        for afferent, each in answers.items()
-    }
-
-
-def sent_out(mixture: Mixture, source: ColorSource) -> dict[Afferent, SentOut]:
-    """Return the output to each class that had pulses."""
-    rows = {}
-    for afferent, ideal_us in mixture.ideal_us.items():
-        off_us = np.abs(source.error_us(afferent))
-        median, most = (np.median(off_us), off_us.max()) if len(off_us) else (0.0, 0.0)
-        lasts_s = float(np.ptp(ideal_us)) / 1e6
-        rows[afferent] = SentOut(
-            source.sent(afferent),
-            len(ideal_us),
-            (len(ideal_us) - 1) / lasts_s if lasts_s else 0.0,
-            float(median),
-            float(most),
-        )
-    return rows
-
-
-def answer_rows(answers: Mapping[Afferent, ReceptorResponse]) -> list[tuple[str, ...]]:
-    """Return rows of class, mean and peak drive, rate and share, in words."""
-    return [
-        (
-            afferent.name,
-            f"{row.mean_drive:.2f}",
-            f"{row.peak_drive:.2f}",
-            _fires_at(row),
-            f"{row.share:.0%}",
-        )
-        for afferent, row in answered(answers).items()
-    ]
-
-
-def mixture_rows(
-    answers: Mapping[Afferent, ReceptorResponse], mixture: Mixture, source: ColorSource
-) -> list[tuple[str, ...]]:
-    """Return rows of class, drive, share and rate, and of pulses, their rate and lateness."""
-    sent = sent_out(mixture, source)
-    rows = []
-    for afferent, row in answered(answers).items():
-        cells = ["–", "–", "–"]
-        if afferent in sent:
-            out = sent[afferent]
-            off = f"{out.off_p50_us / 1000:.2f} / {out.off_max_us / 1000:.2f}"
-            cells = [f"{out.pulses}", f"{out.rate_hz:.1f} Hz", off]
-        elif mixture.vibrated and row.share:
-            cells[0] = "vibrated"
-        drive, share = f"{row.mean_drive:.2f}", f"{row.share:.0%}"
-        rows.append((afferent.name, drive, share, _fires_at(row), *cells))
-    return rows
-
-
-def _fires_at(row: Answered) -> str:
-    return f"{row.rate_hz:.1f} Hz" if row.rate_hz else "–"
-
-
 def notes(mixture: Mixture, answers: Mapping[Afferent, ReceptorResponse]) -> list[str]:
     """Return warnings about a mixture, a sentence each."""
     said = []
@@ -221,35 +140,6 @@ def notes(mixture: Mixture, answers: Mapping[Afferent, ReceptorResponse]) -> lis
                 f"{len(mixture.sites)} sites takes {mixture.least_us / 1000:.1f} ms, choose fewer"
             )
     return said
-
-
-def as_figures(
-    answers: Mapping[Afferent, ReceptorResponse],
-    mixture: Mixture | None = None,
-    source: ColorSource | None = None,
-    crosstalk: PacinianCrosstalk | None = None,
-) -> dict[str, object]:
-    """Return the whole report for a JSON file."""
-    classes: dict[str, dict[str, object]] = {
-        afferent.name: {"answered": asdict(each)} for afferent, each in answered(answers).items()
-    }
-    figures: dict[str, object] = {"classes": classes}
-    if mixture is not None and source is not None:
-        for afferent, row in sent_out(mixture, source).items():
-            classes[afferent.name]["sent"] = asdict(row)
-        figures |= {
-            "sites": mixture.sites.tolist(),
-            "vibrated": mixture.vibrated,
-            "left_out": [each.name for each in mixture.left_out],
-            "shortest_sequence_us": mixture.least_us,
-        }
-    if crosstalk is not None:
-        figures["pc_also_reaches"] = {
-            "classes": sorted({each.name for each in crosstalk.worst}),
-            "mean_times": crosstalk.mean,
-            "worst_times": float(crosstalk.times.max()),
-        }
-    return figures
 
 
 def draw_mixture(
@@ -268,3 +158,32 @@ def draw_mixture(
             pulse_s = drive = np.empty(0)
         rows[afferent] = ClassRow(answer.drive, pulse_s, drive.astype(np.float64), shaken)
     return color_figure(trace.time_s, trace.displacement_um, trace.force_n, rows, trace.title)
+
+
+def open_vibration(
+    rest: str,
+    profile: Profile,
+    *,
+    sites: str | None = None,
+    seconds: float = 2.0,
+    seed: int = 0,
+    display: Display | None = None,
+) -> ColorSource:
+    """Open ``vibration:SPEC`` or ``vibration:CSV``: what `open_trace` takes, mixed for each class.
+
+    Each class pulses as it would answer the vibration, at ``sites`` (27,28,35-36 or all). The
+    display's board and vibrators decide what can be mixed; without one, any board can.
+    """
+    trace = open_trace(rest, seconds, seed)
+    full_n, sai_rate_hz = profile.force.full_n, profile.pulse.sai_rate_hz
+    answers = split_trace(trace, sai_full_n=full_n, sai_rate_hz=sai_rate_hz)
+    bank, places = load_bank(profile), parse_places(profile, sites, None)
+    timing = None if display is None else display.board.timing
+    shaken = display is not None and display.vibrators_url is not None
+    duration_s = trace.duration_s
+    mixture = mix_answers(answers, duration_s, profile, bank, places, timing, shaken)
+    source = ColorSource(trace.title, profile, mixture, reading_force_n(profile))
+    source.notes += notes(mixture, answers)
+    if mixture.pulses(Afferent.PC):
+        source.notes.append(str(pacinian_crosstalk(profile, bank, mixture.sites)))
+    return source

@@ -1,7 +1,9 @@
 """The electric mouse: pulses where a texture passes under the electrodes, and their picture."""
 
 import math
+import re
 from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -10,8 +12,9 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import SmartTouchError, SourceError, require_within
 from smarttouch.base.events import Note
-from smarttouch.imaging.array_window import pixel_pitch_mm
+from smarttouch.imaging.array_window import pixel_pitch_mm, profile_for_reading, reading_force_n
 from smarttouch.instruments.hand_motion import HandMotion, open_motion, strokes_over
+from smarttouch.instruments.relief import open_texture
 from smarttouch.instruments.textures import Texture
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
@@ -121,6 +124,7 @@ class MouseSource(StimulusSource):
     """
 
     ended = "the hand has stopped"
+    settings = MappingProxyType({"scan": "points"})
 
     def __init__(
         self,
@@ -270,3 +274,26 @@ def open_motion_over(texture: Texture, url: str, profile: Profile, **options: An
     elif kind not in ("sweep", "path", "evdev"):
         options["profile"] = profile
     return open_motion(url, **options)
+
+
+_MOTION = re.compile("[?&]motion=")
+
+
+def open_texture_source(
+    rest: str, profile: Profile, *, mode: Mode = Mode.RA, rate_hz: float | None = None
+) -> MouseSource:
+    """Open ``texture:WHAT?motion=URL``: what `open_texture` takes, under a hand that moves.
+
+    The motion comes last and may have options, as in ``grating:4mm?motion=sweep:3?speed_mm_s=20``;
+    a virtual hand sweeps over the texture without one.
+    """
+    what, *motions = _MOTION.split(rest, maxsplit=1)
+    surface, reading = open_texture(what or "grating:4mm"), profile_for_reading(profile)
+    moves = open_motion_over(surface, motions[0] if motions else "sweep:", profile)
+    try:
+        rate = USUAL_RATE_HZ if rate_hz is None else rate_hz
+        force_n = reading_force_n(profile)
+        return MouseSource(surface, moves, reading, mode, rate, press_n=force_n)
+    except BaseException:
+        moves.close()
+        raise

@@ -13,6 +13,8 @@ from smarttouch.base.url_options import joined_options, read_options
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Source
 
+_NOT_IN_URLS = ("light_on_dark", "mode", "rate_hz", "display")
+"""What the whole run needs as well."""
 _SUFFIXES = {"recording": (".mcap",), "video": (".avi", ".mkv", ".mov", ".mp4", ".webm")}
 
 
@@ -44,6 +46,13 @@ def source_url(name: str) -> str:
     if name in known or (len(name) > 3 and get_close_matches(name.lower(), known, 1, 0.8)):
         raise unknown("source", name, known, SourceError)
     return f"text:{name}"
+
+
+def options_taken(url: str) -> set[str]:
+    """Return the options that the kind of source of a URL takes, by name."""
+    group = "smarttouch.sources"
+    opener, _ = find_opener(group, source_url(url), SourceError, Source, ("rest", "profile"))
+    return set(inspect.signature(opener).parameters)
 
 
 def open_source(
@@ -78,7 +87,7 @@ def open_source(
     """
     url = source_url(url)
     opener, rest = find_opener("smarttouch.sources", url, SourceError, Source, ("rest", "profile"))
-    rest, in_url = read_options(opener, rest, SourceError, but=("light_on_dark",))
+    rest, in_url = read_options(opener, rest, SourceError, but=_NOT_IN_URLS)
     given = given_options(opener, url, options, SourceError)
     given = joined_options(url, given, in_url, SourceError)
     if light_on_dark and "light_on_dark" in inspect.signature(opener).parameters:

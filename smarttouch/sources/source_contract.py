@@ -5,6 +5,7 @@ import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -214,6 +215,8 @@ class Source(Device, ABC):
     """Frames or stimuli that arrived but were never read."""
     fixed_mode: ClassVar[bool] = False
     """Whether it chooses the classes that it drives, so that the user cannot."""
+    settings: Mapping[str, Any] = MappingProxyType({})
+    """Settings of a run that suit it, as `RunConfig` names them, where no others are asked for."""
     keys_help: ClassVar[str] = ""
     """Help text for its keys."""
 

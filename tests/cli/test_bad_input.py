@@ -175,7 +175,7 @@ def test_help_names_every_command(program_here):
 @pytest.mark.parametrize(("arguments", "options"), [
     ("live --scan frame --hold charge", "--scan"),
     ("live --board vibrators:x.wav", "--board, --vibrators"),
-    ("mouse --rate 300 --board memory:", "--rate"),
+    ("live texture: --rate 300 --board memory:", "--rate"),
     ("read text:hi --speed 0 --board memory:", "--speed"),
     ("read text:hi --pause -1 --board memory:", "--pause"),
     ("calibrate registration --dot-pitch-mm 0", "--dot-pitch-mm"),

@@ -1,7 +1,5 @@
 """Recordings, pictures, markers and vibrators, which instruments share with every run."""
 
-import importlib
-import inspect
 import sys
 
 import numpy as np
@@ -20,7 +18,7 @@ from smarttouch.stimulation.scan_sequence import SlotPolicy
 
 from ..views.test_markers import FakeLsl
 
-FAST = "mouse --motion sweep:?speed_mm_s=120 --board simulated: --quiet"
+FAST = "live texture:grating:4mm?motion=sweep:?speed_mm_s=120 --board simulated: --quiet"
 
 
 def test_pulses_that_were_asked_for_are_asked_for_again_in_a_replay(figures_of):
@@ -30,7 +28,7 @@ def test_pulses_that_were_asked_for_are_asked_for_again_in_a_replay(figures_of):
 
 
 def test_vibrators_shake_what_the_recording_says(program_here, tmp_path, changed):
-    mixed = "color tone:30Hz,8um+tone:250Hz,2um --seconds 1 --board simulated: --quiet"
+    mixed = "live vibration:tone:30Hz,8um+tone:250Hz,2um?seconds=1 --board simulated: --quiet"
     program_here(f"{mixed} --vibrators v.wav?grid=1x1 --record a.mcap").flawless()
     rate_hz, wave = wavfile.read(tmp_path / "v.wav")
     spectrum = np.abs(np.fft.rfft(wave.astype(np.float64)))
@@ -48,7 +46,7 @@ def test_vibrators_shake_what_the_recording_says(program_here, tmp_path, changed
 def test_the_picture_of_a_mouse_has_its_few_pulses_in_full(program_here, tmp_path):
     # Twenty frames a second: ten pulses open the level, and the others are in full.
     felt = "--felt felt.png --anatomy paper"
-    program_here(f"{FAST} --texture text:I --rate 20 {felt}").fine()
+    program_here(f"{FAST.replace('grating:4mm', 'text:I')} --rate 20 {felt}").fine()
     picture = np.asarray(Image.open(tmp_path / "felt.png").convert("L"))
     touched = picture[picture.shape[0] // 2 + 40 :]
     assert np.percentile(touched, 0.5) < 60
@@ -88,12 +86,3 @@ def test_a_replay_shares_slots_only_where_the_board_can(program_here, figures_of
     figures = figures_of("replay run.mcap --profile kajimoto-61 --board simulated:")
     assert figures["slots"] > 0
     assert figures["worst_other"] is figures["worst_spill"] is None
-
-
-@pytest.mark.parametrize(("module", "command", "scan"), [
-    ("live", "live", "auto"), ("read", "read", "auto"), ("simulate", "simulate_page", "auto"),
-    ("live", "mouse", "points"), ("live", "color", "points"), ("experiment", "free", "points"),
-])  # fmt: skip
-def test_what_it_is_if_nothing_is_asked_for(module, command, scan):
-    found = getattr(importlib.import_module(f"smarttouch.cli.{module}"), command)
-    assert inspect.signature(found).parameters["scan"].default == scan

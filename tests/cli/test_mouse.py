@@ -1,4 +1,4 @@
-"""The electric mouse, through the program."""
+"""The electric mouse, through ``smarttouch live texture:``."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,17 +15,18 @@ from .conftest import refused, says
 
 @pytest.fixture
 def stroke(program_here):
-    """Return a runner of ``mouse`` that gives its figures, and all that was ``printed``."""
+    """Return a runner over a texture that gives its figures, and all that was ``printed``."""
 
-    def run(words):
-        done = program_here(f"mouse --board simulated: --json f.json {words}").flawless()
+    def run(texture, words=""):
+        live = f"live 'texture:{texture}' --board simulated: --json f.json"
+        done = program_here(f"{live} {words}").flawless()
         return done.figures | {"printed": done.stdout}
 
     return run
 
 
 def test_without_options_a_virtual_hand_strokes_a_grating(stroke, tmp_path):
-    figures = stroke("--intensity 0.5 --felt felt.png --anatomy paper")
+    figures = stroke("", "--intensity 0.5 --felt felt.png --anatomy paper")
     # 60 mm there and back over 4 mm: 15 ridges each, at all of 64 electrodes.
     assert figures["slots"] == pytest.approx(2 * 15 * 64, abs=64)
     assert figures["emulator_violations"] == 0
@@ -39,39 +40,36 @@ def test_an_image_under_a_recorded_hand(stroke, tmp_path):
     (tmp_path / "way.csv").write_text(
         "time_s,x_mm,y_mm,force_n\n0,20,20,1\n1,20,20,1\n2,60,20,1\n2.1,60,20,1\n"
     )
-    hand = "--motion path:way.csv --quiet --texture o.png"
-    all_over = stroke(hand)["slots"]
+    hand = "motion=path:way.csv"
+    all_over = stroke(f"o.png?{hand}", "--quiet")["slots"]
     assert 100 < all_over < 250
-    twice = stroke(f"{hand}?grain_mm=1 --mode SAI")["slots"]
+    twice = stroke(f"o.png?grain_mm=1&{hand}", "--quiet --mode SAI")["slots"]
     assert twice == pytest.approx(2 * all_over, rel=0.2)
-    assert stroke(f"{hand} --force fixed:0.1")["slots"] == 0
+    assert stroke(f"o.png?{hand}", "--quiet --force fixed:0.1")["slots"] == 0
 
 
 def test_letters_and_height_maps(stroke, tmp_path):
     np.save(tmp_path / "h.npy", np.kron(np.eye(2), np.ones((50, 100))))
-    for texture in ("text:i", "h.npy?width_mm=20 --rate 200"):
-        assert stroke(f"--motion sweep:?speed_mm_s=100 --texture {texture}")["slots"] > 30
+    for texture, more in (("text:i?", ""), ("h.npy?width_mm=20&", "--rate 200")):
+        assert stroke(f"{texture}motion=sweep:?speed_mm_s=100", more)["slots"] > 30
 
 
 def test_what_was_felt_replays_to_the_bit(stroke, program_here):
-    stroke("--motion sweep:?seed=3&speed_mm_s=90 --record run.mcap")
+    stroke("?motion=sweep:?seed=3&speed_mm_s=90", "--record run.mcap")
     program_here("replay run.mcap --check").fine()
 
 
 @pytest.mark.parametrize(("arguments", "wrong"), [
-    ("--texture none.png", says(PageError, about="file", value=Path("none.png"))),
-    ("--texture grating:x", says(PageError, "'grating:x'", "grating:4mm,30deg")),
-    ("--motion wheel:", says(SourceError, "'wheel:'", "evdev:", "sweep:", "window:")),
-    ("--motion evdev:/dev/null",
+    ("none.png", says(PageError, about="file", value=Path("none.png"))),
+    ("grating:x", says(PageError, "'grating:x'", "grating:4mm,30deg")),
+    ("?motion=wheel:", says(SourceError, "'wheel:'", "evdev:", "sweep:", "window:")),
+    ("?motion=evdev:/dev/null",
      says(SourceError, "/dev/null" if find_spec("evdev") else "smarttouch[mouse]")),
-    ("--motion sweep:?cpi=400", says(SourceError, "cpi", "speed_mm_s")),
-    ("--motion sweep:?speed_mm_s=0", says(SourceError, " 1000", about="speed_mm_s", value=0)),
-    ("--rate 300", says(SourceError, about="rate_hz", value=300, allowed=(10, 200))),
-    ("--mode natural",
+    ("?motion=sweep:?cpi=400", says(SourceError, "cpi", "speed_mm_s")),
+    ("?motion=sweep:?speed_mm_s=0", says(SourceError, " 1000", about="speed_mm_s", value=0)),
+    (" --rate 300", says(SourceError, about="rate_hz", value=300, allowed=(10, 200))),
+    (" --mode natural",
      says(SourceError, about="mode", value="natural", allowed=("RA", "SAI", "PC"))),
-    ("--mode XY", says(about="mode", value="XY")),
-    ("--seconds 0", says(about="seconds", value=0, allowed=0)),
-    ("--felt felt.png --board memory:", says(about="felt")),
 ])  # fmt: skip
 def test_bad_input_is_one_sentence(program_here, arguments, wrong):
-    wrong(refused(program_here(f"mouse --board simulated: {arguments}")))
+    wrong(refused(program_here(f"live texture:{arguments} --board simulated:")))

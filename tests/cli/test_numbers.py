@@ -39,8 +39,6 @@ BASES = {
     "braille": "braille hello",
     "braille-display": f"braille-display listen:{free_port()} {SMALL} {PAGE}",
     "simulate page": "simulate page text:it --as braille",
-    "mouse": f"mouse --texture text:I {PAGE}",
-    "color": f"color tone:40Hz,8um {PAGE}",
     "replay": f"replay {{golden}} {PAGE}",
     "recordings view": "recordings view {golden} --save view.png",
     "design": "design --profile line-7",

@@ -19,7 +19,8 @@ def test_which_boards_a_finger_may_be_on(url, finger):
 
 
 @pytest.mark.parametrize("command", [
-    ("live",), ("mouse",), ("read", "text:a"), ("color", "tone:30Hz,8um+press:0.5N"),
+    ("live",), ("live", "texture:"), ("read", "text:a"),
+    ("live", "vibration:tone:30Hz,8um+press:0.5N"),
     ("experiment", "free", "--seconds", "1"), ("devices", "test", "--seconds", "1"),
 ])  # fmt: skip
 def test_no_command_drives_a_real_board_that_nobody_controls(program_here, command):
@@ -32,7 +33,7 @@ def test_no_command_drives_a_real_board_that_nobody_controls(program_here, comma
     "command",
     [
         ("live",), ("live", "--measure"), ("live", "--force", "recorded:a.csv"),
-        ("read", "text:a"), ("mouse",), ("color", "tone:30Hz,8um+press:0.5N"),
+        ("read", "text:a"), ("live", "texture:"), ("live", "vibration:tone:30Hz,8um+press:0.5N"),
         ("experiment", "run", "detection"),
         ("experiment", "free", "--seconds", "1", "--profile", "kajimoto-61"),
         ("devices", "test", "--seconds", "1", "--current-ma", "0.5"),
