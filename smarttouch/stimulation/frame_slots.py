@@ -17,7 +17,7 @@ from smarttouch.kernels.frame_operator import AIM, FrameOperator
 from smarttouch.kernels.proved_sets import proved_sets
 from smarttouch.kernels.slot_plans import plan_slots
 from smarttouch.profile import Profile
-from smarttouch.stimulation.kernel_sums import KernelSums, SharedSlots
+from smarttouch.stimulation.kernel_sums import KernelSums, SharedSlots, SummedSlots
 from smarttouch.stimulation.point_slots import Slots, constant_us, perceived_at
 from smarttouch.stimulation.scan_sequence import (
     PER_UA,
@@ -45,13 +45,10 @@ intensity. Nothing is felt below, and what breaks a bound there is shown point b
 class SlotAllocation:
     """Slots at full intensity: N found for the frame, then those of M points alone."""
 
-    found: SharedSlots  # the first N
+    found: SharedSlots | SummedSlots  # the first N
     alone: NDArray[np.intp]  # (M,) points that have a slot by themselves, with their own kernels
     alone_level: Array  # (M,) requested level at each of them
-    current_ma: Array  # (N + M, E)
-    do: NDArray[np.float32]  # (2, N + M) effects on other classes, and on their own elsewhere
     points: NDArray[np.uint16]  # (N + M,) number of points of each slot
-    site: NDArray[np.uint16]  # (N + M,) electrode of the strongest point
 
 
 class FrameSlots:
@@ -94,6 +91,7 @@ class FrameSlots:
             import_module("scipy.optimize")
         full_ma = np.minimum(profile.full_ma, judge.full_ma)
         self._points_ma = np.concatenate([own * full_ma[:, None] for own in kernels])
+        self._peaks_ma = np.abs(self._points_ma).max(axis=1)
         self._driven = np.isin(np.arange(len(full_ma)), profile.driven)
         each = np.flatnonzero(np.tile(self._driven, len(afferents)))
         self._points_do = np.full((2, len(self._points_ma)), np.nan)
@@ -112,7 +110,6 @@ class FrameSlots:
         self._perceived_at = places if any(each is not None for each in places) else None
         self._faintest = profile.threshold_ma / profile.full_ma
         self._range = 1 - self._faintest
-        self._none = np.empty(0, np.intp)
         self._widths_us = constant_us(len(self._points_ma), profile.pulse.width_us)
         self._plans: OrderedDict[bytes, SlotAllocation] = OrderedDict()
         self._most_plans = REMEMBERED if planned else 1
@@ -163,7 +160,7 @@ class FrameSlots:
             if broken.any():
                 plan = self._one_by_one(plan, broken)
                 current_ua, sums, proof, _ = self._finished(plan, intensity)
-        site = plan.site if sums is None else sums.site
+        site = self._strongest(plan) if sums is None else sums.site
         return Slots(site, current_ua, self._widths_us[: len(site)], proof, sums)
 
     def _finished(
@@ -174,40 +171,56 @@ class FrameSlots:
         The effects of single points are those of their kernels, as designed; of kernels that are
         added up `Certainty` bounds them.
         """
-        found, do = plan.found, plan.do.copy()
+        found, own = plan.found, self._sums
         sums = self._whole_sums(plan, intensity)
         if sums is not None:
             current_ua = sums.current_ua()
         else:
-            current_ua = round_charge_balanced(1000 * intensity * plan.current_ma)
-        if self._sums is not None and intensity >= self._sums.certain_from:
-            do[:, : len(found.owner)] = self._sums.figures(intensity)[:, found.owner]
-            most_ua = 1000 * intensity * found.most_ma + self._sums.rounding_ua
-            certain = most_ua < 1000 * self._limit_ma
-            return current_ua, sums, SelectivityReport(plan.points, *do), certain
-        shared = np.flatnonzero(plan.points > 1)
+            current_ua = round_charge_balanced(1000 * intensity * self._current_ma(plan))
+        shared = len(found.points)
+        do = np.empty((2, len(plan.points)), np.float32)
+        # A faint point does so much less: figures are scaled to level 1.
+        np.multiply(self._points_do[:, plan.alone], plan.alone_level, out=do[:, shared:])
+        proof = SelectivityReport(plan.points, *do)
+        if isinstance(found, SummedSlots) and own is not None and intensity >= own.certain_from:
+            do[:, :shared] = own.figures(intensity).take(found.owner, axis=1)
+            most_ua = 1000 * intensity * found.most_ma + own.rounding_ua
+            return current_ua, sums, proof, most_ua < 1000 * self._limit_ma
+        do[:, :shared] = found.do
+        several = np.flatnonzero(plan.points > 1)
         with self._blas.limit(limits=1, user_api="blas"):
-            do[:, shared] = _selectivity(
-                self._judge, current_ua[shared] / 1000, found.level[shared]
+            do[:, several] = _selectivity(
+                self._judge, current_ua[several] / 1000, found.level[several]
             )
-        return current_ua, sums, SelectivityReport(plan.points, *do), False
+        return current_ua, sums, proof, False
+
+    def _current_ma(self, plan: SlotAllocation) -> Array:
+        """Return the currents of a plan's slots at full intensity, (N + M, E)."""
+        if not len(plan.alone):
+            return plan.found.current_ma
+        alone_ma = plan.alone_level[:, None] * self._points_ma[plan.alone]
+        return np.concatenate([plan.found.current_ma, alone_ma])
+
+    def _strongest(self, plan: SlotAllocation) -> NDArray[np.uint16]:
+        """Return the electrode of each slot's strongest point, (N + M,)."""
+        strongest = np.concatenate([plan.found.level.argmax(axis=1), plan.alone])
+        return (strongest % len(self._driven)).astype(np.uint16)
 
     def _whole_sums(self, plan: SlotAllocation, intensity: float) -> KernelLists | None:
         """Return a plan's slots as sums of the table's kernels; None without one."""
-        if self.table is None or self._sums is None:
+        found, table = plan.found, self.table
+        if table is None or self._sums is None or not isinstance(found, SummedSlots):
             return None
-        (afferent, *_), found = self._afferents, plan.found
-        alone = self.table.points[afferent] + plan.alone
-        peak_ma = np.concatenate(
-            [
-                np.abs(self._sums.kernels_ma[found.kernel]).max(axis=1, initial=0) * found.share,
-                np.abs(self._points_ma[plan.alone]).max(axis=1, initial=0) * plan.alone_level,
-            ]
-        )
-        first = np.concatenate([found.first, found.first[-1] + 1 + np.arange(len(alone))])
-        kernel = np.concatenate([self.table.shared[afferent] + found.kernel, alone])
+        (afferent, *_), first = self._afferents, found.first
+        kernel = table.shared[afferent] + found.kernel
+        peak_ma = self._sums.peaks_ma.take(found.kernel) * found.share
+        if alone := len(plan.alone):
+            first = np.concatenate([first, first[-1] + 1 + np.arange(alone)])
+            kernel = np.concatenate([kernel, table.points[afferent] + plan.alone])
+            alone_ma = self._peaks_ma.take(plan.alone) * plan.alone_level
+            peak_ma = np.concatenate([peak_ma, alone_ma])
         amplitude = np.rint(1000 * PER_UA * intensity * peak_ma)
-        return KernelLists(self.table, first, kernel.astype(np.uint16), amplitude.astype(np.uint16))
+        return KernelLists(table, first, kernel.astype(np.uint16), amplitude.astype(np.uint16))
 
     def _broken(self, current_ua: NDArray[np.int16], proof: SelectivityReport) -> NDArray[np.bool_]:
         """Return which slots of several points break a bound or the limit of total current."""
@@ -234,15 +247,15 @@ class FrameSlots:
         # Slots aim a little low, which saves current; the faintest would not be felt then.
         level /= 1 - AIM * self._bounds.uneven
         level = np.minimum(level, 1.0, out=level).ravel()
+        found: SharedSlots | SummedSlots
         if self._sums is not None:
             found = self._sums.add_up(level)
         else:
             with self._blas.limit(limits=1, user_api="blas"):
                 found = self._found(level)
-        if found.points.sum() == np.count_nonzero(level):
-            return self._completed(found, self._none, level[:0])
-        alone = np.flatnonzero(np.where(found.level.any(axis=0), 0.0, level))
-        return self._completed(found, alone, level[alone])
+        left = found.left(level)
+        alone = left.nonzero()[0]
+        return _completed(found, alone, left.take(alone))
 
     def _found(self, level: Array) -> SharedSlots:
         """Return slots with currents computed for this frame."""
@@ -260,37 +273,23 @@ class FrameSlots:
 
     def _one_by_one(self, plan: SlotAllocation, broken: NDArray[np.bool_]) -> SlotAllocation:
         """Return a plan in which the points of some slots have slots of their own."""
-        broken = broken[: len(plan.found.level)]
+        broken = broken[: len(plan.found.points)]
         level = plan.found.level[broken].sum(axis=0)
         added = np.flatnonzero(level)
-        return self._completed(
+        return _completed(
             plan.found.without(broken),
             np.concatenate([plan.alone, added]),
             np.concatenate([plan.alone_level, level[added]]),
         )
 
-    def _completed(
-        self, found: SharedSlots, alone: NDArray[np.intp], level: Array
-    ) -> SlotAllocation:
-        """Return a plan with one slot more for each of some points, by its own kernel."""
-        count = len(found.level)
-        points = np.ones(count + len(alone), np.uint16)
-        points[:count] = found.points
-        strongest = found.level.argmax(axis=1)
-        if not len(alone):
-            site = (strongest % len(self._driven)).astype(np.uint16)
-            return SlotAllocation(found, alone, level, found.current_ma, found.do, points, site)
-        strongest = np.concatenate([strongest, alone])
-        return SlotAllocation(
-            found,
-            alone,
-            level,
-            np.concatenate([found.current_ma, level[:, None] * self._points_ma[alone]]),
-            # A faint point does so much less: figures are scaled to level 1.
-            np.concatenate([found.do, self._points_do[:, alone] * level], axis=1, dtype=np.float32),
-            points,
-            (strongest % len(self._driven)).astype(np.uint16),
-        )
+
+def _completed(
+    found: SharedSlots | SummedSlots, alone: NDArray[np.intp], level: Array
+) -> SlotAllocation:
+    """Return a plan with one slot more for each of some points, by its own kernel."""
+    points = np.ones(len(found.points) + len(alone), np.uint16)
+    points[: len(found.points)] = found.points
+    return SlotAllocation(found, alone, level, points)
 
 
 def _selectivity(judge: SlotJudge, current_ma: Array, level: Array) -> Array:

@@ -1,8 +1,8 @@
 """Sums of kernels of which no subset breaks a bound: the slots of a frame without a search."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from itertools import chain
 
 import numpy as np
@@ -21,32 +21,74 @@ class SharedSlots:
     level: Array  # (S, P) requested level at each point of a slot, 0 at all others
     current_ma: Array  # (S, E)
     points: NDArray[np.intp]  # (S,) number of points of each slot
-    # (2, S) effects on other classes, and on their own elsewhere; of sums `figures`
-    do: NDArray[np.float32]
-    # proved set of each slot's points, (S,) or empty
-    owner: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
-    most_ma: float = np.inf  # most that a slot carries in all
-    # (S + 1,) start of each slot's kernels in `kernel`, and the last one's end
-    first: NDArray[np.intp] = field(default_factory=lambda: np.zeros(1, np.intp))
-    # (N,) rows of `KernelSums.kernels_ma` that slots are sums of
-    kernel: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
-    share: Array = field(default_factory=lambda: np.empty(0))  # (N,) factor of each
+    do: NDArray[np.float32]  # (2, S) effects on other classes, and on their own elsewhere
+    most_ma = np.inf
+
+    def left(self, level: Array) -> Array:
+        """Return levels, (P,), without those of the points in these slots."""
+        return np.where(self.level.any(axis=0), 0.0, level)
 
     def without(self, broken: NDArray[np.bool_]) -> "SharedSlots":
         """Return the other slots."""
         kept = ~broken
-        size = np.diff(self.first) if len(self.owner) else np.zeros(len(kept), np.intp)
-        own = kept.repeat(size)
         return SharedSlots(
-            self.level[kept],
-            self.current_ma[kept],
-            self.points[kept],
-            self.do[:, kept],
-            self.owner[kept] if len(self.owner) else self.owner,
-            self.most_ma,
-            np.concatenate([[0], size[kept].cumsum()]),
-            self.kernel[own],
-            self.share[own],
+            self.level[kept], self.current_ma[kept], self.points[kept], self.do[:, kept]
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class SummedSlots:
+    """Slots as sums of kernels, at full intensity; levels and currents are made when needed."""
+
+    sums: "KernelSums"
+    points: NDArray[np.intp]  # (S,) number of points of each slot
+    owner: NDArray[np.intp]  # (S,) proved set of each slot's points
+    most_ma: float  # most that a slot carries in all
+    first: NDArray[np.intp]  # (S + 1,) start of each slot in `kernel`, and the last one's end
+    kernel: NDArray[np.intp]  # (N,) rows of `KernelSums.kernels_ma` that slots are sums of
+    wanted: Array  # (N,) requested level of each one's point
+    share: Array  # (N,) factor of each kernel
+
+    @property
+    def do(self) -> NDArray[np.float32]:
+        """Effects that a judge finds out."""
+        return np.zeros((2, len(self.points)), np.float32)
+
+    @cached_property
+    def level(self) -> Array:
+        """Requested level at each point of a slot, (S, P); 0 at all others."""
+        level = np.zeros((len(self.points), self.sums.points_n))
+        slot = np.arange(len(self.points)).repeat(self.points)
+        level[slot, self.sums.points.take(self.kernel)] = self.wanted
+        return level
+
+    @cached_property
+    def current_ma(self) -> Array:
+        """Kernels times shares, summed in each slot, (S, E)."""
+        if not len(self.kernel):
+            return np.empty((0, self.sums.kernels_ma.shape[1]))
+        scaled_ma = self.sums.kernels_ma.take(self.kernel, axis=0)
+        scaled_ma *= self.share[:, None]
+        return np.asarray(np.add.reduceat(scaled_ma, self.first[:-1], axis=0))
+
+    def left(self, level: Array) -> Array:
+        """Return levels, (P,), without those of the points in these slots."""
+        left = level.copy()
+        left[self.sums.points.take(self.kernel)] = 0
+        return left
+
+    def without(self, broken: NDArray[np.bool_]) -> "SummedSlots":
+        """Return the other slots."""
+        kept = ~broken
+        own, points = kept.repeat(self.points), self.points[kept]
+        return replace(
+            self,
+            points=points,
+            owner=self.owner[kept],
+            first=np.concatenate([[0], points.cumsum()]),
+            kernel=self.kernel[own],
+            wanted=self.wanted[own],
+            share=self.share[own],
         )
 
 
@@ -66,20 +108,22 @@ class KernelSums:
         bounds: FrameBounds,
         faintest: float,
     ) -> None:
-        self._points_n, self._aim, self._most_ma = points, aim, most_ma
+        self.points_n, self._aim, self._most_ma = points, aim, most_ma
         self._electrodes = points // len(sets)
         every = [(index, each) for index, own in enumerate(sets) for each in own]
         nothing = np.empty(0, np.intp)
-        self._points = np.concatenate(
+        self.points = np.concatenate(
             [nothing, *(each.sites + index * self._electrodes for index, each in every)]
         )
+        """Point of each kernel, (A,)."""
         self.kernels_ma = np.concatenate(
             [np.empty((0, self._electrodes)), *(each.kernels for _, each in every)]
         )
         """Kernels of all sets, (A, E) mA."""
-        self.sites = self._points % self._electrodes
+        self.sites = self.points % self._electrodes
         """Site of each, (A,)."""
-        self._scratch_ma = np.empty_like(self.kernels_ma)
+        self.peaks_ma = np.abs(self.kernels_ma).max(axis=1, initial=0)
+        """Largest magnitude of each, (A,)."""
         self._totals_ma = np.concatenate([np.empty(0), *(each.totals_ma for _, each in every)])
         self._owner = np.repeat(np.arange(len(every)), [len(each.sites) for _, each in every])
         self._certain = Certainty.of([each for _, each in every], aim, faintest, most_ma)
@@ -95,58 +139,35 @@ class KernelSums:
         """Return an upper bound of each electrode's magnitudes summed over a frame, (E,) mA, where
         points alone have kernels (P, E) mA."""
         each_ma = np.abs(alone_ma)
-        np.maximum.at(each_ma, self._points, np.abs(self.kernels_ma))
+        np.maximum.at(each_ma, self.points, np.abs(self.kernels_ma))
         return np.asarray(each_ma.sum(axis=0))
 
-    def add_up(self, level: Array) -> SharedSlots:
+    def add_up(self, level: Array) -> SummedSlots:
         """Return the slots that several points share, at levels (P,)."""
-        wanted = level.take(self._points)
+        wanted = level.take(self.points)
         active = wanted.nonzero()[0]
-        aimed, owner = self._aim * wanted.take(active), self._owner.take(active)
-        totals_ma = aimed * self._totals_ma.take(active)
+        wanted, owner = wanted.take(active), self._owner.take(active)
+        share = self._aim * wanted
+        totals_ma = share * self._totals_ma.take(active)
         # Set after set, the strongest of each first.
         order = np.lexsort((-totals_ma, owner))
         parts, most_ma = _parts(
             totals_ma.take(order).tolist(), owner.take(order).tolist(), self._most_ma
         )
-        count = len(parts)
-        size = np.fromiter(map(len, parts), np.intp, count)
+        size = np.fromiter(map(len, parts), np.intp, len(parts))
         index = order.take(np.fromiter(chain.from_iterable(parts), np.intp))
-        chosen, owner = active.take(index), owner.take(index)
-        ends = size.cumsum()
-        starts = ends - size
-        levels = np.zeros((count, self._points_n))
-        slot = np.arange(count).repeat(size)
-        levels[slot, self._points.take(chosen)] = wanted.take(chosen)
-        aimed = aimed.take(index)
-        current_ma = self._added(chosen, aimed, slot, starts)
-        first = owner.take(starts)
-        do = np.zeros((2, count), np.float32)
-        lists = np.concatenate([[0], ends]), chosen, aimed
-        return SharedSlots(levels, current_ma, size, do, first, most_ma, *lists)
-
-    def _added(
-        self,
-        kernel: NDArray[np.intp],
-        share: Array,
-        slot: NDArray[np.intp],
-        start: NDArray[np.intp],
-    ) -> Array:
-        """Return kernels times shares, (N,) slot after slot, summed in each, (S, E) mA.
-
-        Slots are padded to one length by the first kernel times zero, and all added at once.
-        """
-        place = np.arange(len(slot)) - start.take(slot)
-        shape = int(place.max(initial=0)) + 1, len(start)
-        rows, shares = np.zeros(shape, np.intp), np.zeros(shape)
-        rows[place, slot], shares[place, slot] = kernel, share
-        if rows.size > len(self._scratch_ma):
-            self._scratch_ma = np.empty((rows.size, self._electrodes))
-        added_ma = self._scratch_ma[: rows.size]
-        # With "raise", numpy would fill a copy first.
-        self.kernels_ma.take(rows.ravel(), axis=0, out=added_ma, mode="clip")
-        added_ma *= shares.reshape(-1, 1)
-        return np.asarray(np.add.reduce(added_ma.reshape(*shape, self._electrodes)))
+        first = np.zeros(len(parts) + 1, np.intp)
+        size.cumsum(out=first[1:])
+        return SummedSlots(
+            self,
+            size,
+            owner.take(index.take(first[:-1])),
+            most_ma,
+            first,
+            active.take(index),
+            wanted.take(index),
+            share.take(index),
+        )
 
 
 def _parts(

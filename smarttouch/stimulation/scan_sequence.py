@@ -6,8 +6,8 @@ flows is defined to the bit, by `KernelLists.current_ua`.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,8 @@ SHIFT = 17
 """A weight of 2^15 times an amplitude of 4 is one µA: 2^17."""
 MOST_KERNELS = 0xFFFF
 _BLOCK = 1 << 15
+_LIST_TYPES: tuple[np.dtype[Any], ...] = np.dtype(np.intp), np.dtype(np.uint16), np.dtype(np.uint16)
+"""Of starts, kernels and amplitudes."""
 _ABOVE = 1 << 30
 """Above what any slot's electrodes carry together, µA; a multiple of 2^16."""
 
@@ -69,14 +71,10 @@ class KernelTable:
     points: dict[Afferent, int]  # row of electrode 0 of each class
     shared: dict[Afferent, int]  # first row of the kernels of each class that share slots
 
-    @cached_property
-    def ua_so_far(self) -> NDArray[np.float64]:
-        """Sum of each kernel's currents from electrode 0 to each, (K, E) µA, at amplitude 1."""
-        summed = np.cumsum(self.weights, axis=1, dtype=np.float64)
-        # By a power of two: exact.
-        summed *= 2.0**-SHIFT
-        summed.setflags(write=False)
-        return summed
+    def __post_init__(self) -> None:
+        """Keep weights as bytes, which nothing can write to."""
+        kept = _backed(self.weights, np.int16)
+        object.__setattr__(self, "weights", kept)
 
     @classmethod
     def of(cls, weights: Mapping[Afferent, NDArray[np.float64]], shared: Shared) -> "KernelTable":
@@ -116,27 +114,15 @@ class KernelLists:
         """Return the currents that flow, (S, E) µA, positive cathodic.
 
         Of weights times amplitudes, added up, the sum from electrode 0 to each one is rounded to
-        whole µA, halves upward; an electrode gets the difference of two of these.
+        whole µA, halves upward; an electrode gets the difference of two of these. What is asked
+        twice of the same numbers is computed once.
         """
-        first, slots, so_far = self.first, len(self.first) - 1, self.table.ua_so_far
-        found = np.empty((slots, so_far.shape[1]), np.int16)
-        amplitude = self.amplitude.astype(np.float64)[:, None]
-        # By as many slots as stay in the processor's cache.
-        step = max(1, _BLOCK // so_far.shape[1])
-        for start in range(0, slots, step):
-            rows = slice(start, min(start + step, slots))
-            pairs = slice(first[start], first[rows.stop])
-            # In doubles all of it is exact: sums stay far below 2^36, in parts of 2^-17.
-            scaled = so_far[self.kernel[pairs]]
-            scaled *= amplitude[pairs]
-            if len(scaled) > rows.stop - start:
-                scaled = np.add.reduceat(scaled, first[rows] - first[start], axis=0)
-            scaled += _ABOVE + 0.5
-            # Nothing is negative now, and cut off is rounded down; what is above 16 bits cancels.
-            whole = scaled.astype(np.int64).astype(np.int16)
-            found[rows, 0] = whole[:, 0]
-            np.subtract(whole[:, 1:], whole[:, :-1], out=found[rows, 1:])
-        return found
+        weights, lists = self.table.weights, (self.first, self.kernel, self.amplitude)
+        kept, electrodes = _bytes_of(weights), weights.shape[1]
+        if tuple(each.dtype for each in lists) != _LIST_TYPES:
+            # Of numbers that are no lists for a board: not as these would be in other types.
+            return _added_up(_ua_so_far(kept, electrodes), *lists)
+        return _currents(kept, electrodes, *(each.tobytes() for each in lists))
 
     def joined(self, other: "KernelLists") -> "KernelLists":
         """Return these slots, and then others of the same table."""
@@ -146,6 +132,68 @@ class KernelLists:
             np.concatenate([self.kernel, other.kernel]),
             np.concatenate([self.amplitude, other.amplitude]),
         )
+
+
+def _backed(values: NDArray[Any], kind: type[np.generic]) -> NDArray[Any]:
+    """Return an array as one backed by bytes."""
+    return np.frombuffer(np.ascontiguousarray(values, kind).tobytes(), kind).reshape(values.shape)
+
+
+def _bytes_of(values: NDArray[np.int16]) -> bytes:
+    """Return the bytes of an array, of one that is backed by bytes without a copy."""
+    base: object = values
+    while type(base) is np.ndarray:
+        base = base.base
+    if type(base) is bytes and len(base) == values.nbytes and values.flags.c_contiguous:
+        return base
+    return np.ascontiguousarray(values, np.int16).tobytes()
+
+
+@lru_cache(maxsize=16)
+def _ua_so_far(weights: bytes, electrodes: int) -> NDArray[np.float64]:
+    """Return each kernel's current summed from electrode 0 to each, (K, E) µA, at amplitude 1."""
+    summed = np.cumsum(
+        np.frombuffer(weights, np.int16).reshape(-1, electrodes), axis=1, dtype=np.float64
+    )
+    # By a power of two: exact.
+    summed *= 2.0**-SHIFT
+    return summed
+
+
+@lru_cache(maxsize=4)
+def _currents(weights: bytes, electrodes: int, *lists: bytes) -> NDArray[np.int16]:
+    """Return the currents of lists of kernels, (S, E) µA, backed by bytes: see `KernelLists`."""
+    arrays: list[Any] = [
+        np.frombuffer(each, kind) for each, kind in zip(lists, _LIST_TYPES, strict=True)
+    ]
+    return _backed(_added_up(_ua_so_far(weights, electrodes), *arrays), np.int16)
+
+
+def _added_up(
+    so_far: NDArray[np.float64],
+    first: NDArray[np.intp],
+    kernel: NDArray[np.uint16],
+    amplitude: NDArray[np.uint16],
+) -> NDArray[np.int16]:
+    slots = len(first) - 1
+    found = np.empty((slots, so_far.shape[1]), np.int16)
+    scale = amplitude.astype(np.float64)[:, None]
+    # By as many slots as stay in the processor's cache.
+    step = max(1, _BLOCK // so_far.shape[1])
+    for start in range(0, slots, step):
+        rows = slice(start, min(start + step, slots))
+        pairs = slice(first[start], first[rows.stop])
+        # In doubles all of it is exact: sums stay far below 2^36, in parts of 2^-17.
+        scaled = so_far.take(kernel[pairs], axis=0)
+        scaled *= scale[pairs]
+        if len(scaled) > rows.stop - start:
+            scaled = np.add.reduceat(scaled, first[rows] - first[start], axis=0)
+        scaled += _ABOVE + 0.5
+        # Nothing is negative now, and cut off is rounded down; what is above 16 bits cancels.
+        whole = scaled.astype(np.int64).astype(np.int16)
+        found[rows, 0] = whole[:, 0]
+        np.subtract(whole[:, 1:], whole[:, :-1], out=found[rows, 1:])
+    return found
 
 
 def largest_amplitude(

@@ -152,6 +152,8 @@ def _groups(
     """Return the groups of slots that have a kind and a shape in common, as bytes and arrays."""
     slots, usual = len(sequence.width_us), STATES if switched else CURRENTS
     lists = None if switched or image is None else _kept(sequence, image)
+    if lists is not None and shape is None and lists[1].all():
+        return _lists(lists[0])
     if lists is None and shape is None:
         if slots > _U16_MAX:
             raise _too_many(slots)
@@ -183,6 +185,26 @@ def _groups(
     return parts
 
 
+def _lists(sums: KernelLists) -> list[Any]:
+    """Return groups of slots of one shape that are all lists: points together, each sum alone."""
+    pairs = np.empty((len(sums.kernel), 2), "<u2")
+    pairs[:, 0], pairs[:, 1] = sums.kernel, sums.amplitude
+    data, first = pairs.tobytes(), sums.first.tolist()
+    parts: list[Any] = []
+    start, slots = 0, len(first) - 1
+    while start < slots:
+        end = start + 1
+        if (what := POINTS if first[end] - first[start] == 1 else SUM) == POINTS:
+            while end < slots and first[end + 1] - first[end] == 1:
+                end += 1
+        count = first[end] - first[start]
+        if count > _U16_MAX:
+            raise _too_many(count)
+        parts += [_GROUP.pack(what, 0, count), data[4 * first[start] : 4 * first[end]]]
+        start = end
+    return parts
+
+
 def _kept(
     sequence: ScanSequence, image: KernelImage
 ) -> tuple[KernelLists, NDArray[np.bool_]] | None:
@@ -195,11 +217,15 @@ def _kept(
     if not _is_sound(own, sequence.slots):
         return None
     made_ua = own.current_ua()
-    same = (made_ua == sequence.current_ua).all(axis=1) & (own.site == sequence.site)
-    known = np.maximum.reduceat(own.kernel, own.first[:-1]) < image.count
+    same = own.site == sequence.site
+    if made_ua.tobytes() != sequence.current_ua.tobytes():
+        same &= (made_ua == sequence.current_ua).all(axis=1)
+    if own.kernel.max() >= image.count:
+        same &= np.maximum.reduceat(own.kernel, own.first[:-1]) < image.count
     # At most what the board adds up in 32 bits.
-    within = np.add.reduceat(own.amplitude, own.first[:-1], dtype=np.int64) <= _U16_MAX
-    return own, same & known & within
+    if own.amplitude.sum(dtype=np.int64) > _U16_MAX:
+        same &= np.add.reduceat(own.amplitude, own.first[:-1], dtype=np.int64) <= _U16_MAX
+    return own, same
 
 
 def _is_sound(lists: KernelLists, slots: int) -> bool:
