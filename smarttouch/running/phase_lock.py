@@ -12,6 +12,8 @@ _IDLE_NS = 50_000
 """Pause of the board from which a sequence counts as late."""
 _OF_20 = 20
 """One sequence in so many may come late."""
+_REMEMBERED = 250
+"""Sequences for which it is remembered what the line took."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +43,8 @@ class PhaseLock:
         self._board, self._statistics = board, statistics
         self._pending: deque[Sent] = deque(maxlen=8)
         self._delays_ns: deque[int] = deque(maxlen=64)
-        self._lines_ns: deque[int] = deque(maxlen=8)
-        """From last byte to start where the board was waiting: what the line takes."""
+        self._lines: deque[tuple[int, int]] = deque(maxlen=8)
+        """Of sequences for which the board waited: number, and from last byte to start, ns."""
         self._free_ns: int | None = None
         """When the board was free after the newest sequence whose start is known."""
         self.newest: FirstPulse | None = None
@@ -66,11 +68,13 @@ class PhaseLock:
                 each.number, (begun_ns - each.taken_ns) / 1000, (begun_ns - each.sent_ns) / 1000
             )
             self._statistics.enter_first_pulse(self.newest)
+            line_ns = self._line_ns(each.number)
             if self._free_ns is not None and begun_ns > self._free_ns + _IDLE_NS:
-                self._lines_ns.append(max(0, begun_ns - each.sent_ns))
+                self._lines.append((each.number, begun_ns - each.sent_ns))
+                line_ns = max(line_ns, begun_ns - each.sent_ns)
             self._free_ns = begun_ns + each.period_ns
             room_ns = begun_ns - each.deadline_ns - (shift_ns - each.shift_ns)
-            more_ns = max(0, room_ns - self._needed_ns())
+            more_ns = max(0, room_ns - line_ns - self._usual_ns() - GUARD_NS)
         return 0 if self._board.simulated_time else more_ns
 
     def forget(self) -> None:
@@ -78,6 +82,12 @@ class PhaseLock:
         self._pending.clear()
         self._free_ns = None
 
-    def _needed_ns(self) -> int:
-        usual_ns = sorted(self._delays_ns)[-1 - len(self._delays_ns) // _OF_20]
-        return usual_ns + max(self._lines_ns, default=0) + GUARD_NS
+    def _usual_ns(self) -> int:
+        """Return the delay from deadline to last byte that 19 of 20 keep."""
+        return sorted(self._delays_ns)[-1 - len(self._delays_ns) // _OF_20]
+
+    def _line_ns(self, number: int) -> int:
+        """Return what the line takes, as two sequences have shown: one may have been held up."""
+        while self._lines and self._lines[0][0] < number - _REMEMBERED:
+            self._lines.popleft()
+        return sorted(each for _, each in self._lines)[-2] if len(self._lines) > 1 else 0

@@ -88,6 +88,16 @@ def test_what_a_slow_line_takes_is_no_wait(line_ns):
     assert board.paused_ns < 0.01 * 400 * board.period_ns
 
 
+def test_a_board_that_is_held_up_once():
+    class HeldUp(Board):
+        def send(self, number, sent_ns):
+            return super().send(number, sent_ns + 15 * MS * (number == 60))
+
+    waits_ns, *_ = play(jitter(120, MS // 2), kind=HeldUp)
+    assert waits_ns[60] > 14 * MS
+    assert np.median(waits_ns[63:70]) <= GUARD_NS + MS
+
+
 @pytest.mark.parametrize("slower", [0.999, 1.001])
 def test_a_board_with_another_second(slower):
     waits_ns, board, _ = play(jitter(1000, MS // 2), period_ns=round(20 * MS * slower))
