@@ -2,16 +2,20 @@
 
 import sys
 import textwrap
-from itertools import zip_longest
+import threading
+import time
+from itertools import groupby, zip_longest
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Group
+from rich.cells import cell_len, set_cell_size
+from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.live import Live
 from rich.panel import Panel
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
@@ -24,6 +28,7 @@ from smarttouch.running.step import FirstPulse, StepResult, summary_lines
 MOST_ROWS, MOST_COLUMNS = 16, 64  # of a picture, in characters: drawing takes the loop's time
 
 _DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
+_SHADE = 15  # step between shades of gray: white stays white
 _DITHER = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) + 0.5) * 16
 """Grey value above which each dot of two signs side by side is bright."""
 
@@ -39,11 +44,13 @@ def image_text(image: NDArray[np.uint8], columns: int, rows: int, *, color: bool
     if not color:
         return _dots(image, wide, rows)
     small = cv2.resize(image, (wide, 2 * rows), interpolation=cv2.INTER_AREA)
+    # Fewer shades make longer runs: drawing takes the loop's time.
+    small = small // _SHADE * _SHADE
     text = Text()
     for upper, lower in zip(small[::2], small[1::2], strict=True):
-        for above, below in zip(upper.tolist(), lower.tolist(), strict=True):
-            style = f"rgb({above},{above},{above}) on rgb({below},{below},{below})"
-            text.append("▀", style=style)
+        for pair, run in groupby(zip(upper.tolist(), lower.tolist(), strict=True)):
+            above, below = (f"rgb({grey},{grey},{grey})" for grey in pair)
+            text.append("▀" * len(list(run)), style=f"{above} on {below}")
         text.append("\n")
     text.right_crop(1)
     return text
@@ -81,8 +88,9 @@ class ArrayPicture:
         spread = min(self._spread, columns // shape[1])
         text = Text()
         for line in most.tolist():
-            for part in line:
-                text.append(*_sign(part, spread))
+            for part, run in groupby(line):
+                sign, style = _sign(part, spread)
+                text.append(sign * len(list(run)), style)
             text.append("\n")
         text.right_crop(1)
         return text
@@ -102,13 +110,17 @@ def _finest(values: NDArray[np.float64]) -> float:
     return float(steps.min()) if steps.size else 1.0
 
 
-_REFRESH_PER_S = 10
+_REFRESH_S = 0.2
+_LEAST_REST = 20
+"""Time between two redraws, at least so many times what the last one took."""
 _KEYS = "+ − intensity    0 none    space pause    m mode    q, Esc end"
 _ROOMY = 20  # rows of a terminal from which an event has two of them
 _LEAST_PICTURE = 9  # fewest rows of the pictures and their title beside the numbers
 _NAME = 9
 
 Rows = tuple[tuple[str, str], ...]
+_Row = list[tuple[str, str]]
+"""Pieces of a row of the terminal, and their styles."""
 
 
 class Screen(Listener):
@@ -128,6 +140,7 @@ class Screen(Listener):
         self._event = ""
         self._keys = keys_help + _KEYS
         self._live: Live | None = None
+        self._over = threading.Event()
 
     def prepare(self, run: RunContext) -> None:
         self._source, self._profile, self._controls = run.source, run.profile, run.controls
@@ -142,10 +155,13 @@ class Screen(Listener):
         self._live = Live(
             console=self._console,
             get_renderable=self._render,
-            refresh_per_second=_REFRESH_PER_S,
+            auto_refresh=False,
             transient=True,
         )
-        self._live.start()
+        self._live.start(refresh=True)
+        self._over.clear()
+        self._drawing = threading.Thread(target=self._draw, args=(self._live,), daemon=True)
+        self._drawing.start()
 
     def start(self, run: RunContext) -> None:
         """If plain, print what runs, and its keys."""
@@ -189,14 +205,28 @@ class Screen(Listener):
         """Restore the terminal."""
         live, self._live = self._live, None
         if live is not None:
+            self._over.set()
+            self._drawing.join()
             live.stop()
             sys.setswitchinterval(self._interval)
+
+    def _draw(self, live: Live) -> None:
+        """Redraw what has changed until the screen is closed; while the machine is busy, less."""
+        drawn: object = None
+        rest_s = _REFRESH_S
+        while not self._over.wait(rest_s):
+            now = self._latest, self._event, self._console.size, self._controls.state(0)
+            if now == drawn:
+                continue
+            drawn, began_s = now, time.monotonic()
+            live.refresh()
+            rest_s = max(_REFRESH_S, _LEAST_REST * (time.monotonic() - began_s))
 
     def _print(self, line: str) -> None:
         line = line.replace("\n", " ")
         self._console.print(line, soft_wrap=True, highlight=False, markup=False)
 
-    def _render(self) -> Group | Text:
+    def _render(self) -> RenderableType:
         """Draw all of it, in a constant number of rows that fits the terminal."""
         sent = self._latest
         if sent is None:
@@ -209,12 +239,15 @@ class Screen(Listener):
         left = height - 4 - len(texts)
         numbers = self._numbers(sent)
         rows = max(0, min(-(-len(numbers) // 2), left - _LEAST_PICTURE))
-        return Group(
-            _line(f"{self._source.title}  →  {self._profile.title}  →  {self._url}", "bold"),
-            _columns(self._gauges(sent, width // 2 - 1), width),
-            *(_line(text, "dim") for text in texts),
-            self._pictures(sent, width, max(2, min(left - rows, 1 + MOST_ROWS))),
-            _columns(numbers[: 2 * rows], width),
+        return _Rows(
+            width,
+            [
+                [(f"{self._source.title}  →  {self._profile.title}  →  {self._url}", "bold")],
+                *_columns(self._gauges(sent, width // 2 - 1), width),
+                *([(text, "dim")] for text in texts),
+                *self._pictures(sent, width, max(2, min(left - rows, 1 + MOST_ROWS))),
+                *_columns(numbers[: 2 * rows], width),
+            ],
         )
 
     def _keys_lines(self, width: int) -> list[str]:
@@ -225,7 +258,7 @@ class Screen(Listener):
         lines = textwrap.wrap("   ".join(groups), width)
         return [line.replace("\xa0", " ") for line in lines]
 
-    def _pictures(self, sent: StepResult, width: int, rows: int) -> Table:
+    def _pictures(self, sent: StepResult, width: int, rows: int) -> list[_Row]:
         image, half = sent.step.input.image, max(2, (width - 3) // 2)
         electrodes, rows = sent.delivered_ma / self._full_ma, rows - 1
         if image is None:
@@ -235,15 +268,17 @@ class Screen(Listener):
         else:
             title = "source sees"
             given = image_text(image, half, rows, color=not self._console.no_color)
-        beside = max(2, width - 3 - max(len(title), *map(len, given.split())))
+        pictured = _rows_of(given)
+        wide = max(len(title), *(sum(len(words) for words, _ in row) for row in pictured))
+        beside = max(2, width - 3 - wide)
         merged = self._array.merged(beside, rows)
         what = f"{sent.step.mode} electrodes" + f", {merged} × {merged} each" * (merged > 1)
-        table = Table.grid(padding=(0, 3, 0, 0))
-        table.add_row(Text(title, style="dim"), _line(what, "dim"))
+        drawn = _rows_of(self._array.draw(electrodes, beside, rows))
         # Always as high as it may be.
-        given.append("\n" * (rows - len(given.split())))
-        table.add_row(given, self._array.draw(electrodes, beside, rows))
-        return table
+        for each in (pictured, drawn):
+            each += [[] for _ in range(rows - len(each))]
+        pairs = [([(title, "dim")], [(what, "dim")]), *zip(pictured, drawn, strict=True)]
+        return [[*_padded(left, wide + 3), *right] for left, right in pairs]
 
     def _gauges(self, sent: StepResult, width: int) -> Rows:
         """Return the values that limit the stimulus, each with a bar, in half the width."""
@@ -292,9 +327,9 @@ class Screen(Listener):
 def _latency(sent: StepResult, pulse: FirstPulse | None) -> str:
     """Return the latency to the first pulse, or as far as it is known, in words."""
     if pulse is not None:
-        return f"{pulse.latency_us / 1e3:.1f} ms, image to first pulse"
+        return f"{pulse.latency_us / 1e3:.1f} ms, image to pulse"
     known_ms = sent.step.input.age_ns / 1e6 + sent.latency_us / 1e3
-    return f"{known_ms:.1f} ms to last byte, to first pulse unknown"
+    return f"{known_ms:.1f} ms, pulse unknown"
 
 
 def _beside(shared: tuple[float, float] | None) -> str:
@@ -309,20 +344,64 @@ def bar(part: float, width: int = 10) -> str:
     return "█" * filled + "░" * (width - filled)
 
 
-def _line(text: str, style: str = "") -> Text:
-    """Return a text that stays in one row."""
-    return Text(text, style=style, no_wrap=True, overflow="ellipsis")
+class _Rows:
+    """Rows of pieces of text with their styles, each in one row of a terminal.
+
+    Nothing is measured twice, wrapped or nested, which takes most of the time of tables.
+    """
+
+    def __init__(self, width: int, rows: list[_Row]) -> None:
+        self._width, self._rows = width, rows
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        for row in self._rows:
+            left = self._width
+            for words, style in row:
+                shown = _fitting(words, left)
+                left -= cell_len(shown)
+                yield Segment(shown, console.get_style(style) if style else None)
+            yield Segment.line()
 
 
-def _columns(rows: Rows, width: int) -> Table:
+def _fitting(words: str, width: int) -> str:
+    """Return words that fit a width, what is left out as an ellipsis."""
+    if cell_len(words) <= width:
+        return words
+    return set_cell_size(words, width - 1) + "…" if width > 0 else ""
+
+
+def _padded(row: _Row, width: int) -> _Row:
+    """Return a row filled up with spaces."""
+    return [*row, (" " * (width - sum(cell_len(words) for words, _ in row)), "")]
+
+
+def _rows_of(text: Text) -> list[_Row]:
+    """Return the lines of a text that was put together piece by piece."""
+    rows: list[_Row] = [[]]
+    end = 0
+    for span in [*text.spans, None]:
+        start = len(text.plain) if span is None else span.start
+        before, *lines = text.plain[end:start].split("\n")
+        if before:
+            rows[-1].append((before, ""))
+        rows += [[(line, "")] if line else [] for line in lines]
+        if span is not None:
+            rows[-1].append((text.plain[start : span.end], str(span.style)))
+            end = span.end
+    return rows
+
+
+def _columns(rows: Rows, width: int) -> list[_Row]:
     """Return names and values, two pairs in a row."""
-    table = Table.grid(padding=(0, 1, 0, 0))
-    for each in (_NAME, max(1, width // 2 - _NAME - 2)) * 2:
-        table.add_column(width=each, no_wrap=True, overflow="ellipsis")
-    for left, right in zip_longest(rows[::2], rows[1::2], fillvalue=("", "")):
-        cells = zip((*left, *right), ("dim", "") * 2, strict=True)
-        table.add_row(*(Text(text, style) for text, style in cells))
-    return table
+    wide = max(1, width // 2 - _NAME - 2)
+    found: list[_Row] = []
+    for pairs in zip_longest(rows[::2], rows[1::2], fillvalue=("", "")):
+        row: _Row = []
+        for name, value in pairs:
+            row += _padded([(_fitting(name, _NAME), "dim")], _NAME + 1)
+            row += _padded([(_fitting(value, wide), "")], wide + 1)
+        found.append(row)
+    return found
 
 
 _BLIND_KEYS = "+ − amplitude    0 none    space pause    q, Esc end, goes on another time"
@@ -338,7 +417,7 @@ class BlindScreen(Screen):
     def hides(self, event: Event) -> bool:
         return event.reveals
 
-    def _render(self) -> Group | Text:
+    def _render(self) -> RenderableType:
         sent = self._latest
         if sent is None:
             return Text("waiting for the first frame")
