@@ -4,7 +4,6 @@ import threading
 from abc import abstractmethod
 
 from smarttouch.profile import Profile
-from smarttouch.running.listener import RunContext
 from smarttouch.running.session_feed import SessionFeed
 from smarttouch.running.touch import Touch
 from smarttouch.sources.source_contract import Input
@@ -28,13 +27,10 @@ class ProgramSource(SessionFeed):
     def program(self, touch: Touch) -> None:
         """Show what there is to show."""
 
-    def start(self, run: RunContext) -> None:
-        """Begin: the board is open."""
-        super().start(run)
-        self._thread.start()
-
     def read(self, time_ns: int) -> Input | None:
-        """Return what the program shows now; None once it has ended."""
+        """Return what the program shows now, from the first read on; None once it has ended."""
+        if self._thread.ident is None and not self.is_over:
+            self._thread.start()
         given = super().read(time_ns)
         if given is None and self._failed is not None:
             raise self._failed

@@ -162,8 +162,7 @@ class Runner:
             regulator = make_regulator(board, profile, self.config, self._advise)
             context.settings |= self._board_settings(regulator)
             source = self.source
-            # Last, as a source that is a program begins at once.
-            for listener in (*self._listeners, *([source] if isinstance(source, Listener) else ())):
+            for listener in (*([source] if isinstance(source, Listener) else ()), *self._listeners):
                 listener.start(context)
             run_loop(
                 self.source,

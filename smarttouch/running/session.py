@@ -13,7 +13,8 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.listener import Listener
 from smarttouch.running.runner import Runner
-from smarttouch.running.session_feed import Pattern, SessionFeed, Show
+from smarttouch.running.session_feed import Pattern, SessionFeed
+from smarttouch.running.show_request import Show
 from smarttouch.running.step import RunStatistics, StepResult
 from smarttouch.running.touch import Shown, Touch
 from smarttouch.sources.force import ForceSource

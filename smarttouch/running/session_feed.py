@@ -3,8 +3,7 @@
 import math
 import threading
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,8 +15,9 @@ from smarttouch.base.stopping import StopRequest
 from smarttouch.base.tactile_image import TactileImage
 from smarttouch.imaging.tactile_mapper import TactileMapper
 from smarttouch.profile import Profile
-from smarttouch.running.inputs import Controls
+from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import Listener, RunContext
+from smarttouch.running.show_request import SILENT_US, STEADY, Show
 from smarttouch.running.step import StepResult
 from smarttouch.sources.given_sources import checked_activation, gray_image
 from smarttouch.sources.source_contract import Frame, Input, Source, Stimulus
@@ -25,67 +25,8 @@ from smarttouch.stimulation.intensity import force_gate
 
 Pattern = NDArray[Any] | Frame | TactileImage
 """Activation (E,) or (3, E), an image (H, W), a frame, or a tactile image."""
-STEADY = 0.98
-"""Part of a level that counts as reached."""
-FAINT = 0.01
-"""Activation of pulses that open a level: those of threshold."""
 IDLE_NS = 45_000_000
 """Longest time without a sequence while nothing is shown."""
-SILENT_US = 20_000
-"""Period of a silence that is asked for, and of pulses that open a level."""
-
-
-Level = float | Callable[[float], float | None]
-"""Part of an intensity, in [0, 1]; or a function of the seconds since a pattern began, which ends
-it by None."""
-
-
-@dataclass(eq=False)
-class Show:
-    """A pattern or a silence that is asked for, and what has become of it.
-
-    Without seconds a pattern is its level alone, and a silence lasts until its level is None.
-    """
-
-    pattern: NDArray[np.float32] | Frame | None
-    level: Level
-    seconds: float | None
-    opens: float | None = None
-    """Level that must be open before it begins."""
-    patience_s: float | None = None
-    at_ns: int | None = None
-    period_us: int | None = None
-    exact: bool = False
-    """Whether neither force nor the user's level may lower it."""
-    least: float = STEADY
-    """Part of what is asked below which its level is lost."""
-    over: threading.Event = field(default_factory=threading.Event)
-    fault: str = ""
-    began: bool = False
-    asked_ns: int | None = None
-    time_ns: int = 0
-    clock_ns: int = 0
-    first: int | None = None
-    """Number of its first sequence."""
-    board_us: int | None = None
-    ramped_ns: int = 0
-    sequences: int = 0
-    pulses: int = 0
-    lowest: float | None = None
-    current_ma: float = 0.0
-    """Strongest of its last pulses."""
-    faint: float = FAINT
-
-    def level_at(self, since_ns: int) -> float | None:
-        """Return its level a while after it began; None where that ends it."""
-        return self.level(since_ns / 1e9) if callable(self.level) else self.level
-
-    def is_past(self, time_ns: int, least_ns: int) -> bool:
-        """Return whether it is over; no silence is shorter than ``least_ns``."""
-        if not self.began or self.seconds is None:
-            return bool(self.fault)
-        left_ns = self.time_ns + round(1e9 * self.seconds) - time_ns
-        return bool(self.fault) or left_ns < (least_ns if self.pattern is None else 1)
 
 
 class SessionFeed(Source, Listener):
@@ -103,9 +44,10 @@ class SessionFeed(Source, Listener):
         super().__init__(title or "session")
         self.news: threading.Event = threading.Event()
         self.began, self.is_over = threading.Event(), False
-        self.controls: Controls
+        self.controls = Controls(ControlState(Mode.RA))
         self.gate = self.user_level = 0.0
         """What force and the user let flow of a level, in [0, 1]."""
+        self.frames = 1  # the silence before all patterns
         self.now_ns = 0
         """Time of the last read, since the start of the run."""
         self._read_at_ns = (0, 0)
@@ -120,8 +62,8 @@ class SessionFeed(Source, Listener):
         self._put: tuple[NDArray[np.float32] | Frame, int, int] | None = None
         self._put_sent_ns: int | None = None
         self._seen: tuple[Mode, bool] | None = None
-        self._run: RunContext
-        self._mapper: TactileMapper
+        self._context: RunContext | None = None
+        self._mapper = TactileMapper(profile)
 
     # -- from the program's threads -------------------------------------------
 
@@ -155,7 +97,7 @@ class SessionFeed(Source, Listener):
         """Show something next, unless it has been canceled."""
         with self._lock:
             if self.is_over:
-                _end(show, "the session has ended")
+                show.end("the session has ended")
             elif not show.over.is_set():
                 self._show = show
         self.news.set()
@@ -166,15 +108,16 @@ class SessionFeed(Source, Listener):
             if self._show is show:
                 self._show = None
             if not show.over.is_set():
-                _end(show, "it was canceled")
+                show.end("it was canceled")
         self.news.set()
 
     def put(self, pattern: NDArray[np.float32] | Frame, stale_ns: int) -> None:
         """Show a pattern until another, or until it is stale."""
         with self._lock:
-            self.frames += 1
+            self.dropped_frames += self._put is not None and self._put_sent_ns is None
             self._put = pattern, time.monotonic_ns() + stale_ns, self.frames
             self._put_sent_ns = None
+            self.frames += 1
         self.news.set()
 
     def end(self) -> None:
@@ -189,7 +132,7 @@ class SessionFeed(Source, Listener):
             self.is_over = True
             show, self._show = self._show, None
         if show is not None:
-            _end(show, "the session ended meanwhile")
+            show.end("the session ended meanwhile")
         self.began.set()
         self.news.set()
 
@@ -197,7 +140,7 @@ class SessionFeed(Source, Listener):
 
     def start(self, run: RunContext) -> None:
         """Begin: the board is open."""
-        self._run, self.controls = run, run.controls
+        self._context, self.controls = run, run.controls
         self._mapper = TactileMapper(run.profile, run.config.light_on_dark, run.config.tone)
         self.began.set()
 
@@ -269,7 +212,9 @@ class SessionFeed(Source, Listener):
             self._put = None
             return replace(self._silent(time_ns), stale=True)
         self._put_sent_ns = time_ns
-        return self._input(pattern, time_ns, number, self._least_us)
+        # Classes keep their own rates in natural mode.
+        natural = self.controls.state(time_ns).mode is Mode.NATURAL
+        return self._input(pattern, time_ns, number, None if natural else self._least_us)
 
     def _input(
         self,
@@ -284,8 +229,6 @@ class SessionFeed(Source, Listener):
         if isinstance(pattern, Frame):
             force_n = force_n if math.isnan(pattern.force_n) else pattern.force_n
             mode, image = self.controls.state(time_ns).mode, pattern.image
-            if mode is Mode.NATURAL:
-                period_us = None
             frame = replace(pattern, time_ns=time_ns, force_n=force_n)
             pattern = self._mapper.map(frame, mode).activation
         return Stimulus(pattern, time_ns, force_n, period_us, level, number=number, image=image)
@@ -312,18 +255,11 @@ class SessionFeed(Source, Listener):
             self._end_show(show)
             return None
         if show.pattern is None:
-            return self._silent(time_ns, self._silence_us(show, time_ns))
+            return self._silent(time_ns, show.silence_us(time_ns, self._silent_us, self._least_us))
         period_us = show.period_us
         if period_us is None and self.controls.state(time_ns).mode is Mode.COLOR:
             period_us = self._usual_ns // 1000
-        return self._input(show.pattern, time_ns, self.frames, period_us, level)
-
-    def _silence_us(self, show: Show, time_ns: int) -> int:
-        """Return the next part of a silence, which ends at its end to the microsecond."""
-        if show.seconds is None:
-            return self._silent_us
-        left_us = (show.time_ns + round(1e9 * show.seconds) - time_ns) // 1000
-        return left_us if left_us <= self._silent_us + self._least_us else self._silent_us
+        return self._input(show.pattern, time_ns, self.frames - 1, period_us, level)
 
     def _end_if_past(self, time_ns: int) -> None:
         show = self._show
@@ -331,7 +267,8 @@ class SessionFeed(Source, Listener):
             self._end_show(show)
 
     def _end_show(self, show: Show) -> None:
-        self._note_start(show)
+        if self._context is not None:
+            show.note_start(self._context.board)
         self._show = None
         show.over.set()
 
@@ -360,7 +297,7 @@ class SessionFeed(Source, Listener):
         show.ramped_ns = time_ns - show.asked_ns + 1000 * self._least_us
         faint = np.asarray(np.float32(show.faint) * active, np.float32)
         return Stimulus(
-            faint, time_ns, self._press_n, self._silent_us, show.opens, number=self.frames
+            faint, time_ns, self._press_n, self._silent_us, show.opens, number=self.frames - 1
         )
 
     def note_opening(self) -> None:
@@ -372,11 +309,11 @@ class SessionFeed(Source, Listener):
 
     def _is_open(self, show: Show, time_ns: int) -> bool:
         asked = (show.opens or 0.0) * self._scale(show)
-        return 0 < STEADY * asked <= self._run.open_level(time_ns)
+        return self._context is not None and 0 < STEADY * asked <= self._context.open_level(time_ns)
 
     def step(self, result: StepResult) -> None:
         """Take note of how the last input was sent."""
-        step, sequence = result.step, result.step.sequence
+        step = result.step
         self.gate = force_gate(step.input.force_n, self._profile.force)
         self.user_level = 0.0 if self.controls.state(0).paused else step.level
         with self._lock:
@@ -384,39 +321,11 @@ class SessionFeed(Source, Listener):
             if show is None or show.asked_ns is None or show.pattern is None:
                 return
             asked = step.tactile.level * self._scale(show)
-            if not show.began:
-                if 0 < STEADY * asked <= sequence.intensity:
-                    # Claimed in full, and not open: pulses this weak do not open that much, and
-                    # where the strongest are none, there is nothing to open.
-                    if show.faint == 1 and not sequence.slots:
-                        show.opens = None
-                    show.faint = min(1.0, 2 * show.faint)
-                return
-            show.first = result.number if show.first is None else show.first
-            show.sequences += 1
-            show.pulses += sequence.slots
-            show.lowest = min(sequence.intensity, math.inf if show.lowest is None else show.lowest)
-            if sequence.slots:
-                show.current_ma = float(np.abs(sequence.current_ua).max()) / 1000
-            lost = result.number is None or step.restarted or (asked == 0 and not show.exact)
-            if lost or sequence.intensity < show.least * asked:
-                show.fault = (
-                    f"its level was lost after {show.sequences} sequences: the finger was lifted, "
-                    "the session paused, or the board lost"
-                )
-
-    def _note_start(self, show: Show) -> None:
-        """Note when the first pulse of a pattern began, if the board says so."""
-        board = self._run.board
-        start = None if show.first is None else board.start_of(show.first)
-        if start is not None:
-            show.board_us = start.board_us
-            if not board.simulated_time:
-                # The board's clock may run while the machine sleeps, the program's does not.
-                show.clock_ns = time.monotonic_ns() - (board.clock.now_ns() - start.time_ns)
+            show.note(result, asked)
 
     def _silent(self, time_ns: int, period_us: int | None = None) -> Stimulus:
-        return Stimulus(self._nothing, time_ns, self._press_n, period_us or self._least_us)
+        number, period_us = self.frames - 1, period_us or self._least_us
+        return Stimulus(self._nothing, time_ns, self._press_n, period_us, number=number)
 
     @property
     def most_hz(self) -> float:
@@ -428,8 +337,3 @@ class SessionFeed(Source, Listener):
         place_mm, driven = self._profile.electrodes.position_mm, self._profile.driven
         away_mm = np.hypot(*(place_mm[driven] - place_mm.mean(axis=0)).T)
         return int(driven[away_mm.argmin()])
-
-
-def _end(show: Show, why: str) -> None:
-    show.fault = why
-    show.over.set()

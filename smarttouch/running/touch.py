@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import LevelNotReachedError, SmartTouchError
 from smarttouch.base.events import Note
-from smarttouch.running.session_feed import Level, Pattern, SessionFeed, Show
+from smarttouch.running.session_feed import Pattern, SessionFeed
+from smarttouch.running.show_request import Level, Show
 from smarttouch.sources.source_contract import Frame
 
 _PATIENCE_S = 10.0

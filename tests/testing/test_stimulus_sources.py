@@ -58,7 +58,7 @@ class TestExperiment(StimulusContract):
         path = self.folder / f"{len([*self.folder.iterdir()])}.csv"
         opened = lab.open_experiment(made, profile, lab.TrialTiming(), about, path, overwrite=False)
         sitting = self.sittings.enter_context(opened)
-        return sitting.source(lab.reading_force_n(profile), in_real_time=False)
+        return sitting.source(simulated=True)
 
     def make_impossible(self, profile):
         lab.new_experiment("frequency", profile, lab.ExperimentOptions(site=64))

@@ -9,7 +9,7 @@ from smarttouch.base.events import TrialEvent
 from smarttouch.experiments.psychophysics.trials import Answer, Train, Trial, Trials, TrialTiming
 from smarttouch.profile import Profile
 from smarttouch.running.program_source import ProgramSource
-from smarttouch.running.session_feed import SILENT_US, STEADY, Level, Show
+from smarttouch.running.show_request import SILENT_US, STEADY, Level, Show
 from smarttouch.running.step import StepResult
 from smarttouch.running.touch import Touch
 from smarttouch.stimulation.intensity import FIRST_NS, MOST_STEP_NS
