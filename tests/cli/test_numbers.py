@@ -136,11 +136,13 @@ def test_numbers(tmp_path):
     bases = {
         name: base.format(golden=golden, answers=answers).split() for name, base in BASES.items()
     }
-    for base in bases.values():
-        code, err, interrupted = one_run(tmp_path, base, 100)
-        assert (code, interrupted) == (0, 0), (base, err)
-        assert_in_order(base, code, err, interrupted)
-    for name, option, number in chosen_runs():
+    runs = chosen_runs()
+    for name, base in bases.items():
+        if name in {name for name, _, _ in runs}:
+            code, err, interrupted = one_run(tmp_path, base, 100)
+            assert (code, interrupted) == (0, 0), (base, err)
+            assert_in_order(base, code, err, interrupted)
+    for name, option, number in runs:
         base = list(bases[name])
         if option in base:
             at = base.index(option)

@@ -16,7 +16,9 @@ from smarttouch.base.errors import (
     SourceError,
 )
 from smarttouch.base.events import Advice, IntensityChanged, ModeChanged, RunEnded
+from smarttouch.boards.reports import judge
 from smarttouch.kernels.bank import load_bank
+from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import open_display
 from smarttouch.running.listener import Listener
@@ -205,17 +207,16 @@ def test_each_run_on_a_display_tells_its_own_notes(profile, bank, display):
     assert [told[1].count("first"), told[1].count("second")] == [0, 1]
 
 
-def test_broken_electrodes_are_planned_around(profile, source, display, monkeypatch):
-    from smarttouch.boards.reports import judge
-
-    kohm = np.full(64, 0.2)
-    monkeypatch.setattr(
-        display.board, "_measure", lambda: judge(np.where(np.arange(64) == 27, 0, kohm), 1.0, 9.0)
-    )
-    noting = Noting()
-    Runner(source, display, RunConfig(measure=True), listeners=[noting]).run()
-    assert noting.context.profile.output.masked == (27,)
-    assert not any(each.sequence.current_ua[:, 27].any() for each in noting.results)
+def test_broken_electrodes_are_planned_around(monkeypatch):
+    small, kohm, noting = load_profile("line-7"), np.full(7, 0.2), Noting()
+    kohm[2] = 0
+    with open_display("simulated:", small) as display:
+        monkeypatch.setattr(display.board, "_measure", lambda: judge(kohm, 1.0, 9.0))
+        source = open_source("text:on", small, speed_mm_s=400)
+        Runner(source, display, RunConfig(measure=True), listeners=[noting]).run()
+    assert noting.context.profile.output.masked == (2,)
+    assert any(each.sequence.slots for each in noting.results)
+    assert not any(each.sequence.current_ua[:, 2].any() for each in noting.results)
 
 
 def test_outputs_are_listeners(profile, source, display, tmp_path):
