@@ -89,7 +89,6 @@ def test_a_sensor_tells_the_motion():
 
 @pytest.mark.parametrize(("url", "options", "about", "value"), [
     ("wheel:", {}, "motion", "wheel:"),
-    ("sweep", {}, "motion", "sweep"),
     ("sweep:x", {}, "rounds", "x"),
     ("sweep:0", {}, "rounds", "0"),
     ("sweep:99999", {}, "rounds", "99999"),

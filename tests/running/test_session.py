@@ -7,6 +7,7 @@ import os
 import signal
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -174,6 +175,12 @@ def test_the_newest_pattern_wins_and_a_stale_one_is_zero(url):
     assert any(each.input.stale for each in results)
 
 
+def in_a_loop(coroutine):
+    """Return what a coroutine returns, in a thread: a browser has a loop in the main one."""
+    with ThreadPoolExecutor(1) as pool:
+        return pool.submit(asyncio.run, coroutine).result()
+
+
 def test_a_program_awaits_patterns_while_others_go_on():
     touch, _ = session("simulated:")
 
@@ -193,7 +200,7 @@ def test_a_program_awaits_patterns_while_others_go_on():
         return shown, ticks
 
     with touch:
-        shown, ticks = asyncio.run(main())
+        shown, ticks = in_a_loop(main())
     assert shown.sequences == 25
     assert ticks > 1
 
@@ -269,7 +276,7 @@ def test_a_task_that_is_canceled_ends_its_pattern():
         return await touch.show_async(RING, 0.1)
 
     with touch:
-        assert asyncio.run(main()).sequences == 5
+        assert in_a_loop(main()).sequences == 5
     rolled = [each for each in results if each.tactile.activation[0, 21] > 0.5]
     assert rolled == []
 
