@@ -22,9 +22,9 @@ run = st.load_recording(path)
 table = run.to_dataframe()
 by_tenth = table.groupby(table.time_ns // 100_000_000).agg({"slots": "mean", "strongest_ua": "max"})
 print(by_tenth.head())
-figure, (force, activation) = plt.subplots(2, sharex=True, layout="constrained")
-force.plot(table.time_ns / 1e9, table.strongest_ua / 1000)
-force.set_ylabel("strongest, mA")
+figure, (strongest, activation) = plt.subplots(2, sharex=True, layout="constrained")
+strongest.plot(table.time_ns / 1e9, table.strongest_ua / 1000)
+strongest.set_ylabel("strongest, mA")
 activation.imshow(
     run.arrays.activation[:, st.Afferent.RA].T, aspect="auto", cmap="Greys",
     extent=(0, run.seconds, 64, 0),

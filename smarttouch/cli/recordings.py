@@ -49,7 +49,7 @@ def export(
     file: _File,
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A new or an empty one.")],
 ) -> None:
-    """Write images as PNG, tables as CSV, and tactile images and sequences as NPZ."""
+    """Write images as PNG, steps and events as CSV, and all numbers as NPZ."""
     from smarttouch.running.recording_files import export as write_out
 
     for path in write_out(file, folder):

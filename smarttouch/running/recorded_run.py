@@ -31,11 +31,20 @@ class RunArrays:
     mode : ndarray, (N,) str
     level, intensity : ndarray, (N,) float64, in [0, 1]
         What the user asked for, and what was reached.
-    period_us : ndarray, (N,) int64
-    force_n, x_mm, y_mm : ndarray, (N,) float64
-        Force that counted, and the place on the page.
-    latency_us : ndarray, (N,) float64
-        From the input in hand to the last byte written.
+    restarted : ndarray, (N,) bool
+        Whether intensity began at zero with the step.
+    asked_us, period_us : ndarray, (N,) int64
+        To the next sequence: as rates ask, and as it was.
+    force_n, x_mm, y_mm, angle_rad : ndarray, (N,) float64
+        Force that counted, place on the page, and turn, clockwise.
+    age_ns, stale : ndarray, (N,) int64 and bool
+        Age of the input, and whether its source was silent.
+    latency_us, work_us : ndarray, (N,) float64
+        From the input in hand to the last byte written, and processor time of the loop.
+    sent : ndarray, (N,) int64
+        The board's number of the sequence; -1 where the board was lost with it.
+    acknowledged, refused : ndarray, (N,) int64
+        Sequences that the board had begun, or declined, until then.
     first_pulse_us : ndarray, (N,) float64
         From the taking of the image to its first pulse; NaN if the board did not say.
     activation : ndarray, (N, 3, E) float32
@@ -47,8 +56,8 @@ class RunArrays:
     width_us, discharge_us, site : ndarray, (S,) uint16
     recharge_us, recharge_ua : ndarray, (N,) int64 and (N, E) int16
         Recharge phases; zero where there is none.
-    volts, volts_step : ndarray, (V,) float32, and int64
-        Measured voltage of each slot of some steps, and these steps; -1 if unknown.
+    volts, volts_step : ndarray, (V,) float32, and (M,) int64
+        Measured voltage of each slot of M steps, one after another, and these steps; -1 if unknown.
     """
 
     step: NDArray[np.int64]
@@ -57,11 +66,20 @@ class RunArrays:
     mode: NDArray[np.str_]
     level: NDArray[np.float64]
     intensity: NDArray[np.float64]
+    restarted: NDArray[np.bool_]
+    asked_us: NDArray[np.int64]
     period_us: NDArray[np.int64]
     force_n: NDArray[np.float64]
     x_mm: NDArray[np.float64]
     y_mm: NDArray[np.float64]
+    angle_rad: NDArray[np.float64]
+    age_ns: NDArray[np.int64]
+    stale: NDArray[np.bool_]
     latency_us: NDArray[np.float64]
+    work_us: NDArray[np.float64]
+    sent: NDArray[np.int64]
+    acknowledged: NDArray[np.int64]
+    refused: NDArray[np.int64]
     first_pulse_us: NDArray[np.float64]
     activation: NDArray[np.float32]
     first_slot: NDArray[np.int64]
@@ -74,9 +92,30 @@ class RunArrays:
     volts: NDArray[np.float32]
     volts_step: NDArray[np.int64]
 
+    def by_step(self) -> dict[str, NDArray[Any]]:
+        """Return all that has one value for each step, and its ``slots`` and ``strongest_ua``: the
+        largest magnitude of current through an electrode, µA."""
+        counts = np.diff(self.first_slot)
+        strongest = np.zeros(len(counts), np.int32)
+        of_slot = np.abs(self.current_ua.astype(np.int32)).max(axis=1, initial=0)
+        np.maximum.at(strongest, np.repeat(np.arange(len(counts)), counts), of_slot)
+        own = {
+            name: each
+            for name, each in vars(self).items()
+            if each.ndim == 1 and name not in _NOT_OF_STEPS
+        }
+        return own | {"slots": counts, "strongest_ua": strongest}
+
 
 _SLOTS = ("current_ua", "width_us", "discharge_us", "site")
-_REAL = ("level", "intensity", "force_n", "x_mm", "y_mm", "latency_us", "first_pulse_us")
+_NOT_OF_STEPS = (*_SLOTS, "first_slot", "volts", "volts_step")
+_REAL = (
+    "level", "intensity", "force_n", "x_mm", "y_mm", "angle_rad", "latency_us", "work_us",
+    "first_pulse_us",
+)  # fmt: skip
+_TRUTHS = ("restarted", "stale")
+_OF_THE_MOMENT = ("latency_us", "work_us", "first_pulse_us", "acknowledged", "refused")
+"""What differs between two runs that are the same."""
 
 
 class ArrayCollector:
@@ -92,7 +131,7 @@ class ArrayCollector:
     def add(self, recorded: RecordedStep) -> None:
         """Add a step."""
         step, columns = recorded.step, self._columns
-        sequence, given = step.sequence, step.input
+        sequence, given, sent = step.sequence, step.input, recorded.sent
         none = np.zeros(self._electrodes, np.int16)
         for name, value in {
             "step": recorded.index,
@@ -101,11 +140,20 @@ class ArrayCollector:
             "mode": step.mode.value,
             "level": step.level,
             "intensity": sequence.intensity,
+            "restarted": step.restarted,
+            "asked_us": step.asked_us,
             "period_us": sequence.period_us,
             "force_n": given.force_n,
             "x_mm": given.pose.x_mm,
             "y_mm": given.pose.y_mm,
-            "latency_us": recorded.sent.latency_us,
+            "angle_rad": given.pose.angle_rad,
+            "age_ns": given.age_ns,
+            "stale": given.stale,
+            "latency_us": sent.latency_us,
+            "work_us": sent.work_us,
+            "sent": -1 if sent.number is None else sent.number,
+            "acknowledged": recorded.acknowledged,
+            "refused": recorded.refused,
             "first_pulse_us": np.nan,
             "activation": step.tactile.activation,
             "first_slot": columns["first_slot"][-1] + sequence.slots,
@@ -115,9 +163,9 @@ class ArrayCollector:
             columns[name].append(value)
         for name in _SLOTS:
             columns[name].append(getattr(sequence, name))
-        if recorded.sent.number is not None:
-            self._step_of[recorded.sent.number] = len(columns["step"]) - 1
-        pulse = recorded.sent.first_pulse
+        if sent.number is not None:
+            self._step_of[sent.number] = len(columns["step"]) - 1
+        pulse = sent.first_pulse
         if pulse is not None and pulse.number in self._step_of:
             columns["first_pulse_us"][self._step_of[pulse.number]] = pulse.latency_us
         self._step_at[sequence.time_ns] = recorded.index
@@ -140,6 +188,7 @@ class ArrayCollector:
         made["recharge_ua"] = np.array(columns["recharge_ua"], np.int16).reshape(-1, count)
         for name in columns.keys() - made.keys():
             kind: Any = np.float64 if name in _REAL else np.str_ if name == "mode" else np.int64
+            kind = np.bool_ if name in _TRUTHS else kind
             made[name] = np.array(columns[name], kind)
         return RunArrays(**made)
 
@@ -210,29 +259,18 @@ class RecordedRun:
             raise SmartTouchError(
                 "tables need pandas: pip install 'smarttouch[data]'", about="extra", remedy="data"
             ) from None
-        arrays, own = self.arrays, vars(self.arrays)
-        count = len(arrays.step)
-        of_slots = (*_SLOTS, "volts", "volts_step")
-        table = {
-            name: each
-            for name, each in own.items()
-            if each.shape == (count,) and name not in of_slots
-        }
-        table["slots"] = np.diff(arrays.first_slot)
-        of_slot = np.abs(arrays.current_ua.astype(np.int32)).max(axis=1, initial=0)
-        strongest = np.zeros(count, np.int32)
-        np.maximum.at(strongest, np.repeat(np.arange(count), table["slots"]), of_slot)
-        return pandas.DataFrame(table | {"strongest_ua": strongest})
+        return pandas.DataFrame(self.arrays.by_step())
 
     def compare(self, other: "RecordedRun") -> dict[str, float]:
         """Return the largest difference of each array that differs; empty if they are the same.
 
-        Infinite where shapes or words differ.
+        Infinite where shapes or words differ. Delays and what the board reported of them are of the
+        moment and not compared.
         """
         found = {}
         for each in fields(RunArrays):
             mine, theirs = getattr(self.arrays, each.name), getattr(other.arrays, each.name)
-            if each.name in ("latency_us", "first_pulse_us"):
+            if each.name in _OF_THE_MOMENT:
                 continue
             if mine.shape != theirs.shape:
                 found[each.name] = float("inf")

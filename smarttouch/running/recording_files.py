@@ -2,11 +2,9 @@
 
 import csv
 from collections import Counter
-from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TextIO
 
 import cv2
 import numpy as np
@@ -20,7 +18,6 @@ from smarttouch.running.recorded_run import ArrayCollector
 from smarttouch.running.recorder import new_writer
 from smarttouch.running.recording_format import LAST, METADATA
 from smarttouch.running.recording_reader import Recording
-from smarttouch.running.step_decoder import RecordedStep
 
 
 @dataclass
@@ -199,22 +196,12 @@ def repair(path: Path, output: Path | None = None) -> Repaired:
     return Repaired(output, messages, steps, recording.duration_s, recording.damaged_chunks)
 
 
-TABLES = {
-    "finger": ("step", "time_ns", "image", "x_mm", "y_mm", "angle_rad", "force_n", "age_ns",
-               "stale"),
-    "sequence": ("step", "time_ns", "sent", "mode", "level", "restarted", "intensity",
-                 "asked_us", "period_us", "slots", "strongest_ua"),
-    "board": ("step", "time_ns", "sent", "acknowledged", "refused", "latency_us", "work_us",
-              "begun", "first_pulse_us"),
-}  # fmt: skip
-"""Columns of each table; `events.csv` has ``time_ns`` and ``words``."""
-
-
 def export(path: Path, folder: Path) -> list[Path]:
     """Write a recording into an empty or new folder; return the files, the folder of images first.
 
-    ``frames/`` gets one PNG for each different image; ``finger.csv`` says at which steps it was
-    there. ``run.npz`` holds `RunArrays`, by their names.
+    ``frames/`` gets one PNG for each different image. ``steps.csv`` has a row for each step, of all
+    in `RunArrays` that has one value for each, and its ``image``; ``events.csv`` has times and
+    words. ``run.npz`` holds `RunArrays`, by their names.
     """
     recording = Recording(path)
     try:
@@ -230,46 +217,24 @@ def export(path: Path, folder: Path) -> list[Path]:
 
 def _export(recording: Recording, folder: Path) -> list[Path]:
     images = _Images(folder / "frames")
-    arrays = ArrayCollector(len(recording.profile.electrodes))
-    with ExitStack() as stack:
-        tables = {}
-        for name, columns in TABLES.items():
-            path = folder / f"{name}.csv"
-            file = stack.enter_context(_new(path))
-            tables[name] = csv.writer(file)
-            tables[name].writerow(columns)
-        for recorded in recording.steps():
-            name = images.save(recorded.step.input.image)
-            for table, row in _rows(recorded, name).items():
-                tables[table].writerow((recorded.index, recorded.step.input.time_ns, *row))
-            arrays.add(recorded)
+    collector = ArrayCollector(len(recording.profile.electrodes))
+    names = []
+    for recorded in recording.steps():
+        names.append(images.save(recorded.step.input.image))
+        collector.add(recorded)
+    arrays = collector.arrays()
+    columns = {name: each.tolist() for name, each in arrays.by_step().items()} | {"image": names}
+    with _new(folder / "steps.csv") as file:
+        writer = csv.writer(file)
+        writer.writerow(columns)
+        writer.writerows(zip(*columns.values(), strict=True))
     with _new(folder / "events.csv") as file:
         writer = csv.writer(file)
         writer.writerow(("time_ns", "words"))
         writer.writerows(recording.events())
     with open(folder / "run.npz", "xb", opener=owner_only) as packed:
-        np.savez_compressed(packed, **vars(arrays.arrays()))
-    written = [folder / f"{name}.csv" for name in (*TABLES, "events")]
-    return [images.folder, *written, folder / "run.npz"]
-
-
-def _rows(recorded: RecordedStep, image: str) -> dict[str, Sequence[Any]]:
-    step, sent = recorded.step, recorded.sent
-    given, sequence, pose, pulse = step.input, step.sequence, step.input.pose, sent.first_pulse
-    strongest_ua = int(np.abs(sequence.current_ua.astype(np.int32)).max(initial=0))
-    return {
-        "finger": (
-            image, pose.x_mm, pose.y_mm, pose.angle_rad, given.force_n, given.age_ns, given.stale,
-        ),
-        "sequence": (
-            sent.number, step.mode.value, step.level, step.restarted, sequence.intensity,
-            step.asked_us, sequence.period_us, sequence.slots, strongest_ua,
-        ),
-        "board": (
-            sent.number, recorded.acknowledged, recorded.refused, sent.latency_us, sent.work_us,
-            pulse and pulse.number, pulse and pulse.latency_us,
-        ),
-    }  # fmt: skip
+        np.savez_compressed(packed, **vars(arrays))
+    return [images.folder, folder / "steps.csv", folder / "events.csv", folder / "run.npz"]
 
 
 def _new(path: Path) -> TextIO:

@@ -68,7 +68,7 @@ def test_export_names_what_it_wrote(call, recording, tmp_path):
     done = call("recordings", "export", recording, tmp_path / "out")
     assert done.exit_code == 0
     names = [line.rpartition("/")[2] for line in done.stdout.split()]
-    assert names == ["frames", "finger.csv", "sequence.csv", "board.csv", "events.csv", "run.npz"]
+    assert names == ["frames", "steps.csv", "events.csv", "run.npz"]
 
 
 def test_a_check_that_holds_and_one_that_does_not(call, recording, tmp_path):

@@ -106,7 +106,7 @@ def test_an_export_names_no_image(run, tmp_path):
     path, results = run
     export(path, tmp_path / "out")
     assert list((tmp_path / "out" / "frames").iterdir()) == []
-    with (tmp_path / "out" / "finger.csv").open(newline="") as file:
+    with (tmp_path / "out" / "steps.csv").open(newline="") as file:
         assert {row["image"] for row in csv.DictReader(file)} == {""}
     with np.load(tmp_path / "out" / "run.npz") as arrays:
         assert arrays["activation"].shape == (len(results), 3, 64)
