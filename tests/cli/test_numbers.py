@@ -81,7 +81,7 @@ def numeric_options(command):
     for name in inspect.signature(command.callback).parameters:
         kind, *notes = typing.get_args(hints[name]) or (hints[name],)
         if {int, float} & {kind, *typing.get_args(kind)}:
-            declared = [each for note in notes for each in getattr(note, "param_decls", ())]
+            declared = [each for note in notes for each in getattr(note, "param_decls", None) or ()]
             yield next(iter(declared), "--" + name.replace("_", "-"))
 
 
