@@ -132,11 +132,11 @@ def test_a_core_without_one_rule_is_found_out(make_life, tmp_path, name):
         pytest.skip("needs the folder firmware and cc")
     folder, built = tmp_path / "firmware", tmp_path / "libst.so"
     shutil.copytree(SOURCES, folder)
-    source = folder / "core" / file
+    source = folder / "src" / file
     text = source.read_text(encoding="utf-8")
     assert text.count(old) == 1
     source.write_text(text.replace(old, new), encoding="utf-8")
-    files = [*folder.glob("core/*.c"), folder / "ports" / "host" / "st_library.c"]
+    files = [*folder.glob("src/*.c"), folder / "ports" / "host" / "st_library.c"]
     include = f"-I{folder / 'core'}"
     subprocess.run(
         ["cc", "-O1", "-DST_FOR_TESTS", "-fPIC", "-shared", include, *files, "-o", built],

@@ -83,12 +83,12 @@ def test_a_core_without_one_guard_is_found_out(tmp_path, name):
     if shutil.which("cc") is None:
         pytest.skip("needs cc")
     folder = shutil.copytree(SOURCES, tmp_path / "firmware")
-    source = folder / "core" / file
+    source = folder / "src" / file
     text = source.read_text(encoding="utf-8")
     assert text.count(old) == 1
     source.write_text(text.replace(old, new), encoding="utf-8")
     program = tmp_path / "st_checks"
-    files = [*folder.glob("core/*.c"), folder / "fuzz" / "st_checks.c"]
+    files = [*folder.glob("src/*.c"), folder / "fuzz" / "st_checks.c"]
     include = f"-I{folder / 'core'}"
     subprocess.run(["cc", "-O1", "-pthread", include, *files, "-o", program], check=True)
     try:

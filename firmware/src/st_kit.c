@@ -1,0 +1,44 @@
+/* Kits of shift registers: states into bits, current into counts. */
+#include <string.h>
+
+#include "st_kit.h"
+
+#define MOST_UA 5000u
+
+const st_kit st_kajimoto61 = { "Kajimoto 61", 61, 64, 2442, 4095, NULL };
+const st_kit st_etactilekit64 = { "eTactileKit 64", 64, 64, 9990, 4095, NULL };
+
+const char *st_kit_wrong(const st_kit *kit)
+{
+    if (kit->electrodes == 0u || kit->chain_bits % 8u != 0u || kit->chain_bits < kit->electrodes) {
+        return "kit.electrodes or chain_bits is missing or does not fit";
+    }
+    if (kit->na_per_count == 0u || kit->na_per_count > 50000u
+        || (uint32_t)kit->na_per_count * kit->most_counts < 1000u * MOST_UA) {
+        return "kit.na_per_count or most_counts is missing, or too small for 5 mA";
+    }
+    for (uint32_t each = 0; kit->output_of != NULL && each < kit->electrodes; each++) {
+        if (kit->output_of[each] >= kit->chain_bits) {
+            return "kit.output_of names an output beyond the chain";
+        }
+    }
+    return NULL;
+}
+
+uint16_t st_kit_counts(const st_kit *kit, uint16_t source_ua)
+{
+    const uint32_t counts = 1000u * (uint32_t)source_ua / kit->na_per_count;
+    return counts > kit->most_counts ? 0u : (uint16_t)counts;
+}
+
+void st_kit_bits(const st_kit *kit, const st_pulse *pulse, uint8_t *bits)
+{
+    const uint32_t last = kit->chain_bits / 8u - 1u;
+    memset(bits, 0, last + 1u);
+    for (uint32_t each = 0; each < kit->electrodes; each++) {
+        const uint32_t output = kit->output_of != NULL ? kit->output_of[each] : each;
+        if (pulse->current_ua[each] < 0) {
+            bits[last - output / 8u] |= (uint8_t)(1u << (output % 8u));
+        }
+    }
+}

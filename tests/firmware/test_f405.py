@@ -1,0 +1,105 @@
+"""A kit's board on an STM32F405: what its pins do to shift registers and converter."""
+
+import socket
+import struct
+import subprocess
+
+import numpy as np
+import pytest
+
+from smarttouch.boards.link.protocol import MessageKind, Refusal
+from smarttouch.boards.link.sequence_encoding import encode_limits, encode_lists
+from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.scan_sequence import ScanSequence
+from tests.firmware.build import built
+from tests.firmware.f405 import F405, LE, POL, states
+from tests.firmware.rig import Talk
+from tests.firmware.test_qemu import OverSocket
+
+pytestmark = pytest.mark.realtime
+
+KITS = {"st_kajimoto61": (61, 2.442), "st_etactilekit64": (64, 9.99)}
+"""Electrodes, and µA of a count of the converter."""
+
+
+@pytest.fixture
+def start(tmp_path):
+    started = []
+
+    def start(kit):
+        started.append(F405(tmp_path, kit))
+        return started[-1]
+
+    yield start
+    for machine in started:
+        machine.close()
+
+
+class Host(Talk):
+    """A host that waits for its answers however long QEMU is kept from working."""
+
+    def until(self, wanted, kind, about=0, payload=b""):
+        """Send a packet, again and again, until there is an answer of a kind; return it."""
+        for _ in range(20):
+            answers = self.say(kind, about, payload)
+            for _ in range(20):
+                for each in answers:
+                    if each.kind == wanted:
+                        return each
+                    # What came late is sent again.
+                    assert each.kind != MessageKind.NAK or each.payload[0] == Refusal.OLD, each
+                answers = self.say(MessageKind.HEARTBEAT)
+        raise AssertionError(f"no {wanted!r}")
+
+    def account(self):
+        """Return slots, refused sequences, and sequences that execute or wait."""
+        payload = self.until(MessageKind.REPORT, MessageKind.STATUS).payload
+        return struct.unpack_from("<I", payload, 4)[0], payload[16], payload[32]
+
+
+@pytest.mark.silence
+@pytest.mark.parametrize("kit", KITS)
+def test_what_is_sent_is_what_registers_and_converter_get(start, kit):
+    electrodes, ua_per_count = KITS[kit]
+    machine = start(kit)
+    limits = SafetyLimits(electrodes, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
+    rng, wanted, made = np.random.default_rng(0), [], 0
+    with socket.create_connection(("127.0.0.1", machine.port)) as line:
+        talk = Host(OverSocket(line)).begin()
+        talk.until(MessageKind.LIMITED, MessageKind.LIMITS, payload=encode_limits(limits))
+        for step in range(12):
+            # Intensity rises while current is scheduled: the first has none.
+            slots, share = (10, 2 * step) if step else (0, 0)
+            each, sign = rng.integers(0, electrodes, slots), rng.choice([1, -1], (slots, 1))
+            rows = np.where(np.arange(electrodes) == each[:, None], sign, -sign)
+            current = np.where(rows == sign, sign * share * (electrodes - 1), -sign * share)
+            column = np.ones(slots, np.uint16)
+            sequence = ScanSequence(current.astype(np.int16), 100 * column, 50 * column,
+                                    0 * column, 50_000, 0.07 * step, 0)  # fmt: skip
+            payload = encode_lists(sequence, 1, False, True, None, 8192)
+            talk.until(MessageKind.ACK, MessageKind.SEQUENCE, step + 1, payload)
+            wanted += [(row, share * (electrodes - 1)) for row in rows]
+            busy = 1
+            while busy:
+                made, refused, busy = talk.account()
+    model = machine.registers()
+    assert (model.wrong, refused, made) == ([], 0, len(wanted))
+    np.testing.assert_array_equal(states(model, electrodes), [row for row, _ in wanted])
+    # Outputs without an electrode stay at ground.
+    assert {bit for pulse in model.pulses for bit in pulse[0][: 64 - electrodes]} <= {0}
+    asked = np.array([ua for _, ua in wanted])
+    driven = np.array([counts for _, counts, _ in model.pulses]) * ua_per_count
+    assert ((asked - ua_per_count < driven) & (driven <= asked)).all()
+    assert {width for *_, width in model.pulses} == {100}
+    # One edge of LE and two of BL for each pulse; POL rises once.
+    assert model.edges["clock"] == 2 * 64 * made
+    assert (model.edges[LE], model.edges["BL"], model.edges[POL]) == (2 * made + 1, 2 * made, 1)
+
+
+def test_the_library_links_from_cpp():
+    """The example is C++: it must ask for the core's names as C has them."""
+    object_file = built("arduino", "KitBoard.o", "c++")
+    names = subprocess.run(["nm", object_file], capture_output=True, text=True, check=True).stdout
+    assert {f"st_{name}" for name in ("init", "feed", "advance", "zero", "may_pulse")} <= {
+        line.split()[-1] for line in names.splitlines() if " U " in line
+    }

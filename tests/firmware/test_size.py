@@ -1,0 +1,38 @@
+"""How much of a small processor the core takes: ``pytest -n0 -s tests/firmware/test_size.py``."""
+
+import re
+import shutil
+import subprocess
+
+import pytest
+
+from tests.firmware.build import SOURCES
+
+
+def test_size_and_deepest_stack_are_what_the_page_says(tmp_path):
+    if not SOURCES.is_dir() or shutil.which("arm-none-eabi-gcc") is None:
+        pytest.skip("needs the folder firmware and arm-none-eabi-gcc")
+    files = [each for each in (SOURCES / "src").glob("*.c") if each.name != "st_kit.c"]
+    command = ["arm-none-eabi-gcc", "--specs=picolibc.specs", "-mcpu=cortex-m4", "-mthumb", "-Os"]
+    command += ["-fcallgraph-info=su", "-c", *files]
+    subprocess.run(command, cwd=tmp_path, check=True)
+    command = ["arm-none-eabi-size", "-t", *tmp_path.glob("*.o")]
+    found = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    size = int(found.splitlines()[-1].split()[0])
+    stack, calls = {}, {}
+    for path in tmp_path.glob("*.ci"):
+        text = path.read_text()
+        for name, taken in re.findall(r'node: { title: "(\S+)" label: ".*?(\d+) bytes', text):
+            stack[name] = int(taken)
+        for caller, called in re.findall(r'sourcename: "(\S+)" targetname: "(\S+)"', text):
+            calls.setdefault(caller, set()).add(called)
+
+    def deepest(name):
+        return stack.get(name, 0) + max(map(deepest, calls.get(name, ())), default=0)
+
+    bytes_of_stack = max(deepest(f"st_{each}") for each in ("init", "feed", "advance", "hang_up"))
+    print(f"\ncode {size} bytes, stack {bytes_of_stack} bytes beside what the port's functions take")
+    page = (SOURCES.parent / "docs" / "how-to" / "firmware.md").read_text(encoding="utf-8")
+    said_size, said_stack = map(float, re.search(r"(\d+) kB of code, ([\d.]+) kB of", page).groups())
+    assert size <= 1000 * said_size
+    assert bytes_of_stack <= 1000 * said_stack
