@@ -3,23 +3,27 @@
 
 #include "st_inside.h"
 
-void st_tell(st_board *board, uint8_t kind, uint32_t about, const uint8_t *payload, size_t size)
+/* Send the next packet of the session; uses the port's line. */
+void st_send(st_board *board, uint8_t kind, uint32_t about, const uint8_t *payload, size_t size)
 {
     st_session *session = &board->session;
     session->said++;
-    st_say(board, kind, session->number, session->said, session->taken, about, payload, size);
+    st_send_packet(board, kind, session->number, session->said, session->taken, about, payload,
+                   size);
 }
 
-void st_tell_begun(st_board *board)
+/* Acknowledge the last sequence, with the time at which it began. */
+void st_acknowledge(st_board *board)
 {
     const uint64_t start_us = board->last_start_us;
     uint8_t payload[8];
     (void)st_put_u32(st_put_u32(payload, (uint32_t)start_us), (uint32_t)(start_us >> 32));
-    st_tell(board, ST_ACK, (uint32_t)board->last_number, payload, sizeof payload);
+    st_send(board, ST_ACK, (uint32_t)board->last_number, payload, sizeof payload);
 }
 
 #define NAK_BYTES 14u
 
+/* Write the payload of a NAK. */
 static void put_refusal(uint8_t payload[NAK_BYTES], const st_refusal *refusal)
 {
     payload[0] = refusal->reason;
@@ -28,20 +32,23 @@ static void put_refusal(uint8_t payload[NAK_BYTES], const st_refusal *refusal)
     (void)st_put_u32(st_put_u32(at, (uint32_t)refusal->value), (uint32_t)refusal->allowed);
 }
 
-static void say_refusal(st_board *board, uint32_t about, const st_refusal *refusal)
+/* Send a NAK of this session. */
+static void send_refusal(st_board *board, uint32_t about, const st_refusal *refusal)
 {
     uint8_t payload[NAK_BYTES];
     put_refusal(payload, refusal);
-    st_tell(board, ST_NAK, about, payload, sizeof payload);
+    st_send(board, ST_NAK, about, payload, sizeof payload);
 }
 
+/* Send a NAK that names a reason, and no rule. */
 static void refuse(st_board *board, uint32_t about, uint8_t reason)
 {
     const st_refusal refusal = { reason, ST_RULE_NONE, ST_NOTHING, ST_NOTHING, 0, 0 };
-    say_refusal(board, about, &refusal);
+    send_refusal(board, about, &refusal);
 }
 
-static void turn_away(st_board *board, uint8_t reason)
+/* Answer a packet that is not taken by a NAK, while a session is live. */
+static void refuse_foreign(st_board *board, uint8_t reason)
 {
     if (board->session.live) {
         refuse(board, 0, reason);
@@ -140,9 +147,11 @@ static const char *wrong_clock(const st_port *port)
     return least_us > CLOCK_STEP_US ? "port.now_us goes in steps above 50 us" : NULL;
 }
 
+/* Check what is given, clear the board's memory, short all electrodes; waits for steps of the
+ * clock. */
 const char *st_init(st_board *board, const st_config *config, const st_port *port)
 {
-    memset(board, 0, sizeof *board);
+    (void)memset(board, 0, sizeof *board);
     board->config = *config;
     board->port = *port;
     board->last_number = -1;
@@ -158,13 +167,14 @@ const char *st_init(st_board *board, const st_config *config, const st_port *por
         if (config->ramp_ms == 0u) {
             board->config.ramp_ms = ST_SAFE_RAMP_MS;
         }
-        memset(config->each, 0, config->electrodes * sizeof *config->each);
+        (void)memset(config->each, 0, config->electrodes * sizeof *config->each);
         st_session_init(board);
         board->right = true;
     }
     return wrong;
 }
 
+/* Read the port's clock into the board; one that goes back stands still. */
 uint64_t st_clock(st_board *board)
 {
     const uint64_t now_us = board->port.now_us(board->port.self);
@@ -178,6 +188,8 @@ bool st_may_pulse(const st_board *board)
     return __atomic_load_n(&board->zero_reason, __ATOMIC_SEQ_CST) == NULL;
 }
 
+/* Leave a reason for the core to find and short all electrodes; touches nothing else of the board.
+ * */
 void st_zero(st_board *board, const char *reason)
 {
     /* Called once more before the core has seen it, also by the port's own shorted. */
@@ -190,6 +202,7 @@ void st_zero(st_board *board, const char *reason)
     }
 }
 
+/* End the session if an interrupt or the switch says so; may short and send. */
 bool st_may_go_on(st_board *board)
 {
     const st_port *port = &board->port;
@@ -206,6 +219,7 @@ bool st_may_go_on(st_board *board)
     return board->refusing == 0u;
 }
 
+/* Do what is due: pulses, silence, ALIVE; may call every function of the port. */
 void st_advance(st_board *board)
 {
     if (!board->right) {
@@ -228,11 +242,12 @@ void st_advance(st_board *board)
         if ((board->config.features & ST_FORCE) != 0u) {
             (void)st_put_u16(force, (uint16_t)board->port.force_mn(board->port.self));
         }
-        st_tell(board, ST_ALIVE, 0, force, sizeof force);
+        st_send(board, ST_ALIVE, 0, force, sizeof force);
         st_note_alive(board, now_us);
     }
 }
 
+/* Return when something is due; reads only. */
 uint64_t st_next_us(const st_board *board)
 {
     uint64_t next_us = board->greeted ? board->alive_us + ST_ALIVE_US : UINT64_MAX;
@@ -252,13 +267,14 @@ uint64_t st_next_us(const st_board *board)
 
 /* -- packets ------------------------------------------------------------------------------- */
 
+/* Answer HELLO by CAPABILITIES, unless it is old or a session is live. */
 static void offer(st_board *board, const st_message *hello)
 {
     const st_config *config = &board->config;
     uint8_t payload[128];
     uint64_t session = 0;
     if (!st_offers(board, hello, &session)) {
-        turn_away(board, ST_FOREIGN);
+        refuse_foreign(board, ST_FOREIGN);
         return;
     }
     uint8_t *at = st_put_u16(payload, config->electrodes);
@@ -273,10 +289,11 @@ static void offer(st_board *board, const st_message *hello)
     if (name > sizeof payload - head) {
         name = sizeof payload - head;
     }
-    memcpy(at, config->name, name);
-    st_say(board, ST_CAPABILITIES, session, 0, 0, hello->number, payload, head + name);
+    (void)memcpy(at, config->name, name);
+    st_send_packet(board, ST_CAPABILITIES, session, 0, 0, hello->number, payload, head + name);
 }
 
+/* Answer STATUS by REPORT. */
 static void report(st_board *board, uint32_t about)
 {
     const st_books *books = &board->books;
@@ -286,14 +303,15 @@ static void report(st_board *board, uint32_t about)
     at = st_put_u32(at, books->violations);
     at = st_put_u32(st_put_u32(at, books->max_current_ua), books->max_charge_pc);
     at = st_put_u32(at, board->port.left_pc != NULL ? board->port.left_pc(board->port.self) : 0u);
-    *at++ = (uint8_t)((board->running != NULL ? 1 : 0) + (board->waiting != NULL ? 1 : 0));
+    *at++ = (uint8_t)((board->running != NULL ? 1u : 0u) + (board->waiting != NULL ? 1u : 0u));
     at = st_put_u32(st_put_u32(at, books->old_packets), books->foreign_packets);
     at = st_put_u32(at, books->second_net_pc);
     at = st_put_u32(at, (uint32_t)st_upward(board->exposure.flowing_us, 1000000u));
     at = st_put_u32(at, (uint32_t)st_upward(st_exposure_most_pc(board), 1000000u));
-    st_tell(board, ST_REPORT, about, payload, (size_t)(at - payload));
+    st_send(board, ST_REPORT, about, payload, (size_t)(at - payload));
 }
 
+/* Take bytes of kernels unless a sequence is made of them now, and answer KEPT. */
 static void answer_kept(st_board *board, const st_message *message)
 {
     const st_keep *keep = &board->keep;
@@ -303,11 +321,11 @@ static void answer_kept(st_board *board, const st_message *message)
         st_keep_take(board, message->payload, message->size);
     }
     st_keep_prove(board);
-    memcpy(payload, keep->identity, ST_IDENTITY_BYTES);
+    (void)memcpy(payload, keep->identity, ST_IDENTITY_BYTES);
     uint8_t *at = st_put_u32(payload + ST_IDENTITY_BYTES, keep->received);
     *at++ = keep->whole ? 1u : 0u;
-    memcpy(at, keep->proof, ST_IDENTITY_BYTES);
-    st_tell(board, ST_KEPT, message->number, payload, sizeof payload);
+    (void)memcpy(at, keep->proof, ST_IDENTITY_BYTES);
+    st_send(board, ST_KEPT, message->number, payload, sizeof payload);
 }
 
 /* Return a buffer that neither a packet nor a sequence is in. */
@@ -322,6 +340,7 @@ static uint8_t free_buffer(const st_board *board)
     return buffer;
 }
 
+/* Check a SEQUENCE by all rules; begin it, let it wait, or refuse it. */
 static void accept(st_board *board, const st_message *message)
 {
     const uint32_t number = message->about;
@@ -332,13 +351,13 @@ static void accept(st_board *board, const st_message *message)
     }
     if ((int64_t)number == board->last_number) {
         if (board->last_begun) {
-            st_tell_begun(board);
+            st_acknowledge(board);
         }
         return;
     }
     if ((int64_t)number < board->last_number) {
         board->books.old_packets++;
-        turn_away(board, ST_OLD);
+        refuse_foreign(board, ST_OLD);
         return;
     }
     if (board->waiting != NULL) {
@@ -351,7 +370,7 @@ static void accept(st_board *board, const st_message *message)
     if (!st_read_sequence(board, message->payload, message->size, sequence, &refusal)
         || !st_obeys(board, sequence, start_us, &refusal)) {
         board->books.violations++;
-        say_refusal(board, number, &refusal);
+        send_refusal(board, number, &refusal);
         return;
     }
     if (!st_may_go_on(board)) {
@@ -379,9 +398,10 @@ static void refuse_begin(st_board *board, const st_message *message)
     const st_refusal refusal = { ST_EMERGENCY, ST_RULE_NONE, ST_NOTHING, ST_NOTHING, 0, 0 };
     uint8_t payload[NAK_BYTES];
     put_refusal(payload, &refusal);
-    st_say(board, ST_NAK, message->session, 0, 0, message->number, payload, sizeof payload);
+    st_send_packet(board, ST_NAK, message->session, 0, 0, message->number, payload, sizeof payload);
 }
 
+/* Open the session that BEGIN has brought: no limits, no level, no dose. */
 static void begin(st_board *board)
 {
     board->refusing = 0;
@@ -389,12 +409,13 @@ static void begin(st_board *board)
     board->last_begun = false;
     board->greeted = true;
     board->limits.given = false;
-    memset(&board->ramp, 0, sizeof board->ramp);
-    memset(board->keep.proof, 0, sizeof board->keep.proof);
+    (void)memset(&board->ramp, 0, sizeof board->ramp);
+    (void)memset(board->keep.proof, 0, sizeof board->keep.proof);
     board->keep.proved = false;
     st_exposure_begin_session(board);
 }
 
+/* Do what a packet asks for, and answer it. */
 static void answer(st_board *board, const st_message *message, uint64_t began_us, uint64_t now_us)
 {
     if (message->kind == ST_HELLO) {
@@ -410,7 +431,7 @@ static void answer(st_board *board, const st_message *message, uint64_t began_us
     } else {
         const uint8_t reason = st_take(board, message, began_us);
         if (reason != 0u) {
-            turn_away(board, reason);
+            refuse_foreign(board, reason);
             return;
         }
     }
@@ -418,7 +439,7 @@ static void answer(st_board *board, const st_message *message, uint64_t began_us
     switch (message->kind) {
     case ST_BEGIN:
         if (board->refusing == 0u) {
-            st_tell(board, ST_BEGUN, message->number, NULL, 0);
+            st_send(board, ST_BEGUN, message->number, NULL, 0);
         }
         break;
     case ST_SEQUENCE:
@@ -426,14 +447,14 @@ static void answer(st_board *board, const st_message *message, uint64_t began_us
         break;
     case ST_STOP:
         st_end_session(board, ST_NOT_BEGUN, "stop");
-        st_tell(board, ST_STOPPED, message->number, NULL, 0);
+        st_send(board, ST_STOPPED, message->number, NULL, 0);
         break;
     case ST_STATUS:
         report(board, message->number);
         break;
     case ST_LIMITS: {
         const uint8_t taken = st_limits_take(board, message->payload, message->size) ? 1u : 0u;
-        st_tell(board, ST_LIMITED, message->number, &taken, 1);
+        st_send(board, ST_LIMITED, message->number, &taken, 1);
         break;
     }
     case ST_LOAD:
@@ -444,6 +465,7 @@ static void answer(st_board *board, const st_message *message, uint64_t began_us
     }
 }
 
+/* Take bytes as they come, and answer the packets that are whole. */
 void st_feed(st_board *board, const uint8_t *data, size_t size)
 {
     const uint32_t garbled = board->books.framing_errors;
@@ -471,6 +493,7 @@ void st_feed(st_board *board, const uint8_t *data, size_t size)
     }
 }
 
+/* Short and end the session; the board says nothing more by itself. */
 void st_hang_up(st_board *board)
 {
     st_advance(board);

@@ -41,7 +41,7 @@ static void prepare(st_board *board, const st_sequence *sequence)
 {
     const st_place *place = &sequence->place;
     st_pulse *pulse = &board->next;
-    memset(pulse, 0, sizeof *pulse);
+    (void)memset(pulse, 0, sizeof *pulse);
     pulse->number = sequence->number;
     pulse->current_ua = board->config.pulse_ua;
     board->ready = true;
@@ -73,6 +73,7 @@ static void start_scan(st_board *board, st_sequence *sequence, uint64_t start_us
     prepare(board, sequence);
 }
 
+/* Begin a sequence that obeys all rules, and acknowledge it. */
 void st_begin_sequence(st_board *board, st_sequence *sequence, uint64_t start_us)
 {
     board->running = sequence;
@@ -80,7 +81,7 @@ void st_begin_sequence(st_board *board, st_sequence *sequence, uint64_t start_us
     board->last_number = sequence->number;
     board->last_begun = true;
     board->last_start_us = start_us;
-    st_tell_begun(board);
+    st_acknowledge(board);
 }
 
 /* Enter the pulse that has begun into the books. */
@@ -167,6 +168,7 @@ static bool deliver(st_board *board, st_sequence *sequence)
     return true;
 }
 
+/* Short all electrodes, enter what has flowed, drop all sequences and refuse new ones. */
 void st_end_session(st_board *board, uint8_t refusing, const char *reason)
 {
     board->port.shorted(board->port.self, reason);
@@ -189,7 +191,7 @@ static void end_scan(st_board *board, st_sequence *sequence)
     }
     st_exposure_end(board, sequence, end_us);
     if ((sequence->flags & 1u) != 0u && (board->config.features & ST_VOLTAGE) != 0u) {
-        st_tell(board, ST_VOLTAGES, sequence->number, board->config.volts,
+        st_send(board, ST_VOLTAGES, sequence->number, board->config.volts,
                 2u * (size_t)sequence->slots);
     }
     sequence->left--;
@@ -222,6 +224,7 @@ static bool is_due(st_board *board, uint64_t time_us)
     return time_us <= board->executed_us;
 }
 
+/* Begin the pulses of the pass at hand that are due by the clock. */
 void st_execute_pulses(st_board *board)
 {
     while (board->running != NULL && board->ready && is_due(board, board->running->next_us)) {
@@ -231,6 +234,7 @@ void st_execute_pulses(st_board *board)
     }
 }
 
+/* Begin all pulses that are due, and the passes that follow one another. */
 void st_execute(st_board *board)
 {
     st_execute_pulses(board);

@@ -11,6 +11,7 @@
 
 #define SECOND_US 1000000u
 
+/* Return where the load of a pass of a sequence on an electrode is kept. */
 st_load *st_load_of(const st_board *board, const st_sequence *sequence, uint32_t electrode)
 {
     return &board->config.each[electrode].load[sequence == &board->sequence[0] ? 0 : 1];
@@ -18,6 +19,7 @@ st_load *st_load_of(const st_board *board, const st_sequence *sequence, uint32_t
 
 /* -- books --------------------------------------------------------------------------------- */
 
+/* Set time and charge of the session to zero; the last second stays. */
 void st_exposure_begin_session(st_board *board)
 {
     board->exposure.flowing_us = 0;
@@ -27,6 +29,7 @@ void st_exposure_begin_session(st_board *board)
     }
 }
 
+/* Return the largest charge of either sign through an electrode in the session. */
 uint64_t st_exposure_most_pc(const st_board *board)
 {
     uint64_t most_pc = 0;
@@ -63,6 +66,7 @@ typedef struct {
     uint32_t felt;
 } second;
 
+/* Return what an electrode has had from a bucket on, with the pass at hand. */
 static second second_of(const st_board *board, const st_electrode *each, uint64_t oldest,
                         const st_load *running)
 {
@@ -78,8 +82,8 @@ static second second_of(const st_board *board, const st_electrode *each, uint64_
         found.most_pc = after_pc > 0 ? after_pc : 0;
         found.least_pc = after_pc < 0 ? after_pc : 0;
     }
-    for (uint64_t bucket = newest + 1u; bucket > first;) {
-        bucket--;
+    for (uint64_t after = newest + 1u; after > first; after--) {
+        const uint64_t bucket = after - 1u;
         const size_t at = (size_t)(bucket % ST_BUCKETS);
         const int64_t most_pc = after_pc + each->most_pc[at];
         const int64_t least_pc = after_pc + each->least_pc[at];
@@ -101,12 +105,14 @@ static uint64_t most_net_pc(const second *before, int64_t net_pc, uint32_t passe
     return (uint64_t)(most_pc > least_pc ? most_pc : least_pc);
 }
 
+/* Return the oldest bucket that counts at a time. */
 static uint64_t oldest_at(uint64_t time_us)
 {
     const uint64_t bucket = time_us / ST_BUCKET_US;
     return bucket < ST_BUCKETS ? 0u : bucket + 1u - ST_BUCKETS;
 }
 
+/* Enter the beginning of a pass: its start, and what it adds to the session. */
 void st_exposure_begin(st_board *board, const st_sequence *sequence)
 {
     st_exposure *exposure = &board->exposure;
@@ -131,6 +137,7 @@ void st_exposure_begin(st_board *board, const st_sequence *sequence)
     }
 }
 
+/* Enter the load of a pass into the bucket in which it ended. */
 void st_exposure_end(st_board *board, const st_sequence *sequence, uint64_t until_us)
 {
     const uint64_t end_us = sequence->next_us < until_us ? sequence->next_us : until_us;
@@ -176,6 +183,7 @@ static uint32_t passes_by_bucket(st_board *board, const st_sequence *sequence, u
     return count;
 }
 
+/* Check rules 21 to 23 for every pass that begins within a second; uses the list of passes. */
 static bool second_obeys(st_board *board, const st_sequence *sequence, uint64_t start_us,
                          st_refusal *refusal)
 {
@@ -247,6 +255,7 @@ static bool starts_obey(const st_board *board, const st_sequence *sequence, uint
     return true;
 }
 
+/* Check rules 25 and 26, with all repetitions. */
 static bool session_obeys(const st_board *board, const st_sequence *sequence, st_refusal *refusal)
 {
     const st_limits *limits = &board->limits;
@@ -268,6 +277,7 @@ static bool session_obeys(const st_board *board, const st_sequence *sequence, st
     return true;
 }
 
+/* Check rules 21 to 26. */
 bool st_exposure_obeys(st_board *board, const st_sequence *sequence, uint64_t start_us,
                        st_refusal *refusal)
 {

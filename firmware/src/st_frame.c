@@ -5,6 +5,7 @@
 
 #define BLOCK 256u /* a block of COBS, and the zero at the end of a packet */
 
+/* Return the CRC-32 of IEEE 802.3 of data, continued from that of what is before. */
 uint32_t st_crc32(uint32_t crc, const uint8_t *data, size_t size)
 {
     static const uint32_t nibble[16] = {
@@ -28,6 +29,7 @@ typedef struct {
     bool owed;           /* a block, even if nothing more comes */
 } writer;
 
+/* End a COBS block, and send what is full. */
 static void end_block(writer *to, bool owed)
 {
     to->coded[to->code_at] = (uint8_t)(to->out - to->code_at);
@@ -40,6 +42,7 @@ static void end_block(writer *to, bool owed)
     to->owed = owed;
 }
 
+/* Encode bytes by COBS. */
 static void encode(writer *to, const uint8_t *data, size_t size)
 {
     for (size_t at = 0; at < size; at++) {
@@ -55,8 +58,9 @@ static void encode(writer *to, const uint8_t *data, size_t size)
     }
 }
 
-void st_say(st_board *board, uint8_t kind, uint64_t session, uint32_t number, uint32_t heard,
-            uint32_t about, const uint8_t *payload, size_t size)
+/* Send one packet; takes 600 bytes of stack. */
+void st_send_packet(st_board *board, uint8_t kind, uint64_t session, uint32_t number,
+                    uint32_t heard, uint32_t about, const uint8_t *payload, size_t size)
 {
     writer to = { &board->port, { 0 }, 0, 1, true };
     uint8_t head[ST_HEAD_BYTES] = { ST_VERSION, kind };
@@ -80,6 +84,7 @@ void st_say(st_board *board, uint8_t kind, uint64_t session, uint32_t number, ui
     to.port->send(to.port->self, to.coded, to.out + 1u);
 }
 
+/* Put a decoded byte into the buffer; what has no room breaks the packet. */
 static void put(st_board *board, uint8_t byte)
 {
     st_stream *stream = &board->stream;
@@ -91,6 +96,7 @@ static void put(st_board *board, uint8_t byte)
     }
 }
 
+/* Decode one byte; check the CRC at a packet's end, and count what is garbled. */
 bool st_take_byte(st_board *board, uint8_t byte, uint64_t now_us, uint32_t *size)
 {
     st_stream *stream = &board->stream;
@@ -130,9 +136,10 @@ bool st_take_byte(st_board *board, uint8_t byte, uint64_t now_us, uint32_t *size
     return true;
 }
 
+/* Read the head of a decoded packet of any version. */
 void st_parse(const uint8_t *body, uint32_t size, st_message *message)
 {
-    memset(message, 0, sizeof *message);
+    (void)memset(message, 0, sizeof *message);
     message->version = body[0];
     message->kind = body[1];
     message->number = st_u32(body + 2);
@@ -146,6 +153,7 @@ void st_parse(const uint8_t *body, uint32_t size, st_message *message)
     }
 }
 
+/* Read the head of the packet that comes in, if it is there already. */
 bool st_head(st_board *board, st_message *message)
 {
     const st_stream *stream = &board->stream;

@@ -98,8 +98,8 @@ static inline uint32_t st_magnitude(int16_t value)
 
 /* st_frame.c */
 uint32_t st_crc32(uint32_t crc, const uint8_t *data, size_t size);
-void st_say(st_board *board, uint8_t kind, uint64_t session, uint32_t number, uint32_t heard,
-            uint32_t about, const uint8_t *payload, size_t size);
+void st_send_packet(st_board *board, uint8_t kind, uint64_t session, uint32_t number,
+                    uint32_t heard, uint32_t about, const uint8_t *payload, size_t size);
 /* Take one byte; return whether it completes a packet, which then is in the stream's buffer. */
 bool st_take_byte(st_board *board, uint8_t byte, uint64_t now_us, uint32_t *size);
 /* Read the head of the packet that comes in; return whether all of it is there. */
@@ -123,9 +123,9 @@ uint64_t st_clock(st_board *board);
  * still live. */
 bool st_may_go_on(st_board *board);
 /* Send the next packet of the session. */
-void st_tell(st_board *board, uint8_t kind, uint32_t about, const uint8_t *payload, size_t size);
+void st_send(st_board *board, uint8_t kind, uint32_t about, const uint8_t *payload, size_t size);
 /* Acknowledge the last sequence: when it began, by the port's clock. */
-void st_tell_begun(st_board *board);
+void st_acknowledge(st_board *board);
 
 /* st_engine.c */
 void st_begin_sequence(st_board *board, st_sequence *sequence, uint64_t start_us);

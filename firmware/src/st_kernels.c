@@ -3,9 +3,10 @@
 
 #include "st_inside.h"
 
+/* Forget the table of kernels. */
 static void forget(st_keep *keep)
 {
-    memset(keep, 0, sizeof *keep);
+    (void)memset(keep, 0, sizeof *keep);
 }
 
 /* Read one kernel at a place; return what follows it, 0 if it is none. */
@@ -44,6 +45,7 @@ static uint32_t read_kernel(const st_board *board, uint32_t at)
     return net == 0 ? at : 0u;
 }
 
+/* Check the whole table, and note where each kernel begins. */
 static bool read_all(st_board *board)
 {
     const st_keep *keep = &board->keep;
@@ -67,6 +69,7 @@ static bool read_all(st_board *board)
     return at == keep->size;
 }
 
+/* Take a piece of a table of kernels; check it when the last byte has come. */
 void st_keep_take(st_board *board, const uint8_t *payload, uint32_t size)
 {
     st_keep *keep = &board->keep;
@@ -78,7 +81,7 @@ void st_keep_take(st_board *board, const uint8_t *payload, uint32_t size)
         if (whole > board->config.kernel_bytes) {
             return;
         }
-        memcpy(keep->identity, payload, ST_IDENTITY_BYTES);
+        (void)memcpy(keep->identity, payload, ST_IDENTITY_BYTES);
         keep->size = whole;
         st_sha256_begin(&keep->hash);
     }
@@ -86,7 +89,7 @@ void st_keep_take(st_board *board, const uint8_t *payload, uint32_t size)
         return;
     }
     if (count > 0u) {
-        memcpy(board->config.kernels + offset, payload + ST_LOAD_HEAD, count);
+        (void)memcpy(board->config.kernels + offset, payload + ST_LOAD_HEAD, count);
         st_sha256_add(&keep->hash, payload + ST_LOAD_HEAD, count);
     }
     keep->received += count;
@@ -101,6 +104,7 @@ void st_keep_take(st_board *board, const uint8_t *payload, uint32_t size)
     }
 }
 
+/* Hash session and table once in a session: takes as long as SHA-256 of the table does. */
 void st_keep_prove(st_board *board)
 {
     st_keep *keep = &board->keep;
@@ -117,6 +121,7 @@ void st_keep_prove(st_board *board)
     keep->proved = true;
 }
 
+/* Add a kernel by an amplitude to the board's sums. */
 void st_add_kernel(const st_board *board, uint32_t kernel, uint32_t amplitude)
 {
     const uint8_t *at = board->config.kernels + board->config.kernel_at[kernel];
@@ -135,6 +140,7 @@ void st_add_kernel(const st_board *board, uint32_t kernel, uint32_t amplitude)
     }
 }
 
+/* Return the site of a kernel. */
 uint16_t st_kernel_site(const st_board *board, uint32_t kernel)
 {
     return st_u16(board->config.kernels + board->config.kernel_at[kernel]);

@@ -8,6 +8,7 @@
 const st_kit st_kajimoto61 = { "Kajimoto 61", 61, 64, 2442, 4095, NULL };
 const st_kit st_etactilekit64 = { "eTactileKit 64", 64, 64, 9990, 4095, NULL };
 
+/* Check that a kit's numbers fit together; touches nothing. */
 const char *st_kit_wrong(const st_kit *kit)
 {
     if (kit->electrodes == 0u || kit->chain_bits % 8u != 0u || kit->chain_bits < kit->electrodes) {
@@ -25,16 +26,18 @@ const char *st_kit_wrong(const st_kit *kit)
     return NULL;
 }
 
+/* Divide a current by that of a count, rounded down. */
 uint16_t st_kit_counts(const st_kit *kit, uint16_t source_ua)
 {
     const uint32_t counts = 1000u * (uint32_t)source_ua / kit->na_per_count;
     return counts > kit->most_counts ? 0u : (uint16_t)counts;
 }
 
+/* Write one bit for each output: 1 for an anode. */
 void st_kit_bits(const st_kit *kit, const st_pulse *pulse, uint8_t *bits)
 {
     const uint32_t last = kit->chain_bits / 8u - 1u;
-    memset(bits, 0, last + 1u);
+    (void)memset(bits, 0, last + 1u);
     for (uint32_t each = 0; each < kit->electrodes; each++) {
         const uint32_t output = kit->output_of != NULL ? kit->output_of[each] : each;
         if (pulse->current_ua[each] < 0) {

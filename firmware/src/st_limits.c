@@ -1,6 +1,7 @@
 /* Limits of a session, and the rise of its intensity. */
 #include "st_inside.h"
 
+/* Take the limits of a session, capped by the board's own. */
 bool st_limits_take(st_board *board, const uint8_t *payload, uint32_t size)
 {
     st_limits *limits = &board->limits;
@@ -62,6 +63,7 @@ static uint32_t risen(const st_board *board, uint64_t start_us, uint64_t *flowin
     return level > ramp->level ? level : ramp->level;
 }
 
+/* Return what a sequence's intensity amounts to, from 0 to 65,535. */
 uint16_t st_strength(const st_limits *limits, uint32_t intensity, uint32_t peak_pc)
 {
     const uint32_t full_pc = limits->full_ua * limits->usual_us;
@@ -76,6 +78,7 @@ uint16_t st_strength(const st_limits *limits, uint32_t intensity, uint32_t peak_
     return (uint16_t)(most > share ? most : share);
 }
 
+/* Return the largest strength that may begin then. */
 uint32_t st_rise_allowed(const st_board *board, uint64_t start_us)
 {
     const uint32_t ramp_us = board->limits.ramp_us;
@@ -87,6 +90,7 @@ uint32_t st_rise_allowed(const st_board *board, uint64_t start_us)
     return st_least(ST_FULL, risen(board, start_us, &flowing_us) + ahead + ST_RISE_LEEWAY);
 }
 
+/* Note a sequence that will flow, for what may rise after it. */
 void st_rise_note(st_board *board, const st_sequence *sequence, uint64_t start_us)
 {
     st_ramp *ramp = &board->ramp;

@@ -7,6 +7,7 @@ typedef struct {
     uint32_t peak_ua, peak_pc;
 } peaks;
 
+/* Write a refusal; return false. */
 bool st_refuse(st_refusal *refusal, uint8_t rule, uint32_t slot, uint32_t electrode,
                uint64_t value, uint64_t allowed)
 {
@@ -19,6 +20,7 @@ bool st_refuse(st_refusal *refusal, uint8_t rule, uint32_t slot, uint32_t electr
     return false;
 }
 
+/* Check rules 4 to 7: width, discharge, fit, duty. */
 static bool times_obey(const st_board *board, const st_sequence *sequence, st_refusal *refusal)
 {
     const st_limits *limits = &board->limits;
@@ -54,6 +56,7 @@ static bool times_obey(const st_board *board, const st_sequence *sequence, st_re
     return true;
 }
 
+/* Check rules 9 and 10 of a slot: its kernels and the sum of their amplitudes. */
 static bool kernels_obey(const st_board *board, const st_sequence *sequence,
                          const st_place *place, st_refusal *refusal)
 {
@@ -130,7 +133,7 @@ static void add_slot(st_board *board, const st_sequence *sequence, const st_plac
                      slot_sum *sum)
 {
     const int16_t *current_ua = board->config.current_ua;
-    memset(sum, 0, sizeof *sum);
+    (void)memset(sum, 0, sizeof *sum);
     (void)st_slot_currents(board, sequence, place, board->config.current_ua, &sum->source_ua);
     for (uint32_t each = 0; each < board->config.electrodes; each++) {
         const int16_t ua = current_ua[each];
@@ -202,6 +205,7 @@ static bool slot_obeys(st_board *board, st_sequence *sequence, const st_place *p
            && ready_in_time(board, sequence, place, took_us, slot_us, refusal);
 }
 
+/* Return a number without its sign. */
 static uint64_t magnitude(int64_t value)
 {
     return (uint64_t)(value < 0 ? -value : value);
@@ -230,6 +234,7 @@ static bool recharge_takes_back(st_board *board, const st_sequence *sequence, st
     return true;
 }
 
+/* Check a recharge phase, and add its load. */
 static bool recharge_obeys(st_board *board, const st_sequence *sequence, st_refusal *refusal)
 {
     const uint32_t electrodes = board->config.electrodes;
@@ -274,6 +279,7 @@ static bool recharge_obeys(st_board *board, const st_sequence *sequence, st_refu
     return true;
 }
 
+/* Check rule 17: the strongest pulse against the stated intensity. */
 static bool intensity_obeys(const st_board *board, const st_sequence *sequence,
                             const peaks *most, st_refusal *refusal)
 {
@@ -310,6 +316,7 @@ static bool mean_obeys(const st_board *board, const st_sequence *sequence, uint3
     return true;
 }
 
+/* Check rule 20: felt pulses of a period. */
 static bool felt_obeys(const st_board *board, const st_sequence *sequence, uint32_t burst_us,
                        st_refusal *refusal)
 {
@@ -324,6 +331,8 @@ static bool felt_obeys(const st_board *board, const st_sequence *sequence, uint3
     return true;
 }
 
+/* Check all rules; computes every slot in the board's scratch memory, and lets pulses that are due
+ * begin meanwhile. */
 bool st_obeys(st_board *board, st_sequence *sequence, uint64_t start_us, st_refusal *refusal)
 {
     const st_config *config = &board->config;

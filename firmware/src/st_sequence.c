@@ -6,6 +6,7 @@
 #define HEAD 10u
 #define GROUP 4u
 
+/* Return the bytes of one row of a group. */
 static uint32_t row_bytes(uint8_t kind, uint32_t electrodes)
 {
     switch (kind) {
@@ -18,11 +19,12 @@ static uint32_t row_bytes(uint8_t kind, uint32_t electrodes)
     }
 }
 
+/* Check that a payload is exactly one sequence, and note where its parts are. */
 bool st_read_sequence(const st_board *board, const uint8_t *data, uint32_t size,
                       st_sequence *sequence, st_refusal *refusal)
 {
     const uint32_t electrodes = board->config.electrodes;
-    memset(sequence, 0, sizeof *sequence);
+    (void)memset(sequence, 0, sizeof *sequence);
     refusal->reason = ST_MALFORMED;
     if (size < HEAD) {
         return false;
@@ -84,12 +86,14 @@ static void enter_group(const st_sequence *sequence, st_place *place, uint32_t a
     }
 }
 
+/* Go to the first slot. */
 void st_first_slot(const st_sequence *sequence, st_place *place)
 {
-    memset(place, 0, sizeof *place);
+    (void)memset(place, 0, sizeof *place);
     enter_group(sequence, place, sequence->body_at);
 }
 
+/* Go to the next slot. */
 void st_next_slot(const st_sequence *sequence, st_place *place, uint16_t electrodes)
 {
     const uint32_t rows = place->kind == ST_SUM ? place->pairs : 1u;
@@ -103,11 +107,13 @@ void st_next_slot(const st_sequence *sequence, st_place *place, uint16_t electro
     }
 }
 
+/* Return the width of a pulse shape. */
 uint16_t st_shape_width(const st_sequence *sequence, uint8_t shape)
 {
     return st_u16(sequence->data + HEAD + 4u * shape);
 }
 
+/* Return the discharge of a pulse shape. */
 uint16_t st_shape_discharge(const st_sequence *sequence, uint8_t shape)
 {
     return st_u16(sequence->data + HEAD + 4u * shape + 2u);
@@ -118,7 +124,7 @@ static void add_up(st_board *board, const uint8_t *pairs, uint32_t count, int16_
 {
     const uint32_t electrodes = board->config.electrodes;
     int32_t *sums = board->config.sums;
-    memset(sums, 0, electrodes * sizeof *sums);
+    (void)memset(sums, 0, electrodes * sizeof *sums);
     for (uint32_t index = 0; index < count; index++) {
         st_add_kernel(board, st_u16(pairs + 4u * index), st_u16(pairs + 4u * index + 2u));
     }
@@ -134,6 +140,7 @@ static void add_up(st_board *board, const uint8_t *pairs, uint32_t count, int16_
     }
 }
 
+/* Write a slot's currents or states, computed from the packet's bytes; return its site. */
 uint16_t st_slot_currents(st_board *board, const st_sequence *sequence, const st_place *place,
                           int16_t *current_ua, uint16_t *source_ua)
 {

@@ -3,13 +3,15 @@
 
 #include "st_inside.h"
 
+/* Forget all sessions, and draw a challenge. */
 void st_session_init(st_board *board)
 {
     st_session *session = &board->session;
-    memset(session, 0, sizeof *session);
+    (void)memset(session, 0, sizeof *session);
     session->challenge = board->port.draw(board->port.self);
 }
 
+/* Return what is known of a host, or NULL. */
 static st_host *find_host(st_session *session, uint32_t half)
 {
     for (uint8_t index = 0; index < session->host_count; index++) {
@@ -20,7 +22,8 @@ static st_host *find_host(st_session *session, uint32_t half)
     return NULL;
 }
 
-static void count_strangers(st_board *board)
+/* Count the HELLOs of hosts that began no session, and forget these hosts. */
+static void count_foreign(st_board *board)
 {
     st_session *session = &board->session;
     for (uint8_t index = 0; index < session->host_count; index++) {
@@ -29,6 +32,7 @@ static void count_strangers(st_board *board)
     session->host_count = 0;
 }
 
+/* Remember a host by its half of the session. */
 static void remember(st_session *session, uint32_t half, uint32_t number, uint32_t count)
 {
     st_host *host = &session->hosts[session->host_count];
@@ -38,6 +42,7 @@ static void remember(st_session *session, uint32_t half, uint32_t number, uint32
     session->host_count++;
 }
 
+/* Return whether HELLO is answered, and with which session. */
 bool st_offers(st_board *board, const st_message *hello, uint64_t *number)
 {
     st_session *session = &board->session;
@@ -54,7 +59,7 @@ bool st_offers(st_board *board, const st_message *hello, uint64_t *number)
         }
         if (host == NULL) {
             if (session->host_count == ST_HOSTS) {
-                count_strangers(board);
+                count_foreign(board);
             }
             remember(session, half, hello->number, 1);
         } else {
@@ -66,13 +71,16 @@ bool st_offers(st_board *board, const st_message *hello, uint64_t *number)
     return true;
 }
 
+/* Return whether BEGIN bears the challenge while no session is live. */
 bool st_may_begin(const st_board *board, const st_message *begin)
 {
     const st_session *session = &board->session;
-    return !session->live && session->challenge != 0u && begin->version == ST_VERSION && (uint32_t)begin->session != 0u
+    return !session->live && session->challenge != 0u && begin->version == ST_VERSION
+           && (uint32_t)begin->session != 0u
            && (uint32_t)(begin->session >> 32) == session->challenge;
 }
 
+/* Open a session if BEGIN may, and draw a new challenge. */
 bool st_begins(st_board *board, const st_message *begin)
 {
     st_session *session = &board->session;
@@ -84,7 +92,7 @@ bool st_begins(st_board *board, const st_message *begin)
     if (host != NULL) {
         host->count = 0;
     }
-    count_strangers(board);
+    count_foreign(board);
     remember(session, half, begin->number, 0);
     session->challenge = board->port.draw(board->port.self);
     session->number = begin->session;
@@ -96,7 +104,7 @@ bool st_begins(st_board *board, const st_message *begin)
 }
 
 /* Return whether a number is of an ALIVE that is too old, or before one. */
-static bool faded(const st_session *session, uint32_t heard, uint64_t began_us)
+static bool too_late(const st_session *session, uint32_t heard, uint64_t began_us)
 {
     for (uint8_t index = 0; index < session->alive_count; index++) {
         if (session->alive_us[index] + ST_LATE_US < began_us
@@ -107,6 +115,7 @@ static bool faded(const st_session *session, uint32_t heard, uint64_t began_us)
     return false;
 }
 
+/* Return why a packet is not taken, or 0; changes nothing. */
 uint8_t st_judge(const st_board *board, const st_message *message, uint64_t began_us)
 {
     const st_session *session = &board->session;
@@ -118,9 +127,10 @@ uint8_t st_judge(const st_board *board, const st_message *message, uint64_t bega
         return ST_OLD;
     }
     /* A stop is never too late: its sender may receive nothing, and must get through. */
-    return message->kind != ST_STOP && faded(session, message->heard, began_us) ? ST_OLD : 0u;
+    return message->kind != ST_STOP && too_late(session, message->heard, began_us) ? ST_OLD : 0u;
 }
 
+/* Take a packet's number, or count why not. */
 uint8_t st_take(st_board *board, const st_message *message, uint64_t began_us)
 {
     const uint8_t reason = st_judge(board, message, began_us);
@@ -134,6 +144,7 @@ uint8_t st_take(st_board *board, const st_message *message, uint64_t began_us)
     return reason;
 }
 
+/* Note when an ALIVE was sent. */
 void st_note_alive(st_board *board, uint64_t now_us)
 {
     st_session *session = &board->session;

@@ -3,11 +3,13 @@
 
 #include "st_inside.h"
 
-static uint32_t turned(uint32_t word, unsigned by)
+/* Rotate a word to the right. */
+static uint32_t rotated(uint32_t word, unsigned by)
 {
     return (word >> by) | (word << (32u - by));
 }
 
+/* Take one block of 64 bytes into the state. */
 static void take_block(st_sha256 *hash)
 {
     static const uint32_t constant[64] = {
@@ -24,7 +26,7 @@ static void take_block(st_sha256 *hash)
     };
     uint32_t schedule[16]; /* the last 16 words of the message schedule */
     uint32_t v[8];         /* the working variables a to h */
-    memcpy(v, hash->state, sizeof v);
+    (void)memcpy(v, hash->state, sizeof v);
     for (unsigned round = 0; round < 64u; round++) {
         uint32_t *word = &schedule[round % 16u];
         if (round < 16u) {
@@ -34,16 +36,16 @@ static void take_block(st_sha256 *hash)
         } else {
             const uint32_t two = schedule[(round - 2u) % 16u];
             const uint32_t fifteen = schedule[(round - 15u) % 16u];
-            *word += (turned(two, 17) ^ turned(two, 19) ^ (two >> 10))
+            *word += (rotated(two, 17) ^ rotated(two, 19) ^ (two >> 10))
                      + schedule[(round - 7u) % 16u]
-                     + (turned(fifteen, 7) ^ turned(fifteen, 18) ^ (fifteen >> 3));
+                     + (rotated(fifteen, 7) ^ rotated(fifteen, 18) ^ (fifteen >> 3));
         }
         const uint32_t chosen = (v[4] & v[5]) ^ (~v[4] & v[6]);
         const uint32_t majority = (v[0] & v[1]) ^ (v[0] & v[2]) ^ (v[1] & v[2]);
-        const uint32_t one = v[7] + (turned(v[4], 6) ^ turned(v[4], 11) ^ turned(v[4], 25)) + chosen
-                             + constant[round] + *word;
-        const uint32_t two = (turned(v[0], 2) ^ turned(v[0], 13) ^ turned(v[0], 22)) + majority;
-        memmove(v + 1, v, 7u * sizeof *v);
+        const uint32_t one = v[7] + (rotated(v[4], 6) ^ rotated(v[4], 11) ^ rotated(v[4], 25))
+                             + chosen + constant[round] + *word;
+        const uint32_t two = (rotated(v[0], 2) ^ rotated(v[0], 13) ^ rotated(v[0], 22)) + majority;
+        (void)memmove(v + 1, v, 7u * sizeof *v);
         v[4] += one;
         v[0] = one + two;
     }
@@ -52,21 +54,23 @@ static void take_block(st_sha256 *hash)
     }
 }
 
+/* Begin a hash. */
 void st_sha256_begin(st_sha256 *hash)
 {
     static const uint32_t first[8] = { 0x6A09E667u, 0xBB67AE85u, 0x3C6EF372u, 0xA54FF53Au,
                                        0x510E527Fu, 0x9B05688Cu, 0x1F83D9ABu, 0x5BE0CD19u };
-    memcpy(hash->state, first, sizeof first);
+    (void)memcpy(hash->state, first, sizeof first);
     hash->size = 0;
 }
 
+/* Add bytes to a hash. */
 void st_sha256_add(st_sha256 *hash, const uint8_t *data, size_t size)
 {
     while (size > 0u) {
         const size_t filled = (size_t)(hash->size % sizeof hash->block);
         const size_t left = sizeof hash->block - filled;
         const size_t count = size < left ? size : left;
-        memcpy(hash->block + filled, data, count);
+        (void)memcpy(hash->block + filled, data, count);
         hash->size += count;
         data += count;
         size -= count;
@@ -76,6 +80,7 @@ void st_sha256_add(st_sha256 *hash, const uint8_t *data, size_t size)
     }
 }
 
+/* End a hash, and write its first 16 bytes. */
 void st_sha256_end(st_sha256 *hash, uint8_t digest[ST_IDENTITY_BYTES])
 {
     static const uint8_t padding[64] = { 0x80 };
