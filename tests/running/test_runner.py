@@ -53,11 +53,11 @@ class Noting(Listener):
     def prepare(self, run):
         self.calls.append("prepare")
         self.context = run
-        assert not run.board._opened
+        assert "closed" in repr(run.board)
 
     def start(self, run):
         self.calls.append("start")
-        assert run.board._opened
+        assert "open" in repr(run.board)
 
     def step(self, result):
         self.calls += ["step"] if "step" not in self.calls else []
@@ -68,7 +68,7 @@ class Noting(Listener):
 
     def finish(self, run):
         self.calls.append("finish")
-        assert not run.board._opened
+        assert "closed" in repr(run.board)
 
     def close(self):
         self.calls.append("close")
