@@ -47,7 +47,6 @@ class SessionFeed(Source, Listener):
         self.controls = Controls(ControlState(Mode.RA))
         self.gate = self.user_level = 0.0
         """What force and the user let flow of a level, in [0, 1]."""
-        self.frames = 1  # the silence before all patterns
         self.now_ns = 0
         """Time of the last read, since the start of the run."""
         self._read_at_ns = (0, 0)
@@ -60,7 +59,11 @@ class SessionFeed(Source, Listener):
         self._lock = threading.Lock()
         self._show: Show | None = None
         self._put: tuple[NDArray[np.float32] | Frame, int, int] | None = None
+        """Pattern that was put, when it came and when it is stale, by `time.monotonic_ns`."""
         self._put_sent_ns: int | None = None
+        self._count = self._missed = 0
+        """Number of what is shown, and patterns that were put and replaced before it."""
+        self._read_number: int | None = None
         self._seen: tuple[Mode, bool] | None = None
         self._context: RunContext | None = None
         self._mapper = TactileMapper(profile)
@@ -114,10 +117,9 @@ class SessionFeed(Source, Listener):
     def put(self, pattern: NDArray[np.float32] | Frame, stale_ns: int) -> None:
         """Show a pattern until another, or until it is stale."""
         with self._lock:
-            self.dropped_frames += self._put is not None and self._put_sent_ns is None
-            self._put = pattern, time.monotonic_ns() + stale_ns, self.frames
-            self._put_sent_ns = None
-            self.frames += 1
+            self._missed += self._put is not None and self._put_sent_ns is None
+            now_ns = time.monotonic_ns()
+            self._put, self._put_sent_ns = (pattern, now_ns, now_ns + stale_ns), None
         self.news.set()
 
     def end(self) -> None:
@@ -160,10 +162,12 @@ class SessionFeed(Source, Listener):
                 if show.began or show.at_ns is None or not self._is_open(show, time_ns):
                     return 0
                 return max(0, min(IDLE_NS, show.at_ns - now_ns))
-            if self._put is not None and now_ns < self._put[1]:
+            if self._put is not None and now_ns < self._put[2]:
                 if self._put_sent_ns is None:
                     return 0
-                return max(0, self._put_sent_ns + self._usual_ns - time_ns)
+                if not isinstance(self._put[0], np.ndarray) or self._put[0].any():
+                    repeats_ns = self._put_sent_ns + self._usual_ns - time_ns
+                    return max(0, repeats_ns) if self.follows else 0
         return IDLE_NS
 
     def time_ns(self) -> int:
@@ -177,6 +181,8 @@ class SessionFeed(Source, Listener):
         while True:
             with self._lock:
                 given = None if self.is_over else self._shown_now(time_ns)
+                if given is not None:
+                    self._account(given.number)
                 if given is not None or self.is_over:
                     return given
             self.news.wait(0.1)
@@ -195,7 +201,7 @@ class SessionFeed(Source, Listener):
             return None
         state = self.controls.state(time_ns)
         seen, self._seen = self._seen, (state.mode, state.paused)
-        if seen != self._seen:
+        if seen is not None and seen != self._seen:
             # Intensity begins at zero with this step.
             return self._silent(time_ns)
         if self._show is not None:
@@ -206,24 +212,33 @@ class SessionFeed(Source, Listener):
             return self._of_put(self._put, time_ns)
         return self._silent(time_ns)
 
+    def _account(self, number: int) -> None:
+        """Count what is read, and what was replaced before."""
+        if number != self._read_number:
+            before = min(number - 1, 0) if self._read_number is None else self._read_number
+            self.frames += number - before
+            self.dropped_frames += number - before - 1
+            self._read_number = number
+
     def _of_put(self, put: tuple[NDArray[np.float32] | Frame, int, int], time_ns: int) -> Input:
-        pattern, stale_ns, number = put
-        if time.monotonic_ns() >= stale_ns:
-            self._put = None
+        pattern, came_ns, stale_ns = put
+        now_ns = time.monotonic_ns()
+        if now_ns >= stale_ns:
             return replace(self._silent(time_ns), stale=True)
+        if self._put_sent_ns is None:
+            self._count += 1 + self._missed
+            self._missed = 0
         self._put_sent_ns = time_ns
-        # Classes keep their own rates in natural mode.
-        natural = self.controls.state(time_ns).mode is Mode.NATURAL
-        return self._input(pattern, time_ns, number, None if natural else self._least_us)
+        given = self._input(pattern, time_ns, self._least_us if self.follows else None)
+        return replace(given, age_ns=now_ns - came_ns)
 
     def _input(
         self,
         pattern: NDArray[np.float32] | Frame,
         time_ns: int,
-        number: int,
         period_us: int | None,
         level: float = 1.0,
-    ) -> Input:
+    ) -> Stimulus:
         """Return a pattern as an input; frames are mapped here."""
         force_n, image = self._press_n, None
         if isinstance(pattern, Frame):
@@ -231,7 +246,9 @@ class SessionFeed(Source, Listener):
             mode, image = self.controls.state(time_ns).mode, pattern.image
             frame = replace(pattern, time_ns=time_ns, force_n=force_n)
             pattern = self._mapper.map(frame, mode).activation
-        return Stimulus(pattern, time_ns, force_n, period_us, level, number=number, image=image)
+        return Stimulus(
+            pattern, time_ns, force_n, period_us, level, number=self._count, image=image
+        )
 
     def _of_show(self, show: Show, time_ns: int) -> Input | None:
         """Return a pattern, or the pulses that open its level; None if it is over or must wait."""
@@ -244,7 +261,11 @@ class SessionFeed(Source, Listener):
             if waits and show.at_ns is not None and time.monotonic_ns() < show.at_ns:
                 return None
             show.began, show.time_ns, show.clock_ns = True, time_ns, time.monotonic_ns()
-            self.frames += show.pattern is not None
+            self._count += show.pattern is not None
+            # What was put before comes again after it, unless it is stale by then.
+            self._put_sent_ns = None
+            if self._put is not None and time.monotonic_ns() >= self._put[2]:
+                self._put = None
             self._end_if_past(time_ns)
             if self._show is None:
                 return None
@@ -259,7 +280,7 @@ class SessionFeed(Source, Listener):
         period_us = show.period_us
         if period_us is None and self.controls.state(time_ns).mode is Mode.COLOR:
             period_us = self._usual_ns // 1000
-        return self._input(show.pattern, time_ns, self.frames - 1, period_us, level)
+        return self._input(show.pattern, time_ns, period_us, level)
 
     def _end_if_past(self, time_ns: int) -> None:
         show = self._show
@@ -297,7 +318,7 @@ class SessionFeed(Source, Listener):
         show.ramped_ns = time_ns - show.asked_ns + 1000 * self._least_us
         faint = np.asarray(np.float32(show.faint) * active, np.float32)
         return Stimulus(
-            faint, time_ns, self._press_n, self._silent_us, show.opens, number=self.frames - 1
+            faint, time_ns, self._press_n, self._silent_us, show.opens, number=self._count
         )
 
     def note_opening(self) -> None:
@@ -324,8 +345,14 @@ class SessionFeed(Source, Listener):
             show.note(result, asked)
 
     def _silent(self, time_ns: int, period_us: int | None = None) -> Stimulus:
-        number, period_us = self.frames - 1, period_us or self._least_us
-        return Stimulus(self._nothing, time_ns, self._press_n, period_us, number=number)
+        period_us = period_us or self._least_us
+        return Stimulus(self._nothing, time_ns, self._press_n, period_us, number=self._count)
+
+    @property
+    def follows(self) -> bool:
+        """Whether what is put begins at once, as one pulse of each class; else with the next
+        sequence, at the rates of its classes."""
+        return self.controls.state(self.now_ns).mode is not Mode.NATURAL
 
     @property
     def most_hz(self) -> float:

@@ -162,13 +162,16 @@ def test_what_wakes_the_loop(profile, query, mode, active_ns, period_us):
 
 
 def test_silence_is_nothing(source, send, monkeypatch):
+    monkeypatch.setattr(pushed_stimuli, "SILENT_S", SILENT_S)
+    now_ns = time.monotonic_ns()
+    monkeypatch.setattr(time, "monotonic_ns", lambda: now_ns)
     send(built("point", 0.0, 0.0).dgram)
     assert felt(source) == ([0], False)
-    heard_s = time.monotonic()
-    monkeypatch.setattr(pushed_stimuli, "SILENT_S", SILENT_S)
-    monkeypatch.setattr(pushed_stimuli.time, "monotonic", lambda: heard_s + 0.51)
-    assert felt(source) == ([], True)
-    assert SILENT_S == 0.5
+    for after_s, found in ((0.49, ([0], False)), (0.51, ([], True)), (9.0, ([], True))):
+        now_ns += round(1e9 * after_s)
+        assert felt(source) == found
+        now_ns -= round(1e9 * after_s)
+    assert source.dropped_frames == 0
 
 
 def test_nonsense_changes_nothing(source, send):
