@@ -45,7 +45,7 @@ experiment = Experiment("which had a gap: width, mm", make)
 # Somebody who guesses sits it on a simulated board; with a person it is the same command without
 # ``--simulate`` and with ``--board``.
 if __name__ == "__main__":
-    command = "experiment run {} --simulate random --repetitions 1 --output answers.csv --overwrite"
+    command = "experiment run {}?repetitions=1 --simulate random --output answers.csv --overwrite"
     arguments = command.format(__file__).split()
     done = subprocess.run(
         [sys.executable, "-m", "smarttouch", *arguments], capture_output=True, text=True, check=True

@@ -4,6 +4,7 @@ import contextlib
 import math
 import sys
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from smarttouch.running.config import RunConfig
 
 _SIMULATED = "simulated:"
+_ANATOMY = "paper"
 
 
 def sit(
@@ -55,7 +57,9 @@ def sit(
             keys=source.keys,
             listeners=()
             if simulate is None
-            else [sitting.subject(source, simulate, config.seed, options.finger, options.anatomy)],
+            else [
+                sitting.subject(source, simulate, config.seed, *options.one_finger(_ANATOMY)[::-1])
+            ],
         )
     finally:
         say(sitting.after())
@@ -98,7 +102,7 @@ def free_run(
         options.start(
             source,
             raised,
-            options.config(Mode.COLOR),
+            options.config(Mode.COLOR, scan="points"),
             keys=source.keys,
             keys_help="← → rate    [ ] site    1 to 9 mark    ",
             controls=partial(HandControls, knob=knob),
@@ -232,9 +236,6 @@ experiment = typer.Typer(
 )
 
 _Mode = Annotated[str, typer.Option("--mode", metavar="CLASS", help="RA, SAI or PC.")]
-_Site = Annotated[
-    int | None, typer.Option("--site", metavar="N", help="Electrode; in the middle if none.")
-]
 _Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the CSV file.")]
 _Session = Annotated[str, typer.Option("--session", metavar="NAME", help="Which session.")]
 _Output = Annotated[
@@ -243,9 +244,7 @@ _Output = Annotated[
 ]
 
 
-@experiment.command("list")
-def list_all() -> None:
-    """Show which experiments there are."""
+def _list_all() -> None:
     from smarttouch.base.registry import plug_in_names
     from smarttouch.experiments.psychophysics.catalog import CATALOG, find_experiment
     from smarttouch.experiments.psychophysics.own_experiments import GROUP
@@ -253,48 +252,61 @@ def list_all() -> None:
     for name in (*CATALOG, *plug_in_names(GROUP)):
         entry = find_experiment(name)
         typer.echo(f"{name:13} {entry.about} [{', '.join(entry.methods)}]")
-    typer.echo(f"{'free':13} turn amplitude, rate and mode by hand: smarttouch experiment free")
+    typer.echo(f"{'free':13} turn amplitude, rate and mode by hand")
+
+
+@dataclass(frozen=True)
+class _Parts:
+    """Options that follow the name of an experiment."""
+
+    procedure: str | None = None
+    standards: str | None = None
+    repetitions: int | None = None
+    trials: int | None = None
+    letters: str | None = None
+    two_intervals: bool = False
+    site: int | None = None
+    train_s: float | None = None
+    gap_s: float = 0.5
+    answer_s: float = 10.0
+    knob: str | None = None
+
+    @classmethod
+    def read(cls, text: str) -> "tuple[str, _Parts]":
+        """Return the name of an experiment, and the options that follow it."""
+        from smarttouch.base.errors import require_within
+        from smarttouch.base.url_options import options_of, read_options
+
+        name, given = read_options(cls, text, ExperimentError)
+        if "?" in name:
+            known = ", ".join(sorted(options_of(cls)))
+            message = f"{name!r} has an option that there is not: choose {known}"
+            raise ExperimentError(message, about="name")
+        for each in ("repetitions", "trials"):
+            if each in given:
+                require_within(ExperimentError, each, given[each], 1, math.inf)
+        return name, cls(**given)
 
 
 @experiment.command("run", cls=RunCommand)
 @drives_a_board
-@takes_options(scan="points", anatomy="paper")
+@takes_options()
 def run_listed(
     run: RunOptionGroup,
-    name: Annotated[
-        str,
-        typer.Argument(metavar="NAME|FILE.py", help="See smarttouch experiment list; or your own."),
-    ],
-    mode: _Mode = "RA",
-    procedure: Annotated[
+    text: Annotated[
         str | None,
-        typer.Option(metavar="HOW", help="constant, staircase or questplus."),
+        typer.Argument(
+            metavar="NAME|FILE.py",
+            help="An experiment, free, or a file of yours; all are listed without one. Options "
+            "follow: 'frequency?standards=15,30&repetitions=5&procedure=constant&site=27', also "
+            "trials, letters=AEIOU, two_intervals, train_s, gap_s, answer_s, and knob=URL of free.",
+        ),
     ] = None,
-    standards: Annotated[
-        str | None, typer.Option(metavar="LIST", help="Of frequency, Hz, as in 15,30,45.")
-    ] = None,
-    repetitions: Annotated[
-        int | None, typer.Option(metavar="N", min=1, help="Of each condition (constant).")
-    ] = None,
-    trials: Annotated[
-        int | None, typer.Option(metavar="N", min=1, help="Most of each standard (adaptive).")
-    ] = None,
-    letters: Annotated[
-        str | None, typer.Option(metavar="LIST", help="Of letters, as in AEIOU; all if none.")
-    ] = None,
-    two_intervals: Annotated[
-        bool, typer.Option("--two-intervals", help="Detection: in which of two.")
-    ] = False,
-    site: _Site = None,
+    mode: _Mode = "RA",
     rate_hz: Annotated[
         float | None,
-        typer.Option("--rate", metavar="HZ", help="Of pulses, where not asked about."),
+        typer.Option("--rate", metavar="HZ", help="Set the rate of pulses, where none is asked."),
     ] = None,
-    train_s: Annotated[float | None, typer.Option(metavar="S", help="Length of trains.")] = None,
-    gap_s: Annotated[float, typer.Option(metavar="S", help="Between two intervals.")] = 0.5,
-    answer_s: Annotated[
-        float, typer.Option(metavar="S", help="Longest wait for an answer; 0: no end.")
-    ] = 10.0,
     session: _Session = "",
     seed: Annotated[
         int | None,
@@ -317,7 +329,8 @@ def run_listed(
     """Run an experiment of the list or of a file; the same command again goes on where it was.
 
     Keys: the answers that the screen names, r for the trial once more, and those of live; q to
-    go on another time.
+    go on another time. With free: ↑ ↓ for the amplitude, ← → for the rate, [ ] for the site, 1 to 9
+    to mark what is perceived; every change is a row of the CSV file.
     """
     from dataclasses import replace
 
@@ -333,6 +346,16 @@ def run_listed(
     from smarttouch.experiments.psychophysics.trial_rows import About
     from smarttouch.experiments.psychophysics.trials import TrialTiming
 
+    if text is None:
+        _list_all()
+        return
+    name, parts = _Parts.read(text)
+    if name == "free":
+        if simulate is not None:
+            message = "nobody is simulated in free stimulation: leave this out"
+            raise ExperimentError(message, about="simulate")
+        _run_free(replace(run, board=board), mode, parts, rate_hz, output)
+        return
     if simulate is not None:
         simulate = parse_choice("simulate", simulate, ("model", "random", "first", "silent"))
     run = replace(run, board=board or (None if simulate is None else "simulated:"))
@@ -348,17 +371,18 @@ def run_listed(
     named = f"{Path(name).stem}-{afferent.name}"
     stem, order = session_name(named, run.subject, session, seed)
     options = ExperimentOptions(
-        afferent, procedure, parse_standards(standards), repetitions, trials, site, train_s,
-        rate_hz, letters, two_intervals, order,
+        afferent, parts.procedure, parse_standards(parts.standards), parts.repetitions,
+        parts.trials, parts.site, parts.train_s, rate_hz, parts.letters, parts.two_intervals, order,
     )  # fmt: skip
     made = new_experiment(name, chosen, options)
     # Nobody is there who could press harder, or turn the intensity up.
     patience_s = None if simulate is None else 10.0
-    timing = TrialTiming(gap_s, answer_s or None, made.again, patience_s)
+    timing = TrialTiming(parts.gap_s, parts.answer_s or None, made.again, patience_s)
     path = output or Path(f"{stem}.csv")
     about = About(named, made.method, run.subject, session, order)
     config = run.config(
         afferent.name,
+        scan="points",
         seed=order,
         note=run.note or session,
     )
@@ -368,38 +392,21 @@ def run_listed(
         sit(sitting, run, config, simulate)
 
 
-@experiment.command(cls=RunCommand)
-@drives_a_board
-@takes_options(scan="points")
-def free(
+def _run_free(
     run: RunOptionGroup,
-    mode: _Mode = "RA",
-    site: _Site = None,
-    rate_hz: Annotated[
-        float, typer.Option("--rate", metavar="HZ", help="Of pulses, 10 to 200.")
-    ] = 50.0,
-    knob: Annotated[
-        str | None,
-        typer.Option(metavar="URL", help="Moved away from you: stronger. evdev:, window:, ..."),
-    ] = None,
-    output: Annotated[
-        Path | None, typer.Option(metavar="CSV", help="All changes; free.csv or the next number.")
-    ] = None,
-    profile: Annotated[
-        str, typer.Option(metavar="NAME|FILE", help="The paper's line array if not given.")
-    ] = "line-8",
+    mode: str,
+    parts: _Parts,
+    rate_hz: float | None,
+    output: Path | None,
 ) -> None:
-    """Turn the current by hand, from nothing to the device's own limit (paper, III-A).
-
-    Keys: ↑ ↓ + − for the amplitude, ← → for the rate, m for the mode, [ ] for the site, 1 to 9 to
-    mark what is felt; and those of live. Every change is a row of the CSV file.
-    """
+    """Let a user turn the current by hand, up to the device's own limit (paper, III-A)."""
     from dataclasses import replace
 
     from smarttouch.cli.options import parse_afferent
 
-    run = replace(run, profile=profile)
+    run = replace(run, profile=run.profile or "line-8")
     if run.intensity is None and not run.on_a_finger:
         # By hand from nothing here too.
         run = replace(run, intensity=0.0)
-    free_run(run, run.load_profile(), parse_afferent(mode), site, rate_hz, knob, output)
+    rate = 50.0 if rate_hz is None else rate_hz
+    free_run(run, run.load_profile(), parse_afferent(mode), parts.site, rate, parts.knob, output)

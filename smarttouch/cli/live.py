@@ -52,13 +52,12 @@ def live(
     taken = options_taken(url)
     given = {name: value for name, value in offered.items() if name in taken}
     with open_source(url, chosen, light_on_dark=light_on_dark, seed=seed, **given) as opened:
-        suits = {"mode": asked or "RA", "scan": run.scan or "auto"} | dict(opened.settings)
+        suits = {"mode": asked or "RA"} | dict(opened.settings)
         if asked is not None and suits["mode"] != asked:
             message = f"{opened.title} chooses its classes by itself: leave out the mode"
             raise SourceError(message, about="mode")
         config = run.config(
-            suits["mode"],
-            scan=run.scan or suits["scan"],
+            **suits,
             rate_hz=None if "rate_hz" in taken else rate_hz,
             light_on_dark=light_on_dark,
             seed=seed or 0,

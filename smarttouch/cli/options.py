@@ -170,23 +170,6 @@ JsonOption = Annotated[
 ]
 
 
-def _seed(value: int) -> int:
-    if value < 0:
-        raise typer.BadParameter(f"the seed {value} must be 0 or more")
-    return value
-
-
-FingerOption = Annotated[
-    int,
-    typer.Option(
-        "--finger",
-        metavar="SEED",
-        rich_help_panel=KEPT,
-        callback=_seed,
-        show_default=False,
-        help="Seed of the simulated finger.",
-    ),
-]
 ForceOption = Annotated[
     str | None,
     typer.Option(

@@ -1,7 +1,8 @@
 """``smarttouch read``, ``braille`` and ``braille-display``: text under a finger."""
 
+import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -39,12 +40,13 @@ def read(
             "(standard input); ?dpi=300 and more.",
         ),
     ],
-    lines: Annotated[int, typer.Option(help="Lines of Braille at once.")] = 1,
-    pause_s: Annotated[float, typer.Option("--pause", metavar="S", help="After each line.")] = 1.0,
-    wait: Annotated[bool, typer.Option("--wait", help="Go on at the right arrow only.")] = False,
+    pause_s: Annotated[
+        float,
+        typer.Option("--pause", metavar="S", help="Rest after each line; inf waits for a key."),
+    ] = 1.0,
     follow: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="ReadingMaterial of finger positions."),
+        typer.Option(metavar="URL", help="Take the place of the finger from this source."),
     ] = None,
     board: Annotated[
         str | None,
@@ -76,8 +78,9 @@ def read(
     run = replace(run, board=board or (None if run.frames is None else "simulated:"))
     own = run.load_profile()
     chosen = profile_for_reading(own)
-    presentation = feel.presentation(own.defaults.read_as, lines, document.languages)
-    motion = presentation.motion(chosen, feel.speed_mm_s, rate_hz)
+    presentation, speed_mm_s = feel.presentation(own.defaults.read_as, document.languages)
+    motion = presentation.motion(chosen, speed_mm_s, rate_hz)
+    wait = pause_s == math.inf
     notes: list[str] = []
     text = ReadingMaterial(
         *document.recognition(source, scale_matters=follow is not None), notes.append
@@ -90,7 +93,9 @@ def read(
         first_line_awaited(lambda: feed.wait_for(0), run.quiet)
         cursor: Cursor
         if follow is None:
-            cursor = SweepingCursor(feed, motion, reading_force_n(chosen), pause_s, wait)
+            cursor = SweepingCursor(
+                feed, motion, reading_force_n(chosen), 0.0 if wait else pause_s, wait
+            )
         else:
             cursor = FollowingCursor(feed, stack.enter_context(open_source(follow, own)))
         reading = ReadingSource(text.title, chosen, feed, cursor)
@@ -214,28 +219,19 @@ def _print_tables() -> None:
 
 
 @drives_a_board
-@takes_options(scan="points")
+@takes_options()
 def braille_display(
     run: RunOptionGroup,
     address: Annotated[
         str,
         typer.Argument(
             metavar="[ADDRESS]",
-            help="listen:PORT, where BRLTTY connects, or HOST:PORT, where it listens.",
+            help="listen:PORT, where BRLTTY connects, or HOST:PORT, where it listens. Options "
+            "follow: 'listen:35752?cells=10&show=cell&speed_mm_s=60&pan'.",
         ),
     ] = "listen:35752",
     mode: ModeOption = "RA",
     rate_hz: RateOption = None,
-    cells: Annotated[int, typer.Option(help="Width of the display.")] = 20,
-    show: Annotated[
-        str, typer.Option(metavar="HOW", help="line: cells move through; cell: one at a time.")
-    ] = "line",
-    speed_mm_s: Annotated[
-        float | None, typer.Option("--speed", metavar="MM/S", help="Of the cells.")
-    ] = None,
-    pan: Annotated[
-        bool, typer.Option("--pan", help="Go on by itself at the end of the window.")
-    ] = False,
 ) -> None:
     """Be the Braille display of a running screen reader, by way of BRLTTY.
 
@@ -252,12 +248,6 @@ def braille_display(
     from smarttouch.sources import open_source
 
     chosen = profile_for_reading(run.load_profile())
-    config = run.config(parse_mode(mode), rate_hz=rate_hz)
-    options: dict[str, Any] = {
-        "cells": cells,
-        "show": show,
-        "speed_mm_s": speed_mm_s,
-        "pan": pan,
-    }
-    with open_source(f"brltty:{address}", chosen, **options) as source:
+    config = run.config(parse_mode(mode), rate_hz=rate_hz, scan="points")
+    with open_source(f"brltty:{address}", chosen) as source:
         run.start(source, chosen, config, keys=source.keys, keys_help=source.keys_help)

@@ -8,19 +8,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from smarttouch.base.errors import SmartTouchError, not_offered
 from smarttouch.base.files import require_folder
 from smarttouch.cli.options import (
     BOARD,
     FINGER,
     KEPT,
-    AnatomyOption,
-    FingerOption,
     ForceOption,
     JsonOption,
     OptionGroup,
     ProfileOption,
     QuietOption,
-    ScanOption,
 )
 
 if TYPE_CHECKING:
@@ -28,6 +26,9 @@ if TYPE_CHECKING:
     from smarttouch.running.config import RunConfig
     from smarttouch.running.display import Display
     from smarttouch.sources.source_contract import Source
+
+
+_SETTINGS = {"scan": 0, "hold": 0, "softness": 0, "measure": 0, "balance": 0}.keys()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,26 +49,16 @@ class RunOptionGroup(OptionGroup):
             metavar="URL", rich_help_panel=BOARD, help="To shake what PC is to feel; no current."
         ),
     ] = None
-    scan: ScanOption = None
-    measure: Annotated[
-        bool,
-        typer.Option("--measure", rich_help_panel=BOARD, help="Find and avoid bad electrodes."),
-    ] = False
-    hold: Annotated[
-        str | None,
+    set_: Annotated[
+        list[str] | None,
         typer.Option(
-            metavar="WHAT", rich_help_panel=BOARD, help="charge or energy, as impedance drifts."
+            "--set",
+            metavar="NAME=VALUE",
+            rich_help_panel=BOARD,
+            help="Change a setting of the run: scan=points (or frame, auto), hold=charge (or "
+            "energy), softness=0..1, measure, balance.",
         ),
     ] = None
-    balance: Annotated[
-        bool,
-        typer.Option(
-            "--balance",
-            rich_help_panel=BOARD,
-            help="Net charge zero: a weak recharge; of one source reversed scans, which drive the "
-            "other class.",
-        ),
-    ] = False
     profile: ProfileOption = None
     force: ForceOption = None
     intensity: Annotated[
@@ -78,14 +69,6 @@ class RunOptionGroup(OptionGroup):
             help="At most, of the strongest; real boards begin at 0.",
         ),
     ] = None
-    softness: Annotated[
-        float | None,
-        typer.Option(
-            metavar="0..1",
-            rich_help_panel=FINGER,
-            help="SAI pulses at one rate (1), or as force has it (0).",
-        ),
-    ] = None
     seconds: Annotated[float | None, typer.Option(metavar="S", help="Longest run, wall time.")] = (
         None
     )
@@ -93,8 +76,16 @@ class RunOptionGroup(OptionGroup):
         Path | None,
         typer.Option(metavar="PNG", rich_help_panel=KEPT, help="Picture of what is read and felt."),
     ] = None
-    finger: FingerOption = 1
-    anatomy: AnatomyOption = "branched"
+    finger: Annotated[
+        str | None,
+        typer.Option(
+            metavar="[ANATOMY:]SEED",
+            rich_help_panel=KEPT,
+            show_default=False,
+            help="Choose the simulated finger: 2, paper or paper:2; the anatomy is branched, "
+            "paper or a file.",
+        ),
+    ] = None
     frames: Annotated[
         Path | None,
         typer.Option(
@@ -116,15 +107,13 @@ class RunOptionGroup(OptionGroup):
             metavar="TEXT", rich_help_panel=KEPT, help="Anything else, for the recording."
         ),
     ] = ""
-    markers: Annotated[
-        bool,
+    stream: Annotated[
+        list[str] | None,
         typer.Option(
-            "--markers", rich_help_panel=KEPT, help="Events to the Lab Streaming Layer (extra lsl)."
+            metavar="URL",
+            rich_help_panel=KEPT,
+            help="Send the run to lsl: (Lab Streaming Layer) or foxglove:PORT while it goes on.",
         ),
-    ] = False
-    foxglove: Annotated[
-        int | None,
-        typer.Option(metavar="PORT", rich_help_panel=KEPT, help="For Foxglove, live (extra)."),
     ] = None
     json_file: JsonOption = None
     window: Annotated[
@@ -173,20 +162,45 @@ class RunOptionGroup(OptionGroup):
         return Display(self.board_url, profile, self.vibrators)
 
     def config(self, mode: str, **more: Any) -> "RunConfig":
-        """Return the configuration of the run; settings that a command adds go first."""
+        """Return the configuration of the run; what a command has as usual comes before --set."""
         from smarttouch.running.config import RunConfig
 
-        return RunConfig(**(self.settings() | {"mode": mode} | more))
+        own = self.settings()
+        asked = {name: own[name] for name in own if name in _SETTINGS}
+        return RunConfig(**(own | {"mode": mode} | more | asked))
 
     def settings(self, *but: str) -> dict[str, Any]:
         """Return the settings of `RunConfig` that were given, but for some."""
-        names = (
-            "scan", "seconds", "intensity", "softness", "measure", "hold", "balance", "subject",
-            "note",
-        )  # fmt: skip
-        given = {name: getattr(self, name) for name in names if name not in but}
-        # A command or its source has a usual way to scan.
-        return {name: value for name, value in given.items() if (name, value) != ("scan", None)}
+        from smarttouch.base.url_options import options_of, read_options
+        from smarttouch.running.config import RunConfig
+
+        names = ("seconds", "intensity", "subject", "note")
+        settings = {name: getattr(self, name) for name in names}
+        for each in self.set_ or ():
+            about = each.partition("=")[0]
+            if about not in _SETTINGS:
+                raise not_offered("set", about, _SETTINGS)
+            others = options_of(RunConfig).keys() - _SETTINGS
+            settings |= read_options(RunConfig, f"?{each}", SmartTouchError, but=others)[1]
+        return {name: value for name, value in settings.items() if name not in but}
+
+    def one_finger(self, usual: str = "branched") -> tuple[str, int]:
+        """Return anatomy and seed of the simulated finger."""
+        anatomy, _, seed = (self.finger or usual).rpartition(":")
+        return (anatomy or usual, int(seed)) if seed.isdecimal() else (self.finger or usual, 1)
+
+    def streams(self) -> dict[str, Any]:
+        """Return which streams are asked for, as `Outputs` names them."""
+        found: dict[str, Any] = {}
+        for url in self.stream or ():
+            kind, _, port = url.partition(":")
+            if kind == "foxglove" and port.isdecimal():
+                found["foxglove"] = int(port)
+            elif url == "lsl:":
+                found["markers"] = True
+            else:
+                raise not_offered("stream", url, ("lsl:", "foxglove:8765"))
+        return found
 
     def start(
         self,
@@ -199,9 +213,19 @@ class RunOptionGroup(OptionGroup):
         from smarttouch.sources.force import open_force
         from smarttouch.views.terminal_session import Outputs, run_in_terminal
 
-        given = {each.name: getattr(self, each.name) for each in fields(Outputs)}
         plain = profile.defaults.plain if self.plain is None else self.plain
-        outputs = Outputs(**given | {"plain": plain})
+        anatomy, seed = self.one_finger()
+        given: dict[str, Any] = {
+            each.name: getattr(self, each.name, None) for each in fields(Outputs)
+        }
+        given |= {
+            "finger": seed,
+            "anatomy": anatomy,
+            "plain": plain,
+            "markers": False,
+            "foxglove": None,
+        }
+        outputs = Outputs(**given | self.streams())
         with nullcontext() if self.force is None else open_force(self.force, profile) as force:
             display = self.display(source.narrowed(profile) if self.on_a_finger else profile)
             run_in_terminal(source, display, config, outputs, force=force, **more)

@@ -145,8 +145,8 @@ def simulate_page(
     chosen = profile_for_reading(load_profile(profile))
     notes: list[str] = []
     text = ReadingMaterial(*document.recognition(source), notes.append)
-    presentation = feel.presentation(chosen.defaults.read_as)
-    motion = presentation.motion(chosen, feel.speed_mm_s)
+    presentation, speed_mm_s = feel.presentation(chosen.defaults.read_as)
+    motion = presentation.motion(chosen, speed_mm_s)
     with bank_progress(quiet) as progress:
         bank = load_bank(chosen, progress)
     sharing = RunConfig(scan=parse_choice("scan", scan or "auto", SCANS)).sharing(chosen)

@@ -84,15 +84,9 @@ _TAGS = {code: tag for tag, code in _TESSERACT.items()}
 class DocumentOptions(OptionGroup):
     """Options of a document."""
 
-    pages: Annotated[
-        str | None, typer.Option(metavar="LIST", help="Pages to read, e.g. 1,3-5; all if none.")
-    ] = None
     password: Annotated[str | None, typer.Option(help="Password of an encrypted PDF.")] = None
     languages: Annotated[
         str | None, typer.Option("--language", metavar="TAG", help="Language of the text: en, fr.")
-    ] = None
-    keep_headers: Annotated[
-        bool | None, typer.Option("--keep-headers", help="Keep running heads and page numbers.")
     ] = None
 
     def recognition(self, source: str, **more: Any) -> "tuple[str, RecognitionOptions]":
@@ -135,53 +129,56 @@ def table_of(table: str | None, language: str | None) -> str:
     return table or _TAGS.get(first, first)
 
 
+@dataclass(frozen=True)
+class _Form:
+    """Options that follow the name of a form in ``--as``."""
+
+    style: str = "graded"
+    table: str | None = None
+    cells: str = "line"
+    lines: int = 1
+    embossed: bool | None = None
+    light_from: float | None = None
+    speed_mm_s: float | None = None
+
+
 @dataclass(frozen=True, kw_only=True)
 class FormOptions(OptionGroup):
     """Options of letter shapes and Braille."""
 
     kind: Annotated[
         str | None,
-        typer.Option("--as", metavar="FORM", rich_help_panel=_FORM, help="shapes or braille."),
-    ] = None
-    style: Annotated[
-        str,
         typer.Option(
-            metavar="STYLE", rich_help_panel=_FORM, help="Shapes: plain, thinned or graded."
+            "--as",
+            metavar="FORM",
+            help="Read shapes or braille. Options follow: 'shapes?style=thinned', "
+            "'braille?table=en-2&cells=cell&lines=2&speed_mm_s=40&embossed&light_from=90'.",
         ),
-    ] = "graded"
-    table: TableOption = None
-    cells: Annotated[
-        str,
-        typer.Option(metavar="HOW", rich_help_panel=_FORM, help="Braille: a line or each cell."),
-    ] = "line"
-    embossed: Annotated[
-        bool | None,
-        typer.Option(
-            "--embossed/--printed",
-            rich_help_panel=_FORM,
-            help="Photo of Braille: raised or printed.",
-        ),
-    ] = None
-    light_from: Annotated[
-        float | None,
-        typer.Option(metavar="DEG", rich_help_panel=_FORM, help="Direction of light on the dots."),
-    ] = None
-    speed_mm_s: Annotated[
-        float | None,
-        typer.Option("--speed", metavar="MM/S", rich_help_panel=_FORM, help="Speed of the text."),
     ] = None
 
     def presentation(
-        self, usual: str, lines: int = 1, language: str | None = None
-    ) -> "Shapes | Braille":
-        """Return letter shapes or Braille; without a table, that of the language."""
+        self, usual: str, language: str | None = None
+    ) -> "tuple[Shapes | Braille, float | None]":
+        """Return letter shapes or Braille, and the speed asked for, mm/s.
+
+        Without a table, it is that of the language.
+        """
+        from smarttouch.base.errors import ReadingError
+        from smarttouch.base.url_options import options_of, read_options
         from smarttouch.cli.options import parse_choice
         from smarttouch.reading.braille_lines import Braille, Presentation
         from smarttouch.reading.letter_shapes import Shapes, Style
 
-        shapes = Shapes(parse_choice("style", self.style, Style))
-        presentation = parse_choice("cells", self.cells, Presentation)
-        if parse_choice("kind", self.kind or usual, ("shapes", "braille")) == "shapes":
-            return shapes
-        table = table_of(self.table, language)
-        return Braille(table, presentation, lines, self.embossed, self.light_from)
+        text, given = read_options(_Form, self.kind or usual, ReadingError)
+        if "?" in text:
+            known = ", ".join(sorted(options_of(_Form)))
+            message = f"{text!r} has an option that there is not: choose {known}"
+            raise ReadingError(message, about="kind")
+        form = _Form(**given)
+        shapes = Shapes(parse_choice("style", form.style, Style))
+        presentation = parse_choice("cells", form.cells, Presentation)
+        if parse_choice("kind", text, ("shapes", "braille")) == "shapes":
+            return shapes, form.speed_mm_s
+        table = table_of(form.table, language)
+        braille = Braille(table, presentation, form.lines, form.embossed, form.light_from)
+        return braille, form.speed_mm_s

@@ -1,4 +1,4 @@
-"""``live --balance``: by recharge phases where a board makes them, else by reversing scans."""
+"""``live --set balance``: by recharge phases where a board makes them, else by reversing scans."""
 
 import numpy as np
 import pytest
@@ -23,12 +23,12 @@ def live(program_here):
 def test_by_the_hosts_books_charge_is_back(live, mode):
     options = f"--board memory: --mode {mode} --quiet"
     plain = live(options).figures
-    balanced = live(f"{options} --balance").flawless().figures
+    balanced = live(f"{options} --set balance").flawless().figures
     assert plain["max_net_charge_uc"] > 10 * balanced["max_net_charge_uc"] > 0
 
 
 def test_where_it_does_not_fit_the_rate_falls_and_the_run_says_so(live):
-    done = live("--board simulated: --rate 150 --scan points --balance").fine()
+    done = live("--board simulated: --rate 150 --set scan=points --set balance").fine()
     figures = done.figures
     assert figures["slowed_sequences"] > 0
     assert figures["lowest_rate_hz"] < figures["rate_hz"] < 150
@@ -37,13 +37,15 @@ def test_where_it_does_not_fit_the_rate_falls_and_the_run_says_so(live):
 
 
 def test_it_goes_together_with_holding_energy(live):
-    figures = live("--board emulator: --scan points --hold energy --balance").fine().figures
+    figures = (
+        live("--board emulator: --set scan=points --set hold=energy --set balance").fine().figures
+    )
     assert (figures["emulator_violations"], figures["refused"]) == (0, 0)
 
 
 def test_a_board_on_a_line_makes_them(live, start_emulator):
     _, port, books = start_emulator(64, "link")
-    figures = live(f"--board link:{port} --force fixed:1 --balance").fine().figures
+    figures = live(f"--board link:{port} --force fixed:1 --set balance").fine().figures
     assert figures["emulator_violations"] == 0
     state = fresh_state(books)
     assert state["recharges"] == len(read_recharges(books)) > 0
@@ -52,7 +54,7 @@ def test_a_board_on_a_line_makes_them(live, start_emulator):
 
 
 def test_one_source_reverses_and_says_what_that_does(live):
-    done = live("--board simulated: --profile smarttouch-4x4 --balance").fine()
+    done = live("--board simulated: --profile smarttouch-4x4 --set balance").fine()
     figures = done.figures
     for said in (done.stderr, done.stdout):
         assert all(name in said for name in ("RA", "SAI"))
@@ -63,25 +65,25 @@ def test_one_source_reverses_and_says_what_that_does(live):
 
 def test_so_does_an_etactilekit(live, start_emulator):
     _, port, books = start_emulator(32, "etactilekit")
-    done = live(f"--board etactilekit:{port} --force fixed:1 --balance").fine()
+    done = live(f"--board etactilekit:{port} --force fixed:1 --set balance").fine()
     assert "SAI where RA is meant" in done.stderr
     assert fresh_state(books)["recharges"] == 0
 
 
 def test_a_board_of_one_polarity_refuses(live, start_emulator):
     _, port, _ = start_emulator(61, "kajimoto61")
-    done = live(f"--board kajimoto61:{port} --force fixed:1 --balance")
+    done = live(f"--board kajimoto61:{port} --force fixed:1 --set balance")
     says(BoardError, about="balance", value=("anodic",))(refused(done))
 
 
 def test_it_is_recorded_and_checked(live, program_here):
-    live("--board simulated: --balance --record run.mcap --quiet").fine()
+    live("--board simulated: --set balance --record run.mcap --quiet").fine()
     program_here("replay run.mcap --check").fine()
 
 
 def test_what_is_felt_shows_no_recharge(live, tmp_path):
     pictures = []
-    for balance in ("", "--balance"):
-        live(f"--board simulated: --felt felt.png --anatomy paper --quiet {balance}").fine()
+    for balance in ("", "--set balance"):
+        live(f"--board simulated: --felt felt.png --finger paper --quiet {balance}").fine()
         pictures.append((tmp_path / "felt.png").read_bytes())
     assert pictures[0] == pictures[1]

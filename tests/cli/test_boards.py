@@ -158,7 +158,7 @@ def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(program_here
     assert found["masked"] == [5, 9]
     assert "masked = [5, 9]" in done.stdout
     assert found["impedance_kohm"][5] is None
-    done = program_here(f"live --board {url} {FULL} --measure text:oooo").fine()
+    done = program_here(f"live --board {url} {FULL} --set measure text:oooo").fine()
     assert "30 of 32" in done.stderr
     assert "[5, 9]" in done.stderr
     fresh_state(books)
@@ -178,7 +178,7 @@ def test_measuring_without_a_finger_says_so(program_here, start_emulator):
     found = program_here(f"devices measure {small} --json found.json").fine().figures
     assert found["condition"] == ["open"] * 16
     assert found["impedance_kohm"] == [None] * 16
-    done = program_here(f"live --board {small} {FULL} --measure")
+    done = program_here(f"live --board {small} {FULL} --set measure")
     says(BoardError, about="finger")(refused(done))
 
 

@@ -102,7 +102,7 @@ def test_nobody_knows_the_force(program_here, tmp_path):
 
 @pytest.mark.parametrize(("arguments", "wrong"), [
     ("--intensity 1.2", says(about="intensity", value=1.2, allowed=(0, 1))),
-    ("--softness nan", says(about="softness", value=math.nan, allowed=(0, 1))),
+    ("--set softness=nan", says(about="softness", value=math.nan, allowed=(0, 1))),
     ("camera:0?size=640", says(SourceError, "size", "640x480")),
     ("text:a?exposure=3", says(SourceError, " exposure:", "speed_mm_s")),
     ("--mode natural --rate 50",

@@ -27,9 +27,9 @@ from .conftest import refused, says
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 
-SMALL = "experiment run frequency --standards 30 --train-s 0.15"
-SIMULATED = f"{SMALL} --simulate model --gap-s 0.1"
-ONCE = f"{SIMULATED} --repetitions 1"
+SMALL = "experiment run frequency?standards=30&train_s=0.15"
+SIMULATED = f"{SMALL}&gap_s=0.1 --simulate model"
+ONCE = SIMULATED.replace("&gap", "&repetitions=1&gap")
 
 
 def wrong(*names, **attributes):
@@ -41,7 +41,7 @@ def shown(path):
 
 
 def test_the_list_names_every_experiment(program_here):
-    listed = program_here("experiment list").stdout
+    listed = program_here("experiment run").stdout
     for name in ("frequency", "detection", "discomfort", "two-point", "localization", "letters"):
         assert f"\n{name} " in f"\n{listed}"
     assert "staircase" in listed
@@ -73,7 +73,7 @@ def test_a_simulated_session_is_kept_and_gone_on_with(program_here, tmp_path):
 def test_a_killed_session_goes_on_and_has_each_trial_once(start_program, program_here, tmp_path):
     killed, whole = tmp_path / "killed.csv", tmp_path / "whole.csv"
     # It is killed long before its end.
-    many = f"{SMALL} --simulate model --repetitions 2 --gap-s 0.3 --output"
+    many = f"{SMALL}&repetitions=2&gap_s=0.3 --simulate model --output"
     process = start_program(*many.split(), killed)
     while process.poll() is None and not (killed.exists() and killed.read_bytes().count(b"\n") > 3):
         time.sleep(0.01)
@@ -115,24 +115,24 @@ def test_recordings_of_a_session_are_numbered(program_here, tmp_path):
 
 
 def test_useless_subjects_are_simulated_too(program_here, tmp_path):
-    one = f"{SMALL} --repetitions 1 --gap-s 0.1"
+    one = f"{SMALL}&repetitions=1&gap_s=0.1"
     program_here(f"{one} --simulate first --output first.csv")
     assert {row.response for row in read_rows(tmp_path / "first.csv")} == {"1"}
-    silent = program_here(f"{one} --answer-s 0.1 --simulate silent --output silent.csv")
+    silent = program_here(f"{one}&answer_s=0.1 --simulate silent --output silent.csv")
     assert "20 of 20 trials, 20 of them" in silent.stdout
     assert "experiment fit" not in silent.stdout
 
 
 def test_letters_end_with_who_was_taken_for_whom(program_here):
-    letters = "experiment run letters --simulate model --letters LOX"
-    result = program_here(f"{letters} --train-s 0.1 --repetitions 2")
+    letters = "experiment run letters?letters=LOX&train_s=0.1&repetitions=2 --simulate model"
+    result = program_here(letters)
     assert "1 in 3" in result.stdout
     assert re.search(r"\b[0-6] of 6\b", result.stdout)
     assert ["L", "O", "X"] in [line.split() for line in result.stdout.splitlines()]
 
 
 def test_discomfort_ends_with_a_current(program_here, tmp_path):
-    result = program_here("experiment run discomfort --simulate model --repetitions 2")
+    result = program_here("experiment run discomfort?repetitions=2 --simulate model")
     rows = read_rows(tmp_path / "discomfort-RA.csv")
     enough = [row.comparison for row in rows if row.success]
     assert len(rows) == 2
@@ -145,7 +145,7 @@ def test_discomfort_ends_with_a_current(program_here, tmp_path):
 def test_a_person_answers_by_key_and_ends_with_ctrl_c(start_at_a_terminal, tmp_path, monkeypatch):
     # The screen is drawn, though what it is drawn on is kept.
     monkeypatch.setenv("FORCE_COLOR", "1")
-    process, keys = start_at_a_terminal(*SMALL.split(), "--json", "run.json", "--gap-s", "0.1")
+    process, keys = start_at_a_terminal(*f"{SMALL}&gap_s=0.1".split(), "--json", "run.json")
     # A key of other runs: the class is the experiment's.
     os.write(keys, b"m")
     path = tmp_path / "frequency-RA.csv"
@@ -175,7 +175,7 @@ def test_a_person_answers_by_key_and_ends_with_ctrl_c(start_at_a_terminal, tmp_p
 
 
 def test_free_stimulation_by_hand(start_at_a_terminal, tmp_path):
-    process, keys = start_at_a_terminal("experiment", "free", "--json", "run.json")
+    process, keys = start_at_a_terminal("experiment", "run", "free", "--json", "run.json")
     path = tmp_path / "free.csv"
     for key, row in ((b"+", "amplitude,0.1"), (b"\x1b[C", "rate,55.0"), (b"m", "mode,SAI")):
         os.write(keys, key)
@@ -191,7 +191,7 @@ def test_free_stimulation_by_hand(start_at_a_terminal, tmp_path):
 
 
 def test_free_stimulation_for_some_seconds(program_here, tmp_path):
-    free = "experiment free --board simulated: --seconds 1"
+    free = "experiment run free --board simulated: --seconds 1"
     program_here(f"{free} --intensity 0.5").fine()
     assert (tmp_path / "free.csv").exists()
     assert "free-2.csv" in program_here(free).stdout
@@ -205,16 +205,17 @@ def test_free_stimulation_for_some_seconds(program_here, tmp_path):
      says(about="simulate", value="me", allowed=("model", "random", "first", "silent"))),
     ("experiment run sight --simulate model", wrong("'sight'", "frequency", "letters")),
     (f"{SIMULATED} --subject a/b", says(about="participant", value="a/b")),
-    (f"{SIMULATED} --standards 30,x", says(about="standards", value="30,x")),
+    (SIMULATED.replace("=30", "=30,x"), says(about="standards", value="30,x")),
     (f"{SIMULATED} --seed -1", says(about="seed", value=-1, allowed=0)),
-    (f"{SIMULATED} --gap-s -1", wrong(about="gap_s", value=-1, allowed=(0, 60))),
+    (SIMULATED.replace("gap_s=0.1", "gap_s=-1"), wrong(about="gap_s", value=-1, allowed=(0, 60))),
     (f"{SIMULATED} --mode natural",
      says(about="mode", value="natural", allowed=("RA", "SAI", "PC"))),
     (f"{SIMULATED} --output a.txt", wrong("a.txt", ".csv")),
-    ("experiment free", wrong(about="keyboard", remedy="seconds")),
-    ("experiment free --seconds 1 --rate 500",
+    ("experiment run free --simulate first", wrong(about="simulate")),
+    ("experiment run free", wrong(about="keyboard", remedy="seconds")),
+    ("experiment run free --seconds 1 --rate 500",
      wrong(about="rate_hz", value=500, allowed=(10, 200))),
-    ("experiment free --seconds 1 --mode warm",
+    ("experiment run free --seconds 1 --mode warm",
      says(about="mode", value="warm", allowed=("RA", "SAI", "PC"))),
 ])  # fmt: skip
 def test_what_cannot_be_asked_for(program_here, arguments, check):

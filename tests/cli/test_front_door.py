@@ -35,7 +35,7 @@ def test_short_help_is_the_long_one_everywhere(program_here):
 
 def test_no_help_is_longer_than_seventy_lines(program_here, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    for command in ("live", "read", "experiment run", "experiment free"):
+    for command in ("live", "read", "experiment run", "replay"):
         done = program_here(f"{command} -h").fine()
         assert done.stdout.count("\n") <= 70, command
 

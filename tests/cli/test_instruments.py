@@ -45,7 +45,7 @@ def test_vibrators_shake_what_the_recording_says(program_here, tmp_path, changed
 
 def test_the_picture_of_a_mouse_has_its_few_pulses_in_full(program_here, tmp_path):
     # Twenty frames a second: ten pulses open the level, and the others are in full.
-    felt = "--felt felt.png --anatomy paper"
+    felt = "--felt felt.png --finger paper"
     program_here(f"{FAST.replace('grating:4mm', 'text:I')} --rate 20 {felt}").fine()
     picture = np.asarray(Image.open(tmp_path / "felt.png").convert("L"))
     touched = picture[picture.shape[0] // 2 + 40 :]
@@ -55,7 +55,7 @@ def test_the_picture_of_a_mouse_has_its_few_pulses_in_full(program_here, tmp_pat
 def test_markers_are_told_of_a_run(program_here, monkeypatch):
     lsl = FakeLsl()
     monkeypatch.setitem(sys.modules, "pylsl", lsl)
-    program_here(f"{FAST} --seconds 1 --markers").fine()
+    program_here(f"{FAST} --seconds 1 --stream lsl:").fine()
     pulses, frames, events = (
         [sample for _, sample in lsl.pushed[f"smarttouch-{name}"]]
         for name in ("pulses", "frames", "events")

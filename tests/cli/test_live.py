@@ -54,7 +54,7 @@ def ink_agreement(page, touch):
 
 def test_the_sample_page(program, tmp_path):
     done = program(
-        "live", f"{SAMPLE}?speed_mm_s=120", "--felt", "felt.png", "--anatomy", "paper",
+        "live", f"{SAMPLE}?speed_mm_s=120", "--felt", "felt.png", "--finger", "paper",
         "--json", "run.json", "--record", "run.mcap", real=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -101,7 +101,7 @@ def test_every_profile_runs(figures_of, tmp_path, name):
     anatomy = "branched" if len(load_profile(name).electrodes) <= 32 else "paper"
     # The first letters open the level, with their pulses.
     live = "live --board=simulated: 'text:the the the the?speed_mm_s=30'"
-    assert_safe(figures_of(f"{live} --profile={name} --felt=felt.png --anatomy={anatomy}"))
+    assert_safe(figures_of(f"{live} --profile={name} --felt=felt.png --finger={anatomy}"))
     if name.startswith("line"):
         assert (tmp_path / "felt.png").stat().st_size > 1000
         return
@@ -163,7 +163,7 @@ def test_light_touch_no_current(figures_of, tmp_path):
 
 def test_many_points_in_a_slot(program_here, tmp_path):
     page = "live text:on?speed_mm_s=100 --board simulated: --json f.json"
-    done = program_here(f"{page} --scan points --record points.mcap").fine()
+    done = program_here(f"{page} --set scan=points --record points.mcap").fine()
     points, done = done.figures, program_here(f"{page} --record auto.mcap").fine()
     frames = done.figures
     assert_safe(frames)
@@ -186,7 +186,7 @@ def test_many_points_in_a_slot(program_here, tmp_path):
 
 
 def test_points_one_by_one_where_each_is_measured(figures_of):
-    page = "live text:on?speed_mm_s=100 --hold energy"
+    page = "live text:on?speed_mm_s=100 --set hold=energy"
     figures = figures_of(f"{page} --seconds 1.5 --quiet")
     assert figures["slots"] > 0
     assert figures["worst_other"] is None

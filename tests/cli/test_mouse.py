@@ -26,7 +26,7 @@ def stroke(program_here):
 
 
 def test_without_options_a_virtual_hand_strokes_a_grating(stroke, tmp_path):
-    figures = stroke("", "--intensity 0.5 --felt felt.png --anatomy paper")
+    figures = stroke("", "--intensity 0.5 --felt felt.png --finger paper")
     # 60 mm there and back over 4 mm: 15 ridges each, at all of 64 electrodes.
     assert figures["slots"] == pytest.approx(2 * 15 * 64, abs=64)
     assert figures["emulator_violations"] == 0

@@ -44,10 +44,9 @@ BASES = {
     "design": "design --profile line-7",
     "simulate letters": "simulate letters T --profile smarttouch-4x4 --anatomy paper",
     "experiment run": (
-        "experiment run detection --simulate first --subject x --trials 1 "
-        "--procedure questplus --output answers.csv --overwrite --board simulated:"
+        "experiment run detection?trials=1&procedure=questplus --simulate first "
+        "--subject x --output answers.csv --overwrite --board simulated:"
     ),
-    "experiment free": f"experiment free --output free.csv {PAGE}",
     "experiment fit": "experiment fit {answers} --samples 100",
     "devices test": "devices test emulator: --profile line-7 --seconds 0.05",
     "calibrate scale": "calibrate scale emulator: --volts 1 --ohm 1000",

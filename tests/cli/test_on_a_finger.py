@@ -21,21 +21,21 @@ def test_which_boards_a_finger_may_be_on(url, finger):
 @pytest.mark.parametrize("command", [
     ("live",), ("live", "texture:"), ("read", "text:a"),
     ("live", "vibration:tone:30Hz,8um+press:0.5N"),
-    ("experiment", "free", "--seconds", "1"), ("devices", "test", "--seconds", "1"),
+    ("experiment", "run", "free", "--seconds", "1"), ("devices", "test", "--seconds", "1"),
 ])  # fmt: skip
 def test_no_command_drives_a_real_board_that_nobody_controls(program_here, command):
-    board = ("link:/dev/nowhere",) if command[0] == "board" else ("--board", "link:/dev/nowhere")
-    about = "keyboard" if command[0] == "board" else "intensity"
+    board = ("link:/dev/nowhere",) if command[0] == "devices" else ("--board", "link:/dev/nowhere")
+    about = "keyboard" if command[0] == "devices" else "intensity"
     says(about=about)(refused(program_here(*command, *board)))
 
 
 @pytest.mark.parametrize(
     "command",
     [
-        ("live",), ("live", "--measure"), ("live", "--force", "recorded:a.csv"),
+        ("live",), ("live", "--set", "measure"), ("live", "--force", "recorded:a.csv"),
         ("read", "text:a"), ("live", "texture:"), ("live", "vibration:tone:30Hz,8um+press:0.5N"),
         ("experiment", "run", "detection"),
-        ("experiment", "free", "--seconds", "1", "--profile", "kajimoto-61"),
+        ("experiment", "run", "free", "--seconds", "1", "--profile", "kajimoto-61"),
         ("devices", "test", "--seconds", "1", "--current-ma", "0.5"),
         ("calibrate", "thresholds", "--output", "mine.toml", "--electrodes", "5"),
     ],
@@ -45,10 +45,10 @@ def test_no_command_drives_a_real_board_whose_finger_nobody_measures(
     start_at_a_terminal, start_emulator, tmp_path, command
 ):
     (tmp_path / "a.csv").write_text("time_s,force_n\n0,0.9\n10,0.9\n")
-    kind, electrodes = ("etactilekit", 32) if "--measure" in command else ("kajimoto61", 61)
+    kind, electrodes = ("etactilekit", 32) if "measure" in command else ("kajimoto61", 61)
     _, port, books = start_emulator(electrodes, kind)
     url = f"{kind}:{port}"
-    board = (url,) if command[0] == "board" else ("--board", url)
+    board = (url,) if command[0] == "devices" else ("--board", url)
     process, _ = start_at_a_terminal(*command, *board)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 2

@@ -17,8 +17,8 @@ COMMANDS = {
     "felt": ((*LIVE, "--felt", "felt.png", "--frames", "film.gif"),),
     "vibrations": ((*LIVE, "--vibrators", "vibrators:out.wav"),),
     "experiment": (
-        ("experiment", "run", "frequency", "--standards", "30", "--train-s", "0.15",
-         "--repetitions", "1", "--simulate", "model", "--gap-s", "0.1", "--output", "a.csv"),
+        ("experiment", "run", "frequency?standards=30&train_s=0.15&repetitions=1&gap_s=0.1",
+         "--simulate", "model", "--output", "a.csv"),
     ),
     "profile": (("calibrate", "optics", "--simulate", "--output", "mine.toml"),),
 }  # fmt: skip

@@ -59,7 +59,7 @@ def with_defaults(path, **keys):
 
 def test_board_form_and_plain_lines_come_from_the_profile(program_here, tmp_path):
     with_defaults(tmp_path / "mine.toml", board="simulated:", plain=True, read_as="braille")
-    read = ("read", "text:a", "--profile", "mine.toml", "--speed", 400)
+    read = ("read", "text:a", "--profile", "mine.toml", "--as", "shapes?speed_mm_s=400")
     kept, given = program_here(*read), program_here(*read, "--board", "memory:", "--as", "shapes")
     assert (kept.returncode, given.returncode) == (0, 0), given.stderr
     assert kept.stdout.splitlines()[0].endswith(", simulated:")

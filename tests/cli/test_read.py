@@ -59,7 +59,7 @@ def test_shapes_to_the_emulator(program_here):
 
 def test_an_image_without_a_board(program_here, tmp_path):
     Image.fromarray(print_text("a\nbeam").grey).save(tmp_path / "small.png")
-    kept = "--frames f.gif --felt felt.png --anatomy paper --json f.json"
+    kept = "--frames f.gif --felt felt.png --finger paper --json f.json"
     done = program_here(f"read small.png {kept}").fine()
     assert done.stderr.strip() == ""
     assert done.figures["ended"] == "end of the text"
@@ -80,7 +80,7 @@ def test_what_was_read_replays_to_the_bit_and_is_felt_once_more(program_here, fi
 
 @pytest.mark.parametrize("cells", ["line", "cell"])
 def test_a_text_as_braille_patterns(program_here, tmp_path, cells):
-    program_here(f"read text:b --as braille --cells {cells} --frames f.json").fine()
+    program_here(f"read text:b --as braille?cells={cells} --frames f.json").fine()
     document = json.loads((tmp_path / "f.json").read_text())
     rows = {
         (round(each["x_mm"]), round(each["y_mm"]))
@@ -197,20 +197,20 @@ def test_a_finger_that_moves_by_itself(figures_of, tmp_path, page_file):
     ("nofile.png", says(BrailleError, about="file", value=Path("nofile.png"))),
     ("'text: '", says(PageError, "text:")),
     ("text:hi --as dots", says(about="kind", value="dots", allowed=("shapes", "braille"))),
-    ("text:hi --style bold",
+    ("text:hi --as shapes?style=bold",
      says(about="style", value="bold", allowed=("plain", "thinned", "graded"))),
-    ("text:hi --as braille --cells two",
+    ("text:hi --as braille?cells=two",
      says(about="cells", value="two", allowed=("line", "cell"))),
     ("text:hi --profile line-7", says(ReadingError, "line-7", " 1 row ", " 4:")),
     ("text:hi --profile kajimoto-61 --as braille", says(ReadingError, "kajimoto-61")),
-    ("text:hi --as braille --lines 9",
+    ("text:hi --as braille?lines=9",
      says(ReadingError, "electric-mouse", " 8 x 8 ", " 9 lines", " 43 x 2:")),
-    ("text:hi --as braille --table xx", says(BrailleError, "'xx'", "en-1, en-2")),
-    ("text:hi --speed 0", says(ReadingError, " 2000", about="speed_mm_s", value=0)),
+    ("text:hi --as braille?table=xx", says(BrailleError, "'xx'", "en-1, en-2")),
+    ("text:hi --as shapes?speed_mm_s=0", says(ReadingError, " 2000", about="speed_mm_s", value=0)),
     ("text:hi --pause -1", says(ReadingError, about="pause_s", value=-1, allowed=(0, 3600))),
     ("text:hi --frames f.bmp", says(SmartTouchError, "f.bmp", ".gif", ".json", "PNG")),
-    ("page.png --pages 3", says(PageError, " 1 page", about="pages", value=3)),
-    ("page.png --pages x", says(PageError, "1,3-5", about="pages", value="x")),
+    ("page.png?pages=3", says(PageError, " 1 page", about="pages", value=3)),
+    ("page.png?pages=x", says(PageError, "1,3-5", about="pages", value="x")),
     ("blank.png", says(ReadingError, "6 pixels")),
     ("broken.pdf", says(PageError, "broken.pdf")),
 ])  # fmt: skip

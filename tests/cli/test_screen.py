@@ -182,7 +182,7 @@ def test_where_there_is_no_image_the_activation_is_drawn(shown, profile, bank):
 
 def test_events_and_lines_are_told_over_a_pipe_and_keys_work(start_at_a_terminal):
     process, keys = start_at_a_terminal(
-        "read", "text:one\ntwo\nthree", "--as=braille", "--plain", "--wait"
+        "read", "text:one\ntwo\nthree", "--as=braille", "--plain", "--pause=inf"
     )
     told = []
     for key, expected in ((None, "line 1: one"), (b"\x1b[C", "line 2: two"), (b"m", "mode")):

@@ -62,7 +62,7 @@ def test_errors_are_told_where_that_stream_is_open(shell, closed):
 
 
 @pytest.mark.parametrize("command", [
-    "profiles", "--help", f"replay --check {GOLDEN}", SHORT, "experiment list", "braille hello",
+    "profiles", "--help", f"replay --check {GOLDEN}", SHORT, "experiment run", "braille hello",
 ])  # fmt: skip
 def test_a_full_disk_behind_standard_output(tmp_path, command):
     # One of them is really started: how it ends is the interpreter's too.
@@ -148,7 +148,7 @@ def shown(done):
 def test_no_name_title_or_note_is_obeyed(program_here, tmp_path):
     evil_profile(tmp_path, EVIL + ".toml")
     names = ("--profile", f"{EVIL}.toml", "--note", EVIL, "--subject", EVIL)
-    files = ("--record", f"{EVIL}.mcap", "--felt", f"{EVIL}.png", "--anatomy", "paper")
+    files = ("--record", f"{EVIL}.mcap", "--felt", f"{EVIL}.png", "--finger", "paper")
     assert f" {SHOWN}.mcap" in shown(program_here(*SHORT.split(), *names, *files, "--json=f.json"))
     assert json.loads((tmp_path / "f.json").read_text())["ended"]
     told = shown(program_here("recordings info", f"{EVIL}.mcap"))

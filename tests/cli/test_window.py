@@ -66,7 +66,7 @@ def test_recordings_are_shown_until_ctrl_c(start_program, program_here, tmp_path
 def test_a_page_stops_a_run(start_program, tmp_path):
     run = start_program(
         "live", "text:touch?speed_mm_s=2", "--window", "--quiet",
-        "--profile", "smarttouch-4x4", "--anatomy", "paper", "--record", "run.mcap",
+        "--profile", "smarttouch-4x4", "--finger", "paper", "--record", "run.mcap",
     )  # fmt: skip
     address = re.fullmatch("window: (http://[^ ]+)\n", run.stderr.readline())[1]
     # The recording begins when the board is open.
@@ -105,7 +105,7 @@ def test_on_a_finger_a_page_turns_it_up_from_nothing(start_program, start_emulat
     _, port, _ = start_emulator()
     run = start_program(
         "live", "--board", f"link:{port}", "--force", "fixed:1", "--window", "--quiet",
-        "text:touch touch?speed_mm_s=2", "--anatomy", "paper", "--record", "run.mcap",
+        "text:touch touch?speed_mm_s=2", "--finger", "paper", "--record", "run.mcap",
     )  # fmt: skip
     address = re.match("window: (http://[^ ]+)\n", run.stderr.readline())[1]
     with page_of(address) as page:
