@@ -43,7 +43,11 @@ def hash_of_sources():
     """Return a number of the sources' names, contents and place."""
     found = zlib.crc32(str(SOURCES).encode())
     for path in sorted(SOURCES.rglob("*")):
-        if path.suffix in {".c", ".h", ".ld", ""} and path.is_file() and "build" not in path.parts:
+        if (
+            path.suffix in {".c", ".h", ".ld", ".ino", ""}
+            and path.is_file()
+            and "build" not in path.parts
+        ):
             found = zlib.crc32(path.read_bytes(), found)
     return found
 
@@ -63,6 +67,6 @@ def host():
     return built("host", "st_host", "cc", more=f"-DST_SILENCE_US={silence_ms}000u")
 
 
-def cortex_m3():
+def cortex_m3(more=""):
     programs = ("arm-none-eabi-gcc", "qemu-system-arm")
-    return built("qemu", "st_m3.elf", *programs, more=f"-DST_SILENCE_US={silence_ms}000u")
+    return built("qemu", "st_m3.elf", *programs, more=f"-DST_SILENCE_US={silence_ms}000u{more}")

@@ -57,7 +57,7 @@ class Host(Talk):
         return struct.unpack_from("<I", payload, 4)[0], payload[16], payload[32]
 
 
-@pytest.mark.silence
+@pytest.mark.usefixtures("patient_boards")
 @pytest.mark.parametrize("kit", KITS)
 def test_what_is_sent_is_what_registers_and_converter_get(start, kit):
     electrodes, ua_per_count = KITS[kit]
