@@ -25,15 +25,22 @@ def trace_of(electrodes):
 
 
 class CortexM3:
-    """One machine, whose line is a socket; ``name`` is that of its port."""
+    """One machine, whose line is a socket; ``name`` is that of its port.
 
-    def __init__(self, folder, electrodes=ELECTRODES, output="weighted", ramp_ms=500):
+    It has a watchdog where it stands still after some pulses.
+    """
+
+    def __init__(
+        self, folder, electrodes=ELECTRODES, output="weighted", ramp_ms=500, stands_after=0
+    ):
         with socket.create_server(("127.0.0.1", 0)) as free:
             port = free.getsockname()[1]
         self.name = f"socket://127.0.0.1:{port}"
         self._trace, self._type = folder / "trace.bin", trace_of(electrodes)
-        words = ",".join(f"arg={each}" for each in (electrodes, OUTPUTS.index(output), ramp_ms))
-        command = ["qemu-system-arm", "-M", "mps2-an385", "-kernel", cortex_m3(), "-display",
+        words = electrodes, OUTPUTS.index(output), ramp_ms, stands_after
+        words = ",".join(f"arg={each}" for each in words)
+        elf = cortex_m3(" -DST_WATCHDOG" * bool(stands_after))
+        command = ["qemu-system-arm", "-M", "mps2-an385", "-kernel", elf, "-display",
                    "none", "-monitor", "none", "-semihosting-config",
                    f"enable=on,arg=board,{words}", "-serial",
                    f"tcp:127.0.0.1:{port},server=on,wait=off,nodelay=on", "-serial",

@@ -1,5 +1,6 @@
 """The firmware on a Cortex-M3 that QEMU plays: what is sent is delivered, silence is zero."""
 
+import contextlib
 import socket
 import time
 
@@ -93,6 +94,32 @@ def test_noise_is_nothing_and_silence_is_zero_within_100_ms(machine):
     _check_times(told)
     # The first slot begins when the sequence has come, which is the last sign of life.
     assert np.ptp(told["start_us"].astype(np.int64)) <= 100_000
+
+
+@pytest.mark.usefixtures("patient_boards")
+def test_a_board_that_stands_still_is_reset(start_cortex_m3):
+    """Its watchdog begins another life, shorted, which knows of no session."""
+    machine = start_cortex_m3(stands_after=5)
+    number = int(machine.name.rpartition(":")[2])
+    limits = SafetyLimits(ELECTRODES, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
+    current = np.zeros((4, ELECTRODES), np.int16)
+    current[:, :2] = 30, -30
+    column = np.ones(4, np.uint16)
+    sequence = ScanSequence(current, 100 * column, 50 * column, 0 * column, 10_000, 0.1, 0)
+    with socket.create_connection(("127.0.0.1", number)) as line:
+        # It answers nothing any more once it stands still.
+        with contextlib.suppress(TimeoutError):
+            talk = Talk(OverSocket(line)).begin(limits)
+            for _ in range(100):
+                talk.send(sequence, 1, times=1000)
+        for _ in range(1000):
+            records = machine.records()
+            starts = np.flatnonzero(records["number"] == int.from_bytes(b"star", "little"))
+            if len(starts) > 1:
+                break
+            time.sleep(0.01)
+    assert (records["width_us"][: starts[1]] > 0).sum() == 5
+    assert (machine.records()["width_us"][starts[1] :] == 0).all()
 
 
 def _check_times(told):
