@@ -22,6 +22,7 @@ from tests.firmware.scenes import random_table, sequence_of
 from ..raising import raises
 
 
+@pytest.mark.usefixtures("patient_boards")
 class TestFirmware(Contract):
     @pytest.fixture
     def url(self, start_firmware, tmp_path):
@@ -32,9 +33,6 @@ class TestFirmware(Contract):
             return "link:" + start_firmware(*options, output=kind)[1]
 
         return url
-
-    def test_it_tells_what_it_can_do(self, new_board):
-        super().test_it_tells_what_it_can_do(new_board)
 
     def lists(self, table, count):
         rng = np.random.default_rng(count)

@@ -168,6 +168,7 @@ def test_a_port_that_goes_and_comes_back_begins_at_zero(hosted, known_by_usb):
     hosted.assert_zero()
 
 
+@pytest.mark.usefixtures("patient_boards")
 @ALL
 def test_a_port_that_stays_away_is_told_of(hosted, monkeypatch):
     for module in ("link.link_board", "kits.streamed"):

@@ -61,6 +61,7 @@ def test_all_three_mixed_give_back_all(profile, bank):
     }
 
 
+@pytest.mark.usefixtures("patient_boards")
 def test_vibrators_shake_as_pc_answers_and_get_no_pulses(profile, bank, tmp_path):
     path = tmp_path / "shaken.wav"
     shaking = VibratorBoard(f"{path}?grid=1x1", SafetyLimits.of(profile), profile.output)
