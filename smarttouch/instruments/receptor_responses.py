@@ -75,7 +75,6 @@ class ReceptorResponse:
 
 def split_trace(
     trace: Trace,
-    span_db: float = SPAN_DB,  # from the threshold of RA or PC to a drive of 1
     sai_full_n: float = SAI_FULL_N,  # force at which SAI is driven in full
     sai_rate_hz: float = SAI_RATE_HZ,  # at which it then fires
 ) -> dict[Afferent, ReceptorResponse]:
@@ -88,9 +87,9 @@ def split_trace(
             remedy="force.full_n",
         )
     return {
-        Afferent.RA: _vibration(trace, Afferent.RA, span_db),
+        Afferent.RA: _vibration(trace, Afferent.RA),
         Afferent.SAI: pressed(trace, sai_full_n, sai_rate_hz),
-        Afferent.PC: _vibration(trace, Afferent.PC, span_db),
+        Afferent.PC: _vibration(trace, Afferent.PC),
     }
 
 
@@ -117,10 +116,10 @@ def cycles(wave: NDArray[np.complex128], driven: NDArray[np.bool_], trace: Trace
     return _upward(wave, driven, round(_GAP_S * trace.sample_hz))
 
 
-def _vibration(trace: Trace, afferent: Afferent, span_db: float) -> ReceptorResponse:
+def _vibration(trace: Trace, afferent: Afferent) -> ReceptorResponse:
     wave = turning(trace, afferent)
     with np.errstate(divide="ignore"):
-        drive = np.clip(20 * np.log10(np.abs(wave)) / span_db, 0, 1)
+        drive = np.clip(20 * np.log10(np.abs(wave)) / SPAN_DB, 0, 1)
     spike_s = cycles(wave, drive > 0, trace) / trace.sample_hz
     return ReceptorResponse(afferent, drive, _rate_hz(spike_s, trace, drive), spike_s)
 

@@ -4,7 +4,6 @@ Classes differ in their fibers, as in an anatomy, and so in how little current f
 activating function takes them as alike. Fibers are straight, as in the paper's anatomy.
 """
 
-from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
 
@@ -30,22 +29,13 @@ _AT_ONCE = 2048
 class DrivingProblem(Problem):
     """Drives of one class's targets, of the other classes, and of its own, in homogeneous skin."""
 
-    def __init__(
-        self,
-        profile: Profile,
-        afferent: Afferent,
-        others: Collection[Afferent] | None = None,
-        spread: bool = False,
-    ) -> None:
+    def __init__(self, profile: Profile, afferent: Afferent, spread: bool = False) -> None:
         anatomy = load_anatomy("paper")
         self.anatomy: dict[Afferent, ClassAnatomy] = {each: anatomy.of(each) for each in Afferent}
-        self.others = [each for each in Afferent if each is not afferent]
-        if others is not None:
-            self.others = list(others)
         spacing_mm = min(profile.skin.node_spacing_mm, _SPACING_MM)
         skin = profile.skin.model_copy(update={"node_spacing_mm": spacing_mm})
         finer = profile.model_copy(update={"skin": skin})
-        super().__init__(finer, afferent, others, spread)
+        super().__init__(finer, afferent, spread=spread)
 
     def driving(self, nodes: Afferents) -> DrivingFunction:
         """Return the driving function of a set of nodes."""

@@ -34,6 +34,8 @@ _SETTLED_US = 100.0  # once the m gates have followed (12 µs)
 _FLOOR_MA, _CEILING_MA = 1e-4, 1000.0
 _ROUNDS = (71, 17, 17)  # candidates, down to 0.1 %; many at first, as a cathode also blocks:
 # a fiber may fire only between its threshold and three times that
+_PRECISION = 0.005
+"""Relative precision of thresholds."""
 _RUNG, _MOST = 1.1, 1000.0  # of a search upward: its steps, and its end over the estimate
 _PATIENCE_US = 20_000.0  # after the pulse; an action potential passes a node in about 10
 
@@ -209,7 +211,6 @@ def thresholds_ma(
     near_ma: ArrayLike,
     *,
     step_us: float = 4.0,
-    precision: float = 0.005,
 ) -> Array:
     """Return the thresholds (C,), mA, of one fiber in C fields, searched for at once.
 
@@ -233,7 +234,7 @@ def thresholds_ma(
         left = left[~fired & (current[left] < most[left])]
     found = np.flatnonzero(np.isfinite(high))
     low_ma, high_ma = high[found] / _RUNG, high[found]
-    for _ in range(int(np.ceil(np.log2(np.log(_RUNG) / precision)))):
+    for _ in range(int(np.ceil(np.log2(np.log(_RUNG) / _PRECISION)))):
         middle = np.sqrt(low_ma * high_ma)
         fired = _fires(axon, middle[:, None] * axon.push[found], steps)
         low_ma, high_ma = np.where(fired, low_ma, middle), np.where(fired, middle, high_ma)

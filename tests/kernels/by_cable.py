@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from smarttouch.base.afferent import Afferent
 from smarttouch.kernels.driving_problem import fiber_points
 from smarttouch.physiology.activating_function import everywhere, potential_mv, targets
 from smarttouch.physiology.driving_function import FIBERS
@@ -38,7 +39,7 @@ def judge_by_cable(problem, weights, site, count=8):
     aimed = float(problem.target[site] @ weights)
     own = _thresholds(problem, aim, place, aim.direction[:1], weights / aimed, np.ones(1))[0]
     best, start = np.inf, 0
-    for afferent in problem.others:
+    for afferent in [each for each in Afferent if each is not problem.afferent]:
         nodes = everywhere(problem.profile, afferent)
         rows = problem._layers(nodes) * len(nodes.position_mm)
         drive = problem.rows[0].other[start : start + rows] @ weights / aimed

@@ -228,13 +228,13 @@ class SimulatedObserver:
         most = float(np.quantile(full.fired.sum(axis=0), 0.25))
         return max(most, 2 * self.felt_afferents)
 
-    def _train(self, afferent: Afferent, sites: Sequence[int], apart_s: float = 0.05) -> Interval:
+    def _train(self, afferent: Afferent, sites: Sequence[int]) -> Interval:
         """Return a full pulse at each of these sites, or many at one, as an interval."""
         profile = self.finger.profile
         which = np.resize(sites, max(20, len(sites)))
         current_ua = 1000 * profile.full_ma[which, None] * self.bank.kernels(afferent)[which]
         return Interval(
-            np.arange(len(which), dtype=np.float64) * apart_s,
+            np.arange(len(which), dtype=np.float64) * 0.05,
             np.full(len(which), profile.pulse.width_us, np.float32),
             np.rint(current_ua).astype(np.int16),
         )
