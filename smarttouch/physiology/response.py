@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import CLASS_COLORS, Afferent
 from smarttouch.base.array_picture import titled
-from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.finger_afferents import FingerAfferents
 from smarttouch.physiology.spikes import SlotCurrents, SpikeModel, Spikes
 
 
@@ -29,7 +29,7 @@ class ResponseQuality:
 
 
 def response_quality(
-    finger: Finger,
+    finger: FingerAfferents,
     counts: NDArray[np.intp],
     active: NDArray[np.bool_],
     wanted: Collection[Afferent],
@@ -60,7 +60,10 @@ def ignore_nan(how: Callable[[list[float]], float], values: Iterable[float]) -> 
 
 
 def response_map(
-    finger: Finger, counts: NDArray[np.intp], places_mm: NDArray[np.float64], blur_mm: float = 1.0
+    finger: FingerAfferents,
+    counts: NDArray[np.intp],
+    places_mm: NDArray[np.float64],
+    blur_mm: float = 1.0,
 ) -> NDArray[np.float32]:
     """Return spikes of each class around places (P, 2) mm, (3, P), blurred by the standard
     deviation of a receptive field. Ours."""
@@ -89,7 +92,7 @@ _PX_PER_MM = 16
 class Feeling:
     """Spikes of a finger under scan sequences that follow each other."""
 
-    finger: Finger
+    finger: FingerAfferents
     spikes: tuple[Spikes, ...]  # one for each sequence
     active: NDArray[np.bool_]  # (E,) electrodes that were meant to stimulate
     # classes that were meant to fire; all for sequences without their steps
@@ -115,7 +118,7 @@ class Feeling:
         return titled(title, finger_svg(self.finger, self.counts, self.active))
 
 
-def feel(finger: Finger, given: Any, seed: int = 1) -> Feeling:
+def feel(finger: FingerAfferents, given: Any, seed: int = 1) -> Feeling:
     """Return a finger's spikes under a Step, StepResult or ScanSequence, or several in order."""
     parts = list(given) if isinstance(given, Iterable) else [given]
     steps = [getattr(each, "step", each) for each in parts]
@@ -162,7 +165,7 @@ def distinct_slots(
 
 
 def finger_svg(
-    finger: Finger,
+    finger: FingerAfferents,
     counts: NDArray[np.intp] | None = None,
     active: NDArray[np.bool_] | None = None,
 ) -> str:

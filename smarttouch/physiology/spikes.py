@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.physiology.anatomy import Anatomy, Bystander, load_anatomy
-from smarttouch.physiology.finger import Finger, strength
+from smarttouch.physiology.finger_afferents import FingerAfferents, strength
 from smarttouch.profile import Profile
 
 Floats = NDArray[np.float32]
@@ -191,7 +191,7 @@ class SpikeModel:
     that of the noise from pulse to pulse.
     """
 
-    def __init__(self, finger: Finger, seed: int = 1) -> None:
+    def __init__(self, finger: FingerAfferents, seed: int = 1) -> None:
         self.finger = finger
         anatomy = [one.anatomy for one in finger.populations.values()]
         classes = finger.classes
@@ -249,8 +249,8 @@ class SpikeModel:
 NOCICEPTORS = (Bystander.A_DELTA, Bystander.C)
 
 
-class Bystanders(Finger):
-    """Afferents of one finger that must not fire; see `Finger` for parameters."""
+class Bystanders(FingerAfferents):
+    """Afferents of one finger that must not fire; see `FingerAfferents` for parameters."""
 
     def __init__(
         self, profile: Profile, seed: int = 1, anatomy: str | Path | Anatomy = "branched"

@@ -11,7 +11,8 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
 from smarttouch.physiology.activating_function import potential_mv
 from smarttouch.physiology.driving_function import FIBERS, load_driving
-from smarttouch.physiology.finger import Finger, axon_path_points
+from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.finger_afferents import axon_path_points
 from smarttouch.physiology.membrane import thresholds_ma
 
 from ..fit_fibers import fiber_cases, fiber_fit, fit_fibers, mrg
