@@ -8,8 +8,8 @@ from smarttouch.running.step import FirstPulse, RunStatistics
 
 GUARD_NS = 500_000
 """Time kept beside the usual delay of a sequence."""
-_IDLE_NS = 50_000
-"""Pause of the board from which a sequence counts as late."""
+_IDLE_NS = 1_000_000
+"""Pause of the board from which a sequence counts as late; below, the board itself may be."""
 _OF_20 = 20
 """One sequence in so many may come late."""
 _REMEMBERED = 250
@@ -87,7 +87,8 @@ class PhaseLock:
         return sorted(self._delays_ns)[-1 - len(self._delays_ns) // _OF_20]
 
     def _line_ns(self, number: int) -> int:
-        """Return what the line takes, as two sequences have shown: one may have been held up."""
+        """Return what the line usually takes, from two sequences on: one may have been held up."""
         while self._lines and self._lines[0][0] < number - _REMEMBERED:
             self._lines.popleft()
-        return sorted(each for _, each in self._lines)[-2] if len(self._lines) > 1 else 0
+        lines = sorted(each for _, each in self._lines)
+        return lines[(len(lines) - 1) // 2] if len(lines) > 1 else 0
