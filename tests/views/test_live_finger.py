@@ -18,9 +18,9 @@ def finger():
     return st.Finger(st.load_profile("electric-mouse"), seed=1, anatomy="paper")
 
 
-def run(profile, *listeners):
+def run(profile, *listeners, speed_mm_s=60):
     """Run on a board whose clock is told by the loop: only waiting takes time."""
-    source = st.open_source("text:on", profile, speed_mm_s=60)
+    source = st.open_source("text:on", profile, speed_mm_s=speed_mm_s)
     return st.run(source, st.open_display("simulated:", profile), listeners=listeners)
 
 
@@ -68,7 +68,8 @@ def test_the_newest_is_felt_next(finger):
 
     live = LiveFinger(finger, Feeling._repr_html_)
     # In this order: the finger has the step before.
-    run(finger.profile, live, Waits())
+    run(finger.profile, live, Waits(), speed_mm_s=150)
+    assert len(Waits.taken) > 9
     assert live.simulated + live.skipped == len(Waits.taken)
     assert live.simulated >= len(Waits.taken) // 3
     assert live.drawn == live.newest._repr_html_()
