@@ -11,8 +11,8 @@ from typer.main import get_command
 HEAD = """\
 # The command line
 
-Made from the program: `smarttouch COMMAND --help` says the same. What a user can cause ends in one
-sentence and exit status 2; a signal ends with all electrodes at zero and 128 plus its number.
+Made from the program: `smarttouch COMMAND --help-all` says the same. What a user can cause ends in
+one sentence and exit status 2; a signal ends with all electrodes at zero and 128 plus its number.
 
 """
 

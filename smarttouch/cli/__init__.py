@@ -7,7 +7,6 @@ from functools import cache
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperGroup
 
 from smarttouch.base.errors import SmartTouchError, TableError
 from smarttouch.base.posix import resource
@@ -20,7 +19,7 @@ from smarttouch.cli.design import design, profiles
 from smarttouch.cli.devices import devices
 from smarttouch.cli.experiment import experiment, fit
 from smarttouch.cli.live import live, stop
-from smarttouch.cli.options import RunCommand
+from smarttouch.cli.plain_help import Commands
 from smarttouch.cli.read import braille, braille_display, read
 from smarttouch.cli.recordings import recordings, replay, report
 from smarttouch.cli.simulate import simulate
@@ -47,28 +46,13 @@ _COMMANDS: dict[str, dict[str, Callable[..., object] | typer.Typer]] = {
 """Commands by the panel of the help that lists them."""
 
 
-class _InOrder(TyperGroup):
-    """The commands in the order of their panels."""
-
-    # Some versions of typer hand over a context class of their own, not the one of the base.
-    def list_commands(self, ctx: typer.Context) -> list[str]:  # type: ignore[override]
-        """Return their names."""
-        return [name for panel in _COMMANDS.values() for name in panel]
-
-
-app = typer.Typer(
-    name="smarttouch",
-    cls=_InOrder,
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-)
+app = Commands(name="smarttouch", no_args_is_help=True)
 for _panel, _commands in _COMMANDS.items():
     for _name, _command in _commands.items():
         if isinstance(_command, typer.Typer):
             app.add_typer(_command, name=_name, rich_help_panel=_panel)
         else:
-            app.command(_name, cls=RunCommand, rich_help_panel=_panel)(_command)
+            app.command(_name, rich_help_panel=_panel)(_command)
 experiment.command()(fit)
 
 

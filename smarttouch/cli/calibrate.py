@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smarttouch.base.errors import CalibrationError
-from smarttouch.cli.options import ForceOption, OptionGroup, ProfileOption, takes_options
+from smarttouch.cli.options import MORE, ForceOption, OptionGroup, ProfileOption, takes_options
+from smarttouch.cli.plain_help import Commands
 from smarttouch.views.keys_and_signals import command_stop, drives_a_board, opened
 
 if TYPE_CHECKING:
@@ -22,13 +23,13 @@ class CalibrationOptions(OptionGroup):
     """Options of every calibration."""
 
     output: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="The profile to write.")
+        Path | None, typer.Option(metavar="FILE.toml", help="Write this profile.")
     ] = None
     profile: Annotated[
-        str | None, typer.Option(metavar="NAME|FILE", help="What a new --output starts from.")
+        str | None, typer.Option(metavar="NAME|FILE", help="Start a new profile from this one.")
     ] = None
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Measure what --output has already.")
+        bool, typer.Option("--overwrite", help="Measure again what the profile has already.")
     ] = False
 
     def start(self, board_url: str) -> str:
@@ -106,23 +107,26 @@ def finish(
     typer.echo("written: " + ", ".join(str(each) for each in (*(others or {}), file.output)))
 
 
-calibrate = typer.Typer(
+calibrate = Commands(
     help="Measure one device on one finger, and write a profile of it.", no_args_is_help=True
 )
 
 
-_Yes = Annotated[bool, typer.Option("--yes", help="Ask nothing: everything is in place.")]
+_Yes = Annotated[bool, typer.Option("--yes", help="Ask nothing, because everything is in place.")]
 _Simulate = Annotated[bool, typer.Option("--simulate", help="Walk through it without hardware.")]
 _Frames = Annotated[
-    int, typer.Option(metavar="N", min=1, max=1000, help="Frames to take the mean of.")
+    int, typer.Option(metavar="N", min=1, max=1000, help="Average this many frames.")
 ]
 _SourceUrl = Annotated[
     str | None,
-    typer.Option("--source", metavar="URL", help="camera:0, serial-array:PORT, ..."),
+    typer.Option("--source", metavar="URL", help="Take frames from this source, such as camera:0."),
 ]
 _BoardUrl = Annotated[
     str,
-    typer.Option(metavar="URL", help="emulator:, kajimoto61:PORT, etactilekit:PORT, link:PORT"),
+    typer.Option(
+        metavar="URL",
+        help="Drive this board: emulator:, kajimoto61:PORT, etactilekit:PORT or link:PORT.",
+    ),
 ]
 
 
@@ -132,16 +136,19 @@ def optics(
     calibration: CalibrationOptions,
     source: _SourceUrl = None,
     dark: Annotated[
-        str | None, typer.Option(metavar="URL", help="Dark frames from here: frames:DIR, ...")
+        str | None,
+        typer.Option(
+            metavar="URL", help="Take dark frames from this source, such as frames:FOLDER."
+        ),
     ] = None,
     white: Annotated[
-        str | None, typer.Option(metavar="URL", help="Frames of white paper from here.")
+        str | None, typer.Option(metavar="URL", help="Take frames of white paper from this source.")
     ] = None,
     frames: _Frames = 16,
     yes: _Yes = False,
     simulate: _Simulate = False,
 ) -> None:
-    """Dark level and gain of every pixel, by the sensor covered and on blank white paper."""
+    """Measure dark level and gain of every pixel, covered and on blank white paper."""
     from smarttouch.experiments.calibration.contact import show_optics
     from smarttouch.experiments.calibration.sensor_optics import images_of, measure_optics
 
@@ -175,20 +182,23 @@ def registration(
     calibration: CalibrationOptions,
     source: _SourceUrl = None,
     target: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Write the target, to be printed.")
+        Path | None, typer.Option(metavar="FILE.png", help="Write the target, which you print.")
     ] = None,
     dot_pitch_mm: Annotated[
-        float | None, typer.Option(metavar="MM", help="Of the target; to suit the field if none.")
+        float | None,
+        typer.Option(
+            metavar="MM", help="Set the pitch of the target's dots; it suits the field otherwise."
+        ),
     ] = None,
     center: Annotated[
         str,
-        typer.Option(metavar="target|image", help="What lies in the middle of the array."),
+        typer.Option(metavar="target|image", help="Choose what lies in the middle of the array."),
     ] = "target",
     frames: _Frames = 16,
     yes: _Yes = False,
     simulate: _Simulate = False,
 ) -> None:
-    """Place of each electrode's point in the sensor's image, by a printed target."""
+    """Find the place of each electrode in the sensor's image by a printed target."""
     from smarttouch.base.errors import CalibrationError, not_offered
     from smarttouch.experiments.calibration.contact import show_registration
     from smarttouch.experiments.calibration.dot_target import target_for
@@ -232,17 +242,22 @@ def registration(
 def force(
     calibration: CalibrationOptions,
     cell: Annotated[
-        str | None, typer.Option(metavar="URL", help="hx711:PORT or loadcell:PORT")
+        str | None,
+        typer.Option(metavar="URL", help="Read this load cell: hx711:PORT or loadcell:PORT."),
     ] = None,
     weights: Annotated[
         str | None,
-        typer.Option(metavar="G,G,...", help="Grams, in order; asked for one by one if none."),
+        typer.Option(
+            metavar="G,G,...", help="List the weights in grams, in order; you are asked otherwise."
+        ),
     ] = None,
-    seconds: Annotated[float, typer.Option(metavar="S", help="To read each weight for.")] = 2.0,
+    seconds: Annotated[
+        float, typer.Option(metavar="S", help="Read each weight for this time.")
+    ] = 2.0,
     yes: _Yes = False,
     simulate: _Simulate = False,
 ) -> None:
-    """The load cell's curve, by known weights; one given twice measures the hysteresis."""
+    """Measure the load cell's curve by known weights; one given twice shows its hysteresis."""
     from smarttouch.base.errors import CalibrationError, require_within
     from smarttouch.experiments.calibration.contact import show_force
     from smarttouch.experiments.calibration.force_curve import (
@@ -274,19 +289,28 @@ def thresholds(
     calibration: CalibrationOptions,
     board: _BoardUrl = "emulator:",
     electrodes: Annotated[
-        str | None, typer.Option(metavar="0-7,12", help="Which; all that are not masked if none.")
+        str | None,
+        typer.Option(
+            metavar="0-7,12", help="Measure these electrodes; all that are not masked otherwise."
+        ),
     ] = None,
     adaptive: Annotated[
-        bool, typer.Option("--adaptive", help="Yes-or-no trials after the rising current.")
+        bool, typer.Option("--adaptive", help="Add yes-or-no trials after the rising current.")
     ] = False,
     repeats: Annotated[
-        int, typer.Option(metavar="N", min=1, max=10, help="Of the rising current.")
+        int,
+        typer.Option(metavar="N", min=1, max=10, help="Repeat the rising current this many times."),
     ] = 3,
-    seed: Annotated[int, typer.Option(min=0, help="Of pauses, starts and the simulation.")] = 0,
+    seed: Annotated[
+        int,
+        typer.Option(
+            min=0, rich_help_panel=MORE, help="Set the seed of pauses, starts and the simulation."
+        ),
+    ] = 0,
     force: ForceOption = None,
     simulate: _Simulate = False,
 ) -> None:
-    """Per electrode, the current first felt and the strongest that is comfortable."""
+    """Measure at each electrode the weakest current felt and the strongest comfortable one."""
     from smarttouch.base.errors import BoardStoppedError, CalibrationError
     from smarttouch.cli.options import require_answers
     from smarttouch.experiments.calibration.thresholds import ThresholdProcedure, parse_electrodes
@@ -324,7 +348,10 @@ def thresholds(
 def contact(
     calibration: CalibrationOptions,
     board: _BoardUrl = "emulator:",
-    repeats: Annotated[int, typer.Option(metavar="N", min=1, max=100, help="Measurements.")] = 5,
+    repeats: Annotated[
+        int,
+        typer.Option(metavar="N", min=1, max=100, help="Repeat the measurement this many times."),
+    ] = 5,
 ) -> None:
     """Find the electrodes that touch the skin, by repeated measurements of their impedance."""
     from smarttouch.experiments.calibration.contact import (
@@ -357,13 +384,20 @@ def contact(
 def scale(
     url: Annotated[str, typer.Argument(metavar="URL", help="kajimoto61:PORT, link:PORT, ...")],
     ohm: Annotated[
-        float, typer.Option(metavar="OHM", help="The resistor between electrode and all others.")
+        float,
+        typer.Option(
+            metavar="OHM", help="State the resistor between the electrode and all others."
+        ),
     ] = 1000.0,
-    electrode: Annotated[int, typer.Option(metavar="N", help="Where it is connected.")] = 0,
-    current_ma: Annotated[float, typer.Option(metavar="MA", help="Nominal current.")] = 1.0,
+    electrode: Annotated[
+        int, typer.Option(metavar="N", help="Name the electrode that the resistor is connected to.")
+    ] = 0,
+    current_ma: Annotated[float, typer.Option(metavar="MA", help="Set the nominal current.")] = 1.0,
     volts: Annotated[
         float | None,
-        typer.Option(metavar="V", help="Peak that was seen; asked for while it pulses if not."),
+        typer.Option(
+            metavar="V", help="State the peak voltage; you are asked otherwise, while it pulses."
+        ),
     ] = None,
     profile: ProfileOption = None,
 ) -> None:

@@ -8,6 +8,7 @@ import typer
 
 from smarttouch.base.terminal import print_table
 from smarttouch.cli.options import ArrayOption, ClusterOption
+from smarttouch.cli.plain_help import Commands
 
 if TYPE_CHECKING:
     from smarttouch.base.afferent import Afferent
@@ -22,34 +23,49 @@ def design(
     ] = None,
     profile: ArrayOption = "electric-mouse",
     mode: Annotated[
-        str | None, typer.Option(metavar="RA|SAI|PC", help="Which afferents to reach; all if none.")
+        str | None,
+        typer.Option(
+            metavar="RA|SAI|PC",
+            help="Choose the class that is reached: RA, SAI or PC; all otherwise.",
+        ),
     ] = None,
     robust: Annotated[
-        bool, typer.Option("--robust", help="Best on the worst finger of the profile's spread.")
+        bool,
+        typer.Option("--robust", help="Optimize for the worst finger of the profile's spread."),
     ] = False,
     three_state: Annotated[
-        bool, typer.Option("--three-state", help="Cathode, anode or insulated, from one source.")
+        bool,
+        typer.Option(
+            "--three-state", help="Use only cathode, anode and insulated, from one source."
+        ),
     ] = False,
     any_node: Annotated[
-        bool, typer.Option("--any-node", help="Brute force over the activated node.")
+        bool, typer.Option("--any-node", help="Search the activated node, too.")
     ] = False,
     driving: Annotated[
         bool,
-        typer.Option("--driving", help="By the thresholds of fibers, not the activating function."),
+        typer.Option(
+            "--driving", help="Judge by thresholds of fibers, not by the activating function."
+        ),
     ] = False,
     compare: Annotated[
-        bool, typer.Option("--compare", help="All kinds of kernels, nominal and worst finger.")
+        bool,
+        typer.Option(
+            "--compare", help="Compare all kinds of kernels on the nominal and the worst finger."
+        ),
     ] = False,
     json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the kernels.")
+        Path | None, typer.Option("--json", metavar="FILE", help="Write the kernels as JSON.")
     ] = None,
     plot_file: Annotated[
         Path | None,
-        typer.Option("--plot", metavar="PNG", help="Draw one site (the middle one if no --site)."),
+        typer.Option(
+            "--plot", metavar="PNG", help="Draw the kernels of the site, or of the middle one."
+        ),
     ] = None,
     bank_file: Annotated[
         Path | None,
-        typer.Option("--bank", metavar="NPZ", help="Design now, and write the kernel bank."),
+        typer.Option("--bank", metavar="NPZ", help="Design all kernels now and write the bank."),
     ] = None,
     cluster: ClusterOption = None,
 ) -> None:
@@ -147,7 +163,7 @@ def _print(table: "WordTable", marked: Sequence[Sequence[bool]] = ()) -> None:
     print_table(rows, table.heading, title=table.title, note=table.note, ruled=True, left=0)
 
 
-profiles = typer.Typer(
+profiles = Commands(
     help="List the shipped profiles, show what one says, and make your own.",
     invoke_without_command=True,
 )
@@ -191,9 +207,7 @@ def show(name: _Name) -> None:
 def copy(
     name: _Name,
     file: _File,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="The file may be there already.")
-    ] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
 ) -> None:
     """Write a copy of a profile, with its comments, to be edited."""
     from smarttouch.experiments.calibration.profile_file import ProfileFile
@@ -210,11 +224,9 @@ def new(
     ],
     file: _File,
     like: Annotated[
-        str, typer.Option("--like", metavar="NAME|FILE", help="Where all else comes from.")
+        str, typer.Option("--like", metavar="NAME|FILE", help="Take all else from this profile.")
     ] = "electric-mouse",
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="The file may be there already.")
-    ] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
 ) -> None:
     """Write a profile with electrodes at the places of a table, to be edited."""
     from smarttouch.base.errors import ProfileError

@@ -9,6 +9,7 @@ import typer
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.terminal import print_table
 from smarttouch.cli.options import ForceOption, ProfileOption
+from smarttouch.cli.plain_help import Commands
 from smarttouch.emulator.commands import emulate_board, emulate_sensor
 from smarttouch.views.keys_and_signals import (
     asks_a_board,
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from smarttouch.boards.reports import Impedance
 
 
-devices = typer.Typer(
+devices = Commands(
     help="List boards, sensors and cameras, or look at one, measure, try or emulate it.",
     invoke_without_command=True,
 )
@@ -106,7 +107,7 @@ def show(
         ),
     ],
     seconds: Annotated[
-        float, typer.Option(metavar="S", help="Look at a sensor for this long.")
+        float, typer.Option(metavar="S", help="Watch a sensor for this time.")
     ] = 2.0,
     save: Annotated[
         Path | None, typer.Option(metavar="PNG", help="Write the last frame to this file.")
@@ -201,13 +202,13 @@ def try_out(
     url: _Url,
     current_ma: Annotated[
         float | None,
-        typer.Option(
-            metavar="MA", help=f"Through each electrode in turn; {_WALK_MA:g} with a keyboard."
-        ),
+        typer.Option(metavar="MA", help="Raise the current through each electrode to this."),
     ] = None,
     seconds: Annotated[
         float | None,
-        typer.Option(metavar="S", help="For each electrode; waits for a key if not given."),
+        typer.Option(
+            metavar="S", help="Stay this long at each electrode; a key goes on otherwise."
+        ),
     ] = None,
     force: ForceOption = None,
     profile: ProfileOption = None,

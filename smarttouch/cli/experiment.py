@@ -13,7 +13,8 @@ import typer
 
 from smarttouch.base import terminal
 from smarttouch.base.errors import ExperimentError
-from smarttouch.cli.options import JsonOption, QuietOption, RunCommand, takes_options
+from smarttouch.cli.options import MORE, JsonOption, QuietOption, takes_options
+from smarttouch.cli.plain_help import Commands
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.views.keys_and_signals import drives_a_board
 
@@ -116,45 +117,68 @@ def fit(
         list[Path],
         typer.Argument(metavar="FILE...", help="CSV files of answers, one of each condition."),
     ],
-    x: Annotated[str, typer.Option("--x", metavar="COLUMN", help="What was shown.")] = "comparison",
+    x: Annotated[
+        str,
+        typer.Option(
+            "--x", metavar="COLUMN", rich_help_panel=MORE, help="Name the column of what was shown."
+        ),
+    ] = "comparison",
     y: Annotated[
-        str, typer.Option("--y", metavar="COLUMN", help="What was answered: 1, 0 or nothing.")
+        str,
+        typer.Option("--y", metavar="COLUMN", help="Name the column of answers: 1, 0 or nothing."),
     ] = "success",
     standard: Annotated[
-        str, typer.Option(metavar="COLUMN", help="What it was compared with, if anything.")
+        str,
+        typer.Option(metavar="COLUMN", help="Name the column of the standard, if there is one."),
     ] = "standard",
     function: Annotated[
-        str, typer.Option(metavar="normal|logistic|weibull", help="Shape of the curve.")
+        str,
+        typer.Option(
+            metavar="normal|logistic|weibull",
+            help="Choose the shape of the curve: normal, logistic or weibull.",
+        ),
     ] = "normal",
     linear: Annotated[
         bool | None,
-        typer.Option("--linear/--log", help="Its axis; found out from the comparisons if none."),
+        typer.Option(
+            "--linear/--log",
+            rich_help_panel=MORE,
+            help="Choose a linear or a logarithmic axis; the comparisons decide otherwise.",
+        ),
     ] = None,
     guess: Annotated[
         str | None,
         typer.Option(
             metavar="0..1|equal|free",
-            help="Successes where nothing is known: 0.5 of two intervals; equal to the lapses; "
-            "free; found out if none.",
+            help="Set the share of successes by guessing: a number, equal (to lapses) or free.",
         ),
     ] = None,
-    lapse: Annotated[float, typer.Option(metavar="0..1", help="Most lapses.")] = 0.1,
+    lapse: Annotated[
+        float,
+        typer.Option(metavar="0..1", rich_help_panel=MORE, help="Allow this share of lapses."),
+    ] = 0.1,
     at: Annotated[
         float | None,
         typer.Option(
             metavar="0..1",
-            help="Share of answers at the threshold; 0.75, or halfway from the guess.",
+            help="Set the share of successes at the threshold; it is halfway from "
+            "guessing otherwise.",
         ),
     ] = None,
-    samples: Annotated[int, typer.Option(metavar="N", help="Of the bootstrap.")] = 1000,
-    seed: Annotated[int, typer.Option(metavar="N", help="Of the bootstrap.")] = 0,
+    samples: Annotated[
+        int,
+        typer.Option(metavar="N", rich_help_panel=MORE, help="Set the samples of the bootstrap."),
+    ] = 1000,
+    seed: Annotated[
+        int, typer.Option(metavar="N", rich_help_panel=MORE, help="Set the seed of the bootstrap.")
+    ] = 0,
     plot: Annotated[
         Path | None, typer.Option(metavar="PNG|PDF|SVG", help="Draw shares and thresholds.")
     ] = None,
     json_file: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Fit answers: thresholds with intervals, or why there are none.
+    """Fit thresholds with intervals to answers, or say why there are none.
 
     Several files, of RA and PC mode for example, come into one table and one picture, under their
     names.
@@ -230,17 +254,30 @@ def _print(found: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
                 console.print(f"{about}{note}", style="dim", soft_wrap=True)
 
 
-experiment = typer.Typer(
-    help="Psychophysics: what a finger can tell of pulses (paper, Section III).",
+experiment = Commands(
+    help="Run psychophysical experiments, and fit their answers.",
     no_args_is_help=True,
 )
 
-_Mode = Annotated[str, typer.Option("--mode", metavar="CLASS", help="RA, SAI or PC.")]
-_Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the CSV file.")]
-_Session = Annotated[str, typer.Option("--session", metavar="NAME", help="Which session.")]
+_Mode = Annotated[
+    str,
+    typer.Option(
+        "--mode", metavar="CLASS", help="Choose the class that is stimulated: RA, SAI or PC."
+    ),
+]
+_Overwrite = Annotated[
+    bool, typer.Option("--overwrite", rich_help_panel=MORE, help="Replace the CSV file.")
+]
+_Session = Annotated[
+    str, typer.Option("--session", rich_help_panel=MORE, metavar="NAME", help="Name the session.")
+]
 _Output = Annotated[
     Path | None,
-    typer.Option("--output", metavar="CSV", help="Answers; named by subject if none."),
+    typer.Option(
+        "--output",
+        metavar="CSV",
+        help="Write the answers to this file; the participant's name names it otherwise.",
+    ),
 ]
 
 
@@ -288,7 +325,7 @@ class _Parts:
         return name, cls(**given)
 
 
-@experiment.command("run", cls=RunCommand)
+@experiment.command("run")
 @drives_a_board
 @takes_options()
 def run_listed(
@@ -305,12 +342,21 @@ def run_listed(
     mode: _Mode = "RA",
     rate_hz: Annotated[
         float | None,
-        typer.Option("--rate", metavar="HZ", help="Set the rate of pulses, where none is asked."),
+        typer.Option(
+            "--rate",
+            metavar="HZ",
+            rich_help_panel=MORE,
+            help="Set the rate of pulses, where none is asked.",
+        ),
     ] = None,
     session: _Session = "",
     seed: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Of orders; by subject if none."),
+        typer.Option(
+            metavar="N",
+            rich_help_panel=MORE,
+            help="Set the seed of orders; the participant's name sets it otherwise.",
+        ),
     ] = None,
     output: _Output = None,
     overwrite: _Overwrite = False,
@@ -318,12 +364,14 @@ def run_listed(
         str | None,
         typer.Option(
             metavar="WHO",
-            help="model, random, first or silent, no person.",
+            help="Let a simulated participant answer: model, random, first or silent.",
         ),
     ] = None,
     board: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="As for live; with --simulate simulated:"),
+        typer.Option(
+            metavar="URL", help="Drive this board; a simulated participant takes simulated:."
+        ),
     ] = None,
 ) -> None:
     """Run an experiment of the list or of a file; the same command again goes on where it was.

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from smarttouch.cli.options import RateOption, takes_options
+from smarttouch.cli.options import MORE, RateOption, takes_options
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.cli.source_options import or_standard_input
 from smarttouch.views.keys_and_signals import drives_a_board
@@ -22,21 +22,33 @@ def live(
             callback=or_standard_input,
             metavar="SOURCE",
             help="A file, words, or a source by its URL: page:, text:, camera:, video:, frames:, "
-            "serial-array:, brltty:, draw:, osc:, lsl:, socket:, mcap:, recording:. Options "
-            "follow: scan.png?dpi=300&speed_mm_s=40. A sample page is shown without one.",
+            "serial-array:, brltty:, draw:, osc:, lsl:, socket:, mcap:, recording:, texture:, "
+            "vibration:. Options follow: 'scan.png?dpi=300&speed_mm_s=40'. A sample page is shown "
+            "without one.",
         ),
     ] = None,
     mode: Annotated[
         str | None,
-        typer.Option(metavar="CLASS", help="RA, SAI, PC or natural; RA is usual."),
+        typer.Option(
+            metavar="CLASS",
+            help="Choose the class that is stimulated: RA (usual), SAI, PC or natural.",
+        ),
     ] = None,
     rate_hz: RateOption = None,
     seed: Annotated[
-        int | None, typer.Option(metavar="N", min=0, help="Seed of all simulated noise.")
+        int | None,
+        typer.Option(
+            metavar="N", min=0, rich_help_panel=MORE, help="Set the seed of all simulated noise."
+        ),
     ] = None,
     light_on_dark: Annotated[
         bool,
-        typer.Option("--light-on-dark", show_default=False, help="Print is lighter than paper."),
+        typer.Option(
+            "--light-on-dark",
+            show_default=False,
+            rich_help_panel=MORE,
+            help="Take light print on dark paper.",
+        ),
     ] = False,
 ) -> None:
     """Show on the finger what a source sees, until it ends, a key or Ctrl-C."""

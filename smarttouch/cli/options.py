@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 import typer
-from typer.core import TyperCommand
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import SmartTouchError, not_offered, require_within
@@ -78,15 +77,6 @@ def _expanded(command: Callable[..., _T], defaults: dict[str, Any]) -> Callable[
     return expanded
 
 
-class RunCommand(TyperCommand):
-    """A command that reads ``--window`` without a number as ``--window 0``."""
-
-    # Some versions of typer hand over a context class of their own, not the one of the base.
-    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
-        """Parse the words of the command line."""
-        return super().parse_args(ctx, with_ports(args))
-
-
 def with_ports(words: Sequence[str]) -> list[str]:
     """Return the words of a command line with a 0 behind each ``--window`` that has no port."""
     found: list[str] = []
@@ -151,18 +141,37 @@ def require_answers(
 BOARD = "The board"
 FINGER = "The finger"
 KEPT = "What is kept"
+MORE = "More"
 
 ProfileOption = Annotated[
     str | None,
-    typer.Option("--profile", metavar="NAME|FILE", help="Device and finger; else the board's."),
+    typer.Option(
+        "--profile",
+        metavar="NAME|FILE",
+        help="Use this device and finger; the board's usual one otherwise.",
+    ),
 ]
 ArrayOption = Annotated[
     str,
-    typer.Option("--profile", metavar="NAME|FILE", help="Device and finger; see 'profiles'."),
+    typer.Option(
+        "--profile",
+        metavar="NAME|FILE",
+        help="Use this device and finger; smarttouch profiles lists them.",
+    ),
 ]
-ModeOption = Annotated[str, typer.Option("--mode", metavar="CLASS", help="RA, SAI, PC or natural.")]
+ModeOption = Annotated[
+    str,
+    typer.Option(
+        "--mode",
+        metavar="CLASS",
+        help="Choose the class that is stimulated: RA, SAI, PC or natural.",
+    ),
+]
 RateOption = Annotated[
-    float | None, typer.Option("--rate", metavar="HZ", help="Scan sequences per second.")
+    float | None,
+    typer.Option(
+        "--rate", metavar="HZ", rich_help_panel=MORE, help="Set the scan sequences per second."
+    ),
 ]
 JsonOption = Annotated[
     Path | None,
@@ -175,8 +184,7 @@ ForceOption = Annotated[
     typer.Option(
         "--force",
         metavar="URL",
-        rich_help_panel=FINGER,
-        help="hx711:PORT, loadcell:PORT, or stated: fixed:N.",
+        help="Measure finger force by hx711:PORT or loadcell:PORT, or state it by fixed:N.",
     ),
 ]
 AnatomyOption = Annotated[
@@ -185,20 +193,27 @@ AnatomyOption = Annotated[
         "--anatomy",
         metavar="NAME|FILE",
         show_default=False,
-        help="Simulated fingers: branched or paper.",
+        rich_help_panel=MORE,
+        help="Choose the anatomy of the fingers: branched, paper or a file.",
     ),
 ]
 ClusterOption = Annotated[
     str | None,
-    typer.Option(metavar="ADDRESS", help="Dask scheduler to compute on: tcp://HOST:8786."),
+    typer.Option(
+        metavar="ADDRESS",
+        rich_help_panel=MORE,
+        help="Compute on the Dask scheduler at tcp://HOST:8786.",
+    ),
 ]
-QuietOption = Annotated[bool, typer.Option("--quiet", help="Print errors only.")]
+QuietOption = Annotated[
+    bool, typer.Option("--quiet", rich_help_panel=MORE, help="Print errors only.")
+]
 ScanOption = Annotated[
     str | None,
     typer.Option(
         "--scan",
         metavar="HOW",
         rich_help_panel=BOARD,
-        help="Points in a slot: points, frame, auto.",
+        help="Choose how points share slots: points, frame or auto.",
     ),
 ]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smarttouch.cli.options import (
+    MORE,
     ModeOption,
     RateOption,
     takes_options,
@@ -36,8 +37,9 @@ def read(
         typer.Argument(
             callback=or_standard_input,
             metavar="FILE",
-            help="Page (image, PDF), .txt, Braille (.brf, .pef, photo), text:WORDS, - "
-            "(standard input); ?dpi=300 and more.",
+            help="A page (image, PDF), a text, Braille (.brf, .pef, photo), words, "
+            "or - for standard input. Options follow: "
+            "'book.pdf?pages=3-5&dpi=300'.",
         ),
     ],
     pause_s: Annotated[
@@ -46,11 +48,15 @@ def read(
     ] = 1.0,
     follow: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="Take the place of the finger from this source."),
+        typer.Option(
+            metavar="URL",
+            rich_help_panel=MORE,
+            help="Take the place of the finger from this source.",
+        ),
     ] = None,
     board: Annotated[
         str | None,
-        typer.Option(metavar="URL", help="As for live."),
+        typer.Option(metavar="URL", help="Drive this board; smarttouch live --help names them."),
     ] = None,
     mode: ModeOption = "RA",
     rate_hz: RateOption = None,
@@ -117,15 +123,18 @@ def braille(
         ),
     ] = None,
     table: TableOption = None,
-    back: Annotated[bool, typer.Option("--back", help="From cells to text.")] = False,
+    back: Annotated[bool, typer.Option("--back", help="Translate cells back into text.")] = False,
     output: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="A .brf, .pef or .txt; the screen if none."),
+        typer.Option(metavar="FILE", help="Write a .brf, .pef or .txt file instead of printing."),
     ] = None,
-    columns: Annotated[int | None, typer.Option(help="Cells a line; 40 if none is given.")] = None,
-    rows: Annotated[int | None, typer.Option(help="Lines a page; 25 if none is given.")] = None,
+    columns: Annotated[
+        int | None, typer.Option(help="Set the cells of a line, usually 40.")
+    ] = None,
+    rows: Annotated[int | None, typer.Option(help="Set the lines of a page, usually 25.")] = None,
     leave_out: Annotated[
-        bool, typer.Option("--leave-out", help="Leave out what the table has no cells for.")
+        bool,
+        typer.Option("--leave-out", help="Leave out characters that the table has no cells for."),
     ] = False,
     tables: Annotated[bool, typer.Option("--tables", help="List the tables.")] = False,
 ) -> None:

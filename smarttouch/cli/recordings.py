@@ -7,10 +7,11 @@ import typer
 
 from smarttouch.base.terminal import print_table
 from smarttouch.cli.options import takes_options
+from smarttouch.cli.plain_help import Commands
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.views.keys_and_signals import drives_a_board
 
-recordings = typer.Typer(
+recordings = Commands(
     help="Look into, view, repair and export what ``live --record`` kept.", no_args_is_help=True
 )
 
@@ -19,7 +20,7 @@ _File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording, whole 
 
 @recordings.command()
 def info(file: _File) -> None:
-    """Tell what was delivered to whom and when, and how much of it is kept."""
+    """Say what was delivered to whom and when, and how much of it is kept."""
     from smarttouch.running.recording_files import describe
 
     print_table(describe(file), left=2)
@@ -29,7 +30,10 @@ def info(file: _File) -> None:
 def repair(
     file: _File,
     output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="The new file; one beside it if none.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Write this file; a new one beside the old one otherwise."
+        ),
     ] = None,
 ) -> None:
     """Write a valid file of all that can be read; the old one stays as it is."""
@@ -62,14 +66,17 @@ def view(
         list[Path], typer.Argument(metavar="FILE [OTHER]", help="One, or two side by side.")
     ],
     port: Annotated[
-        int, typer.Option(metavar="N", help="Of the page; one that is free if none.")
+        int, typer.Option(metavar="N", help="Serve the page at this port; a free one otherwise.")
     ] = 0,
     save: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write .png, .svg or .mp4, and show nothing."),
     ] = None,
     step: Annotated[
-        int, typer.Option(metavar="N", min=0, help="Of the picture, or the film's first.")
+        int,
+        typer.Option(
+            metavar="N", min=0, help="Choose the step of a picture, or the first of a film."
+        ),
     ] = 0,
 ) -> None:
     """Show recordings in a browser: time line, steps, slots, events (extra window)."""
@@ -102,31 +109,30 @@ def replay(
         str | None,
         typer.Option(
             metavar="NAME|FILE",
-            help="Another than the recorded one; a real board takes its usual one or this, and "
-            "the recording only lowers its limits.",
+            help="Use another device and finger than the recorded one. A recording "
+            "never raises the limits of a real board.",
         ),
     ] = None,
     board: Annotated[
-        str, typer.Option(metavar="URL", help="What to play into; not with --check.")
+        str, typer.Option(metavar="URL", help="Drive this board; it cannot be given with --check.")
     ] = "emulator:",
     force: Annotated[
         str | None,
         typer.Option(
             metavar="URL",
-            help="Today's finger; if not given, a real board's own sensor, elsewhere the recorded "
-            "force.",
+            help="Measure or state today's force. The recorded force counts on "
+            "emulated boards only.",
         ),
     ] = None,
     intensity: Annotated[
         float | None,
         typer.Option(
             metavar="0..1",
-            help="Of the recorded. On a real board a run begins at 0, and keys raise it up to "
-            "this (1); without a keyboard it must be given, and is reached slowly.",
+            help="Scale the recorded intensity, 0 to 1. Real boards start at 0.",
         ),
     ] = None,
 ) -> None:
-    """Let a finger feel once more what was recorded, or prove that it still would."""
+    """Play a recording on a board again, or check that its sequences are still the same."""
     from smarttouch.running.recording_reader import Recording
 
     if check:
@@ -167,11 +173,12 @@ def _check(file: Path, profile: str | None) -> None:
 
 def report(
     recording: Annotated[
-        Path | None, typer.Argument(metavar="[MCAP]", help="The run that went wrong.")
+        Path | None,
+        typer.Argument(metavar="[MCAP]", help="The recording of the run that went wrong."),
     ] = None,
-    output: Annotated[Path, typer.Option(metavar="FILE", help="What to write.")] = Path(
-        "smarttouch-report.json"
-    ),
+    output: Annotated[
+        Path, typer.Option(metavar="FILE", help="Write the report to this file.")
+    ] = Path("smarttouch-report.json"),
 ) -> None:
     """Write a file for a bug report: versions, boards, settings and last events.
 

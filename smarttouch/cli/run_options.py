@@ -12,7 +12,6 @@ from smarttouch.base.errors import SmartTouchError, not_offered
 from smarttouch.base.files import require_folder
 from smarttouch.cli.options import (
     BOARD,
-    FINGER,
     KEPT,
     ForceOption,
     JsonOption,
@@ -39,14 +38,16 @@ class RunOptionGroup(OptionGroup):
         str | None,
         typer.Option(
             metavar="URL",
-            rich_help_panel=BOARD,
-            help="emulator: if none; simulated:, kajimoto61:, etactilekit:, link: and a port.",
+            help="Drive this board: emulator: (usual), simulated:, kajimoto61:PORT, "
+            "etactilekit:PORT, link:PORT.",
         ),
     ] = None
     vibrators: Annotated[
         str | None,
         typer.Option(
-            metavar="URL", rich_help_panel=BOARD, help="To shake what PC is to feel; no current."
+            metavar="URL",
+            rich_help_panel=BOARD,
+            help="Drive vibration actuators for PC instead of current.",
         ),
     ] = None
     set_: Annotated[
@@ -65,16 +66,19 @@ class RunOptionGroup(OptionGroup):
         float | None,
         typer.Option(
             metavar="0..1",
-            rich_help_panel=FINGER,
-            help="At most, of the strongest; real boards begin at 0.",
+            help="Set the maximum intensity, 0 to 1. Real boards start at 0.",
         ),
     ] = None
-    seconds: Annotated[float | None, typer.Option(metavar="S", help="Longest run, wall time.")] = (
-        None
-    )
+    seconds: Annotated[
+        float | None, typer.Option(metavar="S", help="End the run after this time.")
+    ] = None
     felt: Annotated[
         Path | None,
-        typer.Option(metavar="PNG", rich_help_panel=KEPT, help="Picture of what is read and felt."),
+        typer.Option(
+            metavar="PNG",
+            rich_help_panel=KEPT,
+            help="Draw what was seen, delivered and answered by a simulated finger.",
+        ),
     ] = None
     finger: Annotated[
         str | None,
@@ -82,8 +86,8 @@ class RunOptionGroup(OptionGroup):
             metavar="[ANATOMY:]SEED",
             rich_help_panel=KEPT,
             show_default=False,
-            help="Choose the simulated finger: 2, paper or paper:2; the anatomy is branched, "
-            "paper or a file.",
+            help="Choose the simulated finger, such as 2, paper or paper:2; the "
+            "anatomy is branched, paper or a file.",
         ),
     ] = None
     frames: Annotated[
@@ -91,21 +95,22 @@ class RunOptionGroup(OptionGroup):
         typer.Option(
             metavar="PATH",
             rich_help_panel=KEPT,
-            help="What electrodes do: .gif, .json, folder of PNG.",
+            help="Write what the electrodes do: a .gif, a .json or a folder of PNG.",
         ),
     ] = None
     record: Annotated[
-        Path | None, typer.Option(metavar="MCAP", rich_help_panel=KEPT, help="The whole run.")
+        Path | None,
+        typer.Option(metavar="MCAP", help="Record the whole run."),
     ] = None
     subject: Annotated[
         str,
-        typer.Option(metavar="NAME", rich_help_panel=KEPT, help="Who feels it, for the recording."),
+        typer.Option(
+            metavar="NAME", rich_help_panel=KEPT, help="Name the participant in the recording."
+        ),
     ] = ""
     note: Annotated[
         str,
-        typer.Option(
-            metavar="TEXT", rich_help_panel=KEPT, help="Anything else, for the recording."
-        ),
+        typer.Option(metavar="TEXT", rich_help_panel=KEPT, help="Add a note to the recording."),
     ] = ""
     stream: Annotated[
         list[str] | None,
@@ -118,12 +123,16 @@ class RunOptionGroup(OptionGroup):
     json_file: JsonOption = None
     window: Annotated[
         int | None,
-        typer.Option(metavar="[PORT]", help="Page in a browser."),
+        typer.Option(
+            metavar="[PORT]", help="Open a page in the browser that shows and steers the run."
+        ),
     ] = None
     quiet: QuietOption = False
     plain: Annotated[
         bool | None,
-        typer.Option("--plain", help="Print a line per event; draw nothing."),
+        typer.Option(
+            "--plain", help="Print one line for each event and draw nothing, for screen readers."
+        ),
     ] = None
 
     def __post_init__(self) -> None:

@@ -14,6 +14,7 @@ from smarttouch.cli.options import (
     ScanOption,
     takes_options,
 )
+from smarttouch.cli.plain_help import Commands
 from smarttouch.cli.source_options import DocumentOptions, FormOptions, or_standard_input
 
 _NAMES = {
@@ -26,7 +27,7 @@ _NAMES = {
 }
 
 
-simulate = typer.Typer(
+simulate = Commands(
     help="Put letters, pages or a whole study on simulated fingers.", no_args_is_help=True
 )
 
@@ -34,13 +35,21 @@ simulate = typer.Typer(
 @simulate.command("letters")
 def simulate_letters(
     letters: Annotated[
-        str | None, typer.Argument(metavar="LETTERS", help="A to Z if none.")
+        str | None, typer.Argument(metavar="LETTERS", help="The letters; A to Z otherwise.")
     ] = None,
     profile: ArrayOption = "electric-mouse",
-    mode: Annotated[str, typer.Option(metavar="RA|SAI|PC", help="Whose receptors.")] = "RA",
+    mode: Annotated[
+        str,
+        typer.Option(
+            metavar="RA|SAI|PC", help="Choose the class that is stimulated: RA, SAI or PC."
+        ),
+    ] = "RA",
     anatomy: AnatomyOption = "branched",
     fingers: Annotated[
-        int, typer.Option(min=1, max=1000, metavar="N", help="So many, by seeds from 1 on.")
+        int,
+        typer.Option(
+            min=1, max=1000, metavar="N", help="Simulate this many fingers, by seeds from 1 on."
+        ),
     ] = 10,
     plot_file: Annotated[
         str | None, typer.Option("--plot", metavar="PNG", help="Draw the first letter on finger 1.")
@@ -48,7 +57,7 @@ def simulate_letters(
     json_file: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Put letters on simulated fingers: which afferents fire, where, and what is read of it."""
+    """Put letters on simulated fingers, and say which afferents fire and what is read."""
     from smarttouch.base.afferent import Mode
     from smarttouch.base.files import require_folder, write_json
     from smarttouch.base.terminal import print_table
@@ -109,17 +118,25 @@ def simulate_page(
         typer.Argument(
             callback=or_standard_input,
             metavar="FILE",
-            help="As for smarttouch read.",
+            help="A page, a text, Braille or words, as for smarttouch read.",
         ),
     ],
     profile: ArrayOption = "electric-mouse",
     truth: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.txt", help="What the page says; what Tesseract reads if none."),
+        typer.Option(
+            metavar="FILE.txt", help="Compare with this text; with what Tesseract reads otherwise."
+        ),
     ] = None,
-    mode: Annotated[str, typer.Option(metavar="RA|SAI", help="Whose receptors.")] = "RA",
+    mode: Annotated[
+        str,
+        typer.Option(metavar="RA|SAI", help="Choose the class that is stimulated: RA, SAI or PC."),
+    ] = "RA",
     fingers: Annotated[
-        int, typer.Option(min=0, max=1000, metavar="N", help="Simulated fingers that feel it, too.")
+        int,
+        typer.Option(
+            min=0, max=1000, metavar="N", help="Simulate this many fingers that read it, too."
+        ),
     ] = 0,
     anatomy: AnatomyOption = "branched",
     json_file: JsonOption = None,
@@ -127,7 +144,7 @@ def simulate_page(
     cluster: ClusterOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Measure it: the whole chain to a simulated board, and Tesseract on what the skin got."""
+    """Run a page on a simulated board and read the result with Tesseract."""
     from smarttouch.base.cluster import on_cluster
     from smarttouch.base.files import require_folder, write_json
     from smarttouch.base.terminal import print_table
@@ -166,18 +183,27 @@ def simulate_page(
 @simulate.command()
 def study(
     plan: Annotated[
-        Path, typer.Argument(metavar="STUDY.toml", help="What is compared, on which fingers.")
+        Path,
+        typer.Argument(
+            metavar="STUDY.toml", help="The plan: what is compared, and on which fingers."
+        ),
     ],
     output: Annotated[
-        Path, typer.Option(metavar="DIR", help="Where to; made if missing, resumed if not.")
+        Path,
+        typer.Option(metavar="DIR", help="Write to this folder; a study that is there goes on."),
     ],
     cluster: ClusterOption = None,
     kind: Annotated[
-        str | None, typer.Option("--plot", metavar="png|pdf|svg|none", help="Of the plot.")
+        str | None,
+        typer.Option(
+            "--plot",
+            metavar="png|pdf|svg|none",
+            help="Choose the form of the plot: png, pdf, svg or none.",
+        ),
     ] = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Run a grid of fingers, profiles, kernels, scans, letters and pages; go on where it ended."""
+    """Run a grid of fingers, profiles, kernels, scans, letters and pages, or go on with one."""
     from importlib.util import find_spec
 
     from smarttouch.base.cluster import on_cluster

@@ -12,7 +12,7 @@ import typer
 
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.files import named_file
-from smarttouch.cli.options import OptionGroup
+from smarttouch.cli.options import MORE, OptionGroup
 
 if TYPE_CHECKING:
     from smarttouch.reading.braille_lines import Braille
@@ -84,9 +84,18 @@ _TAGS = {code: tag for tag, code in _TESSERACT.items()}
 class DocumentOptions(OptionGroup):
     """Options of a document."""
 
-    password: Annotated[str | None, typer.Option(help="Password of an encrypted PDF.")] = None
+    password: Annotated[
+        str | None,
+        typer.Option(rich_help_panel=MORE, help="Give the password of an encrypted PDF."),
+    ] = None
     languages: Annotated[
-        str | None, typer.Option("--language", metavar="TAG", help="Language of the text: en, fr.")
+        str | None,
+        typer.Option(
+            "--language",
+            metavar="TAG",
+            rich_help_panel=MORE,
+            help="Name the language of the text, such as en or fr.",
+        ),
     ] = None
 
     def recognition(self, source: str, **more: Any) -> "tuple[str, RecognitionOptions]":
@@ -118,7 +127,7 @@ TableOption = Annotated[
     typer.Option(
         metavar="NAME",
         rich_help_panel=_FORM,
-        help="Braille table (list: smarttouch braille --tables); that of --language, or en-1.",
+        help="Choose the Braille table; --tables lists them. The language chooses one otherwise.",
     ),
 ]
 

@@ -1,12 +1,15 @@
 """The command line itself: version, help, completion, standard input."""
 
+import collections
 import io
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import typer
 
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.cli import app
@@ -33,17 +36,67 @@ def test_short_help_is_the_long_one_everywhere(program_here):
         assert (short.returncode, short.stdout) == (0, long.stdout)
 
 
-def test_no_help_is_longer_than_seventy_lines(program_here, monkeypatch):
+def commands(command=None, path=()):
+    """Yield the words and the object of every command and group."""
+    command = command or typer.main.get_command(app)
+    yield " ".join(path), command
+    for name, each in getattr(command, "commands", {}).items():
+        yield from commands(each, (*path, name))
+
+
+COMMANDS = dict(commands())
+OPTIONS = [
+    (name, each)
+    for name, command in COMMANDS.items()
+    for each in command.params
+    if each.param_type_name == "option"
+]
+VERBS = {
+    "Add", "Allow", "Ask", "Average", "Be", "Calculate", "Change", "Check", "Choose", "Clear",
+    "Compare", "Compute", "Design", "Draw", "Drive", "Emulate", "End", "Find", "Fit", "Give",
+    "Install", "Judge", "Keep", "Leave", "Let", "List", "Look", "Measure", "Move", "Name", "Open",
+    "Optimize", "Play", "Print", "Put", "Raise", "Read", "Record", "Repeat", "Replace", "Rest",
+    "Run", "Say", "Scale", "Search", "Send", "Serve", "Set", "Show", "Simulate", "Start", "State",
+    "Stay", "Take", "Touch", "Translate", "Turn", "Use", "Walk", "Watch", "Write",
+}  # fmt: skip
+"""Verbs that help begins with: what the program then does, as a sentence."""
+MOST_WORDS = 26
+
+
+def test_commands_and_options_can_be_surveyed():
+    leaves = {name for name, each in COMMANDS.items() if not hasattr(each, "commands")}
+    leaves |= {"devices", "profiles"}
+    assert len(leaves) <= 34
+    assert len({name.partition(" ")[0] for name in leaves}) <= 16
+    counts = collections.Counter(name for name, _ in OPTIONS if name)
+    assert max(counts.values()) <= 25
+    assert sum(counts.values()) <= 300
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_is_made_of_sentences(name):
+    command = COMMANDS[name]
+    told = [each.help for each in command.params if each.param_type_name == "option"]
+    for help_ in (command.help, *told):
+        words = " ".join(help_.split("\n\n")[0].split())
+        assert words.split()[0] in VERBS, words
+        assert words.endswith("."), words
+        assert len(words.split()) <= MOST_WORDS, words
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_is_plain_and_short(program_here, monkeypatch, name):
     monkeypatch.setenv("COLUMNS", "80")
-    for command in ("live", "read", "experiment run", "replay"):
-        done = program_here(f"{command} -h").fine()
-        assert done.stdout.count("\n") <= 70, command
-
-
-def test_the_help_has_every_command_in_a_panel():
-    panels = {each.rich_help_panel for each in (*app.registered_commands, *app.registered_groups)}
-    assert len(panels) == 7
-    assert all(isinstance(panel, str) for panel in panels)
+    short = program_here(f"{name} --help").fine().stdout
+    assert short.isascii() or not re.search("[\u2500-\u257f\x1b]", short)
+    assert max(map(len, short.splitlines())) <= 80
+    options = re.findall(r"(?m)^  (?:-\w, )?--", short)
+    assert len(options) <= 12
+    everything = program_here(f"{name} --help-all").fine().stdout
+    visible = [each for each in COMMANDS[name].params if not getattr(each, "hidden", False)]
+    for each in visible:
+        if each.param_type_name == "option":
+            assert each.opts[0] in everything
 
 
 def test_completion_knows_the_commands():
