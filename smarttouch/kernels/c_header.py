@@ -16,7 +16,7 @@ _HEAD = """\
  * an amplitude of a quarters of a microampere at its strongest electrode, electrode e gets the
  * difference of two sums, rounded to whole microamperes, halves upward:
  *     current_ua(e) = S(e) - S(e - 1), S(e) = floor((a * (w[0] + ... + w[e]) + 65536) / 131072)
- * so that all currents add up to zero (add_up in firmware/core/st_sequence.c does just that).
+ * so that all currents add up to zero (add_up in firmware/src/st_sequence.c does just that).
  * st_table_image is the same table as the payloads of KERNELS carry it (docs/reference/link.md),
  * and st_table_identity its name there: a board that begins with it needs no transfer.
  */

@@ -21,7 +21,7 @@ NOT_THERE = {
 }  # fmt: skip
 
 
-def check(program, *words, seconds=400):
+def check(program, *words, seconds=590):
     """Return what a program found; raise `AssertionError` if it found something wrong."""
     # One that has lost a guard may go on for ever.
     command = ["timeout", str(seconds), program, *map(str, words)]

@@ -60,7 +60,7 @@ int main(void)
         uint16_t source_ua;
         sequence.data = pairs;
         place.pairs = 8;
-        (void)st_slot_currents(&board, &sequence, &place, &source_ua);
+        (void)st_slot_currents(&board, &sequence, &place, current_ua, &source_ua);
         (void)fwrite(current_ua, sizeof current_ua, 1, stdout);
     }
     return 0;
@@ -78,8 +78,8 @@ def test_the_firmware_makes_the_host_s_currents_of_it(name, tmp_path):
     kernels.to_c(tmp_path / "kernels.h")
     program = tmp_path / "check.c"
     program.write_text(PROGRAM, encoding="utf-8")
-    command = [compiler, "-std=c11", "-Wall", "-Wextra", "-Werror", "-I", SOURCES / "core"]
-    command += [program, *sorted((SOURCES / "core").glob("*.c")), "-o", tmp_path / "check"]
+    command = [compiler, "-std=c11", "-Wall", "-Wextra", "-Werror", "-I", SOURCES / "src"]
+    command += [program, *sorted((SOURCES / "src").glob("*.c")), "-o", tmp_path / "check"]
     subprocess.run(command, check=True)
     table = Pipeline(profile, kernels, RunConfig(scan="points"), in_sums=True).table
     image = KernelImage.of(table, 1 << 24, 0xFFFF)
