@@ -1,13 +1,20 @@
 """The first hour of docs/tutorial, step by step, as a reader would go through it."""
 
+import os
+
 import pytest
 
 from .documented import ROOT, Reader
 from .forks import Forked
+from .whole import WHOLE
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 
 
+@pytest.mark.skipif(
+    not WHOLE and "SMARTTOUCH_EXAMPLES" not in os.environ,
+    reason="long: with SMARTTOUCH_WHOLE=1, as in .ci/run",
+)
 def test_every_step_works(tmp_path):
     reader = Reader(tmp_path, Forked)
     reader.read(ROOT / "docs" / "tutorial" / "first-hour.md")
