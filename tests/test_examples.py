@@ -54,14 +54,11 @@ def test_from_an_image_to_the_skin_takes_few_lines_and_public_names_alone():
     ]
 
 
-@pytest.mark.parametrize(
-    ("script", "begins", "ends", "most"),
-    [
-        ("own_feed.py", "line = socket", "print", 20),
-        ("own_imaging.py", "class Indentation", "return np.stack", 12),
-        ("two_intervals.py", "import csv", "", 25),
-    ],
-)
+@pytest.mark.parametrize(("script", "begins", "ends", "most"), [
+    ("own_feed.py", "line = socket", "print", 20),
+    ("own_imaging.py", "class Indentation", "return np.stack", 12),
+    ("two_intervals.py", "import csv", "", 25),
+])  # fmt: skip
 def test_what_a_researcher_does_takes_few_lines_and_public_names_alone(script, begins, ends, most):
     text = (EXAMPLES / script).read_text("utf-8")
     assert re.findall(r"^(?:import|from) smarttouch.*", text, re.MULTILINE) == [

@@ -30,13 +30,10 @@ from smarttouch.stimulation.scan_sequence import SlotPolicy
 from ..pages.printed import degrade, print_page
 
 TEXT = [
-    "The quick brown fox jumps over the lazy dog.",
-    "A finger moves over print, and what is seen",
-    "becomes a pattern of 64 small currents; each",
-    "is felt as pressure, or as a faint vibration.",
-    "In 1998 the first displays had 120 points.",
-    "Nobody (not even I) could read them then.",
-]
+    "The quick brown fox jumps over the lazy dog.", "A finger moves over print, and what is seen",
+    "becomes a pattern of 64 small currents; each", "is felt as pressure, or as a faint vibration.",
+    "In 1998 the first displays had 120 points.", "Nobody (not even I) could read them then.",
+]  # fmt: skip
 SKIMAGE = """Region-based segmentation
 Let us first determine markers of the coins and the
 background. These markers are pixels that we can label
@@ -46,15 +43,10 @@ histogram of grey values:
 >>> markers = np.zeros_like(coins)"""
 ROWS = [int(each) for each in os.environ.get("SMARTTOUCH_ROWS", "8,12,16,24").split(",")]
 PAGES = {
-    "10 pt": (10, {}),
-    "12 pt": (12, {}),
-    "14 pt": (14, {}),
-    "12 pt, sans": (12, {}),
-    "12 pt, turned by 3°": (12, {"skew_deg": 3}),
-    "12 pt, uneven light": (12, {"uneven": 0.6}),
-    "12 pt, noise": (12, {"noise": 20}),
-    "scikit-image": (0, {}),
-}
+    "10 pt": (10, {}), "12 pt": (12, {}), "14 pt": (14, {}), "12 pt, sans": (12, {}),
+    "12 pt, turned by 3°": (12, {"skew_deg": 3}), "12 pt, uneven light": (12, {"uneven": 0.6}),
+    "12 pt, noise": (12, {"noise": 20}), "scikit-image": (0, {}),
+}  # fmt: skip
 
 
 def page_file(folder, name, text):

@@ -257,10 +257,9 @@ def test_what_is_there_is_listed_and_nothing_is_opened(program_here):
     assert "kajimoto61:" in done.stdout
 
 
-@pytest.mark.parametrize(
-    ("name", "how"),
-    [("link", signal.SIGTERM), ("kajimoto61", signal.SIGINT), ("etactilekit", signal.SIGINT)],
-)
+@pytest.mark.parametrize(("name", "how"), [
+    ("link", signal.SIGTERM), ("kajimoto61", signal.SIGINT), ("etactilekit", signal.SIGINT),
+])  # fmt: skip
 def test_an_emulator_is_played_until_it_is_ended(program_here, start_program, tmp_path, name, how):
     books = tmp_path / "books"
     books.mkdir()

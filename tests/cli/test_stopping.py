@@ -32,10 +32,9 @@ def deaf():
     os.close(line._master)
 
 
-@pytest.mark.parametrize(
-    ("number", "name"),
-    [(signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP")],
-)
+@pytest.mark.parametrize(("number", "name"), [
+    (signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP"),
+])  # fmt: skip
 def test_a_signal_while_a_board_is_being_opened(start_program, deaf, number, name):
     port, written = deaf
     process = start_program("live", "--board", f"link:{port}", "--intensity", "1")

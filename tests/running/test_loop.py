@@ -206,13 +206,9 @@ def test_a_stop_request_ends_it_before_the_next_frame(pipeline, board):
 
     with board:
         loop(
-            Bars(),
-            pipeline,
-            board,
-            stop=stop,
-            statistics=tally,
+            Bars(), pipeline, board, stop=stop, statistics=tally,
             listeners=as_listeners([after_ten]),
-        )
+        )  # fmt: skip
     assert tally.frames == 10
     assert stop.reason == "enough"
 
@@ -576,13 +572,9 @@ def test_what_was_computed_before_a_pause_is_not_sent(monkeypatch, pipeline, boa
     monkeypatch.setattr(pipeline, "process", stand_still)
     with board:
         loop(
-            Bars(60),
-            pipeline,
-            board,
-            statistics=tally,
-            clock=clock,
+            Bars(60), pipeline, board, statistics=tally, clock=clock,
             listeners=[OnEvent(words.append)],
-        )
+        )  # fmt: skip
     assert intensities(board)[39:42] == [1, 0, pytest.approx(0.04)]
     assert (board.dropped_late, tally.restarts, tally.frames) == (1, 0, 59)
     assert any(isinstance(event, BoardRestarted) for event in words)
@@ -650,13 +642,10 @@ def test_priority_is_for_boards_whose_time_passes(
     told, tally = [], RunStatistics()
     with board:
         loop(
-            Bars(3),
-            pipeline,
-            board,
-            statistics=tally,
+            Bars(3), pipeline, board, statistics=tally,
             controls=Controls(ControlState(pipeline.mode)),
             listeners=[OnEvent(lambda event: told.append(str(event)))],
-        )
+        )  # fmt: skip
     assert taken == ([] if simulated_time else ["paced", "given back"])
     assert not tally.real_time
     assert (Pace().notes[0] in told) is bool(on_a_finger)

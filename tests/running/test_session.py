@@ -82,17 +82,14 @@ def test_a_level_that_is_not_open_is_opened_first_and_that_is_said():
     assert [str(each) for each in events if "waited" in str(each)]
 
 
-@pytest.mark.parametrize(
-    ("mode", "pattern"),
-    [
-        ("SAI", RING > 0),
-        ("natural", np.stack([RING, RING, 0 * RING])),
-        ("COLOR", np.stack([RING, 0 * RING, RING])),
-        ("RA", LETTER),
-        ("natural", st.Frame(LETTER, 0)),
-        ("RA", st.TactileImage(np.stack([RING, 0 * RING, 0 * RING]), 0, 0.9)),
-    ],
-)
+@pytest.mark.parametrize(("mode", "pattern"), [
+    ("SAI", RING > 0),
+    ("natural", np.stack([RING, RING, 0 * RING])),
+    ("COLOR", np.stack([RING, 0 * RING, RING])),
+    ("RA", LETTER),
+    ("natural", st.Frame(LETTER, 0)),
+    ("RA", st.TactileImage(np.stack([RING, 0 * RING, 0 * RING]), 0, 0.9)),
+])  # fmt: skip
 def test_patterns_of_every_kind(mode, pattern):
     touch, _ = session("simulated:", mode=mode)
     with touch:
@@ -101,10 +98,9 @@ def test_patterns_of_every_kind(mode, pattern):
     assert shown.intensity == 0.6
 
 
-@pytest.mark.parametrize(
-    "pattern",
-    [RING[:5], np.full(64, np.nan), 2 * RING, "RING", np.zeros((2, 3, 4), np.uint8)],
-)
+@pytest.mark.parametrize("pattern", [
+    RING[:5], np.full(64, np.nan), 2 * RING, "RING", np.zeros((2, 3, 4), np.uint8),
+])  # fmt: skip
 def test_what_is_no_pattern_is_refused_and_the_session_goes_on(pattern):
     touch, _ = session()
     with touch:
@@ -113,15 +109,12 @@ def test_what_is_no_pattern_is_refused_and_the_session_goes_on(pattern):
         assert touch.show(RING, 0.1).sequences == 5
 
 
-@pytest.mark.parametrize(
-    ("about", "call"),
-    [
-        ("seconds", lambda touch: touch.show(RING, 0)),
-        ("level", lambda touch: touch.show(RING, 0.1, level=1.1)),
-        ("level", lambda touch: touch.rise(0)),
-        ("mode", lambda touch: setattr(touch, "mode", "XYZ")),
-    ],
-)
+@pytest.mark.parametrize(("about", "call"), [
+    ("seconds", lambda touch: touch.show(RING, 0)),
+    ("level", lambda touch: touch.show(RING, 0.1, level=1.1)),
+    ("level", lambda touch: touch.rise(0)),
+    ("mode", lambda touch: setattr(touch, "mode", "XYZ")),
+])  # fmt: skip
 def test_numbers_that_are_none_are_refused(about, call):
     touch, _ = session()
     with touch, raises(SmartTouchError, about=about):

@@ -49,14 +49,11 @@ def test_no_second_has_more_and_pauses_are_short(rate_hz, net_pc):
     assert allowed_us <= steady / (np.count_nonzero(times > 3e6) - 1) + 1e-6 <= 1.2 * allowed_us
 
 
-@pytest.mark.parametrize(
-    ("net_pc", "wanted"),
-    [
-        # Every fifth frame, as ridges pass under a finger; trains that are over in time.
-        (1_200_000, lambda time_us: int(time_us // 10_000) % 5 == 0),
-        (480_000, lambda time_us: time_us % 1_000_000 < 400_000),
-    ],
-)
+@pytest.mark.parametrize(("net_pc", "wanted"), [
+    # Every fifth frame, as ridges pass under a finger; trains that are over in time.
+    (1_200_000, lambda time_us: int(time_us // 10_000) % 5 == 0),
+    (480_000, lambda time_us: time_us % 1_000_000 < 400_000),
+])  # fmt: skip
 def test_what_pauses_by_itself_keeps_its_rate(net_pc, wanted):
     _, periods, left_out = planned(100, net_pc, wanted)
     assert set(periods) == {10_000}
