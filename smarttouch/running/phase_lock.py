@@ -41,6 +41,7 @@ class PhaseLock:
 
     def __init__(self, board: Board, statistics: RunStatistics) -> None:
         self._board, self._statistics = board, statistics
+        self._says_starts = type(board).start_of is not Board.start_of
         self._pending: deque[Sent] = deque(maxlen=8)
         self._delays_ns: deque[int] = deque(maxlen=64)
         self._lines: deque[tuple[int, int]] = deque(maxlen=8)
@@ -51,7 +52,9 @@ class PhaseLock:
         """Of the newest sequence whose start has become known since the step before."""
 
     def note(self, sent: Sent) -> None:
-        """Take note of a sequence that was sent."""
+        """Take note of a sequence that was sent, on a board that says when it began."""
+        if not self._says_starts:
+            return
         self._delays_ns.append(sent.sent_ns - sent.waited_ns - sent.deadline_ns)
         self._pending.append(sent)
 
