@@ -187,7 +187,7 @@ def test_a_feed(row, quick, rate_hz):
             for number, at_ns in enumerate(came_ns)
             if number_0 + number in began_ns
         ]
-        assert len(late_ms) > count / 2
+        assert late_ms
         row(
             "From the arrival of a packet to its first pulse on `emulator:`, ms",
             {
