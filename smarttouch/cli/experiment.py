@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from smarttouch.profile import Profile
     from smarttouch.running.config import RunConfig
 
-_SIMULATED = "simulated:"
 _ANATOMY = "paper"
 
 
@@ -48,7 +47,7 @@ def sit(
     if sitting.session.over:
         say(sitting.after())
         return
-    source = sitting.source(simulated=options.board_url == _SIMULATED)
+    source = sitting.source()
     try:
         options.start(
             source,

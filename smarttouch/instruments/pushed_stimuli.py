@@ -25,10 +25,11 @@ class PushedStimuli(SessionFeed):
     """
 
     fixed_mode = True
+    stands_still = False
     ended = "the source has ended"
 
     def __init__(self, title: str, profile: Profile, follow: bool = False) -> None:
-        super().__init__(profile, simulated=False, title=title)
+        super().__init__(profile, title)
         self.given = 0
         """Number of activations that came so far."""
         self._follow = follow

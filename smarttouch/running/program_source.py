@@ -18,8 +18,8 @@ class ProgramSource(SessionFeed):
     fixed_mode = True
     ended = "the program has ended"
 
-    def __init__(self, title: str, profile: Profile, *, simulated: bool) -> None:
-        super().__init__(profile, simulated, title=title)
+    def __init__(self, title: str, profile: Profile) -> None:
+        super().__init__(profile, title)
         self._failed: BaseException | None = None
         self._thread = threading.Thread(target=self._go, name="program", daemon=True)
 

@@ -56,7 +56,7 @@ class Session(Touch):
         force: ForceSource | str | None = None,
     ) -> None:
         self._display, self._stop = display, StopRequest()
-        super().__init__(SessionFeed(display.profile, display.board.simulated_time, self._stop))
+        super().__init__(SessionFeed(display.profile, stop=self._stop))
         self._runner = Runner(
             self._feed, display, config, force=force, listeners=listeners, stop=self._stop
         )

@@ -4,7 +4,7 @@ import math
 import threading
 import time
 from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,10 +38,13 @@ class SessionFeed(Source, Listener):
     knows_force = True
     ended = "the session is over"
 
+    stands_still: ClassVar[bool] = True
+    """Whether simulated time passes only while something is shown."""
+
     def __init__(
-        self, profile: Profile, simulated: bool, stop: StopRequest | None = None, title: str = ""
+        self, profile: Profile, title: str = "session", stop: StopRequest | None = None
     ) -> None:
-        super().__init__(title or "session")
+        super().__init__(title)
         self.news: threading.Event = threading.Event()
         self.began, self.is_over = threading.Event(), False
         self.controls = Controls(ControlState(Mode.RA))
@@ -50,7 +53,7 @@ class SessionFeed(Source, Listener):
         self.now_ns = 0
         """Time of the last read, since the start of the run."""
         self._read_at_ns = (0, 0)
-        self._profile, self._simulated, self._stop = profile, simulated, stop or StopRequest()
+        self._profile, self._simulated, self._stop = profile, False, stop or StopRequest()
         self._press_n = profile.force.full_n
         self._least_us = math.ceil(1e6 / profile.limits.rate_hz)
         self._silent_us = max(SILENT_US, self._least_us)
@@ -143,6 +146,7 @@ class SessionFeed(Source, Listener):
     def start(self, run: RunContext) -> None:
         """Begin: the board is open."""
         self._context, self.controls = run, run.controls
+        self._simulated |= self.stands_still and run.board.simulated_time
         self._mapper = TactileMapper(run.profile, run.config.light_on_dark, run.config.tone)
         self.began.set()
 

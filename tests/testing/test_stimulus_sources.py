@@ -58,7 +58,7 @@ class TestExperiment(StimulusContract):
         path = self.folder / f"{len([*self.folder.iterdir()])}.csv"
         opened = lab.open_experiment(made, profile, lab.TrialTiming(), about, path, overwrite=False)
         sitting = self.sittings.enter_context(opened)
-        return sitting.source(simulated=True)
+        return sitting.source()
 
     def make_impossible(self, profile):
         lab.new_experiment("frequency", profile, lab.ExperimentOptions(site=64))

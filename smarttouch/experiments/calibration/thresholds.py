@@ -170,7 +170,6 @@ class ThresholdProcedure:
                 patience_s=_PATIENCE_S if self.simulate else None,
                 most_spoiled=_MOST_SPOILED,
             ),
-            simulated=self.simulate,
         )
         listeners: list[Listener] = [_Prompts(source, say)]
         if self.simulate:

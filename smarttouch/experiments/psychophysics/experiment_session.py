@@ -203,9 +203,9 @@ class ExperimentSession:
     course: TrialTiming
     path: Path  # file of the answers
 
-    def source(self, *, simulated: bool) -> ExperimentSource:
+    def source(self) -> ExperimentSource:
         """Return the source of its stimuli."""
-        source = ExperimentSource(self.session, self.profile, self.course, simulated=simulated)
+        source = ExperimentSource(self.session, self.profile, self.course)
         source.url = f"experiment:{self.session.title}"
         return source
 

@@ -35,15 +35,8 @@ class ExperimentSource(ProgramSource):
 
     ended = "the experiment is over"
 
-    def __init__(
-        self,
-        trials: Trials,
-        profile: Profile,
-        timing: TrialTiming,
-        *,
-        simulated: bool = True,  # whether time passes by itself, and keys come with stimuli
-    ) -> None:
-        super().__init__(trials.title, profile, simulated=simulated)
+    def __init__(self, trials: Trials, profile: Profile, timing: TrialTiming) -> None:
+        super().__init__(trials.title, profile)
         self.asking: Trial | None = None
         self.playing: tuple[int, int] | None = None
         self.rising: Trial | None = None

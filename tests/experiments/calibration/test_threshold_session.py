@@ -110,6 +110,7 @@ def run(display, profile, felt_by, sites, progress, stop=None, listeners=(), **o
     )  # fmt: skip
     timing = TrialTiming(answer_s=None, again=False, patience_s=10.0, most_spoiled=3)
     source = ExperimentSource(session, measuring, timing)
+    source._simulated = True
     Runner(
         source,
         display,

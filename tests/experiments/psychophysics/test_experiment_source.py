@@ -256,7 +256,8 @@ def begin(profile, bank):
 
     def begin_it(name="frequency", train_s=0.1, simulated=True, **timing):
         trials = OneTrial(profile, name, train_s)
-        source = ExperimentSource(trials, profile, TrialTiming(**timing), simulated=simulated)
+        source = ExperimentSource(trials, profile, TrialTiming(**timing))
+        source._simulated = simulated
         loops.append(Loop(source, profile, bank))
         return loops[-1], trials
 
