@@ -51,16 +51,23 @@ def live(
         ),
     ] = False,
 ) -> None:
-    """Show on the finger what a source sees, until it ends, a key or Ctrl-C."""
+    """Show on the finger what a source sees, until it ends, a key or Ctrl-C.
+
+    On a screen or in a window, and where nothing is written to files, a page is read again and
+    again at some 30 words a minute; 'text:Hello?passes=1' is read once.
+    """
     from smarttouch.base.errors import SourceError
     from smarttouch.base.files import data_folder
     from smarttouch.cli.options import parse_mode
     from smarttouch.sources import open_source, options_taken
+    from smarttouch.sources.virtual_finger import READER_MM_S
 
     chosen = run.load_profile()
     url = source or f"page:{data_folder('sample_images') / 'page.png'}"
     asked = None if mode is None else parse_mode(mode)
     offered = {"mode": asked, "rate_hz": rate_hz, "display": run.display(chosen)}
+    if run.is_watched:
+        offered |= {"passes": 0, "speed_mm_s": READER_MM_S}
     taken = options_taken(url)
     given = {name: value for name, value in offered.items() if name in taken}
     with open_source(url, chosen, light_on_dark=light_on_dark, seed=seed, **given) as opened:

@@ -10,6 +10,7 @@ import typer
 
 from smarttouch.base.errors import SmartTouchError, not_offered
 from smarttouch.base.files import require_folder
+from smarttouch.base.terminal import console
 from smarttouch.cli.options import (
     BOARD,
     KEPT,
@@ -150,6 +151,15 @@ class RunOptionGroup(OptionGroup):
         from smarttouch.boards.open import may_touch_a_finger
 
         return may_touch_a_finger(self.board_url)
+
+    @property
+    def is_watched(self) -> bool:
+        """True if the run is only looked at: on a screen or in a window, and kept in no file."""
+        kept = (self.felt, self.frames, self.record, self.json_file)
+        screen = console()
+        drawn = screen.is_terminal and not screen.is_dumb_terminal
+        on_screen = drawn and not (self.quiet or self.plain)
+        return (on_screen or self.window is not None) and kept == (None,) * len(kept)
 
     @cached_property
     def _chosen(self) -> "Profile | None":

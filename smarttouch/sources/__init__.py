@@ -49,10 +49,11 @@ def source_url(name: str) -> str:
 
 
 def options_taken(url: str) -> set[str]:
-    """Return the options that the kind of source of a URL takes, by name."""
+    """Return the options that a source takes beside those in its URL, by name."""
     group = "smarttouch.sources"
-    opener, _ = find_opener(group, source_url(url), SourceError, Source, ("rest", "profile"))
-    return set(inspect.signature(opener).parameters)
+    opener, rest = find_opener(group, source_url(url), SourceError, Source, ("rest", "profile"))
+    in_url = read_options(opener, rest, SourceError, but=_NOT_IN_URLS)[1]
+    return inspect.signature(opener).parameters.keys() - in_url
 
 
 def open_source(

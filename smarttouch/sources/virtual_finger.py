@@ -156,6 +156,11 @@ BLUR_MM = 0.06
 NOISE_LEVELS = 2.0
 """Standard deviation of the read noise, in grey levels."""
 USUAL_MM_S = 40.0
+READER_MM_S = 7.0
+"""Speed at which the sample page is read at some 30 words a minute: its 20 words take 39 s."""
+AGAIN_S = 1.0
+"""Time for which the lifted finger rests before it reads the page again."""
+MOST_PASSES = 10_000
 LEAST_MAGNIFIED, MOST_MAGNIFIED = 0.1, 10.0
 """Range of the magnification of a page beyond the profile's."""
 _SHADE = 0.1  # relative loss of light at the corners of the patch
@@ -176,8 +181,9 @@ def open_page(
     path: Path | None = None,
     light_on_dark: bool = False,
     magnify: str = "1",
+    passes: int = 1,
 ) -> "PageSource":
-    """Open ``page:FILE``; options are those of `PageSource`, its scale, and its magnification.
+    """Open ``page:FILE``; options are those of `PageSource`, its scale, magnification and passes.
 
     The page is magnified beyond the profile's scale; ``auto`` makes its usual lines fill the
     array.
@@ -188,7 +194,9 @@ def open_page(
         page = Page(page.grey, page.mm_per_pixel * factor)
         notice = f"{notice + '; ' if notice else ''}it is magnified {factor:.3g} times"
     title = Path(rest).name
-    return PageSource(page, profile, title, seed, speed_mm_s, path, light_on_dark, notice)
+    source = PageSource(page, profile, title, seed, speed_mm_s, path, light_on_dark, notice)
+    source.repeat(passes)
+    return source
 
 
 def _magnification(text: str, page: Page, profile: Profile, light_on_dark: bool) -> float:
@@ -238,10 +246,13 @@ def open_text(
     speed_mm_s: float = USUAL_MM_S,
     path: Path | None = None,
     light_on_dark: bool = False,
+    passes: int = 1,
 ) -> "PageSource":
     """Open ``text:STRING``, a page printed from a text."""
     page = print_text(rest)
-    return PageSource(page, profile, "printed text", seed, speed_mm_s, path, light_on_dark)
+    source = PageSource(page, profile, "printed text", seed, speed_mm_s, path, light_on_dark)
+    source.repeat(passes)
+    return source
 
 
 class PageSource(OpticalSource):
@@ -273,7 +284,7 @@ class PageSource(OpticalSource):
             if path is None
             else RecordedPath(path)
         )
-        self.duration_s = self.path.duration_s
+        self.duration_s: float | None = self.path.duration_s
         self._seed = seed
         optics = profile.optics
         self._shape = (optics.sensor_rows, optics.sensor_columns)
@@ -288,11 +299,25 @@ class PageSource(OpticalSource):
         self._coarse = np.empty(self._shape, np.uint8)
         self._light = _light(self._shape)
 
+    def repeat(self, passes: int) -> None:
+        """Let the finger read the page so often; without end if 0."""
+        require_within(SourceError, "passes", passes, 0, MOST_PASSES)
+        lasts_s = self.path.duration_s
+        self.duration_s = (passes - 1) * (lasts_s + AGAIN_S) + lasts_s if passes else None
+
+    def _finger_at(self, time_s: float) -> tuple[Pose, float]:
+        """Return pose and force in newtons; between two passes the finger is lifted."""
+        lasts_s = self.path.duration_s
+        again_s = time_s % (lasts_s + AGAIN_S) if time_s > lasts_s else time_s
+        if again_s <= lasts_s:
+            return self.path.at(again_s)
+        return self.path.at(lasts_s)[0], 0.0
+
     def read(self, time_ns: int) -> Frame | None:
         """Return the frame at a time since the start; None when the path is over."""
-        if time_ns / 1e9 > self.path.duration_s:
+        if self.duration_s is not None and time_ns / 1e9 > self.duration_s:
             return None
-        pose, force_n = self.path.at(time_ns / 1e9)
+        pose, force_n = self._finger_at(time_ns / 1e9)
         cos, sin = np.cos(pose.angle_rad), np.sin(pose.angle_rad)
         step_x, step_y = self._step
         rows, columns = self._fine.shape

@@ -9,7 +9,7 @@ from smarttouch.base.files import data_folder
 from smarttouch.pages.page_image import Page
 from smarttouch.sources import open_source
 from smarttouch.sources.source_contract import Source
-from smarttouch.sources.virtual_finger import PageSource, open_page
+from smarttouch.sources.virtual_finger import AGAIN_S, PageSource, open_page
 
 from ..pages.printed import print_page, some_lines
 from ..raising import raises
@@ -159,3 +159,29 @@ def test_a_page_is_magnified_as_asked(tmp_path, profile):
     for wrong in ("much", "0", "nan", "11"):
         with raises(PageError, about="magnify", value=wrong):
             open_source(f"page:{file}?magnify={wrong}", profile)
+
+
+def test_a_page_is_read_again_and_again(profile):
+    with (
+        open_source("text:i?speed_mm_s=100", profile) as once,
+        open_source("text:i?speed_mm_s=100&passes=2", profile) as twice,
+        open_source("text:i?speed_mm_s=100&passes=0", profile) as forever,
+    ):
+        assert forever.duration_s is None
+        assert twice.duration_s == pytest.approx(2 * once.duration_s + AGAIN_S)
+        round_ns = round((once.duration_s + AGAIN_S) * 1e9)
+        for time_ns in (100_000_000, 640_000_000):
+            first, later = once.read(time_ns), forever.read(time_ns + 7 * round_ns)
+            assert (later.pose.x_mm, later.force_n) == pytest.approx(
+                (first.pose.x_mm, first.force_n), abs=1e-5
+            )
+        assert forever.read(round_ns - 500_000_000).force_n == 0
+        assert once.read(round_ns) is None
+        assert twice.read(round_ns - 1000).force_n == 0
+        assert twice.read(2 * round_ns) is None
+
+
+@pytest.mark.parametrize("passes", [-1, 10_001])
+def test_passes_are_counted(profile, passes):
+    with raises(SourceError, about="passes", value=passes, allowed=(0, 10_000)):
+        open_source(f"text:i?passes={passes}", profile)
