@@ -367,6 +367,7 @@ def rms_ma_cm2(profile: Profile) -> float:
     return densest * math.sqrt(share)
 
 
+@lru_cache(maxsize=256)
 def decimal(value: float) -> Fraction:
     """Return a number by its decimal notation: 2.4 is 12/5, not its nearest binary."""
     return Fraction(repr(float(value)))
