@@ -34,7 +34,7 @@ class PushedStimuli(SessionFeed):
         """Number of activations that came so far."""
         self._follow = follow
         self.put(np.zeros((len(Afferent), len(profile.electrodes)), np.float32), 0)
-        self._put_sent_ns = self._read_number = 0
+        self._put_sent_ns = 0
 
     def push(self, activation: NDArray[np.float32]) -> None:
         """Take an activation, (3, E) in [0, 1], that is not written to again."""

@@ -10,7 +10,7 @@ import pytest
 import smarttouch as st
 from smarttouch.base.errors import SourceError
 from smarttouch.instruments import lsl_source, pushed_stimuli
-from smarttouch.testing.source_contracts import SourceContract
+from smarttouch.testing import SourceContract, StimulusContract
 
 from ..raising import raises
 
@@ -145,3 +145,21 @@ class TestImages(SourceContract):
     def pause(self):
         self.stream.push_sample(np.random.default_rng(1).integers(0, 256, 64).tolist())
         time.sleep(0.02)
+
+
+class TestStimuli(StimulusContract):
+    ends = False
+
+    @pytest.fixture(autouse=True)
+    def stream(self, outlet):
+        self.name, self.stream = outlet(64)
+
+    def make(self, profile):
+        return st.open_source(f"lsl:{self.name}", profile)
+
+    def make_impossible(self, profile):
+        st.open_source("lsl:", profile)
+
+    def pause(self):
+        self.stream.push_sample(np.random.default_rng(1).random(64).tolist())
+        time.sleep(0.01)

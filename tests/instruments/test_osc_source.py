@@ -13,6 +13,7 @@ import smarttouch as st
 from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import SourceError
 from smarttouch.instruments import osc_senders, pushed_stimuli
+from smarttouch.testing import StimulusContract
 
 from ..raising import raises
 
@@ -411,3 +412,17 @@ def test_classes_that_differ_come_out_of_the_board(source, send, profile):
     np.testing.assert_array_equal(results[-1].step.tactile.activation, own)
     assert {each for result in results for each in result.sequence.site.tolist()} > {9, 18}
     assert results[-1].sequence.slots == 3
+
+
+class TestStimuli(StimulusContract):
+    ends = False
+
+    def make(self, profile):
+        self.source = st.open_source(f"osc:{free_port()}", profile)
+        return self.source
+
+    def make_impossible(self, profile):
+        st.open_source("osc:nowhere", profile)
+
+    def pause(self):
+        self.source._take(built("point", 0.5, 0.5, float(self.source.given % 2)).dgram)

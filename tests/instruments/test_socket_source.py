@@ -12,7 +12,7 @@ import smarttouch as st
 from smarttouch.base.errors import SourceError
 from smarttouch.base.wire import socket_owners
 from smarttouch.instruments import pushed_stimuli
-from smarttouch.testing.source_contracts import SourceContract
+from smarttouch.testing import SourceContract, StimulusContract
 
 from ..raising import raises
 
@@ -193,3 +193,30 @@ class TestImages(SourceContract):
 
     def make_impossible(self, profile):
         st.open_source("socket:nowhere", profile)
+
+
+class TestStimuli(StimulusContract):
+    ends = False
+
+    def make(self, profile):
+        source = st.open_source("socket:0?activation&follow", profile)
+        self.lines.append(connect(source))
+        self.sent = 0
+        self.pause()
+        wait_for(lambda: source.given)
+        return source
+
+    @pytest.fixture(autouse=True)
+    def _closes(self):
+        self.lines = []
+        yield
+        for each in self.lines:
+            each.close()
+
+    def pause(self):
+        self.sent += 1
+        self.lines[-1].sendall(pgm(np.full((3, 64), self.sent)))
+        time.sleep(0.002)
+
+    def make_impossible(self, profile):
+        st.open_source("socket:nowhere?activation", profile)
