@@ -28,6 +28,8 @@ ORDER = (
     "irregular_array",
     "analyze_recording",
     "show_patterns",
+    "two_intervals",
+    "own_feed",
     "errors",
 )
 
