@@ -137,7 +137,7 @@ def test_a_core_without_one_rule_is_found_out(make_life, tmp_path, name):
     assert text.count(old) == 1
     source.write_text(text.replace(old, new), encoding="utf-8")
     files = [*folder.glob("src/*.c"), folder / "ports" / "host" / "st_library.c"]
-    include = f"-I{folder / 'core'}"
+    include = f"-I{folder / 'src'}"
     subprocess.run(
         ["cc", "-O1", "-DST_FOR_TESTS", "-fPIC", "-shared", include, *files, "-o", built],
         check=True,
