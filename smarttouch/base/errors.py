@@ -34,8 +34,10 @@ class SmartTouchError(Exception):
         electrode: int | None = None,
     ) -> None:
         super().__init__(message)
-        self.about, self.remedy = about, remedy
-        self.slot, self.electrode = slot, electrode
+        self.about: str = about
+        self.remedy: str = remedy
+        self.slot: int | None = slot
+        self.electrode: int | None = electrode
 
 
 class TableError(SmartTouchError):
@@ -51,7 +53,9 @@ class TableError(SmartTouchError):
         self, message: str = "", *, complaints: Sequence[tuple[str, str]] = (), **attributes: Any
     ) -> None:
         super().__init__(message, **attributes)
-        self.complaints = tuple(complaints) or ((self.about, message),)
+        self.complaints: tuple[tuple[str, str], ...] | tuple[tuple[str, str]] = tuple(
+            complaints
+        ) or ((self.about, message),)
 
 
 class ProfileError(TableError):
@@ -125,7 +129,8 @@ class SafetyError(SmartTouchError):
         electrode: int | None = None,
     ) -> None:
         super().__init__(message, about=limit, slot=slot, electrode=electrode)
-        self.value, self.allowed = value, allowed
+        self.value: float = value
+        self.allowed: float = allowed
 
     @property
     def limit(self) -> str:

@@ -46,7 +46,8 @@ class RunStopped(SystemExit):
 
     def __init__(self, number: int, by: str | None = None) -> None:
         super().__init__(by or SIGNALS[signal.Signals(number)])
-        self.number, self.code = number, 128 + number
+        self.number: int = number
+        self.code: int = 128 + number
 
 
 @dataclass

@@ -47,7 +47,8 @@ class GuardedStream:
     def __init__(self, stream: TextIO, name: str) -> None:
         self._stream, self._name = stream, name
 
-        self.encoding, self.errors = stream.encoding, stream.errors
+        self.encoding: str = stream.encoding
+        self.errors: str | None = stream.errors
 
     def onto(self, stream: TextIO) -> Self:
         """Return a stream that writes to another one in the same way."""
@@ -94,7 +95,7 @@ class PlainStream(GuardedStream):
 
     def __init__(self, stream: TextIO, name: str) -> None:
         super().__init__(stream, name)
-        self.direct = GuardedStream(stream, name)
+        self.direct: GuardedStream = GuardedStream(stream, name)
 
     def isatty(self) -> bool:
         return False

@@ -63,7 +63,7 @@ class LouisCode:
                 f"liblouis has no table {table!r} here: {INSTALL}", about="table", remedy=INSTALL
             )
         self._table = table
-        self.goes_back = _goes_both_ways(table) if goes_back is None else goes_back
+        self.goes_back: bool = _goes_both_ways(table) if goes_back is None else goes_back
         self._known: dict[str, bool] = {}
 
     def missing(self, line: str) -> str:

@@ -30,7 +30,9 @@ Look = Callable[[float], NDArray[np.uint8]]  # function from a time in seconds t
 class SensorFirmware(Firmware):
     """Sends what a sensor measures at absolute deadlines, without waiting."""
 
-    longest_step_ns = sys.maxsize  # its time never stands still: hosts compare it with their own
+    longest_step_ns: int = (
+        sys.maxsize
+    )  # its time never stands still: hosts compare it with their own
     backlog = 1
 
     def __init__(self, rate_hz: float) -> None:

@@ -86,7 +86,7 @@ class Server:
         count: int | None = None,
         orders: Orders | None = None,
     ) -> None:
-        self.statistics = LineStatistics()
+        self.statistics: LineStatistics = LineStatistics()
         self._firmware, self._line, self._faults = firmware, line, list(faults)
         self._count = math.inf if count is None else count
         self._orders = orders

@@ -76,7 +76,8 @@ class SkinCircuit:
     ) -> None:
         differ = np.random.default_rng(seed).uniform(1 - spread, 1 + spread, (3, electrodes))
         self._healthy = differ * np.array([[SERIES_OHM], [PARALLEL_OHM], [CAPACITANCE_F]])
-        self.electrodes, self.compliance_v = electrodes, compliance_v
+        self.electrodes: int = electrodes
+        self.compliance_v: float = compliance_v
         self._volts = np.zeros(electrodes)
         self.charge_uc = np.zeros(electrodes)  # net, that has passed and not come back
         self.scale(np.ones(electrodes), np.ones(electrodes))

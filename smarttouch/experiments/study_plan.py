@@ -136,8 +136,11 @@ class Grid:
     """
 
     def __init__(self, study: Study, beside: Path, progress: Advance | None = None) -> None:
-        self.study, self._beside, self._progress = study, beside, progress
-        self.profiles = {each: load_profile(self.file(each)) for each in study.profiles}
+        self.study: Study = study
+        self._beside, self._progress = beside, progress
+        self.profiles: dict[str, Profile] = {
+            each: load_profile(self.file(each)) for each in study.profiles
+        }
         self._banks: dict[tuple[str, str], tuple[Profile, KernelBank]] = {}
 
     def file(self, name: str) -> str | Path:

@@ -40,7 +40,7 @@ class Registration:
         rows, columns = frame_shape
         width_mm, height_mm = _field_mm(electrodes, optics)
         self.frame_shape = frame_shape
-        self.working_shape = (
+        self.working_shape: tuple[int, int] = (
             _reduced_side(rows, _whole(height_mm / finest)),
             _reduced_side(columns, _whole(width_mm / finest)),
         )

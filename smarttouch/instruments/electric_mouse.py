@@ -60,7 +60,8 @@ class Deadband:
 class TexturePicture(DeliveredDrawing):
     """Picture of the strongest response at every place: the pulses are too few to average."""
 
-    strongest, longest_px = True, 3000
+    strongest: bool = True
+    longest_px: int = 3000
 
     def __init__(
         self, profile: Profile, bank: KernelBank, afferents: tuple[Afferent, ...], texture: Texture
@@ -148,11 +149,13 @@ class MouseSource(StimulusSource):
             raise SourceError(message, about="mode")
         if not 0 < scale < math.inf:
             raise SourceError(f"a scale of {scale:g} must be above 0", about="scale")
-        self.fastest_hz = _possible_hz(rate_hz, fastest_hz, profile.limits.rate_hz)
-        self.duration_s = motion.duration_s
-        self.knows_force = motion.knows_force or press_n is not None
-        self.measures_force = motion.measures_force
-        self.texture, self.motion, self.mode = texture, motion, mode
+        self.fastest_hz: float = _possible_hz(rate_hz, fastest_hz, profile.limits.rate_hz)
+        self.duration_s: float | None = motion.duration_s
+        self.knows_force: bool = motion.knows_force or press_n is not None
+        self.measures_force: bool = motion.measures_force
+        self.texture: Texture = texture
+        self.motion: HandMotion = motion
+        self.mode: Mode = mode
         self.merged = 0
         """Ridges that passed under an electrode in the same frame as another."""
         self._electrodes = len(profile.electrodes)

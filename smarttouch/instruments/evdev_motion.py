@@ -33,7 +33,7 @@ class EvdevMotion(HandMotion):
 
     def __init__(self, device: "InputDevice[str]", cpi: float, grab: bool = False) -> None:
         super().__init__(f"{device.name} at {cpi:g} counts per inch")
-        self.resolution_mm = INCH_MM / cpi
+        self.resolution_mm: float = INCH_MM / cpi
         self._device, self._path = device, str(device.path)
         self._counts = [0, 0]
         self._first: tuple[int, int] | None = None

@@ -45,7 +45,7 @@ class HandMotion(Device, ABC):
     def __init__(self, title: str) -> None:
         super().__init__(title)
         self.knows_force = self.measures_force = False
-        self.force_n = math.nan
+        self.force_n: float = math.nan
         self.origin_mm: tuple[float, float] | None = None
 
     @abstractmethod
@@ -97,12 +97,12 @@ class PathMotion(HandMotion):
     def __init__(self, path: Path) -> None:
         super().__init__(f"the way of {path.name}")
         read = read_csv(path, SourceError)
-        self.knows_force = "force_n" in read.head
+        self.knows_force: bool = "force_n" in read.head
         table = read.numbers((*_NEEDED, "force_n") if self.knows_force else _NEEDED)
         table[:, 0] -= table[0, 0]
         self._table = table
-        self.duration_s = float(table[-1, 0])
-        self.origin_mm = (float(table[0, 1]), float(table[0, 2]))
+        self.duration_s: float = float(table[-1, 0])
+        self.origin_mm: tuple[float, float] = (float(table[0, 1]), float(table[0, 2]))
 
     def read(self, time_ns: int) -> tuple[float, float] | None:
         """Return the displacement from the first point; None after the last."""
@@ -111,7 +111,7 @@ class PathMotion(HandMotion):
             return None
         x, y, *force = (float(np.interp(time_s, times, each)) for each in self._table.T[1:])
         if force:
-            self.force_n = max(0.0, force[0])
+            self.force_n: float = max(0.0, force[0])
         assert self.origin_mm is not None
         return x - self.origin_mm[0], y - self.origin_mm[1]
 
@@ -133,10 +133,10 @@ class SourceMotion(HandMotion):
     def __init__(self, source: Source) -> None:
         super().__init__(f"the motion of {source.title}")
         self._source = source
-        self.notes = source.notes
-        self.knows_force = source.knows_force
-        self.measures_force = source.measures_force
-        self.duration_s = source.duration_s
+        self.notes: list[str] = source.notes
+        self.knows_force: bool = source.knows_force
+        self.measures_force: bool = source.measures_force
+        self.duration_s: float | None = source.duration_s
         self._first: Pose | None = None
 
     def read(self, time_ns: int) -> tuple[float, float] | None:
@@ -147,7 +147,7 @@ class SourceMotion(HandMotion):
         if self._first is None:
             self._first = given.pose
         # What was seen last may be gone: whether the finger is still there is unknown.
-        self.force_n = math.nan if given.stale else given.force_n
+        self.force_n: float = math.nan if given.stale else given.force_n
         return given.pose.x_mm - self._first.x_mm, given.pose.y_mm - self._first.y_mm
 
     def close(self) -> None:
@@ -221,7 +221,7 @@ class SweepMotion(HandMotion):
                 about="strokes",
             )
         self._table = _timed(np.vstack([points[:1], *[points[1:]] * rounds]), speed_mm_s)
-        self.duration_s = float(self._table[-1, 0])
+        self.duration_s: float = float(self._table[-1, 0])
         self._phases: NDArray[np.float64] | None = None
         if seed is not None:
             random = np.random.default_rng(seed)

@@ -75,7 +75,7 @@ class Relief(Texture):
         self.tiled = tiled
         height = 1 - heights.height if inverted else heights.height
         pitch_mm = dominant_pitch_mm(height, heights.mm_per_pixel) if heights.photo else None
-        self.woven = pitch_mm is not None
+        self.woven: bool = pitch_mm is not None
         if grain_mm is None:
             grain_mm = pitch_mm
             if grain_mm is not None:
@@ -99,7 +99,7 @@ class Relief(Texture):
         self.pixel_mm = max(self.scale_mm)
         method = cv2.INTER_AREA if size[0] <= columns else cv2.INTER_LINEAR
         self.height = np.asarray(cv2.resize(height, size, interpolation=method), np.float32)
-        self.depth = self._measure_depth()
+        self.depth: NDArray[np.float32] = self._measure_depth()
         self._surface = np.asarray(np.rint(255 * (1 - self.height)), np.uint8)
 
     def feeler(self, position_mm: NDArray[np.float64]) -> TextureSampler:

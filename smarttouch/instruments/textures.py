@@ -79,7 +79,7 @@ class Grating(Texture):
         super().__init__(f"grating of {pitch_mm:g} mm{turned}", None)
         angle = math.radians(angle_deg)
         self.pitch_mm = pitch_mm
-        self.per_mm = np.array([math.cos(angle), math.sin(angle)]) / pitch_mm
+        self.per_mm: NDArray[np.float64] = np.array([math.cos(angle), math.sin(angle)]) / pitch_mm
         """Cycles for each mm to the right and down, (2,)."""
 
     def feeler(self, position_mm: NDArray[np.float64]) -> "GratingFeeler":

@@ -82,7 +82,7 @@ class WindowMotion(HandMotion):
             return None
         x, y = self._pointer.place_mm
         if self.origin_mm is None:
-            self.origin_mm = (x, y)
+            self.origin_mm: tuple[float, float] = (x, y)
         return x - self.origin_mm[0], y - self.origin_mm[1]
 
     def close(self) -> None:
@@ -138,7 +138,7 @@ class WindowMotion(HandMotion):
         label.pack()
         label.bind("<Motion>", lambda event: pointer.move_to(event.x, event.y))
         self.resolution_mm = mm_per_px
-        self.title = f"the pointer over a window, {mm_per_px:.3f} mm a pixel"
+        self.title: str = f"the pointer over a window, {mm_per_px:.3f} mm a pixel"
         return pointer, picture
 
     def _watch(self, root: "tkinter.Tk") -> None:

@@ -158,7 +158,9 @@ class Problem:
         others: Collection[Afferent] | None = None,
         spread: bool = False,
     ) -> None:
-        self.profile, self.afferent, self.spread = profile, afferent, spread
+        self.profile: Profile = profile
+        self.afferent: Afferent = afferent
+        self.spread: bool = spread
         if others is None:
             others = [each for each in Afferent if each is not afferent]
         if afferent in others or not others:
@@ -169,7 +171,7 @@ class Problem:
             )
         sets = {each: self._might_be(everywhere(profile, each)) for each in Afferent}
         aims = self._might_be(targets(profile, afferent))
-        self.rows = [
+        self.rows: list[Rows] = [
             Rows(
                 np.concatenate([self._by_direction(aim, skin) for aim in aims]),
                 np.concatenate([self._matrix(one, skin) for e in others for one in sets[e]]),
@@ -184,7 +186,7 @@ class Problem:
                 for one in sets[each]
             ]
         )
-        self.grids = [
+        self.grids: list[tuple[tuple[int, int], int]] = [
             (one.grid, self._layers(one)) for each in others for one in sets[each]
         ]  # fmt: skip
         self._own_position_mm = np.concatenate(

@@ -158,9 +158,11 @@ class FingerDesign:
         mirror: Indices | None = None,
         costs: Costs | None = None,
     ) -> None:
-        self.profile, self.afferent, self.sample = profile, afferent, sample
-        self.current_ma = np.array(start_ma, np.float64)
-        self.costs = costs or Costs()
+        self.profile: Profile = profile
+        self.afferent: Afferent = afferent
+        self.sample: FingerSample = sample
+        self.current_ma: NDArray[np.float64] = np.array(start_ma, np.float64)
+        self.costs: Costs = costs or Costs()
         self._start_ma = np.asarray(start_ma, np.float64)
         self._driven = np.isin(np.arange(len(start_ma)), profile.driven)
         # Sequences hold whole µA: every electrode keeps room to be rounded up.

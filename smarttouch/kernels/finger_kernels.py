@@ -30,7 +30,8 @@ class FingerKernels:
     def __init__(
         self, profile: Profile, at_nodes: Callable[[Afferent], NDArray[np.float32]]
     ) -> None:
-        self.profile, self._at_nodes = profile, at_nodes
+        self.profile: Profile = profile
+        self._at_nodes = at_nodes
         self.anatomy = load_anatomy(profile.kernels.anatomy)
         self._problems: dict[Afferent, Problem] = {}
 

@@ -33,12 +33,13 @@ class FieldMap:
     """AF rows of N places with D directions each, in `af_matrix`'s order, not stored on a grid."""
 
     def __init__(self, profile: Profile, afferents: Afferents) -> None:
-        self.directions_n, self.places_n = len(afferents.direction), len(afferents.position_mm)
-        self.rows_n = self.directions_n * self.places_n
-        self.grid = afferents.grid
+        self.directions_n: int = len(afferents.direction)
+        self.places_n: int = len(afferents.position_mm)
+        self.rows_n: int = self.directions_n * self.places_n
+        self.grid: tuple[int, int] = afferents.grid
         self._electrodes_n = len(profile.electrodes)
         made = _products(profile, afferents, profile.skin)
-        self.separable = made is not None
+        self.separable: bool = made is not None
         if made is None:
             self._dense = np.asarray(af_matrix(profile, afferents), np.float32)
         else:

@@ -53,18 +53,20 @@ class FrameJudge:
                 "electrodes: give one for each",
                 about="wish_af",
             )
-        self.profile, self.afferent = profile, afferent
-        self.wish_af = np.asarray(wish_af, np.float64)
-        self.target = af_matrix(profile, vary(targets(profile, afferent)))
+        self.profile: Profile = profile
+        self.afferent: Afferent = afferent
+        self.wish_af: NDArray[np.float64] = np.asarray(wish_af, np.float64)
+        self.target: NDArray[np.float64] = af_matrix(profile, vary(targets(profile, afferent)))
         """Row s is the activating function of the target under electrode s, (E, E)."""
-        self.others = others or [
+        self.others: list[FieldMap] = others or [
             FieldMap(profile, vary(everywhere(profile, each)))
             for each in Afferent
             if each is not afferent
         ]
         place = vary(everywhere(profile, afferent))
-        self.own = FieldMap(profile, place)
-        self.wanted, self.unwanted = [self.own], self.others
+        self.own: FieldMap = FieldMap(profile, place)
+        self.wanted: list[FieldMap] = [self.own]
+        self.unwanted: list[FieldMap] = self.others
         self._near = _near(place.position_mm, profile)
 
     @cached_property
@@ -180,15 +182,15 @@ class MixedJudge:
     """
 
     def __init__(self, judges: Sequence[FrameJudge]) -> None:
-        self.judges = tuple(judges)
+        self.judges: tuple[FrameJudge, ...] = tuple(judges)
         classes = [each.afferent for each in judges]
         if not classes or len(set(classes)) < len(classes):
             message = "a mixed frame needs one judge for each of its classes"
             raise DesignError(message, about="judges")
-        self.target = np.concatenate([each.target for each in judges])
-        self.wish_af = np.concatenate([each.wish_af for each in judges])
+        self.target: NDArray[np.float64] = np.concatenate([each.target for each in judges])
+        self.wish_af: NDArray[np.float64] = np.concatenate([each.wish_af for each in judges])
         self.wanted: list[FieldMap] = [each.own for each in judges]
-        self.unwanted = [
+        self.unwanted: list[FieldMap] = [
             field for afferent, field in judges[0].by_class.items() if afferent not in classes
         ]
 

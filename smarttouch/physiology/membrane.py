@@ -102,7 +102,7 @@ class Axon:
             self._sodium[0] = 0.0
         over_step = _over_step(fiber, count, step_us)
         self._spread = over_step[:count, :count].T.copy()
-        self.push = field @ over_step[:count, count:].T
+        self.push: NDArray[np.float64] = field @ over_step[:count, count:].T
 
         self._gates_at_rest = _gates(np.zeros(1))[1]
         m, h = self._gates_at_rest[:, 0]

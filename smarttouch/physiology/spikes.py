@@ -255,8 +255,9 @@ class Bystanders(FingerAfferents):
     def __init__(
         self, profile: Profile, seed: int = 1, anatomy: str | Path | Anatomy = "branched"
     ) -> None:
-        self.profile, self.seed = profile, seed
-        self.anatomy = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
+        self.profile: Profile = profile
+        self.seed: int = seed
+        self.anatomy: Anatomy = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
         self.populations = {
             each: self._populate(each, anatomy) for each, anatomy in self.anatomy.bystanders.items()
         }

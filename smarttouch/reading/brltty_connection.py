@@ -144,7 +144,8 @@ class BrlttyConnection:
             raise SourceError(
                 f"a display of {cells} cells is not possible: give 1 to {MOST_CELLS}", about="cells"
             )
-        self.address, self.cells = address, cells
+        self.address: Address = address
+        self.cells: int = cells
         self.shown: DisplayContent | None = None
         self.connections = 0
         self.garbled = 0

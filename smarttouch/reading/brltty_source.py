@@ -74,7 +74,7 @@ class BrailleDisplaySource(StimulusSource):
             )
         self.connection = connection
         self.layout: CellLayout = cell_layout(profile, eight=True)
-        self.apart = presentation is Presentation.CELL
+        self.apart: bool = presentation is Presentation.CELL
         self._name, self._pan = self.title, pan
         self._press_n = reading_force_n(profile)
         self._shape = (profile.optics.sensor_columns, profile.optics.sensor_rows)
@@ -145,7 +145,7 @@ class BrailleDisplaySource(StimulusSource):
             self._place = (self._shown.number, step)
             self.frames += 1
         window = self._window(step)
-        self.title = f"{self._name}: {self._shown.text if shown else 'waiting for it'}"
+        self.title: str = f"{self._name}: {self._shown.text if shown else 'waiting for it'}"
         activation = np.zeros((len(Afferent), window.size), np.float32)
         activation[:] = window.ravel()
         return Stimulus(

@@ -276,8 +276,8 @@ class FollowingCursor:
     def __init__(self, feed: LineFeed, source: Source) -> None:
         self._feed, self._source = feed, source
         self._origin: Place | None = None
-        self.knows_force = source.knows_force
-        self.measures_force = source.measures_force
+        self.knows_force: bool = source.knows_force
+        self.measures_force: bool = source.measures_force
 
     @property
     def keys(self) -> dict[str, Callable[[], None]]:
@@ -335,8 +335,8 @@ class ReadingSource(OpticalSource):
     def __init__(self, title: str, profile: Profile, feed: LineFeed, cursor: Cursor) -> None:
         super().__init__(title)
         self._name = title
-        self.knows_force = cursor.knows_force
-        self.measures_force = cursor.measures_force
+        self.knows_force: bool = cursor.knows_force
+        self.measures_force: bool = cursor.measures_force
         self.index = -1
         """Index of the line under the finger."""
         self._feed, self._cursor = feed, cursor
@@ -365,7 +365,7 @@ class ReadingSource(OpticalSource):
             line = self._feed.line(self.index)
             if line is not None:
                 text = f": {line.text}" if line.text else ""
-                self.title = f"{self._name}, line {self.index + 1}{text}"
+                self.title: str = f"{self._name}, line {self.index + 1}{text}"
         image = np.full(self._shape, 255, np.uint8)
         if spot.line is not None:
             rows, columns = self._shape

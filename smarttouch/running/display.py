@@ -66,7 +66,9 @@ class Display(Closing):
             board = url("", limits, profile.output, **options)  # type: ignore[call-arg, arg-type]
             require_gate(board, limits, given)
             url = f"{url.__module__}.{url.__qualname__}:"
-        self.url, self.profile, self.vibrators_url = url, profile, vibrators_url
+        self.url: str = url
+        self.profile: Profile = profile
+        self.vibrators_url: str | None = vibrators_url
         self._stop = StopRequest()
         if vibrators_url is not None:
             from smarttouch.boards.vibrators.vibrator_board import HybridBoard, make_vibrators

@@ -53,10 +53,11 @@ class Controls:
     No level is raised above ``most``; `next_mode` goes through ``modes``.
     """
 
-    most = 1.0
+    most: float = 1.0
 
     def __init__(self, state: ControlState, modes: tuple[Mode, ...] = ()) -> None:
-        self._state, self.modes = state, modes or (state.mode,)
+        self.modes: tuple[Mode, ...] | tuple[Mode] = modes or (state.mode,)
+        self._state = state
         # A change that another thread makes in between must not be lost, least of all a pause.
         self._lock = threading.RLock()
 

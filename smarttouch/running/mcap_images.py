@@ -67,7 +67,7 @@ class McapImages(Clip):
     def open(self) -> None:
         files = [McapFile(each) for each in _files(self.path)]
         self._topic = _chosen(self.path, files, self._topic)
-        self.title = f"{self.title} {self._topic}"
+        self.title: str = f"{self.title} {self._topic}"
         self._messages = (
             (file, channel, message)
             for file in files
@@ -81,7 +81,7 @@ class McapImages(Clip):
         self._first_ns = times_ns[0]
         longest_ns = max((late - early for early, late in pairwise(times_ns)), default=0)
         if longest_ns > 0:
-            self.rate_hz = min(FASTEST_HZ, 1e9 / longest_ns)
+            self.rate_hz: float = min(FASTEST_HZ, 1e9 / longest_ns)
 
     def _read_ahead(self) -> None:
         while len(self._ahead) < _AHEAD and (each := next(self._messages, None)) is not None:

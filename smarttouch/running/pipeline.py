@@ -44,7 +44,7 @@ class Pipeline:
         config = config or RunConfig()
         self._profile, self._bank, self._config = profile, bank, config
         self._timing, self._vibrated = timing, vibrated
-        self.electrodes = len(profile.electrodes)
+        self.electrodes: int = len(profile.electrodes)
         self._mapper = TactileMapper(profile, config.light_on_dark, config.tone)
         self._limits = SafetyLimits.of(profile)
         self._soft_start = SoftStart(profile.limits.ramp_s)

@@ -204,7 +204,7 @@ class RecordedRun:
     """
 
     def __init__(self, path: Path | str) -> None:
-        self.path = Path(path)
+        self.path: Path = Path(path)
         self._recording = Recording(self.path)
 
     def __repr__(self) -> str:

@@ -40,7 +40,7 @@ class RecordingSource(Source):
     def __init__(self, recording: Recording, unpaced: bool = False) -> None:
         super().__init__(recording.path.name)
         self._recording = recording
-        self.duration_s = recording.duration_s
+        self.duration_s: float = recording.duration_s
         self._unpaced = unpaced
         self._steps = recording.steps()
         self._ahead = next(self._steps, None)

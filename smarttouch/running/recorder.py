@@ -269,7 +269,7 @@ class Recorder(Listener):
 
     def __init__(self, path: Path | str) -> None:
         super().__init__()
-        self.path = Path(path)
+        self.path: Path = Path(path)
         self._writer: RecordingWriter | None = None
 
     def prepare(self, run: RunContext) -> None:

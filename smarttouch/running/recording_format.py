@@ -5,7 +5,7 @@ message, so `/finger`, `/sequence` and `/board` are ours. `/tactile_image` shows
 who look; nothing is read from it.
 """
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -180,7 +180,7 @@ _Pulse = Annotated[int, Field(ge=0, le=65_535)]
 
 
 class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="forbid", frozen=True)
 
 
 class _Timing(_Part):
@@ -213,7 +213,7 @@ class RecordedSettings(BaseModel):
     net charge of each electrode before a balanced run; empty if none.
     """
 
-    model_config = ConfigDict(extra="ignore", frozen=True)
+    model_config: ClassVar[ConfigDict] = ConfigDict(extra="ignore", frozen=True)
 
     mode: Mode
     rate_hz: _Positive | None

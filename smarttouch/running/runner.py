@@ -58,12 +58,14 @@ class Runner:
         opened: Callable[[StopRequest], AbstractContextManager[Board]] | None = None,
         clock: Clock | None = None,
     ) -> None:
-        self.source, self.display, self.config = source, display, config
+        self.source: Source = source
+        self.display: Display = display
+        self.config: RunConfig = config
         if force is None and display.on_a_finger:
             force = display.profile.force.source
         self._force = None if isinstance(force, str) else force
         self._force_url = force if isinstance(force, str) else None
-        self.statistics = RunStatistics()
+        self.statistics: RunStatistics = RunStatistics()
         self._listeners = as_listeners(listeners)
         self._controls, self._load_kernels = controls, load_kernels
         level = config.intensity

@@ -160,10 +160,10 @@ class LatencyHistogram:
     """Histogram of durations in bins of one percent; the largest is kept as it is."""
 
     def __init__(self) -> None:
-        self.bins = np.zeros(_PER_E * _FACTORS + 1, np.int64)
+        self.bins: NDArray[np.int64] = np.zeros(_PER_E * _FACTORS + 1, np.int64)
         self.count = 0
-        self.largest_us = 0.0
-        self.total_us = 0.0
+        self.largest_us: float = 0.0
+        self.total_us: float = 0.0
 
     def quantile(self, share: float) -> float:
         """Return the duration that so many are not above, µs."""

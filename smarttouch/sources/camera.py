@@ -103,7 +103,7 @@ class CameraDevice(ImageDevice):
         fps: float | None = None,
     ) -> None:
         self._device = _device(rest)
-        self.title = f"camera {self._device}"
+        self.title: str = f"camera {self._device}"
         if size is not None and not (min(size) >= 2 and size[0] * size[1] <= _MOST_PIXELS):
             raise SourceError(
                 f"an image of {size[0]} x {size[1]} pixels is not possible: give width and "

@@ -60,7 +60,7 @@ class Matcher:
         small = max(shape) * FINER <= MOST_PIXELS
         scale = FINER if small else min(1.0, MOST_PIXELS / max(shape))
         rows, columns = (max(1, round(side * scale)) for side in shape)
-        self.shape = (rows, columns)
+        self.shape: tuple[int, int] = (rows, columns)
         self._method = cv2.INTER_CUBIC if small else cv2.INTER_AREA
         self._least_slope = LEAST_SLOPE / FINER**2 if small else LEAST_SLOPE
         self._native = FINER if small else 1

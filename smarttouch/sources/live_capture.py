@@ -142,7 +142,7 @@ class LiveSource(OpticalSource):
         now_ns: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
         super().__init__(device.title)
-        self.notes = device.notes
+        self.notes: list[str] = device.notes
         self._device = device
         self._replug_s = replug_s
         self._now_ns = now_ns

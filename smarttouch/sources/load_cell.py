@@ -171,7 +171,7 @@ class LoadCell(Closing):
     def __init__(self, url: str, presses: Callable[[float], bool]) -> None:
         kind, name, self._baud = _parse(url)
         self._name = name
-        self.title = f"{'HX711' if kind == 'hx711' else 'load cell'} at {name}"
+        self.title: str = f"{'HX711' if kind == 'hx711' else 'load cell'} at {name}"
         self.notes: list[str] = []
         self._readings = _KINDS[kind][1]()
         self._watch = CellWatch(self.title, self.notes, presses)
@@ -291,7 +291,7 @@ class LoadCellForce(ForceSource):
         contact_n = profile.force.contact_n
         self._cell = LoadCell(url, presses=lambda reading: self._newtons(reading) > contact_n)
         super().__init__(self._cell.title)
-        self.notes = self._cell.notes
+        self.notes: list[str] = self._cell.notes
         self._beyond = False
 
     def read(self, time_ns: int) -> float:

@@ -40,7 +40,7 @@ class SerialArrayDevice(ImageDevice):
     """Frames from a serial line, with counts of complete and lost ones and of garbled pieces."""
 
     def __init__(self, port: str, baud: int = USUAL_BAUD) -> None:
-        self.title = f"serial array {port}"
+        self.title: str = f"serial array {port}"
         self.frames = self.lost = self.garbled = 0
         self.device = ""
         self._name, self._baud = port, baud

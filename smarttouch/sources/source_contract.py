@@ -68,7 +68,7 @@ class Frame:
 _ORIGIN = Pose(0.0, 0.0)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Stimulus(TactileImage):
     """Tactile image of a source, with an optional period of its own: see `TactileImage`.
 
@@ -90,8 +90,6 @@ class Stimulus(TactileImage):
     image : ndarray, (H, W) uint8, optional
         Grey levels under the finger, for display.
     """
-
-    __repr__ = one_line
 
     pose: Pose = _ORIGIN
     number: int = 0

@@ -53,7 +53,7 @@ class Clip(ABC):
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.title = path.name or str(path)
+        self.title: str = path.name or str(path)
         self.rate_hz = USUAL_HZ
         self.count = 0
         """Number of images; 0 if not known. A video's count is often an estimate."""
@@ -107,7 +107,7 @@ class VideoFile(Clip):
                 f"{self.title} does not state its frame rate: {USUAL_HZ:g} Hz is assumed"
             )
         count = self._capture.get(cv2.CAP_PROP_FRAME_COUNT)
-        self.count = int(count) if 0 < count < 1e9 else 0
+        self.count: int = int(count) if 0 < count < 1e9 else 0
         self._first = self.next()
         if self._first is None or min(self._first.shape) < _FEWEST_PIXELS:
             self.close()
@@ -163,7 +163,7 @@ class ImageFolder(Clip):
 
     def open(self) -> None:
         self._files = _images(self.path)
-        self.count = len(self._files)
+        self.count: int = len(self._files)
         with warnings.catch_warnings():
             # Sizes are checked below.
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
@@ -317,7 +317,7 @@ class PacedClip(ImageDevice):
     ) -> None:
         self._clip = clip
         self._now_ns, self._sleep = now_ns, sleep
-        self.title = clip.title
+        self.title: str = clip.title
         self.notes = clip.notes
         self._start_ns: int | None = None
         self._number = 0
@@ -328,7 +328,7 @@ class PacedClip(ImageDevice):
     def open(self) -> None:
         self._clip.open()
         # Slow slides are not stale before the next one is overdue.
-        self.stale_s = max(STALE_S, 2 / self._clip.rate_hz)
+        self.stale_s: float = max(STALE_S, 2 / self._clip.rate_hz)
 
     def grab(self, timeout_s: float) -> Shot | None:
         if self._start_ns is None:
@@ -377,7 +377,7 @@ class UnpacedClip(OpticalSource):
         super().__init__(clip.title)
         self._intake = FramePreprocessor(profile)
         self._clip = clip
-        self.notes = clip.notes
+        self.notes: list[str] = clip.notes
         clip.open()
 
     def read(self, time_ns: int) -> Frame | None:

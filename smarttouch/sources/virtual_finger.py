@@ -62,7 +62,7 @@ class ReadingPath:
         require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
         field = (profile.optics.field_width_mm, profile.optics.field_height_mm)
         lines = find_lines(page, light_on_dark) or [_printed(page, light_on_dark)]
-        self.lines = [sweep for line in lines for sweep in _sweeps(line, field[1])]
+        self.lines: list[TextLine] = [sweep for line in lines for sweep in _sweeps(line, field[1])]
         self._force_n = _PRESS * profile.force.full_n
         self._phases = np.random.default_rng(seed).uniform(0, 2 * math.pi, 2).tolist()
         rows: list[tuple[float, float, float, float, float]] = []
@@ -100,7 +100,7 @@ class RecordedPath:
     def __init__(self, path: Path) -> None:
         self._table = read_csv(path, SourceError).numbers(_COLUMNS).T.copy()
         self._table[0] -= self._table[0, 0]
-        self.duration_s = float(self._table[0, -1])
+        self.duration_s: float = float(self._table[0, -1])
 
     def at(self, time_s: float) -> tuple[Pose, float]:
         """Return the pose and the force in newtons."""
@@ -278,7 +278,7 @@ class PageSource(OpticalSource):
     ) -> None:
         super().__init__(title)
         self.page = page
-        self.notes = [notice] if notice else []
+        self.notes: list[str] = [notice] if notice else []
         self.path: Path2D = (
             ReadingPath(page, profile, speed_mm_s, seed, light_on_dark)
             if path is None

@@ -127,9 +127,9 @@ class KernelSums:
         self._totals_ma = np.concatenate([np.empty(0), *(each.totals_ma for _, each in every)])
         self._owner = np.repeat(np.arange(len(every)), [len(each.sites) for _, each in every])
         self._certain = Certainty.of([each for _, each in every], aim, faintest, most_ma)
-        self.certain_from = self._certain.least(bounds)
+        self.certain_from: float = self._certain.least(bounds)
         """Intensity from which no sum breaks a bound, whatever rounding to whole numbers does."""
-        self.rounding_ua = self._certain.total_ua
+        self.rounding_ua: float = self._certain.total_ua
         """Most that rounding adds to a slot's total current."""
         self.figures = lru_cache(maxsize=1)(self._certain.figures)
         """Upper bounds of any slot's worst other and worst spill at an intensity, of each set, (2,

@@ -67,9 +67,13 @@ class BoardContract:
 
     electrodes = 8
     cathodic = True
-    width_us, discharge_us, period_us = 100, 50, 10_000
-    intensity, level_ua = 0.15, 320
-    step_ua, step_us = 1.0, 1.0
+    width_us: int = 100
+    discharge_us: int = 50
+    period_us: int = 10_000
+    intensity: float = 0.15
+    level_ua: int = 320
+    step_ua: float = 1.0
+    step_us: float = 1.0
     keeps_order = counts_passes = shows_recharges = True
     instants = 20
     made: Board

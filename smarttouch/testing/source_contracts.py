@@ -36,9 +36,9 @@ class SourceContract:
     """
 
     ends = True
-    longest_s = 120.0
-    step_s = 0.02
-    quickest_s = 0.01
+    longest_s: float = 120.0
+    step_s: float = 0.02
+    quickest_s: float = 0.01
 
     def make(self, profile: Profile) -> Source:
         """Return a new source, from its beginning."""
@@ -227,8 +227,8 @@ class ForceContract:
         No finger presses harder.
     """
 
-    quickest_s = 0.005
-    largest_n = 100.0
+    quickest_s: float = 0.005
+    largest_n: float = 100.0
 
     def make(self, profile: Profile) -> ForceSource:
         """Return a new source of force."""

@@ -43,7 +43,7 @@ class RecordingsPage(Closing):
         except BaseException:
             self._close_tapes()
             raise
-        self.address = self._server.address
+        self.address: str = self._server.address
         self._server.start()
 
     def close(self) -> None:

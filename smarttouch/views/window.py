@@ -56,7 +56,7 @@ class Window(Listener):
         self._alone, self._blind, self._show = alone, blind, show or _announce
         self._simulated = finger
         self._pages = Pages(self)
-        self.server = PageServer(port, self._pages.routes())
+        self.server: PageServer = PageServer(port, self._pages.routes())
         self.steering: Steering
         self.hello = ""
         self._latest: StepResult | None = None

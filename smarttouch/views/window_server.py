@@ -61,9 +61,9 @@ class PageServer:
         from starlette.staticfiles import StaticFiles
 
         self._socket = _bound(port)
-        self.port = int(self._socket.getsockname()[1])
+        self.port: int = int(self._socket.getsockname()[1])
         self._prefix = f"/{secrets.token_urlsafe(24)}/"
-        self.address = f"http://{HOST}:{self.port}{self._prefix}{name}"
+        self.address: str = f"http://{HOST}:{self.port}{self._prefix}{name}"
         self._hosts = {f"{each}:{self.port}" for each in (HOST, "localhost")}
         # Not all browsers count a socket of the same host as 'self'.
         sockets = " ".join(f"ws://{each}" for each in sorted(self._hosts))

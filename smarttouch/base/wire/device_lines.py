@@ -92,7 +92,7 @@ class TcpLine:
     def __init__(self, discovery_port: int | None = None) -> None:
         self._listener = socket.create_server(("127.0.0.1", 0), backlog=1)
         self._port = int(self._listener.getsockname()[1])
-        self.name = f"tcp://127.0.0.1:{self._port}"
+        self.name: str = f"tcp://127.0.0.1:{self._port}"
         self._host: socket.socket | None = None
         self._watched = [self._listener]
         if discovery_port is not None:

@@ -54,15 +54,15 @@ class ETactileKitBoard(SteppedKit):
     """
 
     default_profile: ClassVar[str] = "etactilekit-32"
-    room_s = 0.5
-    timing = ScanTiming(
+    room_s: ClassVar[float] = 0.5
+    timing: ScanTiming = ScanTiming(
         slot_extra_us=10, every_electrode=True, own_widths=False, whole_hz=True, load=0.9
     )
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         super().__init__(port, limits, output)
         self._scale = scale_of(self.kind, None if output is None else output.ua_per_count)
-        self.ua_per_count = self._scale.measured_ua
+        self.ua_per_count: float = self._scale.measured_ua
         self._on_board = b""
         self._volts: list[tuple[ScanSequence, NDArray[np.float32]]] = []
 
@@ -78,7 +78,7 @@ class ETactileKitBoard(SteppedKit):
         self._zero()
         self.notes += slow_line_notes(lambda: self._exchange(b""))
         one_height = ", a scan for each height" if firmware == "936c6c0" else ""
-        self.capabilities = Capabilities(
+        self.capabilities: Capabilities = Capabilities(
             electrodes=self._gate.limits.electrodes,
             output="one-against-all",
             max_current_ma=LARGEST * self._scale.measured_ua / 1000,
@@ -244,7 +244,7 @@ class ETactileKitBoard(SteppedKit):
         if volts.any():
             # Without a finger all current takes the load beside the skin.
             alone_v = np.minimum(np.abs(current_ua) / 1000 * DUMMY_KOHM, COMPLIANCE_V)
-            self.lifted = bool((volts >= OPEN_SHARE * alone_v).all())
+            self.lifted: bool = bool((volts >= OPEN_SHARE * alone_v).all())
 
     def _begun(self, job: Job) -> None:
         with self._news:

@@ -54,7 +54,7 @@ class Kajimoto61Board(StreamedBoard):
 
     kind = "kajimoto61"
     default_profile: ClassVar[str] = "kajimoto-61"
-    timing = ScanTiming(
+    timing: ScanTiming = ScanTiming(
         width_us=WIDTH_US,
         discharge_us=REST_US,
         slot_extra_us=8,
@@ -74,11 +74,11 @@ class Kajimoto61Board(StreamedBoard):
                 remedy=f"profile {self.default_profile}",
             )
         self._scale = scale_of(self.kind, None if output is None else output.ua_per_count)
-        self.ua_per_count = self._scale.measured_ua
+        self.ua_per_count: float = self._scale.measured_ua
         self._step_ua = COUNTS_PER_BYTE * self.ua_per_count
         most = self._scale.most_counts(limits, WIDTH_US, COUNTS_PER_BYTE)
         self._largest = np.minimum(LARGEST, most)
-        self.capabilities = Capabilities(
+        self.capabilities: Capabilities = Capabilities(
             electrodes=ELECTRODES,
             output="one-against-all",
             max_current_ma=LARGEST * self._step_ua / 1000,

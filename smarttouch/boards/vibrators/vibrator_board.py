@@ -81,7 +81,7 @@ class VibratorBoard(Board):
         self._shaking: VibratorOutput = WavOutput(target) if device is None else SoundOutput(device)
         self._shaking.notes = self.notes
         self._number = 0
-        self.capabilities = Capabilities(
+        self.capabilities: Capabilities = Capabilities(
             electrodes=limits.electrodes,
             output="vibration",
             max_current_ma=0.0,
@@ -230,7 +230,8 @@ class HybridBoard(Board):
     shares_budget = False  # the electrode board has its own
 
     def __init__(self, electric: Board, shaking: VibratorBoard) -> None:
-        self.electric, self.shaking = electric, shaking
+        self.electric: Board = electric
+        self.shaking: VibratorBoard = shaking
         super().__init__(electric._gate.limits)
         # One list for all three: each note appears once.
         self.notes = electric.notes

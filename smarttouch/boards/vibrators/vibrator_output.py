@@ -217,7 +217,7 @@ class SoundOutput(VibratorOutput):
     """Output to a sound device, by number or part of its name (the default one if empty); silent
     once no sequence is left."""
 
-    time_to_zero_ms = 2 * GRACE_NS / 1e6
+    time_to_zero_ms: float = 2 * GRACE_NS / 1e6
 
     def __init__(self, device: str) -> None:
         self._device: int | str | None = int(device) if device.isdecimal() else device or None

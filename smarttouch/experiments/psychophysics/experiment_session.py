@@ -40,7 +40,7 @@ class TrialSession:
     """
 
     def __init__(self, task: Task, procedure: Procedure, file: RowFile, date: str) -> None:
-        self.title = file.about.experiment
+        self.title: str = file.about.experiment
         self._task, self._procedure, self._file, self._date = task, procedure, file, date
         for number, row in enumerate(file.rows):
             if procedure.done or not _same(procedure.next(), row):
@@ -51,7 +51,7 @@ class TrialSession:
                     remedy="overwrite or output",
                 )
             procedure.answer(row.success)
-        self.resumed = len(file.rows)
+        self.resumed: int = len(file.rows)
 
     @property
     def done(self) -> int:

@@ -249,7 +249,7 @@ class ExperimentSource(ProgramSource):
 
     def _say(self, words: str) -> None:
         total = "" if self._trials.total is None else f" of {self._trials.total}"
-        self.title = f"{self._trials.title}, trial {self._trials.done + 1}{total}" + (
+        self.title: str = f"{self._trials.title}, trial {self._trials.done + 1}{total}" + (
             f": {words}" if words else ""
         )
 

@@ -146,7 +146,7 @@ class FreeSource(StimulusSource, Listener):
                 about="mode",
             )
         require_site(site, profile)
-        self.knows_force = press_n is not None
+        self.knows_force: bool = press_n is not None
         self.afferent, self.rate_hz = afferent, rate_hz
         self._profile, self._offered, self._log = profile, offered, log
         self._sites = profile.driven.tolist()
@@ -199,7 +199,7 @@ class FreeSource(StimulusSource, Listener):
         if result.step.level != self._level:
             self._level = result.step.level
             self._changed("amplitude", round(self.amplitude_ma, 3))
-        self.title = (
+        self.title: str = (
             f"{self.afferent.name}, site {self.site}, {self.rate_hz:g} Hz, "
             f"{self.amplitude_ma:.2f} mA asked for, {self._current_ma:.2f} mA flow"
         )

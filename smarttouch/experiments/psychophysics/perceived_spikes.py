@@ -171,7 +171,8 @@ class Nerve:
     from pulse to pulse."""
 
     def __init__(self, finger: Finger, seed: int = 0) -> None:
-        self.finger, self._model = finger, SpikeModel(finger, seed)
+        self.finger: Finger = finger
+        self._model = SpikeModel(finger, seed)
         away = finger.receptor_mm[:, None] - finger.profile.electrodes.position_mm
         self._field = np.exp(-(away**2).sum(axis=2) / (2 * FIELD_MM**2)).astype(np.float32)
 

@@ -65,7 +65,7 @@ class Interleaved:
             raise ExperimentError(
                 "there is no procedure to interleave: give at least one standard", about="standards"
             )
-        self.procedures = tuple(procedures)
+        self.procedures: tuple[Procedure, ...] = tuple(procedures)
         self._random = np.random.default_rng([seed, len(procedures)])
         self._chosen: int | None = None
 

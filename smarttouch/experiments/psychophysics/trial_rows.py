@@ -135,7 +135,8 @@ class RowFile(Closing):
     """
 
     def __init__(self, path: Path, about: About, overwrite: bool = False) -> None:
-        self.path, self.about = path, about
+        self.path: Path = path
+        self.about: About = about
         if path.suffix.lower() != ".csv":
             raise ExperimentError(
                 f"answers go into a .csv file, not {path}: give such a name", about="file"
@@ -152,7 +153,7 @@ class RowFile(Closing):
     def _begin(self, data: bytes) -> None:
         """Read existing lines, and drop one that was cut off."""
         whole = data[: data.rfind(b"\n") + 1]
-        self.rows = _parse(whole, self.path) if whole else []
+        self.rows: list[TrialRow] = _parse(whole, self.path) if whole else []
         self._require_same(self.rows[:1] + self.rows[-1:])
         try:
             self._file.truncate(len(whole))

@@ -64,7 +64,9 @@ class Stimuli:
                 f"trains of {train_s:g} s must be above 0 and at most {LONGEST_S:g} s long",
                 about="train_s",
             )
-        self.profile, self.afferent, self.train_s = profile, afferent, train_s
+        self.profile: Profile = profile
+        self.afferent: Afferent = afferent
+        self.train_s: float = train_s
 
     def train(self, where: Sequence[int] | NDArray[Any], rate_hz: float) -> Train:
         """Return a train on some sites, given as whole numbers, or with an activation of each, (E,)
