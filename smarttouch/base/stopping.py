@@ -100,8 +100,8 @@ class SignalWatch:
     """
 
     def __init__(self, stop: StopRequest, give_up: Callable[[int], None]) -> None:
-        self.number = 0
-        self.orderly = False
+        self.number: int = 0
+        self.orderly: bool = False
         self.patience_s = ENDS_WITHIN_S
         self._stop, self._give_up = stop, give_up
         self._at_zero = threading.Event()

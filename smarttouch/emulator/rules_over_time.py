@@ -50,12 +50,12 @@ class LastSecond:
         self._running: Load | None = None
         self._starts_us: deque[int] = deque()
         self._electrodes = electrodes
-        self.most_net_pc = 0
+        self.most_net_pc: int = 0
         self.begin_session()
 
     def begin_session(self) -> None:
         """Reset the dose of the session; the last second still counts."""
-        self.session_us = 0
+        self.session_us: int = 0
         self.session_pc = np.zeros(self._electrodes, np.int64)
         self.net_pc = np.zeros(self._electrodes, np.int64)
 

@@ -217,7 +217,7 @@ class DeviceClock:
     def __init__(self, longest_step_ns: int = Firmware.longest_step_ns) -> None:
         self._longest_step_ns = longest_step_ns
         self._begun = self._last = time.monotonic_ns()
-        self.stood_still_ns = 0
+        self.stood_still_ns: int = 0
 
     def now_ns(self) -> int:
         now = time.monotonic_ns()

@@ -97,7 +97,7 @@ class DrawSource(StimulusSource):
     def __init__(self, profile: Profile) -> None:
         super().__init__("drawing")
         self.patterns: list[Pattern] = []
-        self.changes = 1
+        self.changes: int = 1
         self.canvas = self
         self._profile = profile
         self._level = np.zeros(len(profile.electrodes), np.uint8)

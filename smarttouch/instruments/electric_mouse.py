@@ -105,7 +105,7 @@ class PulseLimit:
     def __init__(self, electrodes: int, fastest_hz: float) -> None:
         self._shortest_ns = int((1 - _EARLY) * 1e9 / fastest_hz)
         self._last_ns = np.full(electrodes, -(10**15), np.int64)
-        self.left_out = 0
+        self.left_out: int = 0
 
     def keep(self, wanted: NDArray[np.float32], time_ns: int) -> NDArray[np.float32]:
         """Return the pulses allowed now, (E,); zero elsewhere."""
@@ -156,7 +156,7 @@ class MouseSource(StimulusSource):
         self.texture: Texture = texture
         self.motion: HandMotion = motion
         self.mode: Mode = mode
-        self.merged = 0
+        self.merged: int = 0
         """Ridges that passed under an electrode in the same frame as another."""
         self._electrodes = len(profile.electrodes)
         self._limit = PulseLimit(self._electrodes, self.fastest_hz)

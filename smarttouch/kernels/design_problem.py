@@ -179,7 +179,7 @@ class Problem:
             )
             for skin in (skin_variants(profile.skin) if spread else [profile.skin])
         ]
-        self.other_class = np.concatenate(
+        self.other_class: NDArray[np.int8] = np.concatenate(
             [
                 np.full(self._layers(one) * len(one.position_mm), each, np.int8)
                 for each in others

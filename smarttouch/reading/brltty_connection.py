@@ -65,7 +65,7 @@ class BrlttyMessages:
 
     def __init__(self) -> None:
         self.shown = DisplayContent()
-        self.garbled = 0
+        self.garbled: int = 0
         self._rest = b""
 
     def feed(self, data: bytes) -> None:
@@ -147,8 +147,8 @@ class BrlttyConnection:
         self.address: Address = address
         self.cells: int = cells
         self.shown: DisplayContent | None = None
-        self.connections = 0
-        self.garbled = 0
+        self.connections: int = 0
+        self.garbled: int = 0
         self._number = 0
         self._closing = False
         self._line: socket.socket | None = None

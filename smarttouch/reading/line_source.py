@@ -55,7 +55,7 @@ class LineFeed:
     """
 
     def __init__(self, lines: Iterator[TouchLine]) -> None:
-        self.earliest = 0
+        self.earliest: int = 0
         """Index of the earliest line that is kept."""
         self._lines: dict[int, TouchLine] = {}
         self._count = 0
@@ -337,7 +337,7 @@ class ReadingSource(OpticalSource):
         self._name = title
         self.knows_force: bool = cursor.knows_force
         self.measures_force: bool = cursor.measures_force
-        self.index = -1
+        self.index: int = -1
         """Index of the line under the finger."""
         self._feed, self._cursor = feed, cursor
         self._pixel_mm = pixel_pitch_mm(profile)

@@ -40,7 +40,7 @@ class McapFile:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.metadata: dict[str, dict[str, str]] = {}
-        self.ended = False
+        self.ended: bool = False
         """Whether its end is there."""
         self.claims: list[int] = []
         """Bytes that each chunk claims to hold, decompressed."""

@@ -35,7 +35,7 @@ class Recording(McapFile):
     def __init__(self, path: Path) -> None:
         super().__init__(path)
         self.about: dict[str, str] = self.metadata.get(METADATA, {})
-        self.broken_steps = 0
+        self.broken_steps: int = 0
         self._require_size()
         found = self.about.get("format")
         if found is None:

@@ -53,7 +53,7 @@ class Walk(StimulusSource):
                 "profile calls the strongest comfortable",
                 about="current_ma",
             )
-        self.tried = 0
+        self.tried: int = 0
         self._profile, self._current_ma, self._seconds = profile, current_ma, seconds
         self._sites = range(len(profile.electrodes)) if sites is None else sites
         self._leaves = False

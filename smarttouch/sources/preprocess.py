@@ -190,7 +190,7 @@ class MotionTracker:
     """
 
     def __init__(self, profile: Profile) -> None:
-        self.turn_rad = 0.0
+        self.turn_rad: float = 0.0
         self._optics = profile.optics
         self._matcher: Matcher | None = None
         self._shape = (0, 0)

@@ -174,7 +174,7 @@ class MessageStream:
     """
 
     def __init__(self) -> None:
-        self.broken = 0
+        self.broken: int = 0
         self._deframer = Deframer(LARGEST_BODY)
         self._begun = False
 

@@ -86,8 +86,8 @@ class TextReadings:
     """
 
     def __init__(self) -> None:
-        self.garbled = 0
-        self.last_garbled = ""
+        self.garbled: int = 0
+        self.last_garbled: str = ""
         self.restart()
 
     def restart(self) -> None:
@@ -137,7 +137,7 @@ class PacketReadings:
     """Readings in packets of the sensors' own format."""
 
     def __init__(self) -> None:
-        self.garbled = 0
+        self.garbled: int = 0
         self.last_garbled = "a broken packet"
         self.restart()
 

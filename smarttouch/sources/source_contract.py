@@ -152,7 +152,7 @@ class OutageTracker:
         self._remedy = f": {remedy}" if remedy else ""
         self._since_ns: int | None = None
         self._past_ns = 0
-        self.times = 0
+        self.times: int = 0
 
     @property
     def is_on(self) -> bool:

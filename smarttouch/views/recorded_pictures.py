@@ -37,7 +37,7 @@ class RecordingIndex(Closing):
         self._places = array("q", [0])
         self._events: list[dict[str, Any]] = []
         self._ended = self._closing = False
-        self.wrong = ""
+        self.wrong: str = ""
         self._file = tempfile.TemporaryFile(prefix="smarttouch-")  # noqa: SIM115
         self._lock = threading.Lock()
         self._thread = threading.Thread(target=self._read, name="tape", daemon=True)

@@ -58,7 +58,7 @@ class Window(Listener):
         self._pages = Pages(self)
         self.server: PageServer = PageServer(port, self._pages.routes())
         self.steering: Steering
-        self.hello = ""
+        self.hello: str = ""
         self._latest: StepResult | None = None
         self._encoded: tuple[StepResult | None, str] = (None, "null")
         self._events: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_EVENTS)

@@ -29,7 +29,7 @@ class PtyLine:
     def plug_in(self) -> None:
         """Create the port."""
         self._master, slave = pty.openpty()
-        self.name = os.ttyname(slave)
+        self.name: str = os.ttyname(slave)
         # Bytes must pass unchanged even before the host sets up its end.
         tty.setraw(slave)
         os.set_blocking(self._master, False)

@@ -40,7 +40,7 @@ class Deframer:
     """Parser of packets in a stream of bytes; what is longer than ``largest`` is skipped."""
 
     def __init__(self, largest: int = LARGEST_PACKET) -> None:
-        self.errors = 0  # pieces between zeros that were no valid packet
+        self.errors: int = 0  # pieces between zeros that were no valid packet
         self._most = largest * 1.01 + 64
         self._waiting = bytearray()
         self._skipping = False

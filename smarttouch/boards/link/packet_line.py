@@ -50,7 +50,7 @@ class LinkLine:
         self._draw = draw
         self.news = threading.Condition()
         self.fault: BoardError | None = None
-        self.overtaken = False  # by a stop: without heartbeats the board stops itself
+        self.overtaken: bool = False  # by a stop: without heartbeats the board stops itself
         self._hear, self._aftermath, self._tend = hear, aftermath, tend
         self._closing = threading.Event()
         # Reentrant: a signal handler may stop while its own thread is writing.

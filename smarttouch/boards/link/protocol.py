@@ -275,9 +275,9 @@ class HostSession:
     all 0."""
 
     def __init__(self, draw: Callable[[], int] = draw_half) -> None:
-        self.number = draw()  # its upper half is 0 until the board has answered HELLO
-        self.begun = False  # whether the board has answered BEGIN
-        self.refused = 0  # number of packets
+        self.number: int = draw()  # its upper half is 0 until the board has answered HELLO
+        self.begun: bool = False  # whether the board has answered BEGIN
+        self.refused: int = 0  # number of packets
         self._sent = self._taken = self._offered = 0
         self._asked: dict[int, MessageKind] = {}
 
