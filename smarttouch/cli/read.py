@@ -84,7 +84,10 @@ def read(
     run = replace(run, board=board or (None if run.frames is None else "simulated:"))
     own = run.load_profile()
     chosen = profile_for_reading(own)
-    presentation, speed_mm_s = feel.presentation(own.defaults.read_as, document.languages)
+    plain = own.defaults.plain if run.plain is None else run.plain
+    presentation, speed_mm_s = feel.presentation(
+        own.defaults.read_as, document.languages, named=plain
+    )
     motion = presentation.motion(chosen, speed_mm_s, rate_hz)
     wait = pause_s == math.inf
     notes: list[str] = []

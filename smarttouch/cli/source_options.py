@@ -166,7 +166,7 @@ class FormOptions(OptionGroup):
     ] = None
 
     def presentation(
-        self, usual: str, language: str | None = None
+        self, usual: str, language: str | None = None, named: bool = False
     ) -> "tuple[Shapes | Braille, float | None]":
         """Return letter shapes or Braille, and the speed asked for, mm/s.
 
@@ -184,7 +184,7 @@ class FormOptions(OptionGroup):
             message = f"{text!r} has an option that there is not: choose {known}"
             raise ReadingError(message, about="kind")
         form = _Form(**given)
-        shapes = Shapes(parse_choice("style", form.style, Style))
+        shapes = Shapes(parse_choice("style", form.style, Style), named)
         presentation = parse_choice("cells", form.cells, Presentation)
         if parse_choice("kind", text, ("shapes", "braille")) == "shapes":
             return shapes, form.speed_mm_s

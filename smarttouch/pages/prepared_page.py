@@ -99,6 +99,8 @@ class PreparedPage:
     lines: tuple[TextLine, ...]
     light_on_dark: bool
     notes: tuple[str, ...]
+    words: tuple[str, ...] = ()
+    """Words of each line, where they are known."""
 
     def strip(self, index: int, height_px: int) -> NDArray[np.uint8]:
         """Return a line straightened, (height_px, W) uint8, ascenders to descenders filling it."""
@@ -161,9 +163,10 @@ def prepare_text(text: str) -> PreparedPage:
     # Boxes from the baseline.
     high, low, x_high = (font.getbbox(letters, anchor="ls") for letters in ("dlA", "gpy", "x"))
     below_top_px = font.getbbox("x", anchor="la")[1] - x_high[1]
-    lines = []
+    lines, words = [], []
     for index, line in enumerate(_wrapped(text)):
         if line.strip():
+            words.append(line.strip())
             left, _, right, _ = font.getbbox(line)
             lines.append(
                 TextLine(
@@ -175,7 +178,7 @@ def prepare_text(text: str) -> PreparedPage:
                     descent_mm=low[3] / _PER_MM,
                 )
             )
-    return PreparedPage(page, page.grey, tuple(lines), light_on_dark=False, notes=())
+    return PreparedPage(page, page.grey, tuple(lines), False, (), tuple(words))
 
 
 def _wrapped(text: str) -> list[str]:

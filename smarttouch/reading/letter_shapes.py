@@ -1,7 +1,7 @@
 """Letter shapes: single letters on an array, and lines of print, plain, thinned or graded."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import cv2
@@ -23,7 +23,7 @@ from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.pages.prepared_page import SIDES, PreparedPage
 from smarttouch.profile import Profile
 from smarttouch.reading.line_source import LineMotion, Place, TouchLine
-from smarttouch.reading.material import Note, ReadingMaterial
+from smarttouch.reading.material import Note, ReadingMaterial, recognized_lines
 
 ENOUGH_ROWS = 8
 """Sufficient rows: on 4 half of the characters are lost, on 8 hardly one in a hundred."""
@@ -60,6 +60,8 @@ class Shapes:
     """Letter-shape presentation: lines of print under the finger."""
 
     style: Style = Style.GRADED
+    named: bool = False
+    """Whether lines come with their words, by Tesseract where these are not known."""
 
     @property
     def tone(self) -> Tone:
@@ -80,8 +82,22 @@ class Shapes:
                 f"{source.name} holds Braille, not letters: read it as Braille", about="kind"
             )
         for prepared in source.prepared():
+            words = _words_of(prepared, source) if self.named else iter(())
             for index in range(len(prepared.lines)):
-                yield shape_line(prepared, index, profile, self.style)
+                line = shape_line(prepared, index, profile, self.style)
+                yield replace(line, text=next(words, ""))
+
+
+def _words_of(prepared: PreparedPage, source: ReadingMaterial) -> Iterator[str]:
+    """Yield the words of each line; without Tesseract only those that are known."""
+    if prepared.words:
+        yield from prepared.words
+        return
+    try:
+        for _, words in recognized_lines(prepared, source.options, source.note):
+            yield words
+    except ReadingError as error:
+        source.note(str(error))
 
 
 def require_rows(profile: Profile, note: Note) -> None:

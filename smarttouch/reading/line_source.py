@@ -92,6 +92,12 @@ class LineFeed:
         with self._changed:
             return self._over and index >= self._count
 
+    @property
+    def total(self) -> int | None:
+        """Number of lines, once all were prepared."""
+        with self._changed:
+            return self._count if self._over else None
+
     def wait_for(self, index: int, timeout_s: float | None = None) -> TouchLine | None:
         """Return a line as soon as it is ready; None if there is none, or not in time."""
         with self._changed:
@@ -340,6 +346,7 @@ class ReadingSource(OpticalSource):
         self.index: int = -1
         """Index of the line under the finger."""
         self._feed, self._cursor = feed, cursor
+        self._texts: dict[int, str] = {}
         self._pixel_mm = pixel_pitch_mm(profile)
         self._shape = (profile.optics.sensor_rows, profile.optics.sensor_columns)
         wide_mm, high_mm = profile.electrodes.cell_mm
@@ -349,6 +356,13 @@ class ReadingSource(OpticalSource):
     def keys(self) -> Mapping[str, Callable[[], None]]:
         """Keys of the cursor: forward, back, again, pause."""
         return self._cursor.keys
+
+    @property
+    def account(self) -> str:
+        """Say which lines were read, and their words."""
+        lines = f"{len(self._texts)} line{'s' * (len(self._texts) != 1)} read"
+        words = " / ".join(text for _, text in sorted(self._texts.items()) if text)
+        return f"{lines}: {words}" if words else lines
 
     @property
     def line_step_mm(self) -> float:
@@ -365,7 +379,10 @@ class ReadingSource(OpticalSource):
             line = self._feed.line(self.index)
             if line is not None:
                 text = f": {line.text}" if line.text else ""
-                self.title: str = f"{self._name}, line {self.index + 1}{text}"
+                total = self._feed.total
+                of = "" if total is None else f" of {total}"
+                self.title: str = f"{self._name}, line {self.index + 1}{of}{text}"
+                self._texts[self.index] = line.text
         image = np.full(self._shape, 255, np.uint8)
         if spot.line is not None:
             rows, columns = self._shape

@@ -218,6 +218,11 @@ class Source(Device, ABC):
     keys_help: ClassVar[str] = ""
     """Help text for its keys."""
 
+    @property
+    def account(self) -> str:
+        """Return in words what it has delivered, for who cannot see it; empty if it cannot say."""
+        return ""
+
     news: threading.Event | None = None
     """Set when it has something new, for sources that `patience_ns` lets the loop wait for."""
 

@@ -319,7 +319,14 @@ class Screen(Listener):
     def summarize(self, figures: dict[str, Any], notes: list[str], files: list[Path]) -> None:
         """Print how the run went."""
         lines = summary_lines(figures, acknowledges=self._board.capabilities.acknowledges)
-        wrote = (f"wrote {path}" for path in files)
+        wrote = [f"wrote {path}" for path in files]
+        account = self._source.account if self._plain else ""
+        if account:
+            # Who listens to it wants to know what was read, and what went wrong.
+            more = "; ".join([*notes, *wrote]) or "No warning, and nothing was kept."
+            for line in (lines[0], account, more):
+                self._print(line)
+            return
         for line in (lines[0], *(f"  {each}" for each in (*lines[1:], *notes, *wrote))):
             self._print(line)
 

@@ -4,6 +4,7 @@ import itertools
 import json
 import os
 import pickle
+import re
 import shutil
 import time
 from pathlib import Path
@@ -271,3 +272,22 @@ def test_what_waits_for_nothing_is_felt_at_once_also_from_a_terminal(start_at_a_
     _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "")
     assert json.loads((tmp_path / "figures.json").read_text())["slots"] > 0
+
+
+def test_plain_says_the_words_of_each_line_and_what_was_read(program_here):
+    done = program_here("read 'text:one\ntwo' --plain --board simulated:").flawless()
+    said = [line.partition(" s: ")[2] for line in done.stdout.splitlines()]
+    assert [each for each in said if ", line " in each] == [
+        "a text, line 1 of 2: one", "a text, line 2 of 2: two",
+    ]  # fmt: skip
+    *_, ended, read, more = done.stdout.splitlines()
+    assert ended.startswith("Ended ")
+    assert read == "2 lines read: one / two"
+    assert more
+
+
+@needs_tesseract
+def test_plain_says_the_words_of_a_picture(program_here, page_file):
+    done = program_here("read", page_file, "--plain", "--board", "simulated:").fine()
+    read = done.stdout.splitlines()[-2]
+    assert re.fullmatch("2 lines read: a thin / light beam", read)
