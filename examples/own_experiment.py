@@ -9,6 +9,8 @@ command ``smarttouch experiment run own_experiment.py --subject S1`` runs this f
 
 import subprocess
 import sys
+from pathlib import Path
+from tempfile import mkdtemp
 
 import numpy as np
 
@@ -45,9 +47,12 @@ experiment = Experiment("which had a gap: width, mm", make)
 # Somebody who guesses sits it on a simulated board; with a person it is the same command without
 # ``--simulate`` and with ``--board``.
 if __name__ == "__main__":
-    command = "experiment run {}?repetitions=1 --simulate random --output answers.csv --overwrite"
-    arguments = command.format(__file__).split()
+    answers = Path(mkdtemp()) / "answers.csv"
+    command = ["experiment", "run", f"{__file__}?repetitions=1", "--simulate", "random"]
     done = subprocess.run(
-        [sys.executable, "-m", "smarttouch", *arguments], capture_output=True, text=True, check=True
+        [sys.executable, "-m", "smarttouch", *command, "--output", answers],
+        capture_output=True,
+        text=True,
+        check=True,
     )
-    print(done.stdout)
+    print(done.stdout, answers.read_text("utf-8"))
