@@ -56,16 +56,17 @@ def live(
     On a screen or in a window, and where nothing is written to files, a page is read again and
     again at some 30 words a minute; 'text:Hello?passes=1' is read once.
     """
+    chosen = run.load_profile()
+    ready = run.ready_display(chosen)
     from smarttouch.base.errors import SourceError
     from smarttouch.base.files import data_folder
     from smarttouch.cli.options import parse_mode
     from smarttouch.sources import open_source, options_taken
     from smarttouch.sources.virtual_finger import READER_MM_S
 
-    chosen = run.load_profile()
     url = source or f"page:{data_folder('sample_images') / 'page.png'}"
     asked = None if mode is None else parse_mode(mode)
-    offered = {"mode": asked, "rate_hz": rate_hz, "display": run.display(chosen)}
+    offered = {"mode": asked, "rate_hz": rate_hz, "display": ready}
     if run.is_watched:
         offered |= {"passes": 0, "speed_mm_s": READER_MM_S}
     taken = options_taken(url)
@@ -81,7 +82,7 @@ def live(
             light_on_dark=light_on_dark,
             seed=seed or 0,
         )
-        run.start(opened, chosen, config, keys=opened.keys, keys_help=opened.keys_help)
+        run.start(opened, chosen, config, ready, keys=opened.keys, keys_help=opened.keys_help)
 
 
 def stop(

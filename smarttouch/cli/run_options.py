@@ -180,6 +180,12 @@ class RunOptionGroup(OptionGroup):
 
         return Display(self.board_url, profile, self.vibrators)
 
+    def ready_display(self, profile: "Profile") -> "Display":
+        """Return the display; its board begins what takes long while the rest is imported."""
+        display = self.display(profile)
+        display.board.make_ready()
+        return display
+
     def config(self, mode: str, **more: Any) -> "RunConfig":
         """Return the configuration of the run; what a command has as usual comes before --set."""
         from smarttouch.running.config import RunConfig
@@ -226,6 +232,7 @@ class RunOptionGroup(OptionGroup):
         source: "Source",
         profile: "Profile",
         config: "RunConfig",
+        ready: "Display | None" = None,
         **more: Any,
     ) -> None:
         """Run a source in the terminal until its end; `more` is for `run_in_terminal`."""
@@ -246,5 +253,8 @@ class RunOptionGroup(OptionGroup):
         }
         outputs = Outputs(**given | self.streams())
         with nullcontext() if self.force is None else open_force(self.force, profile) as force:
-            display = self.display(source.narrowed(profile) if self.on_a_finger else profile)
+            if self.on_a_finger:
+                display = self.display(source.narrowed(profile))
+            else:
+                display = ready or self.display(profile)
             run_in_terminal(source, display, config, outputs, force=force, **more)
