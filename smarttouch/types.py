@@ -58,6 +58,7 @@ from smarttouch.physiology.anatomy import Bystander as Bystander
 from smarttouch.physiology.anatomy import BystanderAnatomy as BystanderAnatomy
 from smarttouch.physiology.anatomy import ClassAnatomy as ClassAnatomy
 from smarttouch.physiology.driving_function import DrivingFunction as DrivingFunction
+from smarttouch.physiology.finger_afferents import FingerAfferents as FingerAfferents
 from smarttouch.physiology.response import Feeling as Feeling
 from smarttouch.physiology.response import ResponseQuality as ResponseQuality
 from smarttouch.physiology.spikes import Spikes as Spikes
@@ -86,6 +87,7 @@ from smarttouch.running.inputs import ControlState as ControlState
 from smarttouch.running.listener import RunContext as RunContext
 from smarttouch.running.recorded_run import RunArrays as RunArrays
 from smarttouch.running.session_feed import Pattern as Pattern
+from smarttouch.running.step import FirstPulse as FirstPulse
 from smarttouch.running.step import LatencyHistogram as LatencyHistogram
 from smarttouch.running.step import Measured as Measured
 from smarttouch.running.step import Step as Step
