@@ -185,7 +185,8 @@ def test_events_and_lines_are_told_over_a_pipe_and_keys_work(start_at_a_terminal
         "read", "text:one\ntwo\nthree", "--as=braille", "--plain", "--pause=inf"
     )
     told = []
-    for key, expected in ((None, "line 1: one"), (b"\x1b[C", "line 2: two"), (b"m", "mode")):
+    one, two = "line 1 of 3: one", "line 2 of 3: two"
+    for key, expected in ((None, one), (b"\x1b[C", two), (b"m", "mode")):
         if key is not None:
             os.write(keys, key)
         while not any(expected in line for line in told[3:]):
