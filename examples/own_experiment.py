@@ -48,7 +48,7 @@ experiment = Experiment("which had a gap: width, mm", make)
 # ``--simulate`` and with ``--board``.
 if __name__ == "__main__":
     answers = Path(mkdtemp()) / "answers.csv"
-    command = ["experiment", "run", f"{__file__}?repetitions=1", "--simulate", "random"]
+    command = ["experiment", "run", f"{sys.argv[0]}?repetitions=1", "--simulate", "random"]
     done = subprocess.run(
         [sys.executable, "-m", "smarttouch", *command, "--output", answers],
         capture_output=True,
