@@ -50,6 +50,7 @@ def test_a_file_is_an_experiment(tmp_path, bank):
     sat = sit(made, MOUSE, bank, tmp_path / "rows.csv", Counts(), experiment="gap-RA")
     rows = [(row.unit, row.comparison, row.success) for row in sat.session.rows]
     assert sorted(rows) == [("mm", gap_mm, True) for gap_mm in (2, 6, 10)]
+    assert sat.figures["emulator_violations"] == 0
     trial = made.task.trial(ConstantStimuli([(0, 2)]).next())
     gap, whole = sorted(trial.intervals, key=lambda each: each.activation.sum())
     assert (whole.activation - gap.activation).sum() == 2
