@@ -60,7 +60,7 @@ def test_lines_lie_one_below_the_other(reading, feed_of, make_line):
     heights = [source.read(each).pose.y_mm for each in range(3)]
     assert np.diff(heights) == pytest.approx([source.line_step_mm] * 2)
     assert source.line_step_mm > reading.electrodes.extent_mm[1]
-    assert source.title == "a page, line 3: what it says"
+    assert source.title == "a page, line 3 of 3: what it says"
 
 
 def test_it_heeds_the_keys_of_its_cursor(reading, feed_of, make_line):

@@ -65,9 +65,7 @@ function greet(hello) {
   alertUser("");
   array = hello.array;
   keys = hello.keys;
-  // Keys of the source go first.
-  const pause = keys.includes("p") ? "" : "p pause   ";
-  find("keys").textContent = `${hello.keys_help}+ − intensity   0 none   ${pause}Esc, space stop`;
+  find("keys").textContent = `${hello.keys_help}+ − intensity   0 none   space pause   Esc stop`;
   find("full").textContent = `full color ${array.full_ma.toFixed(2)} mA`;
   for (const id of ["electrodes-card", "sensor-card", "tactile-card"]) find(id).hidden = hello.blind;
   find("draw-card").hidden = !hello.draws;
@@ -292,7 +290,9 @@ document.addEventListener("keydown", (event) => {
   if (event.key === "Escape" || (event.key === " " && !typing)) {
     event.preventDefault();
     event.stopPropagation();
-    stop();
+    // A page that another one steers can only stop the run.
+    if (event.key === "Escape" || find("pause").disabled) stop();
+    else if (!event.repeat) find("pause").click();
     return;
   }
   if (typing || event.ctrlKey || event.altKey || event.metaKey || event.target.matches?.("select, #sketch")) return;
@@ -300,12 +300,11 @@ document.addEventListener("keydown", (event) => {
   const key = ARROWS[event.key] ?? event.key;
   const own = { "+": "do more", "=": "do more", "-": "do less", "_": "do less", 0: "do none" };
   if (keys.includes(key)) say(`do key:${key}`);
-  else if (key === "p") find("pause").click();
   else if (own[key]) say(own[key]);
   else return;
   event.preventDefault();
 }, true);
-// A button would act on the release of the space that has just stopped.
+// A button would act on the release of the space that has just acted.
 document.addEventListener("keyup", (event) => {
   if (event.key === " " && !event.target.matches?.("input[type=text]")) event.preventDefault();
 }, true);
