@@ -2,6 +2,7 @@
 
 import contextlib
 import gc
+import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -57,10 +58,16 @@ HELD_UP_NS = 1_000_000
 """A send that takes longer than this has waited for the board."""
 
 
+LOG = logging.getLogger("smarttouch.run")
+"""Logger of events: to a program's handlers, and nowhere without them."""
+logging.getLogger("smarttouch").addHandler(logging.NullHandler())
+
+
 def emit_to(listeners: Sequence[Listener]) -> Emit:
-    """Return what hands an event to each of these listeners."""
+    """Return a function that logs an event and hands it to each of these listeners."""
 
     def emit(event: Event) -> None:
+        LOG.info("%.1f s: %s", event.time_ns / 1e9, event)
         for each in listeners:
             each.event(event)
 

@@ -16,6 +16,7 @@ import smarttouch as st
 from smarttouch.base.errors import BoardError, SmartTouchError
 from smarttouch.running import touch as module
 from smarttouch.running.check_recording import assert_replays
+from smarttouch.running.listener import OnEvent
 from smarttouch.running.recording_reader import Recording
 
 from ..raising import raises
@@ -366,6 +367,18 @@ def test_a_recording_of_a_session_can_be_checked(tmp_path):
         touch.show(RING, 0.3)
     assert len([*Recording(path).steps()]) == len(results)
     assert_replays(path)
+
+
+def test_events_are_logged_and_nothing_is_printed(caplog, capfd):
+    caplog.set_level("INFO", "smarttouch")
+    events = []
+    touch, _ = session(listeners=[OnEvent(events.append)])
+    with touch:
+        touch.show(RING, 0.1)
+    logged = [each.args[1] for each in caplog.records if each.name == "smarttouch.run"]
+    assert logged == events
+    assert events
+    assert capfd.readouterr() == ("", "")
 
 
 def putting(touch, ended):
