@@ -134,13 +134,13 @@ def test_a_texture_with_its_options(tmp_path):
 def test_a_document_with_its_options(tmp_path):
     path = tmp_path / "page.png"
     path.write_bytes(b"")
-    place, how = DocumentOptions(pages="2").recognition(
-        f"{path}?dpi=300&languages=deu&light_on_dark=0"
+    place, how = DocumentOptions(languages="de").recognition(
+        f"{path}?dpi=300&pages=2&light_on_dark=0"
     )
     assert place == str(path)
     assert (how.dpi, how.languages, how.light_on_dark, how.pages) == (300, "deu", False, "2")
-    with raises(PageError, about="pages"):
-        DocumentOptions(pages="2").recognition(f"{path}?pages=3")
+    with raises(PageError, about="languages"):
+        DocumentOptions(languages="de").recognition(f"{path}?languages=eng")
     # A password is kept with no settings and told by no recording, as names are.
     with raises(PageError, about="?password"):
         DocumentOptions().recognition(f"{path}?password=secret")
