@@ -246,7 +246,7 @@ def test_a_display_of_a_class_has_the_gate_too(profile):
 
 
 @pytest.mark.parametrize(("url", "remedy"), [
-    ("emulator", "emulator:"), ("emulater:", "emulator:"), ("lnk:/dev/x", "link:"),
+    ("emulator", "emulator:"), ("emulaator:", "emulator:"), ("lnk:/dev/x", "link:"),
     ("/dev/ttyUSB0", ""), ("zzz:", ""),
 ])  # fmt: skip
 def test_what_was_meant(url, remedy):
