@@ -13,7 +13,7 @@ print(*names)
 
 
 NOT_POSIX = """
-import builtins, os, signal
+import builtins, ctypes, os, signal
 real, only_posix = builtins.__import__, {"fcntl", "pty", "resource", "termios", "tty"}
 def imported(name, globals=None, *rest, **named):
     if name in only_posix and (globals or {}).get("__name__", "").startswith("smarttouch"):
@@ -22,9 +22,11 @@ def imported(name, globals=None, *rest, **named):
 builtins.__import__ = imported
 for name in "SIGHUP", "SIGKILL", "SIGUSR1", "SIGUSR2", "SIGPIPE", "SIGALRM":
     delattr(signal, name)
-gone = {"fork", "openpty", "setsid", "mkfifo", "killpg", "set_blocking"}
+gone = {"fork", "openpty", "setsid", "mkfifo", "killpg", "set_blocking", "geteuid", "fchmod"}
+gone |= {"O_NONBLOCK", "O_NOCTTY", "O_NOFOLLOW", "O_CLOEXEC", "O_DIRECTORY", "getpgid", "ttyname"}
 for name in [name for name in dir(os) if name in gone or name.startswith(("sched_", "SCHED_"))]:
     delattr(os, name)
+ctypes.PyDLL = None
 """
 
 RUN = """
@@ -36,6 +38,16 @@ with st.open_source("text:a", profile) as source, st.open_display("simulated:", 
     figures = st.run(source, display, seconds=0.3, listeners=[st.Recorder("run.mcap")]).figures
 assert figures["emulator_violations"] == 0
 print(figures["sequences"])
+assert len(st.load_recording("run.mcap").arrays.step) == figures["sequences"]
+for url in "emulator:", "kajimoto61:/dev/ttyUSB0":
+    try:
+        st.run("text:a", url, force="fixed:0.5", seconds=0.1, intensity=0.1)
+    except st.BoardError as error:
+        assert error.remedy == "simulated:", error
+    else:
+        raise AssertionError(url)
+sys.argv = ["smarttouch", "design", "27", "--mode", "RA", "--json", "kernels.json"]
+main()
 sys.argv = ["smarttouch", "recordings", "info", "run.mcap"]
 main()
 """

@@ -15,7 +15,15 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypeGuard
 
 from smarttouch.base.errors import SmartTouchError
-from smarttouch.base.posix import fcntl
+from smarttouch.base.posix import (
+    O_BINARY,
+    O_CLOEXEC,
+    O_DIRECTORY,
+    O_NOCTTY,
+    O_NONBLOCK,
+    fcntl,
+    user_number,
+)
 
 MOST_TABLE_BYTES = 16_000_000
 """Largest CSV or JSON file: a day of numbers, a hundred times a second, is smaller."""
@@ -61,7 +69,7 @@ def open_file(path: Path, error: type[SmartTouchError], most_bytes: int) -> Bina
     # may have become another.
     require_file(path, error, most_bytes)
     try:
-        number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
+        number = os.open(path, os.O_RDONLY | O_NONBLOCK | O_CLOEXEC | O_NOCTTY | O_BINARY)
         file = os.fdopen(number, "rb")
     except OSError as failure:
         raise unreadable(error, path, failure) from None
@@ -166,15 +174,15 @@ def owner_only(path: str, flags: int) -> int:
     of it is written again, as they may have it open.
     """
     cut = flags & os.O_TRUNC
-    if cut and _is_shared(found := _found(path)) and found.st_uid == os.geteuid():
+    if cut and _is_shared(found := _found(path)) and found.st_uid == user_number():
         with contextlib.suppress(OSError):
             Path(path).resolve().unlink()
-    number = os.open(path, (flags & ~cut) | os.O_CLOEXEC | os.O_NOCTTY, 0o600)
+    number = os.open(path, (flags & ~cut) | O_CLOEXEC | O_NOCTTY | O_BINARY, 0o600)
     try:
         found = os.fstat(number)
-        if _is_shared(found):
+        if _is_shared(found) and user_number() is not None:
             # Some file systems know no rights; a file of somebody else must not get what is ours.
-            with contextlib.suppress(*([OSError] if found.st_uid == os.geteuid() else [])):
+            with contextlib.suppress(*([OSError] if found.st_uid == user_number() else [])):
                 os.fchmod(number, 0o600)
         if cut and stat.S_ISREG(found.st_mode):
             os.ftruncate(number, 0)
@@ -209,9 +217,10 @@ def make_folder(path: Path) -> None:
 def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTouchError) -> None:
     """Write a file, or into a device or a pipe with a reader; raises the given type of error."""
     try:
-        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NONBLOCK
+        flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | O_NONBLOCK
         with os.fdopen(owner_only(os.fspath(path), flags), "wb") as file:
-            fcntl.fcntl(file, fcntl.F_SETFL, fcntl.fcntl(file, fcntl.F_GETFL) & ~os.O_NONBLOCK)
+            if fcntl is not None:
+                fcntl.fcntl(file, fcntl.F_SETFL, fcntl.fcntl(file, fcntl.F_GETFL) & ~O_NONBLOCK)
             file.write(data)
     except ValueError:
         raise error(f"cannot write {path}: no file has such a name", about="file") from None
@@ -226,12 +235,14 @@ def open_alone(path: Path, error: type[SmartTouchError], of: Path | None = None)
     however it ends. File systems without locks let both in. An error names ``of`` where this file
     only stands for it.
     """
-    flags = os.O_RDWR | os.O_CREAT | os.O_NONBLOCK
+    flags = os.O_RDWR | os.O_CREAT | O_NONBLOCK
     while True:
         try:
             file = os.fdopen(owner_only(os.fspath(path), flags), "r+b")
         except OSError as failure:
             raise unwritable(error, of or path, failure) from None
+        if fcntl is None:
+            return file
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -260,7 +271,7 @@ def write_through(path: Path, data: bytes) -> None:
 def sync_folder(folder: Path) -> None:
     """Sync the names of a folder's files to the disk, if its file system offers that."""
     with contextlib.suppress(OSError):
-        number = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        number = os.open(folder, os.O_RDONLY | O_DIRECTORY | O_CLOEXEC)
         try:
             os.fsync(number)
         finally:

@@ -1,7 +1,10 @@
-"""Modules that only POSIX has; None on other systems, where what needs them cannot run.
+"""What only POSIX has: modules, flags of `os.open`, and the user's number.
 
-From here they can be imported anywhere, so that all that needs no line, terminal or lock works.
+On other systems modules are None and flags 0, so that all that needs no line, terminal or lock
+works.
 """
+
+import os
 
 try:
     import fcntl
@@ -14,3 +17,13 @@ except ImportError:
     fcntl = pty = resource = termios = tty = None  # type: ignore[assignment]
 
 __all__ = ["fcntl", "pty", "resource", "termios", "tty"]
+
+O_NOCTTY, O_NONBLOCK, O_NOFOLLOW, O_CLOEXEC, O_DIRECTORY, O_BINARY = (
+    getattr(os, name, 0)
+    for name in ("O_NOCTTY", "O_NONBLOCK", "O_NOFOLLOW", "O_CLOEXEC", "O_DIRECTORY", "O_BINARY")
+)
+
+
+def user_number() -> int | None:
+    """Return the number of this process's user; None where users have none."""
+    return os.geteuid() if hasattr(os, "geteuid") else None

@@ -17,6 +17,7 @@ from typing import Protocol
 from weakref import WeakKeyDictionary
 
 from smarttouch.base.errors import BoardError, BoardStoppedError, SmartTouchError
+from smarttouch.base.posix import fcntl
 from smarttouch.base.stopping import SIGNALS, ZERO_WITHIN_S, RunStopped, StopRequest
 from smarttouch.boards.announced import Announcement, stopped_since_start
 
@@ -36,6 +37,17 @@ class _Stoppable(Protocol):
     @property
     def budget_ua(self) -> int: ...
     def halt(self) -> None: ...
+
+
+def _require_posix() -> None:
+    """Raise where other programs could not stop what drives a board with a line."""
+    if fcntl is None:
+        raise BoardError(
+            "boards with a line need Linux or macOS, where smarttouch stop can find them: use "
+            "simulated: or memory: here",
+            about="board",
+            remedy="simulated:",
+        )
 
 
 class _Program:
@@ -69,6 +81,7 @@ class _Program:
             self._withdraw_if_idle()
 
     def enter_run(self, stop: StopRequest) -> None:
+        _require_posix()
         with self._changed:
             self._runs.append(stop)
             try:
@@ -86,6 +99,7 @@ class _Program:
             self._changed.notify_all()
 
     def enter_board(self, board: _Stoppable) -> None:
+        _require_posix()
         with self._changed:
             self._boards[board] = board.budget_ua
             try:
@@ -142,7 +156,7 @@ class _Program:
             self._announcement.close_inherited()
 
     def _announce(self) -> None:
-        if self._announcement is None and not self._ended:
+        if self._announcement is None and not self._ended and fcntl is not None:
             asked = None if self._commands else lambda: self.end("smarttouch stop")
             self._announcement = Announcement(asked)
             if not self._commands:

@@ -31,10 +31,11 @@ __all__ = [
     "write_before",
 ]
 
-_write = ctypes.PyDLL(None, use_errno=True).write
-"""The system's `write`, during which no other Python thread can run, so nothing delays it."""
-_write.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
-_write.restype = ctypes.c_ssize_t
+if termios is not None:
+    # During the system's `write` no other Python thread can run, so nothing delays it.
+    _write = ctypes.PyDLL(None, use_errno=True).write
+    _write.argtypes = (ctypes.c_int, ctypes.c_char_p, ctypes.c_size_t)
+    _write.restype = ctypes.c_ssize_t
 
 _MOST_AT_ONCE = 65_536
 
