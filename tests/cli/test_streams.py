@@ -159,7 +159,7 @@ def test_no_name_title_or_note_is_obeyed(program_here, tmp_path):
 @pytest.mark.parametrize("command", [
     "devices show simulated: --profile {}.toml", "design 1 --profile {}.toml",
     "devices show frames:{}", "live --board {}:x", "live --profile {}", "live --{}", "{}",
-    "read {}",
+    "read {}.png",
     "replay {}", "live page:{}.toml", "experiment fit {}.toml",
 ])  # fmt: skip
 def test_what_is_said_of_names_is_not_obeyed(program_here, tmp_path, command):
@@ -177,11 +177,12 @@ def test_at_a_terminal_colors_stay_and_nothing_else_passes(shell, tmp_path):
     assert "\x1b[1m" in written
     for evil in ("\x1b]0;", "\x07", "\x9b", "\u202e"):
         assert evil not in written
-    assert SHOWN in written
+    # The screen shows a bell, too, by its sign.
+    assert SHOWN in written.replace("␇", "")
 
 
 def test_names_with_newlines_bytes_and_length(program_here, tmp_path):
-    names = (b"a\nb.png", b"\xff\xfe.png", "é ".encode() * 60 + b".png", b"x" * 5000)
+    names = (b"a\nb.png", b"\xff\xfe.png", "é ".encode() * 60 + b".png", b"x" * 5000 + b".png")
     for name in map(os.fsdecode, names[:-1]):
         (tmp_path / name).write_bytes(b"\0 no picture")
     for name in map(os.fsdecode, names):
