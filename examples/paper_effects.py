@@ -9,20 +9,20 @@ prints the numbers.
 
 import matplotlib.pyplot as plt
 import numpy as np
-from studies import paper_effects
+from studies import finger_effects
 
 import smarttouch as st
 from smarttouch.lab import ANODIC, CATHODIC, CLASS_COLORS, electrode_patches
 
 profile = st.load_profile("electric-mouse")
-sites = paper_effects.inner_sites(profile)
+sites = finger_effects.inner_sites(profile)
 fingers = [st.Finger(profile, seed, "paper") for seed in range(1, 9)]
 
 # %%
 # SAI mode on lines, with a current that rises: pressure first, vibration later, as in Section
 # III-B.1 (there at 0.4, 0.6 and 1.0 mA; the fingers' cables need some fifteen times as much).
 _, order = plt.subplots(figsize=(5, 4.5), layout="constrained")
-stages = paper_effects.stages("paper", range(1, 8))
+stages = finger_effects.stages("paper", range(1, 8))
 least_ma = min(current_ma[0] for current_ma in stages.values())
 for afferent, current_ma in stages.items():
     order.step(current_ma / least_ma, np.arange(1, 11), where="post",
@@ -38,15 +38,15 @@ plt.show()
 # below it, a cathode axons in passing (Fig. 15).
 _, blur = plt.subplots(figsize=(5, 4.5), layout="constrained")
 for cathodic, color in ((True, CATHODIC), (False, ANODIC)):
-    current_ma = 2.4 * paper_effects.against_all(profile, cathodic)
+    current_ma = 2.4 * finger_effects.against_all(profile, cathodic)
     away = [
         finger.receptor_mm[who] - profile.electrodes.position_mm[site]
         for finger in fingers
-        for site, who in zip(sites, paper_effects.fired(finger, current_ma[sites]).T, strict=True)
+        for site, who in zip(sites, finger_effects.fired(finger, current_ma[sites]).T, strict=True)
     ]
     name = "cathodic" if cathodic else "anodic"
     blur.scatter(*np.concatenate(away).T, s=8, color=color, label=name)
-    found = paper_effects.shift(fingers, current_ma, sites, list(st.Afferent))
+    found = finger_effects.shift(fingers, current_ma, sites, list(st.Afferent))
     print(f"{name}: receptors {found.away_mm:.1f} mm from the electrode")
 blur.set(
     xlabel="x (mm)", ylabel="y (mm), palm below", aspect="equal", title="One electrode, 2.4 mA"
@@ -58,12 +58,12 @@ plt.show()
 # %%
 # PC mode: the receptors of the PC axons that fire lie toward the fingertip (Section III-B.4).
 _, shifted = plt.subplots(figsize=(5, 4.5), layout="constrained")
-current_ma = 2.4 * paper_effects.kernel_ma(profile, st.load_kernels(profile), st.Afferent.PC)
-found = paper_effects.shift(fingers, current_ma, sites, [st.Afferent.PC])
+current_ma = 2.4 * finger_effects.kernel_ma(profile, st.load_kernels(profile), st.Afferent.PC)
+found = finger_effects.shift(fingers, current_ma, sites, [st.Afferent.PC])
 toward_mm = [
     profile.electrodes.position_mm[site, 1] - finger.receptor_mm[who & (finger.classes == 2), 1]
     for finger in fingers
-    for site, who in zip(sites, paper_effects.fired(finger, current_ma[sites]).T, strict=True)
+    for site, who in zip(sites, finger_effects.fired(finger, current_ma[sites]).T, strict=True)
 ]
 shifted.hist(np.concatenate(toward_mm), bins=np.arange(-4, 10), color=CLASS_COLORS[st.Afferent.PC])
 shifted.axvspan(1, 3, color="0.9", zorder=0)
@@ -75,9 +75,9 @@ print(f"PC is felt {-found.y_mm:.1f} mm toward the fingertip")
 # %%
 # The concentric electrode of Section III-C, an array of two shapes, under an anodic middle.
 _, ring = plt.subplots(figsize=(5, 4.5), layout="constrained")
-electrode = paper_effects.concentric(paper_effects.CONCENTRIC_MM)
+electrode = finger_effects.concentric(finger_effects.CONCENTRIC_MM)
 finger = st.Finger(electrode, 4, "paper")
-fires = paper_effects.fired(finger, np.array([[-2.4, 2.4]]))[:, 0]
+fires = finger_effects.fired(finger, np.array([[-2.4, 2.4]]))[:, 0]
 for patch in electrode_patches(electrode):
     patch.set(facecolor="0.85", edgecolor="0.4")
     ring.add_patch(patch)

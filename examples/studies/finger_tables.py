@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import typer
 
 sys.path.append(str(Path(__file__).parents[1]))
-from studies.paper_effects import effects
+from studies.finger_effects import effects
 from studies.published import published
 
 from smarttouch.base.files import require_folder, write_json

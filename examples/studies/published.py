@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from studies.paper_effects import CLEAR_MA, against_all, inner_sites, kernel_ma
+from studies.finger_effects import CLEAR_MA, against_all, inner_sites, kernel_ma
 from studies.receptor_spikes import touchsim_rows
 
 from smarttouch.base.afferent import Afferent, Mode
@@ -50,7 +50,7 @@ def published(
     letters: str = ALPHABET,
     progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> list[PublishedRow]:
-    """Return the table; parameters are those of `paper_effects.effects`, and letters to read."""
+    """Return the table; parameters are those of `finger_effects.effects`, and letters to read."""
     is_like = load_anatomy(anatomy)
     mouse = load_profile("electric-mouse")
     fingers = [Finger(mouse, seed, is_like) for seed in seeds]

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from studies.paper_effects import (
+from studies.finger_effects import (
     CLEAR_MA,
     CONCENTRIC_MM,
     against_all,
