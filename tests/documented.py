@@ -221,8 +221,13 @@ class Reader:
             os.close(terminal)
 
     def _short(self, words: list[str]) -> list[str]:
+        plain = [each.partition("?")[0] for each in words]
+        if plain[:2] == ["experiment", "run"] and plain[2:3] not in ([], ["free"]):
+            name, _, options = words[2].partition("?")
+            kept = [each for each in options.split("&") if each and "repetitions" not in each]
+            words = [*words[:2], f"{name}?{'&'.join([*kept, 'repetitions=1'])}", *words[3:]]
         for name, options in SHORT.items():
-            if words[: len(name.split())] == name.split() and NOT_WITH.get(name) not in words:
+            if plain[: len(name.split())] == name.split() and NOT_WITH.get(name) not in words:
                 first, *_ = options.split()
                 if first in words:
                     return [
@@ -237,9 +242,7 @@ class Reader:
         for device, command in EMULATED.items():
             if device in word:
                 if device not in self._ports:
-                    self._ports[device] = self._emulated(
-                        (*command[:-1], f"{command[-1]}?port_only")
-                    )
+                    self._ports[device] = self._emulated(command)
                 word = word.replace(device, self._ports[device])
         return STAND_INS.get(word, word)
 
