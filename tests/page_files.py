@@ -33,6 +33,11 @@ def _braille(path: Path) -> None:
     Image.fromarray(emboss(["⠓⠑⠇⠇⠕⠀⠺⠕⠗⠇⠙", "⠞⠓⠑⠀⠟⠥⠊⠉⠅⠀⠋⠕⠭"]).page.grey).save(path, dpi=(200, 200))
 
 
+def _experiment(path: Path) -> None:
+    example = Path(__file__).parent.parent / "examples/own_experiment.py"
+    path.write_text(example.read_text("utf-8"), "utf-8")
+
+
 def _book(path: Path) -> None:
     page = Image.open(data_folder("sample_images") / "page.png").convert("L")
     page.save(path, save_all=True, append_images=[page] * 4)
@@ -66,6 +71,7 @@ def _cut(path: Path) -> None:
 
 
 FILES = {
+    "gap.py": _experiment,
     "braille-photo.jpg": _braille,
     "photo.jpg": _page,
     "scan.png": _page,
