@@ -41,6 +41,7 @@ SHORT = {
     "braille-display": "--seconds 1",
     "replay": "--seconds 1",
     "experiment run free": "--seconds 1",
+    "experiment run gap.py": "--board simulated:",
     "experiment run": "--simulate model --board simulated:",
     "calibrate thresholds": "--simulate --electrodes 0 --repeats 1",
     "calibrate force": "--simulate",
