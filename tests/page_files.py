@@ -70,7 +70,13 @@ def _cut(path: Path) -> None:
     path.write_bytes(whole.read_bytes()[:-2000])
 
 
+def _array(path: Path) -> None:
+    places = [f"{2 * (at % 8)},{2 * (at // 8)}" for at in range(64)]
+    path.write_text("\n".join(["x_mm,y_mm", *places]) + "\n", "utf-8")
+
+
 FILES = {
+    "array.csv": _array,
     "gap.py": _experiment,
     "braille-photo.jpg": _braille,
     "photo.jpg": _page,
