@@ -41,7 +41,7 @@ class CortexM3:
         words = ",".join(f"arg={each}" for each in words)
         elf = cortex_m3(" -DST_WATCHDOG" * bool(stands_after))
         command = ["qemu-system-arm", "-M", "mps2-an385", "-kernel", elf, "-display",
-                   "none", "-monitor", "none", "-semihosting-config",
+                   "none", "-monitor", "none", "-icount", "shift=3", "-semihosting-config",
                    f"enable=on,arg=board,{words}", "-serial",
                    f"tcp:127.0.0.1:{port},server=on,wait=off,nodelay=on", "-serial",
                    f"file:{self._trace}"]  # fmt: skip

@@ -25,8 +25,12 @@ def machine(start_cortex_m3):
     return f"link:{machine.name}", machine.pulses
 
 
-def test_kernels_go_there_and_their_sums_flow(machine):
-    port, pulses = machine
+@pytest.mark.usefixtures("patient_boards")
+def test_kernels_go_there_and_their_sums_flow(start_cortex_m3, monkeypatch):
+    # Beside busy processes a byte takes this machine some milliseconds.
+    monkeypatch.setattr("smarttouch.boards.link.packet_line.ANSWER_S", 60)
+    machine = start_cortex_m3()
+    port, pulses = f"link:{machine.name}", machine.pulses
     limits = SafetyLimits(ELECTRODES, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
     rng = np.random.default_rng(0)
     table = random_table(rng, 20, ELECTRODES)
