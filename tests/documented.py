@@ -6,8 +6,9 @@ order, in an empty folder with the files that they read (`tests/page_files.py`);
 by page and line. Unlike a reader's: commands that run until somebody ends them have the `SHORT`
 options added, devices and places have `STAND_INS`, BRLTTY is waited for at a free port, what would
 set up an environment (`ENVIRONMENT`) is left out, and a command that fails is tried again
-(`TRIES`). A comment before a block says what of it is not run: ``<!-- not run: "text in a line",
-"text in another": why -->``.
+(`TRIES`). What an `output` block says right after such a block must have been printed, but for its
+numbers and what `…` stands for. A comment before a block says what of it is not run:
+``<!-- not run: "text in a line", "text in another": why -->``.
 """
 
 import argparse
@@ -29,8 +30,13 @@ from .installed import install_project
 from .page_files import make_named
 
 ROOT = Path(__file__).parent.parent
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
-GENERATED = {"command-line.md"}
+GENERATED = ROOT / "docs/reference/command-line"
+"""Pages that `docs/_ext/command_line.py` makes when the documentation is built."""
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *(page for page in sorted((ROOT / "docs").rglob("*.md")) if GENERATED not in page.parents),
+]
 LONGEST_S = 300
 TRIES = 3
 """Of a command that fails: boards go to zero beneath a machine that is too busy for them."""
@@ -51,8 +57,8 @@ SHORT = {
     "calibrate scale": "--volts 1.0",
 }
 """Options that are added to a command, where it has not got them."""
-NOT_WITH = {"replay": "--check", "read": "--frames"}
-"""An option beside which none is added: such a command ends by itself."""
+NOT_WITH = {"replay": "--check", "read": "--frames", "live": "text:Hello"}
+"""A word beside which none is added: such a command ends by itself."""
 
 STAND_INS = {
     "URL": "emulator:",
@@ -113,6 +119,10 @@ def blocks(page: Path) -> Iterator[Block]:
         file = ""
 
 
+def _without_numbers(text: str) -> str:
+    return " ".join(re.sub(r"[-+−]?\d[\d.,]*", "0", text).split())
+
+
 def _free_place(words: list[str]) -> list[str]:
     """Return a command's words with a free port for BRLTTY's usual one, which others may have."""
     name, *rest = words or [""]
@@ -143,12 +153,16 @@ class Reader:
         for each in (self._here, self._place):
             each.mkdir(exist_ok=True)
         self._ports: dict[str, str] = {}
+        self._said = ""
         with contextlib.ExitStack() as self._stack:
             for block in blocks(page):
                 self._run_block(block)
 
     def _run_block(self, block: Block) -> None:
         name = block.page.relative_to(ROOT)
+        if block.language == "output":
+            self._compare(block, f"{name}:{block.line}")
+        self._said = ""
         if block.file or block.language == "python":
             self._run_file(block, f"{name}:{block.line}")
         for line, words, runs in block.commands():
@@ -199,8 +213,17 @@ class Reader:
                     process.kill()
                     raise PageError(f"{where}: {shlex.join(words)}: did not end") from None
             if not process.returncode:
+                self._said += said
                 return
         raise PageError(f"{where}: {shlex.join(words)}: {process.returncode}\n{said}")
+
+    def _compare(self, block: Block, where: str) -> None:
+        """Look for each line of a block among what the block before it printed, if it was run."""
+        said = _without_numbers(self._said)
+        for line in block.text.splitlines() if said else ():
+            for part in _without_numbers(line).split("…"):
+                if part.strip() not in said:
+                    raise PageError(f"{where}: not printed: {line}\n{self._said}")
 
     def _start(self, command: list[str], **streams: int) -> subprocess.Popen:
         environment = os.environ | {
@@ -267,8 +290,6 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         reader = Reader(Path(folder))
         for page in pages or PAGES:
-            if page.name in GENERATED:
-                continue
             before, start = len(reader.done), os.times()
             try:
                 reader.read(page)

@@ -8,30 +8,44 @@ from typer import Context
 from typer.core import TyperGroup
 from typer.main import get_command
 
+FOLDER = "reference/command-line"
 HEAD = """\
 # The command line
 
-Made from the program: `smarttouch COMMAND --help-all` says the same. What a user can cause ends in
-one sentence and exit status 2; a signal ends with all electrodes at zero and 128 plus its number.
+Made from the program: `smarttouch COMMAND --help-all` says the same. Whatever a user can cause
+ends in one sentence and exit status 2; a signal ends with all electrodes at zero and 128 plus its
+number.
 
 """
 
 
-def command_line() -> str:
-    """Return the page, in Markdown."""
+def command_line() -> dict[str, str]:
+    """Return the pages by name, in Markdown: one for each command, and one that lists them."""
     from smarttouch.cli import app
 
-    return HEAD + "".join(_described(get_command(app), "smarttouch", None))
+    program = get_command(app)
+    above = Context(program, info_name="smarttouch")
+    parts: dict[str, list[str]] = {}
+    pages = {}
+    for name in program.list_commands(above):
+        command = program.get_command(above, name)
+        first = _plain((command.help or "").split("\n\n")[0])
+        part = command.rich_help_panel or "Other"
+        parts.setdefault(str(part), []).append(f"- [`smarttouch {name}`]({name}.md): {first}\n")
+        pages[name] = "".join(_described(command, name, above)).lstrip()
+    listed = "".join(f"## {part}\n\n{''.join(lines)}\n" for part, lines in parts.items())
+    tree = "\n".join(pages)
+    pages["index"] = f"{HEAD}{listed}```{{toctree}}\n:hidden:\n\n{tree}\n```\n"
+    return pages
 
 
-def _described(command: Any, name: str, above: Context | None) -> Iterator[str]:
+def _described(command: Any, name: str, above: Context) -> Iterator[str]:
     context = Context(command, info_name=name, parent=above)
-    if above is not None:
-        # A heading for each command, one smaller for those below it.
-        full = context.command_path
-        yield f"\n{'#' * full.count(' ')}# `{full}`\n\n"
-        yield f"{_plain(command.help or '')}\n\n"
-        yield f"```text\n{full} {' '.join(command.collect_usage_pieces(context))}\n```\n\n"
+    # A heading for each command, one smaller for those below it.
+    full = context.command_path
+    yield f"\n{'#' * full.count(' ')} `{full}`\n\n"
+    yield f"{_plain(command.help or '')}\n\n"
+    yield f"```text\n{full} {' '.join(command.collect_usage_pieces(context))}\n```\n\n"
     for parameter in command.get_params(context):
         found = parameter.get_help_record(context)
         if found is not None and "--help" not in parameter.opts:
@@ -49,10 +63,15 @@ def _plain(text: str) -> str:
 
 
 def write(app: Any) -> None:
-    """Write the page where Sphinx looks for it, if it has changed."""
-    path, text = Path(app.srcdir) / "reference" / "command-line.md", command_line()
-    if not path.exists() or path.read_text("utf-8") != text:
-        path.write_text(text, encoding="utf-8")
+    """Write the pages where Sphinx looks for them, those that have changed."""
+    folder = Path(app.srcdir) / FOLDER
+    folder.mkdir(exist_ok=True)
+    pages = {folder / f"{name}.md": text for name, text in command_line().items()}
+    for path, text in pages.items():
+        if not path.exists() or path.read_text("utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+    for path in set(folder.iterdir()) - set(pages):
+        path.unlink()
 
 
 def setup(app: Any) -> dict[str, bool]:

@@ -219,21 +219,40 @@ def copy(
 
 @profiles.command()
 def new(
-    table: Annotated[
-        Path, typer.Argument(metavar="TABLE.csv", help="Columns x_mm, y_mm, maybe diameter_mm.")
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="[TABLE.csv] FILE.toml",
+            help="A table with columns x_mm, y_mm, maybe diameter_mm; and the profile to write.",
+        ),
     ],
-    file: _File,
+    grid: Annotated[
+        str, typer.Option("--grid", metavar="ROWSxCOLUMNS", help="Make a grid; no table is read.")
+    ] = "",
+    pitch_mm: Annotated[
+        float, typer.Option("--pitch", metavar="MM", help="Set the pitch of the grid.")
+    ] = 2.0,
+    diameter_mm: Annotated[
+        float, typer.Option("--diameter", metavar="MM", help="Set the diameter of its discs.")
+    ] = 1.0,
     like: Annotated[
         str, typer.Option("--like", metavar="NAME|FILE", help="Take all else from this profile.")
     ] = "electric-mouse",
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
 ) -> None:
-    """Write a profile with electrodes at the places of a table, to be edited."""
+    """Write a profile with a grid of electrodes, or at the places of a table, to be edited."""
     from smarttouch.base.errors import ProfileError
     from smarttouch.base.files import require_replaceable, write_bytes
     from smarttouch.profile import load_profile
+    from smarttouch.profile.electrode_table import grid_of
     from smarttouch.profile.toml_writer import as_toml
 
+    *tables, file = files
+    if len(tables) != (not grid):
+        raise ProfileError(
+            "give a table and the profile to write, or --grid 5x5 and the profile alone",
+            about="table",
+        )
     require_replaceable(file, ProfileError)
     if file.exists() and not overwrite:
         raise ProfileError(
@@ -241,7 +260,9 @@ def new(
             about="file",
             remedy="overwrite",
         )
-    made = load_profile(like).with_electrodes(table, f"{table.stem}, else as {like}")
+    table = grid_of(grid, pitch_mm, diameter_mm) if grid else tables[0]
+    title = table.stem if isinstance(table, Path) else str(table)
+    made = load_profile(like).with_electrodes(table, f"{title}, else as {like}")
     write_bytes(file, as_toml(made).encode(), ProfileError)
     typer.echo(f"written: {file}, {len(made.electrodes)} electrodes")
 

@@ -1,5 +1,6 @@
 """Electrode arrays from tables of coordinates: CSV files and arrays of numbers."""
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ from pydantic import ValidationError
 from smarttouch.base.errors import ProfileError
 from smarttouch.base.tables import read_csv
 from smarttouch.profile.device import CommandDefaults, Limits, Output, PerceptThresholds
-from smarttouch.profile.layouts import FreeLayout
+from smarttouch.profile.layouts import FreeLayout, GridLayout
 from smarttouch.profile.toml_tables import table_error
 
 USUAL_DIAMETER_MM = 1.0
@@ -50,6 +51,31 @@ def layout_of(table: Path | str | NDArray[np.floating[Any]]) -> FreeLayout:
     except ValidationError as error:
         raise table_error(ProfileError, path, error) from None
     return made
+
+
+def grid_of(size: str, pitch_mm: float, diameter_mm: float) -> GridLayout:
+    """Return a grid of discs, of a size like ``5x5``: rows and columns."""
+    found = re.fullmatch(r"(\d+)x(\d+)", size)
+    if found is None:
+        raise ProfileError(f"grid {size!r} is not one: give rows and columns as 5x5", about="grid")
+    if not 0 < diameter_mm < pitch_mm:
+        raise ProfileError(
+            f"discs of {diameter_mm:g} mm do not fit a pitch of {pitch_mm:g} mm: give a diameter "
+            "above 0 and below the pitch",
+            about="diameter_mm",
+        )
+    layout = {
+        "layout": "grid",
+        "rows": found[1],
+        "columns": found[2],
+        "pitch_x_mm": pitch_mm,
+        "pitch_y_mm": pitch_mm,
+        "diameter_mm": diameter_mm,
+    }
+    try:
+        return GridLayout.model_validate(layout)
+    except ValidationError as error:
+        raise table_error(ProfileError, "the grid", error) from None
 
 
 def lowest_for_all(

@@ -38,6 +38,10 @@ class GridLayout(Table):
             )
         return self
 
+    def __str__(self) -> str:
+        size = f"{self.rows} x {self.columns} discs of {self.diameter_mm:g} mm"
+        return f"{size} at {self.pitch_x_mm:g} mm"
+
     def build(self) -> ElectrodeArray:
         return electrodes.grid(
             self.rows,

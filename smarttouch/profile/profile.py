@@ -27,7 +27,7 @@ from smarttouch.profile.device import (
     Skin,
 )
 from smarttouch.profile.electrode_table import layout_of, lowest_for_all
-from smarttouch.profile.layouts import ArrayLayout
+from smarttouch.profile.layouts import ArrayLayout, FreeLayout, GridLayout
 from smarttouch.profile.toml_tables import Table, UnfitError, raise_all, table_error
 
 
@@ -268,15 +268,16 @@ class Profile(Table):
             raise table_error(ProfileError, self.name or "profile", error) from None
 
     def with_electrodes(
-        self, table: Path | str | NDArray[np.floating[Any]], title: str = ""
+        self, table: Path | str | NDArray[np.floating[Any]] | GridLayout, title: str = ""
     ) -> Self:
         """Return a profile of the same device with electrodes elsewhere.
 
         Parameters
         ----------
-        table : path or array-like, (E, 2) or (E, 3), mm
+        table : path or array-like, (E, 2) or (E, 3), mm, or GridLayout
             Places right and down, in the order of the board's electrodes, and diameters if they
             are given; else 1 mm. A CSV file has the columns ``x_mm``, ``y_mm``, ``diameter_mm``.
+            A grid shows the same part of the page, magnified to its size.
         title : str
             Description of the device, for people.
 
@@ -298,10 +299,17 @@ class Profile(Table):
         >>> mouse.with_electrodes([(0, 0), (2, 0), (1, 1.8)], "a triangle")
         Profile('a triangle', 3 electrodes, weighted)
         """
-        layout = layout_of(table)
-        count = len(layout.positions_mm)
+        if isinstance(table, GridLayout):
+            layout: GridLayout | FreeLayout = table
+            optics = {
+                "magnification": table.columns * table.pitch_x_mm / self.optics.field_width_mm
+            }
+        else:
+            layout, optics = layout_of(table), {}
+        count = len(layout.build())
         own = lowest_for_all(count, self.output, self.perception, self.limits, self.calibrated)
         title = title or f"{count} electrodes, else as {self.title}"
+        own["optics"] = self.optics.model_dump() | optics
         return self.model_copy(update={**own, "array": layout, "title": title, "name": ""})
 
     @model_validator(mode="after")

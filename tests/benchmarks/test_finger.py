@@ -1,6 +1,6 @@
 """From slots to the drive of every afferent of a finger, and from a seed to a finger.
 
-Processor time, as docs/explanation/finger.md has it: ``pytest tests/benchmarks/test_finger.py
+Processor time, as docs/validation/finger.md has it: ``pytest tests/benchmarks/test_finger.py
 --benchmark-only -n0 --benchmark-timer=time.process_time --benchmark-columns=min,median``.
 """
 

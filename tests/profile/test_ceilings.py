@@ -6,7 +6,7 @@ import pytest
 
 from smarttouch.profile.ceilings import CEILINGS
 
-SAFETY = Path(__file__).parents[2] / "docs" / "explanation" / "safety.md"
+SAFETY = Path(__file__).parents[2] / "docs" / "safety" / "limits.md"
 
 
 @pytest.mark.parametrize("ceiling", CEILINGS, ids=lambda each: each.name)

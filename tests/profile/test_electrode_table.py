@@ -95,3 +95,26 @@ def test_a_command_prints_the_schema_of_profiles():
     assert schema == st.Profile.model_json_schema()
     assert set(schema["properties"]) == {*type(MOUSE).model_fields}
     assert schema["$defs"]["FreeLayout"]["properties"]["positions_mm"]["maxItems"] == 4096
+
+
+def test_a_grid_says_its_size_everywhere_and_shows_the_same_page(tmp_path):
+    path = tmp_path / "five.toml"
+    done = smarttouch("profiles", "new", "--grid", "5x5", "--pitch", "2", path)
+    assert done.returncode == 0, done.stderr
+    made, mouse = st.load_profile(path), st.load_profile("electric-mouse")
+    assert made.array.rows == made.array.columns == 5
+    assert "5 x 5" in made.title
+    assert "8 x 8" not in path.read_text("utf-8")
+    assert made.optics.field_width_mm == mouse.optics.field_width_mm
+    assert made.optics.magnification == pytest.approx(10 / 5)
+
+
+@pytest.mark.parametrize("options", [
+    ("--grid", "5x"), ("--grid", "5x5", "--pitch", "1"), ("--grid", "99x2"),
+    ("--grid", "5x5", "a.csv"), (),
+])  # fmt: skip
+def test_what_is_no_grid_is_one_sentence(options, tmp_path):
+    done = smarttouch("profiles", "new", *options, tmp_path / "new.toml")
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "new.toml").exists()
