@@ -2,7 +2,9 @@
 
 import subprocess
 import sys
-from typing import Annotated
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,8 +13,11 @@ from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.cli.source_options import or_standard_input
 from smarttouch.views.keys_and_signals import drives_a_board
 
+if TYPE_CHECKING:
+    from smarttouch.views.window import Window
+    from smarttouch.views.window_choices import RunChoices
 
-@drives_a_board
+
 @takes_options()
 def live(
     run: RunOptionGroup,
@@ -56,15 +61,52 @@ def live(
     On a screen or in a window, and where nothing is written to files, a page is read again and
     again at some 30 words a minute; 'text:Hello?passes=1' is read once.
     """
+    from smarttouch.base.errors import SmartTouchError
+    from smarttouch.base.files import data_folder
+
+    url = source or f"page:{data_folder('sample_images') / 'page.png'}"
+    window: Window | None = None
+    try:
+        while True:
+            try:
+                window = _show(run, url, mode, rate_hz, seed, light_on_dark, window)
+            except SmartTouchError as error:
+                # That of the first run is the command's own.
+                if window is None:
+                    raise
+                window.refuse(error)
+                if not window.stay():
+                    raise
+            if window is None or window.asked is None:
+                return
+            url = window.asked.source
+            # Files are of the first run.
+            run = replace(
+                run, board=window.asked.board, record=None, felt=None, frames=None, json_file=None
+            )
+    finally:
+        if window is not None:
+            window.shut()
+
+
+@drives_a_board
+def _show(
+    run: RunOptionGroup,
+    url: str,
+    mode: str | None,
+    rate_hz: float | None,
+    seed: int | None,
+    light_on_dark: bool,
+    window: "Window | None",
+) -> "Window | None":
+    """Show a source; return the window if a page asks for another run."""
     chosen = run.load_profile()
     ready = run.ready_display(chosen)
     from smarttouch.base.errors import SourceError
-    from smarttouch.base.files import data_folder
     from smarttouch.cli.options import parse_mode
     from smarttouch.sources import open_source, options_taken
     from smarttouch.sources.virtual_finger import READER_MM_S
 
-    url = source or f"page:{data_folder('sample_images') / 'page.png'}"
     asked = None if mode is None else parse_mode(mode)
     offered = {"mode": asked, "rate_hz": rate_hz, "display": ready}
     if run.is_watched:
@@ -82,7 +124,24 @@ def live(
             light_on_dark=light_on_dark,
             seed=seed or 0,
         )
-        run.start(opened, chosen, config, ready, keys=opened.keys, keys_help=opened.keys_help)
+        return run.start(
+            opened,
+            chosen,
+            config,
+            ready,
+            keys=opened.keys,
+            keys_help=opened.keys_help,
+            window=window,
+            offered=_offered(run, url),
+        )
+
+
+def _offered(run: RunOptionGroup, url: str) -> "RunChoices | None":
+    if run.window is None:
+        return None
+    from smarttouch.views.window_choices import RunChoice, RunChoices
+
+    return RunChoices.beside(RunChoice(url, run.board_url), Path.cwd())
 
 
 def stop(

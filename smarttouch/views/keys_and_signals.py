@@ -127,6 +127,11 @@ def command_stop() -> StopRequest:
     return _watches[-1][0] if _watches else StopRequest()
 
 
+def by_signal() -> bool:
+    """Return whether a signal ends the command that runs."""
+    return bool(_watches and _watches[-1][1].number)
+
+
 @contextmanager
 def ending_in_order(patience_s: float | None = None) -> Iterator[None]:
     """Let the block end by itself when a stop is requested, within ``patience_s`` of a signal;

@@ -38,7 +38,7 @@ class LiveFinger(Listener):
         self.newest: Feeling | None = None
         self.drawn: Any = None
         self.simulated = self.skipped = 0
-        self._finger, self._draw = finger, draw
+        self.finger, self._draw = finger, draw
         self._line: Connection | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._given: Feeling | None = None  # what the process is at, without its spikes
@@ -54,7 +54,7 @@ class LiveFinger(Listener):
             )
         self._line = Connection(ours.detach())
         with self._alive() as line:
-            line.send((self._finger, self._draw))
+            line.send((self.finger, self._draw))
         self._receive()
 
     def step(self, result: StepResult) -> None:
@@ -66,7 +66,7 @@ class LiveFinger(Listener):
             self.skipped += 1
             return
         sequence, active = result.sequence, np.asarray(result.tactile.activation.any(axis=0))
-        self._given = Feeling(self._finger, (), active, result.step.mode.afferents)
+        self._given = Feeling(self.finger, (), active, result.step.mode.afferents)
         slots = DeliveredSlots(
             sequence.current_ua, sequence.width_us, sequence.discharge_us, sequence.period_us
         )
@@ -99,7 +99,7 @@ class LiveFinger(Listener):
     def _take(self) -> None:
         assert self._given is not None
         spikes, self.drawn = self._receive()
-        self.newest = Feeling(self._finger, (spikes,), self._given.active, self._given.wanted)
+        self.newest = Feeling(self.finger, (spikes,), self._given.active, self._given.wanted)
         self._given = None
         self.simulated += 1
 

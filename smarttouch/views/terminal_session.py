@@ -1,12 +1,14 @@
 """One run in a terminal: screen, keys, signals, and its printed and written results."""
 
 import contextlib
+import math
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from smarttouch.base.files import write_json
 from smarttouch.base.stopping import ENDS_WITHIN_S, StopRequest
@@ -22,6 +24,7 @@ from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Source
 from smarttouch.views.keys_and_signals import (
     LOST,
+    by_signal,
     command_stop,
     ending_in_order,
     keyboard_listener,
@@ -31,6 +34,12 @@ from smarttouch.views.outputs import output_listeners
 from smarttouch.views.progress import bank_progress
 from smarttouch.views.screen import BlindScreen, Screen
 
+if TYPE_CHECKING:
+    from smarttouch.views.window import Window
+    from smarttouch.views.window_choices import RunChoices
+
+OPENED_WITHIN_S = 60.0  # for a page without a browser here: somebody may copy its address
+_TIMED_S = 10.0  # longest wait for a page where a run has a limit of time
 DRAWN_WITHIN_S = 30.0  # to the end after a signal where pictures are drawn, unless a second comes
 
 Keys = Mapping[str, Callable[[], None]]
@@ -91,10 +100,13 @@ def run_in_terminal(
     keys_help: str = "",
     controls: MakeControls = Controls,
     listeners: Iterable[Listener] = (),
-) -> None:
+    window: "Window | None" = None,
+    offered: "RunChoices | None" = None,
+) -> "Window | None":
     """Run a source on a display until it ends or the user ends it, and print a summary. Arguments
     are those of `Runner`; ``keys`` are functions of further keys, and ``keys_help`` describes them
-    on the screen."""
+    on the screen. A window shows the end until its pages are closed; it is returned, to be given to
+    the next run and then shut, once a page asks for one of the runs ``offered``."""
     stop = command_stop()
     shown = screen(display.url, outputs.quiet, keys_help, outputs.plain)
     typed = sys.stdin.isatty()
@@ -102,60 +114,65 @@ def run_in_terminal(
     followers = outputs.listeners()
     # A drawing source needs a page.
     port = 0 if outputs.window is None and source.canvas is not None else outputs.window
-    windows: list[Listener] = []
-    if port is not None:
-        blind = issubclass(screen, BlindScreen)
-        windows.append(_window(port, stop, outputs, keys, keys_help, alone=not typed, blind=blind))
-    runner = Runner(
-        source,
-        display,
-        config,
-        force=force,
-        listeners=[
-            *windows,  # before the screen: they say their address
-            shown,
-            _Keyboard(stop, keys or {}),
-            *followers,
-            *listeners,
-            _Orderly(outputs.patience_s),
-        ],
-        controls=controls,
-        # On a finger, intensity starts at zero where there are controls.
-        first_level=0.0 if display.on_a_finger and (typed or windows) else None,
-        most=config.intensity if display.on_a_finger else None,
-        stop=stop,
-        load_kernels=partial(_load_kernels, quiet=outputs.quiet),
-        opened=partial(_opened, display),
-    )
-    try:
-        runner.run()
-    finally:
-        if outputs.json_file is not None and runner.statistics.figures:
-            write_json(outputs.json_file, runner.statistics.figures)
-    if not outputs.quiet:
-        shown.summarize(runner.statistics.figures, runner.statistics.notes, outputs.files)
+    with contextlib.ExitStack() as closing:
+        if window is None and port is not None:
+            blind = issubclass(screen, BlindScreen)
+            window = _window(port, stop, outputs, config.seconds, blind=blind)
+            window.offered = offered
+            closing.callback(window.shut)
+        if window is not None:
+            window.begin(stop, keys=keys, keys_help=keys_help, alone=not typed)
+        runner = Runner(
+            source,
+            display,
+            config,
+            force=force,
+            listeners=[
+                *([] if window is None else [window]),  # before the screen: it says its address
+                shown,
+                _Keyboard(stop, keys or {}),
+                *followers,
+                *listeners,
+                _Orderly(outputs.patience_s),
+            ],
+            controls=controls,
+            # On a finger, intensity starts at zero where there are controls.
+            first_level=0.0 if display.on_a_finger and (typed or window is not None) else None,
+            most=config.intensity if display.on_a_finger else None,
+            stop=stop,
+            load_kernels=partial(_load_kernels, quiet=outputs.quiet),
+            opened=partial(_opened, display),
+        )
+        try:
+            runner.run()
+        finally:
+            if outputs.json_file is not None and runner.statistics.figures:
+                write_json(outputs.json_file, runner.statistics.figures)
+        if not outputs.quiet:
+            shown.summarize(runner.statistics.figures, runner.statistics.notes, outputs.files)
+        if window is not None and not by_signal():
+            if window.pages and not outputs.quiet:
+                print("The window shows how it went until it is closed, or Ctrl-C.")
+            if window.stay():
+                closing.pop_all()
+                return window
+    return None
 
 
 def _window(
-    port: int,
-    stop: StopRequest,
-    outputs: Outputs,
-    keys: Keys | None,
-    keys_help: str,
-    *,
-    alone: bool,
-    blind: bool,
-) -> Listener:
+    port: int, stop: StopRequest, outputs: Outputs, seconds: float | None, *, blind: bool
+) -> "Window":
     from smarttouch.views.window import Window
+    from smarttouch.views.window_server import has_browser
 
+    waits_s = math.inf if has_browser() else OPENED_WITHIN_S
     return Window(
         stop,
         port,
-        keys=keys,
-        keys_help=keys_help,
-        alone=alone,
         blind=blind,
         finger=(outputs.finger, outputs.anatomy),
+        waits_s=waits_s if seconds is None else min(_TIMED_S, seconds),
+        stays=True,
     )
 
 

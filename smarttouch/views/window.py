@@ -1,8 +1,11 @@
 """The window of a run: a listener that keeps the newest step, for pages that ask for it."""
 
+import contextlib
 import json
+import signal
 import sys
 import threading
+import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -10,12 +13,13 @@ from typing import Any
 from smarttouch.base.clock import prioritized
 from smarttouch.base.errors import DesignError, SmartTouchError
 from smarttouch.base.events import Event, RunEnded, RunFailed
-from smarttouch.base.stopping import StopRequest
+from smarttouch.base.stopping import RunStopped, StopRequest
 from smarttouch.physiology.finger import Finger
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Source
 from smarttouch.views.live_finger import LiveFinger
+from smarttouch.views.window_choices import RunChoice, RunChoices
 from smarttouch.views.window_messages import (
     array_message,
     finger_message,
@@ -28,15 +32,19 @@ from smarttouch.views.window_server import PageServer, open_browser
 _EVENTS = 200
 _LOOK_S = 0.02
 _SWITCH_S = 0.0005
+_GONE_S = 2.0  # time without a page after which the window is closed: a page may be loaded again
+_FINGER_WITHIN_S = 60.0
 
 
 class Window(Listener):
-    """Shows a run in a browser, from a thread of its own, and lets one page control it.
+    """Shows runs in a browser, from a thread of its own, and lets one page control them.
 
     The loop's thread only stores the newest step. Port 0 of 127.0.0.1 is a free one. With
     ``alone``, a run is paused once no page controls it; with ``blind``, pages do not show what is
     delivered. ``finger`` is the seed and the anatomy of a simulated finger, None for none. ``show``
-    is called with the address once it is served.
+    is called with the address once it is served. A run begins once the finger is ready and a page
+    is open, or after ``waits_s``. A window that ``stays`` shows the end of a run until `shut`, and
+    another run can follow: see `begin`.
     """
 
     def __init__(
@@ -44,30 +52,53 @@ class Window(Listener):
         stop: StopRequest,
         port: int = 0,
         *,
-        keys: Mapping[str, Callable[[], None]] | None = None,
-        keys_help: str = "",
-        alone: bool = True,
         blind: bool = False,
         finger: tuple[int, str] | None = (1, "branched"),
         show: Callable[[str], object] | None = None,
+        waits_s: float = 0.0,
+        stays: bool = False,
+        **steering: Any,
     ) -> None:
         super().__init__()
-        self._run_stop, self._keys, self._keys_help = stop, keys or {}, keys_help
-        self._alone, self._blind, self._show = alone, blind, show or _announce
-        self._simulated = finger
+        self._blind, self._show, self._simulated = blind, show or _announce, finger
+        self._waits_s, self._stays = waits_s, stays
         self._pages = Pages(self)
         self.server: PageServer = PageServer(port, self._pages.routes())
         self.steering: Steering
         self.hello: str = ""
+        self.number: int = 0
+        """Number of the run, from 1; 0 before the first."""
+        self.ended: str = ""
+        """How the run ended, as a message to pages; empty while it is on."""
+        self.offered: RunChoices | None = None
+        """What pages may run next; None for nothing."""
+        self.asked: RunChoice | None = None
+        """The run that a page asked for."""
+        self._event_lock = threading.Lock()
+        self._live: LiveFinger | None = None
+        self._finger_ready = threading.Event()
+        self._switch_s: float | None = None
+        self._shut = threading.Event()
+        self.begin(stop, **steering)
+
+    def begin(
+        self,
+        stop: StopRequest,
+        *,
+        keys: Mapping[str, Callable[[], None]] | None = None,
+        keys_help: str = "",
+        alone: bool = True,
+    ) -> None:
+        """Forget the run before, and take what controls the next one."""
+        self._run_stop, self._keys, self._keys_help = stop, keys or {}, keys_help
+        self._alone = alone
+        self.asked = None
         self._latest: StepResult | None = None
         self._encoded: tuple[StepResult | None, str] = (None, "null")
         self._events: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_EVENTS)
         self._event_count = 0
-        self._event_lock = threading.Lock()
-        self._live: LiveFinger | None = None
         self._felt = ""
-        self._switch_s: float | None = None
-        self._ended: dict[str, Any] = {"type": "ended", "reason": "", "failed": False}
+        self._end: tuple[str, bool] = ("", False)
 
     @property
     def address(self) -> str:
@@ -83,11 +114,8 @@ class Window(Listener):
     def source(self) -> Source:
         return self._context.source
 
-    @property
-    def ended(self) -> str:
-        return json.dumps(self._ended)
-
     def prepare(self, run: RunContext) -> None:
+        """Serve the page, and wait for it and for the finger: the board is not open."""
         self._context = run
         self.steering = Steering(run.controls, self._run_stop, self._keys, alone=self._alone)
         finger = self._finger(run)
@@ -101,17 +129,46 @@ class Window(Listener):
             "keys_help": self._keys_help,
             "array": array_message(run.profile),
             "finger": None if finger is None else finger_message(finger),
+            "choices": None if self.offered is None else self.offered.message(),
         }
-        self.hello = json.dumps(hello)
+        self.hello, self.ended = json.dumps(hello), ""
+        self.number += 1
         # Drawing must not hold the loop up for a whole default interval of 5 ms.
         if sys.getswitchinterval() > _SWITCH_S:
             self._switch_s = sys.getswitchinterval()
             sys.setswitchinterval(_SWITCH_S)
-        self.server.start()
-        if finger is not None:
-            self._live = LiveFinger(finger)
+        if self.number == 1:
+            self.server.start()
+        self._prepare_finger(finger)
+        if self.number == 1:
+            self._show(self.address)
+        self._wait_for_page()
+
+    def _prepare_finger(self, finger: Finger | None) -> None:
+        """Start the finger's process, unless that of the run before simulates the same finger."""
+        before = self._live
+        if before is not None and finger is not None and before.finger.profile == finger.profile:
+            return
+        if before is not None:
+            before.abandon()
+        self._live = None if finger is None else LiveFinger(finger)
+        self._finger_ready.clear()
+        if self._live is None:
+            self._finger_ready.set()
+        else:
             threading.Thread(target=self._feel, args=(self._live,), daemon=True).start()
-        self._show(self.address)
+
+    def _wait_for_page(self) -> None:
+        """Wait until the finger is ready and a page is open, or for as long as the window waits."""
+        if not self._waits_s:
+            return
+        begun_s = time.monotonic()
+        while (waited_s := time.monotonic() - begun_s) < self._waits_s:
+            ready = self._finger_ready.is_set() or waited_s > _FINGER_WITHIN_S
+            if ready and self._pages:
+                return
+            if self._run_stop.event.wait(_LOOK_S):
+                raise RunStopped(signal.SIGTERM, self._run_stop.reason)
 
     def step(self, result: StepResult) -> None:
         """Keep the newest step, and check that the page in control is alive."""
@@ -121,8 +178,7 @@ class Window(Listener):
     def event(self, event: Event) -> None:
         """Keep an event for the pages, unless it would give an answer away."""
         if isinstance(event, RunEnded | RunFailed):
-            failed = isinstance(event, RunFailed)
-            self._ended |= {"reason": str(event), "failed": failed}
+            self._end = str(event), isinstance(event, RunFailed)
         if self._blind and event.reveals:
             return
         entry = {"time_s": event.time_ns / 1e9, "text": str(event), "kind": type(event).__name__}
@@ -131,16 +187,38 @@ class Window(Listener):
             self._events.append((self._event_count, entry))
 
     def close(self) -> None:
-        """Send pages the end of the run, and stop serving."""
-        if self._pages.over.is_set():
-            return
-        self._pages.over.set()
-        if self._live is not None:
-            self._live.abandon()
-        self._pages.wait()
-        self.server.close()
+        """Send pages the end of the run; stop serving, unless the window stays."""
+        if not self.ended:
+            reason, failed = self._end
+            self.ended = json.dumps({"type": "ended", "reason": reason, "failed": failed})
         if self._switch_s is not None:
             sys.setswitchinterval(self._switch_s)
+            self._switch_s = None
+        if not self._stays:
+            self.shut()
+
+    def stay(self) -> bool:
+        """Show the end of a run until a page asks for another, which returns True, until all pages
+        are closed, or until Ctrl-C."""
+        seen_s = time.monotonic()
+        with contextlib.suppress(RunStopped, KeyboardInterrupt):
+            while time.monotonic() - seen_s < _GONE_S:
+                if self._pages:
+                    seen_s = time.monotonic()
+                if self.asked is not None:
+                    return True
+                time.sleep(_LOOK_S)
+        return False
+
+    def shut(self) -> None:
+        """Close all connections, and stop serving."""
+        if self._shut.is_set():
+            return
+        self._shut.set()
+        if self._live is not None:
+            self._live.abandon()
+        self._pages.close()
+        self.server.close()
 
     def _finger(self, run: RunContext) -> Finger | None:
         if self._blind or self._simulated is None:
@@ -158,7 +236,8 @@ class Window(Listener):
         latest = feeling = None
         try:
             live.prepare(self._context)
-            while not self._pages.over.wait(_LOOK_S):
+            self._finger_ready.set()
+            while self._live is live and not self._shut.wait(_LOOK_S):
                 if self._latest is not None and self._latest is not latest and self._pages:
                     latest = self._latest
                     live.step(latest)
@@ -167,10 +246,36 @@ class Window(Listener):
                     self._felt = json.dumps(response_message(feeling))
         except SmartTouchError as error:
             # Delivery does not depend on it.
-            if not self._pages.over.is_set():
+            if self._live is live and not self._shut.is_set():
                 self.notes.append(f"the window shows no finger any more: {error}")
+                self._finger_ready.set()
         finally:
             live.close()
+
+    def ask(self, page: int, text: str) -> str:
+        """Take a page's request for another run, JSON; return why it is refused, or nothing.
+
+        The run that is on ends. Raises ValueError for what is no request.
+        """
+        if self.offered is None:
+            raise ValueError(text)
+        choice = self.offered.parse(text)
+        if not self.ended and not self.steering.steer(page):
+            return "another page steers this run: let it stop the run first"
+        try:
+            self.offered.require(choice)
+        except SmartTouchError as error:
+            return str(error)
+        self.asked = choice
+        if not self.ended:
+            self._run_stop.ask("another run was chosen")
+        return ""
+
+    def refuse(self, error: SmartTouchError) -> None:
+        """Show pages why the run that they asked for cannot be."""
+        self.asked = None
+        self.ended = json.dumps({"type": "ended", "reason": str(error), "failed": True})
+        self.number += 1
 
     def has_seen(self, page: ConnectedPage) -> bool:
         return self._latest is page.shown and page.events == self._event_count
@@ -186,9 +291,12 @@ class Window(Listener):
             if self._encoded[0] is not latest:
                 self._encoded = latest, json.dumps(picture_message(latest))
             parts.append(f'"picture":{self._encoded[1]}')
-        if self._felt is not page.felt:
+        if self._felt and self._felt is not page.felt:
             page.felt = self._felt
             parts.append(f'"felt":{self._felt}')
+        if page.refused:
+            parts.append(f'"refused":{json.dumps(page.refused)}')
+            page.refused = ""
         canvas = self.source.canvas
         if canvas is not None and canvas.changes != page.drawn:
             drawn = canvas.message()
@@ -197,6 +305,13 @@ class Window(Listener):
         page.shown, page.events = latest, count
         return "{" + ",".join(parts) + "}"
 
+    def _phase(self, latest: StepResult | None) -> str:
+        if self.ended:
+            return "ended"
+        if not self._finger_ready.is_set() and latest is None:
+            return "preparing the finger"
+        return "running" if latest is not None else "starting"
+
     def _state(self, page: ConnectedPage, latest: StepResult | None) -> dict[str, Any]:
         run, steers = self._context, self.steering.page
         time_ns = 0 if latest is None else latest.input.time_ns
@@ -204,6 +319,7 @@ class Window(Listener):
         force_n = 0.0 if latest is None else latest.input.force_n
         state = {
             "title": run.source.title,
+            "phase": self._phase(latest),
             "time_s": time_ns / 1e9,
             "level": now.level,
             "most": run.controls.most,
@@ -226,5 +342,5 @@ class Window(Listener):
 
 
 def _announce(address: str) -> None:
-    print(f"window: {address}", file=sys.stderr, flush=True)
+    print(f"window: {address} (the run begins once it is open)", file=sys.stderr, flush=True)
     open_browser(address)

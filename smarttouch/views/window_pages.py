@@ -119,13 +119,21 @@ class ConnectedPage:
     """One connected page, and what it has seen."""
 
     number: int
+    run: int = 0  # number of the run that it was greeted for
     waits: bool = True  # whether it has drawn what it was sent last
+    informed: bool = False  # whether it knows of the end of this run
     shown: StepResult | None = None
     events: int = 0
     felt: str = ""
     drawn: int = 0  # changes of the drawing that it has seen
+    refused: str = ""  # why what it asked for is not done
     received: int = 0  # messages of this second
     second: int = 0
+
+    def begin(self, run: int) -> None:
+        """Forget what it has seen of the run before."""
+        self.run, self.informed, self.waits = run, False, True
+        self.shown, self.events, self.felt, self.drawn = None, 0, "", 0
 
 
 class PageState(Protocol):
@@ -136,12 +144,19 @@ class PageState(Protocol):
     @property
     def source(self) -> Source: ...
     @property
+    def number(self) -> int:
+        """Number of the run."""
+
+    @property
     def hello(self) -> str:
-        """The first message."""
+        """The first message of a run."""
 
     @property
     def ended(self) -> str:
-        """The last message."""
+        """The last message of a run; empty while it is on."""
+
+    def ask(self, page: int, text: str) -> str:
+        """Take a request for another run; return why it is refused, or nothing."""
 
     def has_seen(self, page: ConnectedPage) -> bool:
         """Return whether there is nothing new for a page."""
@@ -151,14 +166,14 @@ class PageState(Protocol):
 
 
 class Pages:
-    """Connections of all pages of a run; ``over`` is set once the run is over."""
+    """Connections of all pages of a window, until it is closed."""
 
     def __init__(self, state: PageState) -> None:
         import_server()
         self._state = state
         self._pages: dict[int, ConnectedPage] = {}
         self._numbers = itertools.count(1)
-        self.over, self._all_informed = threading.Event(), threading.Event()
+        self._over, self._all_informed = threading.Event(), threading.Event()
 
     def __len__(self) -> int:
         return len(self._pages)
@@ -172,8 +187,9 @@ class Pages:
             Route("/stop", self._stopped, methods=["POST"]),
         ]
 
-    def wait(self) -> None:
-        """Wait briefly until all pages know that the run is over."""
+    def close(self) -> None:
+        """Close all connections, once pages know how the run ended."""
+        self._over.set()
         if self._pages:
             self._all_informed.wait(_INFORMED_WITHIN_S)
 
@@ -194,7 +210,7 @@ class Pages:
         from starlette.websockets import WebSocketDisconnect
 
         await socket.accept()
-        if len(self._pages) >= MOST_PAGES or self.over.is_set():
+        if len(self._pages) >= MOST_PAGES or self._over.is_set():
             await socket.close(1013, "too many pages")
             return
         page = ConnectedPage(next(self._numbers))
@@ -215,7 +231,7 @@ class Pages:
             feeding.cancel()
             del self._pages[page.number]
             self._state.steering.leave(page.number)
-            if not self._pages and self.over.is_set():
+            if not self._pages and self._over.is_set():
                 self._all_informed.set()
             # It may have failed on the lost connection.
             await asyncio.gather(feeding, return_exceptions=True)
@@ -237,7 +253,7 @@ class Pages:
             steering.steer(page.number)
         elif text == "leave":
             steering.leave(page.number)
-        elif verb in ("do", "draw"):
+        elif verb in ("do", "draw", "run"):
             try:
                 await self._act(page, verb, rest)
             except ValueError:
@@ -253,6 +269,9 @@ class Pages:
             await asyncio.to_thread(steering.act, page.number, rest)
         elif verb == "do":
             steering.act(page.number, rest)
+        elif verb == "run":
+            # It may look for the driver of a board, and ends the run that is on.
+            page.refused = await asyncio.to_thread(self._state.ask, page.number, rest)
         elif canvas is None:
             raise ValueError(rest)
         elif steering.steer(page.number):
@@ -260,15 +279,21 @@ class Pages:
 
     async def _feed(self, socket: "WebSocket", page: ConnectedPage) -> None:
         """Send a page the newest state whenever it has drawn the last one."""
-        await socket.send_text(self._state.hello)
-        sent_s = 0.0
+        state, sent_s = self._state, 0.0
         while True:
-            await asyncio.sleep(1 / MOST_HZ)
-            over, idle = self.over.is_set(), self._state.has_seen(page)
-            if over or (page.waits and not (idle and time.monotonic() - sent_s < _BEAT_S)):
+            if page.run != state.number:
+                page.begin(state.number)
+                await socket.send_text(state.hello)
+            ended, over = state.ended, self._over.is_set()
+            idle = state.has_seen(page) and time.monotonic() - sent_s < _BEAT_S
+            news = bool(ended) and not page.informed
+            if news or page.refused or (page.waits and not idle):
                 sent_s, page.waits = time.monotonic(), False
-                await socket.send_text(self._state.update(page))
+                await socket.send_text(state.update(page))
+            if news:
+                page.informed = True
+                await socket.send_text(ended)
             if over:
-                await socket.send_text(self._state.ended)
                 await socket.close(1000)
                 return
+            await asyncio.sleep(1 / MOST_HZ)

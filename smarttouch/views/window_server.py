@@ -157,14 +157,18 @@ def import_server() -> Any:
     return uvicorn
 
 
+def has_browser() -> bool:
+    """Return whether this desktop may have a browser."""
+    return sys.platform in ("win32", "darwin") or any(
+        os.environ.get(each) for each in ("DISPLAY", "WAYLAND_DISPLAY")
+    )
+
+
 def open_browser(address: str) -> None:
     """Open an address in the desktop's browser, if there is one, without waiting. Every user can
     read the arguments of a program, and the address holds a secret: so the browser gets a file that
     leads there and that only this user can read."""
-    shown = sys.platform in ("win32", "darwin") or any(
-        os.environ.get(each) for each in ("DISPLAY", "WAYLAND_DISPLAY")
-    )
-    if not shown:
+    if not has_browser():
         return
 
     def show() -> None:

@@ -47,6 +47,8 @@ def test_periods(pages, tmp_path, quick, row):
             address = run.stderr.readline().split()[1]
             page = stack.enter_context(opened(browser, address))
             page.wait_for_selector("#electrodes[data-number]")
+            page.wait_for_selector("#stop:disabled", timeout=1000 * (seconds + 60))
+            page.close()
         assert run.wait() == 0
     figures = json.loads((tmp_path / "run.json").read_text())
     errors = figures["period_error_us"]

@@ -90,12 +90,12 @@ def test_another_account_gets_in_by_no_door(
     try:
         run = start_program(
             "live", f"osc:{free_port}", "--board", "simulated:", "--window",
-            "--record", path, "--quiet", real=True,
+            "--record", path, "--quiet", "--seconds", 1_000_000, real=True,
         )  # fmt: skip
     finally:
         os.umask(before)
     try:
-        address = re.match("window: (http://[^ ]+)\n", run.stderr.readline())[1]
+        address = re.match("window: (http://[^ ]+) ", run.stderr.readline())[1]
         port = urlsplit(address).port
         while not (path.exists() and (open_folder / "browser.opened").exists()):
             assert run.poll() is None

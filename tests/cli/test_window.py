@@ -63,24 +63,109 @@ def test_recordings_are_shown_until_ctrl_c(start_program, program_here, tmp_path
     assert view.wait(60) == 0
 
 
+FIRST = re.compile("window: (http://[^ ]+) ")
+
+
 def test_a_page_stops_a_run(start_program, tmp_path):
     run = start_program(
         "live", "text:touch?speed_mm_s=2", "--window", "--quiet",
         "--profile", "smarttouch-4x4", "--finger", "paper", "--record", "run.mcap",
     )  # fmt: skip
-    address = re.fullmatch("window: (http://[^ ]+)\n", run.stderr.readline())[1]
-    # The recording begins when the board is open.
-    while run.poll() is None and not (tmp_path / "run.mcap").exists():
-        time.sleep(0.02)
-    stop = Request(
-        address.replace("live.html", "stop"),
-        method="POST",
-        headers={"Origin": f"http://{urlsplit(address).netloc}"},
-    )
-    with urlopen(stop, timeout=20) as answer:
-        assert answer.status == 204
+    address = FIRST.match(run.stderr.readline())[1]
+    with page_of(address):
+        # The recording begins when the board is open.
+        while run.poll() is None and not (tmp_path / "run.mcap").exists():
+            time.sleep(0.02)
+        stop = Request(
+            address.replace("live.html", "stop"),
+            method="POST",
+            headers={"Origin": f"http://{urlsplit(address).netloc}"},
+        )
+        with urlopen(stop, timeout=20) as answer:
+            assert answer.status == 204
     _, err = run.communicate(timeout=60)
     assert (run.returncode, err) == (0, "")
+
+
+def receive(page, kind):
+    """Return the next message of a kind."""
+    while True:
+        message = json.loads(page.recv(timeout=60))
+        if message["type"] == kind:
+            return message
+        if message["type"] == "update":
+            page.send("seen")
+
+
+def refusal(page):
+    """Return the sentence by which a request is refused."""
+    while "refused" not in (message := receive(page, "update")):
+        page.send("seen")
+    return message["refused"]
+
+
+def ask(page, source, board="emulator:", confirmed=False):
+    page.send("run " + json.dumps({"source": source, "board": board, "confirmed": confirmed}))
+
+
+def test_a_window_waits_for_its_page_and_runs_again_until_that_is_closed(start_program):
+    run = start_program(
+        "live", "text:a?passes=1", "--window", "--quiet",
+        "--profile", "smarttouch-4x4", "--finger", "paper",
+    )  # fmt: skip
+    address = FIRST.match(run.stderr.readline())[1]
+    # Nothing is shown to nobody, although a page of one letter would be over by now.
+    time.sleep(1)
+    assert run.poll() is None
+    with page_of(address) as page:
+        offered = receive(page, "hello")["choices"]
+        assert offered["boards"] == ["emulator:"]
+        last = {}
+        while (message := json.loads(page.recv(timeout=60)))["type"] == "update":
+            last |= message
+            page.send("seen")
+        assert not message["failed"]
+        assert last["state"]["sequences"] > 10
+        # It had no frame before its finger was ready.
+        assert "felt" in last
+        for source, board, said in (
+            ("page:/etc/passwd", "emulator:", "page:/etc/passwd"),
+            ("text:", "emulator:", "1 to 500"),
+            ("text:" + "x" * 501, "emulator:", "501"),
+            ("text:a?path=b", "emulator:", "options"),
+            ("text:a", "emulator:?books=/", "options"),
+            ("text:a", "nothing:", "emulator:"),
+            ("text:a", "link:/dev/none", "confirm"),
+        ):
+            ask(page, source, board)
+            assert said in refusal(page)
+        # Confirmed, and not to be had: it says so, and the next one runs.
+        ask(page, "text:a", "link:/dev/none", confirmed=True)
+        ended = receive(page, "ended")
+        assert ended["failed"]
+        assert "/dev/none" in ended["reason"]
+        ask(page, "text:b")
+        assert receive(page, "hello")["board"] == "emulator:"
+        while "picture" not in (message := receive(page, "update")):
+            page.send("seen")
+        assert message["picture"]["number"] < 10
+        page.send("stop")
+        assert not receive(page, "ended")["failed"]
+        assert run.poll() is None
+    assert run.wait(20) == 0
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_a_window_nobody_opens_is_given_up(start_program, how):
+    run = start_program("live", "--window", "--finger", "paper")
+    assert FIRST.match(run.stderr.readline())
+    run.send_signal(how)
+    assert run.wait(20) == 128 + how
+
+
+def test_with_a_limit_of_time_a_page_is_not_waited_for_longer(start_program):
+    run = start_program("live", "--window", "--finger", "paper", "--seconds", "0.2", "--quiet")
+    assert run.wait(60) == 0
 
 
 def page_of(address):
@@ -107,7 +192,7 @@ def test_on_a_finger_a_page_turns_it_up_from_nothing(start_program, start_emulat
         "live", "--board", f"link:{port}", "--force", "fixed:1", "--window", "--quiet",
         "text:touch touch?speed_mm_s=2", "--finger", "paper", "--record", "run.mcap",
     )  # fmt: skip
-    address = re.match("window: (http://[^ ]+)\n", run.stderr.readline())[1]
+    address = FIRST.match(run.stderr.readline())[1]
     with page_of(address) as page:
         while (now := state(page))[1] is None:
             assert now[0]["level"] == 0
@@ -121,7 +206,8 @@ def test_on_a_finger_a_page_turns_it_up_from_nothing(start_program, start_emulat
             pass
         assert now[0]["level"] > 0
         page.send("stop")
-        assert run.wait(20) == 0
+        receive(page, "ended")
+    assert run.wait(20) == 0
     recording = Recording(tmp_path / "run.mcap")
     words = [words for _, words in recording.events()]
     assert [each for each in words if each in ("intensity 0.00", "intensity 0.05", "paused")] == [

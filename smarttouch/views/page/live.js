@@ -63,6 +63,10 @@ function connect() {
 
 function greet(hello) {
   alertUser("");
+  over = false;
+  newest = null;
+  find("stop").disabled = false;
+  offer(hello.choices);
   array = hello.array;
   keys = hello.keys;
   find("keys").textContent = `${hello.keys_help}+ − intensity   0 none   space pause   Esc stop`;
@@ -117,6 +121,7 @@ function update(message) {
   if (message.picture) newest = message.picture;
   if (message.drawn) drawing.take(message.drawn);
   if (message.felt) views.newFelt = message.felt;
+  if (message.refused) alertUser(message.refused);
   if (!asked) {
     asked = true;
     requestAnimationFrame(draw);
@@ -183,7 +188,8 @@ function showState() {
   disable(state.steers === "another");
   if (state.level >= state.most) find("more").disabled = true;
   for (const each of find("modes").children) each.setAttribute("aria-pressed", String(each.dataset.mode === state.mode));
-  setStatus(state.paused ? "paused" : state.level ? "running" : "running, no intensity", state.paused ? "waits" : "runs");
+  if (state.phase !== "running") setStatus(state.phase, "waits");
+  else setStatus(state.paused ? "paused" : state.level ? "running" : "running, no intensity", state.paused ? "waits" : "runs");
   const { limits } = array;
   const picture = views.blind ? null : newest;
   gauges([
@@ -276,11 +282,30 @@ function end({ reason, failed }) {
   find("stop").disabled = true;
 }
 
+// Sources and boards of the next run.
+function offer(choices) {
+  find("again-card").hidden = !choices;
+  if (!choices || find("source").children.length) return;
+  find("source").append(...choices.sources.map((each) => new Option(each, each)), new Option("words …", ""));
+  find("boards").append(...choices.boards.map((each) => new Option(each, each)));
+  find("board").value = choices.boards[0];
+  find("words").maxLength = choices.words;
+}
+
+function again() {
+  const source = find("source").value || `text:${find("words").value}`;
+  say(`run ${JSON.stringify({ source, board: find("board").value, confirmed: find("confirmed").checked })}`);
+}
+
 find("stop").addEventListener("click", stop);
 find("less").addEventListener("click", () => say("do less"));
 find("more").addEventListener("click", () => say("do more"));
 find("none").addEventListener("click", () => say("do none"));
 find("pause").addEventListener("click", () => say(state?.paused ? "do resume" : "do pause"));
+find("again").addEventListener("click", again);
+find("source").addEventListener("change", () => {
+  find("words-row").hidden = find("source").value !== "";
+});
 find("steer").addEventListener("click", () => say(state?.steers === "you" ? "leave" : "steer"));
 
 const ARROWS = { ArrowLeft: "left", ArrowRight: "right", Enter: "\n" };
