@@ -10,6 +10,7 @@ from smarttouch.base.errors import BoardRestartedError as BoardRestartedError
 from smarttouch.base.errors import BoardStoppedError as BoardStoppedError
 from smarttouch.base.errors import BrailleError as BrailleError
 from smarttouch.base.errors import CalibrationError as CalibrationError
+from smarttouch.base.errors import DeprecatedNameWarning as DeprecatedNameWarning
 from smarttouch.base.errors import DesignError as DesignError
 from smarttouch.base.errors import EmergencyStopError as EmergencyStopError
 from smarttouch.base.errors import ExperimentError as ExperimentError

@@ -13,15 +13,12 @@ import pytest
 import smarttouch as st
 from smarttouch import lab, plugins, testing, types
 
+from .public_api import names_of
+
 ROOT = Path(__file__).parents[1]
 MODULES = {"types": types, "plugins": plugins, "testing": testing, "lab": lab}
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 PROGRAMS = [*(ROOT / "examples").glob("*.py"), *(ROOT / "examples" / "plugins").rglob("*.py")]
-
-
-def names_of(module):
-    given = getattr(module, "__all__", None) or vars(module)
-    return {name for name in given if not name.startswith("_")}
 
 
 PUBLIC = {

@@ -223,3 +223,7 @@ def not_offered(
     """Return the error of a parameter that names none of its choices."""
     message = f"{about} {value!r} is not offered: choose {' or '.join(names)}"
     return error(message, about=about)
+
+
+class DeprecatedNameWarning(DeprecationWarning):
+    """A public name goes in a later version; the message says which, and what to use instead."""
