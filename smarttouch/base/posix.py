@@ -5,16 +5,23 @@ works.
 """
 
 import os
+from typing import TYPE_CHECKING
 
-try:
+if TYPE_CHECKING:  # a module cannot be None for a type checker; whoever needs one asks first
     import fcntl
     import pty
     import resource
     import termios
     import tty
-except ImportError:
-    # A module cannot be None for a type checker; whoever needs one asks first.
-    fcntl = pty = resource = termios = tty = None  # type: ignore[assignment]
+else:
+    try:
+        import fcntl
+        import pty
+        import resource
+        import termios
+        import tty
+    except ImportError:
+        fcntl = pty = resource = termios = tty = None
 
 __all__ = ["fcntl", "pty", "resource", "termios", "tty"]
 

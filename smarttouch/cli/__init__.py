@@ -46,7 +46,7 @@ _COMMANDS: dict[str, dict[str, Callable[..., object] | typer.Typer]] = {
 """Commands by the panel of the help that lists them."""
 
 
-app = Commands(name="smarttouch", no_args_is_help=True)
+app: Commands = Commands(name="smarttouch", no_args_is_help=True)
 for _panel, _commands in _COMMANDS.items():
     for _name, _command in _commands.items():
         if isinstance(_command, typer.Typer):

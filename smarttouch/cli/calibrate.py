@@ -107,7 +107,7 @@ def finish(
     typer.echo("written: " + ", ".join(str(each) for each in (*(others or {}), file.output)))
 
 
-calibrate = Commands(
+calibrate: Commands = Commands(
     help="Measure one device on one finger, and write a profile of it.", no_args_is_help=True
 )
 

@@ -163,7 +163,7 @@ def _print(table: "WordTable", marked: Sequence[Sequence[bool]] = ()) -> None:
     print_table(rows, table.heading, title=table.title, note=table.note, ruled=True, left=0)
 
 
-profiles = Commands(
+profiles: Commands = Commands(
     help="List the shipped profiles, show what one says, and make your own.",
     invoke_without_command=True,
 )

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from smarttouch.boards.reports import Impedance
 
 
-devices = Commands(
+devices: Commands = Commands(
     help="List boards, sensors and cameras, or look at one, measure, try or emulate it.",
     invoke_without_command=True,
 )

@@ -253,7 +253,7 @@ def _print(found: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
                 console.print(f"{about}{note}", style="dim", soft_wrap=True)
 
 
-experiment = Commands(
+experiment: Commands = Commands(
     help="Run psychophysical experiments, and fit their answers.",
     no_args_is_help=True,
 )

@@ -11,7 +11,7 @@ from smarttouch.cli.plain_help import Commands
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.views.keys_and_signals import drives_a_board
 
-recordings = Commands(
+recordings: Commands = Commands(
     help="Look into, view, repair and export what ``live --record`` kept.", no_args_is_help=True
 )
 

@@ -27,7 +27,7 @@ _NAMES = {
 }
 
 
-simulate = Commands(
+simulate: Commands = Commands(
     help="Put letters, pages or a whole study on simulated fingers.", no_args_is_help=True
 )
 

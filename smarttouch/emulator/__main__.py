@@ -9,7 +9,7 @@ from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.url_options import named_options
 from smarttouch.emulator.commands import emulate_board, emulate_sensor
 
-app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
+app: typer.Typer = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 app.command("board")(emulate_board)
 app.command("sensor")(emulate_sensor)
 

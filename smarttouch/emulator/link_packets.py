@@ -42,8 +42,10 @@ class BoardSession:
     def __init__(self, draw: Callable[[], int] = draw_half) -> None:
         self.state = 0  # of the board, in each of its packets
         # Of the session, 0 before the first; packets refused as old and as of another session.
-        self.number = self.old = self.foreign = 0
-        self.live = False  # whether its host is there; what ends it sets this to False
+        self.number: int = 0
+        self.old: int = 0
+        self.foreign: int = 0
+        self.live: bool = False  # whether its host is there; what ends it sets this to False
         self._draw = draw
         self._challenge = draw()
         self._taken = self._said = 0
@@ -254,9 +256,10 @@ class KernelStore:
         self._electrodes, self._room, self._most = electrodes, room, most
         self._data = bytearray()
         # First 16 bytes of the SHA-256 of what is being kept; zeros if nothing.
-        self.identity, self.size = _NOTHING, 0
+        self.identity: bytes = _NOTHING
+        self.size: int = 0
         self.weights: NDArray[np.int16] | None = None  # (K, E), once all of it is there
-        self.site = np.zeros(0, np.uint16)  # (K,)
+        self.site: NDArray[np.uint16] = np.zeros(0, np.uint16)  # (K,)
 
     @property
     def received(self) -> int:

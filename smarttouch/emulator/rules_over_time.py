@@ -56,8 +56,8 @@ class LastSecond:
     def begin_session(self) -> None:
         """Reset the dose of the session; the last second still counts."""
         self.session_us: int = 0
-        self.session_pc = np.zeros(self._electrodes, np.int64)
-        self.net_pc = np.zeros(self._electrodes, np.int64)
+        self.session_pc: NDArray[np.int64] = np.zeros(self._electrodes, np.int64)
+        self.net_pc: NDArray[np.int64] = np.zeros(self._electrodes, np.int64)
 
     def begin(self, start_us: int, period_us: int, load: Load | None) -> None:
         """Enter a pass that begins; without a load it has no slots."""

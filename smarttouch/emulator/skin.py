@@ -79,14 +79,17 @@ class SkinCircuit:
         self.electrodes: int = electrodes
         self.compliance_v: float = compliance_v
         self._volts = np.zeros(electrodes)
-        self.charge_uc = np.zeros(electrodes)  # net, that has passed and not come back
+        self.charge_uc: NDArray[np.float64] = np.zeros(
+            electrodes
+        )  # net, that has passed and not come back
         self.scale(np.ones(electrodes), np.ones(electrodes))
 
     def scale(self, resistance: NDArray[np.float64], capacitance: NDArray[np.float64]) -> None:
         """Set impedances to multiples (E,) of the healthy ones; voltages stay."""
         series, parallel, capacity = self._healthy
-        self.series_ohm, self.parallel_ohm = series * resistance, parallel * resistance
-        self.capacitance_f = capacity * capacitance
+        self.series_ohm: NDArray[np.float64] = series * resistance
+        self.parallel_ohm: NDArray[np.float64] = parallel * resistance
+        self.capacitance_f: NDArray[np.float64] = capacity * capacitance
         self._steps: dict[tuple[float, int], _Steps] = {}
         self._modes: _Modes | None = None
 

@@ -8,7 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,9 +80,9 @@ class ColorSource(StimulusSource, Listener):
         self, title: str, profile: Profile, mixture: Mixture, force_n: float = math.nan
     ) -> None:
         super().__init__(title)
-        self.knows_force = not math.isnan(force_n)
-        self.duration_s = mixture.end_us / 1e6
-        self.settings = {"scan": "points", "mode": mixture.mode}
+        self.knows_force: bool = not math.isnan(force_n)
+        self.duration_s: float | None = mixture.end_us / 1e6
+        self.settings: Mapping[str, Any] = {"scan": "points", "mode": mixture.mode}
         self._mixture, self._force_n = mixture, force_n
         self._next = 0
         self._given_us = np.full(len(mixture.time_us), -1, np.int64)

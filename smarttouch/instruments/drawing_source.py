@@ -98,7 +98,7 @@ class DrawSource(StimulusSource):
         super().__init__("drawing")
         self.patterns: list[Pattern] = []
         self.changes: int = 1
-        self.canvas = self
+        self.canvas: DrawSource = self
         self._profile = profile
         self._level = np.zeros(len(profile.electrodes), np.uint8)
         self._press_n, self._library = reading_force_n(profile), library(profile.electrodes)

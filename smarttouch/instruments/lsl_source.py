@@ -57,9 +57,10 @@ class LslInlet:
                 f"this system has no {TCP_TABLES[0]}, which says whose program sends: use socket:",
                 about="lsl",
             )
-        (self._lsl, self._util), self.name = _import_lsl(), name
+        self.name: str = name
+        self._lsl, self._util = _import_lsl()
         self._inlet: Any = None
-        self.channels = 0
+        self.channels: int = 0
 
     def open(self) -> None:
         """Find the stream, and connect; raise SourceError if there is none."""
@@ -121,7 +122,7 @@ class LslImages(ImageDevice):
     """Images of a stream."""
 
     def __init__(self, name: str, size: tuple[int, int]) -> None:
-        self.title = f"LSL stream {name}"
+        self.title: str = f"LSL stream {name}"
         self._inlet, self._size = LslInlet(name), size
 
     def open(self) -> None:

@@ -73,7 +73,8 @@ class OscSource(PushedStimuli):
         self._key = None if key is None else Key(key)
         self._programs = OwnPrograms() if key is None else None
         super().__init__(f"OSC at {host}:{port}", profile, follow)
-        self.wrong = self.refused = 0
+        self.wrong: int = 0
+        self.refused: int = 0
         self._electrodes = profile.electrodes
         self._line = _bound(host, port, alone=key is None)
         self._closing = False

@@ -30,7 +30,7 @@ class PushedStimuli(SessionFeed):
 
     def __init__(self, title: str, profile: Profile, follow: bool = False) -> None:
         super().__init__(profile, title)
-        self.given = 0
+        self.given: int = 0
         """Number of activations that came so far."""
         self._follow = follow
         self.put(np.zeros((len(Afferent), len(profile.electrodes)), np.float32), 0)

@@ -95,10 +95,12 @@ class Relief(Texture):
         )
         size = (max(2, round(wide_mm / pixel_mm)), max(2, round(high_mm / pixel_mm)))
         # Where a tile is no whole number of pixels, it is stretched a little.
-        self.scale_mm = (wide_mm / size[0], high_mm / size[1])
-        self.pixel_mm = max(self.scale_mm)
+        self.scale_mm: tuple[float, float] = (wide_mm / size[0], high_mm / size[1])
+        self.pixel_mm: float = max(self.scale_mm)
         method = cv2.INTER_AREA if size[0] <= columns else cv2.INTER_LINEAR
-        self.height = np.asarray(cv2.resize(height, size, interpolation=method), np.float32)
+        self.height: NDArray[np.float32] = np.asarray(
+            cv2.resize(height, size, interpolation=method), np.float32
+        )
         self.depth: NDArray[np.float32] = self._measure_depth()
         self._surface = np.asarray(np.rint(255 * (1 - self.height)), np.uint8)
 
@@ -208,7 +210,7 @@ class ReliefFeeler:
         if samples > _MOST_SAMPLES:
             samples, step = _MOST_SAMPLES, by / _MOST_SAMPLES
         # The first two are those of before: a greatest depth shows one sample later.
-        places = self._place + step * np.arange(-1, samples + 1)
+        places = np.asarray(self._place + step * np.arange(-1, samples + 1), np.complex128)
         x, y = self._on_map(places)
         depth = np.concatenate([self._before, self._depth(x[2:], y[2:])])
         self._place = complex(places[-1])

@@ -60,8 +60,9 @@ class SocketImages(ImageDevice):
     first."""
 
     def __init__(self, place: str, profile: Profile) -> None:
-        self.title = f"socket {place}"
-        self.refused = self.wrong = 0
+        self.title: str = f"socket {place}"
+        self.refused: int = 0
+        self.wrong: int = 0
         self._place, self._optics = place, profile.optics
         self._listener: socket.socket | None = None
         self._line: socket.socket | None = None
@@ -192,8 +193,8 @@ class SocketStimuli(PushedStimuli):
 
     def __init__(self, device: SocketImages, profile: Profile, follow: bool) -> None:
         super().__init__(device.title, profile, follow)
-        self.notes = device.notes
-        self.wrong = 0
+        self.notes: list[str] = device.notes
+        self.wrong: int = 0
         self.device = device
         self._shapes = [(rows, len(profile.electrodes)) for rows in (1, len(Afferent))]
         self._closing = False

@@ -39,7 +39,7 @@ class Pointer:
     def __init__(self, size_px: tuple[int, int], mm_per_px: float) -> None:
         self._mm_per_px = mm_per_px
         # One tuple is replaced at once: no lock is needed.
-        self.place_px = (size_px[0] / 2, size_px[1] / 2)
+        self.place_px: tuple[float, float] = (size_px[0] / 2, size_px[1] / 2)
 
     def move_to(self, x_px: float, y_px: float) -> None:
         """Set the position of the pointer."""

@@ -12,7 +12,7 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.kernels.batch_design import Timed, keep_kernel, kept_kernel
 from smarttouch.kernels.design_problem import Kernel, Problem
 from smarttouch.kernels.finger_design import FingerDesign, FingerSample
-from smarttouch.physiology.anatomy import load_anatomy
+from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.profile import Profile
 
@@ -32,7 +32,7 @@ class FingerKernels:
     ) -> None:
         self.profile: Profile = profile
         self._at_nodes = at_nodes
-        self.anatomy = load_anatomy(profile.kernels.anatomy)
+        self.anatomy: Anatomy = load_anatomy(profile.kernels.anatomy)
         self._problems: dict[Afferent, Problem] = {}
 
     def problem(self, afferent: Afferent) -> Problem:

@@ -67,7 +67,11 @@ def compare(
 
 Advance = Callable[[int, int], None]
 """Given how many sites are done, of how many."""
-DESIGNS = {"robust": design_kernel, "three-state": design_three_state, "any-node": design_any_node}
+DESIGNS: dict[str, Callable[[Problem, int], Kernel]] = {
+    "robust": design_kernel,
+    "three-state": design_three_state,
+    "any-node": design_any_node,
+}
 """Designs beside that of the profile's own board."""
 
 

@@ -86,8 +86,9 @@ class FingerAfferents:
         self, profile: Profile, seed: int = 1, anatomy: str | Path | Anatomy = "branched"
     ) -> None:
         require_within(ProfileError, "seed", seed, 0, math.inf)
-        self.profile, self.seed = profile, seed
-        self.anatomy = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
+        self.profile: Profile = profile
+        self.seed: int = seed
+        self.anatomy: Anatomy = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
         self.populations: dict[Any, Population] = {
             each: self._populate(each, self.anatomy.of(each)) for each in Afferent
         }

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.physiology.anatomy import Anatomy, Bystander, load_anatomy
-from smarttouch.physiology.finger_afferents import FingerAfferents, strength
+from smarttouch.physiology.finger_afferents import FingerAfferents, Population, strength
 from smarttouch.profile import Profile
 
 Floats = NDArray[np.float32]
@@ -258,7 +258,7 @@ class Bystanders(FingerAfferents):
         self.profile: Profile = profile
         self.seed: int = seed
         self.anatomy: Anatomy = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
-        self.populations = {
+        self.populations: dict[Any, Population] = {
             each: self._populate(each, anatomy) for each, anatomy in self.anatomy.bystanders.items()
         }
 

@@ -11,7 +11,7 @@ from tomlkit.items import Table as TomlTable
 from smarttouch.profile.profile import Profile
 from smarttouch.profile.toml_tables import Table
 
-CALIBRATED_KEYS = {
+CALIBRATED_KEYS: dict[str, tuple[str, ...]] = {
     "optics": ("optics.flat_field",),
     "registration": ("optics.homography", "optics.sensor_columns", "optics.sensor_rows"),
     "force": ("force.curve",),

@@ -64,7 +64,7 @@ class BrlttyMessages:
     """Parser of lines that arrive in pieces of any length; counts those that are no message."""
 
     def __init__(self) -> None:
-        self.shown = DisplayContent()
+        self.shown: DisplayContent = DisplayContent()
         self.garbled: int = 0
         self._rest = b""
 

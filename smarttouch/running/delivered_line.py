@@ -16,7 +16,8 @@ class Raster:
     """Sum of the values at each pixel, or the strongest; values outside are dropped."""
 
     def __init__(self, shape: tuple[int, int], strongest: bool = False) -> None:
-        self.value, self.count = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        self.value: Floats = np.zeros(shape, np.float32)
+        self.count: Floats = np.zeros(shape, np.float32)
         self._put = np.maximum.at if strongest else np.add.at
 
     def add(self, row: NDArray[np.intp], column: NDArray[np.intp], values: Floats) -> None:

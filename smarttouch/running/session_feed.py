@@ -46,11 +46,14 @@ class SessionFeed(Source, Listener):
     ) -> None:
         super().__init__(title)
         self.news: threading.Event = threading.Event()
-        self.began, self.is_over = threading.Event(), False
-        self.controls = Controls(ControlState(Mode.RA))
-        self.gate = self.user_level = 0.0
-        """What force and the user let flow of a level, in [0, 1]."""
-        self.now_ns = 0
+        self.began: threading.Event = threading.Event()
+        self.is_over: bool = False
+        self.controls: Controls = Controls(ControlState(Mode.RA))
+        self.gate: float = 0.0
+        """What force lets flow of a level, in [0, 1]."""
+        self.user_level: float = 0.0
+        """What the user lets flow of a level, in [0, 1]."""
+        self.now_ns: int = 0
         """Time of the last read, since the start of the run."""
         self._read_at_ns = (0, 0)
         self._profile, self._simulated, self._stop = profile, False, stop or StopRequest()

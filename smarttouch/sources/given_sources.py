@@ -1,5 +1,6 @@
 """Sources from what a program has at hand, and checks of what a source returns."""
 
+import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from smarttouch.base.events import Emit
 from smarttouch.profile import Profile
 from smarttouch.sources import kind_of, open_source
 from smarttouch.sources.source_contract import (
+    Canvas,
     Frame,
     Input,
     OpticalSource,
@@ -180,10 +182,12 @@ class OwnImaging(StimulusSource):
 
     def __init__(self, source: Source, imaging: Imaging, profile: Profile) -> None:
         super().__init__(source.title)
-        self.url, self.duration_s, self.canvas = source.url, source.duration_s, source.canvas
-        self.knows_force, self.measures_force = source.knows_force, source.measures_force
-        self.news, self.patience_ns = source.news, source.patience_ns  # type: ignore[method-assign]
-        self.narrowed = source.narrowed  # type: ignore[method-assign]
+        self.url: str = source.url
+        self.duration_s: float | None = source.duration_s
+        self.canvas: Canvas | None = source.canvas
+        self.knows_force: bool = source.knows_force
+        self.measures_force: bool = source.measures_force
+        self.news: threading.Event | None = source.news
         self._source, self._imaging, self._electrodes = source, imaging, profile.electrodes
         self._who = getattr(imaging, "__qualname__", type(imaging).__name__)
 
@@ -206,6 +210,14 @@ class OwnImaging(StimulusSource):
             pose=frame.pose, number=frame.number, age_ns=frame.age_ns, stale=frame.stale,
             image=frame.image,
         )  # fmt: skip
+
+    def patience_ns(self, time_ns: int) -> int:
+        """Return how long the source may be waited for, ns."""
+        return self._source.patience_ns(time_ns)
+
+    def narrowed(self, profile: Profile) -> Profile:
+        """Return the profile that the source's stimulation is planned by."""
+        return self._source.narrowed(profile)
 
     @property
     def keys(self) -> Mapping[str, Callable[[], None]]:

@@ -48,8 +48,8 @@ class FlatField:
             )
         if not gain.any():
             raise _no_field("every pixel is dead in the flat field: calibrate the optics again")
-        self.dark = np.ascontiguousarray(dark, np.float32)
-        self.gain = np.ascontiguousarray(gain, np.float32)
+        self.dark: NDArray[np.float32] = np.ascontiguousarray(dark, np.float32)
+        self.gain: NDArray[np.float32] = np.ascontiguousarray(gain, np.float32)
 
     @property
     def broken(self) -> int:

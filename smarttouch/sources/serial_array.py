@@ -41,8 +41,10 @@ class SerialArrayDevice(ImageDevice):
 
     def __init__(self, port: str, baud: int = USUAL_BAUD) -> None:
         self.title: str = f"serial array {port}"
-        self.frames = self.lost = self.garbled = 0
-        self.device = ""
+        self.frames: int = 0
+        self.lost: int = 0
+        self.garbled: int = 0
+        self.device: str = ""
         self._name, self._baud = port, baud
         self._port: Port | None = None
         self._stream = MessageStream()

@@ -54,7 +54,7 @@ class Clip(ABC):
     def __init__(self, path: Path) -> None:
         self.path = path
         self.title: str = path.name or str(path)
-        self.rate_hz = USUAL_HZ
+        self.rate_hz: float = USUAL_HZ
         self.count = 0
         """Number of images; 0 if not known. A video's count is often an estimate."""
         self.notes: list[str] = []

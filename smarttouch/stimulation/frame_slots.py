@@ -116,7 +116,7 @@ class FrameSlots:
         self._sums: KernelSums | None = None
         self._afferents = afferents
         self.table: KernelTable | None = None
-        self.most_ua = np.full(len(full_ma), np.inf)
+        self.most_ua: NDArray[np.float64] = np.full(len(full_ma), np.inf)
         if not planned:
             self._sums = self._proved_sums(judges)
             # In each slot rounding adds less than a whole µA.

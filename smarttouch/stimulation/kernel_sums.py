@@ -1,6 +1,7 @@
 """Sums of kernels of which no subset breaks a bound: the slots of a frame without a search."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import chain
@@ -22,7 +23,7 @@ class SharedSlots:
     current_ma: Array  # (S, E)
     points: NDArray[np.intp]  # (S,) number of points of each slot
     do: NDArray[np.float32]  # (2, S) effects on other classes, and on their own elsewhere
-    most_ma = np.inf
+    most_ma: float = math.inf
 
     def left(self, level: Array) -> Array:
         """Return levels, (P,), without those of the points in these slots."""
@@ -108,21 +109,22 @@ class KernelSums:
         bounds: FrameBounds,
         faintest: float,
     ) -> None:
-        self.points_n, self._aim, self._most_ma = points, aim, most_ma
+        self.points_n: int = points
+        self._aim, self._most_ma = aim, most_ma
         self._electrodes = points // len(sets)
         every = [(index, each) for index, own in enumerate(sets) for each in own]
         nothing = np.empty(0, np.intp)
-        self.points = np.concatenate(
+        self.points: NDArray[np.intp] = np.concatenate(
             [nothing, *(each.sites + index * self._electrodes for index, each in every)]
         )
         """Point of each kernel, (A,)."""
-        self.kernels_ma = np.concatenate(
+        self.kernels_ma: Array = np.concatenate(
             [np.empty((0, self._electrodes)), *(each.kernels for _, each in every)]
         )
         """Kernels of all sets, (A, E) mA."""
-        self.sites = self.points % self._electrodes
+        self.sites: NDArray[np.intp] = self.points % self._electrodes
         """Site of each, (A,)."""
-        self.peaks_ma = np.abs(self.kernels_ma).max(axis=1, initial=0)
+        self.peaks_ma: Array = np.abs(self.kernels_ma).max(axis=1, initial=0)
         """Largest magnitude of each, (A,)."""
         self._totals_ma = np.concatenate([np.empty(0), *(each.totals_ma for _, each in every)])
         self._owner = np.repeat(np.arange(len(every)), [len(each.sites) for _, each in every])
@@ -131,7 +133,7 @@ class KernelSums:
         """Intensity from which no sum breaks a bound, whatever rounding to whole numbers does."""
         self.rounding_ua: float = self._certain.total_ua
         """Most that rounding adds to a slot's total current."""
-        self.figures = lru_cache(maxsize=1)(self._certain.figures)
+        self.figures: Callable[[float], Array] = lru_cache(maxsize=1)(self._certain.figures)
         """Upper bounds of any slot's worst other and worst spill at an intensity, of each set, (2,
         sets)."""
 

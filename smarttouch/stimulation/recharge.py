@@ -32,7 +32,7 @@ class ChargeBalance:
     """
 
     def __init__(self, electrodes: int) -> None:
-        self.charge_pc = np.zeros(electrodes, np.int64)
+        self.charge_pc: NDArray[np.int64] = np.zeros(electrodes, np.int64)
 
     @property
     def charge_uc(self) -> NDArray[np.float64]:

@@ -91,7 +91,7 @@ class ScanScheduler:
             if each not in common.sharing.afferents
         }
         self._frames = _shared_slots(profile, bank, driven, common)
-        self.asked_us = 0
+        self.asked_us: int = 0
         self._first = driven[0]
         self._softness = softness
         self._least_us = math.ceil(1e6 / limits.rate_hz)
@@ -117,7 +117,8 @@ class ScanScheduler:
         self._one_width_us = pulse.width_us if bank.single or pulse.carrier != "width" else None
         self._shortest: dict[int, int] = {}
         """Shortest period by the number of slots, where all have one width."""
-        self.net_slowed = self.net_emptied = 0
+        self.net_slowed: int = 0
+        self.net_emptied: int = 0
         self._net = common.net
         self._felt_us, self._charge_us, self._net_at_most_pc = (math.inf,) * 3
         if not bank.single:

@@ -86,7 +86,8 @@ class AtLine:
         kinds = [kind for kind in type(board).__mro__ if issubclass(kind, Board)]
         self._packages = {_package(kind.__module__) for kind in kinds if kind is not Board}
         self._number, self._action = number, action
-        self.lines, self.thread = 0, None  # lines executed; the action's thread, once started
+        self.lines: int = 0  # that were executed
+        self.thread = None  # the action's, once it has started
 
     def __enter__(self) -> "AtLine":
         self._before = sys.gettrace()

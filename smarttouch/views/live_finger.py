@@ -37,8 +37,10 @@ class LiveFinger(Listener):
         super().__init__()
         self.newest: Feeling | None = None
         self.drawn: Any = None
-        self.simulated = self.skipped = 0
-        self.finger, self._draw = finger, draw
+        self.simulated: int = 0
+        self.skipped: int = 0
+        self.finger: Finger = finger
+        self._draw = draw
         self._line: Connection | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._given: Feeling | None = None  # what the process is at, without its spikes

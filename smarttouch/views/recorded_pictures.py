@@ -20,7 +20,7 @@ from smarttouch.base.errors import RecordingError
 from smarttouch.base.files import owner_only, unwritable
 from smarttouch.base.stopping import Closing
 from smarttouch.running.recording_reader import Recording
-from smarttouch.views.window_messages import array_message, picture_message
+from smarttouch.views.window_messages import Message, array_message, picture_message
 
 _LEVEL = 1
 _STANDS_FOR = ("mode", "board", "sensor", "subject", "note")
@@ -31,9 +31,9 @@ class RecordingIndex(Closing):
     been read, and ``wrong`` for what could not be read."""
 
     def __init__(self, path: Path) -> None:
-        self.recording = Recording(path)
-        self.times_s = array("d")
-        self.array = array_message(self.recording.profile)
+        self.recording: Recording = Recording(path)
+        self.times_s: array[float] = array("d")
+        self.array: Message = array_message(self.recording.profile)
         self._places = array("q", [0])
         self._events: list[dict[str, Any]] = []
         self._ended = self._closing = False

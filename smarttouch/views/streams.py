@@ -38,7 +38,8 @@ class FoxgloveServer(Listener):
 
     def __init__(self, port: int) -> None:
         super().__init__()
-        self._foxglove, self.port = _import_foxglove(), port
+        self._foxglove = _import_foxglove()
+        self.port: int = port
         self._latest: StepResult | None = None
         self._events: deque[tuple[int, str]] = deque(maxlen=_EVENTS)
         self._over = threading.Event()

@@ -38,7 +38,8 @@ class Steering:
         *,
         alone: bool,
     ) -> None:
-        self.controls, self._stop, self._keys, self._alone = controls, stop, keys, alone
+        self.controls: Controls = controls
+        self._stop, self._keys, self._alone = stop, keys, alone
         self._page: int | None = None
         self._alive_s = 0.0
         self._lock = threading.Lock()

@@ -146,6 +146,8 @@ class Codec(ABC):
     even: ClassVar[bool]  # whether a slot takes as long without a pulse as with one
     quiet: ClassVar[bytes]  # command that stops all pulses from the next scan on
     sense: ClassVar[bytes]  # ten anodic scans a second, `SENSE_COUNTS` by `SENSE_US`
+    question: ClassVar[bytes]  # command that is answered
+    answer_bytes: int
     nothing: bytes  # payload of a pattern without any pulse
 
     def __init__(self, outputs: int) -> None:
@@ -177,14 +179,6 @@ class Codec(ABC):
     @abstractmethod
     def go(self, payload: bytes) -> bytes:
         """Return the command that starts its pulses from the next scan on."""
-
-    @property
-    @abstractmethod
-    def question(self) -> bytes: ...
-
-    @property
-    @abstractmethod
-    def answer_bytes(self) -> int: ...
 
     @abstractmethod
     def is_answer(self, answer: bytes) -> bool: ...
@@ -220,12 +214,15 @@ class ModeCodec(Codec):
     slot_extra_us = 10
     forgets = even = True
     quiet = b"\xfb\x02\xfb\x02"
-    sense = quiet + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, SENSE_US, 0xF9, SENSE_COUNTS])
-    question, answer_bytes = PING, 1
+    sense: ClassVar[bytes] = (
+        quiet + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, SENSE_US, 0xF9, SENSE_COUNTS])
+    )
+    question: ClassVar[bytes] = PING
 
     def __init__(self, outputs: int) -> None:
         super().__init__(outputs)
-        self.nothing = bytes(2 * outputs)
+        self.answer_bytes: int = 1
+        self.nothing: bytes = bytes(2 * outputs)
 
     def _pattern(self, output: NDArray[np.intp], counts: NDArray[np.uint16]) -> bytes:
         heights = np.zeros(self.outputs, np.uint16)
@@ -255,18 +252,17 @@ class HeightCodec(Codec):
     lead = _END
     slot_extra_us = 17
     forgets = even = False
-    quiet = (b"\xfb\0\0" + _END) * 2
+    quiet: ClassVar[bytes] = (b"\xfb\0\0" + _END) * 2
     # Four counts to a unit; outputs without a pulse of the pattern get a sense pulse.
-    sense = quiet + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, SENSE_US, 0xF9, SENSE_COUNTS // 4])
-    question = READINGS
+    sense: ClassVar[bytes] = (
+        quiet + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, SENSE_US, 0xF9, SENSE_COUNTS // 4])
+    )
+    question: ClassVar[bytes] = READINGS
 
     def __init__(self, outputs: int) -> None:
         super().__init__(outputs)
-        self.nothing = bytes(outputs + 2)
-
-    @property
-    def answer_bytes(self) -> int:
-        return 2 * self.outputs
+        self.answer_bytes: int = 2 * outputs
+        self.nothing: bytes = bytes(outputs + 2)
 
     def _pattern(self, output: NDArray[np.intp], counts: NDArray[np.uint16]) -> bytes:
         parts = []

@@ -35,7 +35,10 @@ class ScanLock:
         """Reset to the nominal period."""
         nominal_ns = self.nominal_ns
         # Shortest and longest by the host's clock.
-        self.period_ns = (nominal_ns * (1 - TOLERANCE), nominal_ns * (1 + TOLERANCE))
+        self.period_ns: tuple[float, float] = (
+            nominal_ns * (1 - TOLERANCE),
+            nominal_ns * (1 + TOLERANCE),
+        )
         # Scan 0, and the one of the last bracket.
         self._first: Span | None = None
         self.last: Span | None = None

@@ -44,17 +44,18 @@ class LinkLine:
         draw: Callable[[], int] = draw_half,
     ) -> None:
         self.name = name
-        self.session = HostSession(draw)  # of all packets; each opening has its own
+        self.session: HostSession = HostSession(draw)  # of all packets; each opening has its own
         # Longest wait for an answer, and longest silence of the board in a session.
-        self.answer_s, self.silence_s = ANSWER_S, SILENCE_S
+        self.answer_s: float = ANSWER_S
+        self.silence_s: float = SILENCE_S
         self._draw = draw
-        self.news = threading.Condition()
+        self.news: threading.Condition = threading.Condition()
         self.fault: BoardError | None = None
         self.overtaken: bool = False  # by a stop: without heartbeats the board stops itself
         self._hear, self._aftermath, self._tend = hear, aftermath, tend
         self._closing = threading.Event()
         # Reentrant: a signal handler may stop while its own thread is writing.
-        self.writing = threading.RLock()
+        self.writing: threading.RLock = threading.RLock()
         self._port: Port | None = None
         self._refused_before = 0
         self._deframer = Deframer()

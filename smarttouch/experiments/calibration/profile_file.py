@@ -61,7 +61,8 @@ class ProfileFile:
         self, start: str, output: Path, overwrite: bool = False, *, update: bool = False
     ) -> None:
         self._source = profile_path(start)
-        self._text, self._document, self.profile = _begin(self._source)
+        self._text, self._document, profile = _begin(self._source)
+        self.profile: Profile = profile
         self._update = update
         self.output = output
         self._overwrite = overwrite

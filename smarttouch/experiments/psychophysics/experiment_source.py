@@ -40,7 +40,8 @@ class ExperimentSource(ProgramSource):
         self.asking: Trial | None = None
         self.playing: tuple[int, int] | None = None
         self.rising: Trial | None = None
-        self.repeats = self.spoiled = 0
+        self.repeats: int = 0
+        self.spoiled: int = 0
         self._trials, self._timing = trials, timing
         self._pressed: deque[tuple[str, int]] = deque()
         self._presentation = 0

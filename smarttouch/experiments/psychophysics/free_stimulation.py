@@ -147,7 +147,8 @@ class FreeSource(StimulusSource, Listener):
             )
         require_site(site, profile)
         self.knows_force: bool = press_n is not None
-        self.afferent, self.rate_hz = afferent, rate_hz
+        self.afferent: Afferent = afferent
+        self.rate_hz: float = rate_hz
         self._profile, self._offered, self._log = profile, offered, log
         self._sites = profile.driven.tolist()
         self.site: int = Stimuli(profile, afferent, 1.0).middle if site is None else site
