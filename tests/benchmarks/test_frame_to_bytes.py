@@ -214,7 +214,7 @@ def test_default_path(row, make_bank, quick, side, shape, frames):
     assert len(vectorized()) % (2 * side * side) == 0
     took = in_turn({"ours": ours, "vectorized": vectorized}, frames)
     slow = in_turn({"plain": Plain(side, images)}, max(2, frames // 30))["plain"]
-    ours.images, ours.count = others, 0
+    ours.images = others
     alone = in_turn({"ours": ours}, frames - 1)["ours"]
     each = [statistics.median(took[name]) for name in ("ours", "vectorized")]
     row(
