@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -99,6 +100,21 @@ def test_a_sudden_rise_is_refused(start_firmware, tmp_path, make_limits, make_se
             board.send(make_sequence(2))
         state = fresh_state(tmp_path)
     assert (state["slots"], state["violations"]) == (0, 1)
+
+
+@pytest.mark.realtime
+def test_a_board_whose_session_is_over_gets_its_kernels_in_another(start_firmware, make_limits):
+    """The program may have been held up for longer than boards bear silence."""
+    limits = make_limits()
+    table = random_table(np.random.default_rng(0), 9, limits.electrodes)
+    port = start_firmware()[1]
+    with make_board(f"link:{port}", limits, Output(kind="weighted")) as board:
+        board._line.beat = lambda: None
+        time.sleep(0.3)
+        del board._line.beat
+        first = board._line.session.number
+        board.keep_kernels(table)
+        assert board._line.session.number != first
 
 
 @pytest.mark.realtime

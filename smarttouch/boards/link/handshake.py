@@ -7,6 +7,7 @@ from smarttouch.base.errors import (
     BoardError,
     EmergencyStopError,
     KernelTableError,
+    LineLostError,
     OtherDeviceError,
 )
 from smarttouch.boards.link import protocol as protocol
@@ -174,7 +175,7 @@ def give_kernels(
     line: Line, image: KernelImage, most_bytes: int, go_on: Callable[[], None]
 ) -> None:
     """Give a board its kernels, in packets of at most ``most_bytes``; what it keeps already is not
-    sent again. ``go_on`` raises if the board is to be stopped."""
+    sent again. ``go_on`` raises if the board is to be stopped; one that keeps nothing is lost."""
     piece = min(_PIECE, most_bytes - OVERHEAD)
     at, data, idle = 0, b"", 0
     while idle < _IDLE:
@@ -194,7 +195,8 @@ def give_kernels(
         kept = kept if identity == image.identity and kept < len(image.data) else 0
         idle = 0 if kept > at else idle + 1
         at, data = kept, image.data[kept : kept + piece]
-    raise BoardError(
+    # Its session may have ended, as after 100 ms in which the host was held up.
+    raise LineLostError(
         f"the board at {line.name} does not keep the kernels that it is sent: check its firmware",
         about="kernels",
     )

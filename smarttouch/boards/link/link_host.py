@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import BoardError, KernelTableError
+from smarttouch.base.errors import BoardError, KernelTableError, LineLostError
 from smarttouch.base.wire.framing import LARGEST_PACKET
 from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.link import protocol as protocol
@@ -112,7 +112,10 @@ class LinkHost(Board):
     def keep_kernels(self, table: KernelTable) -> None:
         self._table = table
         self._require_open("giving it kernels")
-        self._give_kernels()
+        try:
+            self._give_kernels()
+        except LineLostError as lost:
+            self._recover(lost)
 
     def _give_kernels(self) -> None:
         """Give the board as many kernels as it has room for; the rest goes as currents."""
