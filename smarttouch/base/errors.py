@@ -225,5 +225,36 @@ def not_offered(
     return error(message, about=about)
 
 
+def kind_in_words(value: object) -> str:
+    """Return what a value is: "a list", "an array of float32 (8, 8)"."""
+    if hasattr(value, "dtype") and hasattr(value, "shape"):
+        return f"an array of {value.dtype} {value.shape}"
+    name = type(value).__name__
+    return f"{'an' if name[0].lower() in 'aeiou' else 'a'} {name}"
+
+
+def require_made(made: object, error: type[SmartTouchError], about: str) -> None:
+    """Raise if the class of an object of a program did not call its base's ``__init__``, which
+    gives it ``notes``."""
+    if not hasattr(made, "notes"):
+        name = type(made).__name__
+        raise error(
+            f"{name} does not call super().__init__(): do so in its __init__, or in __post_init__ "
+            "of a dataclass",
+            about=about,
+        )
+
+
+def require_returned(
+    owner: object, method: str, value: object, kind: type, wanted: str, error: type[SmartTouchError]
+) -> None:
+    """Raise if a method of a program's class returned something else than its contract asks."""
+    if not isinstance(value, kind):
+        raise error(
+            f"{type(owner).__name__}.{method} returned {kind_in_words(value)}: return {wanted}",
+            about=method,
+        )
+
+
 class DeprecatedNameWarning(DeprecationWarning):
     """A public name goes in a later version; the message says which, and what to use instead."""

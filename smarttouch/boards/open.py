@@ -9,7 +9,7 @@ from typing import Any
 
 from serial.tools import list_ports
 
-from smarttouch.base.errors import BoardError
+from smarttouch.base.errors import BoardError, require_made
 from smarttouch.base.registry import find_opener, refuse_rest
 from smarttouch.base.url_options import read_options
 from smarttouch.boards.board import Board
@@ -42,6 +42,7 @@ def _of_one_source(found: SafetyLimits, given: SafetyLimits, output: Output | No
 def require_gate(board: Board, limits: SafetyLimits, given: SafetyLimits) -> None:
     """Raise BoardError unless a board keeps the limits that its driver was given, unchanged since
     ``given`` was copied, all final methods, and, if a finger may be on it, the machine's clock."""
+    require_made(board, BoardError, "board")
     fault = seal_fault(board)
     if fault is not None:
         raise fault

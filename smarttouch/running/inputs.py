@@ -3,9 +3,11 @@
 import math
 import threading
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import Any
 
 from smarttouch.base.afferent import Mode
+from smarttouch.base.errors import SourceError, require_returned
 from smarttouch.base.events import (
     Emit,
     FingerLifted,
@@ -140,7 +142,7 @@ class Inputs:
         given = source.read(time_ns)
         if given is None:
             return None
-        given = checked_input(given, source.url or source.title, self.pipeline.electrodes)
+        given = checked_input(given, repr(source), self.pipeline.electrodes)
         self.statistics.seen += given.number != self._last_seen
         self._last_seen = given.number
         force_n = self._force_n(given, time_ns)
@@ -168,6 +170,9 @@ class Inputs:
         on_board, virtual = self.board.force_n, not self.board.on_a_finger
         if self.force is not None:
             force_n = self.force.read(time_ns) if virtual or self.force.is_live else math.nan
+            if type(force_n) is not float:
+                wanted = "newtons, NaN if unknown"
+                require_returned(self.force, "read", force_n, Real, wanted, SourceError)
         elif self.source.measures_force or (
             virtual and (self.source.knows_force or on_board is None)
         ):

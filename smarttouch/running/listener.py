@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from smarttouch.base.errors import SmartTouchError, kind_in_words, require_made
 from smarttouch.base.events import Event
 from smarttouch.running.step import StepResult
 
@@ -110,5 +111,20 @@ class OnEvent(Listener):
 def as_listeners(
     given: Iterable[Listener | Callable[[StepResult], object]],
 ) -> list[Listener]:
-    """Return listeners; plain functions are called with each step."""
-    return [each if isinstance(each, Listener) else OnStep(each) for each in given]
+    """Return listeners; plain functions are called with each step.
+
+    Raises a SmartTouchError for what is neither.
+    """
+    listeners = []
+    for each in given:
+        if isinstance(each, type) or not (isinstance(each, Listener) or callable(each)):
+            what = f"the class {each.__name__}" if isinstance(each, type) else kind_in_words(each)
+            raise SmartTouchError(
+                f"{what} is no listener: give an object of a subclass of Listener, or a function "
+                "of a StepResult",
+                about="listeners",
+            )
+        listener = each if isinstance(each, Listener) else OnStep(each)
+        require_made(listener, SmartTouchError, "listeners")
+        listeners.append(listener)
+    return listeners

@@ -8,7 +8,14 @@ from typing import Any
 
 from smarttouch.base.afferent import Mode
 from smarttouch.base.clock import Clock, Pace, SimulatedClock
-from smarttouch.base.errors import BoardStoppedError, SmartTouchError, SourceError
+from smarttouch.base.errors import (
+    BoardError,
+    BoardStoppedError,
+    SmartTouchError,
+    SourceError,
+    require_made,
+    require_returned,
+)
 from smarttouch.base.events import Advice, Note, RunFailed
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board, BoardReport
@@ -64,6 +71,8 @@ class Runner:
         if force is None and display.on_a_finger:
             force = display.profile.force.source
         self._force = None if isinstance(force, str) else force
+        if self._force is not None:
+            require_made(self._force, SourceError, "force")
         self._force_url = force if isinstance(force, str) else None
         self.statistics: RunStatistics = RunStatistics()
         self._listeners = as_listeners(listeners)
@@ -181,6 +190,7 @@ class Runner:
             )
             board.stop()
             report = board.report()
+            require_returned(board, "report", report, BoardReport, "a BoardReport", BoardError)
         board.notes += [*regulator.notes(), *pipeline.notes(), *_refused_packets(board, report)]
         if self.display.on_a_finger:
             board.notes += [*_density(profile), *Pace(self.statistics.real_time).notes]

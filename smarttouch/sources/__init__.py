@@ -6,7 +6,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
-from smarttouch.base.errors import SourceError
+from smarttouch.base.errors import SourceError, require_made
 from smarttouch.base.files import file_at, named_file
 from smarttouch.base.registry import find_opener, given_options, known_names, unknown
 from smarttouch.base.url_options import joined_options, read_options
@@ -94,5 +94,6 @@ def open_source(
     if light_on_dark and "light_on_dark" in inspect.signature(opener).parameters:
         given["light_on_dark"] = True
     source: Source = opener(rest, profile, **given)
+    require_made(source, SourceError, "source")
     source.url = url
     return source

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from smarttouch.base.errors import SourceError
+from smarttouch.base.errors import SourceError, require_made
 from smarttouch.base.registry import find_opener
 from smarttouch.base.tables import read_csv
 from smarttouch.profile import Profile
@@ -40,6 +40,7 @@ def open_force(url: str, profile: Profile) -> ForceSource:
         "smarttouch.forces", url, SourceError, ForceSource, ("rest", "profile")
     )
     source: ForceSource = opener(rest, profile)
+    require_made(source, SourceError, "force")
     return source
 
 

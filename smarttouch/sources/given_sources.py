@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.electrodes import ElectrodeArray
-from smarttouch.base.errors import SourceError
+from smarttouch.base.errors import SourceError, kind_in_words, require_made
 from smarttouch.base.events import Emit
 from smarttouch.profile import Profile
 from smarttouch.sources import kind_of, open_source
@@ -40,8 +40,8 @@ def checked_input(given: Any, who: str, electrodes: int) -> Input:
         return replace(given, image=gray_image(image, who))
     if not isinstance(given, Stimulus):
         raise SourceError(
-            f"{who} returned {_kind(given)}: a source returns a Frame or a Stimulus, or None at "
-            "its end",
+            f"{who} returned {kind_in_words(given)}: a source returns a Frame or a Stimulus, or "
+            "None at its end",
             about="source",
         )
     activation = checked_activation(given.activation, who, electrodes)
@@ -56,7 +56,9 @@ def gray_image(image: Any, who: str) -> NDArray[np.uint8]:
     """
     wanted = "give gray levels (H, W) uint8, 0 black and 255 white"
     if not isinstance(image, np.ndarray):
-        raise SourceError(f"{who} gave an image that is {_kind(image)}: {wanted}", about="image")
+        raise SourceError(
+            f"{who} gave an image that is {kind_in_words(image)}: {wanted}", about="image"
+        )
     if image.dtype == np.bool_:
         image = image.astype(np.uint8) * np.uint8(255)
     channels = image.shape[2] if image.ndim == 3 else 1
@@ -82,8 +84,8 @@ def checked_activation(activation: Any, who: str, electrodes: int) -> NDArray[np
     shape = len(Afferent), electrodes
     if not isinstance(activation, np.ndarray) or activation.dtype.kind not in "fbiu":
         raise SourceError(
-            f"{who} gave an activation that is {_kind(activation)}: give an array of {shape}, "
-            "in [0, 1]",
+            f"{who} gave an activation that is {kind_in_words(activation)}: give an array of "
+            f"{shape}, in [0, 1]",
             about="activation",
         )
     if activation.shape != shape:
@@ -100,13 +102,6 @@ def checked_activation(activation: Any, who: str, electrodes: int) -> NDArray[np
             about="activation",
         )
     return activation if activation.dtype == np.float32 else activation.astype(np.float32)
-
-
-def _kind(value: Any) -> str:
-    if isinstance(value, np.ndarray):
-        return f"an array of {value.dtype} {value.shape}"
-    name = type(value).__name__
-    return f"{'an' if name[0].lower() in 'aeiou' else 'a'} {name}"
 
 
 Given = Source | str | Path | NDArray[np.uint8] | Iterable[Any]
@@ -155,6 +150,7 @@ def source_of(given: Given, profile: Profile, *, light_on_dark: bool = False) ->
         If it is nothing of these, or cannot be opened.
     """
     if isinstance(given, Source):
+        require_made(given, SourceError, "source")
         return given
     if isinstance(given, str | Path):
         url = given if isinstance(given, str) else f"{kind_of(given)}:{given}"
@@ -198,7 +194,7 @@ class OwnImaging(StimulusSource):
         if given is None:
             return None
         electrodes = len(self._electrodes)
-        frame = checked_input(given, self.url or self.title, electrodes)
+        frame = checked_input(given, repr(self._source), electrodes)
         if not isinstance(frame, Frame):
             raise SourceError(
                 f"{self.title} gives tactile images, which need no imaging: leave it out",
