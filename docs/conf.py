@@ -71,5 +71,5 @@ sphinx_gallery_conf = {
     "show_memory": False,
     "show_signature": False,
     "remove_config_comments": True,
-    "default_thumb_file": str(HERE / "pictures" / "felt.png"),
+    "default_thumb_file": str(HERE / "pictures" / "finger.png"),
 }

@@ -77,9 +77,9 @@ class RunOptionGroup(OptionGroup):
     felt: Annotated[
         Path | None,
         typer.Option(
-            metavar="PNG",
+            metavar="PNG|GIF",
             rich_help_panel=KEPT,
-            help="Draw what was seen, delivered and answered by a simulated finger.",
+            help="Draw what was seen, delivered and answered by a simulated finger; a .gif moves.",
         ),
     ] = None
     finger: Annotated[

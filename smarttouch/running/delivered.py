@@ -1,6 +1,6 @@
 """Responses to delivered pulses: of receptors under the electrodes, and spikes of one finger."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -137,45 +137,63 @@ def delivered_spikes(
     return {number: each.counts for number, each in zip(kept, spikes, strict=True)}
 
 
-def spikes_in_color(
-    finger: Finger,
-    felt: Iterable[tuple[Pose, NDArray[np.intp]]],
-    placed: Callable[[Places, Pose], Places],
-    shape: tuple[int, int],
-    pixel_mm: float,
-    field_mm: float = FIELD_MM,
-    *,
-    mean: bool = True,
-) -> NDArray[np.uint8]:
-    """Return spikes where the receptors were, in the color of each class, (H, W, 3) on white.
+class SpikeMap:
+    """Spikes where the receptors were, in the color of each class on white.
 
-    ``felt`` yields the spikes of each afferent at poses of the finger; ``placed`` returns where
-    places of the finger are at a pose, (N, 2) mm from the picture's corner; ``field_mm`` is the
-    standard deviation of a receptive field. With ``mean`` a place shows its spikes for each pass.
+    ``placed`` returns where places of the finger are at a pose, (N, 2) mm from the picture's
+    corner; ``field_mm`` is the standard deviation of a receptive field. With ``mean`` a place shows
+    its spikes for each pass.
     """
-    spikes, passes = np.zeros((len(Afferent), *shape), np.float32), np.zeros(shape, np.float32)
-    sides = [np.arange(-side, side, _SIDE_MM) + _SIDE_MM / 2 for side in finger.reach_mm]
-    skin = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
-    for pose, counts in felt:
+
+    def __init__(
+        self,
+        finger: Finger,
+        placed: Callable[[Places, Pose], Places],
+        shape: tuple[int, int],
+        pixel_mm: float,
+        field_mm: float = FIELD_MM,
+        *,
+        mean: bool = True,
+    ) -> None:
+        self._finger, self._placed, self._mean = finger, placed, mean
+        self._pixel_mm, self._sigma = pixel_mm, field_mm / pixel_mm
+        self._spikes = np.zeros((len(Afferent), *shape), np.float32)
+        self._passes = np.zeros(shape, np.float32)
+        sides = [np.arange(-side, side, _SIDE_MM) + _SIDE_MM / 2 for side in finger.reach_mm]
+        self._skin = np.stack(np.meshgrid(*sides), axis=-1).reshape(-1, 2)
+
+    def add(self, pose: Pose, counts: NDArray[np.intp]) -> None:
+        """Add the spikes of each afferent, (A,), at a pose of the finger."""
         fired = np.flatnonzero(counts)
-        row, column, on = _pixels(placed(finger.receptor_mm[fired], pose), shape, pixel_mm)
-        np.add.at(spikes, (finger.classes[fired[on]], row, column), counts[fired[on]])
-        row, column, _ = _pixels(placed(skin, pose), shape, pixel_mm)
-        passes[row, column] += 1
-    sigma = field_mm / pixel_mm
-    spread = np.stack([cv2.GaussianBlur(each, (0, 0), sigma) for each in spikes])
-    if mean:
-        wide = cv2.GaussianBlur(passes, (0, 0), sigma)
-        spread = spread / np.maximum(wide, wide.max(initial=0) / 20 + 1e-9)
-    total = spread.sum(axis=0)
-    dark = float(np.quantile(total[total > 0], _DARK_QUANTILE)) if total.any() else 1.0
-    return np.asarray(np.rint(255 * in_color(spread, dark)), np.uint8)
+        row, column, on = self._pixels(self._finger.receptor_mm[fired], pose)
+        classes = self._finger.classes[fired[on]]
+        np.add.at(self._spikes, (classes, row, column), counts[fired[on]])
+        row, column, _ = self._pixels(self._skin, pose)
+        self._passes[row, column] += 1
 
+    def darkest(self) -> float:
+        """Return the number of spikes at a place that is drawn in full color."""
+        total = self._spread().sum(axis=0)
+        return float(np.quantile(total[total > 0], _DARK_QUANTILE)) if total.any() else 1.0
 
-def _pixels(
-    places_mm: Places, shape: tuple[int, int], pixel_mm: float
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-    """Return rows and columns of the places that are on a picture, and which these are."""
-    column, row = np.floor(places_mm / pixel_mm).astype(np.intp).T
-    on = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
-    return row[on], column[on], on
+    def image(self, dark: float | None = None) -> NDArray[np.uint8]:
+        """Return the map in color, (H, W, 3)."""
+        dark = self.darkest() if dark is None else dark
+        return np.asarray(np.rint(255 * in_color(self._spread(), dark)), np.uint8)
+
+    def _spread(self) -> NDArray[np.float32]:
+        """Return spikes of each class, (3, H, W), blurred by receptive fields."""
+        spread = np.stack([cv2.GaussianBlur(each, (0, 0), self._sigma) for each in self._spikes])
+        if self._mean:
+            wide = cv2.GaussianBlur(self._passes, (0, 0), self._sigma)
+            spread = spread / np.maximum(wide, wide.max(initial=0) / 20 + 1e-9)
+        return np.asarray(spread, np.float32)
+
+    def _pixels(
+        self, places_mm: Places, pose: Pose
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
+        """Return rows and columns of the places that are on the picture, and which these are."""
+        shape = self._passes.shape
+        column, row = np.floor(self._placed(places_mm, pose) / self._pixel_mm).astype(np.intp).T
+        on = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
+        return row[on], column[on], on

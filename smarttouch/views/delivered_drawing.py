@@ -23,8 +23,8 @@ from smarttouch.running.delivered import (
     DeliveredResponses,
     Floats,
     Places,
+    SpikeMap,
     delivered_spikes,
-    spikes_in_color,
 )
 from smarttouch.running.delivered_line import Raster, as_ink
 from smarttouch.running.step import StepResult
@@ -65,7 +65,8 @@ class DeliveredDrawing(DeliveredResponses, ABC):
         self._cell_mm = tuple(side / magnification for side in profile.electrodes.cell_mm)
         self._names = " and ".join(each.name for each in afferents)
         self._finger: Finger | None = None
-        self._spikes: Counts = {}
+        self.spikes: Counts = {}
+        """Spikes of each afferent, (A,), by number of the sequence."""
 
     @abstractmethod
     def under(self) -> Under:
@@ -82,15 +83,16 @@ class DeliveredDrawing(DeliveredResponses, ABC):
         super().deliver(numbers, width_us, current_ua)
         self._finger = finger
         if finger is not None:
-            self._spikes = delivered_spikes(
+            self.spikes = delivered_spikes(
                 finger, numbers, width_us, current_ua, self.period_us, MOST_SLOTS
             )
 
     def places_mm(self, pose: Pose) -> NDArray[np.float64]:
         """Return where the electrodes are at a pose, (E, 2) mm."""
-        return self._placed(self._position_mm, pose)
+        return self.placed(self._position_mm, pose)
 
-    def _placed(self, places_mm: Places, pose: Pose) -> NDArray[np.float64]:
+    def placed(self, places_mm: Places, pose: Pose) -> NDArray[np.float64]:
+        """Return where places of the finger, (N, 2) mm on what it touches, are at a pose."""
         cos, sin = np.cos(pose.angle_rad), np.sin(pose.angle_rad)
         x, y = places_mm.T
         return np.column_stack([pose.x_mm + x * cos - y * sin, pose.y_mm + x * sin + y * cos])
@@ -115,15 +117,17 @@ class DeliveredDrawing(DeliveredResponses, ABC):
         """Return the spikes of a finger where its receptors were, (H, W, 3)."""
         assert self._finger is not None
         scale = self._magnification
-        return spikes_in_color(
+        felt = SpikeMap(
             self._finger,
-            ((self.poses[number], counts) for number, counts in self._spikes.items()),
-            lambda places, pose: self._placed(places / scale, pose) - corner_mm,
+            lambda places, pose: self.placed(places / scale, pose) - corner_mm,
             shape,
             pixel_mm,
             FIELD_MM / scale,
             mean=not self.strongest,
         )
+        for number, counts in self.spikes.items():
+            felt.add(self.poses[number], counts)
+        return felt.image()
 
     def save(self, path: Path) -> None:
         """Write what was touched and the touch below it as one PNG in true size."""
@@ -158,23 +162,24 @@ class DeliveredDrawing(DeliveredResponses, ABC):
         if finger is not None:
             _draw_classes(draw, font, (_MARGIN + size[0], _MARGIN + (len(rows) - 1) * step))
         per_mm = size[0] / width_mm
-        _draw_scale(draw, font, (_MARGIN + size[0], _MARGIN), per_mm, ink)
+        scale_bar(draw, font, (_MARGIN + size[0], _MARGIN), per_mm, ink, size[0])
         content = BytesIO()
         sheet.save(content, format="PNG", dpi=(per_mm * INCH_MM, per_mm * INCH_MM))
         write_bytes(path, content.getvalue())
 
 
-def _draw_scale(
+def scale_bar(
     draw: ImageDraw.ImageDraw,
     font: ImageFont.ImageFont | ImageFont.FreeTypeFont,
     end: tuple[int, int],
     per_mm: float,
-    ink: Ink,
+    ink: Ink | str,
+    most: int,
 ) -> None:
-    """Draw a bar of whole millimeters with its length, above the right end of a picture."""
+    """Draw a bar of whole millimeters with its length, within a part of ``most`` pixels left of an
+    end, (right, top)."""
     right, top = end
-    most_mm = _SCALE_PART * (right - _MARGIN) / per_mm
-    length_mm = next((each for each in _SCALES_MM if each <= most_mm), _SCALES_MM[-1])
+    length_mm = next((each for each in _SCALES_MM if each * per_mm <= _SCALE_PART * most), 0.5)
     left, middle = right - round(length_mm * per_mm), top + _LABEL // 2 - 2
     draw.rectangle((left, middle - 2, right - 1, middle + 1), fill=ink)
     draw.text((left - 8, middle), f"{length_mm:g} mm", fill=ink, font=font, anchor="rm")

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 
 class DeliveredPicture(Listener):
-    """Draws what was delivered, and the response of a finger, below what the finger passed over.
+    """Draws what was delivered, and the response of a finger, below what the finger passed over; a
+    ``.gif`` moves, see `MovingPicture`.
 
     Needs a board that reports every pulse: ``emulator:`` or ``simulated:``. Where no finger can be
     made of a profile, a note says so, and what was delivered is drawn alone.
@@ -40,6 +41,7 @@ class DeliveredPicture(Listener):
         from smarttouch.physiology.anatomy import load_anatomy
 
         load_anatomy(self._anatomy)
+        moves = self.path.suffix.lower() == ".gif"
         board = getattr(run.board, "electric", run.board)
         if isinstance(board, EmulatorBoard):
             from smarttouch.emulator.firmware import read_delivered
@@ -58,13 +60,19 @@ class DeliveredPicture(Listener):
             )
         own = getattr(run.source, "drawing", None)
         if own is not None:
+            if moves:
+                raise SmartTouchError(
+                    f"{run.source.title} has no moving picture: name a .png", about="felt"
+                )
             self._drawing = own(run.profile, run.bank)
         else:
             from smarttouch.views.delivered_drawing import PageDrawing
+            from smarttouch.views.moving_picture import MovingPicture
 
             afferents = run.controls.state(0).mode.afferents
             page = getattr(run.source, "page", None)
-            self._drawing = PageDrawing(run.profile, run.bank, afferents, page)
+            drawing = MovingPicture if moves else PageDrawing
+            self._drawing = drawing(run.profile, run.bank, afferents, page)
 
     def step(self, result: StepResult) -> None:
         """Store the place of the finger."""

@@ -9,7 +9,7 @@ from PIL import Image
 import smarttouch as st
 from smarttouch.pages.page_image import Page
 from smarttouch.physiology.spikes import SpikeModel
-from smarttouch.running.delivered import DeliveredSlots, delivered_spikes, spikes_in_color
+from smarttouch.running.delivered import DeliveredSlots, SpikeMap, delivered_spikes
 from smarttouch.sources.source_contract import Pose
 from smarttouch.views.delivered_drawing import PageDrawing
 
@@ -61,13 +61,9 @@ def test_a_class_is_drawn_in_its_color_where_its_receptors_were(finger):
     for which, own, other in ((middle[0], 0, 2), (middle[1], 2, 0)):
         alone = counts.copy()
         alone[which] = 3
-        image = spikes_in_color(
-            finger,
-            [(Pose(0.0, 0.0), alone)],
-            lambda places, _: places + 12,
-            (240, 240),
-            0.1,
-        )  # fmt: skip
+        drawn = SpikeMap(finger, lambda places, _: places + 12, (240, 240), 0.1)
+        drawn.add(Pose(0.0, 0.0), alone)
+        image = drawn.image()
         row, column = np.unravel_index(image.sum(axis=2).argmin(), image.shape[:2])
         place = np.array([column, row]) * 0.1 - 12
         assert np.abs(place - finger.receptor_mm[which]).max() < 0.15
@@ -81,11 +77,12 @@ def test_where_the_finger_passed_often_nothing_is_darker(finger, pulse):
         DeliveredSlots(pulse[None], np.array([200]), np.array([100]), 20_000)
     ).counts  # fmt: skip
     once, often = (
-        spikes_in_color(
-            finger, [(Pose(0, 0), fired)] * times, lambda places, _: places + 12, (120, 120), 0.2
-        )
-        for times in (1, 7)
+        SpikeMap(finger, lambda places, _: places + 12, (120, 120), 0.2) for _ in range(2)
     )
+    for drawn, times in ((once, 1), (often, 7)):
+        for _ in range(times):
+            drawn.add(Pose(0, 0), fired)
+    once, often = once.image(), often.image()
     assert np.abs(once.astype(int) - often.astype(int)).max() <= 1
 
 
