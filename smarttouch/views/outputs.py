@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 
 class DeliveredPicture(Listener):
-    """Draws what was delivered, and the response of a finger, below what the finger passed over; a
-    ``.gif`` moves, see `MovingPicture`.
+    """Draws what was delivered, and the response of a finger, below what the finger passed over.
 
-    Needs a board that reports every pulse: ``emulator:`` or ``simulated:``. Where no finger can be
-    made of a profile, a note says so, and what was delivered is drawn alone.
+    A ``.gif`` moves: page, electrodes, afferents and their sum, in the run's own time. The board
+    must report every pulse: ``emulator:`` or ``simulated:``. Where no finger can be made of a
+    profile, a note says so, and what was delivered is drawn alone.
     """
 
     def __init__(self, path: Path, finger: int = 1, anatomy: str | Path = "branched") -> None:
