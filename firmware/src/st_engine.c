@@ -3,6 +3,64 @@
 
 #include "st_inside.h"
 
+/* Read the port's clock into the board; one that goes back stands still. */
+uint64_t st_clock(st_board *board)
+{
+    const uint64_t now_us = board->port.now_us(board->port.self);
+    board->now_us = now_us > board->now_us ? now_us : board->now_us;
+    return board->now_us;
+}
+
+/* Short all electrodes, enter what has flowed, drop all sequences and refuse new ones. */
+void st_end_session(st_board *board, uint8_t refusing, const char *reason)
+{
+    board->port.shorted(board->port.self, reason);
+    if (board->running != NULL) {
+        st_exposure_end(board, board->running, board->executed_us);
+    }
+    board->running = board->waiting = NULL;
+    board->ready = false;
+    board->refusing = refusing;
+    board->session.live = false;
+}
+
+/* What interrupts write is one pointer, read and written whole. */
+bool st_may_pulse(const st_board *board)
+{
+    return __atomic_load_n(&board->zero_reason, __ATOMIC_SEQ_CST) == NULL;
+}
+
+/* Leave a reason for the core to find and short all electrodes; touches nothing else of the board.
+ * */
+void st_zero(st_board *board, const char *reason)
+{
+    /* Called once more before the core has seen it, also by the port's own shorted. */
+    const char *why = reason != NULL ? reason : "zero";
+    if (st_may_pulse(board)) {
+        __atomic_store_n(&board->zero_reason, why, __ATOMIC_SEQ_CST);
+        if (board->port.shorted != NULL) {
+            board->port.shorted(board->port.self, why);
+        }
+    }
+}
+
+/* End the session if an interrupt or the switch says so; may short and send. */
+bool st_may_go_on(st_board *board)
+{
+    const st_port *port = &board->port;
+    const char *reason = __atomic_load_n(&board->zero_reason, __ATOMIC_SEQ_CST);
+    if (reason != NULL) {
+        st_end_session(board, ST_NOT_BEGUN, reason);
+        __atomic_store_n(&board->zero_reason, NULL, __ATOMIC_SEQ_CST);
+    }
+    board->open = (board->config.features & ST_SWITCH) != 0u && port->emergency_open(port->self);
+    if (board->open && board->refusing == 0u) {
+        st_end_session(board, ST_EMERGENCY, "emergency");
+        st_send_reason(board, 0, ST_EMERGENCY);
+    }
+    return board->refusing == 0u;
+}
+
 /* Write the currents of a recharge phase. */
 static void read_recharge(const st_board *board, const st_sequence *sequence, int16_t *current_ua)
 {
@@ -166,19 +224,6 @@ static bool deliver(st_board *board, st_sequence *sequence)
     }
     prepare(board, sequence);
     return true;
-}
-
-/* Short all electrodes, enter what has flowed, drop all sequences and refuse new ones. */
-void st_end_session(st_board *board, uint8_t refusing, const char *reason)
-{
-    board->port.shorted(board->port.self, reason);
-    if (board->running != NULL) {
-        st_exposure_end(board, board->running, board->executed_us);
-    }
-    board->running = board->waiting = NULL;
-    board->ready = false;
-    board->refusing = refusing;
-    board->session.live = false;
 }
 
 /* End a pass that is over; begin the next one, or the sequence that waits. */

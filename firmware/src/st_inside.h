@@ -106,7 +106,20 @@ bool st_take_byte(st_board *board, uint8_t byte, uint64_t now_us, uint32_t *size
 bool st_head(st_board *board, st_message *message);
 void st_parse(const uint8_t *body, uint32_t size, st_message *message);
 
-/* st_board.c */
+/* st_answers.c */
+/* Send the next packet of the session. */
+void st_send(st_board *board, uint8_t kind, uint32_t about, const uint8_t *payload, size_t size);
+/* Acknowledge the last sequence: when it began, by the port's clock. */
+void st_acknowledge(st_board *board);
+void st_send_refusal(st_board *board, uint32_t about, const st_refusal *refusal);
+/* Send a NAK that names a reason, and no rule. */
+void st_send_reason(st_board *board, uint32_t about, uint8_t reason);
+/* Refuse a BEGIN while the emergency switch is open. */
+void st_refuse_begin(st_board *board, const st_message *message);
+void st_send_capabilities(st_board *board, uint64_t session, uint32_t number);
+void st_send_report(st_board *board, uint32_t about);
+
+/* st_engine.c */
 /* Return whether time is what a test says. */
 static inline bool st_is_played(const st_board *board)
 {
@@ -122,12 +135,6 @@ uint64_t st_clock(st_board *board);
 /* If st_zero was called, or the emergency switch is open, end the session; return whether one is
  * still live. */
 bool st_may_go_on(st_board *board);
-/* Send the next packet of the session. */
-void st_send(st_board *board, uint8_t kind, uint32_t about, const uint8_t *payload, size_t size);
-/* Acknowledge the last sequence: when it began, by the port's clock. */
-void st_acknowledge(st_board *board);
-
-/* st_engine.c */
 void st_begin_sequence(st_board *board, st_sequence *sequence, uint64_t start_us);
 /* Begin the pulses that are due in the pass at hand, and end no pass. */
 void st_execute_pulses(st_board *board);
@@ -163,6 +170,9 @@ uint16_t st_kernel_site(const st_board *board, uint32_t kernel);
 /* st_sequence.c */
 bool st_read_sequence(const st_board *board, const uint8_t *data, uint32_t size,
                       st_sequence *sequence, st_refusal *refusal);
+/* Write a refusal by a rule; return false. */
+bool st_refuse(st_refusal *refusal, uint8_t rule, uint32_t slot, uint32_t electrode,
+               uint64_t value, uint64_t allowed);
 void st_first_slot(const st_sequence *sequence, st_place *place);
 void st_next_slot(const st_sequence *sequence, st_place *place, uint16_t electrodes);
 uint16_t st_shape_width(const st_sequence *sequence, uint8_t shape);
@@ -180,8 +190,6 @@ uint16_t st_strength(const st_limits *limits, uint32_t intensity, uint32_t peak_
 void st_rise_note(st_board *board, const st_sequence *sequence, uint64_t start_us);
 
 /* st_rules.c */
-bool st_refuse(st_refusal *refusal, uint8_t rule, uint32_t slot, uint32_t electrode,
-               uint64_t value, uint64_t allowed);
 /* Check a sequence that starts then; write its load. */
 bool st_obeys(st_board *board, st_sequence *sequence, uint64_t start_us, st_refusal *refusal);
 

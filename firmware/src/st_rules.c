@@ -7,19 +7,6 @@ typedef struct {
     uint32_t peak_ua, peak_pc;
 } peaks;
 
-/* Write a refusal; return false. */
-bool st_refuse(st_refusal *refusal, uint8_t rule, uint32_t slot, uint32_t electrode,
-               uint64_t value, uint64_t allowed)
-{
-    refusal->reason = ST_UNSAFE;
-    refusal->rule = rule;
-    refusal->slot = (uint16_t)slot;
-    refusal->electrode = (uint16_t)electrode;
-    refusal->value = (int32_t)(value > INT32_MAX ? INT32_MAX : value);
-    refusal->allowed = (int32_t)(allowed > INT32_MAX ? INT32_MAX : allowed);
-    return false;
-}
-
 /* Check rules 4 to 7: width, discharge, fit, duty. */
 static bool times_obey(const st_board *board, const st_sequence *sequence, st_refusal *refusal)
 {

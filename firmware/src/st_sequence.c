@@ -1,10 +1,23 @@
-/* A sequence as it lies in a packet: read, and walked slot by slot. */
+/* A sequence as it lies in a packet: read, refused, and walked slot by slot. */
 #include <string.h>
 
 #include "st_inside.h"
 
 #define HEAD 10u
 #define GROUP 4u
+
+/* Write a refusal; return false. */
+bool st_refuse(st_refusal *refusal, uint8_t rule, uint32_t slot, uint32_t electrode,
+               uint64_t value, uint64_t allowed)
+{
+    refusal->reason = ST_UNSAFE;
+    refusal->rule = rule;
+    refusal->slot = (uint16_t)slot;
+    refusal->electrode = (uint16_t)electrode;
+    refusal->value = (int32_t)(value > INT32_MAX ? INT32_MAX : value);
+    refusal->allowed = (int32_t)(allowed > INT32_MAX ? INT32_MAX : allowed);
+    return false;
+}
 
 /* Return the bytes of one row of a group. */
 static uint32_t row_bytes(uint8_t kind, uint32_t electrodes)

@@ -62,18 +62,18 @@ def test_a_field_that_is_left_out_is_safe_or_named():
     assert found == {}
 
 
-ENGINE, BOARD = "st_engine.c", "st_board.c"
+ENGINE, SETUP = "st_engine.c", "st_setup.c"
 MUTANTS = {
     "when a pulse truly began": (
         "times", ENGINE, "begun_us = board->port.", "begun_us = before_us + 0 * board->port."
     ),
     "the rest of another session": ("times", ENGINE, "|| before_us < board->free_us", ""),
     "zero before a pulse": (
-        "times", BOARD, "    return __atomic_load_n", "    return true || __atomic_load_n"
+        "times", ENGINE, "    return __atomic_load_n", "    return true || __atomic_load_n"
     ),
-    "zero in a pulse": ("times", BOARD, "    if (reason != NULL) {", "    if (0) {"),
-    "a clock that stands": ("init", BOARD, "if (steps < CLOCK_STEPS)", "if (steps > CLOCK_STEPS)"),
-    "a port without a short": ("init", BOARD, "|| port->pulse == NULL", ""),
+    "zero in a pulse": ("times", ENGINE, "    if (reason != NULL) {", "    if (0) {"),
+    "a clock that stands": ("init", SETUP, "if (steps < CLOCK_STEPS)", "if (steps > CLOCK_STEPS)"),
+    "a port without a short": ("init", SETUP, "|| port->pulse == NULL", ""),
 }  # fmt: skip
 
 
