@@ -20,7 +20,7 @@ from smarttouch.running.listener import Listener
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.recorded_source import RecordedControls, RecordingSource
 from smarttouch.running.recording_reader import Recording
-from smarttouch.running.runner import Runner
+from smarttouch.running.runner import Operation, Runner
 from smarttouch.running.step import RunStatistics, Step, StepResult
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.given_sources import Given, Imaging, OwnImaging, checked_input, source_of
@@ -182,8 +182,9 @@ def replay(
     config = recording_config(recording, **settings)
     controls = partial(RecordedControls, recording)
     return Runner(
-        source, display, config, force=force, listeners=listeners, controls=controls, stop=stop
-    ).run()
+        source, display, config, force=force, listeners=listeners, stop=stop,
+        operation=Operation(controls),
+    ).run()  # fmt: skip
 
 
 def recording_config(recording: Recording, **settings: Unpack[RunOptions]) -> RunConfig:

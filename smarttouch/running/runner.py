@@ -3,11 +3,11 @@
 import contextlib
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from smarttouch.base.afferent import Mode
-from smarttouch.base.clock import Clock, Pace, SimulatedClock
+from smarttouch.base.clock import Pace, SimulatedClock
 from smarttouch.base.errors import (
     BoardError,
     BoardStoppedError,
@@ -24,7 +24,7 @@ from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import ADVISORY_RMS_MA_CM2
 from smarttouch.running.config import RunConfig
-from smarttouch.running.display import Display
+from smarttouch.running.display_board import DisplayBoard
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import Listener, RunContext, as_listeners
 from smarttouch.running.loop import emit_to, run_loop, steady_environment
@@ -38,35 +38,43 @@ from smarttouch.stimulation.safety_limits import rms_ma_cm2
 MakeControls = Callable[[ControlState, tuple[Mode, ...]], Controls]
 
 
+@dataclass(frozen=True)
+class Operation:
+    """How a person operates a run.
+
+    ``controls`` makes the controls from their first state and the modes offered; ``first_level``
+    and ``most_level``, in [0, 1], are the level at the start (by the configuration if not given)
+    and the highest; ``opened`` opens the board for a block.
+    """
+
+    controls: MakeControls = Controls
+    first_level: float | None = None
+    most_level: float | None = None
+    opened: Callable[[StopRequest], AbstractContextManager[Board]] | None = None
+
+
 class Runner:
     """One run of a source on a display; the source is closed at its end.
 
     ``force`` is a source of finger force or its URL: if not given, where a finger may be on the
-    board that of the profile's ``force.source``, else what source or board measure. ``controls``
-    makes the user's controls from their first state and the modes offered; ``first_level`` and
-    ``most`` are the level at the start and the highest, in [0, 1], by the configuration if not
-    given. ``load_kernels`` returns the kernels of a profile, ``opened`` opens the board for a
-    block; the clock is the board's, or simulated for boards whose time is.
+    board that of the profile's ``force.source``, else what source or board measure.
+    ``load_kernels`` returns the kernels of a profile. Time is the board's.
     """
 
     def __init__(
         self,
         source: Source,
-        display: Display,
+        display: DisplayBoard,
         config: RunConfig,
         *,
         force: ForceSource | str | None = None,
         listeners: Iterable[Listener | Callable[[StepResult], object]] = (),
-        controls: MakeControls = Controls,
-        first_level: float | None = None,
-        most: float | None = None,
         stop: StopRequest | None = None,
         load_kernels: Callable[[Profile], KernelBank] = load_bank,
-        opened: Callable[[StopRequest], AbstractContextManager[Board]] | None = None,
-        clock: Clock | None = None,
+        operation: Operation | None = None,
     ) -> None:
         self.source: Source = source
-        self.display: Display = display
+        self.display: DisplayBoard = display
         self.config: RunConfig = config
         if force is None and display.on_a_finger:
             force = display.profile.force.source
@@ -76,14 +84,13 @@ class Runner:
         self._force_url = force if isinstance(force, str) else None
         self.statistics: RunStatistics = RunStatistics()
         self._listeners = as_listeners(listeners)
-        self._controls, self._load_kernels = controls, load_kernels
-        level = config.intensity
-        self._first = first_level if first_level is not None else 1.0 if level is None else level
-        self._most = most if most is not None else 1.0
-        self._sayable = level is not None or first_level is not None or not display.on_a_finger
+        self._load_kernels = load_kernels
+        self._operation = operation = operation or Operation()
+        self._level = operation.first_level
+        if self._level is None:
+            self._level = config.intensity
         self._stop = stop or StopRequest()
-        self._opened = opened or display.opened
-        self._clock = clock
+        self._opened = operation.opened or display.opened
         self._emit = emit_to(self._listeners)
 
     def run(self) -> RunStatistics:
@@ -146,10 +153,12 @@ class Runner:
         pipeline = Pipeline(
             profile, bank, config, board.timing, vibrated=vibrated, in_sums=board.keeps_kernels
         )
-        state = ControlState(pipeline.mode, self._first)
+        first = 1.0 if self._level is None else self._level
+        state = ControlState(pipeline.mode, first)
         offered = (state.mode,) if source.fixed_mode else pipeline.offered()
-        controls = self._controls(state, offered)
-        controls.most = self._most
+        controls = self._operation.controls(state, offered)
+        if self._operation.most_level is not None:
+            controls.most = self._operation.most_level
         context = RunContext(
             source, board, profile, bank, config, controls, self.statistics,
             self._settings(profile), pipeline.open_level,
@@ -186,7 +195,7 @@ class Runner:
                 controls=context.controls,
                 force=self._force,
                 regulator=regulator,
-                clock=self._clock or (SimulatedClock() if board.simulated_time else None),
+                clock=SimulatedClock() if board.simulated_time else None,
             )
             board.stop()
             report = board.report()
@@ -256,7 +265,7 @@ class Runner:
         return int(self.statistics.seconds * 1e9)
 
     def _require_a_level(self) -> None:
-        if not self._sayable:
+        if self._level is None and self.display.on_a_finger:
             raise SmartTouchError(
                 "a finger may be on the board, and nobody says how strong it is to become: give "
                 "an intensity, for example 0.3",

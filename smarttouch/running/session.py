@@ -10,7 +10,7 @@ from typing import Self
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.stoppable import stoppable_run
 from smarttouch.running.config import RunConfig
-from smarttouch.running.display import Display
+from smarttouch.running.display_board import DisplayBoard
 from smarttouch.running.listener import Listener
 from smarttouch.running.runner import Runner
 from smarttouch.running.session_feed import Pattern, SessionFeed
@@ -50,7 +50,7 @@ class Session(Touch):
 
     def __init__(
         self,
-        display: Display,
+        display: DisplayBoard,
         config: RunConfig,
         listeners: Iterable[Listener | Callable[[StepResult], object]] = (),
         force: ForceSource | str | None = None,

@@ -16,7 +16,7 @@ from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.listener import Listener
-from smarttouch.running.runner import Runner
+from smarttouch.running.runner import Operation, Runner
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Stimulus, StimulusSource
 
@@ -121,9 +121,8 @@ def run_walk(
         RunConfig(scan="points"),
         force=force,
         listeners=listeners,
-        # The strength is what the walk was given.
-        first_level=1.0,
         stop=stop,
         load_kernels=single_bank,
-        opened=opened,
+        # The strength is what the walk was given.
+        operation=Operation(first_level=1.0, opened=opened),
     ).run()

@@ -4,7 +4,6 @@ import contextlib
 import math
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,14 +11,13 @@ from typing import TYPE_CHECKING
 
 from smarttouch.base.files import write_json
 from smarttouch.base.stopping import ENDS_WITHIN_S, StopRequest
-from smarttouch.boards.board import Board
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.inputs import STEP, Controls
 from smarttouch.running.listener import Listener, RunContext
-from smarttouch.running.runner import MakeControls, Runner
+from smarttouch.running.runner import MakeControls, Operation, Runner
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Source
 from smarttouch.views.keys_and_signals import (
@@ -135,13 +133,15 @@ def run_in_terminal(
                 *listeners,
                 _Orderly(outputs.patience_s),
             ],
-            controls=controls,
-            # On a finger, intensity starts at zero where there are controls.
-            first_level=0.0 if display.on_a_finger and (typed or window is not None) else None,
-            most=config.intensity if display.on_a_finger else None,
             stop=stop,
             load_kernels=partial(_load_kernels, quiet=outputs.quiet),
-            opened=partial(_opened, display),
+            operation=Operation(
+                controls,
+                # On a finger, intensity starts at zero where there are controls.
+                first_level=0.0 if display.on_a_finger and (typed or window is not None) else None,
+                most_level=config.intensity if display.on_a_finger else None,
+                opened=partial(opened, display.board),
+            ),
         )
         try:
             runner.run()
@@ -179,10 +179,6 @@ def _window(
 def _load_kernels(profile: Profile, quiet: bool) -> KernelBank:
     with bank_progress(quiet) as progress:
         return load_bank(profile, progress)
-
-
-def _opened(display: Display, stop: StopRequest) -> AbstractContextManager[Board]:
-    return opened(display.board, stop)
 
 
 class _Orderly(Listener):

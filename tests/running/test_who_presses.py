@@ -75,7 +75,7 @@ def flows(monkeypatch, profile, bank):
             board.capabilities = replace(board.capabilities, force=on_board_n is not None)
             Runner(
                 source, display, RunConfig(intensity=1.0, seconds=2.0), force=force,
-                load_kernels=lambda _: bank, clock=board._clock,
+                load_kernels=lambda _: bank,
             ).run()  # fmt: skip
         return any(each.current_ua.any() for each in board.sequences)
 

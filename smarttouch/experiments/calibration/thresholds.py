@@ -32,7 +32,7 @@ from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.listener import Listener, RunContext
-from smarttouch.running.runner import Runner
+from smarttouch.running.runner import Operation, Runner
 from smarttouch.running.step import StepResult
 
 Found = Mapping[int, Thresholds]
@@ -190,11 +190,10 @@ class ThresholdProcedure:
                 RunConfig(scan="points", seed=self.seed),
                 force=force,
                 listeners=listeners,
-                # Current is what the procedure asks for.
-                first_level=1.0,
                 stop=stop,
                 load_kernels=single_bank,
-                opened=partial(opened, display.board),
+                # Current is what the procedure asks for.
+                operation=Operation(first_level=1.0, opened=partial(opened, display.board)),
             ).run()
         if not session.over:
             raise self.stopped(progress)

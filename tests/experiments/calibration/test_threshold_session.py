@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from smarttouch.base.clock import SimulatedClock
 from smarttouch.base.errors import CalibrationError, ExperimentError, LineLostError
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.open import MemoryBoard
@@ -40,7 +39,7 @@ from smarttouch.profile import list_profiles, load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.listener import Listener, OnStep
-from smarttouch.running.runner import Runner
+from smarttouch.running.runner import Operation, Runner
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ...raising import raises
@@ -116,10 +115,9 @@ def run(display, profile, felt_by, sites, progress, stop=None, listeners=(), **o
         display,
         RunConfig(scan="points"),
         listeners=[Finger(source, felt_by), *listeners],
-        first_level=1.0,
         stop=stop,
         load_kernels=single_bank,
-        clock=SimulatedClock(),
+        operation=Operation(first_level=1.0),
     ).run()
     return shown
 

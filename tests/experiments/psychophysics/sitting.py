@@ -15,7 +15,7 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import OnEvent, OnStep
-from smarttouch.running.runner import Runner
+from smarttouch.running.runner import Operation, Runner
 
 DATE = "2026-01-01T00:00:00+00:00"
 
@@ -80,8 +80,8 @@ def sit(
             display,
             RunConfig(mode=Mode.RA, scan="points"),
             listeners=[Subject(source, observer), OnStep(observe), events],
-            controls=lambda _state, _modes: controls,
             stop=stop,
             load_kernels=lambda _profile: bank,
+            operation=Operation(lambda _state, _modes: controls),
         ).run()
     return Sat(source, session, told, statistics.figures)
