@@ -25,7 +25,7 @@ from smarttouch.running.listener import Listener
 from smarttouch.running.phase_lock import PhaseLock, Sent
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulation import Regulator
-from smarttouch.running.step import RunStatistics, StepResult
+from smarttouch.running.step import RunStatistics, Step, StepResult
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Source
 
@@ -186,7 +186,7 @@ class _Loop:
         # After a stall the plan is a new one.
         due_ns = board_ns if stalled else board_ns - waits_ns
         inputs, clock = self.inputs, self.clock
-        pipeline, statistics, board = inputs.pipeline, inputs.statistics, inputs.board
+        pipeline, board = inputs.pipeline, inputs.board
         if stalled:
             # The board may have fallen silent.
             pipeline.restart_softly()
@@ -198,19 +198,12 @@ class _Loop:
         if self.regulator is not None:
             step = self.regulator.regulate(step, board)
         sending_ns = clock.now_ns()
-        number: int | None = None
         try:
-            number = board.send(step.sequence, due_ns=due_ns)
+            number = self._send(step, due_ns)
         except BoardStoppedError:
             if not self.stop.event.is_set():
                 raise
             return False
-        except BoardRestartedError as lost:
-            statistics.restarts += not isinstance(lost, SequenceLateError)
-            inputs.emit(BoardRestarted(self.elapsed_ns, str(lost)))
-            if self.regulator is not None:
-                self.regulator.lost(step.sequence)
-            pipeline.restart_softly()
         sent_ns = clock.now_ns()
         work_us = (time.thread_time_ns() - worked_ns) / 1000
         result = StepResult(
@@ -222,9 +215,39 @@ class _Loop:
             board.refused,
             self.phase.newest,
         )
-        period_ns = 1000 * step.sequence.period_us
-        if number is None:
-            self._shift_ns += sent_ns - now_ns
+        waited_ns = sent_ns - sending_ns
+        sent = Sent(
+            0 if number is None else number,
+            in_hand_ns - step.input.age_ns,
+            now_ns - late_ns,
+            self._shift_ns,
+            waited_ns if HELD_UP_NS < waited_ns < LATE_NS else 0,
+            sent_ns,
+            1000 * step.sequence.period_us,
+            board_ns - now_ns,
+        )
+        self._plan_next(result, sent, now_ns)
+        for follow in self.steps:
+            follow(result)
+        return True
+
+    def _send(self, step: Step, due_ns: int) -> int | None:
+        """Send a step's sequence; return its number, or None if it was lost with the board."""
+        try:
+            return self.inputs.board.send(step.sequence, due_ns=due_ns)
+        except BoardRestartedError as lost:
+            self.inputs.statistics.restarts += not isinstance(lost, SequenceLateError)
+            self.inputs.emit(BoardRestarted(self.elapsed_ns, str(lost)))
+            if self.regulator is not None:
+                self.regulator.lost(step.sequence)
+            self.inputs.pipeline.restart_softly()
+            return None
+
+    def _plan_next(self, result: StepResult, sent: Sent, now_ns: int) -> None:
+        """Enter a step into the statistics, and move the schedule by what it took."""
+        statistics, period_ns = self.inputs.statistics, sent.period_ns
+        if result.number is None:
+            self._shift_ns += sent.sent_ns - now_ns
             self._expected_ns = None
             self._over_ns = 0
             self.phase.forget()
@@ -232,30 +255,14 @@ class _Loop:
             expected_ns, self._expected_ns = self._expected_ns, now_ns + period_ns
             error_us = None if expected_ns is None else abs(now_ns - expected_ns) / 1000
             statistics.enter(result, error_us)
-            self._over_ns = sent_ns + period_ns
-            waited_ns = sent_ns - sending_ns
-            held_up = HELD_UP_NS < waited_ns < LATE_NS
-            self.phase.note(
-                Sent(
-                    number,
-                    in_hand_ns - step.input.age_ns,
-                    now_ns - late_ns,
-                    self._shift_ns,
-                    waited_ns * held_up,
-                    sent_ns,
-                    period_ns,
-                    board_ns - now_ns,
-                )
-            )
-            if held_up:
-                # The board's clock is behind: frames taken later reach the skin as soon, and
-                # fresher.
-                self._shift_ns += waited_ns
+            self._over_ns = sent.sent_ns + period_ns
+            self.phase.note(sent)
+            # After a wait the board's clock is behind: frames taken later reach the skin as soon,
+            # and fresher.
+            self._shift_ns += sent.waited_ns
+            late_ns = now_ns - sent.deadline_ns
             if late_ns > period_ns:
                 statistics.late += 1
                 self._shift_ns += late_ns
             self._move(self.phase.follow(self._shift_ns))
         self.elapsed_ns += period_ns
-        for follow in self.steps:
-            follow(result)
-        return True

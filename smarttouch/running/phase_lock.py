@@ -24,7 +24,7 @@ class Sent:
     taken_ns: int  # when its image was taken
     deadline_ns: int
     shift_ns: int  # of the schedule at its deadline
-    waited_ns: int  # for a place on the board
+    waited_ns: int  # for a place on the board, where that was the board's doing
     sent_ns: int
     period_ns: int
     ahead_ns: int  # of the board's clock, of the loop's
