@@ -115,11 +115,11 @@ class RunOptionGroup(OptionGroup):
         typer.Option(metavar="TEXT", rich_help_panel=KEPT, help="Add a note to the recording."),
     ] = ""
     stream: Annotated[
-        list[str] | None,
+        str | None,
         typer.Option(
-            metavar="URL",
+            metavar="lsl:",
             rich_help_panel=KEPT,
-            help="Send the run to lsl: (Lab Streaming Layer) or foxglove:PORT while it goes on.",
+            help="Send the run to the Lab Streaming Layer while it goes on.",
         ),
     ] = None
     json_file: JsonOption = None
@@ -215,19 +215,6 @@ class RunOptionGroup(OptionGroup):
         anatomy, _, seed = (self.finger or usual).rpartition(":")
         return (anatomy or usual, int(seed)) if seed.isdecimal() else (self.finger or usual, 1)
 
-    def streams(self) -> dict[str, Any]:
-        """Return which streams are asked for, as `Outputs` names them."""
-        found: dict[str, Any] = {}
-        for url in self.stream or ():
-            kind, _, port = url.partition(":")
-            if kind == "foxglove" and port.isdecimal():
-                found["foxglove"] = int(port)
-            elif url == "lsl:":
-                found["markers"] = True
-            else:
-                raise not_offered("stream", url, ("lsl:", "foxglove:8765"))
-        return found
-
     def start(
         self,
         source: "Source",
@@ -245,14 +232,10 @@ class RunOptionGroup(OptionGroup):
         given: dict[str, Any] = {
             each.name: getattr(self, each.name, None) for each in fields(Outputs)
         }
-        given |= {
-            "finger": seed,
-            "anatomy": anatomy,
-            "plain": plain,
-            "markers": False,
-            "foxglove": None,
-        }
-        outputs = Outputs(**given | self.streams())
+        if self.stream not in (None, "lsl:"):
+            raise not_offered("stream", self.stream, ("lsl:",))
+        given |= {"finger": seed, "anatomy": anatomy, "plain": plain}
+        outputs = Outputs(**given | {"markers": self.stream is not None})
         with nullcontext() if self.force is None else open_force(self.force, profile) as force:
             if self.on_a_finger:
                 display = self.display(source.narrowed(profile))

@@ -135,21 +135,16 @@ def output_listeners(
     frames: Path | None = None,
     record: Path | None = None,
     markers: bool = False,
-    foxglove: int | None = None,
 ) -> Iterator[Listener]:
     """Yield a listener for each output that is wanted."""
     if markers:
-        from smarttouch.views.streams import Markers
+        from smarttouch.views.lsl_markers import Markers
 
         yield Markers()
     if felt is not None:
         yield DeliveredPicture(felt, finger, anatomy)
     if frames is not None:
         yield Patterns(frames)
-    if foxglove is not None:
-        from smarttouch.views.streams import FoxgloveServer
-
-        yield FoxgloveServer(foxglove)
     if record is not None:
         from smarttouch.running.recorder import Recorder
 

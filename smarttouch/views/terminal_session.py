@@ -53,7 +53,6 @@ class Outputs:
     frames: Path | None = None
     record: Path | None = None
     markers: bool = False
-    foxglove: int | None = None
     json_file: Path | None = None
     window: int | None = None
     quiet: bool = False
@@ -81,7 +80,6 @@ class Outputs:
                 frames=self.frames,
                 record=self.record,
                 markers=self.markers,
-                foxglove=self.foxglove,
             )
         )
 

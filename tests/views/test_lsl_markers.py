@@ -17,7 +17,7 @@ from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 from smarttouch.stimulation.safety_gate import SafetyLimits
-from smarttouch.views.streams import FRAMES, PULSES, Markers
+from smarttouch.views.lsl_markers import FRAMES, PULSES, Markers
 
 from ..looping import loop_through
 from ..raising import raises
@@ -68,7 +68,7 @@ class FakeLsl(types.ModuleType):
 def lsl(monkeypatch):
     fake = FakeLsl()
     monkeypatch.setitem(sys.modules, "pylsl", fake)
-    monkeypatch.setattr("smarttouch.views.streams._LINGER_S", 0.0)
+    monkeypatch.setattr("smarttouch.views.lsl_markers._LINGER_S", 0.0)
     return fake
 
 

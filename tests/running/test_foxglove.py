@@ -1,8 +1,7 @@
-"""Foxglove: tactile images for eyes, a live server with a recording's topics, and a layout."""
+"""Recordings in Foxglove: tactile images in colors, and a layout of their topics."""
 
 import base64
 import json
-import struct
 from pathlib import Path
 
 import cv2
@@ -11,18 +10,11 @@ import pytest
 
 import smarttouch as st
 from smarttouch.base.afferent import CLASS_COLORS
-from smarttouch.base.errors import SmartTouchError
 from smarttouch.running.recording_format import SCHEMAS
 from smarttouch.running.recording_reader import Recording
 from smarttouch.running.step_encoder import class_colors, tactile_picture
-from smarttouch.views.outputs import output_listeners
-
-from ..raising import raises
 
 LAYOUT = Path(__file__).parents[2] / "docs" / "how-to" / "foxglove-layout.json"
-SUBPROTOCOL = "foxglove.sdk.v1"
-MESSAGE = struct.Struct("<BIQ")
-"""Kind, subscription and time of a message of the Foxglove protocol."""
 
 
 def decoded(message):
@@ -68,57 +60,6 @@ def test_a_recording_shows_its_tactile_images(tmp_path, profile):
     expected = tactile_picture(profile.electrodes).raster(class_colors(changes[-1]))
     np.testing.assert_array_equal(decoded(images[-1]), expected)
     assert len([*recording.steps()]) == len(results)
-
-
-def test_it_is_served_live(profile):
-    pytest.importorskip("foxglove")
-    from websockets.sync.client import connect
-
-    (server,) = output_listeners(foxglove=0)
-    found = {}
-
-    class Looks(st.Listener):
-        """Subscribes before the first step, and takes what comes at the end."""
-
-        def start(self, run):
-            self.line = connect(
-                f"ws://127.0.0.1:{server.port}", subprotocols=[SUBPROTOCOL], proxy=None
-            )
-            socket = self.line.__enter__()
-            while len(found) < len(SCHEMAS):
-                told = json.loads(socket.recv(timeout=20))
-                for each in told.get("channels", ()):
-                    found[each["id"]] = (each["topic"], each["schemaName"])
-            wanted = [{"id": each, "channelId": each} for each in found]
-            socket.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
-            assert socket.ping().wait(20)  # answered after what came before it
-            self.socket, self.got = socket, {}
-
-        def step(self, result):
-            while not {"/frame", "/tactile_image", "/sequence", "/event"} <= {*self.got}:
-                data = self.socket.recv(timeout=20)
-                if isinstance(data, bytes) and data[0] == 1:
-                    _, subscription, _ = MESSAGE.unpack_from(data)
-                    self.got[found[subscription][0]] = json.loads(data[MESSAGE.size :])
-
-        def close(self):
-            self.line.__exit__(None, None, None)
-
-    looks = Looks()
-    display = st.open_display("simulated:", profile)
-    source = st.open_source("text:a", profile)
-    st.run(source, display, seconds=0.1, listeners=[server, looks])
-    assert dict(found.values()) == {topic: name for topic, (name, _) in SCHEMAS.items()}
-    assert {*looks.got["/sequence"]} == {*SCHEMAS["/sequence"][1]}
-    assert decoded(looks.got["/tactile_image"]).shape == (64, 64, 3)
-
-
-def test_a_port_that_cannot_be_had_is_refused(profile):
-    pytest.importorskip("foxglove")
-    (server,) = output_listeners(foxglove=70_000)
-    with raises(SmartTouchError, about="foxglove", value=70_000):
-        st.run(st.open_source("text:a", profile), st.open_display("simulated:", profile),
-               listeners=[server])  # fmt: skip
 
 
 def test_the_layout_names_what_there_is():
