@@ -71,8 +71,8 @@ def _expanded(command: Callable[..., _T], defaults: dict[str, Any]) -> Callable[
             for each in shared(group)
         ]
     signature = inspect.Signature(taken, return_annotation=hints.get("return"))
-    # Typer reads it, and the type of a function does not have it.
-    expanded.__signature__ = signature  # type: ignore[attr-defined]
+    # Typer reads it; the type of a function has no such attribute.
+    vars(expanded)["__signature__"] = signature
     expanded.__annotations__ = {each.name: each.annotation for each in taken}
     return expanded
 

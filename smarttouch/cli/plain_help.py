@@ -16,13 +16,13 @@ _IS_ALL = "smarttouch.all"
 class PlainCommand(TyperCommand):
     """A command whose help is plain, and that reads ``--window`` without a number as 0."""
 
-    # Some versions of typer hand over a context class of their own, not the one of the base.
-    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
+    # A context is of click's class or of typer's own, by the version of typer: hence `Any`.
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the words of the command line."""
         ctx.meta[_IS_ALL] = _ALL in args
         return super().parse_args(ctx, with_ports(args))
 
-    def format_options(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]
+    def format_options(self, ctx: Any, formatter: Any) -> None:
         """Write arguments and options: those of every day, or all of them in their panels."""
         panels: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
         left_out = 0
@@ -50,11 +50,11 @@ class PlainCommand(TyperCommand):
 class PlainGroup(TyperGroup):
     """Commands under one name, listed in their order with one sentence each."""
 
-    def list_commands(self, ctx: typer.Context) -> list[str]:  # type: ignore[override]
+    def list_commands(self, ctx: Any) -> list[str]:
         """Return their names."""
         return list(self.commands)
 
-    def format_commands(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write them by their panels."""
         panels: dict[str, list[tuple[str, str]]] = {}
         for name, each in self.commands.items():
