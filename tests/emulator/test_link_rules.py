@@ -1,9 +1,7 @@
 """The emulated link board on a clock of the test's own: kernels, limits, rules."""
 
 import hashlib
-import math
 import zlib
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -255,67 +253,6 @@ def test_without_limits_and_without_kernels_nothing_flows():
     assert found == (Refusal.UNSAFE, Rule.SUM, 0, NOTHING, 200_000, 65_535)
 
 
-WEAK = [2, -2, 0, 0, 0, 0]
-
-
-def of(intensity):
-    """The weakest sequence that counts for as much as it claims."""
-    level_ua = math.ceil(2400 * intensity / 2)
-    return plain([[level_ua, -level_ua, 0, 0, 0, 0]], intensity=intensity)
-
-
-def test_a_rise_is_the_boards_to_allow():
-    rig = Rig()
-    assert rig.send(of(1.0))[:2] == (Refusal.UNSAFE, Rule.RISE)
-    assert rig.send(of(0.0)) is None
-    assert rig.send(of(0.29), 11, number=2) is None
-    assert rig.send(of(0.9), 30, number=3)[1] == Rule.RISE
-    for step in range(1, 51):
-        now_ms = 30 + 10 * step
-        rig.say(now_ms, MessageKind.HEARTBEAT)
-        found = rig.send(of(min(1.0, 0.02 * step)), now_ms, number=3 + step)
-        assert found is None, step
-    # It may fall at once, and comes back as slowly as it rose.
-    assert rig.send(of(0.1), 540, number=60) is None
-    assert rig.send(of(1.0), 551, number=61)[1] == Rule.RISE
-
-
-def test_weak_current_opens_a_multiple_of_itself():
-    """Whatever it claims, for a whole ramp; and what is open stays so while it flows."""
-    rig = Rig()
-    one = plain([[30, -30, 0, 0, 0, 0]])
-    for number in range(60):
-        assert rig.send(one, 10 * number, number=number) is None
-    found = rig.send(of(0.5), 600, number=100)
-    # 4 x ceil(1/160 of 65,535), 150 ms of a ramp of 500 and 2.
-    assert (found[1], found[4:]) == (Rule.RISE, (32_768, 4 * 410 + 19_660 + 2))
-    for step in range(1, 60):
-        assert rig.send(of(min(1.0, 0.02 * step)), 600 + 10 * step, number=100 + step) is None
-    for step in range(60, 100):
-        assert rig.send(one, 600 + 10 * step, number=100 + step) is None
-    assert rig.send(of(1.0), 1600, number=300) is None
-
-
-def quiet(rig, start_ms, end_ms, number):
-    """Keep a board alive without current, with sequences of full intensity that claim it."""
-    for now_ms in range(start_ms, end_ms, 50):
-        assert rig.send(plain([], intensity=0.2), now_ms, number=number) is None
-        number += 1
-    return number
-
-
-@pytest.mark.parametrize(("silent_ms", "kept"), [(14_900, True), (15_100, False)])
-def test_a_level_is_opened_by_current_and_closed_by_a_long_silence(silent_ms, kept):
-    rig = Rig()
-    number = quiet(rig, 0, 2000, 1)
-    assert rig.send(of(0.4), 2000, number=number)[1] == Rule.RISE
-    for step in range(50):
-        assert rig.send(of(min(1.0, 0.02 * step)), 2000 + 10 * step, number=100 + step) is None
-    number = quiet(rig, 2500, 2500 + silent_ms, 200)
-    found = rig.send(of(1.0), 2500 + silent_ms, number=number)
-    assert (found is None) == kept
-
-
 def test_recharge_phases_are_checked(rig):
     back = np.array([-100, 100, 0, 0, 0, 0], np.int16)
     assert rig.send(plain([GOOD], recharge_ua=back, recharge_us=500)) is None
@@ -324,86 +261,6 @@ def test_recharge_phases_are_checked(rig):
     assert found == (Refusal.UNSAFE, Rule.CURRENT, NOTHING, 0, 600, 500)
     found = rig.send(plain([GOOD], recharge_ua=back, recharge_us=9900), 1, number=2)
     assert found == (Refusal.UNSAFE, Rule.FIT, NOTHING, NOTHING, 10_070, 10_000)
-
-
-def repeated(rig, sequence, count, step_ms=10, number=1):
-    """Send a sequence again and again; return the first refusal, and how many were taken before."""
-    for index in range(count):
-        found = rig.send(sequence, step_ms * index, number=number + index)
-        if found is not None:
-            return found, index
-        rig.advance(step_ms * index + step_ms / 2)
-    return None, count
-
-
-def test_what_a_second_brings_is_bounded():
-    """Each is within the bounds of its own period."""
-    strong = plain([[1000, -1000, 0, 0, 0, 0]] * 3 + [[-1000, 1000, 0, 0, 0, 0]] * 3)
-    assert repeated(Rig(ramp_ms=0), strong, 200) == (None, 200)
-    net = plain([[2400, -2400, 0, 0, 0, 0]], width_us=200)
-    found, taken = repeated(Rig(ramp_ms=0), net, 200)
-    assert (found[1], found[3], taken) == (Rule.NET_IN_SECOND, 0, 104)
-    often = plain([[1300, -1300, 0, 0, 0, 0], [-1300, 1300, 0, 0, 0, 0]] * 27, period_us=40_000)
-    assert repeated(Rig(ramp_ms=0), often, 60, 40) == (None, 60)
-    # Sessions that follow one another cut what executes.
-    rig, found, taken = Rig(ramp_ms=0), None, -1
-    while found is None:
-        taken += 1
-        rig.say(taken, MessageKind.STOP)
-        rig.begin(taken)
-        found = rig.send(plain([]), taken)
-    assert (found[:2], found[4:], taken) == ((Refusal.UNSAFE, Rule.OFTEN), (202, 201), 201)
-
-
-def test_repetitions_are_judged_before_the_first_begins(rig):
-    net = plain([[2400, -2400, 0, 0, 0, 0]], width_us=200)
-    found = rig.send(replace(net, period_us=9000), times=112)
-    assert found[:2] == (Refusal.UNSAFE, Rule.NET_IN_SECOND)
-    assert rig.books.slots == 0
-
-
-def test_a_session_ends():
-    limits = SafetyLimits(E, 3.0, 200, 0.5, 200, 0.8, 0.5, 2.4, session_s=2, session_mc=0.004)
-    rig = Rig(limits=limits, ramp_ms=0)
-    both = plain([[1000, -1000, 0, 0, 0, 0], [-1000, 1000, 0, 0, 0, 0]])
-    found, taken = repeated(rig, both, 100)
-    assert (found[1], found[4:], taken) == (Rule.SESSION_CHARGE, (5, 4), 20)
-    rig = Rig(limits=limits, ramp_ms=0)
-    found = rig.send(plain([WEAK]), times=201)
-    assert (found[1], found[4:]) == (Rule.SESSION_TIME, (3, 2))
-
-
-NAMES = ("period", "total", "width", "full", "rounding", "full_us", "ramp", "session_s",
-         "session_uc", "duty", "nothing", "usual")  # fmt: skip
-
-
-def limited(name, value, **given):
-    """Return a rig whose limits have another value in one field."""
-    usual, rig = encode_limits(LIMITS), Rig(limits=None, **given)
-    fields = dict(zip(NAMES, protocol.LIMITS.unpack_from(usual), strict=True))
-    head = protocol.LIMITS.pack(*(fields | {name: value}).values())
-    rig.say(0, MessageKind.LIMITS, payload=head + usual[protocol.LIMITS.size :])
-    return rig
-
-
-def test_what_limits_ask_for_is_capped_and_what_is_left_out_is_safe():
-    full = plain([[2600, -2600, 0, 0, 0, 0]], width_us=20, intensity=0.1)
-    for name, value in (("full", 65_535), ("rounding", 5000)):
-        assert limited(name, value, ramp_ms=0).send(full)[1] == Rule.INTENSITY, name
-    for name in ("ramp", "usual"):
-        # A ramp that is left out is the longest; and any pulse is more than one of no width.
-        assert limited(name, 0, ramp_ms=500).send(of(0.1))[1] == Rule.RISE
-    for name in ("total", "width", "full", "session_s", "session_uc", "duty"):
-        assert limited(name, 0, ramp_ms=0).send(plain([GOOD]))[0] == Refusal.UNSAFE, name
-
-
-def test_one_source_counts_as_one_electrode():
-    shared = plain([[3000, -750, -750, -750, -750, 0]])
-    rig = Rig("three-state", ramp_ms=0)
-    split = plain([[1500, 1500, -3000, 0, 0, 0]], width_us=170)
-    assert rig.send(shared)[1] in (Rule.CURRENT, Rule.INTENSITY)
-    found = rig.send(split, number=2)
-    assert found[:2] == (Refusal.UNSAFE, Rule.CHARGE)
 
 
 def test_a_proof_is_of_the_table_and_the_session():

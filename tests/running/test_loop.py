@@ -148,7 +148,8 @@ def test_after_a_stall_nothing_comes_on_suddenly(pipeline, board):
     clock = FakeClock([0] * 40 + [150_000_000])
     with board:
         loop(Bars(60), pipeline, board, clock=clock)
-    intensity = [sequence.intensity for sequence in board.sequences]
+    intensity = intensities(board)
+    assert intensity[0] == 0
     assert intensity[39] == 1
     assert intensity[40] <= 0.041
     assert np.diff(intensity[40:]).max() <= 0.041
@@ -176,16 +177,6 @@ def test_a_board_whose_clock_is_behind_is_followed(pipeline, board, monkeypatch)
     # It waits once, and from then on takes its frames 7 ms later.
     assert np.diff(clock.deadlines).tolist() == [27_000_000] + [20_000_000] * 19
     assert tally.latency.total_us == tally.latency.largest_us > 0
-
-
-def test_same_frames_same_sequences(profile, bank):
-    runs = []
-    for _ in range(2):
-        with Watched(profile) as board:
-            loop(Bars(30), Pipeline(profile, bank, RunConfig(scan="points")), board)
-        runs.append([s.current_ua.tobytes() + s.site.tobytes() for s in board.sequences])
-    assert runs[0] == runs[1]
-    assert any(runs[0])
 
 
 def test_seconds_end_it(pipeline, board):
@@ -227,25 +218,6 @@ def test_an_exception_in_any_stage_ends_at_zero(monkeypatch, pipeline, board, st
     with pytest.raises(BrokenStageError), board:
         loop(sensor, pipeline, board, listeners=as_listeners(observers))
     assert board.calls == ["open", "stop", "close"]
-
-
-def test_soft_start_from_the_first_frame(pipeline, board):
-    with board:
-        loop(Bars(40), pipeline, board)
-    intensity = [sequence.intensity for sequence in board.sequences]
-    assert intensity[0] == 0
-    assert intensity[25] == pytest.approx(1.0)
-    assert np.diff(intensity).max() <= 0.0401
-
-
-def test_stopping_is_safe_from_another_thread(pipeline, board):
-    stop = StopRequest()
-    with board:
-        thread = threading.Thread(target=stop.ask, args=("other thread",))
-        thread.start()
-        thread.join()
-        loop(Bars(), pipeline, board, stop=stop)
-    assert board.sequences == []
 
 
 def intensities(board):
@@ -319,13 +291,6 @@ def test_a_lifted_finger_stops_the_current_and_its_return_begins_at_zero(pipelin
     assert found[-1] > 0.5
 
 
-def test_the_force_that_the_board_measures_gates_too(pipeline, board):
-    board.force_n = 0.05
-    with board:
-        loop(Bars(40), pipeline, board)
-    assert set(intensities(board)) == {0}
-
-
 def test_what_was_measured_changes_what_is_sent(profile, pipeline, board, monkeypatch):
     measured = []
     monkeypatch.setattr(board, "take_volts", lambda: [measured.pop()] if measured else [])
@@ -383,10 +348,6 @@ def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
     assert max(found[driven[away + 1] :]) > 0.5
 
 
-def felt(board):
-    return [sequence.intensity for sequence in board.sequences]
-
-
 class Pressing(ForceSource):
     """A force source that a test writes."""
 
@@ -430,7 +391,7 @@ def test_what_is_not_known_has_no_current(pipeline, board, unknown):
         else {"force_n": lambda time_ns: float("nan") if gone(time_ns) else 1.0}
     )
     tally, told = play(board, pipeline, Bars(90, **frame))
-    intensity = felt(board)
+    intensity = intensities(board)
     assert intensity[39] == 1
     assert not any(intensity[40:60])
     assert intensity[60] <= 0.041
@@ -440,29 +401,20 @@ def test_what_is_not_known_has_no_current(pipeline, board, unknown):
     assert [unknown in each for each in words] == [True, unknown == "force"]
 
 
-def test_a_force_source_has_the_last_word(pipeline, board):
-    play(board, pipeline, Bars(40), force=Pressing(lambda _: 0.5))
-    assert max(felt(board)) == pytest.approx((0.5 - 0.15) / 0.75, abs=1e-6)
-
-
-def test_the_board_may_lower_what_a_force_source_says(pipeline, board):
-    board.force_n = 0.5
-    play(board, pipeline, Bars(40), force=Pressing(lambda _: 1.0))
-    assert max(felt(board)) == pytest.approx((0.5 - 0.15) / 0.75, abs=1e-6)
-
-
-def test_nobody_stands_in_for_a_load_cell_that_fails(pipeline, board):
-    """Least of all the board: whoever asks for a cell does not trust it."""
-    board.force_n = 1.0
-    tally, _ = play(board, pipeline, Bars(40), force=Pressing(lambda _: float("nan")))
-    assert not any(felt(board))
-    assert tally.blind == 40
-
-
-def test_the_board_s_force_counts_where_nobody_else_knows_it(pipeline, board):
-    board.force_n = 0.5
-    play(board, pipeline, Bars(40, force_n=float("nan")))
-    assert max(felt(board)) == pytest.approx((0.5 - 0.15) / 0.75, abs=1e-6)
+@pytest.mark.parametrize(("frame_n", "source_n", "board_n", "counts_n"), [
+    (1.0, 0.5, None, 0.5),  # a source of force comes before the frame
+    (1.0, 1.0, 0.5, 0.5),  # the board may lower what it says
+    (1.0, float("nan"), 1.0, None),  # and does not stand in for one that fails
+    (float("nan"), None, 0.5, 0.5),
+    (1.0, None, 0.05, 0.05),
+])  # fmt: skip
+def test_which_force_counts(pipeline, board, frame_n, source_n, board_n, counts_n):
+    board.force_n = board_n
+    force = None if source_n is None else Pressing(lambda _: source_n)
+    tally, _ = play(board, pipeline, Bars(40, force_n=frame_n), force=force)
+    expected = 0 if counts_n is None else max(0, (counts_n - 0.15) / 0.75)
+    assert max(intensities(board)) == pytest.approx(expected, abs=1e-6)
+    assert tally.blind == (40 if counts_n is None else 0)
 
 
 class Scripted(Controls):
@@ -483,7 +435,7 @@ def test_the_user_s_wish_is_heeded_and_told_of(pipeline, board):
         (1_600_000_000, ControlState(Mode.SAI, 0.25)),
     )
     _, told = play(board, pipeline, Bars(120), controls=controls)
-    intensity = felt(board)
+    intensity = intensities(board)
     assert intensity[39] == 0.5
     assert not any(intensity[40:50])
     assert intensity[50] <= 0.041
