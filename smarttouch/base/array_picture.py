@@ -70,7 +70,7 @@ class ElectrodePicture:
 
 
 def electrodes_svg(electrodes: ElectrodeArray, colors: Colors, titles: Iterable[str]) -> str:
-    """Return electrodes as SVG discs in mm; a title belongs to each."""
+    """Return electrodes as SVG discs in mm, each with a title."""
     wide, high = electrodes.extent_mm
     radius_mm = disc_radius_mm(electrodes)
     discs = "".join(

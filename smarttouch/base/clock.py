@@ -28,7 +28,7 @@ _LIMIT: int | None = getattr(resource, "RLIMIT_RTPRIO", None)
 
 @dataclass(frozen=True)
 class Pace:
-    """Real-time resources that the system gave a run: the thread's priority, and locked memory."""
+    """Real-time resources granted to a run: the thread's priority, and locked memory."""
 
     real_time: bool = False
     locked: bool = False

@@ -146,11 +146,11 @@ class LineLostError(BoardError):
 
 
 class SilentBoardError(BoardError):
-    """A board does not answer when it is opened; it may be starting still."""
+    """A board does not answer when it is opened; it may still be starting."""
 
 
 class OtherDeviceError(BoardError):
-    """Another device is where a board was; only a question was sent to it."""
+    """Another device answers where a board was; it was sent a query and nothing else."""
 
 
 class BoardRestartedError(BoardError):
@@ -190,7 +190,7 @@ class RecordingError(SmartTouchError):
 
 
 class MarkersError(SmartTouchError):
-    """Markers cannot be sent."""
+    """LSL markers cannot be sent."""
 
 
 def require_within(

@@ -316,7 +316,7 @@ def require_folder(path: Path | None) -> None:
 
 
 def write_json(path: Path, figures: Any) -> None:
-    """Write figures as JSON, in which a number that is none, or endless, is null."""
+    """Write figures as JSON; NaN and infinite numbers become null."""
     write_bytes(path, (json.dumps(_finite(figures), indent=2, allow_nan=False) + "\n").encode())
 
 

@@ -1,4 +1,4 @@
-"""Representation of records in a line: of arrays their type and shape."""
+"""One-line representations of records: arrays by type and shape."""
 
 import dataclasses
 from enum import Enum
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def one_line(record: Any) -> str:
-    """Return the repr of a dataclass in a line: of arrays type and shape, of records the kind."""
+    """Return a dataclass's repr in one line: arrays by type and shape, records by class."""
     shown = [
         f"{each.name}={_brief(getattr(record, each.name))}"
         for each in dataclasses.fields(record)

@@ -1,4 +1,4 @@
-"""Tables and arrays in files, checked before they are believed: CSV, NPY and NPZ."""
+"""Tables and arrays in files, checked as they are read: CSV, NPY and NPZ."""
 
 import csv
 import io

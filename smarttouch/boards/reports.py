@@ -1,4 +1,4 @@
-"""What a board reports: its capabilities, delivery statistics and impedances."""
+"""Reports of a board: its capabilities, delivery statistics and impedances."""
 
 from dataclasses import dataclass
 from itertools import compress

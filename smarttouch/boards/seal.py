@@ -87,7 +87,7 @@ def _replaced(kind: type, name: str) -> BoardError:
 
 
 class _Seal(NamedTuple):
-    """What a board was made with."""
+    """Gate, limits and clock that a board was made with."""
 
     gate: SafetyGate
     gate_size: int

@@ -60,7 +60,7 @@ class CalibrationOptions(OptionGroup):
 
 
 def missing(about: str, message: str) -> CalibrationError:
-    """Return the error that nothing is given to measure with but could be simulated."""
+    """Return the error that no device is given to measure with, which could be simulated."""
     return CalibrationError(message, about=about, remedy="simulate")
 
 

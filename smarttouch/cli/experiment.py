@@ -36,7 +36,7 @@ def sit(
     config: "RunConfig",
     simulate: str | None,
 ) -> None:
-    """Run an experiment to its end or until a user ends it; print how far it came."""
+    """Run an experiment to its end or until a user ends it; print its progress."""
     from smarttouch.views.screen import BlindScreen
 
     def say(lines: Iterable[str]) -> None:

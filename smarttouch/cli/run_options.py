@@ -155,7 +155,7 @@ class RunOptionGroup(OptionGroup):
 
     @property
     def is_watched(self) -> bool:
-        """True if the run is only looked at: on a screen or in a window, and kept in no file."""
+        """True if the run is only watched, on a screen or in a window, and kept in no file."""
         kept = (self.felt, self.frames, self.record, self.json_file)
         screen = console()
         drawn = screen.is_terminal and not screen.is_dumb_terminal

@@ -1,4 +1,4 @@
-"""What a ``link`` board counts between sequences: the last second, the session, the rise.
+"""Sums that a ``link`` board keeps between sequences: the last second, the session, the rise.
 
 All on the board's own clock, in whole microseconds and pC.
 """

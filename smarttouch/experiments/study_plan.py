@@ -1,4 +1,4 @@
-"""Plan of a study, and what is shown in each of its choices."""
+"""Plan of a study, and the sequences of each of its choices."""
 
 import hashlib
 from collections.abc import Callable, Iterator
@@ -41,9 +41,9 @@ class Study(Table):
     intensities: tuple[float, ...] = Field(default=(1.0,), min_length=1, max_length=100)
     """Parts of the strongest comfortable current."""
     letters: str = ALPHABET
-    """Letters that are felt; none if empty."""
+    """Letters shown on the fingers; none if empty."""
     pages: tuple[str, ...] = Field(default=(), max_length=1000)
-    """Pages that are felt, as for ``smarttouch read``."""
+    """Pages shown on the fingers, as for ``smarttouch read``."""
 
     @model_validator(mode="after")
     def _something_felt(self) -> Self:

@@ -1,4 +1,4 @@
-"""Rows of a study: what one finger responds to one letter or page in one choice."""
+"""Rows of a study: the response of one finger to one letter or page in one choice."""
 
 import csv
 import hashlib

@@ -141,7 +141,7 @@ def _file(
 
 
 def _made(work: Sequence[_Work]) -> Generator[tuple[int, list[StudyRow]], None, None]:
-    """Yield rows as they are ready, with the index of what they are of."""
+    """Yield rows as they are ready, with the index of their work."""
     from joblib import Parallel, delayed
 
     many = Parallel(n_jobs=-1, return_as="generator_unordered", max_nbytes=None)

@@ -145,7 +145,7 @@ def notes(mixture: Mixture, answers: Mapping[Afferent, ReceptorResponse]) -> lis
 def draw_mixture(
     trace: Trace, answers: Mapping[Afferent, ReceptorResponse], mixture: Mixture | None = None
 ) -> "Figure":
-    """Draw a vibration, what each class answers, and the pulses if there are any."""
+    """Draw a vibration, the response of each class, and the pulses if there are any."""
     rows = {}
     for afferent, answer in answers.items():
         which = np.empty(0, np.intp)

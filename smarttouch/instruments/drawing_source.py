@@ -249,7 +249,7 @@ class DrawSource(StimulusSource):
         return int(text)
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: nothing is open."""
 
 
 def read_patterns(path: Path, profile: Profile) -> list[Pattern]:

@@ -1,4 +1,4 @@
-"""Kernels designed on fingers: few afferents that a point must not fire, and no silent point.
+"""Kernels designed on simulated fingers, for few unwanted afferents and no silent point.
 
 For the afferents of a sample of fingers, with drives D(w) that are linear in the currents w up to
 the choice of a node::

@@ -1,4 +1,4 @@
-"""Kernels of a profile whose objective is the finger."""
+"""Kernels of a profile with ``kernels.objective = "finger"``."""
 
 import time
 from collections.abc import Callable, Sequence

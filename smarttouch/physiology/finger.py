@@ -1,4 +1,4 @@
-"""A finger under an array: what its afferents do under a scan sequence, and its picture."""
+"""A finger under an array: the response of its afferents to a scan sequence, and its picture."""
 
 from typing import Any
 

@@ -201,7 +201,7 @@ class PerceptThresholds(Table):
 
 
 class CommandDefaults(Table):
-    """What the command line takes where an option is not given, once this profile is chosen.
+    """Values for options that are not given on the command line, with this profile.
 
     The source of force stands in `force.source`. Intensity is given with each run.
     """

@@ -1,4 +1,4 @@
-"""A profile: one device on one finger, its values fit to each other and to stricter limits."""
+"""A profile: one device on one finger, checked as a whole, or narrowed to stricter limits."""
 
 import math
 from collections.abc import Iterator, Mapping

@@ -1,4 +1,4 @@
-"""Base of all tables of a profile, and all that is wrong in a file, in words."""
+"""Base of all tables of a profile, and the message that lists what is wrong in a file."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path

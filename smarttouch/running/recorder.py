@@ -37,7 +37,7 @@ MOST_WAITING = 1000
 
 
 class _GoneError(OSError):
-    """The file has no longer the name under which it is to be found."""
+    """The file no longer has the name that it was created with."""
 
 
 _Item = StepResult | tuple[int, str]

@@ -206,7 +206,7 @@ class Runner:
         return report
 
     def _settings(self, profile: Profile) -> dict[str, Any]:
-        """Return all that sequences depend on, and what else one may want to know."""
+        """Return all settings that sequences depend on, and others worth recording."""
         source, display = self.source, self.display
         return {
             **self.config.settings(profile),
@@ -221,7 +221,7 @@ class Runner:
         }
 
     def _board_settings(self, regulator: Regulator) -> dict[str, Any]:
-        """Return those that an open board says of itself, and what an earlier run left on it."""
+        """Return settings that an open board reports, and the charge that an earlier run left."""
         can, ledger = self.display.board.capabilities, regulator.ledger
         carried_pc = [] if ledger is None else ledger.charge_pc.tolist()
         return {
@@ -274,7 +274,7 @@ class Runner:
             )
 
     def _require_force(self) -> None:
-        """Raise where no force can open the current."""
+        """Raise if no source of force could let current flow."""
         source, force, board = self.source, self._force, self.display.board
         finger = self.display.on_a_finger
         title = source.title if force is None else force.title
@@ -294,7 +294,7 @@ class Runner:
         )
 
     def _warn_of_simulation(self, profile: Profile) -> None:
-        """Say so where a real finger is to feel what was found on none."""
+        """Warn where a real finger gets values that were calibrated in simulation."""
         simulated = [
             name for name, note in profile.calibrated.items() if note.found.startswith("simulated")
         ]

@@ -157,7 +157,7 @@ def show_together(
 
 
 def _carry_out(shows: Mapping[Session, Show]) -> dict[Session, Shown]:
-    """Carry out what several sessions are asked for, all at the same time."""
+    """Carry out requests to several sessions at the same time."""
     with contextlib.ExitStack() as stack:
         # In one order for all threads that do so.
         for each in sorted(shows, key=id):

@@ -135,7 +135,7 @@ class SessionFeed(Source, Listener):
         self.news.set()
 
     def close(self) -> None:
-        """Let nobody wait any longer."""
+        """Wake all threads that wait for the feed."""
         with self._lock:
             self.is_over = True
             show, self._show = self._show, None
@@ -332,7 +332,7 @@ class SessionFeed(Source, Listener):
         """Take note that a level is being opened; for sources that say so."""
 
     def _scale(self, show: Show) -> float:
-        """Return how much of a level is to flow."""
+        """Return the share of a level that flows."""
         return 1.0 if show.exact else self.gate * self.user_level
 
     def _is_open(self, show: Show, time_ns: int) -> bool:

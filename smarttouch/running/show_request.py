@@ -1,4 +1,4 @@
-"""What is asked of a session: a pattern, its level and its time; and what has become of it."""
+"""Request to a session: a pattern, its level and duration, and its outcome."""
 
 import math
 import threading
@@ -28,7 +28,7 @@ it by None."""
 
 @dataclass(eq=False)
 class Show:
-    """A pattern or a silence that is asked for, and what has become of it.
+    """A requested pattern or silence, and its outcome.
 
     Without seconds a pattern is its level alone, and a silence lasts until its level is None.
     """

@@ -62,7 +62,7 @@ class Step:
 
 @dataclass(frozen=True)
 class FirstPulse:
-    """When a sequence began to be felt.
+    """Start of the first pulse of a sequence.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a program does on a board that is open: open a level, show, put, wait, pause."""
+"""Operations of a program on an open board: open a level, show, put, wait, pause."""
 
 import asyncio
 import math
@@ -155,7 +155,7 @@ class Touch:
         self._feed.put(self._checked(pattern), round(1e9 * stale_s))
 
     def present(self, show: Show) -> Show:
-        """Carry out what is asked for; its fault says what went wrong."""
+        """Carry out a request; its fault says what went wrong."""
         with self.begun(show):
             show.over.wait()
         self._require_life()
@@ -163,7 +163,7 @@ class Touch:
 
     @contextmanager
     def begun(self, show: Show) -> Iterator[None]:
-        """Begin what is asked for; it is canceled where the block does not wait for its end."""
+        """Begin a request; it is canceled if the block does not wait for its end."""
         with self._turn:
             self._require_life()
             self._feed.begin(show)

@@ -52,7 +52,7 @@ class SummedSlots:
 
     @property
     def do(self) -> NDArray[np.float32]:
-        """Effects that a judge finds out."""
+        """Effects of the slots, as computed by a judge."""
         return np.zeros((2, len(self.points)), np.float32)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""What one pass of a sequence brings to each electrode: pulses that count as felt, and charge."""
+"""Load of one pass of a sequence on each electrode: pulses that count as felt, and charge."""
 
 from typing import NamedTuple
 

@@ -50,7 +50,7 @@ class SourceContract:
         pytest.skip("make_impossible is not given")
 
     def pause(self) -> None:
-        """Do what is to be done between two reads: nothing, or wait for a device."""
+        """Called between two reads: does nothing; override it to wait for a device."""
 
     @pytest.fixture
     def profile(self) -> Profile:
@@ -79,7 +79,7 @@ class SourceContract:
         return round(self.step_s * 1e9)
 
     def check(self, given: Input, first: Input, profile: Profile) -> None:
-        """Compare one of its inputs with what a run takes, and with its first."""
+        """Check that a run takes one of its inputs, and that it matches the first."""
         assert isinstance(given, Frame)
         assert isinstance(first, Frame)
         assert given.image.dtype == np.uint8

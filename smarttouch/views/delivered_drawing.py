@@ -1,4 +1,4 @@
-"""Pictures of the touch that the skin received, below what was touched."""
+"""Pictures of what the skin received, below what the finger passed over."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Whose sockets there are on this machine, by the tables of Linux.
+"""Owners of this machine's sockets, from the tables of Linux.
 
 See https://www.kernel.org/doc/html/latest/networking/proc_net_tcp.html. A user's sockets are listed
 with the user; a connection within the machine is listed twice, once from each end.

@@ -235,7 +235,7 @@ class SimulatedPatch:
 
 
 def weigh_simulated(listed: Sequence[float] | None, seconds: float) -> list[Weighing]:
-    """Weigh some grams, or a usual set, on a cell that does not exist."""
+    """Weigh some grams, or a usual set, on a simulated cell."""
     cell, found = SimulatedCell(bend=0.02, hysteresis_n=0.005), []
     for grams in listed or (0, 20, 50, 100, 50, 20, 0):
         cell.put(grams)

@@ -129,7 +129,7 @@ class ThresholdProcedure:
     simulate: bool = False
 
     def progress(self) -> Progress:
-        """Return how far it came before, with the same settings."""
+        """Return the results of an earlier session with the same settings."""
         profile = self.file.profile
         return Progress(
             self.file.beside("thresholds.json"),
@@ -199,7 +199,7 @@ class ThresholdProcedure:
             raise self.stopped(progress)
 
     def stopped(self, progress: Progress) -> CalibrationError:
-        """Return the error that it was stopped."""
+        """Return the error of a procedure that was stopped."""
         left = len(set(self.sites) - set(progress.found))
         return CalibrationError(
             f"stopped, all electrodes are off: {left} of {len(self.sites)} electrodes are left, "
@@ -208,7 +208,7 @@ class ThresholdProcedure:
         )
 
     def put_down(self, progress: Progress) -> str:
-        """Set what was found in the profile's file, not written yet; return it in a sentence."""
+        """Set the results in the profile's file, not written yet; return them in a sentence."""
         threshold_ma, comfort_ma = filled(self.file.profile, progress.found)
         self.file.set("perception.threshold_ma", threshold_ma)
         self.file.set("perception.comfort_ma", comfort_ma)

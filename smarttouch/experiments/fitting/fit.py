@@ -187,7 +187,7 @@ class Fit:
         return float(self.model.stimulus(self.model.place(part, self.best.parameters)[0]))
 
     def __call__(self, stimulus: Array) -> Array:
-        """Return the shares that it expects at stimuli, (K,)."""
+        """Return the predicted shares at stimuli, (K,)."""
         x = self.model.axis(stimulus)
         return np.asarray(self.model.probability(x, self.best.parameters)[0])
 

@@ -225,7 +225,7 @@ class ExperimentSession:
         return Subject(source, observer)
 
     def before(self) -> Iterator[str]:
-        """Yield lines on it before it goes on."""
+        """Yield lines that introduce the session."""
         session = self.session
         total = "" if session.total is None else f" of {session.total}"
         if session.resumed and not session.over:
@@ -233,7 +233,7 @@ class ExperimentSession:
         yield from self.made.notes
 
     def after(self) -> list[str]:
-        """Return lines on how far it came."""
+        """Return lines on the progress of the session."""
         return summarize(self.made, self.session, self.path)
 
 

@@ -86,7 +86,7 @@ class ExperimentSource(ProgramSource):
         self.title = f"{self._trials.title}: over"
 
     def _prepare(self, trial: Trial) -> None:
-        """Be silent, after the faintest pulses where these must open the intensity first."""
+        """Pause without current, after faint pulses where these must open the intensity first."""
         train, patience_s = trial.intervals[0], self._timing.patience_s
         # A blank begins as the train that it stands for, so that nothing distinguishes the two.
         activation = train.activation if train.blanked is None else train.blanked
@@ -160,7 +160,7 @@ class ExperimentSource(ProgramSource):
         return shown, self._key(trial) if train.rises and key is None else key
 
     def _followed(self, trial: Trial, train: Train) -> tuple[Show, None]:
-        """Let the current follow the keys from zero on, no faster than the ramp."""
+        """Make the current follow the keys from zero, no faster than the ramp."""
         course = trial.course
         assert course is not None
         full_ma = float(self._profile.full_ma[train.activation.any(axis=0)].min())
@@ -245,7 +245,7 @@ class ExperimentSource(ProgramSource):
         return "press firmly, and raise the intensity to the full with +"
 
     def _tell(self, what: str, words: str) -> None:
-        """Emit what happens in the trial that is on."""
+        """Emit an event of the current trial."""
         self.emit(TrialEvent(self.now_ns, f"{what} {self._trials.done + 1}{words}"))
 
     def _say(self, words: str) -> None:

@@ -1,4 +1,4 @@
-"""Simulated observers: of known thresholds, of spikes, and some of no use."""
+"""Simulated observers: by thresholds, by spikes, and some that ignore the stimulus."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
