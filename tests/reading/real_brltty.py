@@ -77,21 +77,29 @@ def _nabcc():
 class Brltty:
     """BRLTTY with its virtual display, started anew as often as one likes.
 
-    Its device is as behind its option ``-d``; the screen is the driver of what it reads.
+    Its device is as behind its option ``-d``; the screen is the driver of what it reads. Settings
+    are a file such as ``/etc/brltty.conf``, which then says all of this.
     """
 
-    def __init__(self, device: str, folder: Path, screen: str = "no") -> None:
-        self._device, self._folder, self._screen = device, folder, screen
+    def __init__(self, device: str, folder: Path, screen: str = "no", settings: str = "") -> None:
         # BrlAPI's host ":4" is port 4101 + 4.
         self.host = f":{free_port() - 4101}"
+        self.pid_file = folder / "brltty.pid"
+        options = ["-f", "/dev/null", "-b", "vr", "-d", device, "-x", screen,
+                   "-A", f"auth=none,host={self.host}"]  # fmt: skip
+        if settings:
+            own = folder / "brltty.conf"
+            settings = settings.replace("client:", device).replace("screen-driver   lx", screen)
+            own.write_text(settings.replace("host=:1", f"auth=none,host={self.host}"))
+            options = ["-f", str(own)]
+        self._options = options
         self.process: subprocess.Popen | None = None
 
     def start(self) -> None:
         """Start it, without the greeting, which a writing program can crash (BRLTTY 6.5)."""
         self.process = subprocess.Popen(
-            ["brltty", "-q", "-n", "-E", "-e", "-b", "vr", "-d", self._device, "-x", self._screen,
-             "-t", "en-nabcc", "-A", f"auth=none,host={self.host}", "-f", "/dev/null",
-             "-P", str(self._folder / "brltty.pid")],
+            ["brltty", "-q", "-n", "-E", "-e", "-t", "en-nabcc", *self._options,
+             "-P", str(self.pid_file)],
             stderr=subprocess.DEVNULL,
         )  # fmt: skip
 
