@@ -1,3 +1,3 @@
 """Version of the package: this is the one place that says it."""
 
-__version__ = "0.9.0"
+__version__ = "1.0.0rc1"

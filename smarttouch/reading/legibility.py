@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 from joblib import Parallel, delayed
-from rapidfuzz.distance import Levenshtein
 
 from smarttouch.base.errors import ReadingError
 from smarttouch.braille.cells import read_plain_text
@@ -72,7 +71,20 @@ def _rate(truth: Sequence[str], text: Sequence[str]) -> float:
         raise ReadingError(
             "the text to compare with is empty: give the text of the page", about="truth"
         )
-    return Levenshtein.distance(truth, text) / len(truth)
+    return _levenshtein()(truth, text) / len(truth)
+
+
+def _levenshtein() -> Callable[[Sequence[str], Sequence[str]], int]:
+    """Return the function for the distance of two sequences, from the extra ``legibility``."""
+    try:
+        from rapidfuzz.distance import Levenshtein
+    except ModuleNotFoundError:
+        raise ReadingError(
+            "error rates need the extra legibility: pip install 'smarttouch[legibility]'",
+            about="extra",
+            remedy="pip install 'smarttouch[legibility]'",
+        ) from None
+    return Levenshtein.distance
 
 
 _Item = TypeVar("_Item")
@@ -177,6 +189,7 @@ def legibility_of_shapes(
 
     The truth is Tesseract's text of the page itself if not given.
     """
+    _levenshtein()  # before a long run that would end without it
     options, profile = source.options, reading.profile
     step_mm = reading.motion.speed_mm_s / profile.pulse.rate_hz
     page_texts: list[str] = []

@@ -1,5 +1,7 @@
 """Rates of error: known ones, and what holds for all texts."""
 
+import sys
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -82,3 +84,12 @@ def test_one_more_sign_is_one_error(truth, place, sign):
     plain = normalize(truth)
     changed = plain[:place] + sign + plain[place:]
     assert character_error_rate(plain, changed) == pytest.approx(1 / len(plain))
+
+
+def test_without_the_extra_it_says_which(monkeypatch):
+    for name in ("rapidfuzz", "rapidfuzz.distance"):
+        monkeypatch.setitem(sys.modules, name, None)
+    with pytest.raises(ReadingError) as caught:
+        character_error_rate("a", "b")
+    assert caught.value.about == "extra"
+    assert "smarttouch[legibility]" in caught.value.remedy
