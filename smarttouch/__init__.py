@@ -39,8 +39,9 @@ if TYPE_CHECKING:
     from smarttouch.running.listener import Listener
     from smarttouch.running.recorded_run import RecordedRun, load_recording
     from smarttouch.running.recorder import Recorder
+    from smarttouch.running.run_statistics import RunStatistics
     from smarttouch.running.session import Session, show_together
-    from smarttouch.running.step import RunStatistics, StepResult
+    from smarttouch.running.step import StepResult
     from smarttouch.running.touch import Shown
     from smarttouch.sources import open_source
     from smarttouch.sources.source_contract import Frame, OpticalSource, Stimulus, StimulusSource
@@ -106,7 +107,8 @@ if not TYPE_CHECKING:  # else any name would be one to a type checker
         "running.recorded_run": "RecordedRun load_recording",
         "running.recorder": "Recorder",
         "running.session": "Session show_together",
-        "running.step": "RunStatistics StepResult",
+        "running.run_statistics": "RunStatistics",
+        "running.step": "StepResult",
         "running.touch": "Shown",
         "sources": "open_source",
         "sources.source_contract": "Frame OpticalSource Stimulus StimulusSource",

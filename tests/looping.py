@@ -4,7 +4,7 @@ from smarttouch.base.clock import SimulatedClock
 from smarttouch.base.stopping import StopRequest
 from smarttouch.running.listener import as_listeners
 from smarttouch.running.loop import run_loop
-from smarttouch.running.step import RunStatistics
+from smarttouch.running.run_statistics import RunStatistics
 
 
 def loop_through(source, pipeline, board, *listeners, **options):

@@ -70,10 +70,10 @@ def read(
 
     from smarttouch.cli.options import parse_mode
     from smarttouch.imaging.array_window import profile_for_reading, reading_force_n
+    from smarttouch.reading.line_feed import LineFeed
     from smarttouch.reading.line_source import (
         Cursor,
         FollowingCursor,
-        LineFeed,
         ReadingSource,
         SweepingCursor,
     )

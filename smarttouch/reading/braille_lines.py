@@ -25,7 +25,8 @@ from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.text_lines import TextLine
 from smarttouch.profile import Profile
-from smarttouch.reading.line_source import LineMotion, Place, TouchLine
+from smarttouch.reading.line_feed import Place, TouchLine
+from smarttouch.reading.line_source import LineMotion
 from smarttouch.reading.material import (
     EmptyPages,
     ReadingMaterial,

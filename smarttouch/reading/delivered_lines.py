@@ -18,13 +18,8 @@ from smarttouch.kernels.bank import KernelBank
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.response import ignore_nan, response_quality
 from smarttouch.profile import Profile
-from smarttouch.reading.line_source import (
-    LineFeed,
-    LineMotion,
-    ReadingSource,
-    SweepingCursor,
-    TouchLine,
-)
+from smarttouch.reading.line_feed import LineFeed, TouchLine
+from smarttouch.reading.line_source import LineMotion, ReadingSource, SweepingCursor
 from smarttouch.running.config import RunConfig
 from smarttouch.running.delivered import FIELD_MM, DeliveredResponses, delivered_spikes
 from smarttouch.running.delivered_line import LinePicture

@@ -22,7 +22,8 @@ from smarttouch.imaging.registration import PIXELS_PER_CELL, Registration
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.pages.prepared_page import SIDES, PreparedPage
 from smarttouch.profile import Profile
-from smarttouch.reading.line_source import LineMotion, Place, TouchLine
+from smarttouch.reading.line_feed import Place, TouchLine
+from smarttouch.reading.line_source import LineMotion
 from smarttouch.reading.material import Note, ReadingMaterial, recognized_lines
 
 ENOUGH_ROWS = 8

@@ -20,8 +20,9 @@ from smarttouch.running.listener import Listener
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.recorded_source import RecordedControls, RecordingSource
 from smarttouch.running.recording_reader import Recording
+from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.runner import Operation, Runner
-from smarttouch.running.step import RunStatistics, Step, StepResult
+from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.given_sources import Given, Imaging, OwnImaging, checked_input, source_of
 

@@ -20,7 +20,7 @@ from smarttouch.base.events import (
 )
 from smarttouch.boards.board import Board
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.step import RunStatistics
+from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.given_sources import checked_input
 from smarttouch.sources.source_contract import Input, Source

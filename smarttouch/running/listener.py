@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from smarttouch.profile import Profile
     from smarttouch.running.config import RunConfig
     from smarttouch.running.inputs import Controls
-    from smarttouch.running.step import RunStatistics
+    from smarttouch.running.run_statistics import RunStatistics
     from smarttouch.sources.source_contract import Source
 
 

@@ -25,7 +25,8 @@ from smarttouch.running.listener import Listener
 from smarttouch.running.phase_lock import PhaseLock, Sent
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulation import Regulator
-from smarttouch.running.step import RunStatistics, Step, StepResult
+from smarttouch.running.run_statistics import RunStatistics
+from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Source
 

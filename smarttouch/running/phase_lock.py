@@ -4,7 +4,8 @@ from collections import deque
 from dataclasses import dataclass
 
 from smarttouch.boards.board import Board
-from smarttouch.running.step import FirstPulse, RunStatistics
+from smarttouch.running.run_statistics import RunStatistics
+from smarttouch.running.step import FirstPulse
 
 GUARD_NS = 500_000
 """Time kept beside the usual delay of a sequence."""

@@ -30,7 +30,8 @@ from smarttouch.running.listener import Listener, RunContext, as_listeners
 from smarttouch.running.loop import emit_to, run_loop, steady_environment
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulation import Regulator, make_regulator, masked_where_broken
-from smarttouch.running.step import RunStatistics, StepResult, figures_of
+from smarttouch.running.run_statistics import RunStatistics, figures_of
+from smarttouch.running.step import StepResult
 from smarttouch.sources.force import ForceSource, open_force
 from smarttouch.sources.source_contract import Source
 from smarttouch.stimulation.safety_limits import rms_ma_cm2

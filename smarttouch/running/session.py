@@ -12,10 +12,11 @@ from smarttouch.boards.stoppable import stoppable_run
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display_board import DisplayBoard
 from smarttouch.running.listener import Listener
+from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.runner import Runner
 from smarttouch.running.session_feed import Pattern, SessionFeed
 from smarttouch.running.show_request import Show
-from smarttouch.running.step import RunStatistics, StepResult
+from smarttouch.running.step import StepResult
 from smarttouch.running.touch import Shown, Touch
 from smarttouch.sources.force import ForceSource
 

@@ -1,16 +1,14 @@
-"""Terminal screens of a run, for readers and for participants, and their pictures of characters."""
+"""Terminal screens of a run, for readers and for participants."""
 
 import sys
 import textwrap
 import threading
 import time
-from itertools import groupby, zip_longest
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
 from rich.live import Live
@@ -21,94 +19,10 @@ from rich.text import Text
 
 from smarttouch.base import terminal
 from smarttouch.base.events import Advice, Event
-from smarttouch.profile import Profile
 from smarttouch.running.listener import Listener, RunContext
-from smarttouch.running.step import FirstPulse, StepResult, summary_lines
-
-MOST_ROWS, MOST_COLUMNS = 16, 64  # of a picture, in characters: drawing takes the loop's time
-
-_DOTS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]])
-_SHADE = 15  # step between shades of gray: white stays white
-_DITHER = (np.array([[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]]) + 0.5) * 16
-"""Grey value above which each dot of two signs side by side is bright."""
-
-
-def image_text(image: NDArray[np.uint8], columns: int, rows: int, *, color: bool) -> Text:
-    """Draw a grey image within a number of columns and rows: in color as half blocks, two pixels to
-    a character, else as Braille characters of eight dots."""
-    height, width = image.shape
-    rows, columns = min(rows, MOST_ROWS), min(columns, MOST_COLUMNS)
-    wide = max(2, round(2 * rows * width / height))
-    if wide > columns:
-        rows, wide = max(1, round(columns * height / width / 2)), columns
-    if not color:
-        return _dots(image, wide, rows)
-    small = cv2.resize(image, (wide, 2 * rows), interpolation=cv2.INTER_AREA)
-    # Fewer shades make longer runs: drawing takes the loop's time.
-    small = small // _SHADE * _SHADE
-    text = Text()
-    for upper, lower in zip(small[::2], small[1::2], strict=True):
-        for pair, run in groupby(zip(upper.tolist(), lower.tolist(), strict=True)):
-            above, below = (f"rgb({grey},{grey},{grey})" for grey in pair)
-            text.append("▀" * len(list(run)), style=f"{above} on {below}")
-        text.append("\n")
-    text.right_crop(1)
-    return text
-
-
-def _dots(image: NDArray[np.uint8], columns: int, rows: int) -> Text:
-    small = cv2.resize(image, (2 * columns, 4 * rows), interpolation=cv2.INTER_AREA)
-    bright = small > np.tile(_DITHER, (rows, -(-columns // 2)))[:, : 2 * columns]
-    signs = np.einsum("rickd,id->rc", bright.reshape(rows, 4, columns, 1, 2), _DOTS)
-    return Text("\n".join("".join(chr(0x2800 + each) for each in row) for row in signs.tolist()))
-
-
-class ArrayPicture:
-    """Array of electrodes as a picture of characters."""
-
-    def __init__(self, profile: Profile) -> None:
-        position = profile.electrodes.position_mm
-        step_x, step_y = _finest(position[:, 0]), _finest(position[:, 1])
-        self._column = np.rint((position[:, 0] - position[:, 0].min()) / step_x).astype(int)
-        self._row = np.rint((position[:, 1] - position[:, 1].min()) / step_y).astype(int)
-        self._columns, self._rows = int(self._column.max()) + 1, int(self._row.max()) + 1
-        self._spread = 3 if step_x >= step_y else 2
-
-    def merged(self, columns: int, rows: int) -> int:
-        """Return how many columns and rows of electrodes a character covers."""
-        return max(-(-self._columns // columns), -(-self._rows // rows))
-
-    def draw(self, parts: NDArray[np.float32], columns: int, rows: int) -> Text:
-        """Draw electrodes, (E,) as parts of the strongest, within a number of columns and rows; a
-        character shows its strongest electrode."""
-        merged = self.merged(columns, rows)
-        shape = -(-self._rows // merged), -(-self._columns // merged)
-        most = np.full(shape, -1.0)
-        np.maximum.at(most, (self._row // merged, self._column // merged), parts.clip(0, 1))
-        spread = min(self._spread, columns // shape[1])
-        text = Text()
-        for line in most.tolist():
-            for part, run in groupby(line):
-                sign, style = _sign(part, spread)
-                text.append(sign * len(list(run)), style)
-            text.append("\n")
-        text.right_crop(1)
-        return text
-
-
-def _sign(part: float, spread: int) -> tuple[str, str]:
-    """Return the sign of an electrode, or of none if below 0, and its style."""
-    if part <= 0:
-        return ("·" if part == 0 else " ").ljust(spread), "grey42"
-    glow = round(90 + 165 * part)
-    mark = "○◔◑◕●"[min(4, int(part * 5))]
-    return mark.ljust(spread), f"rgb({glow},{round(glow * 0.75)},40)"
-
-
-def _finest(values: NDArray[np.float64]) -> float:
-    steps = np.diff(np.unique(values.round(6)))
-    return float(steps.min()) if steps.size else 1.0
-
+from smarttouch.running.run_statistics import summary_lines
+from smarttouch.running.step import FirstPulse, StepResult
+from smarttouch.views.character_pictures import MOST_ROWS, ArrayPicture, image_text
 
 _REFRESH_S = 0.2
 _LEAST_REST = 20

@@ -20,7 +20,7 @@ from smarttouch.base.files import open_alone
 from smarttouch.experiments.psychophysics.trial_rows import read_rows
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.recording_reader import Recording
-from smarttouch.running.step import RunStatistics
+from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.views.screen import BlindScreen
 
 from .conftest import refused, says

@@ -18,10 +18,12 @@ from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.step import RunStatistics, StepResult
+from smarttouch.running.run_statistics import RunStatistics
+from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Stimulus
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
-from smarttouch.views.screen import ArrayPicture, BlindScreen, Screen, _beside, image_text
+from smarttouch.views.character_pictures import ArrayPicture, image_text
+from smarttouch.views.screen import BlindScreen, Screen, _beside
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 

@@ -11,7 +11,8 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulation import Regulator
-from smarttouch.running.step import RunStatistics, StepResult
+from smarttouch.running.run_statistics import RunStatistics
+from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Stimulus
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
 from smarttouch.stimulation.safety_gate import SafetyLimits

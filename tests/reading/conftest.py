@@ -6,7 +6,7 @@ import pytest
 from smarttouch.imaging.array_window import pixel_pitch_mm, profile_for_reading
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
-from smarttouch.reading.line_source import LineFeed, TouchLine
+from smarttouch.reading.line_feed import LineFeed, TouchLine
 
 
 @pytest.fixture(scope="session")

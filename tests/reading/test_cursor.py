@@ -9,16 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import ReadingError
+from smarttouch.reading.line_feed import LineFeed, Place, TouchLine
 from smarttouch.reading.line_source import (
     GAP,
     LAND_S,
     SETTLE_S,
     FollowingCursor,
-    LineFeed,
     LineMotion,
-    Place,
     SweepingCursor,
-    TouchLine,
 )
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 

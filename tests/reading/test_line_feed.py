@@ -5,7 +5,7 @@ import threading
 import pytest
 
 from smarttouch.base.errors import ReadingError
-from smarttouch.reading.line_source import AHEAD, BEHIND, LineFeed
+from smarttouch.reading.line_feed import AHEAD, BEHIND, LineFeed
 
 
 def test_lines_are_there_before_all_are_ready(make_line):

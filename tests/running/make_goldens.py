@@ -30,7 +30,7 @@ from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.recorder import RecordingWriter, about_run
 from smarttouch.running.regulation import Regulator
-from smarttouch.running.step import RunStatistics
+from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.sources import open_source
 from smarttouch.sources.source_contract import Frame, Source, Stimulus
 from smarttouch.stimulation.adaptation import Adaptation

@@ -27,7 +27,7 @@ from smarttouch.running.listener import OnEvent, as_listeners
 from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulation import Regulator
-from smarttouch.running.step import RunStatistics
+from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 from smarttouch.stimulation.adaptation import Adaptation

@@ -5,7 +5,7 @@ import pytest
 
 from smarttouch.boards.reports import SequenceStart
 from smarttouch.running.phase_lock import GUARD_NS, PhaseLock, Sent
-from smarttouch.running.step import RunStatistics
+from smarttouch.running.run_statistics import RunStatistics
 
 MS = 1_000_000
 

@@ -117,7 +117,7 @@ def test_a_source_that_measures_force_needs_no_other(flows, profile):
 def test_a_recorded_force_opens_nothing_for_programs_without_a_runner(profile, bank):
     from smarttouch.running.inputs import Controls, ControlState, Inputs
     from smarttouch.running.pipeline import Pipeline
-    from smarttouch.running.step import RunStatistics
+    from smarttouch.running.run_statistics import RunStatistics
 
     class Recorded(ForceSource):
         is_live = False

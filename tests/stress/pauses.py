@@ -24,7 +24,7 @@ from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import as_listeners
 from smarttouch.running.loop import run_loop, steady_environment
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.step import RunStatistics
+from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 from smarttouch.stimulation.safety_gate import SafetyLimits
 

@@ -19,7 +19,8 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import RunContext
 from smarttouch.running.pipeline import Pipeline
-from smarttouch.running.step import RunStatistics, StepResult
+from smarttouch.running.run_statistics import RunStatistics
+from smarttouch.running.step import StepResult
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ...raising import raises

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Mode
 from smarttouch.base.tactile_image import TactileImage
-from smarttouch.running.step import LatencyHistogram, RunStatistics, Step, StepResult, add_durations
+from smarttouch.running.run_statistics import LatencyHistogram, RunStatistics, add_durations
+from smarttouch.running.step import Step, StepResult
 from smarttouch.sources.source_contract import Frame, Pose
 from smarttouch.stimulation.scan_sequence import ScanSequence, SelectivityReport
 

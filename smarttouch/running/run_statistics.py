@@ -1,0 +1,267 @@
+"""Statistics of a run in constant memory, its figures, and its summary."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.boards.board import Board, BoardReport
+from smarttouch.running.step import FirstPulse, StepResult
+from smarttouch.sources.source_contract import Source
+
+_PER_E = 100
+"""Bins for each factor of e: a figure is true to half a percent."""
+_FACTORS = 17
+"""From 1 µs to 24 s."""
+
+
+class LatencyHistogram:
+    """Histogram of durations in bins of one percent; the largest is kept as it is."""
+
+    def __init__(self) -> None:
+        self.bins: NDArray[np.int64] = np.zeros(_PER_E * _FACTORS + 1, np.int64)
+        self.count = 0
+        self.largest_us: float = 0.0
+        self.total_us: float = 0.0
+
+    def quantile(self, share: float) -> float:
+        """Return the duration that so many are not above, µs."""
+        if not self.count:
+            return 0.0
+        index = int(np.searchsorted(np.cumsum(self.bins), share * self.count))
+        return min(self.largest_us, math.exp((index + 0.5) / _PER_E))
+
+    def figures(self) -> dict[str, float]:
+        """Return p50, p99 and the maximum, µs."""
+        return {"p50": self.quantile(0.5), "p99": self.quantile(0.99), "max": self.largest_us}
+
+    def known_figures(self) -> dict[str, float] | None:
+        """Return `figures`; None if there was no duration."""
+        return self.figures() if self.count else None
+
+
+def add_durations(durations: Iterable[tuple[LatencyHistogram, float]]) -> None:
+    """Count a duration in each of some histograms, µs."""
+    for histogram, value_us in durations:
+        histogram.count += 1
+        histogram.total_us += value_us
+        histogram.largest_us = max(histogram.largest_us, value_us)
+        index = 0 if value_us <= 1 else min(_PER_E * _FACTORS, int(_PER_E * math.log(value_us)))
+        histogram.bins[index] += 1
+
+
+@dataclass
+class RunStatistics:
+    """Statistics of a run, kept as it goes.
+
+    Examples
+    --------
+    See `smarttouch.run`; ``statistics.figures`` has all of them by name.
+    """
+
+    def __repr__(self) -> str:
+        return (
+            f"RunStatistics(frames={self.frames}, slots={self.slots}, seconds={self.seconds:g}, "
+            f"late={self.late}, restarts={self.restarts}, ended={self.ended!r})"
+        )
+
+    frames: int = 0
+    """Sequences sent; each from one input."""
+    seen: int = 0
+    """Different frames or stimuli that were read."""
+    delivered: int = 0
+    """Different frames or stimuli of which a sequence was sent."""
+    real_time: bool = False
+    """Whether the loop's thread had real-time priority."""
+    slots: int = 0
+    slowed: int = 0
+    """Sequences longer than the period asked for."""
+    lowest_rate_hz: float = float("inf")
+    late: int = 0
+    """Frames that came more than a period after their time."""
+    restarts: int = 0
+    """Number of times that the board was lost and restarted."""
+    lifts: int = 0
+    """Number of times that the board found the finger lifted."""
+    blind: int = 0
+    """Sequences without current because the force or the image was not known."""
+    active: float = 0.0
+    off_target: float = 0.0
+    """Largest of all proofs: what points that share slots did to other classes."""
+    spill: float = 0.0
+    """And to their own class elsewhere."""
+    seconds: float = 0.0
+    scan_us: int = 0
+    """Sum of the periods of all sequences sent."""
+    asked_us: int = 0
+    """Sum of the periods they would have had if their slots had fit."""
+    latency: LatencyHistogram = field(default_factory=LatencyHistogram)
+    """From the input in hand to the last byte written."""
+    motion_to_bytes: LatencyHistogram = field(default_factory=LatencyHistogram)
+    """From the taking of the image to the last byte written."""
+    first_pulse: LatencyHistogram = field(default_factory=LatencyHistogram)
+    """From the taking of the image to its first pulse, where the board says when it began."""
+    waited: LatencyHistogram = field(default_factory=LatencyHistogram)
+    """From the last byte written to the first pulse."""
+    work: LatencyHistogram = field(default_factory=LatencyHistogram)
+    """Processor time that a frame took the loop, without waiting."""
+    period_error: LatencyHistogram = field(default_factory=LatencyHistogram)
+    """Error of the time between two frames against their period."""
+    ended: str = ""
+    """Reason for which the run has ended."""
+    notes: list[str] = field(default_factory=list)
+    """Sentences that a user should know after the run."""
+    figures: dict[str, Any] = field(default_factory=dict)
+    """All figures of the run by name, complete after its end; for JSON."""
+    _last_sent: int | None = None
+
+    def enter(self, result: StepResult, error_us: float | None) -> None:
+        """Enter a step whose sequence was sent."""
+        step, sequence = result.step, result.step.sequence
+        self.frames += 1
+        self.delivered += step.input.number != self._last_sent
+        self._last_sent = step.input.number
+        self.slots += len(sequence.width_us)
+        if sequence.proof is not None and (shared := sequence.proof.shared) is not None:
+            self.off_target = max(self.off_target, shared[0])
+            self.spill = max(self.spill, shared[1])
+        self.slowed += sequence.period_us > step.asked_us
+        self.asked_us += step.asked_us
+        self.scan_us += sequence.period_us
+        self.lowest_rate_hz = min(self.lowest_rate_hz, 1e6 / sequence.period_us)
+        activation = step.tactile.activation
+        self.active += int(np.count_nonzero(activation.any(axis=0))) / activation.shape[1]
+        took = [
+            (self.latency, result.latency_us),
+            (self.motion_to_bytes, result.latency_us + step.input.age_ns / 1000),
+            (self.work, result.work_us),
+        ]
+        if error_us is not None:
+            took.append((self.period_error, error_us))
+        add_durations(took)
+
+    def enter_first_pulse(self, pulse: FirstPulse) -> None:
+        """Enter the start of a sequence that was sent before."""
+        add_durations([(self.first_pulse, pulse.latency_us), (self.waited, pulse.waited_us)])
+
+    @property
+    def work_share(self) -> float:
+        """The loop's own work, of the time that the board scans."""
+        return self.work.total_us / self.scan_us if self.scan_us else 0.0
+
+
+def figures_of(
+    statistics: RunStatistics,
+    source: Source,
+    board: Board,
+    report: BoardReport | None,
+    ended: str,
+) -> dict[str, Any]:
+    """Return the figures of a run, ready for JSON; the board's own are None after a fault."""
+    return {
+        "ended": ended,
+        "seconds": statistics.seconds,
+        "frames": statistics.frames,
+        "frames_in": source.frames,
+        "frames_delivered": statistics.delivered,
+        "dropped_frames": source.dropped_frames + statistics.seen - statistics.delivered,
+        "sequences": statistics.frames,
+        "slots": statistics.slots,
+        "worst_other": statistics.off_target or None,
+        "worst_spill": statistics.spill or None,
+        "pulses": report and report.pulses,
+        "pulses_at_most": report and (report.most_pulses or report.pulses),
+        "acknowledged": board.acknowledged,
+        "refused": board.refused,
+        "late_frames": statistics.late,
+        "without_force_or_image": statistics.blind,
+        "replaced": board.replaced,
+        "packets_refused_by_host": board.refused_packets,
+        "packets_refused_by_board": report and report.refused_packets,
+        "dropped_late": board.dropped_late,
+        "restarts": statistics.restarts,
+        "lifts": statistics.lifts,
+        "reported_by": report and report.by,
+        "rate_asked_hz": 1e6 * statistics.frames / statistics.asked_us
+        if statistics.asked_us
+        else None,
+        "rate_hz": statistics.frames / statistics.seconds if statistics.seconds else 0.0,
+        "lowest_rate_hz": statistics.lowest_rate_hz if statistics.frames else None,
+        "slowed_sequences": statistics.slowed,
+        "latency_us": statistics.latency.figures(),
+        "motion_to_bytes_us": statistics.motion_to_bytes.figures(),
+        "motion_to_pulse_us": statistics.first_pulse.known_figures(),
+        "bytes_to_pulse_us": statistics.waited.known_figures(),
+        "real_time": statistics.real_time,
+        "period_error_us": statistics.period_error.figures(),
+        "work_us": statistics.work.figures(),
+        "work_share": statistics.work_share,
+        "max_current_ma": report and report.max_current_ma,
+        "max_charge_uc": report and report.max_charge_uc,
+        "max_net_charge_uc": report and report.max_net_charge_uc,
+        "dose_s": board.dose.seconds,
+        "dose_mc": board.dose.most_mc,
+        "dose_net_uc": board.dose.most_net_uc,
+        "emulator_violations": report.violations if report and report.by == "board" else None,
+        "active_fraction": statistics.active / statistics.frames if statistics.frames else 0.0,
+    }
+
+
+def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
+    """Return how a run went in lines of text, from the figures of `figures_of`."""
+    pulse = figures["motion_to_pulse_us"]
+    latency = pulse or figures["motion_to_bytes_us"]
+    until = "first pulse" if pulse else "last byte (the board does not say when pulses begin)"
+    net_uc = figures["max_net_charge_uc"] or 0
+    net = (
+        f"all pulses add up to {net_uc:.2g} µC on one electrode"
+        if figures["reported_by"] == "host"
+        else f"net charge left {1e6 * net_uc:.3g} pC at worst"
+    )
+    lines = [
+        f"Ended after {figures['seconds']:.1f} s ({figures['ended']}): all electrodes off.",
+        f"{figures['frames_in']} frames in, {figures['frames_delivered']} delivered, "
+        f"{figures['dropped_frames']} dropped; {figures['slots']} slots in "
+        f"{figures['acknowledged']} sequences {'acknowledged' if acknowledges else 'sent'}",
+        f"{figures['rate_hz']:.1f} Hz of {figures['rate_asked_hz'] or 0:.1f} asked"
+        + _slowed(figures)
+        + f"; image to {until} {latency['p50'] / 1000:.1f} ms median, "
+        f"{latency['p99'] / 1000:.1f} ms p99; own work {figures['work_share']:.1%} of it",
+        f"strongest pulse {figures['max_current_ma']:.2f} mA, "
+        f"{figures['max_charge_uc']:.3f} µC; {net}",
+        f"dose of this session: {figures['dose_s']:.1f} s of current, "
+        f"{figures['dose_mc']:.2f} mC through one electrode at most, "
+        f"{figures['dose_net_uc']:.3g} µC left of one sign",
+        f"{_pulses(figures)} pulses by the host's own account: this board keeps none"
+        if figures["reported_by"] == "host"
+        else f"{figures['emulator_violations']} violations by the board's own books",
+    ]
+    if figures["worst_other"] is not None:
+        lines.append(
+            f"points shared slots: other classes got {figures['worst_other']:.2f} of them at "
+            f"worst, their own elsewhere {figures['worst_spill']:.2f}"
+        )
+    if figures["lifts"]:
+        lines.append(f"the finger was lifted {figures['lifts']} times")
+    blind = figures["without_force_or_image"]
+    if blind:
+        lines.append(f"{blind} sequences without current: force or image were not known")
+    return lines
+
+
+def _slowed(figures: dict[str, Any]) -> str:
+    if not figures["slowed_sequences"]:
+        return ""
+    return (
+        f" ({figures['slowed_sequences']} sequences did not fit and were slowed, "
+        f"at most to {figures['lowest_rate_hz']:.1f} Hz)"
+    )
+
+
+def _pulses(figures: dict[str, Any]) -> str:
+    """Return a number of pulses, or the two between which it is."""
+    least, most = figures["pulses"], figures["pulses_at_most"]
+    return str(least) if least == most else f"{least} to {most}"
