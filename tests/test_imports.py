@@ -13,7 +13,7 @@ print(*names)
 
 
 NOT_POSIX = """
-import builtins, ctypes, os, signal
+import builtins, ctypes, os, pathlib, signal, socket
 real, only_posix = builtins.__import__, {"fcntl", "pty", "resource", "termios", "tty"}
 def imported(name, globals=None, *rest, **named):
     if name in only_posix and (globals or {}).get("__name__", "").startswith("smarttouch"):
@@ -23,10 +23,15 @@ builtins.__import__ = imported
 for name in "SIGHUP", "SIGKILL", "SIGUSR1", "SIGUSR2", "SIGPIPE", "SIGALRM":
     delattr(signal, name)
 gone = {"fork", "openpty", "setsid", "mkfifo", "killpg", "set_blocking", "geteuid", "fchmod"}
+gone |= {"pread", "pwrite", "sysconf"}
 gone |= {"O_NONBLOCK", "O_NOCTTY", "O_NOFOLLOW", "O_CLOEXEC", "O_DIRECTORY", "getpgid", "ttyname"}
 for name in [name for name in dir(os) if name in gone or name.startswith(("sched_", "SCHED_"))]:
     delattr(os, name)
 ctypes.PyDLL = None
+for name in "AF_UNIX", "SO_PEERCRED", "SO_PASSCRED", "MSG_DONTWAIT", "CMSG_SPACE":
+    delattr(socket, name)
+exists = pathlib.Path.exists
+pathlib.Path.exists = lambda path: not str(path).startswith("/proc/") and exists(path)
 """
 
 RUN = """
@@ -46,6 +51,20 @@ for url in "emulator:", "kajimoto61:/dev/ttyUSB0":
         assert error.remedy == "simulated:", error
     else:
         raise AssertionError(url)
+for url in "osc:9000", "osc:9000?key=key", "socket:9000", "socket:./place", "lsl:Tactile":
+    try:
+        st.open_source(url, profile)
+    except st.SourceError as error:
+        assert error.about in ("key", "address", "lsl"), error
+    else:
+        raise AssertionError(url)
+from smarttouch.views.live_finger import LiveFinger
+try:
+    st.run("text:a", "simulated:", seconds=0.1, listeners=[LiveFinger(st.Finger(profile))])
+except st.SmartTouchError as error:
+    assert error.about == "finger", error
+else:
+    raise AssertionError("a finger")
 sys.argv = ["smarttouch", "design", "27", "--mode", "RA", "--json", "kernels.json"]
 main()
 sys.argv = ["smarttouch", "recordings", "info", "run.mcap"]
@@ -54,6 +73,8 @@ main()
 
 
 def test_no_module_and_no_simulated_run_needs_what_only_posix_has(tmp_path):
+    (tmp_path / "key").write_bytes(bytes(32))
+    (tmp_path / "key").chmod(0o600)
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", NOT_POSIX + ALL_MODULES + RUN],
         capture_output=True, text=True, timeout=100, check=False, cwd=tmp_path,

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final, Protocol
 
-from smarttouch.base.posix import resource
+from smarttouch.base.posix import resource, user_number
 
 LOOP: Final = 1
 """Priority of the threads that pace and send: the lowest above all ordinary ones."""
@@ -129,7 +129,7 @@ def _locked_memory() -> Iterator[bool]:
 
 def _may_lock_all() -> bool:
     unlimited = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
-    return unlimited or os.geteuid() == 0
+    return unlimited or user_number() == 0
 
 
 SPIN_NS = 300_000

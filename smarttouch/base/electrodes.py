@@ -25,7 +25,7 @@ class ElectrodeArray:
     """Electrodes on the skin.
 
     x runs to the right along the text line, y **downward** as in an image; the origin is the
-    array's center. Fewer than two electrodes, or two at one place of which none is a ring around
+    array's center. Fewer than two electrodes, or two that overlap of which none is a ring around
     the other, raise a ProfileError.
     """
 
@@ -52,13 +52,14 @@ class ElectrodeArray:
                 about="electrodes",
             )
         apart = self.distance_mm + np.diag(np.full(len(self), np.inf))
-        touching = apart < COINCIDENT_MM if self.own is None else self._overlap(apart)
+        touching = self._overlap(apart)
         if touching.any():
             first, second = divmod(int(touching.argmax()), len(self))
-            x, y = self.position_mm[first]
-            how = "coincide" if self.own is None else "overlap"
+            away = apart[first, second]
+            how = "coincide" if away < COINCIDENT_MM else f"overlap {away:.3g} mm from each other"
             raise ProfileError(
-                f"electrodes {first} and {second} {how} at ({x:g}, {y:g}) mm: move one of them",
+                f"electrodes {first} and {second} {how}, middle to middle: move one of them, or "
+                "make them smaller",
                 about="electrodes",
                 electrode=first,
             )

@@ -31,6 +31,12 @@ O_NOCTTY, O_NONBLOCK, O_NOFOLLOW, O_CLOEXEC, O_DIRECTORY, O_BINARY = (
 )
 
 
+def set_nonblocking(number: int) -> None:
+    """Let no read or write of an open file wait, where the system can do so."""
+    if hasattr(os, "set_blocking"):
+        os.set_blocking(number, False)
+
+
 def user_number() -> int | None:
     """Return the number of this process's user; None where users have none."""
     return os.geteuid() if hasattr(os, "geteuid") else None

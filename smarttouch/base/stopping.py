@@ -15,6 +15,7 @@ from types import FrameType
 from typing import Self
 
 from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.posix import set_nonblocking
 
 ENDS_WITHIN_S = 0.7
 """Time limit from a signal to the end of the process."""
@@ -117,7 +118,7 @@ class SignalWatch:
 
     def __enter__(self) -> Self:
         self._read_end, self._write_end = os.pipe()
-        os.set_blocking(self._write_end, False)
+        set_nonblocking(self._write_end)
         self._thread = threading.Thread(target=self._watch, name="signals", daemon=True)
         self._thread.start()
         self._wakeup_before = signal.set_wakeup_fd(self._write_end, warn_on_full_buffer=False)

@@ -16,7 +16,7 @@ from platformdirs import user_state_path
 
 from smarttouch.base.clock import now_ns
 from smarttouch.base.errors import SmartTouchError
-from smarttouch.base.posix import fcntl
+from smarttouch.base.posix import O_CLOEXEC, O_NOFOLLOW, O_NONBLOCK, fcntl
 from smarttouch.base.stopping import RunStopped
 
 ENDED_WITHIN_S = 3.0  # of being asked by `stop_all`
@@ -48,7 +48,7 @@ class Announcement:
                 self._pipe.unlink(missing_ok=True)
                 os.mkfifo(self._pipe, 0o600)
                 # For writing too: it never reaches its end, and `withdraw` can wake its reader.
-                flags = os.O_RDWR | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC
+                flags = os.O_RDWR | O_NONBLOCK | O_NOFOLLOW | O_CLOEXEC
                 self._requests = os.open(self._pipe, flags)
             self._number, hidden = _new_file()
             try:
@@ -167,7 +167,7 @@ def stop_all() -> int:
 def _ask_to_stop(process: int) -> None:
     """Ask a process to stop: on its pipe, or by a signal where it has none."""
     try:
-        flags = os.O_WRONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC
+        flags = os.O_WRONLY | O_NONBLOCK | O_NOFOLLOW | O_CLOEXEC
         number = os.open(_folder() / f"{process}.stop", flags)
     except OSError:
         number = -1
@@ -277,7 +277,7 @@ def _new_file() -> tuple[int, Path]:
 def _regular(path: Path) -> Iterator[int | None]:
     """Open a regular file for reading; None if it is none, cannot be read, or would block."""
     try:
-        number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOFOLLOW | os.O_CLOEXEC)
+        number = os.open(path, os.O_RDONLY | O_NONBLOCK | O_NOFOLLOW | O_CLOEXEC)
     except OSError:
         yield None
         return

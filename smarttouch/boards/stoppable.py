@@ -17,7 +17,7 @@ from typing import Protocol
 from weakref import WeakKeyDictionary
 
 from smarttouch.base.errors import BoardError, BoardStoppedError, SmartTouchError
-from smarttouch.base.posix import fcntl
+from smarttouch.base.posix import fcntl, set_nonblocking
 from smarttouch.base.stopping import SIGNALS, ZERO_WITHIN_S, RunStopped, StopRequest
 from smarttouch.boards.announced import Announcement, stopped_since_start
 
@@ -225,7 +225,7 @@ class _Signals:
             return
         if self._pipe is None:
             self._pipe = os.pipe()
-            os.set_blocking(self._pipe[1], False)
+            set_nonblocking(self._pipe[1])
             threading.Thread(target=self._watch, name="signals", daemon=True).start()
             atexit.register(_program.await_runs)
         # Even if the main thread is busy; an event loop's own wakeup descriptor is kept.

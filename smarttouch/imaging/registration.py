@@ -48,7 +48,9 @@ class Registration:
             (np.empty(shape, np.uint8), kind)
             for shape, kind in _averages(frame_shape, self.working_shape)
         ]
-        self.weights: csr_array = _aperture_matrix(electrodes, optics, self.working_shape)
+        self.weights: csr_array[np.float32] = _aperture_matrix(
+            electrodes, optics, self.working_shape
+        )
 
     def reduce(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return a frame averaged to the working shape, overwritten by the next call."""

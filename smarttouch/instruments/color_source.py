@@ -74,6 +74,8 @@ class ColorSource(StimulusSource, Listener):
     Pulses wait if sequences take longer than foreseen, and those of several stimuli go together.
     """
 
+    frames: int
+
     ended = "the end of the trace"
 
     def __init__(

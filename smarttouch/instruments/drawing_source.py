@@ -92,6 +92,8 @@ def open_draw(rest: str, profile: Profile) -> "DrawSource":
 class DrawSource(StimulusSource):
     """Source of the drawing of a page, or of a list of patterns one after another."""
 
+    frames: int
+
     knows_force = True
 
     def __init__(self, profile: Profile) -> None:

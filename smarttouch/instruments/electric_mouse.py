@@ -124,6 +124,8 @@ class MouseSource(StimulusSource):
     stimulus is the middle of the array on the texture, its image what lies under the array.
     """
 
+    frames: int
+
     ended = "the hand has stopped"
     settings = MappingProxyType({"scan": "points"})
 

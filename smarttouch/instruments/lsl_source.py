@@ -158,7 +158,7 @@ class LslStimuli(PushedStimuli):
 
     def __init__(self, name: str, profile: Profile, follow: bool) -> None:
         super().__init__(f"LSL stream {name}", profile, follow)
-        self.wrong = 0
+        self.wrong: int = 0
         self._inlet = LslInlet(name)
         self._inlet.open()
         count = len(profile.electrodes)

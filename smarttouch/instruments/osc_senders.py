@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from smarttouch.base.errors import SourceError
 from smarttouch.base.files import open_file
+from smarttouch.base.posix import user_number
 from smarttouch.base.wire.socket_owners import UDP_TABLES, read_sockets
 
 LEAST_KEY_BYTES = 16
@@ -48,7 +49,7 @@ class OwnPrograms:
     socket are lost."""
 
     def __init__(self) -> None:
-        self._user = os.geteuid()
+        self._user = user_number()
         self._seen: dict[int, tuple[frozenset[tuple[int, int]], int]] = {}
         if not UDP_TABLES[0].exists():
             raise SourceError(
@@ -86,7 +87,7 @@ class Key:
     def __init__(self, path: Path) -> None:
         with open_file(path, SourceError, _MOST_KEY_BYTES) as file:
             found, self._key = os.fstat(file.fileno()), file.read().strip()
-        if found.st_uid != os.geteuid() or found.st_mode & 0o077:
+        if found.st_uid != user_number() or found.st_mode & 0o077:
             raise SourceError(
                 f"{path} is not yours alone: chmod 600 {path}, with a new key in it", about="key"
             )

@@ -211,6 +211,8 @@ class ReadingSource(OpticalSource):
     array.
     """
 
+    frames: int
+
     ended = "end of the text"
 
     def __init__(self, title: str, profile: Profile, feed: LineFeed, cursor: Cursor) -> None:

@@ -35,6 +35,8 @@ class SessionFeed(Source, Listener):
     In simulated time it waits in `read`, so that time passes only while something is shown.
     """
 
+    frames: int
+    dropped_frames: int
     knows_force = True
     ended = "the session is over"
 

@@ -32,6 +32,8 @@ class Walk(StimulusSource):
     ones are left out, ``tried`` counts.
     """
 
+    frames: int
+
     ended: ClassVar[str] = "all electrodes are tried"
     knows_force = True
 

@@ -111,6 +111,7 @@ Given = Source | str | Path | NDArray[np.uint8] | Iterable[Any]
 class Images(OpticalSource):
     """Images one after another, one for each sequence; at the finger's full force."""
 
+    frames: int
     knows_force = True
     ended = "all images have been shown"
 
@@ -124,11 +125,11 @@ class Images(OpticalSource):
         image = next(self._images, None)
         if image is None:
             return None
-        number, self.frames = self.frames, self.frames + 1
+        self.frames += 1
         if isinstance(image, Frame):
-            return replace(image, time_ns=time_ns, number=number)
+            return replace(image, time_ns=time_ns, number=self.frames - 1)
         gray = gray_image(image, self.title)
-        return Frame(gray, time_ns, force_n=self._press_n, number=number)
+        return Frame(gray, time_ns, force_n=self._press_n, number=self.frames - 1)
 
 
 def source_of(given: Given, profile: Profile, *, light_on_dark: bool = False) -> Source:
@@ -233,7 +234,8 @@ class OwnImaging(StimulusSource):
         """Close the source."""
         self._source.close()
         self._count()
-        self.notes = self._source.notes
+        self.notes: list[str] = self._source.notes
 
     def _count(self) -> None:
-        self.frames, self.dropped_frames = self._source.frames, self._source.dropped_frames
+        self.frames: int = self._source.frames
+        self.dropped_frames: int = self._source.dropped_frames

@@ -262,6 +262,8 @@ class PageSource(OpticalSource):
     are read.
     """
 
+    frames: int
+
     ended = "end of the page"
     knows_force = True
 

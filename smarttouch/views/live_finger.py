@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.posix import fcntl
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.response import Feeling, fire_all
 from smarttouch.physiology.spikes import SpikeModel
@@ -47,6 +48,12 @@ class LiveFinger(Listener):
 
     def prepare(self, run: RunContext) -> None:
         """Start the process, and wait until it has computed what drives its afferents."""
+        if fcntl is None:
+            raise SmartTouchError(
+                "a finger is simulated during a run on POSIX systems alone: make it from the "
+                "recording later",
+                about="finger",
+            )
         ours, theirs = socket.socketpair()
         with theirs:
             command = [sys.executable, "-c", _SERVE, str(theirs.fileno())]

@@ -178,6 +178,7 @@ def test_a_feed(row, quick, rate_hz):
     polled.is_over = True
     polling.join()
     line.close()
+    share = {}
     for way, began_ns, number_0 in (
         ("put", of_put.began_ns, first),
         ("polled", of_polled.began_ns, 1),
@@ -187,16 +188,18 @@ def test_a_feed(row, quick, rate_hz):
             for number, at_ns in enumerate(came_ns)
             if number_0 + number in began_ns
         ]
-        assert late_ms
+        share[way] = len(late_ms) / count
         row(
             "From the arrival of a packet to its first pulse on `emulator:`, ms",
             {
                 "way": way,
                 "packets a second": rate_hz,
                 "packets": count,
-                "felt": f"{len(late_ms) / count:.0%}",
+                "delivered": f"{share[way]:.0%}",
                 "p50": f"{np.median(late_ms):.1f}",
                 "p95": f"{np.percentile(late_ms, 95):.1f}",
                 "p99": f"{np.percentile(late_ms, 99):.1f}",
             },
         )
+    # However busy the machine, who is woken delivers no fewer than who looks 50 times a second.
+    assert share["put"] >= 0.95 * share["polled"] > 0

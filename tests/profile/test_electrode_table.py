@@ -61,6 +61,15 @@ def test_what_is_no_array_is_one_sentence(places, words):
         MOUSE.with_electrodes(places)
 
 
+@pytest.mark.parametrize(("places", "first", "shown"), [
+    ([(0, 0), (3, 0), (3.4, 0.7)], 1, ["1 and 2", "0.806 mm"]),
+    ([(0, 0, 1), (1.4, 0, 2), (4, 0, 1)], 0, ["0 and 1", "1.4 mm"]),
+])  # fmt: skip
+def test_electrodes_that_overlap_are_refused(places, first, shown):
+    with raises(ProfileError, about="electrodes", electrode=first, value=shown):
+        MOUSE.with_electrodes(places)
+
+
 @pytest.mark.parametrize(("text", "words"), [
     ("x,y\n1,2\n3,4", "x_mm"), ("x_mm,y_mm\n1,2\n3,a", "line 3"), ("x_mm,y_mm\n1,2", "1 row"),
 ])  # fmt: skip

@@ -5,13 +5,14 @@ with the user; a connection within the machine is listed twice, once from each e
 """
 
 import contextlib
-import os
 import re
 import socket
 import struct
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
+
+from smarttouch.base.posix import user_number
 
 UDP_TABLES = (Path("/proc/net/udp"), Path("/proc/net/udp6"))
 TCP_TABLES = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
@@ -52,7 +53,7 @@ def is_from_us(line: socket.socket) -> bool:
     """Return whether the other end of a connection is a program of this user on this machine."""
     if line.family == getattr(socket, "AF_UNIX", None):
         option = line.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
-        return bool(struct.unpack("3i", option)[1] == os.geteuid())
+        return bool(struct.unpack("3i", option)[1] == user_number())
     return _are_ours(_address(line.getpeername()), _address(line.getsockname()))
 
 
@@ -83,7 +84,7 @@ def _are_ours(
     found = {
         each.user for each in every if (each.local, each.remote) == (local, remote) and each.number
     }
-    return found == {os.geteuid()}
+    return found == {user_number()}
 
 
 def _address(place: tuple[str, int]) -> Address:

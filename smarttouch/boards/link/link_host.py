@@ -130,9 +130,10 @@ class LinkHost(Board):
         self._image = image
 
     def _take_offer(self, answer: Message, known: Capabilities | None = None) -> None:
-        self._kind, self.capabilities = accepted(
+        self._kind, can = accepted(
             answer, self._line.name, self._gate.limits.electrodes, self._output, known
         )
+        self.capabilities: Capabilities = can
 
     def _status(self) -> tuple[Any, ...]:
         return account_of(self._line.ask(MessageKind.STATUS), self._line.name)
@@ -217,7 +218,7 @@ class LinkHost(Board):
 
     def _press(self, force_mn: int) -> None:
         if hasattr(self, "capabilities") and self.capabilities.force:
-            self.force_n = force_mn / 1000
+            self.force_n: float | None = force_mn / 1000
 
     def _note_volts(self, message: Message) -> None:
         sequence = dict(self._sent).get(message.about)
@@ -231,5 +232,7 @@ class LinkHost(Board):
                     f"the board measured {volts.max():.0f} V with a source of {compliance:g} V"
                 )
             self._measured.append((sequence, volts))
-            self.lifted = compliance is not None and bool((volts >= OPEN_SHARE * compliance).all())
+            self.lifted: bool = compliance is not None and bool(
+                (volts >= OPEN_SHARE * compliance).all()
+            )
         return None

@@ -234,7 +234,7 @@ class HybridBoard(Board):
         self.shaking: VibratorBoard = shaking
         super().__init__(electric._gate.limits)
         # One list for all three: each note appears once.
-        self.notes = electric.notes
+        self.notes: list[str] = electric.notes
         self.notes += shaking.notes
         shaking.share_notes(self.notes)
 
