@@ -19,6 +19,7 @@ from smarttouch.cli.design import design, profiles
 from smarttouch.cli.devices import devices
 from smarttouch.cli.experiment import experiment, fit
 from smarttouch.cli.live import live, stop
+from smarttouch.cli.options import option
 from smarttouch.cli.plain_help import Commands
 from smarttouch.cli.read import braille, braille_display, read
 from smarttouch.cli.recordings import recordings, replay, report
@@ -66,8 +67,8 @@ def _print_version(wanted: bool) -> None:
 def smarttouch(
     version: Annotated[
         bool,
-        typer.Option(
-            "--version", is_eager=True, callback=_print_version, help="Print the version and exit."
+        option(
+            "Print the version and exit.", None, "--version", is_eager=True, callback=_print_version
         ),
     ] = False,
 ) -> None:

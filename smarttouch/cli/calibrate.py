@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smarttouch.base.errors import CalibrationError
-from smarttouch.cli.options import MORE, ForceOption, OptionGroup, ProfileOption, takes_options
+from smarttouch.cli.options import (
+    MORE,
+    ForceOption,
+    OptionGroup,
+    ProfileOption,
+    argument,
+    option,
+    takes_options,
+)
 from smarttouch.cli.plain_help import Commands
 from smarttouch.views.keys_and_signals import command_stop, drives_a_board, opened
 
@@ -22,14 +30,10 @@ if TYPE_CHECKING:
 class CalibrationOptions(OptionGroup):
     """Options of every calibration."""
 
-    output: Annotated[
-        Path | None, typer.Option(metavar="FILE.toml", help="Write this profile.")
-    ] = None
-    profile: Annotated[
-        str | None, typer.Option(metavar="NAME|FILE", help="Start a new profile from this one.")
-    ] = None
+    output: Annotated[Path | None, option("Write this profile.", "FILE.toml")] = None
+    profile: Annotated[str | None, option("Start a new profile from this one.", "NAME|FILE")] = None
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Measure again what the profile has already.")
+        bool, option("Measure again what the profile has already.", None, "--overwrite")
     ] = False
 
     def start(self, board_url: str) -> str:
@@ -112,21 +116,13 @@ calibrate: Commands = Commands(
 )
 
 
-_Yes = Annotated[bool, typer.Option("--yes", help="Ask nothing, because everything is in place.")]
-_Simulate = Annotated[bool, typer.Option("--simulate", help="Walk through it without hardware.")]
-_Frames = Annotated[
-    int, typer.Option(metavar="N", min=1, max=1000, help="Average this many frames.")
-]
-_SourceUrl = Annotated[
-    str | None,
-    typer.Option("--source", metavar="URL", help="Take frames from this source, such as camera:0."),
-]
+_Yes = Annotated[bool, option("Ask nothing, because everything is in place.", None, "--yes")]
+_Simulate = Annotated[bool, option("Walk through it without hardware.", None, "--simulate")]
+_Frames = Annotated[int, option("Average this many frames.", "N", min=1, max=1000)]
+_SourceUrl = Annotated[str | None, option("Take frames from this source, such as camera:0.", "URL")]
 _BoardUrl = Annotated[
     str,
-    typer.Option(
-        metavar="URL",
-        help="Drive this board: emulator:, kajimoto61:PORT, etactilekit:PORT or link:PORT.",
-    ),
+    option("Drive this board: emulator:, kajimoto61:PORT, etactilekit:PORT or link:PORT.", "URL"),
 ]
 
 
@@ -136,13 +132,10 @@ def optics(
     calibration: CalibrationOptions,
     source: _SourceUrl = None,
     dark: Annotated[
-        str | None,
-        typer.Option(
-            metavar="URL", help="Take dark frames from this source, such as frames:FOLDER."
-        ),
+        str | None, option("Take dark frames from this source, such as frames:FOLDER.", "URL")
     ] = None,
     white: Annotated[
-        str | None, typer.Option(metavar="URL", help="Take frames of white paper from this source.")
+        str | None, option("Take frames of white paper from this source.", "URL")
     ] = None,
     frames: _Frames = 16,
     yes: _Yes = False,
@@ -181,18 +174,13 @@ def optics(
 def registration(
     calibration: CalibrationOptions,
     source: _SourceUrl = None,
-    target: Annotated[
-        Path | None, typer.Option(metavar="FILE.png", help="Write the target, which you print.")
-    ] = None,
+    target: Annotated[Path | None, option("Write the target, which you print.", "FILE.png")] = None,
     dot_pitch_mm: Annotated[
         float | None,
-        typer.Option(
-            metavar="MM", help="Set the pitch of the target's dots; it suits the field otherwise."
-        ),
+        option("Set the pitch of the target's dots; it suits the field otherwise.", "MM"),
     ] = None,
     center: Annotated[
-        str,
-        typer.Option(metavar="target|image", help="Choose what lies in the middle of the array."),
+        str, option("Choose what lies in the middle of the array.", "target|image")
     ] = "target",
     frames: _Frames = 16,
     yes: _Yes = False,
@@ -242,18 +230,13 @@ def registration(
 def force(
     calibration: CalibrationOptions,
     cell: Annotated[
-        str | None,
-        typer.Option(metavar="URL", help="Read this load cell: hx711:PORT or loadcell:PORT."),
+        str | None, option("Read this load cell: hx711:PORT or loadcell:PORT.", "URL")
     ] = None,
     weights: Annotated[
         str | None,
-        typer.Option(
-            metavar="G,G,...", help="List the weights in grams, in order; you are asked otherwise."
-        ),
+        option("List the weights in grams, in order; you are asked otherwise.", "G,G,..."),
     ] = None,
-    seconds: Annotated[
-        float, typer.Option(metavar="S", help="Read each weight for this time.")
-    ] = 2.0,
+    seconds: Annotated[float, option("Read each weight for this time.", "S")] = 2.0,
     yes: _Yes = False,
     simulate: _Simulate = False,
 ) -> None:
@@ -289,23 +272,16 @@ def thresholds(
     calibration: CalibrationOptions,
     board: _BoardUrl = "emulator:",
     electrodes: Annotated[
-        str | None,
-        typer.Option(
-            metavar="0-7,12", help="Measure these electrodes; all that are not masked otherwise."
-        ),
+        str | None, option("Measure these electrodes; all that are not masked otherwise.", "0-7,12")
     ] = None,
     adaptive: Annotated[
-        bool, typer.Option("--adaptive", help="Add yes-or-no trials after the rising current.")
+        bool, option("Add yes-or-no trials after the rising current.", None, "--adaptive")
     ] = False,
     repeats: Annotated[
-        int,
-        typer.Option(metavar="N", min=1, max=10, help="Repeat the rising current this many times."),
+        int, option("Repeat the rising current this many times.", "N", min=1, max=10)
     ] = 3,
     seed: Annotated[
-        int,
-        typer.Option(
-            min=0, rich_help_panel=MORE, help="Set the seed of pauses, starts and the simulation."
-        ),
+        int, option("Set the seed of pauses, starts and the simulation.", min=0, panel=MORE)
     ] = 0,
     force: ForceOption = None,
     simulate: _Simulate = False,
@@ -349,8 +325,7 @@ def contact(
     calibration: CalibrationOptions,
     board: _BoardUrl = "emulator:",
     repeats: Annotated[
-        int,
-        typer.Option(metavar="N", min=1, max=100, help="Repeat the measurement this many times."),
+        int, option("Repeat the measurement this many times.", "N", min=1, max=100)
     ] = 5,
 ) -> None:
     """Find the electrodes that touch the skin, by repeated measurements of their impedance."""
@@ -382,22 +357,17 @@ def contact(
 @calibrate.command()
 @drives_a_board
 def scale(
-    url: Annotated[str, typer.Argument(metavar="URL", help="kajimoto61:PORT, link:PORT, ...")],
+    url: Annotated[str, argument("kajimoto61:PORT, link:PORT, ...", "URL")],
     ohm: Annotated[
-        float,
-        typer.Option(
-            metavar="OHM", help="State the resistor between the electrode and all others."
-        ),
+        float, option("State the resistor between the electrode and all others.", "OHM")
     ] = 1000.0,
     electrode: Annotated[
-        int, typer.Option(metavar="N", help="Name the electrode that the resistor is connected to.")
+        int, option("Name the electrode that the resistor is connected to.", "N")
     ] = 0,
-    current_ma: Annotated[float, typer.Option(metavar="MA", help="Set the nominal current.")] = 1.0,
+    current_ma: Annotated[float, option("Set the nominal current.", "MA")] = 1.0,
     volts: Annotated[
         float | None,
-        typer.Option(
-            metavar="V", help="State the peak voltage; you are asked otherwise, while it pulses."
-        ),
+        option("State the peak voltage; you are asked otherwise, while it pulses.", "V"),
     ] = None,
     profile: ProfileOption = None,
 ) -> None:

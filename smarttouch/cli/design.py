@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from smarttouch.base.terminal import print_table
-from smarttouch.cli.options import ArrayOption, ClusterOption
+from smarttouch.cli.options import ArrayOption, ClusterOption, argument, option
 from smarttouch.cli.plain_help import Commands
 
 if TYPE_CHECKING:
@@ -18,54 +18,41 @@ if TYPE_CHECKING:
 
 def design(
     site: Annotated[
-        int | None,
-        typer.Argument(metavar="SITE", help="One site, with all its weights; else all sites."),
+        int | None, argument("One site, with all its weights; else all sites.", "SITE")
     ] = None,
     profile: ArrayOption = "electric-mouse",
     mode: Annotated[
         str | None,
-        typer.Option(
-            metavar="RA|SAI|PC",
-            help="Choose the class that is reached: RA, SAI or PC; all otherwise.",
-        ),
+        option("Choose the class that is reached: RA, SAI or PC; all otherwise.", "RA|SAI|PC"),
     ] = None,
     robust: Annotated[
-        bool,
-        typer.Option("--robust", help="Optimize for the worst finger of the profile's spread."),
+        bool, option("Optimize for the worst finger of the profile's spread.", None, "--robust")
     ] = False,
     three_state: Annotated[
         bool,
-        typer.Option(
-            "--three-state", help="Use only cathode, anode and insulated, from one source."
-        ),
+        option("Use only cathode, anode and insulated, from one source.", None, "--three-state"),
     ] = False,
     any_node: Annotated[
-        bool, typer.Option("--any-node", help="Search the activated node, too.")
+        bool, option("Search the activated node, too.", None, "--any-node")
     ] = False,
     driving: Annotated[
         bool,
-        typer.Option(
-            "--driving", help="Judge by thresholds of fibers, not by the activating function."
-        ),
+        option("Judge by thresholds of fibers, not by the activating function.", None, "--driving"),
     ] = False,
     compare: Annotated[
         bool,
-        typer.Option(
-            "--compare", help="Compare all kinds of kernels on the nominal and the worst finger."
+        option(
+            "Compare all kinds of kernels on the nominal and the worst finger.", None, "--compare"
         ),
     ] = False,
     json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the kernels as JSON.")
+        Path | None, option("Write the kernels as JSON.", "FILE", "--json")
     ] = None,
     plot_file: Annotated[
-        Path | None,
-        typer.Option(
-            "--plot", metavar="PNG", help="Draw the kernels of the site, or of the middle one."
-        ),
+        Path | None, option("Draw the kernels of the site, or of the middle one.", "PNG", "--plot")
     ] = None,
     bank_file: Annotated[
-        Path | None,
-        typer.Option("--bank", metavar="NPZ", help="Design all kernels now and write the bank."),
+        Path | None, option("Design all kernels now and write the bank.", "NPZ", "--bank")
     ] = None,
     cluster: ClusterOption = None,
 ) -> None:
@@ -168,8 +155,8 @@ profiles: Commands = Commands(
     invoke_without_command=True,
 )
 
-_Name = Annotated[str, typer.Argument(metavar="NAME|FILE", help="A shipped profile, or a file.")]
-_File = Annotated[Path, typer.Argument(metavar="FILE.toml", help="The profile.")]
+_Name = Annotated[str, argument("A shipped profile, or a file.", "NAME|FILE")]
+_File = Annotated[Path, argument("The profile.", "FILE.toml")]
 
 
 @profiles.callback()
@@ -207,7 +194,7 @@ def show(name: _Name) -> None:
 def copy(
     name: _Name,
     file: _File,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
+    overwrite: Annotated[bool, option("Replace the file.", None, "--overwrite")] = False,
 ) -> None:
     """Write a copy of a profile, with its comments, to be edited."""
     from smarttouch.experiments.calibration.profile_file import ProfileFile
@@ -221,24 +208,20 @@ def copy(
 def new(
     files: Annotated[
         list[Path],
-        typer.Argument(
-            metavar="[TABLE.csv] FILE.toml",
-            help="A table with columns x_mm, y_mm, maybe diameter_mm; and the profile to write.",
+        argument(
+            "A table with columns x_mm, y_mm, maybe diameter_mm; and the profile to write.",
+            "[TABLE.csv] FILE.toml",
         ),
     ],
-    grid: Annotated[
-        str, typer.Option("--grid", metavar="ROWSxCOLUMNS", help="Make a grid; no table is read.")
-    ] = "",
-    pitch_mm: Annotated[
-        float, typer.Option("--pitch", metavar="MM", help="Set the pitch of the grid.")
-    ] = 2.0,
+    grid: Annotated[str, option("Make a grid; no table is read.", "ROWSxCOLUMNS", "--grid")] = "",
+    pitch_mm: Annotated[float, option("Set the pitch of the grid.", "MM", "--pitch")] = 2.0,
     diameter_mm: Annotated[
-        float, typer.Option("--diameter", metavar="MM", help="Set the diameter of its discs.")
+        float, option("Set the diameter of its discs.", "MM", "--diameter")
     ] = 1.0,
     like: Annotated[
-        str, typer.Option("--like", metavar="NAME|FILE", help="Take all else from this profile.")
+        str, option("Take all else from this profile.", "NAME|FILE", "--like")
     ] = "electric-mouse",
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file.")] = False,
+    overwrite: Annotated[bool, option("Replace the file.", None, "--overwrite")] = False,
 ) -> None:
     """Write a profile with a grid of electrodes, or at the places of a table, to be edited."""
     from smarttouch.base.errors import ProfileError

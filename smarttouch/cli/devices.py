@@ -8,7 +8,7 @@ import typer
 
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.terminal import print_table
-from smarttouch.cli.options import ForceOption, ProfileOption
+from smarttouch.cli.options import ForceOption, ProfileOption, argument, option
 from smarttouch.cli.plain_help import Commands
 from smarttouch.emulator.commands import emulate_board, emulate_sensor
 from smarttouch.views.keys_and_signals import (
@@ -32,9 +32,7 @@ devices: Commands = Commands(
 @devices.callback()
 def list_devices(
     context: typer.Context,
-    network: Annotated[
-        bool, typer.Option(help="Ask the network for eTactileKits by a broadcast.")
-    ] = True,
+    network: Annotated[bool, option("Ask the network for eTactileKits by a broadcast.")] = True,
 ) -> None:
     # Nothing is opened, and no unknown device gets a byte.
     if context.invoked_subcommand is not None:
@@ -62,10 +60,10 @@ def list_devices(
 def emulate(
     device: Annotated[
         str,
-        typer.Argument(
-            metavar="KIND",
-            help="link, kajimoto61, etactilekit, serial-array, hx711 or loadcell. Options follow, "
-            "as in 'link?electrodes=16&event=2 lift'.",
+        argument(
+            "link, kajimoto61, etactilekit, serial-array, hx711 or loadcell. Options "
+            "follow, as in 'link?electrodes=16&event=2 lift'.",
+            "KIND",
         ),
     ],
 ) -> None:
@@ -87,9 +85,7 @@ def emulate(
     command(name, **options)
 
 
-_Url = Annotated[
-    str, typer.Argument(metavar="URL", help="kajimoto61:PORT, etactilekit:PORT, link:PORT")
-]
+_Url = Annotated[str, argument("kajimoto61:PORT, etactilekit:PORT, link:PORT", "URL")]
 
 _WALK_MA = 0.5
 _ENDS = ("q", "\x03", "\x04", "")
@@ -101,17 +97,12 @@ _ENDS = ("q", "\x03", "\x04", "")
 def show(
     url: Annotated[
         str,
-        typer.Argument(
-            metavar="URL",
-            help="A board, a source of frames or a load cell: link:PORT, camera:0, hx711:PORT.",
+        argument(
+            "A board, a source of frames or a load cell: link:PORT, camera:0, hx711:PORT.", "URL"
         ),
     ],
-    seconds: Annotated[
-        float, typer.Option(metavar="S", help="Watch a sensor for this time.")
-    ] = 2.0,
-    save: Annotated[
-        Path | None, typer.Option(metavar="PNG", help="Write the last frame to this file.")
-    ] = None,
+    seconds: Annotated[float, option("Watch a sensor for this time.", "S")] = 2.0,
+    save: Annotated[Path | None, option("Write the last frame to this file.", "PNG")] = None,
     profile: ProfileOption = None,
 ) -> None:
     """Say what a board is and can do, or what a sensor or load cell delivers."""
@@ -180,9 +171,7 @@ def clear(url: _Url, profile: ProfileOption = None) -> None:
 def measure(
     url: _Url,
     profile: ProfileOption = None,
-    json_file: Annotated[
-        Path | None, typer.Option("--json", metavar="FILE", help="Write the impedances.")
-    ] = None,
+    json_file: Annotated[Path | None, option("Write the impedances.", "FILE", "--json")] = None,
 ) -> None:
     """Measure the impedance of every electrode on the finger, with small currents."""
     from smarttouch.base.files import require_folder, write_json
@@ -201,14 +190,10 @@ def measure(
 def try_out(
     url: _Url,
     current_ma: Annotated[
-        float | None,
-        typer.Option(metavar="MA", help="Raise the current through each electrode to this."),
+        float | None, option("Raise the current through each electrode to this.", "MA")
     ] = None,
     seconds: Annotated[
-        float | None,
-        typer.Option(
-            metavar="S", help="Stay this long at each electrode; a key goes on otherwise."
-        ),
+        float | None, option("Stay this long at each electrode; a key goes on otherwise.", "S")
     ] = None,
     force: ForceOption = None,
     profile: ProfileOption = None,

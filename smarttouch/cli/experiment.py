@@ -13,7 +13,15 @@ import typer
 
 from smarttouch.base import terminal
 from smarttouch.base.errors import ExperimentError
-from smarttouch.cli.options import MORE, JsonOption, QuietOption, takes_options
+from smarttouch.cli.options import (
+    MORE,
+    ClassOption,
+    JsonOption,
+    QuietOption,
+    argument,
+    option,
+    takes_options,
+)
 from smarttouch.cli.plain_help import Commands
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.views.keys_and_signals import drives_a_board
@@ -114,66 +122,50 @@ def free_run(
 def fit(
     files: Annotated[
         list[Path],
-        typer.Argument(metavar="FILE...", help="CSV files of answers, one of each condition."),
+        argument("CSV files of answers, one of each condition.", "FILE..."),
     ],
     x: Annotated[
-        str,
-        typer.Option(
-            "--x", metavar="COLUMN", rich_help_panel=MORE, help="Name the column of what was shown."
-        ),
+        str, option("Name the column of what was shown.", "COLUMN", "--x", panel=MORE)
     ] = "comparison",
     y: Annotated[
-        str,
-        typer.Option("--y", metavar="COLUMN", help="Name the column of answers: 1, 0 or nothing."),
+        str, option("Name the column of answers: 1, 0 or nothing.", "COLUMN", "--y")
     ] = "success",
     standard: Annotated[
-        str,
-        typer.Option(metavar="COLUMN", help="Name the column of the standard, if there is one."),
+        str, option("Name the column of the standard, if there is one.", "COLUMN")
     ] = "standard",
     function: Annotated[
         str,
-        typer.Option(
-            metavar="normal|logistic|weibull",
-            help="Choose the shape of the curve: normal, logistic or weibull.",
+        option(
+            "Choose the shape of the curve: normal, logistic or weibull.", "normal|logistic|weibull"
         ),
     ] = "normal",
     linear: Annotated[
         bool | None,
-        typer.Option(
+        option(
+            "Choose a linear or a logarithmic axis; the comparisons decide otherwise.",
+            None,
             "--linear/--log",
-            rich_help_panel=MORE,
-            help="Choose a linear or a logarithmic axis; the comparisons decide otherwise.",
+            panel=MORE,
         ),
     ] = None,
     guess: Annotated[
         str | None,
-        typer.Option(
-            metavar="0..1|equal|free",
-            help="Set the share of successes by guessing: a number, equal (to lapses) or free.",
+        option(
+            "Set the share of successes by guessing: a number, equal (to lapses) or free.",
+            "0..1|equal|free",
         ),
     ] = None,
-    lapse: Annotated[
-        float,
-        typer.Option(metavar="0..1", rich_help_panel=MORE, help="Allow this share of lapses."),
-    ] = 0.1,
+    lapse: Annotated[float, option("Allow this share of lapses.", "0..1", panel=MORE)] = 0.1,
     at: Annotated[
         float | None,
-        typer.Option(
-            metavar="0..1",
-            help="Set the share of successes at the threshold; it is halfway from "
-            "guessing otherwise.",
+        option(
+            "Set the share of successes at the threshold; it is halfway from guessing otherwise.",
+            "0..1",
         ),
     ] = None,
-    samples: Annotated[
-        int,
-        typer.Option(metavar="N", rich_help_panel=MORE, help="Set the samples of the bootstrap."),
-    ] = 1000,
-    seed: Annotated[
-        int, typer.Option(metavar="N", rich_help_panel=MORE, help="Set the seed of the bootstrap.")
-    ] = 0,
-    plot: Annotated[
-        Path | None, typer.Option(metavar="PNG|PDF|SVG", help="Draw shares and thresholds.")
-    ] = None,
+    samples: Annotated[int, option("Set the samples of the bootstrap.", "N", panel=MORE)] = 1000,
+    seed: Annotated[int, option("Set the seed of the bootstrap.", "N", panel=MORE)] = 0,
+    plot: Annotated[Path | None, option("Draw shares and thresholds.", "PNG|PDF|SVG")] = None,
     json_file: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:
@@ -258,24 +250,14 @@ experiment: Commands = Commands(
     no_args_is_help=True,
 )
 
-_Mode = Annotated[
-    str,
-    typer.Option(
-        "--mode", metavar="CLASS", help="Choose the class that is stimulated: RA, SAI or PC."
-    ),
-]
-_Overwrite = Annotated[
-    bool, typer.Option("--overwrite", rich_help_panel=MORE, help="Replace the CSV file.")
-]
-_Session = Annotated[
-    str, typer.Option("--session", rich_help_panel=MORE, metavar="NAME", help="Name the session.")
-]
+_Overwrite = Annotated[bool, option("Replace the CSV file.", None, "--overwrite", panel=MORE)]
+_Session = Annotated[str, option("Name the session.", "NAME", panel=MORE)]
 _Output = Annotated[
     Path | None,
-    typer.Option(
+    option(
+        "Write the answers to this file; the participant's name names it otherwise.",
+        "CSV",
         "--output",
-        metavar="CSV",
-        help="Write the answers to this file; the participant's name names it otherwise.",
     ),
 ]
 
@@ -331,46 +313,34 @@ def run_listed(
     run: RunOptionGroup,
     text: Annotated[
         str | None,
-        typer.Argument(
-            metavar="NAME|FILE.py",
-            help="An experiment, free, or a file of yours; all are listed without one. Options "
-            "follow: 'frequency?standards=15,30&repetitions=5&procedure=constant&site=27', also "
-            "trials, letters=AEIOU, two_intervals, train_s, gap_s, answer_s, and knob=URL of free.",
+        argument(
+            "An experiment, free, or a file of yours; all are listed without one. Options "
+            "follow: 'frequency?standards=15,30&repetitions=5&procedure=constant&site=27', "
+            "also trials, letters=AEIOU, two_intervals, train_s, gap_s, answer_s, and "
+            "knob=URL of free.",
+            "NAME|FILE.py",
         ),
     ] = None,
-    mode: _Mode = "RA",
+    mode: ClassOption = "RA",
     rate_hz: Annotated[
         float | None,
-        typer.Option(
-            "--rate",
-            metavar="HZ",
-            rich_help_panel=MORE,
-            help="Set the rate of pulses, where none is asked.",
-        ),
+        option("Set the rate of pulses, where none is asked.", "HZ", "--rate", panel=MORE),
     ] = None,
     session: _Session = "",
     seed: Annotated[
         int | None,
-        typer.Option(
-            metavar="N",
-            rich_help_panel=MORE,
-            help="Set the seed of orders; the participant's name sets it otherwise.",
+        option(
+            "Set the seed of orders; the participant's name sets it otherwise.", "N", panel=MORE
         ),
     ] = None,
     output: _Output = None,
     overwrite: _Overwrite = False,
     simulate: Annotated[
         str | None,
-        typer.Option(
-            metavar="WHO",
-            help="Let a simulated participant answer: model, random, first or silent.",
-        ),
+        option("Let a simulated participant answer: model, random, first or silent.", "WHO"),
     ] = None,
     board: Annotated[
-        str | None,
-        typer.Option(
-            metavar="URL", help="Drive this board; a simulated participant takes simulated:."
-        ),
+        str | None, option("Drive this board; a simulated participant takes simulated:.", "URL")
     ] = None,
 ) -> None:
     """Run an experiment of the list or of a file; the same command again goes on where it was.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch.cli.options import MORE, RateOption, takes_options
+from smarttouch.cli.options import MORE, RateOption, argument, option, takes_options
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.cli.source_options import or_standard_input
 from smarttouch.views.keys_and_signals import drives_a_board
@@ -23,36 +23,31 @@ def live(
     run: RunOptionGroup,
     source: Annotated[
         str | None,
-        typer.Argument(
+        argument(
+            "A file, words, or a source by its URL: page:, text:, camera:, video:, "
+            "frames:, serial-array:, brltty:, draw:, osc:, lsl:, socket:, mcap:, "
+            "recording:, texture:, vibration:. Options follow: "
+            "'scan.png?dpi=300&speed_mm_s=40'. A sample page is shown without one.",
+            "SOURCE",
             callback=or_standard_input,
-            metavar="SOURCE",
-            help="A file, words, or a source by its URL: page:, text:, camera:, video:, frames:, "
-            "serial-array:, brltty:, draw:, osc:, lsl:, socket:, mcap:, recording:, texture:, "
-            "vibration:. Options follow: 'scan.png?dpi=300&speed_mm_s=40'. A sample page is shown "
-            "without one.",
         ),
     ] = None,
     mode: Annotated[
         str | None,
-        typer.Option(
-            metavar="CLASS",
-            help="Choose the class that is stimulated: RA (usual), SAI, PC or natural.",
-        ),
+        option("Choose the class that is stimulated: RA (usual), SAI, PC or natural.", "CLASS"),
     ] = None,
     rate_hz: RateOption = None,
     seed: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", min=0, rich_help_panel=MORE, help="Set the seed of all simulated noise."
-        ),
+        int | None, option("Set the seed of all simulated noise.", "N", min=0, panel=MORE)
     ] = None,
     light_on_dark: Annotated[
         bool,
-        typer.Option(
+        option(
+            "Take light print on dark paper.",
+            None,
             "--light-on-dark",
             show_default=False,
-            rich_help_panel=MORE,
-            help="Take light print on dark paper.",
+            panel=MORE,
         ),
     ] = False,
 ) -> None:
@@ -146,8 +141,7 @@ def _offered(run: RunOptionGroup, url: str) -> "RunChoices | None":
 
 def stop(
     url: Annotated[
-        str | None,
-        typer.Argument(metavar="BOARD", help="A board that is put at zero, by its URL, as well."),
+        str | None, argument("A board that is put at zero, by its URL, as well.", "BOARD")
     ] = None,
 ) -> None:
     """End every run of this user with all electrodes at zero, and wait for it.

@@ -138,6 +138,18 @@ def require_answers(
         raise error(message, about="keyboard", remedy="simulate")
 
 
+def option(
+    says: str, metavar: str | None = None, *names: str, panel: str | None = None, **more: Any
+) -> Any:
+    """Return an option of a command; in the list of a parameter's ``Annotated``."""
+    return typer.Option(*names, help=says, metavar=metavar, rich_help_panel=panel, **more)
+
+
+def argument(says: str, metavar: str | None = None, **more: Any) -> Any:
+    """Return an argument of a command, as `option` does."""
+    return typer.Argument(help=says, metavar=metavar, **more)
+
+
 BOARD = "The board"
 FINGER = "The finger"
 KEPT = "What is kept"
@@ -145,75 +157,45 @@ MORE = "More"
 
 ProfileOption = Annotated[
     str | None,
-    typer.Option(
-        "--profile",
-        metavar="NAME|FILE",
-        help="Use this device and finger; the board's usual one otherwise.",
-    ),
+    option("Use this device and finger; the board's usual one otherwise.", "NAME|FILE"),
 ]
 ArrayOption = Annotated[
     str,
-    typer.Option(
-        "--profile",
-        metavar="NAME|FILE",
-        help="Use this device and finger; smarttouch profiles lists them.",
-    ),
+    option("Use this device and finger; smarttouch profiles lists them.", "NAME|FILE"),
 ]
+ClassOption = Annotated[str, option("Choose the class that is stimulated: RA, SAI or PC.", "CLASS")]
 ModeOption = Annotated[
-    str,
-    typer.Option(
-        "--mode",
-        metavar="CLASS",
-        help="Choose the class that is stimulated: RA, SAI, PC or natural.",
-    ),
+    str, option("Choose the class that is stimulated: RA, SAI, PC or natural.", "CLASS")
 ]
 RateOption = Annotated[
-    float | None,
-    typer.Option(
-        "--rate", metavar="HZ", rich_help_panel=MORE, help="Set the scan sequences per second."
-    ),
+    float | None, option("Set the scan sequences per second.", "HZ", "--rate", panel=MORE)
 ]
 JsonOption = Annotated[
-    Path | None,
-    typer.Option("--json", metavar="FILE", rich_help_panel=KEPT, help="Write the results as JSON."),
+    Path | None, option("Write the results as JSON.", "FILE", "--json", panel=KEPT)
 ]
 
 
 ForceOption = Annotated[
     str | None,
-    typer.Option(
-        "--force",
-        metavar="URL",
-        help="Measure finger force by hx711:PORT or loadcell:PORT, or state it by fixed:N.",
+    option(
+        "Measure finger force by hx711:PORT or loadcell:PORT, or state it by fixed:N.",
+        "URL",
     ),
 ]
 AnatomyOption = Annotated[
     str,
-    typer.Option(
-        "--anatomy",
-        metavar="NAME|FILE",
+    option(
+        "Choose the anatomy of the fingers: branched, paper or a file.",
+        "NAME|FILE",
         show_default=False,
-        rich_help_panel=MORE,
-        help="Choose the anatomy of the fingers: branched, paper or a file.",
+        panel=MORE,
     ),
 ]
 ClusterOption = Annotated[
-    str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        rich_help_panel=MORE,
-        help="Compute on the Dask scheduler at tcp://HOST:8786.",
-    ),
+    str | None, option("Compute on the Dask scheduler at tcp://HOST:8786.", "ADDRESS", panel=MORE)
 ]
-QuietOption = Annotated[
-    bool, typer.Option("--quiet", rich_help_panel=MORE, help="Print errors only.")
-]
+QuietOption = Annotated[bool, option("Print errors only.", None, "--quiet", panel=MORE)]
 ScanOption = Annotated[
     str | None,
-    typer.Option(
-        "--scan",
-        metavar="HOW",
-        rich_help_panel=BOARD,
-        help="Choose how points share slots: points, frame or auto.",
-    ),
+    option("Choose how points share slots: points, frame or auto.", "HOW", panel=BOARD),
 ]

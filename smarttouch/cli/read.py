@@ -10,6 +10,8 @@ from smarttouch.cli.options import (
     MORE,
     ModeOption,
     RateOption,
+    argument,
+    option,
     takes_options,
 )
 from smarttouch.cli.run_options import RunOptionGroup
@@ -34,29 +36,21 @@ def read(
     run: RunOptionGroup,
     source: Annotated[
         str,
-        typer.Argument(
+        argument(
+            "A page (image, PDF), a text, Braille (.brf, .pef, photo), words, or - for "
+            "standard input. Options follow: 'book.pdf?pages=3-5&dpi=300'.",
+            "FILE",
             callback=or_standard_input,
-            metavar="FILE",
-            help="A page (image, PDF), a text, Braille (.brf, .pef, photo), words, "
-            "or - for standard input. Options follow: "
-            "'book.pdf?pages=3-5&dpi=300'.",
         ),
     ],
     pause_s: Annotated[
-        float,
-        typer.Option("--pause", metavar="S", help="Rest after each line; inf waits for a key."),
+        float, option("Rest after each line; inf waits for a key.", "S", "--pause")
     ] = 1.0,
     follow: Annotated[
-        str | None,
-        typer.Option(
-            metavar="URL",
-            rich_help_panel=MORE,
-            help="Take the place of the finger from this source.",
-        ),
+        str | None, option("Take the place of the finger from this source.", "URL", panel=MORE)
     ] = None,
     board: Annotated[
-        str | None,
-        typer.Option(metavar="URL", help="Drive this board; smarttouch live --help names them."),
+        str | None, option("Drive this board; smarttouch live --help names them.", "URL")
     ] = None,
     mode: ModeOption = "RA",
     rate_hz: RateOption = None,
@@ -118,28 +112,24 @@ def braille(
     document: DocumentOptions,
     source: Annotated[
         str | None,
-        typer.Argument(
+        argument(
+            "A file of text, of cells (.brf, .pef), of print or Braille (image, PDF); a "
+            "text, or text:WORDS where it could be a file; - for standard input.",
+            "TEXT|FILE|-",
             callback=or_standard_input,
-            metavar="TEXT|FILE|-",
-            help="A file of text, of cells (.brf, .pef), of print or Braille (image, PDF); a text, "
-            "or text:WORDS where it could be a file; - for standard input.",
         ),
     ] = None,
     table: TableOption = None,
-    back: Annotated[bool, typer.Option("--back", help="Translate cells back into text.")] = False,
+    back: Annotated[bool, option("Translate cells back into text.", None, "--back")] = False,
     output: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write a .brf, .pef or .txt file instead of printing."),
+        Path | None, option("Write a .brf, .pef or .txt file instead of printing.", "FILE")
     ] = None,
-    columns: Annotated[
-        int | None, typer.Option(help="Set the cells of a line, usually 40.")
-    ] = None,
-    rows: Annotated[int | None, typer.Option(help="Set the lines of a page, usually 25.")] = None,
+    columns: Annotated[int | None, option("Set the cells of a line, usually 40.")] = None,
+    rows: Annotated[int | None, option("Set the lines of a page, usually 25.")] = None,
     leave_out: Annotated[
-        bool,
-        typer.Option("--leave-out", help="Leave out characters that the table has no cells for."),
+        bool, option("Leave out characters that the table has no cells for.", None, "--leave-out")
     ] = False,
-    tables: Annotated[bool, typer.Option("--tables", help="List the tables.")] = False,
+    tables: Annotated[bool, option("List the tables.", None, "--tables")] = False,
 ) -> None:
     """Turn a text into Braille, or Braille into a text."""
     from smarttouch.base.errors import BrailleError
@@ -236,10 +226,10 @@ def braille_display(
     run: RunOptionGroup,
     address: Annotated[
         str,
-        typer.Argument(
-            metavar="[ADDRESS]",
-            help="listen:PORT, where BRLTTY connects, or HOST:PORT, where it listens. Options "
+        argument(
+            "listen:PORT, where BRLTTY connects, or HOST:PORT, where it listens. Options "
             "follow: 'listen:35752?cells=10&show=cell&speed_mm_s=60&pan'.",
+            "[ADDRESS]",
         ),
     ] = "listen:35752",
     mode: ModeOption = "RA",

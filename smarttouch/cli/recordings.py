@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from smarttouch.base.terminal import print_table
-from smarttouch.cli.options import takes_options
+from smarttouch.cli.options import argument, option, takes_options
 from smarttouch.cli.plain_help import Commands
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.views.keys_and_signals import drives_a_board
@@ -15,7 +15,7 @@ recordings: Commands = Commands(
     help="Look into, view, repair and export what ``live --record`` kept.", no_args_is_help=True
 )
 
-_File = Annotated[Path, typer.Argument(metavar="FILE", help="A recording, whole or cut.")]
+_File = Annotated[Path, argument("A recording, whole or cut.", "FILE")]
 
 
 @recordings.command()
@@ -30,10 +30,7 @@ def info(file: _File) -> None:
 def repair(
     file: _File,
     output: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Write this file; a new one beside the old one otherwise."
-        ),
+        Path | None, option("Write this file; a new one beside the old one otherwise.", "FILE")
     ] = None,
 ) -> None:
     """Write a valid file of all that can be read; the old one stays as it is."""
@@ -51,7 +48,7 @@ def repair(
 @recordings.command()
 def export(
     file: _File,
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A new or an empty one.")],
+    folder: Annotated[Path, argument("A new or an empty one.", "FOLDER")],
 ) -> None:
     """Write images as PNG, steps and events as CSV, and all numbers as NPZ."""
     from smarttouch.running.recording_files import export as write_out
@@ -62,21 +59,13 @@ def export(
 
 @recordings.command()
 def view(
-    files: Annotated[
-        list[Path], typer.Argument(metavar="FILE [OTHER]", help="One, or two side by side.")
-    ],
-    port: Annotated[
-        int, typer.Option(metavar="N", help="Serve the page at this port; a free one otherwise.")
-    ] = 0,
+    files: Annotated[list[Path], argument("One, or two side by side.", "FILE [OTHER]")],
+    port: Annotated[int, option("Serve the page at this port; a free one otherwise.", "N")] = 0,
     save: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write .png, .svg or .mp4, and show nothing."),
+        Path | None, option("Write .png, .svg or .mp4, and show nothing.", "FILE")
     ] = None,
     step: Annotated[
-        int,
-        typer.Option(
-            metavar="N", min=0, help="Choose the step of a picture, or the first of a film."
-        ),
+        int, option("Choose the step of a picture, or the first of a film.", "N", min=0)
     ] = 0,
 ) -> None:
     """Show recordings in a browser: time line, steps, slots, events (extra window)."""
@@ -100,36 +89,31 @@ def view(
 @takes_options()
 def replay(
     run: RunOptionGroup,
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording, whole or cut.")],
+    file: Annotated[Path, argument("A recording, whole or cut.", "FILE")],
     check: Annotated[
-        bool,
-        typer.Option("--check", help="Compare today's sequences with the recorded ones, exactly."),
+        bool, option("Compare today's sequences with the recorded ones, exactly.", None, "--check")
     ] = False,
     profile: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME|FILE",
-            help="Use another device and finger than the recorded one. A recording "
-            "never raises the limits of a real board.",
+        option(
+            "Use another device and finger than the recorded one. A recording never raises "
+            "the limits of a real board.",
+            "NAME|FILE",
         ),
     ] = None,
     board: Annotated[
-        str, typer.Option(metavar="URL", help="Drive this board; it cannot be given with --check.")
+        str, option("Drive this board; it cannot be given with --check.", "URL")
     ] = "emulator:",
     force: Annotated[
         str | None,
-        typer.Option(
-            metavar="URL",
-            help="Measure or state today's force. The recorded force counts on "
-            "emulated boards only.",
+        option(
+            "Measure or state today's force. The recorded force counts on emulated boards only.",
+            "URL",
         ),
     ] = None,
     intensity: Annotated[
         float | None,
-        typer.Option(
-            metavar="0..1",
-            help="Scale the recorded intensity, 0 to 1. Real boards start at 0.",
-        ),
+        option("Scale the recorded intensity, 0 to 1. Real boards start at 0.", "0..1"),
     ] = None,
 ) -> None:
     """Play a recording on a board again, or check that its sequences are still the same."""
@@ -173,12 +157,11 @@ def _check(file: Path, profile: str | None) -> None:
 
 def report(
     recording: Annotated[
-        Path | None,
-        typer.Argument(metavar="[MCAP]", help="The recording of the run that went wrong."),
+        Path | None, argument("The recording of the run that went wrong.", "[MCAP]")
     ] = None,
-    output: Annotated[
-        Path, typer.Option(metavar="FILE", help="Write the report to this file.")
-    ] = Path("smarttouch-report.json"),
+    output: Annotated[Path, option("Write the report to this file.", "FILE")] = Path(
+        "smarttouch-report.json"
+    ),
 ) -> None:
     """Write a file for a bug report: versions, boards, settings and last events.
 

@@ -6,8 +6,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
 from smarttouch.base.errors import SmartTouchError, not_offered
 from smarttouch.base.files import require_folder
 from smarttouch.base.terminal import console
@@ -19,6 +17,7 @@ from smarttouch.cli.options import (
     OptionGroup,
     ProfileOption,
     QuietOption,
+    option,
 )
 
 if TYPE_CHECKING:
@@ -38,102 +37,74 @@ class RunOptionGroup(OptionGroup):
 
     board: Annotated[
         str | None,
-        typer.Option(
-            metavar="URL",
-            help="Drive this board: emulator: (usual), simulated:, kajimoto61:PORT, "
+        option(
+            "Drive this board: emulator: (usual), simulated:, kajimoto61:PORT, "
             "etactilekit:PORT, link:PORT.",
+            "URL",
         ),
     ] = None
     vibrators: Annotated[
         str | None,
-        typer.Option(
-            metavar="URL",
-            rich_help_panel=BOARD,
-            help="Drive vibration actuators for PC instead of current.",
-        ),
+        option("Drive vibration actuators for PC instead of current.", "URL", panel=BOARD),
     ] = None
     set_: Annotated[
         list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="NAME=VALUE",
-            rich_help_panel=BOARD,
-            help="Change a setting of the run: scan=points (or frame, auto), hold=charge (or "
+        option(
+            "Change a setting of the run: scan=points (or frame, auto), hold=charge (or "
             "energy), softness=0..1, measure, balance.",
+            "NAME=VALUE",
+            "--set",
+            panel=BOARD,
         ),
     ] = None
     profile: ProfileOption = None
     force: ForceOption = None
     intensity: Annotated[
-        float | None,
-        typer.Option(
-            metavar="0..1",
-            help="Set the maximum intensity, 0 to 1. Real boards start at 0.",
-        ),
+        float | None, option("Set the maximum intensity, 0 to 1. Real boards start at 0.", "0..1")
     ] = None
-    seconds: Annotated[
-        float | None, typer.Option(metavar="S", help="End the run after this time.")
-    ] = None
+    seconds: Annotated[float | None, option("End the run after this time.", "S")] = None
     felt: Annotated[
         Path | None,
-        typer.Option(
-            metavar="PNG|GIF",
-            rich_help_panel=KEPT,
-            help="Draw what was seen, delivered and answered by a simulated finger; a .gif moves.",
+        option(
+            "Draw what was seen, delivered and answered by a simulated finger; a .gif moves.",
+            "PNG|GIF",
+            panel=KEPT,
         ),
     ] = None
     finger: Annotated[
         str | None,
-        typer.Option(
-            metavar="[ANATOMY:]SEED",
-            rich_help_panel=KEPT,
+        option(
+            "Choose the simulated finger, such as 2, paper or paper:2; the anatomy is "
+            "branched, paper or a file.",
+            "[ANATOMY:]SEED",
             show_default=False,
-            help="Choose the simulated finger, such as 2, paper or paper:2; the "
-            "anatomy is branched, paper or a file.",
+            panel=KEPT,
         ),
     ] = None
     frames: Annotated[
         Path | None,
-        typer.Option(
-            metavar="PATH",
-            rich_help_panel=KEPT,
-            help="Write what the electrodes do: a .gif, a .json or a folder of PNG.",
+        option(
+            "Write what the electrodes do: a .gif, a .json or a folder of PNG.", "PATH", panel=KEPT
         ),
     ] = None
-    record: Annotated[
-        Path | None,
-        typer.Option(metavar="MCAP", help="Record the whole run."),
-    ] = None
+    record: Annotated[Path | None, option("Record the whole run.", "MCAP")] = None
     subject: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME", rich_help_panel=KEPT, help="Name the participant in the recording."
-        ),
+        str, option("Name the participant in the recording.", "NAME", panel=KEPT)
     ] = ""
-    note: Annotated[
-        str,
-        typer.Option(metavar="TEXT", rich_help_panel=KEPT, help="Add a note to the recording."),
-    ] = ""
+    note: Annotated[str, option("Add a note to the recording.", "TEXT", panel=KEPT)] = ""
     stream: Annotated[
         str | None,
-        typer.Option(
-            metavar="lsl:",
-            rich_help_panel=KEPT,
-            help="Send the run to the Lab Streaming Layer while it goes on.",
-        ),
+        option("Send the run to the Lab Streaming Layer while it goes on.", "lsl:", panel=KEPT),
     ] = None
     json_file: JsonOption = None
     window: Annotated[
-        int | None,
-        typer.Option(
-            metavar="[PORT]", help="Open a page in the browser that shows and steers the run."
-        ),
+        int | None, option("Open a page in the browser that shows and steers the run.", "[PORT]")
     ] = None
     quiet: QuietOption = False
     plain: Annotated[
         bool | None,
-        typer.Option(
-            "--plain", help="Print one line for each event and draw nothing, for screen readers."
+        option(
+            "Print one line for each event and draw nothing, for screen readers.", None, "--plain"
         ),
     ] = None
 

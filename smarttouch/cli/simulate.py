@@ -8,10 +8,14 @@ import typer
 from smarttouch.cli.options import (
     AnatomyOption,
     ArrayOption,
+    ClassOption,
     ClusterOption,
     JsonOption,
+    ModeOption,
     QuietOption,
     ScanOption,
+    argument,
+    option,
     takes_options,
 )
 from smarttouch.cli.plain_help import Commands
@@ -34,25 +38,15 @@ simulate: Commands = Commands(
 
 @simulate.command("letters")
 def simulate_letters(
-    letters: Annotated[
-        str | None, typer.Argument(metavar="LETTERS", help="The letters; A to Z otherwise.")
-    ] = None,
+    letters: Annotated[str | None, argument("The letters; A to Z otherwise.", "LETTERS")] = None,
     profile: ArrayOption = "electric-mouse",
-    mode: Annotated[
-        str,
-        typer.Option(
-            metavar="RA|SAI|PC", help="Choose the class that is stimulated: RA, SAI or PC."
-        ),
-    ] = "RA",
+    mode: ClassOption = "RA",
     anatomy: AnatomyOption = "branched",
     fingers: Annotated[
-        int,
-        typer.Option(
-            min=1, max=1000, metavar="N", help="Simulate this many fingers, by seeds from 1 on."
-        ),
+        int, option("Simulate this many fingers, by seeds from 1 on.", "N", min=1, max=1000)
     ] = 10,
     plot_file: Annotated[
-        str | None, typer.Option("--plot", metavar="PNG", help="Draw the first letter on finger 1.")
+        str | None, option("Draw the first letter on finger 1.", "PNG", "--plot")
     ] = None,
     json_file: JsonOption = None,
     quiet: QuietOption = False,
@@ -115,28 +109,20 @@ def simulate_page(
     document: DocumentOptions,
     source: Annotated[
         str,
-        typer.Argument(
+        argument(
+            "A page, a text, Braille or words, as for smarttouch read.",
+            "FILE",
             callback=or_standard_input,
-            metavar="FILE",
-            help="A page, a text, Braille or words, as for smarttouch read.",
         ),
     ],
     profile: ArrayOption = "electric-mouse",
     truth: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE.txt", help="Compare with this text; with what Tesseract reads otherwise."
-        ),
+        option("Compare with this text; with what Tesseract reads otherwise.", "FILE.txt"),
     ] = None,
-    mode: Annotated[
-        str,
-        typer.Option(metavar="RA|SAI", help="Choose the class that is stimulated: RA, SAI or PC."),
-    ] = "RA",
+    mode: ModeOption = "RA",
     fingers: Annotated[
-        int,
-        typer.Option(
-            min=0, max=1000, metavar="N", help="Simulate this many fingers that read it, too."
-        ),
+        int, option("Simulate this many fingers that read it, too.", "N", min=0, max=1000)
     ] = 0,
     anatomy: AnatomyOption = "branched",
     json_file: JsonOption = None,
@@ -184,22 +170,16 @@ def simulate_page(
 def study(
     plan: Annotated[
         Path,
-        typer.Argument(
-            metavar="STUDY.toml", help="The plan: what is compared, and on which fingers."
-        ),
+        argument("The plan: what is compared, and on which fingers.", "STUDY.toml"),
     ],
     output: Annotated[
         Path,
-        typer.Option(metavar="DIR", help="Write to this folder; a study that is there goes on."),
+        option("Write to this folder; a study that is there goes on.", "DIR"),
     ],
     cluster: ClusterOption = None,
     kind: Annotated[
         str | None,
-        typer.Option(
-            "--plot",
-            metavar="png|pdf|svg|none",
-            help="Choose the form of the plot: png, pdf, svg or none.",
-        ),
+        option("Choose the form of the plot: png, pdf, svg or none.", "png|pdf|svg|none", "--plot"),
     ] = None,
     quiet: QuietOption = False,
 ) -> None:

@@ -12,7 +12,7 @@ import typer
 
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.files import named_file
-from smarttouch.cli.options import MORE, OptionGroup
+from smarttouch.cli.options import MORE, OptionGroup, option
 
 if TYPE_CHECKING:
     from smarttouch.reading.braille_lines import Braille
@@ -85,17 +85,11 @@ class DocumentOptions(OptionGroup):
     """Options of a document."""
 
     password: Annotated[
-        str | None,
-        typer.Option(rich_help_panel=MORE, help="Give the password of an encrypted PDF."),
+        str | None, option("Give the password of an encrypted PDF.", panel=MORE)
     ] = None
     languages: Annotated[
         str | None,
-        typer.Option(
-            "--language",
-            metavar="TAG",
-            rich_help_panel=MORE,
-            help="Name the language of the text, such as en or fr.",
-        ),
+        option("Name the language of the text, such as en or fr.", "TAG", "--language", panel=MORE),
     ] = None
 
     def recognition(self, source: str, **more: Any) -> "tuple[str, RecognitionOptions]":
@@ -124,10 +118,10 @@ class DocumentOptions(OptionGroup):
 
 TableOption = Annotated[
     str | None,
-    typer.Option(
-        metavar="NAME",
-        rich_help_panel=_FORM,
-        help="Choose the Braille table; --tables lists them. The language chooses one otherwise.",
+    option(
+        "Choose the Braille table; --tables lists them. The language chooses one otherwise.",
+        "NAME",
+        panel=_FORM,
     ),
 ]
 
@@ -157,11 +151,11 @@ class FormOptions(OptionGroup):
 
     kind: Annotated[
         str | None,
-        typer.Option(
-            "--as",
-            metavar="FORM",
-            help="Read shapes or braille. Options follow: 'shapes?style=thinned', "
+        option(
+            "Read shapes or braille. Options follow: 'shapes?style=thinned', "
             "'braille?table=en-2&cells=cell&lines=2&speed_mm_s=40&embossed&light_from=90'.",
+            "FORM",
+            "--as",
         ),
     ] = None
 
