@@ -213,13 +213,13 @@ def new(
             "[TABLE.csv] FILE.toml",
         ),
     ],
-    grid: Annotated[str, option("Make a grid; no table is read.", "ROWSxCOLUMNS", "--grid")] = "",
+    grid: Annotated[str, option("Use a grid in place of a table.", "ROWSxCOLUMNS")] = "",
     pitch_mm: Annotated[float, option("Set the pitch of the grid.", "MM", "--pitch")] = 2.0,
     diameter_mm: Annotated[
         float, option("Set the diameter of its discs.", "MM", "--diameter")
     ] = 1.0,
     like: Annotated[
-        str, option("Take all else from this profile.", "NAME|FILE", "--like")
+        str, option("Take all else from this profile.", "NAME|FILE")
     ] = "electric-mouse",
     overwrite: Annotated[bool, option("Replace the file.", None, "--overwrite")] = False,
 ) -> None:

@@ -125,11 +125,9 @@ def fit(
         argument("CSV files of answers, one of each condition.", "FILE..."),
     ],
     x: Annotated[
-        str, option("Name the column of what was shown.", "COLUMN", "--x", panel=MORE)
+        str, option("Name the column of what was shown.", "COLUMN", panel=MORE)
     ] = "comparison",
-    y: Annotated[
-        str, option("Name the column of answers: 1, 0 or nothing.", "COLUMN", "--y")
-    ] = "success",
+    y: Annotated[str, option("Name the column of answers: 1, 0 or nothing.", "COLUMN")] = "success",
     standard: Annotated[
         str, option("Name the column of the standard, if there is one.", "COLUMN")
     ] = "standard",

@@ -128,7 +128,7 @@ def steps(
     elapsed_ns = 0
     with source_of(source, profile, light_on_dark=config.light_on_dark) as opened:
         while elapsed_ns < most_ns and (given := opened.read(elapsed_ns)) is not None:
-            frame = checked_input(given, repr(opened), pipeline.electrodes)
+            frame = checked_input(given, opened, pipeline.electrodes)
             if frame.stale:
                 frame = replace(frame, force_n=0.0)
             step = pipeline.process(frame, level)

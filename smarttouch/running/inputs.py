@@ -138,11 +138,12 @@ class Inputs:
         source, state = self.source, self.controls.state(time_ns)
         if state.mode is not self.pipeline.mode:
             self.pipeline.change_mode(state.mode)
-        source.afferents = state.mode.afferents
+        if state is not self._before:
+            source.afferents = state.mode.afferents
         given = source.read(time_ns)
         if given is None:
             return None
-        given = checked_input(given, repr(source), self.pipeline.electrodes)
+        given = checked_input(given, source, self.pipeline.electrodes)
         self.statistics.seen += given.number != self._last_seen
         self._last_seen = given.number
         force_n = self._force_n(given, time_ns)

@@ -265,5 +265,6 @@ class _Loop:
             if late_ns > period_ns:
                 statistics.late += 1
                 self._shift_ns += late_ns
-            self._move(self.phase.follow(self._shift_ns))
+            if later_ns := self.phase.follow(self._shift_ns):
+                self._move(later_ns)
         self.elapsed_ns += period_ns

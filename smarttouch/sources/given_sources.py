@@ -28,8 +28,8 @@ from smarttouch.sources.source_contract import (
 _GRAY = np.array([0.299, 0.587, 0.114])  # luma of red, green and blue, ITU-R BT.601
 
 
-def checked_input(given: Any, who: str, electrodes: int) -> Input:
-    """Return a frame or stimulus that a source named ``who`` returned, for (E,) electrodes.
+def checked_input(given: Any, who: object, electrodes: int) -> Input:
+    """Return a frame or stimulus that a source ``who`` returned, for (E,) electrodes.
 
     Raises a SourceError for anything else, with what it is.
     """
@@ -48,7 +48,7 @@ def checked_input(given: Any, who: str, electrodes: int) -> Input:
     return given if activation is given.activation else replace(given, activation=activation)
 
 
-def gray_image(image: Any, who: str) -> NDArray[np.uint8]:
+def gray_image(image: Any, who: object) -> NDArray[np.uint8]:
     """Return an image as gray levels, (H, W) uint8, 0 black: from bool, gray, RGB or RGBA.
 
     What is transparent is white. Raises a SourceError for other types and shapes: which number
@@ -79,7 +79,7 @@ def gray_image(image: Any, who: str) -> NDArray[np.uint8]:
     return np.asarray(np.rint(gray), np.uint8)
 
 
-def checked_activation(activation: Any, who: str, electrodes: int) -> NDArray[np.float32]:
+def checked_activation(activation: Any, who: object, electrodes: int) -> NDArray[np.float32]:
     """Return the activation of (3, E) electrodes as float32, of numbers in [0, 1] alone."""
     shape = len(Afferent), electrodes
     if not isinstance(activation, np.ndarray) or activation.dtype.kind not in "fbiu":
@@ -195,7 +195,7 @@ class OwnImaging(StimulusSource):
         if given is None:
             return None
         electrodes = len(self._electrodes)
-        frame = checked_input(given, repr(self._source), electrodes)
+        frame = checked_input(given, self._source, electrodes)
         if not isinstance(frame, Frame):
             raise SourceError(
                 f"{self.title} gives tactile images, which need no imaging: leave it out",
