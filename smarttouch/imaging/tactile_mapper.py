@@ -262,4 +262,4 @@ class TactileMapper:
         else:
             self._natural.last_ns = None
             activation[Afferent[mode.name]] = ink
-        return TactileImage(activation, frame.time_ns, frame.force_n)
+        return TactileImage(activation, frame.time_ns, frame.force_n, frame.period_us)

@@ -31,14 +31,10 @@ def open_lsl(
 
     With ``size``, as in 64x48, a sample is an image of gray levels, row by row from 0 (black) to
     255. Without, it is the activation of the electrodes from 0 to 1, E numbers for all classes or
-    3 E for RA, SAI and PC; then with ``follow`` each is one pulse, see `PushedStimuli`.
+    3 E for RA, SAI and PC. With ``follow`` each is one pulse, see `PushedStimuli`.
     """
     if size is not None:
-        if follow:
-            raise SourceError(
-                "follow is for activations, and these are images: leave out size", about="follow"
-            )
-        return LiveSource(LslImages(rest, size), profile)
+        return LiveSource(LslImages(rest, size), profile, follow=follow)
     return LslStimuli(rest, profile, follow)
 
 

@@ -42,16 +42,12 @@ def open_socket(
     """Open ``socket:PORT`` of 127.0.0.1, or ``socket:PATH`` of a Unix socket.
 
     With ``activation`` an image is the activation of the electrodes, of all classes (E x 1) or RA,
-    SAI and PC (E x 3), 255 full; then with ``follow`` each is one pulse, see `PushedStimuli`.
-    Otherwise images are gray levels of what a sensor sees, bright is white.
+    SAI and PC (E x 3), 255 full. Otherwise images are gray levels of what a sensor sees, bright is
+    white. With ``follow`` each is one pulse, see `PushedStimuli`.
     """
     device = SocketImages(rest, profile)
     if not activation:
-        if follow:
-            raise SourceError(
-                "follow is for activations, and these are images: add activation", about="follow"
-            )
-        return LiveSource(device, profile)
+        return LiveSource(device, profile, follow=follow)
     return SocketStimuli(device, profile, follow)
 
 

@@ -81,6 +81,7 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
             },
             "level": {**_NUMBER, "description": "of the strongest, in [0, 1]"},
             "image": {"type": "boolean", "description": "whether there was one to see"},
+            "imaged": {"type": "boolean", "description": "whether the tactile image is of it"},
         },
     ),
     "/sequence": (

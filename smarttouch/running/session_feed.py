@@ -20,13 +20,11 @@ from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.show_request import SILENT_US, STEADY, Show
 from smarttouch.running.step import StepResult
 from smarttouch.sources.given_sources import checked_activation, gray_image
-from smarttouch.sources.source_contract import Frame, Input, Source, Stimulus
+from smarttouch.sources.source_contract import IDLE_NS, Frame, Input, Source, Stimulus
 from smarttouch.stimulation.intensity import force_gate
 
 Pattern = NDArray[Any] | Frame | TactileImage
 """Activation (E,) or (3, E), an image (H, W), a frame, or a tactile image."""
-IDLE_NS = 45_000_000
-"""Longest time without a sequence while nothing is shown."""
 
 
 class SessionFeed(Source, Listener):

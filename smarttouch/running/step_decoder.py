@@ -92,7 +92,6 @@ class StepDecoder:
         remember(self._sequences, sequence.time_ns, sequence)
         activation = _activation_of(parts["/tactile"], self.electrodes)
         time_ns, force_n = int(finger["time_ns"]), _number(finger["force_n"])
-        tactile = TactileImage(activation, time_ns, force_n)
         where = {
             "pose": Pose(*(_number(finger[key]) for key in ("x_mm", "y_mm", "angle_rad"))),
             "number": int(finger["number"]),
@@ -100,11 +99,12 @@ class StepDecoder:
             "stale": bool(finger["stale"]),
         }
         given: Input
-        if image is None or "/request" in parts:
-            asked = _asked(parts["/request"])
+        asked = _asked(parts["/request"]) if image is None or "/request" in parts else (None, 1.0)
+        if image is None or not parts.get("/request", {"imaged": True}).get("imaged", False):
             given = tactile = Stimulus(activation, time_ns, force_n, *asked, image=image, **where)
         else:
-            given = Frame(image, time_ns, force_n=force_n, **where)
+            tactile = TactileImage(activation, time_ns, force_n, *asked)
+            given = Frame(image, time_ns, force_n=force_n, period_us=asked[0], **where)
         row = parts["/sequence"]
         step = Step(
             input=given,

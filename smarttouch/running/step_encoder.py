@@ -62,9 +62,10 @@ class StepEncoder:
                 "/tactile_image",
                 self._image(np.asarray(picture, np.uint8), given.time_ns, "finger"),
             )
-        if isinstance(given, Stimulus):
-            asked = {"period_us": given.period_us, "level": float(given.level)}
-            yield "/request", {**asked, "image": given.image is not None}
+        if isinstance(given, Stimulus) or given.period_us is not None:
+            asked = {"period_us": given.period_us, "level": float(step.tactile.level)}
+            own = isinstance(given, Stimulus)
+            yield "/request", {**asked, "image": given.image is not None, "imaged": not own}
         yield "/sequence", _sequence(result)
         remember(self._numbers, step.sequence.time_ns, result.number)
         for sequence, volts in step.observed:

@@ -205,7 +205,7 @@ class OwnImaging(StimulusSource):
         return Stimulus(
             checked_activation(activation, self._who, electrodes), frame.time_ns, frame.force_n,
             pose=frame.pose, number=frame.number, age_ns=frame.age_ns, stale=frame.stale,
-            image=frame.image,
+            image=frame.image, period_us=frame.period_us,
         )  # fmt: skip
 
     def patience_ns(self, time_ns: int) -> int:

@@ -15,6 +15,7 @@ from smarttouch.base.errors import SourceError, SourceLostError
 from smarttouch.profile import Profile
 from smarttouch.sources.preprocess import FramePreprocessor
 from smarttouch.sources.source_contract import (
+    IDLE_NS,
     DeviceWarnings,
     Frame,
     OpticalSource,
@@ -126,6 +127,9 @@ class LiveSource(OpticalSource):
         Longest wait for a lost device.
     now_ns : callable
         The clock of `Shot.taken_ns`.
+    follow : bool
+        Where one class is driven, whether each image is one pulse of every active electrode, as
+        soon as it comes and the profile's limit allows, repeated at the profile's rate.
 
     Raises
     ------
@@ -143,8 +147,14 @@ class LiveSource(OpticalSource):
         *,
         replug_s: float = 10.0,
         now_ns: Callable[[], int] = time.perf_counter_ns,
+        follow: bool = False,
     ) -> None:
         super().__init__(device.title)
+        self.news: threading.Event = threading.Event()
+        self._follow = follow
+        self._least_us = math.ceil(1e6 / profile.limits.rate_hz)
+        self._usual_ns = round(1e9 / profile.pulse.rate_hz)
+        self._read_at_ns = 0
         self.notes: list[str] = device.notes
         self._device = device
         self._replug_s = replug_s
@@ -199,6 +209,7 @@ class LiveSource(OpticalSource):
                 )
                 raise SourceError(message, about="source")
             self._unread = False
+            self._read_at_ns = time_ns
         age_ns = max(0, self._now_ns() - newest.taken_ns)
         return Frame(
             newest.image,
@@ -207,8 +218,30 @@ class LiveSource(OpticalSource):
             math.nan,
             number=newest.number,
             age_ns=age_ns,
-            stale=age_ns > self._device.stale_s * 1e9,
+            stale=age_ns > self._stale_ns,
+            period_us=self._least_us if self._follows else None,
         )
+
+    @property
+    def _stale_ns(self) -> float:
+        return self._device.stale_s * 1e9
+
+    @property
+    def _follows(self) -> bool:
+        """Whether each image begins at once."""
+        return self._follow and len(self.afferents) == 1
+
+    def patience_ns(self, time_ns: int) -> int:
+        """Return how long the next image may be waited for: while the last one is stale, and where
+        each begins at once, until it is to be repeated."""
+        with self._changed:
+            self.news.clear()
+            newest = self._newest
+            if newest is None or self._unread or self._over:
+                return 0
+        if self._now_ns() - newest.taken_ns > self._stale_ns:
+            return IDLE_NS
+        return max(0, self._read_at_ns + self._usual_ns - time_ns) if self._follows else 0
 
     def close(self) -> None:
         """Stop the thread, close the device, and count unread frames as dropped."""
@@ -251,6 +284,7 @@ class LiveSource(OpticalSource):
             with self._changed:
                 self._over = True
                 self._changed.notify_all()
+            self.news.set()
             self._device.close()
 
     def _grab(self) -> Shot | None:
@@ -299,6 +333,7 @@ class LiveSource(OpticalSource):
             self._newest = _Captured(image, pose, shot.taken_ns, self.frames - 1)
             self._unread = True
             self._changed.notify_all()
+        self.news.set()
 
     def _miss(self, images: int) -> None:
         with self._changed:

@@ -52,6 +52,9 @@ class Frame:
         Age of the image when it was read.
     stale : bool
         Whether the source has gone silent and the image may be outdated.
+    period_us : int, µs, optional
+        Time to the next read, in which every active class pulses once. None: the mode's classes
+        pulse at the profile's rates.
     """
 
     __repr__ = one_line
@@ -63,6 +66,7 @@ class Frame:
     number: int = 0
     age_ns: int = 0
     stale: bool = False
+    period_us: int | None = None
 
 
 _ORIGIN = Pose(0.0, 0.0)
@@ -98,6 +102,8 @@ class Stimulus(TactileImage):
     image: NDArray[np.uint8] | None = None
 
 
+IDLE_NS = 45_000_000
+"""Longest time without a sequence while nothing is shown."""
 Input = Frame | Stimulus
 """Input of a run, read once for each sequence."""
 

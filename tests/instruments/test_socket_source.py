@@ -12,6 +12,7 @@ import smarttouch as st
 from smarttouch.base.errors import SourceError
 from smarttouch.base.wire import socket_owners
 from smarttouch.instruments import pushed_stimuli
+from smarttouch.lab import check_recording
 from smarttouch.testing import SourceContract, StimulusContract
 
 from ..raising import raises
@@ -122,7 +123,7 @@ def test_another_user_is_refused(stimuli, other_account):
         assert other.stdout.readline() == "True\n"
     assert stimuli.given == 0
     if not isinstance(address, str):
-        assert stimuli.device.refused == 1
+        wait_for(lambda: stimuli.device.refused == 1)
     with connect(stimuli) as line:
         line.sendall(pgm(np.full((1, 64), 255)))
         wait_for(lambda: stimuli.given == 1)
@@ -170,9 +171,43 @@ def test_a_system_that_does_not_say_who_connects_needs_a_path(profile, monkeypat
         st.open_source("socket:9000", profile)
 
 
-def test_images_are_not_followed(profile):
-    with raises(SourceError, about="follow"):
-        st.open_source("socket:9000?follow", profile)
+@pytest.mark.parametrize("follow", [False, True])
+def test_an_image_wakes_the_loop_after_silence_and_where_each_is_followed(profile, follow):
+    usual_ns = round(1e9 / profile.pulse.rate_hz)
+    with st.open_source(f"socket:0?follow={follow}", profile) as images:
+        images.afferents = (st.Afferent.RA,)
+        assert images.patience_ns(0) == 0
+        assert images.read(0).stale
+        assert images.patience_ns(0) > 0
+        with connect(images) as line:
+            line.sendall(pgm(np.full((40, 30), 255)))
+            assert images.news.wait(60)
+            assert images.patience_ns(0) == 0
+            frame = images.read(0)
+            assert frame.period_us == (round(1e6 / profile.limits.rate_hz) if follow else None)
+            assert images.patience_ns(5_000_000) == follow * (usual_ns - 5_000_000)
+            assert images.patience_ns(usual_ns) == 0
+            images.afferents = tuple(st.Afferent)
+            assert images.patience_ns(5_000_000) == 0
+            assert images.read(0).period_us is None
+
+
+def test_images_that_are_followed_are_pulses_of_their_own_also_in_a_recording(profile, tmp_path):
+    path = tmp_path / "run.mcap"
+    display = st.open_display("memory:", profile)
+    checker = np.kron(np.indices((8, 8)).sum(0) % 2, np.ones((8, 8))) * 255
+    with st.open_source("socket:0?follow", profile) as images, connect(images) as line:
+        images.read(0)
+        line.sendall(pgm(checker))
+        images._device.stale_s = 1000
+        wait_for(lambda: not images.read(0).stale)
+        recorder = st.Recorder(path)
+        st.run(images, display, seconds=0.2, force="fixed:0.9", listeners=[recorder])
+    assert {each.period_us for each in display.board.sequences} == {5_000}
+    assert sum(each.slots for each in display.board.sequences) > 0
+    report = check_recording(path)
+    assert report.exact
+    assert report.sequences == len(display.board.sequences)
 
 
 def test_owners_of_both_ends_are_known():

@@ -190,9 +190,7 @@ class WavOutput(VibratorOutput):
                 self._stream.write(header)
             self._stream.write(samples.tobytes())
             self._stream.flush()
-            self._stream.seek(0)
-            self._stream.write(header)
-            self._stream.seek(0, os.SEEK_END)
+            os.pwrite(self._stream.fileno(), header, 0)
         except OSError as error:
             raise self._unwritable(error) from None
 
