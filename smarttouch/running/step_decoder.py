@@ -99,6 +99,7 @@ class StepDecoder:
             "stale": bool(finger["stale"]),
         }
         given: Input
+        tactile: TactileImage
         asked = _asked(parts["/request"]) if image is None or "/request" in parts else (None, 1.0)
         if image is None or not parts.get("/request", {"imaged": True}).get("imaged", False):
             given = tactile = Stimulus(activation, time_ns, force_n, *asked, image=image, **where)
