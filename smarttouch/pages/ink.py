@@ -24,17 +24,26 @@ _LEAST_LIGHT = 0.25
 _DARKEST = 40.0  # grey level below which an area is too dark to contain ink
 _PAPER = 210  # level of paper in the divided image, with room above it for noise
 _LEAST_CONTRAST = 0.12  # least contrast of ink against the paper around it
-_LEAST_GRAINS = 5.5  # least contrast of ink, in standard deviations of the paper's grain
+_LEAST_GRAINS = 3.5  # least contrast of ink, in standard deviations of the paper's grain
 _GRAINS = 6.7
 """Contrast at which ink begins, in the same; limited to the following parts of Otsu's threshold."""
 _LEAST_PART, _MOST_PART = 0.7, 1.1
 _EVEN_INK = 0.35
 """Contrast of Otsu's threshold, relative to paper, below which ink is uneven and begins earlier."""
+_PEN_PX, _PALE, _SOFT_PX, _STROKES, _NEAREST_GRAINS = (3.5, 5.5), 0.26, 1.0, (0.95, 1.15), 2.0
+"""Strokes of this width, with less contrast at the threshold, relative to paper, and with wider
+edges are a pen's: their ink begins nearer to the paper, as long as the number of strokes, which
+appear or merge, stays within this factor, and at least so many grains from it."""
+_AROUND, _CALM, _GRAINY, _STAINED = (3, 3), 5.0, 9.0, -0.5
+"""Window, in blocks of 16 pixels, in which a threshold follows the darkness of its own ink; the
+grain up to which it does so in full, and from which not at all. On paper with more grain pale ink
+is a stain, and the threshold moves away from it, by this power."""
+_LOCAL = (0.7, 1.4)  # range of its distance from the paper, relative to the page's
 _THROUGH = 0.6
 """Least peak contrast of a spot, relative to the usual ink; fainter ones show through."""
 _POOL = 4  # side, in pixels, of the blocks in which spots that show through are detected
 _DARKER_QUARTER = 0.25
-_DIRECTION_PIXELS = 12_500  # size of the image in which light and dark are compared
+_DIRECTION_PIXELS = 6_000  # size of the image in which light and dark are compared
 _WINDOWS = 16  # windows across a page in which ink is tested to be darker or lighter than paper
 _LEAST_SKEW = 0.8
 """Skewness above which print is light on dark: print has 1.5 and more, photographs have less."""
@@ -56,8 +65,9 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     """Separate ink from paper in an image, (H, W) uint8, detecting its polarity if not given.
 
     The page is divided by its paper, as it would look without ink. The threshold is Otsu's, moved
-    towards the paper where that is even and away from it where it has grain; spots that stay faint
-    everywhere show through from the back.
+    towards the paper where that is even or strokes are a pen's, and away from it where it has
+    grain; on calm paper it follows the darkness of the ink around. Spots that stay faint everywhere
+    show through from the back.
     """
     small, factor = grey, 1
     while factor < _REDUCTION and small.size >= 4 * _REDUCED_PIXELS:
@@ -71,11 +81,12 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
     if levels is None:
         blank = np.full_like(grey, 255)
         return Paper(blank, np.zeros(grey.shape, np.bool_), light_on_dark)
-    _leave_out_faint_spots(flat, levels)
-    _, ink = cv2.threshold(flat, levels.threshold, 1, cv2.THRESH_BINARY_INV)
-    stretch = (np.arange(256) - levels.black) * (255 / (levels.white - levels.black))
-    cleaned = cv2.LUT(flat, np.rint(np.clip(stretch, 0, 255)).astype(np.uint8))
-    return Paper(np.asarray(cleaned, np.uint8), ink.view(np.bool_), light_on_dark)
+    darkest = _without_faint_spots(flat, levels)
+    levels = _nearer_to_thin_strokes(flat, levels)
+    ink = _ink_below(flat, darkest, levels)
+    gain = 255 / (levels.white - levels.black)
+    cleaned = cv2.addWeighted(flat, gain, flat, 0, -gain * levels.black, dst=flat)
+    return Paper(np.asarray(cleaned, np.uint8), ink, light_on_dark)
 
 
 def is_light_on_dark(grey: Grey) -> bool:
@@ -125,13 +136,14 @@ def _divided(grey: Grey, small: Grey, side: float) -> Grey:
     around = np.ones((5, 5), np.uint8)
     lowest, highest = cv2.erode(paper, around), cv2.dilate(paper, around)
     paper = np.where(lowest < cv2.convertScaleAbs(highest, alpha=_STEP), lowest, paper)
-    darkest = max(_DARKEST, _LEAST_LIGHT * float(np.percentile(paper[::4, ::4], 95)))
+    counts = np.cumsum(_histogram(paper))
+    darkest = max(_DARKEST, _LEAST_LIGHT * float(np.searchsorted(counts, 0.95 * counts[-1])))
     wide = cv2.resize(paper, grey.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    flat = cv2.divide(grey, wide, scale=_PAPER)
-    if paper.min() < darkest:
-        _, no_paper = cv2.threshold(wide, darkest, 255, cv2.THRESH_BINARY_INV)
-        flat = cv2.max(flat, no_paper)
-    return np.asarray(flat, np.uint8)
+    if paper.min() >= darkest:
+        # New memory costs more than arithmetic.
+        return np.asarray(cv2.divide(grey, wide, dst=wide, scale=_PAPER), np.uint8)
+    _, no_paper = cv2.threshold(wide, darkest, 255, cv2.THRESH_BINARY_INV)
+    return np.asarray(cv2.max(cv2.divide(grey, wide, dst=wide, scale=_PAPER), no_paper), np.uint8)
 
 
 def _inside(areas: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -151,28 +163,32 @@ def _closed(small: Grey, side_px: float) -> Grey:
     # Closing follows the brightest grains unless they are smoothed.
     calm = cv2.blur(small, (3, 3))
     closed = cv2.morphologyEx(calm, cv2.MORPH_CLOSE, square, borderType=cv2.BORDER_REPLICATE)
-    return np.asarray(cv2.medianBlur(closed, 5), np.uint8)
+    return np.asarray(cv2.blur(closed, (3, 3), dst=closed), np.uint8)
 
 
 @dataclass(frozen=True)
 class _Levels:
-    """Levels of a divided page: full ink, faintest peak of a spot, end of ink, start of paper."""
+    """Levels of a divided page: full ink, faintest peak of a spot, end of ink, start of paper,
+    paper itself; and the standard deviation of its grain."""
 
     black: float
     seen: float
     threshold: float
     white: float
+    middle: float
+    grain: float
 
 
 def _levels(flat: Grey) -> _Levels | None:
     """Return the levels of ink and paper; None without ink."""
-    counts = cv2.calcHist([flat[::4]], [0], None, [256], [0, 256]).ravel().astype(np.float64)
-    level = np.arange(256)
+    counts = _histogram(flat[::_POOL])
     # Level 255 marks areas without paper.
-    bright = np.where((level > _BRIGHT * _PAPER) & (level < 255), counts, 0)
+    counts[255] = 0
+    level = np.arange(256)
+    bright = np.where(level > _BRIGHT * _PAPER, counts, 0)
     low, middle, high = np.searchsorted(np.cumsum(bright), np.array([1, 2, 3]) / 4 * bright.sum())
     grain = max(float(high - low) / _QUARTILES, 1.0)
-    dark = level < middle - max(_LEAST_CONTRAST / 2 * _PAPER, 4 * grain)
+    dark = level < middle - max(_LEAST_CONTRAST / 2 * _PAPER, _LEAST_GRAINS * grain)
     if counts[dark].sum() < _FEWEST or not bright.any():
         return None
     otsu = middle - _otsu(counts)
@@ -184,7 +200,14 @@ def _levels(flat: Grey) -> _Levels | None:
         return None
     black, darker = np.searchsorted(np.cumsum(ink), np.array([0.2, _DARKER_QUARTER]) * ink.sum())
     white = middle - max(2.5 * grain, 0.03 * _PAPER)
-    return _Levels(float(black), middle - _THROUGH * (middle - darker), threshold, white)
+    seen = middle - _THROUGH * (middle - darker)
+    return _Levels(float(black), seen, threshold, white, float(middle), grain)
+
+
+def _histogram(grey: Grey) -> NDArray[np.float64]:
+    """Return the number of pixels of each level, (256,)."""
+    counts = cv2.calcHist([np.ascontiguousarray(grey)], [0], None, [256], [0, 256])
+    return np.asarray(counts.ravel(), np.float64)
 
 
 def _otsu(counts: NDArray[np.float64]) -> int:
@@ -198,24 +221,79 @@ def _otsu(counts: NDArray[np.float64]) -> int:
     return int(np.divide(between, both, out=np.zeros_like(both), where=both > 0).argmax())
 
 
-def _leave_out_faint_spots(flat: Grey, levels: _Levels) -> None:
-    """Make spots of ink that are faint everywhere white, with their surroundings."""
-    height, width = (side // _POOL for side in flat.shape)
-    if not height * width:
-        return
-    # Rows, then columns: faster than a window.
+def _nearer_to_thin_strokes(flat: Grey, levels: _Levels) -> _Levels:
+    """Return levels whose ink begins nearer to the paper if strokes are thin, pale and soft, but
+    before strokes merge or appear from the paper's grain."""
+    if levels.middle - levels.threshold > _PALE * levels.middle:
+        return levels
+    rows = np.ascontiguousarray(flat[::_POOL])
+    first, last = int(levels.threshold), int(levels.middle - _NEAREST_GRAINS * levels.grain)
+    ink = rows <= first
+    area, count = np.count_nonzero(ink), np.count_nonzero(ink[:, 1:] != ink[:, :-1])
+    if not _PEN_PX[0] * count < 2 * area < _PEN_PX[1] * count:
+        return levels
+    if last <= first or np.count_nonzero(rows <= last) - area <= _SOFT_PX * count:
+        return levels
+    after, before = rows[:, 1:], rows[:, :-1]
+    edges = np.cumsum(_histogram(cv2.min(after, before)) - _histogram(cv2.max(after, before)))
+    strokes = edges[first : last + 1] / edges[first]
+    other = np.flatnonzero((strokes < _STROKES[0]) | (strokes > _STROKES[1]))
+    nearest = first + (int(other[0]) - 1 if len(other) else last - first)
+    return replace(levels, threshold=max(levels.threshold, float(nearest)))
+
+
+def _ink_below(flat: Grey, darkest: Grey, levels: _Levels) -> NDArray[np.bool_]:
+    """Return the ink, (H, W) bool: below a threshold that follows the darkest pixels of the cells
+    around on calm paper."""
+    followed = float(np.clip((_GRAINY - levels.grain) / (_GRAINY - _CALM), _STAINED, 1))
+    _, here = cv2.threshold(darkest, levels.threshold, 255, cv2.THRESH_BINARY_INV)
+    if not (followed and here.any()):
+        _, ink = cv2.threshold(flat, levels.threshold, 1, cv2.THRESH_BINARY_INV)
+        return ink.view(np.bool_)
+    contrast = cv2.min(here, cv2.subtract(float(levels.middle), darkest))
+    size = tuple(max(1, side // _POOL) for side in here.shape[::-1])
+    part, sums = (
+        cv2.blur(cv2.resize(each, size, interpolation=cv2.INTER_AREA).astype(np.float32), _AROUND)
+        for each in (here, contrast)
+    )
+    usual = cv2.mean(contrast, here)[0] / 255
+    relative = np.where(part > 0, sums / np.maximum(part, 1e-3) / usual, 1)
+    factor = np.clip(np.maximum(relative, 0.1) ** followed, *_LOCAL)
+    limit = levels.middle - (levels.middle - levels.threshold) * factor
+    limit = np.minimum(np.rint(limit), max(levels.white, levels.threshold)).astype(np.uint8)
+    # The same for the rows of a cell.
+    rows = cv2.resize(limit, (flat.shape[1], len(darkest)))
+    ink = np.empty(flat.shape, np.bool_)
+    for k in range(_POOL):
+        cells = flat[k::_POOL]
+        # The last rows are less than a cell.
+        np.less_equal(cells[: len(rows)], rows[: len(cells)], out=ink[k::_POOL][: len(rows)])
+        np.less_equal(cells[len(rows) :], rows[-1], out=ink[k::_POOL][len(rows) :])
+    return ink
+
+
+def _without_faint_spots(flat: Grey, levels: _Levels) -> Grey:
+    """Make spots of ink that are faint everywhere white, with their surroundings; return the
+    darkest pixel of each cell of 4 x 4 that is left."""
+    height, width = (max(1, side // _POOL) for side in flat.shape)
     rows = [flat[k : _POOL * height : _POOL, : _POOL * width] for k in range(_POOL)]
-    lowest = functools.reduce(np.minimum, rows)
-    lowest = functools.reduce(np.minimum, [lowest[:, k::_POOL] for k in range(_POOL)])
+    # Rows, then columns: faster than a window.
+    lowest = functools.reduce(cv2.min, [row for row in rows if len(row) == height])
+    across = cv2.erode(lowest, np.ones((1, _POOL), np.uint8), anchor=(0, 0))
+    lowest = np.ascontiguousarray(across[:, ::_POOL][:, :width])
     _, ink = cv2.threshold(lowest, levels.threshold, 255, cv2.THRESH_BINARY_INV)
     count, labels = cv2.connectedComponents(ink, connectivity=8)
     faint = np.full(count, 255, np.uint8)
     faint[labels[lowest <= levels.seen]] = 0
     faint[0] = 0
-    if faint.any():
-        spots = np.repeat(faint[labels], _POOL, axis=1)
-        for row in rows:
-            cv2.max(row, spots, dst=row)
+    if not faint.any():
+        return lowest
+    spots = np.take(faint, labels, mode="clip")
+    wide = cv2.resize(spots, (lowest.shape[1] * _POOL, height), interpolation=cv2.INTER_NEAREST)
+    for row in rows:
+        if row.shape == wide.shape:
+            cv2.max(row, wide, dst=row)
+    return np.asarray(cv2.max(lowest, spots), np.uint8)
 
 
 _LEAST_SIDE = 1.5  # least side of a panel, in usual heights of letters

@@ -1,6 +1,7 @@
 """Straightening of pages: a photographed sheet seen from above, text turned level."""
 
 import math
+from collections.abc import Iterator
 
 import cv2
 import numpy as np
@@ -16,12 +17,16 @@ Corners = NDArray[np.float64]
 _SIDE_PX = 480  # longer side of the image in which a sheet is detected
 _LEAST_PART = 0.2  # least part of the photograph covered by a sheet
 _MOST_PART = 0.97  # part above which the image is the sheet itself, scanned
-_THRESHOLDS = (1.0, 0.75, 0.5)
+_THRESHOLDS = (1.2, 1.0, 0.85, 0.7, 0.6, 0.5, 0.4)
 """Multiples of Otsu's threshold: a shadow on the sheet may be as dark as its background."""
+_LOG_STEPS = (0.15, 0.25, 0.4)
+"""Least steps, in logarithms of the level, of edges that enclose a sheet partly in the shadow."""
 _LEAST_FILLED = 0.93  # least common part of the quadrilateral and the bright area
 _LEAST_STEP = 25.0
 """Least drop in grey level from the paper to its background, across each visible edge."""
 _EDGE_PX = 6.0  # distance from an edge at which both sides of it are compared, in that image
+_SHARP_PX, _LEAST_SHARP = 2.5, 0.5
+"""Distance at which a sheet's edge, not a shadow's, has at least this part of that drop."""
 _LEAST_SIDES = 3  # fewest visible edges; the fourth may be the edge of the photograph
 _ROUGH = 0.02  # tolerance of an outline with four corners, as a part of its length
 _LOOSE_PX = 5.0  # largest distance of a side's points from it, in that image
@@ -37,19 +42,34 @@ def find_sheet(grey: Grey) -> Corners | None:
     # Print on the sheet is bridged first.
     around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (15, 15))
     paper = np.asarray(cv2.morphologyEx(small, cv2.MORPH_CLOSE, around), np.uint8)
-    otsu, _ = cv2.threshold(paper, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
-    for part in _THRESHOLDS:
-        _, bright = cv2.threshold(paper, part * otsu, 255, cv2.THRESH_BINARY)
-        outlines, _ = cv2.findContours(bright, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    largest, found = 0.0, None
+    for area in _areas(paper):
+        outlines, _ = cv2.findContours(area, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         if not outlines:
             continue
         outline = np.asarray(max(outlines, key=cv2.contourArea), np.int32)
-        if not _LEAST_PART < cv2.contourArea(outline) / small.size < _MOST_PART:
+        size = cv2.contourArea(outline)
+        if not max(_LEAST_PART * small.size, largest) < size < _MOST_PART * small.size:
             continue
         corners = _quadrilateral(outline)
+        # A sheet that is lit in part only is the largest that is found.
         if corners is not None and _is_sheet(corners, outline, paper):
-            return np.asarray((corners + 0.5) / factor)
-    return None
+            largest, found = size, np.asarray((corners + 0.5) / factor)
+    return found
+
+
+def _areas(paper: Grey) -> Iterator[Grey]:
+    """Yield areas that may be a sheet: brighter than a level, or enclosed by sharp edges, as the
+    edges of shadows are not."""
+    otsu, _ = cv2.threshold(paper, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
+    for part in _THRESHOLDS:
+        yield np.asarray(cv2.threshold(paper, part * otsu, 255, cv2.THRESH_BINARY)[1], np.uint8)
+    square = np.ones((3, 3), np.uint8)
+    edges = cv2.morphologyEx(np.log(paper + np.float32(8)), cv2.MORPH_GRADIENT, square)
+    for step in _LOG_STEPS:
+        _, labels, boxes, _ = cv2.connectedComponentsWithStats((edges < step).astype(np.uint8))
+        for k in np.argsort(-boxes[1:, cv2.CC_STAT_AREA])[:2] + 1:
+            yield cv2.dilate((labels == k).astype(np.uint8), square)
 
 
 def flattened(grey: Grey, corners: Corners) -> Grey:
@@ -115,20 +135,24 @@ def _is_sheet(corners: Corners, outline: NDArray[np.int32], paper: Grey) -> bool
     seen = 0
     for corner, side in zip(corners, sides, strict=True):
         along = corner + np.linspace(0.1, 0.9, 40)[:, None] * side
-        outwards = np.array([side[1], -side[0]]) / np.hypot(*side) * _EDGE_PX
-        outside = np.rint(along + outwards).astype(int)
-        inside = np.rint(along - outwards).astype(int)
-        within = (outside >= 0).all(axis=1) & (outside < (width, height)).all(axis=1)
-        within &= (inside >= 0).all(axis=1) & (inside < (width, height)).all(axis=1)
+        outwards = np.array([side[1], -side[0]]) / np.hypot(*side)
+        ends = [along + outwards * away for away in (_EDGE_PX, -_EDGE_PX, _SHARP_PX, -_SHARP_PX)]
+        at = np.rint(np.array(ends)).astype(int)
+        within = ((at >= 0) & (at < (width, height))).all(axis=(0, 2))
         if within.mean() < 0.5:
             continue
-        steps = paper[*inside[within].T[::-1]].astype(float) - paper[*outside[within].T[::-1]]
+        outside, inside, near, nearer = (paper[*each[within].T[::-1]].astype(float) for each in at)
+        steps, sharp = inside - outside, nearer - near
         if np.percentile(steps, 20) < _LEAST_STEP:
+            return False
+        if np.median(sharp) < _LEAST_SHARP * np.median(steps):
             return False
         seen += 1
     return seen >= _LEAST_SIDES
 
 
+LAID_FLAT = "the sheet of paper was cut out of the photograph and laid flat"
+"""Note of a sheet that was found."""
 MOST_SKEW_DEG = 15.0
 QUARTER = "the text ran up or down the page, which was turned by 90°"
 """Note of a turn by a quarter, counterclockwise."""
@@ -160,7 +184,7 @@ def straighten(page: Page, quarter: bool = True) -> tuple[Page, list[str]]:
     corners = find_sheet(page.grey)
     if corners is not None:
         page = Page(flattened(page.grey, corners), page.mm_per_pixel)
-        notes.append("the sheet of paper was cut out of the photograph and laid flat")
+        notes.append(LAID_FLAT)
     found = letters_alone(separate_ink(reduced(page.grey, _REDUCED_PIXELS)).ink)
     if found is None or len(found[1].area) < _FEWEST_LETTERS:
         return page, notes

@@ -18,6 +18,7 @@ from smarttouch.pages.document import open_document
 from smarttouch.pages.ink import separate_ink
 from smarttouch.pages.page_image import Page, load_page
 from smarttouch.pages.prepared_page import print_text
+from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened
 from smarttouch.pages.text_lines import TextLine, find_lines
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
@@ -185,10 +186,17 @@ def open_page(
 ) -> "PageSource":
     """Open ``page:FILE``; options are those of `PageSource`, its scale, magnification and passes.
 
-    The page is magnified beyond the profile's scale; ``auto`` makes its usual lines fill the
-    array.
+    Of a photograph the sheet is shown, laid flat and without its shadow. The page is magnified
+    beyond the profile's scale; ``auto`` makes its usual lines fill the array.
     """
     page, notice = load_or_guess(Path(rest), dpi, page_width_mm)
+    corners = None if path is not None or light_on_dark else find_sheet(page.grey)
+    if corners is not None:
+        flat = separate_ink(flattened(page.grey, corners), False).cleaned
+        # A width that was given or assumed is that of the sheet.
+        of_sheet = page_width_mm is not None or notice
+        page = Page(flat, page.size_mm[0] / flat.shape[1] if of_sheet else page.mm_per_pixel)
+        notice = f"{notice + '; ' if notice else ''}{LAID_FLAT}"
     factor = _magnification(magnify, page, profile, light_on_dark)
     if factor != 1:
         page = Page(page.grey, page.mm_per_pixel * factor)

@@ -1,7 +1,8 @@
 """F measure and least time of ink over pages with truth, beside other methods.
 
 Run ``python -m tests.benchmarks.contest_pages FOLDER``; of each page the folder
-has ``NAME_source.png`` and ``NAME_target.png``, in which ink is black.
+has ``NAME_source.png`` and ``NAME_target.png``, in which ink is black. Wolf's method
+is among them where doxapy is installed.
 """
 
 import math
@@ -15,7 +16,14 @@ from skimage.filters import threshold_sauvola
 
 from smarttouch.pages.ink import separate_ink
 
+try:
+    import doxapy
+except ImportError:
+    doxapy = None
+
 ROUNDS = 10
+NOISE = 40
+"""Sheets of noise without ink, of different grain."""
 
 
 def closed(grey):
@@ -31,31 +39,56 @@ def otsu(grey):
     return cv2.threshold(grey, 0, 255, cv2.THRESH_BINARY_INV | cv2.THRESH_OTSU)[1] > 0
 
 
+def wolf(grey):
+    """Return the ink by doxa's threshold of Wolf, 2004."""
+    ink = np.empty(grey.shape, np.uint8)
+    method = doxapy.Binarization(doxapy.Binarization.Algorithms.WOLF)
+    method.initialize(grey)
+    method.to_binary(ink, {"window": 75, "k": 0.2})
+    return ink == 0
+
+
 METHODS = {
     "separate_ink": lambda grey: separate_ink(grey).ink,
     "closed background, Otsu": closed,
     "Otsu": otsu,
     "Sauvola (51 px)": lambda grey: grey <= threshold_sauvola(grey, 51, k=0.15),
-}
+} | ({"Wolf (doxa)": wolf} if doxapy else {})
+
+
+def sheets_of_noise():
+    """Yield sheets of grain from fine to coarse and from faint to strong."""
+    random = np.random.default_rng(1)
+    for k in range(NOISE):
+        grain = random.normal(0, 1, (500, 700)).astype(np.float32)
+        if k % 4:
+            grain = cv2.GaussianBlur(grain, (0, 0), k % 4)
+        levels = random.uniform(90, 250) + random.uniform(1, 30) * grain / grain.std()
+        yield np.clip(levels, 0, 255).astype(np.uint8)
 
 
 def main() -> None:
-    """Print a line for each method."""
+    """Print a line for each method; the rounds of all alternate."""
     pages = []
     for source in sorted(Path(sys.argv[1]).glob("*_source.png")):
         target = source.with_name(source.name.replace("_source", "_target"))
         pages.append([cv2.imread(str(each), cv2.IMREAD_GRAYSCALE) for each in (source, target)])
     megapixels = sum(grey.size for grey, _ in pages) / 1e6
-    for name, method in METHODS.items():
-        found, seconds = [], math.inf
-        for _ in range(ROUNDS):
+    seconds, inks = dict.fromkeys(METHODS, math.inf), {}
+    for _ in range(ROUNDS):
+        for name, method in METHODS.items():
             start = time.process_time()
-            found = [method(grey) for grey, _ in pages]
-            seconds = min(seconds, time.process_time() - start)
-        masks = [(ink, target < 128) for ink, (_, target) in zip(found, pages, strict=True)]
+            inks[name] = [method(grey) for grey, _ in pages]
+            seconds[name] = min(seconds[name], time.process_time() - start)
+    for name, method in METHODS.items():
+        masks = [(ink, true < 128) for ink, (_, true) in zip(inks[name], pages, strict=True)]
         f = [200 * (ink & true).sum() / max(1, ink.sum() + true.sum()) for ink, true in masks]
-        ms = 1000 * seconds / megapixels
-        print(f"{name:24s} F {np.mean(f):5.1f}, least {min(f):5.1f}, {ms:5.1f} ms/Mpx")
+        blank = sum(not ink.any() for ink in inks[name])
+        inked = sum(bool(method(sheet).any()) for sheet in sheets_of_noise())
+        print(
+            f"{name:24s} F {np.mean(f):5.1f}, least {min(f):5.1f}, blank {blank}, "
+            f"{1000 * seconds[name] / megapixels:5.1f} ms/Mpx, ink on {inked} of {NOISE} of noise"
+        )
 
 
 if __name__ == "__main__":

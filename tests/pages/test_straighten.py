@@ -10,7 +10,7 @@ from smarttouch.pages.straighten import find_sheet, straighten
 from smarttouch.pages.text_lines import find_lines
 
 from ..said import numbers_in
-from .printed import degrade, print_page, some_lines
+from .printed import TABLE, degrade, print_page, some_lines
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +83,22 @@ def test_a_sheet_on_a_table_is_laid_flat(printed, perspective, light):
     assert_level(page)
     width, height = printed.page.size_mm
     assert page.size_mm[0] / page.size_mm[1] == pytest.approx(width / height, rel=0.2)
+
+
+@pytest.mark.parametrize("left", [0.3, 0.45, 0.7])
+@pytest.mark.parametrize("turned", [0, 2])
+def test_a_sheet_half_in_the_shadow_is_found_whole(printed, left, turned):
+    """The table in the light may be as bright as the sheet in the shadow."""
+    grey = degrade(printed, perspective=0.15, skew_deg=6).page.grey.astype(np.float32)
+    y, x = np.mgrid[: grey.shape[0], : grey.shape[1]] / max(grey.shape)
+    boards = 35 + 18 * np.sin(90 * y + 3 * np.sin(8 * x))
+    photo = np.where(grey == TABLE, TABLE + boards, grey)
+    photo *= 1 - (1 - left) / (1 + np.exp((x + 0.6 * y - 0.8) / 0.02))
+    photo += np.random.default_rng(0).normal(0, 4, photo.shape)
+    photo = np.rot90(np.clip(photo, 0, 255).astype(np.uint8), turned)
+    alone = np.rot90(np.where(grey == TABLE, TABLE, 235).astype(np.uint8), turned)
+    found, sheet = find_sheet(np.ascontiguousarray(photo)), find_sheet(np.ascontiguousarray(alone))
+    assert found == pytest.approx(sheet, abs=0.015 * max(grey.shape))
 
 
 def test_the_corners_are_those_of_the_sheet():

@@ -11,7 +11,7 @@ from smarttouch.sources import open_source
 from smarttouch.sources.source_contract import Source
 from smarttouch.sources.virtual_finger import AGAIN_S, PageSource, open_page
 
-from ..pages.printed import print_page, some_lines
+from ..pages.printed import degrade, print_page, some_lines
 from ..raising import raises
 from ..said import numbers_in
 
@@ -135,6 +135,19 @@ def test_a_page_without_a_scale_is_felt_at_a_guessed_one_and_said_so(tmp_path, p
     known = open_page(str(path), profile, page_width_mm=100)
     assert known.notes == []
     assert known.page.size_mm[0] == pytest.approx(100)
+
+
+def test_of_a_photograph_the_sheet_is_shown(tmp_path, profile):
+    printed = print_page(some_lines(16, 50), size_pt=11, dpi=150)
+    photo = degrade(printed, perspective=0.15, skew_deg=4, uneven=0.6, noise=4).page.grey
+    Image.fromarray(photo).save(tmp_path / "photo.png")
+    width_mm = printed.page.size_mm[0]
+    source = open_page(str(tmp_path / "photo.png"), profile, page_width_mm=width_mm)
+    assert source.page.size_mm == pytest.approx(printed.page.size_mm, rel=0.12)
+    # Neither the table nor the shadow is left.
+    assert np.median(source.page.grey) == 255
+    assert source.page.grey[:20].min() > 200
+    assert len(source.path.lines) == len(printed.lines)
 
 
 @pytest.mark.parametrize("size_pt", [6, 10, 24])
