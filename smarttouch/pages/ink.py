@@ -235,7 +235,7 @@ def _nearer_to_thin_strokes(flat: Grey, levels: _Levels) -> _Levels:
     if last <= first or np.count_nonzero(rows <= last) - area <= _SOFT_PX * count:
         return levels
     after, before = rows[:, 1:], rows[:, :-1]
-    edges = np.cumsum(_histogram(cv2.min(after, before)) - _histogram(cv2.max(after, before)))
+    edges = np.cumsum(_histogram(np.minimum(after, before)) - _histogram(np.maximum(after, before)))
     strokes = edges[first : last + 1] / edges[first]
     other = np.flatnonzero((strokes < _STROKES[0]) | (strokes > _STROKES[1]))
     nearest = first + (int(other[0]) - 1 if len(other) else last - first)
@@ -248,9 +248,9 @@ def _ink_below(flat: Grey, darkest: Grey, levels: _Levels) -> NDArray[np.bool_]:
     followed = float(np.clip((_GRAINY - levels.grain) / (_GRAINY - _CALM), _STAINED, 1))
     _, here = cv2.threshold(darkest, levels.threshold, 255, cv2.THRESH_BINARY_INV)
     if not (followed and here.any()):
-        _, ink = cv2.threshold(flat, levels.threshold, 1, cv2.THRESH_BINARY_INV)
-        return ink.view(np.bool_)
-    contrast = cv2.min(here, cv2.subtract(float(levels.middle), darkest))
+        _, below = cv2.threshold(flat, levels.threshold, 1, cv2.THRESH_BINARY_INV)
+        return np.asarray(below, np.uint8).view(np.bool_)
+    contrast = cv2.min(here, cv2.subtract(np.full_like(darkest, levels.middle), darkest))
     size = tuple(max(1, side // _POOL) for side in here.shape[::-1])
     part, sums = (
         cv2.blur(cv2.resize(each, size, interpolation=cv2.INTER_AREA).astype(np.float32), _AROUND)
@@ -278,7 +278,7 @@ def _without_faint_spots(flat: Grey, levels: _Levels) -> Grey:
     height, width = (max(1, side // _POOL) for side in flat.shape)
     rows = [flat[k : _POOL * height : _POOL, : _POOL * width] for k in range(_POOL)]
     # Rows, then columns: faster than a window.
-    lowest = functools.reduce(cv2.min, [row for row in rows if len(row) == height])
+    lowest = functools.reduce(np.minimum, [row for row in rows if len(row) == height])
     across = cv2.erode(lowest, np.ones((1, _POOL), np.uint8), anchor=(0, 0))
     lowest = np.ascontiguousarray(across[:, ::_POOL][:, :width])
     _, ink = cv2.threshold(lowest, levels.threshold, 255, cv2.THRESH_BINARY_INV)
@@ -288,7 +288,7 @@ def _without_faint_spots(flat: Grey, levels: _Levels) -> Grey:
     faint[0] = 0
     if not faint.any():
         return lowest
-    spots = np.take(faint, labels, mode="clip")
+    spots = np.take(faint, np.asarray(labels), mode="clip")
     wide = cv2.resize(spots, (lowest.shape[1] * _POOL, height), interpolation=cv2.INTER_NEAREST)
     for row in rows:
         if row.shape == wide.shape:

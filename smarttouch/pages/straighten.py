@@ -42,19 +42,21 @@ def find_sheet(grey: Grey) -> Corners | None:
     # Print on the sheet is bridged first.
     around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (15, 15))
     paper = np.asarray(cv2.morphologyEx(small, cv2.MORPH_CLOSE, around), np.uint8)
-    largest, found = 0.0, None
-    for area in _areas(paper):
-        outlines, _ = cv2.findContours(area, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    largest = 0.0
+    found: Corners | None = None
+    for mask in _areas(paper):
+        outlines, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         if not outlines:
             continue
         outline = np.asarray(max(outlines, key=cv2.contourArea), np.int32)
-        size = cv2.contourArea(outline)
-        if not max(_LEAST_PART * small.size, largest) < size < _MOST_PART * small.size:
+        covered = cv2.contourArea(outline)
+        if not max(_LEAST_PART * small.size, largest) < covered < _MOST_PART * small.size:
             continue
         corners = _quadrilateral(outline)
         # A sheet that is lit in part only is the largest that is found.
         if corners is not None and _is_sheet(corners, outline, paper):
-            largest, found = size, np.asarray((corners + 0.5) / factor)
+            largest = covered
+            found = np.asarray((corners + 0.5) / factor)
     return found
 
 
@@ -69,7 +71,7 @@ def _areas(paper: Grey) -> Iterator[Grey]:
     for step in _LOG_STEPS:
         _, labels, boxes, _ = cv2.connectedComponentsWithStats((edges < step).astype(np.uint8))
         for k in np.argsort(-boxes[1:, cv2.CC_STAT_AREA])[:2] + 1:
-            yield cv2.dilate((labels == k).astype(np.uint8), square)
+            yield np.asarray(cv2.dilate((labels == k).astype(np.uint8), square), np.uint8)
 
 
 def flattened(grey: Grey, corners: Corners) -> Grey:
