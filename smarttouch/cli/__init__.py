@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from smarttouch.base.command_options import option
 from smarttouch.base.errors import SmartTouchError, TableError
 from smarttouch.base.posix import resource
 from smarttouch.base.stopping import RunStopped
@@ -19,7 +20,6 @@ from smarttouch.cli.design import design, profiles
 from smarttouch.cli.devices import devices
 from smarttouch.cli.experiment import experiment, fit
 from smarttouch.cli.live import live, stop
-from smarttouch.cli.options import option
 from smarttouch.cli.plain_help import Commands
 from smarttouch.cli.read import braille, braille_display, read
 from smarttouch.cli.recordings import recordings, replay, report

@@ -8,16 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from smarttouch.base.command_options import argument, option
 from smarttouch.base.errors import CalibrationError
-from smarttouch.cli.options import (
-    MORE,
-    ForceOption,
-    OptionGroup,
-    ProfileOption,
-    argument,
-    option,
-    takes_options,
-)
+from smarttouch.cli.options import MORE, ForceOption, OptionGroup, ProfileOption, takes_options
 from smarttouch.cli.plain_help import Commands
 from smarttouch.views.keys_and_signals import command_stop, drives_a_board, opened
 

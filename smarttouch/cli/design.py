@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from smarttouch.base.command_options import argument, option
 from smarttouch.base.terminal import print_table
-from smarttouch.cli.options import ArrayOption, ClusterOption, argument, option
+from smarttouch.cli.options import ArrayOption, ClusterOption
 from smarttouch.cli.plain_help import Commands
 
 if TYPE_CHECKING:

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from smarttouch.base.command_options import argument, option
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.terminal import print_table
-from smarttouch.cli.options import ForceOption, ProfileOption, argument, option
+from smarttouch.cli.options import ForceOption, ProfileOption
 from smarttouch.cli.plain_help import Commands
 from smarttouch.emulator.commands import emulate_board, emulate_sensor
 from smarttouch.views.keys_and_signals import (

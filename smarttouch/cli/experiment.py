@@ -12,16 +12,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smarttouch.base import terminal
+from smarttouch.base.command_options import argument, option
 from smarttouch.base.errors import ExperimentError
-from smarttouch.cli.options import (
-    MORE,
-    ClassOption,
-    JsonOption,
-    QuietOption,
-    argument,
-    option,
-    takes_options,
-)
+from smarttouch.cli.options import MORE, ClassOption, JsonOption, QuietOption, takes_options
 from smarttouch.cli.plain_help import Commands
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.views.keys_and_signals import drives_a_board

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch.cli.options import MORE, RateOption, argument, option, takes_options
+from smarttouch.base.command_options import argument, option
+from smarttouch.cli.options import MORE, RateOption, takes_options
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.cli.source_options import or_standard_input
 from smarttouch.views.keys_and_signals import drives_a_board

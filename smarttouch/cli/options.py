@@ -8,9 +8,8 @@ from dataclasses import Field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
-import typer
-
 from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.command_options import option
 from smarttouch.base.errors import SmartTouchError, not_offered, require_within
 
 if TYPE_CHECKING:
@@ -138,20 +137,7 @@ def require_answers(
         raise error(message, about="keyboard", remedy="simulate")
 
 
-def option(
-    says: str, metavar: str | None = None, *names: str, panel: str | None = None, **more: Any
-) -> Any:
-    """Return an option of a command; in the list of a parameter's ``Annotated``."""
-    return typer.Option(*names, help=says, metavar=metavar, rich_help_panel=panel, **more)
-
-
-def argument(says: str, metavar: str | None = None, **more: Any) -> Any:
-    """Return an argument of a command, as `option` does."""
-    return typer.Argument(help=says, metavar=metavar, **more)
-
-
 BOARD = "The board"
-FINGER = "The finger"
 KEPT = "What is kept"
 MORE = "More"
 

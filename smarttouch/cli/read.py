@@ -6,14 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from smarttouch.cli.options import (
-    MORE,
-    ModeOption,
-    RateOption,
-    argument,
-    option,
-    takes_options,
-)
+from smarttouch.base.command_options import argument, option
+from smarttouch.cli.options import MORE, ModeOption, RateOption, takes_options
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.cli.source_options import (
     DocumentOptions,

@@ -6,6 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from smarttouch.base.command_options import option
 from smarttouch.base.errors import SmartTouchError, not_offered
 from smarttouch.base.files import require_folder
 from smarttouch.base.terminal import console
@@ -17,7 +18,6 @@ from smarttouch.cli.options import (
     OptionGroup,
     ProfileOption,
     QuietOption,
-    option,
 )
 
 if TYPE_CHECKING:

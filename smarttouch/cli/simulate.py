@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from smarttouch.base.command_options import argument, option
 from smarttouch.cli.options import (
     AnatomyOption,
     ArrayOption,
@@ -14,8 +15,6 @@ from smarttouch.cli.options import (
     ModeOption,
     QuietOption,
     ScanOption,
-    argument,
-    option,
     takes_options,
 )
 from smarttouch.cli.plain_help import Commands

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from smarttouch.base.command_options import option
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.files import named_file
-from smarttouch.cli.options import MORE, OptionGroup, option
+from smarttouch.cli.options import MORE, OptionGroup
 
 if TYPE_CHECKING:
     from smarttouch.reading.braille_lines import Braille

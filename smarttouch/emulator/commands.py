@@ -9,8 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
+from smarttouch.base.command_options import argument, option
 from smarttouch.base.errors import SmartTouchError, not_offered, require_within
 from smarttouch.base.files import require_folder, write_bytes
 from smarttouch.base.wire.device_lines import PtyLine, TcpLine
@@ -31,51 +30,38 @@ _RATES_HZ = (0.01, 2000.0)
 _COMPLIANCES_V = (1.0, 10_000.0)
 _LARGEST = 1e9
 
-_Linger = Annotated[
-    float, typer.Option("--linger", metavar="S", help="How long to live on without a host.")
-]
-_Parent = Annotated[
-    int | None, typer.Option("--parent", metavar="PID", help="Process that it is not to outlive.")
-]
+_Linger = Annotated[float, option("How long to live on without a host.", "S", "--linger")]
+_Parent = Annotated[int | None, option("Process that it is not to outlive.", "PID", "--parent")]
 _PortOnly = Annotated[
-    bool, typer.Option("--port-only", help="Print the name of the port and no advice.")
+    bool, option("Print the name of the port and no advice.", None, "--port-only")
 ]
 
 
 def emulate_board(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="link, kajimoto61 or etactilekit")],
-    electrodes: Annotated[
-        int | None, typer.Option(metavar="N", help="Of a link board or an eTactileKit.")
-    ] = None,
+    name: Annotated[str, argument("link, kajimoto61 or etactilekit", "NAME")],
+    electrodes: Annotated[int | None, option("Of a link board or an eTactileKit.", "N")] = None,
     output: Annotated[
-        str, typer.Option(metavar="KIND", help="Of a link board: weighted, three-state, ...")
+        str, option("Of a link board: weighted, three-state, ...", "KIND")
     ] = "weighted",
     firmware: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Of an eTactileKit: v1.0, 936c6c0, 71adee2 or newest."),
+        str | None, option("Of an eTactileKit: v1.0, 936c6c0, 71adee2 or newest.", "NAME")
     ] = None,
-    tcp: Annotated[bool, typer.Option("--tcp", help="Serve TCP instead of a serial port.")] = False,
+    tcp: Annotated[bool, option("Serve TCP instead of a serial port.", None, "--tcp")] = False,
     discovery_port: Annotated[
-        int | None, typer.Option(metavar="N", help="With --tcp: UDP port to answer ETK? on.")
+        int | None, option("With --tcp: UDP port to answer ETK? on.", "N")
     ] = None,
-    ramp_ms: Annotated[
-        int, typer.Option(metavar="N", help="Least time to full of a link board; 0 for tests.")
-    ] = 500,
+    ramp_ms: Annotated[int, option("Least time to full of a link board; 0 for tests.", "N")] = 500,
     event: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="TEXT",
-            help="What happens to the finger: '2 lift', '3 touch', '0 force 0.6', "
-            "'0 drift 12 4 60', '5 peel 7 0.3', '5 open 7', '5 short 7', '5 heal 7', "
-            "'6 emergency', '7 release'",
+        option(
+            "What happens to the finger: '2 lift', '3 touch', '0 force 0.6', '0 drift 12 4 "
+            "60', '5 peel 7 0.3', '5 open 7', '5 short 7', '5 heal 7', '6 emergency', '7 "
+            "release'",
+            "TEXT",
         ),
     ] = None,
-    compliance: Annotated[
-        float | None, typer.Option(metavar="V", help="Most volts of its sources.")
-    ] = None,
-    books: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="For state.json and delivered.bin.")
-    ] = None,
+    compliance: Annotated[float | None, option("Most volts of its sources.", "V")] = None,
+    books: Annotated[Path | None, option("For state.json and delivered.bin.", "FOLDER")] = None,
     linger: _Linger = math.inf,
     parent: _Parent = None,
     port_only: _PortOnly = False,
@@ -163,40 +149,32 @@ def _board_advice(name: str, port: str) -> str:
 
 
 def emulate_sensor(
-    name: Annotated[str, typer.Argument(metavar="KIND", help="serial-array, hx711 or loadcell")],
-    rate: Annotated[
-        float | None, typer.Option(metavar="HZ", help="200 frames or 80 readings if not given.")
-    ] = None,
+    name: Annotated[str, argument("serial-array, hx711 or loadcell", "KIND")],
+    rate: Annotated[float | None, option("200 frames or 80 readings if not given.", "HZ")] = None,
     url: Annotated[
-        str | None,
-        typer.Option("--sensor", metavar="URL", help="What an array looks at: page:FILE, text:..."),
+        str | None, option("What an array looks at: page:FILE, text:...", "URL", "--sensor")
     ] = None,
-    rows: Annotated[int, typer.Option(metavar="N", help="Of an array.")] = 64,
-    columns: Annotated[int, typer.Option(metavar="N", help="Of an array.")] = 64,
-    force: Annotated[float, typer.Option(metavar="N", help="On a load cell, newtons.")] = 0.5,
-    path: Annotated[
-        Path | None, typer.Option(metavar="CSV", help="Or as recorded: time_s,force_n.")
-    ] = None,
-    counts_per_n: Annotated[float, typer.Option(help="Of a load cell.")] = 50_000.0,
-    zero: Annotated[float, typer.Option(help="Its reading at rest, counts.")] = 80_000.0,
-    noise: Annotated[float, typer.Option(help="Its noise, counts.")] = 60.0,
-    seed: Annotated[int, typer.Option(metavar="N", help="Of the noise.")] = 0,
+    rows: Annotated[int, option("Of an array.", "N")] = 64,
+    columns: Annotated[int, option("Of an array.", "N")] = 64,
+    force: Annotated[float, option("On a load cell, newtons.", "N")] = 0.5,
+    path: Annotated[Path | None, option("Or as recorded: time_s,force_n.", "CSV")] = None,
+    counts_per_n: Annotated[float, option("Of a load cell.")] = 50_000.0,
+    zero: Annotated[float, option("Its reading at rest, counts.")] = 80_000.0,
+    noise: Annotated[float, option("Its noise, counts.")] = 60.0,
+    seed: Annotated[int, option("Of the noise.", "N")] = 0,
     event: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="TEXT",
-            help="What goes wrong: '2 garbage 0.5', '3 nan', '4 freeze', '5 silent', '6 unplug 1'",
+        option(
+            "What goes wrong: '2 garbage 0.5', '3 nan', '4 freeze', '5 silent', '6 unplug 1'",
+            "TEXT",
         ),
     ] = None,
-    count: Annotated[
-        int | None, typer.Option(metavar="N", help="Fall silent after so many.")
-    ] = None,
+    count: Annotated[int | None, option("Fall silent after so many.", "N")] = None,
     books: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="For what it has sent in full; printed if not given."),
+        Path | None, option("For what it has sent in full; printed if not given.", "FILE")
     ] = None,
     profile: Annotated[
-        str | None, typer.Option(metavar="NAME|FILE", help="Device and finger; electric-mouse.")
+        str | None, option("Device and finger; electric-mouse.", "NAME|FILE")
     ] = None,
     linger: _Linger = math.inf,
     parent: _Parent = None,
@@ -228,32 +206,23 @@ def emulate_sensor(
     faults = [parse(text, FAULTS, SourceError) for text in event or ()]
     kinds = {fault.kind for fault in faults}
     chosen = load_profile(profile or DEFAULT_PROFILE)
-    device: sensors.SensorFirmware
     if name == "serial-array":
         if "nan" in kinds:
             message = "a pixel is always a number: event nan is for load cells"
             raise SmartTouchError(message, about="event")
-        device = sensors.SensorArray(_look(url, chosen, rows, columns), rate_hz)
+        device: sensors.SensorFirmware = sensors.SensorArray(
+            _look(url, chosen, rows, columns), rate_hz
+        )
     else:
+        pressed, framed = sensors.press(force, path, chosen), name == "loadcell"
         device = sensors.EmulatedLoadCell(
-            sensors.press(force, path, chosen),
-            counts_per_n,
-            zero,
-            noise,
-            framed=name == "loadcell",
-            seed=seed,
-            rate_hz=rate_hz,
+            pressed, counts_per_n, zero, noise, framed=framed, seed=seed, rate_hz=rate_hz
         )
     curve = f"curve = [{-zero / counts_per_n:g}, {1 / counts_per_n:g}]"
+    say = str if port_only else partial(_sensor_advice, name, curve)
+    more = {"faults": faults, "count": count, "orders": Orders()}
     sent = _serve(
-        device,
-        lambda: PtyLine(keeps_name="unplug" in kinds),
-        str if port_only else partial(_sensor_advice, name, curve),
-        linger,
-        parent,
-        faults=faults,
-        count=count,
-        orders=Orders(),
+        device, lambda: PtyLine(keeps_name="unplug" in kinds), say, linger, parent, **more
     )
     _report(sent, books)
 
