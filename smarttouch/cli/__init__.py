@@ -29,20 +29,12 @@ _FEWEST_FILES = 64
 
 _COMMANDS: dict[str, dict[str, Callable[..., object] | typer.Typer]] = {
     "Run": {"live": live, "stop": stop},
-    "Read, Braille": {
-        "read": read,
-        "braille": braille,
-        "braille-display": braille_display,
-    },
+    "Read, Braille": {"read": read, "braille": braille, "braille-display": braille_display},
     "Calibrate": {"calibrate": calibrate},
     "Experiment": {"experiment": experiment},
     "Devices": {"devices": devices, "report": report},
     "Recordings": {"replay": replay, "recordings": recordings},
-    "Design": {
-        "profiles": profiles,
-        "design": design,
-        "simulate": simulate,
-    },
+    "Design": {"profiles": profiles, "design": design, "simulate": simulate},
 }
 """Commands by the panel of the help that lists them."""
 

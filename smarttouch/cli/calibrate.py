@@ -236,11 +236,7 @@ def force(
     """Measure the load cell's curve by known weights; one given twice shows its hysteresis."""
     from smarttouch.base.errors import CalibrationError, require_within
     from smarttouch.experiments.calibration.contact import show_force
-    from smarttouch.experiments.calibration.force_curve import (
-        fit_curve,
-        parse_grams,
-        weigh_on,
-    )
+    from smarttouch.experiments.calibration.force_curve import fit_curve, parse_grams, weigh_on
     from smarttouch.experiments.calibration.sensor_optics import weigh_simulated
 
     require_within(CalibrationError, "seconds", seconds, 0, 600, above=True)

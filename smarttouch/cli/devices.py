@@ -12,12 +12,7 @@ from smarttouch.base.terminal import print_table
 from smarttouch.cli.options import ForceOption, ProfileOption
 from smarttouch.cli.plain_help import Commands
 from smarttouch.emulator.commands import emulate_board, emulate_sensor
-from smarttouch.views.keys_and_signals import (
-    asks_a_board,
-    command_stop,
-    drives_a_board,
-    opened,
-)
+from smarttouch.views.keys_and_signals import asks_a_board, command_stop, drives_a_board, opened
 
 if TYPE_CHECKING:
     from smarttouch.base.events import Event

@@ -32,10 +32,7 @@ _ANATOMY = "paper"
 
 
 def sit(
-    sitting: "ExperimentSession",
-    options: RunOptionGroup,
-    config: "RunConfig",
-    simulate: str | None,
+    sitting: "ExperimentSession", options: RunOptionGroup, config: "RunConfig", simulate: str | None
 ) -> None:
     """Run an experiment to its end or until a user ends it; print its progress."""
     from smarttouch.views.screen import BlindScreen
@@ -114,8 +111,7 @@ def free_run(
 
 def fit(
     files: Annotated[
-        list[Path],
-        argument("CSV files of answers, one of each condition.", "FILE..."),
+        list[Path], argument("CSV files of answers, one of each condition.", "FILE...")
     ],
     x: Annotated[
         str, option("Name the column of what was shown.", "COLUMN", panel=MORE)
@@ -237,8 +233,7 @@ def _print(found: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
 
 
 experiment: Commands = Commands(
-    help="Run psychophysical experiments, and fit their answers.",
-    no_args_is_help=True,
+    help="Run psychophysical experiments, and fit their answers.", no_args_is_help=True
 )
 
 _Overwrite = Annotated[bool, option("Replace the CSV file.", None, "--overwrite", panel=MORE)]
@@ -388,12 +383,7 @@ def run_listed(
     timing = TrialTiming(parts.gap_s, parts.answer_s or None, made.again, patience_s)
     path = output or Path(f"{stem}.csv")
     about = About(named, made.method, run.subject, session, order)
-    config = run.config(
-        afferent.name,
-        scan="points",
-        seed=order,
-        note=run.note or session,
-    )
+    config = run.config(afferent.name, scan="points", seed=order, note=run.note or session)
     with open_experiment(made, chosen, timing, about, path, overwrite=overwrite) as sitting:
         if run.record is not None and sitting.session.resumed:
             run = replace(run, record=numbered(run.record))
@@ -401,11 +391,7 @@ def run_listed(
 
 
 def _run_free(
-    run: RunOptionGroup,
-    mode: str,
-    parts: _Parts,
-    rate_hz: float | None,
-    output: Path | None,
+    run: RunOptionGroup, mode: str, parts: _Parts, rate_hz: float | None, output: Path | None
 ) -> None:
     """Let a user turn the current by hand, up to the device's own limit (paper, III-A)."""
     from dataclasses import replace

@@ -142,12 +142,10 @@ KEPT = "What is kept"
 MORE = "More"
 
 ProfileOption = Annotated[
-    str | None,
-    option("Use this device and finger; the board's usual one otherwise.", "NAME|FILE"),
+    str | None, option("Use this device and finger; the board's usual one otherwise.", "NAME|FILE")
 ]
 ArrayOption = Annotated[
-    str,
-    option("Use this device and finger; smarttouch profiles lists them.", "NAME|FILE"),
+    str, option("Use this device and finger; smarttouch profiles lists them.", "NAME|FILE")
 ]
 ClassOption = Annotated[str, option("Choose the class that is stimulated: RA, SAI or PC.", "CLASS")]
 ModeOption = Annotated[
@@ -163,10 +161,7 @@ JsonOption = Annotated[
 
 ForceOption = Annotated[
     str | None,
-    option(
-        "Measure finger force by hx711:PORT or loadcell:PORT, or state it by fixed:N.",
-        "URL",
-    ),
+    option("Measure finger force by hx711:PORT or loadcell:PORT, or state it by fixed:N.", "URL"),
 ]
 AnatomyOption = Annotated[
     str,
@@ -182,6 +177,5 @@ ClusterOption = Annotated[
 ]
 QuietOption = Annotated[bool, option("Print errors only.", None, "--quiet", panel=MORE)]
 ScanOption = Annotated[
-    str | None,
-    option("Choose how points share slots: points, frame or auto.", "HOW", panel=BOARD),
+    str | None, option("Choose how points share slots: points, frame or auto.", "HOW", panel=BOARD)
 ]

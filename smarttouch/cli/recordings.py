@@ -48,8 +48,7 @@ def repair(
 
 @recordings.command()
 def export(
-    file: _File,
-    folder: Annotated[Path, argument("A new or an empty one.", "FOLDER")],
+    file: _File, folder: Annotated[Path, argument("A new or an empty one.", "FOLDER")]
 ) -> None:
     """Write images as PNG, steps and events as CSV, and all numbers as NPZ."""
     from smarttouch.running.recording_files import export as write_out

@@ -168,13 +168,9 @@ def simulate_page(
 @simulate.command()
 def study(
     plan: Annotated[
-        Path,
-        argument("The plan: what is compared, and on which fingers.", "STUDY.toml"),
+        Path, argument("The plan: what is compared, and on which fingers.", "STUDY.toml")
     ],
-    output: Annotated[
-        Path,
-        option("Write to this folder; a study that is there goes on.", "DIR"),
-    ],
+    output: Annotated[Path, option("Write to this folder; a study that is there goes on.", "DIR")],
     cluster: ClusterOption = None,
     kind: Annotated[
         str | None,
