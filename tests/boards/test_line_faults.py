@@ -160,8 +160,8 @@ def test_a_port_that_goes_and_comes_back_begins_at_zero(hosted, known_by_usb):
         threading.Timer(0.5, hosted.line.plug_in).start()
         with raises(BoardRestartedError, about="board", value=str(hosted.line.path)):
             send_on(hosted, 30)
-        (note,) = board.notes
-        assert str(hosted.line.path) in note
+        # On a busy machine there is one on slow answers, too.
+        assert sum(str(hosted.line.path) in note for note in board.notes) == 1
         before = hosted.state()["slots"]
         send_on(hosted, 4)
         assert hosted.state()["slots"] > before

@@ -34,7 +34,7 @@ def checks(name="st_checks"):
     return built("checks", name, "cc")
 
 
-@pytest.mark.parametrize("slots", [100_000, pytest.param(10_000_000, marks=WHOLE)])
+@pytest.mark.parametrize("slots", [100_000, pytest.param(1_000_000, marks=WHOLE)])
 def test_the_rest_is_kept_however_long_a_port_takes(slots):
     """Functions that take 0 to 500 us at random, and call `st_zero` now and then."""
     found = re.match(
@@ -92,7 +92,7 @@ def test_a_core_without_one_guard_is_found_out(tmp_path, name):
     include = f"-I{folder / 'src'}"
     subprocess.run(["cc", "-O1", "-pthread", include, *files, "-o", program], check=True)
     try:
-        found = check(program, what, 200_000, seconds=60)
+        found = check(program, what, 100_000, seconds=30)
     except AssertionError:
         return
     assert what == "init"
