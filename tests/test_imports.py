@@ -13,7 +13,9 @@ print(*names)
 
 
 NOT_POSIX = """
-import builtins, ctypes, os, pathlib, signal, socket
+import builtins, contextlib, ctypes, os, pathlib, signal, socket
+with contextlib.suppress(ImportError):
+    import psutil  # joblib takes it where it is installed, in the form for this system
 real, only_posix = builtins.__import__, {"fcntl", "pty", "resource", "termios", "tty"}
 def imported(name, globals=None, *rest, **named):
     if name in only_posix and (globals or {}).get("__name__", "").startswith("smarttouch"):
