@@ -4,9 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
 from smarttouch.pages.spots import Spots, widest_white
 
@@ -49,6 +46,10 @@ def find_rows(
     Rows end at ``dividers``, (H, W) bool: vertical rules and pictures. Marks among ``spots``, all
     ink of the page, fill a gap between letters.
     """
+    # Of photographs alone: every run imports this module.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     count = len(letters.area)
     if count < 2:
         return [np.arange(count)] if count else []
@@ -67,6 +68,8 @@ def find_rows(
 
 def _are_crowded(letters: Spots) -> NDArray[np.bool_]:
     """Return for each letter, (N,), whether it is too crowded for print: specks of a picture."""
+    from scipy.spatial import cKDTree
+
     center = np.column_stack([letters.left + letters.right, letters.top + letters.bottom]) / 2
     reach = _AROUND * letters.height
     around = cKDTree(center).query_ball_point(center, reach, return_length=True)
@@ -75,6 +78,8 @@ def _are_crowded(letters: Spots) -> NDArray[np.bool_]:
 
 def neighbors(letters: Spots) -> Links:
     """Link each letter to the next one on its right, where both agree."""
+    from scipy.spatial import cKDTree
+
     height = letters.height
     middle = (letters.top + letters.bottom) / 2
     # Vertical distance counts twice.

@@ -29,7 +29,7 @@ def machine(start_cortex_m3):
 @pytest.mark.usefixtures("patient_boards")
 def test_kernels_go_there_and_their_sums_flow(start_cortex_m3, monkeypatch, tmp_path):
     # Beside busy processes a byte takes this machine some milliseconds, and now and then more.
-    monkeypatch.setattr("smarttouch.boards.link.packet_line.ANSWER_S", 60)
+    monkeypatch.setattr("smarttouch.boards.link.packet_line.ANSWER_S", 10)
     for left in reversed(range(3)):
         (folder := tmp_path / f"{left}").mkdir()
         machine = start_cortex_m3(folder, counts=True)
