@@ -298,7 +298,7 @@ class TimedBoard(Sealed):
     @final
     def _late(self) -> SequenceLateError:
         return SequenceLateError(
-            f"this computer stood still for more than {LATE_NS // 1_000_000} ms: what was due then "
-            "was not sent, and intensity begins at zero",
+            f"the computer paused for over {LATE_NS // 1_000_000} ms: pulses were skipped, and "
+            "intensity restarts at zero",
             about="board",
         )

@@ -163,7 +163,7 @@ class _Loop:
             now_ns = clock.now_ns()
             statistics.seconds = (now_ns - start_ns) / 1e9
             if seconds is not None and statistics.seconds >= seconds:
-                stop.ask(f"{seconds:g} s are over", at_once=False)
+                stop.ask(f"time limit of {seconds:g} s", at_once=False)
                 break
             late_ns = now_ns - deadline_ns
             if not self._step(now_ns, late_ns, now_ns if board_ns is None else board_ns):

@@ -214,7 +214,7 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
     """Return how a run went in lines of text, from the figures of `figures_of`."""
     pulse = figures["motion_to_pulse_us"]
     latency = pulse or figures["motion_to_bytes_us"]
-    until = "first pulse" if pulse else "last byte (the board does not say when pulses begin)"
+    until = "first pulse" if pulse else "last byte (the board does not report when pulses begin)"
     net_uc = figures["max_net_charge_uc"] or 0
     net = (
         f"all pulses add up to {net_uc:.2g} µC on one electrode"
@@ -232,23 +232,22 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
         f"{latency['p99'] / 1000:.1f} ms p99; own work {figures['work_share']:.1%} of it",
         f"strongest pulse {figures['max_current_ma']:.2f} mA, "
         f"{figures['max_charge_uc']:.3f} µC; {net}",
-        f"dose of this session: {figures['dose_s']:.1f} s of current, "
-        f"{figures['dose_mc']:.2f} mC through one electrode at most, "
-        f"{figures['dose_net_uc']:.3g} µC left of one sign",
-        f"{_pulses(figures)} pulses by the host's own account: this board keeps none"
+        f"session: {figures['dose_s']:.1f} s of current, at most {figures['dose_mc']:.2f} mC "
+        f"through one electrode, net charge {figures['dose_net_uc']:.3g} µC",
+        f"{_pulses(figures)} pulses, counted by this program: the board reports none"
         if figures["reported_by"] == "host"
-        else f"{figures['emulator_violations']} violations by the board's own books",
+        else f"{figures['emulator_violations']} violations counted by the board",
     ]
     if figures["worst_other"] is not None:
         lines.append(
-            f"points shared slots: other classes got {figures['worst_other']:.2f} of them at "
-            f"worst, their own elsewhere {figures['worst_spill']:.2f}"
+            f"worst crosstalk: {figures['worst_other']:.0%} to other classes, "
+            f"{figures['worst_spill']:.0%} to other places"
         )
     if figures["lifts"]:
         lines.append(f"the finger was lifted {figures['lifts']} times")
     blind = figures["without_force_or_image"]
     if blind:
-        lines.append(f"{blind} sequences without current: force or image were not known")
+        lines.append(f"{blind} sequences without current: force or image were unknown")
     return lines
 
 

@@ -236,13 +236,13 @@ class Runner:
     def _account(self, report: BoardReport) -> None:
         dose = self.display.board.dose
         self._note_late(
-            f"by the {report.by}'s account {report.slots} slots, strongest "
+            f"counted by the {report.by}: {report.slots} slots, strongest "
             f"{report.max_current_ma:.3f} mA, {report.max_charge_uc:.3f} µC, {report.violations} "
             "violations"
         )
         self._note_late(
             f"dose {dose.seconds:.3f} s of current, {dose.most_mc:.4f} mC through one electrode, "
-            f"{dose.most_net_uc:.3f} µC left of one sign"
+            f"net charge {dose.most_net_uc:.3f} µC"
         )
         for words in self._notes():
             self._note_late(words)

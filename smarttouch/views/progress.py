@@ -3,7 +3,8 @@
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 
-from rich.progress import Progress
+from rich.progress import BarColumn, Progress, ProgressColumn, Task, TaskProgressColumn, TextColumn
+from rich.text import Text
 
 from smarttouch.base import terminal
 
@@ -22,18 +23,31 @@ def lines_progress(quiet: bool, title: str = "Reading lines") -> Iterator[Advanc
         yield advance or (lambda _done, _total: None)
 
 
+class _TimeLeft(ProgressColumn):
+    """Time that is left if the rest takes as long as what is done; it counts down in between."""
+
+    def render(self, task: Task) -> Text:
+        now_s = task.elapsed or 0.0
+        if not task.completed or not task.total:
+            return Text("…")
+        done_s = float(task.fields["done_s"])
+        left_s = round(done_s * task.total / task.completed - now_s)
+        return Text(f"about {left_s // 60}:{left_s % 60:02d} left" if left_s > 0 else "soon done")
+
+
 @contextmanager
 def _bar(title: str, quiet: bool) -> Iterator[Advance | None]:
     if quiet:
         yield None
         return
-    bar = Progress(console=terminal.console(stderr=True), transient=True)
-    task = bar.add_task(title)
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), _TimeLeft())
+    bar = Progress(*columns, console=terminal.console(stderr=True), transient=True)
+    task = bar.add_task(title, done_s=0.0)
 
     def advance(done: int, total: int) -> None:
         # Most runs find a finished bank, and show nothing.
         bar.start()
-        bar.update(task, completed=done, total=total)
+        bar.update(task, completed=done, total=total, done_s=bar.tasks[task].elapsed or 0.0)
 
     try:
         yield advance

@@ -222,9 +222,9 @@ class Screen(Listener):
             ("rate", f"{sequence.rate_hz:.0f} Hz, {sequence.points} points, {slots}"),
             ("latency", _latency(sent, self._pulse)),
             ("session", f"{dose.seconds:.0f}/{limits.session_s:.0f} s, {charge}"),
-            ("net", f"{dose.most_net_uc:.0f} µC of one sign"),
+            ("net", f"charge {dose.most_net_uc:.0f} µC"),
             ("finger", f"x {pose.x_mm:.1f}  y {pose.y_mm:.1f} mm"),
-            ("beside", _beside(sequence.proof.shared if sequence.proof else None)),
+            ("unwanted", _beside(sequence.proof.shared if sequence.proof else None)),
             ("frames", f"{statistics.delivered} sent, {dropped} dropped of {self._source.frames}"),
             ("board", f"{self._board.acknowledged} of {statistics.frames} acknowledged"),
             ("own work", f"{sent.work_us:.0f} µs, {statistics.work_share:.1%} of the scans"),
@@ -237,6 +237,8 @@ class Screen(Listener):
         account = self._source.account if self._plain else ""
         if account:
             # Who listens to it wants to know what was read, and what went wrong.
+            if again := self._statistics.restarts:
+                notes = [*notes, f"intensity restarted at zero {again} times"]
             more = "; ".join([*notes, *wrote]) or "No warning, and nothing was kept."
             for line in (lines[0], account, more):
                 self._print(line)
@@ -257,7 +259,7 @@ def _beside(shared: tuple[float, float] | None) -> str:
     """Return the unwanted activation by points that share slots, in words."""
     if not shared:
         return "no points share a slot"
-    return f"others {shared[0]:.2f}, elsewhere {shared[1]:.2f}"
+    return f"{shared[0]:.0%} other class, {shared[1]:.0%} place"
 
 
 def bar(part: float, width: int = 10) -> str:

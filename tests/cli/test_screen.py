@@ -91,10 +91,7 @@ def test_what_shared_slots_do_is_told(sent):
         return
     assert sequence.slots < sequence.points
     other, spill = sequence.proof.shared
-    assert re.findall(r"\d\.\d+", _beside(sequence.proof.shared)) == [
-        f"{other:.2f}",
-        f"{spill:.2f}",
-    ]
+    assert re.findall(r"\d+%", _beside(sequence.proof.shared)) == [f"{other:.0%}", f"{spill:.0%}"]
 
 
 @pytest.mark.parametrize("size", SIZES)
