@@ -24,9 +24,9 @@ from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 PACKAGE = str(Path(st.__file__).parent)
 FRAMES = 160
 MOST = {
-    "memory:, RA": (76, 23),
-    "emulator:, RA": (130, 29),
-    "emulator:, NATURAL": (138, 30),
+    "memory:, RA": (71, 22),
+    "emulator:, RA": (118, 28),
+    "emulator:, NATURAL": (125, 29),
     "start of live": (3400, 92),
 }
 """Calls and files at most; a start also counts how often it looks whether the emulator is up."""
