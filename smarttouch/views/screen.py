@@ -4,6 +4,7 @@ import sys
 import textwrap
 import threading
 import time
+from functools import cached_property
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,6 @@ class Screen(Listener):
     def prepare(self, run: RunContext) -> None:
         self._source, self._profile, self._controls = run.source, run.profile, run.controls
         self._board, self._statistics = run.board, run.statistics
-        self._array = ArrayPicture(run.profile)
         self._full_ma = float(run.profile.full_ma.max())
         if self._quiet or self._plain:
             return
@@ -76,6 +76,10 @@ class Screen(Listener):
         self._over.clear()
         self._drawing = threading.Thread(target=self._draw, args=(self._live,), daemon=True)
         self._drawing.start()
+
+    @cached_property
+    def _array(self) -> ArrayPicture:
+        return ArrayPicture(self._profile)
 
     def start(self, run: RunContext) -> None:
         """If plain, print what runs, and its keys."""
