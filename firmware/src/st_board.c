@@ -51,7 +51,7 @@ uint64_t st_next_us(const st_board *board)
     }
     if (board->running != NULL) {
         const st_sequence *sequence = board->running;
-        const uint64_t due_us = board->ready ? sequence->next_us : sequence->end_us;
+        const uint64_t due_us = board->ready ? sequence->next_us : st_pass_end_us(board);
         next_us = due_us < next_us ? due_us : next_us;
     }
     return next_us;
@@ -99,6 +99,21 @@ static uint8_t free_buffer(const st_board *board)
     return buffer;
 }
 
+/* Return when a sequence would begin: after the pass at hand; a further part of a scan after the
+ * slots of the part before. */
+static uint64_t start_of(const st_board *board, const st_sequence *sequence)
+{
+    const st_sequence *running = board->running;
+    if (running == NULL) {
+        return board->now_us;
+    }
+    if (!st_goes_on(sequence)) {
+        return running->end_us;
+    }
+    const uint64_t over_us = running->start_us + running->busy_us;
+    return over_us > board->now_us ? over_us : board->now_us;
+}
+
 /* Check a SEQUENCE by all rules; begin it, let it wait, or refuse it. */
 static void accept(st_board *board, const st_message *message)
 {
@@ -124,10 +139,13 @@ static void accept(st_board *board, const st_message *message)
         return;
     }
     st_sequence *sequence = &board->sequence[board->running == &board->sequence[0] ? 1 : 0];
-    /* What waits begins when the scan at hand is over. */
-    const uint64_t start_us = board->running != NULL ? board->running->end_us : board->now_us;
-    if (!st_read_sequence(board, message->payload, message->size, sequence, &refusal)
-        || !st_obeys(board, sequence, start_us, &refusal)) {
+    uint64_t start_us = 0;
+    bool obeys = st_read_sequence(board, message->payload, message->size, sequence, &refusal);
+    if (obeys) {
+        start_us = start_of(board, sequence);
+        obeys = st_obeys(board, sequence, start_us, &refusal);
+    }
+    if (!obeys) {
         board->books.violations++;
         st_send_refusal(board, number, &refusal);
         return;
@@ -136,7 +154,8 @@ static void accept(st_board *board, const st_message *message)
         st_send_reason(board, number, board->refusing);
         return;
     }
-    st_rise_note(board, sequence, start_us);
+    st_scan_note(board, sequence, start_us);
+    sequence->start_us = board->now_us;
     sequence->number = number;
     sequence->buffer = board->stream.packet;
     board->last_number = number;
@@ -160,6 +179,7 @@ static void begin(st_board *board)
     board->greeted = true;
     board->limits.given = false;
     (void)memset(&board->ramp, 0, sizeof board->ramp);
+    (void)memset(&board->scan, 0, sizeof board->scan);
     (void)memset(board->keep.proof, 0, sizeof board->keep.proof);
     board->keep.proved = false;
     st_exposure_begin_session(board);

@@ -80,10 +80,11 @@ typedef struct {
     uint64_t session_pc;   /* of either sign, in the session */
     uint32_t limit_pc;     /* of a pulse */
     uint16_t limit_ua, felt_ua;
+    uint32_t scan_pc;      /* of either sign, in the parts of a scan that were accepted */
     uint32_t charge_pc[ST_BUCKETS]; /* the last second: what ended within each bucket */
     int32_t sum_pc[ST_BUCKETS];
     int32_t most_pc[ST_BUCKETS], least_pc[ST_BUCKETS]; /* of all sums that end with the bucket */
-    uint16_t felt[ST_BUCKETS];
+    uint16_t felt[ST_BUCKETS], scan_felt;
 } st_electrode;
 
 /* What a board is, and the memory it has; all of it is the port's. */
@@ -137,6 +138,16 @@ typedef struct {
     uint32_t level, strength; /* strength: of the last sequence with current */
 } st_ramp;
 
+/* A scan that comes in parts: what the rules need to know of the parts that were accepted. */
+typedef struct {
+    bool open;         /* the last of them says that more follow */
+    uint16_t intensity;
+    uint32_t period_us, busy_us, flowing_us, peak_pc;
+    uint64_t start_us; /* when it was to begin, as the rules count */
+    uint64_t end_us;   /* of the pass that ended last */
+    st_ramp before;    /* the rise before the scan */
+} st_scan;
+
 /* Passes of a sequence that begin within one bucket of time. */
 typedef struct {
     uint64_t bucket;
@@ -167,6 +178,8 @@ typedef struct {
     uint32_t left;       /* scans, with the one at hand */
     uint16_t times, intensity, recharge_us;
     uint16_t strength;   /* what its intensity amounts to; 0 without current */
+    uint32_t busy_us, flowing_us; /* of its slots and recharge phase, and of their current */
+    uint32_t peak_pc;    /* strongest pulse of its scan, so far */
     uint8_t shapes, flags, buffer;
     uint32_t measured;   /* slots of the scan whose voltage is known */
     uint64_t start_us, next_us, end_us;
@@ -227,6 +240,7 @@ typedef struct {
     st_keep keep;
     st_limits limits;
     st_ramp ramp;
+    st_scan scan;
     st_exposure exposure;
     st_sequence sequence[2];
     st_sequence *running, *waiting;

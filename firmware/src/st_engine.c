@@ -124,7 +124,11 @@ static void start_scan(st_board *board, st_sequence *sequence, uint64_t start_us
 {
     sequence->start_us = sequence->next_us = start_us;
     sequence->end_us = start_us + sequence->period_us;
-    sequence->recharged = (sequence->flags & 2u) == 0u;
+    if (st_goes_on(sequence)) {
+        /* The period is that of the scan; what comes late ends late. */
+        sequence->end_us = board->scan.end_us > start_us ? board->scan.end_us : start_us;
+    }
+    sequence->recharged = (sequence->flags & ST_RECHARGES) == 0u;
     sequence->measured = 0;
     st_first_slot(sequence, &sequence->place);
     st_exposure_begin(board, sequence);
@@ -161,7 +165,7 @@ static void note_pulse(st_board *board)
 /* Note the voltage of the slot before, whose pulse is over; uses the port's voltmeter. */
 static void note_volts(st_board *board, st_sequence *sequence)
 {
-    if ((sequence->flags & 1u) != 0u && (board->config.features & ST_VOLTAGE) != 0u
+    if ((sequence->flags & ST_MEASURES) != 0u && (board->config.features & ST_VOLTAGE) != 0u
         && sequence->measured < sequence->place.slot) {
         const uint16_t volts = board->port.volts(board->port.self);
         (void)st_put_u16(board->config.volts + 2u * sequence->measured, volts);
@@ -174,7 +178,7 @@ static void note_volts(st_board *board, st_sequence *sequence)
 static void move_to(st_board *board, st_sequence *sequence, uint64_t begun_us)
 {
     st_pulse *pulse = &board->next;
-    if (!st_is_played(board) && pulse->slot == 0u
+    if (!st_is_played(board) && pulse->slot == 0u && !st_goes_on(sequence)
         && begun_us > sequence->start_us + sequence->period_us / 4u) {
         sequence->end_us = begun_us + sequence->period_us;
     }
@@ -226,16 +230,28 @@ static bool deliver(st_board *board, st_sequence *sequence)
     return true;
 }
 
+/* Return when the pass at hand is over: with its slots, if the next part of its scan waits. */
+uint64_t st_pass_end_us(const st_board *board)
+{
+    const st_sequence *waiting = board->waiting;
+    const uint64_t over_us = board->running->next_us;
+    if (waiting == NULL || !st_goes_on(waiting)) {
+        return board->running->end_us;
+    }
+    /* Until it begins, its start is when it came. */
+    return over_us > waiting->start_us ? over_us : waiting->start_us;
+}
+
 /* End a pass that is over; begin the next one, or the sequence that waits. */
 static void end_scan(st_board *board, st_sequence *sequence)
 {
-    const uint64_t end_us = sequence->end_us;
+    const uint64_t end_us = st_pass_end_us(board);
     note_volts(board, sequence);
     if (!st_may_go_on(board)) {
         return;
     }
     st_exposure_end(board, sequence, end_us);
-    if ((sequence->flags & 1u) != 0u && (board->config.features & ST_VOLTAGE) != 0u) {
+    if ((sequence->flags & ST_MEASURES) != 0u && (board->config.features & ST_VOLTAGE) != 0u) {
         st_send(board, ST_VOLTAGES, sequence->number, board->config.volts,
                 2u * (size_t)sequence->slots);
     }
@@ -244,7 +260,8 @@ static void end_scan(st_board *board, st_sequence *sequence)
         start_scan(board, sequence, end_us);
         return;
     }
-    board->books.sequences++;
+    board->scan.end_us = sequence->end_us;
+    board->books.sequences += (sequence->flags & ST_MORE) == 0u ? 1u : 0u;
     st_sequence *next = board->waiting;
     board->running = board->waiting = NULL;
     if (next != NULL) {
@@ -283,7 +300,7 @@ void st_execute_pulses(st_board *board)
 void st_execute(st_board *board)
 {
     st_execute_pulses(board);
-    while (board->running != NULL && !board->ready && is_due(board, board->running->end_us)) {
+    while (board->running != NULL && !board->ready && is_due(board, st_pass_end_us(board))) {
         end_scan(board, board->running);
         st_execute_pulses(board);
     }

@@ -112,17 +112,20 @@ static uint64_t oldest_at(uint64_t time_us)
     return bucket < ST_BUCKETS ? 0u : bucket + 1u - ST_BUCKETS;
 }
 
-/* Enter the beginning of a pass: its start, and what it adds to the session. */
+/* Enter the beginning of a pass: its start, and what it adds to the session. Start and time of a
+ * scan are those of its first part. */
 void st_exposure_begin(st_board *board, const st_sequence *sequence)
 {
     st_exposure *exposure = &board->exposure;
-    exposure->start_us[exposure->start_at] = sequence->start_us;
-    exposure->start_at = (exposure->start_at + 1u) % ST_STARTS;
-    exposure->starts += exposure->starts < ST_STARTS ? 1u : 0u;
+    if (!st_goes_on(sequence)) {
+        exposure->start_us[exposure->start_at] = sequence->start_us;
+        exposure->start_at = (exposure->start_at + 1u) % ST_STARTS;
+        exposure->starts += exposure->starts < ST_STARTS ? 1u : 0u;
+        exposure->flowing_us += sequence->slots > 0u ? sequence->period_us : 0u;
+    }
     if (sequence->slots == 0u) {
         return;
     }
-    exposure->flowing_us += sequence->period_us;
     const uint64_t oldest = oldest_at(sequence->start_us);
     for (uint32_t index = 0; index < board->config.electrodes; index++) {
         st_electrode *each = &board->config.each[index];
@@ -259,8 +262,9 @@ static bool starts_obey(const st_board *board, const st_sequence *sequence, uint
 static bool session_obeys(const st_board *board, const st_sequence *sequence, st_refusal *refusal)
 {
     const st_limits *limits = &board->limits;
-    const uint64_t flowing_us =
-        board->exposure.flowing_us + (uint64_t)sequence->times * sequence->period_us;
+    const uint64_t own_us =
+        st_goes_on(sequence) ? 0u : (uint64_t)sequence->times * sequence->period_us;
+    const uint64_t flowing_us = board->exposure.flowing_us + own_us;
     if (flowing_us > (uint64_t)limits->session_s * SECOND_US) {
         return st_refuse(refusal, ST_RULE_SESSION_TIME, ST_NOTHING, ST_NOTHING,
                          st_upward(flowing_us, SECOND_US), limits->session_s);
@@ -283,6 +287,6 @@ bool st_exposure_obeys(st_board *board, const st_sequence *sequence, uint64_t st
 {
     const bool empty = sequence->slots == 0u;
     return (empty || second_obeys(board, sequence, start_us, refusal))
-           && starts_obey(board, sequence, start_us, refusal)
+           && (st_goes_on(sequence) || starts_obey(board, sequence, start_us, refusal))
            && (empty || session_obeys(board, sequence, refusal));
 }

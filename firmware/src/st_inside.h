@@ -20,8 +20,9 @@ enum {
     ST_RULE_BALANCE, ST_RULE_CURRENT, ST_RULE_TOTAL, ST_RULE_CHARGE, ST_RULE_STATES, ST_RULE_MEAN,
     ST_RULE_INTENSITY, ST_RULE_RISE, ST_RULE_RECHARGE, ST_RULE_PERIOD_PULSES,
     ST_RULE_SECOND_PULSES, ST_RULE_SECOND_CHARGE, ST_RULE_SECOND_NET, ST_RULE_SECOND_STARTS,
-    ST_RULE_SESSION_TIME, ST_RULE_SESSION_CHARGE, ST_RULE_READY
+    ST_RULE_SESSION_TIME, ST_RULE_SESSION_CHARGE, ST_RULE_READY, ST_RULE_PART
 };
+enum { ST_MEASURES = 1u, ST_RECHARGES = 2u, ST_MORE = 4u, ST_GOES_ON = 8u }; /* flags of a sequence */
 enum { ST_POINTS = 0, ST_SUM = 1, ST_CURRENTS = 2, ST_STATES = 3 };
 
 #define ST_HEAD_BYTES 23u /* of a decoded packet before its payload */
@@ -138,6 +139,8 @@ bool st_may_go_on(st_board *board);
 void st_begin_sequence(st_board *board, st_sequence *sequence, uint64_t start_us);
 /* Begin the pulses that are due in the pass at hand, and end no pass. */
 void st_execute_pulses(st_board *board);
+/* Return when the pass at hand is over: with its slots, if the next part of its scan waits. */
+uint64_t st_pass_end_us(const st_board *board);
 /* Do all that is due. */
 void st_execute(st_board *board);
 /* Short all electrodes and end the session; what comes after is refused so. */
@@ -184,12 +187,14 @@ uint16_t st_slot_currents(st_board *board, const st_sequence *sequence, const st
 /* st_limits.c */
 bool st_limits_take(st_board *board, const uint8_t *payload, uint32_t size);
 /* Return the largest strength of a sequence that starts then. */
-uint32_t st_rise_allowed(const st_board *board, uint64_t start_us);
+uint32_t st_rise_allowed(const st_board *board, const st_sequence *sequence, uint64_t start_us);
 /* Return what a sequence's intensity amounts to, by the charge of its strongest pulse. */
 uint16_t st_strength(const st_limits *limits, uint32_t intensity, uint32_t peak_pc);
 void st_rise_note(st_board *board, const st_sequence *sequence, uint64_t start_us);
 
 /* st_rules.c */
+/* Note a sequence that obeys all rules: for the parts of its scan that follow, and for the rise. */
+void st_scan_note(st_board *board, const st_sequence *sequence, uint64_t start_us);
 /* Check a sequence that starts then; write its load. */
 bool st_obeys(st_board *board, st_sequence *sequence, uint64_t start_us, st_refusal *refusal);
 
@@ -206,6 +211,12 @@ void st_exposure_begin(st_board *board, const st_sequence *sequence);
 void st_exposure_end(st_board *board, const st_sequence *sequence, uint64_t until_us);
 /* Return the most charge of either sign through an electrode in the session. */
 uint64_t st_exposure_most_pc(const st_board *board);
+
+/* Return whether a sequence is a further part of the scan before it. */
+static inline bool st_goes_on(const st_sequence *sequence)
+{
+    return (sequence->flags & ST_GOES_ON) != 0u;
+}
 
 static inline uint32_t st_least(uint32_t one, uint32_t other)
 {

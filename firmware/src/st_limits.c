@@ -47,9 +47,9 @@ bool st_limits_take(st_board *board, const uint8_t *payload, uint32_t size)
 }
 
 /* Return how far intensity has risen, and the time with current since the last sequence. */
-static uint32_t risen(const st_board *board, uint64_t start_us, uint64_t *flowing_us)
+static uint32_t risen(const st_board *board, const st_ramp *ramp, uint64_t start_us,
+                      uint64_t *flowing_us)
 {
-    const st_ramp *ramp = &board->ramp;
     const uint64_t ramp_us = board->limits.ramp_us;
     const uint64_t passed_us = start_us > ramp->since_us ? start_us - ramp->since_us : 0u;
     *flowing_us = passed_us < ramp->span_us ? passed_us : ramp->span_us;
@@ -78,16 +78,19 @@ uint16_t st_strength(const st_limits *limits, uint32_t intensity, uint32_t peak_
     return (uint16_t)(most > share ? most : share);
 }
 
-/* Return the largest strength that may begin then. */
-uint32_t st_rise_allowed(const st_board *board, uint64_t start_us)
+/* Return the largest strength that may begin then; of a scan, when its first part was to. */
+uint32_t st_rise_allowed(const st_board *board, const st_sequence *sequence, uint64_t start_us)
 {
+    const bool goes_on = st_goes_on(sequence);
     const uint32_t ramp_us = board->limits.ramp_us;
     uint64_t flowing_us;
     if (ramp_us == 0u) {
         return ST_FULL;
     }
+    const uint32_t reached = risen(board, goes_on ? &board->scan.before : &board->ramp,
+                                   goes_on ? board->scan.start_us : start_us, &flowing_us);
     const uint32_t ahead = (uint32_t)((uint64_t)ST_CATCH_UP_US * ST_FULL / ramp_us);
-    return st_least(ST_FULL, risen(board, start_us, &flowing_us) + ahead + ST_RISE_LEEWAY);
+    return st_least(ST_FULL, reached + ahead + ST_RISE_LEEWAY);
 }
 
 /* Note a sequence that will flow, for what may rise after it. */
@@ -95,7 +98,7 @@ void st_rise_note(st_board *board, const st_sequence *sequence, uint64_t start_u
 {
     st_ramp *ramp = &board->ramp;
     uint64_t flowing_us;
-    const uint32_t level = risen(board, start_us, &flowing_us);
+    const uint32_t level = risen(board, ramp, start_us, &flowing_us);
     if (sequence->strength > 0u) {
         ramp->strength = sequence->strength;
         ramp->level = st_least(sequence->intensity, level);

@@ -7,14 +7,16 @@ typedef struct {
     uint32_t peak_ua, peak_pc;
 } peaks;
 
-/* Check rules 4 to 7: width, discharge, fit, duty. */
-static bool times_obey(const st_board *board, const st_sequence *sequence, st_refusal *refusal)
+/* Check rules 4 to 7: width, discharge, fit, duty; note the times of the sequence. */
+static bool times_obey(const st_board *board, st_sequence *sequence, st_refusal *refusal)
 {
     const st_limits *limits = &board->limits;
-    const bool recharges = (sequence->flags & 2u) != 0u;
+    const bool recharges = (sequence->flags & ST_RECHARGES) != 0u;
+    const uint64_t before_us = st_goes_on(sequence) ? board->scan.busy_us : 0u;
+    const uint64_t flowed_us = st_goes_on(sequence) ? board->scan.flowing_us : 0u;
     /* A short of the least length follows a recharge phase, too. */
-    uint64_t busy_us = recharges ? sequence->recharge_us + ST_MIN_DISCHARGE_US : 0u;
-    uint64_t current_us = sequence->recharge_us;
+    uint64_t busy_us = before_us + (recharges ? sequence->recharge_us + ST_MIN_DISCHARGE_US : 0u);
+    uint64_t current_us = flowed_us + sequence->recharge_us;
     st_place place;
     st_first_slot(sequence, &place);
     while (place.slot < sequence->slots) {
@@ -40,6 +42,8 @@ static bool times_obey(const st_board *board, const st_sequence *sequence, st_re
     if (100u * current_us > allowed) {
         return st_refuse(refusal, ST_RULE_DUTY, ST_NOTHING, ST_NOTHING, current_us, allowed / 100u);
     }
+    sequence->busy_us = (uint32_t)(busy_us - before_us);
+    sequence->flowing_us = (uint32_t)(current_us - flowed_us);
     return true;
 }
 
@@ -290,12 +294,13 @@ static bool intensity_obeys(const st_board *board, const st_sequence *sequence,
     return true;
 }
 
-/* Check charge and felt pulses of a period. */
+/* Check rule 16: charge of a period, with that of the parts before. */
 static bool mean_obeys(const st_board *board, const st_sequence *sequence, uint32_t allowed_pc,
                        st_refusal *refusal)
 {
     for (uint32_t each = 0; each < board->config.electrodes; each++) {
-        const uint32_t charge_pc = st_load_of(board, sequence, each)->charge_pc;
+        const uint32_t before_pc = st_goes_on(sequence) ? board->config.each[each].scan_pc : 0u;
+        const uint32_t charge_pc = before_pc + st_load_of(board, sequence, each)->charge_pc;
         if (charge_pc > allowed_pc) {
             return st_refuse(refusal, ST_RULE_MEAN, ST_NOTHING, each, charge_pc, allowed_pc);
         }
@@ -309,7 +314,8 @@ static bool felt_obeys(const st_board *board, const st_sequence *sequence, uint3
 {
     const uint32_t allowed = ST_MAX_FELT_HZ * burst_us;
     for (uint32_t each = 0; each < board->config.electrodes; each++) {
-        const uint32_t felt = st_load_of(board, sequence, each)->felt;
+        const uint32_t before = st_goes_on(sequence) ? board->config.each[each].scan_felt : 0u;
+        const uint32_t felt = before + st_load_of(board, sequence, each)->felt;
         if (1000000u * (uint64_t)felt > allowed) {
             return st_refuse(refusal, ST_RULE_PERIOD_PULSES, ST_NOTHING, each, felt,
                              allowed / 1000000u);
@@ -328,6 +334,11 @@ bool st_obeys(st_board *board, st_sequence *sequence, uint64_t start_us, st_refu
     st_place place;
     if (!board->limits.given) {
         return st_refuse(refusal, ST_RULE_LIMITS, ST_NOTHING, ST_NOTHING, 0, 0);
+    }
+    if (st_goes_on(sequence)
+        && (!board->scan.open || board->scan.period_us != sequence->period_us
+            || board->scan.intensity != sequence->intensity)) {
+        return st_refuse(refusal, ST_RULE_PART, ST_NOTHING, ST_NOTHING, 0, 0);
     }
     if (sequence->slots > config->most_slots) {
         return st_refuse(refusal, ST_RULE_SLOTS, ST_NOTHING, ST_NOTHING, sequence->slots,
@@ -356,7 +367,7 @@ bool st_obeys(st_board *board, st_sequence *sequence, uint64_t start_us, st_refu
                   + st_shape_discharge(sequence, place.shape);
         st_next_slot(sequence, &place, config->electrodes);
     }
-    if ((sequence->flags & 2u) != 0u && !recharge_obeys(board, sequence, refusal)) {
+    if ((sequence->flags & ST_RECHARGES) != 0u && !recharge_obeys(board, sequence, refusal)) {
         return false;
     }
     const uint32_t burst_us = st_least(period_us, ST_BURST_US);
@@ -365,11 +376,42 @@ bool st_obeys(st_board *board, st_sequence *sequence, uint64_t start_us, st_refu
         || !intensity_obeys(board, sequence, &most, refusal)) {
         return false;
     }
-    const uint32_t allowed = st_rise_allowed(board, start_us);
-    sequence->strength = st_strength(&board->limits, sequence->intensity, most.peak_pc);
+    const uint32_t allowed = st_rise_allowed(board, sequence, start_us);
+    sequence->peak_pc = most.peak_pc;
+    if (st_goes_on(sequence) && board->scan.peak_pc > most.peak_pc) {
+        sequence->peak_pc = board->scan.peak_pc;
+    }
+    sequence->strength = st_strength(&board->limits, sequence->intensity, sequence->peak_pc);
     if (sequence->strength > allowed) {
         return st_refuse(refusal, ST_RULE_RISE, ST_NOTHING, ST_NOTHING, sequence->strength,
                          allowed);
     }
     return st_exposure_obeys(board, sequence, start_us, refusal);
+}
+
+/* Note a sequence that will flow: to the rules the parts of a scan are one sequence. */
+void st_scan_note(st_board *board, const st_sequence *sequence, uint64_t start_us)
+{
+    st_scan *scan = &board->scan;
+    const bool goes_on = st_goes_on(sequence);
+    if (goes_on) {
+        board->ramp = scan->before;
+    } else {
+        (void)memset(scan, 0, sizeof *scan);
+        scan->before = board->ramp;
+        scan->start_us = start_us;
+        scan->period_us = sequence->period_us;
+        scan->intensity = sequence->intensity;
+    }
+    scan->open = (sequence->flags & ST_MORE) != 0u;
+    scan->busy_us += sequence->busy_us;
+    scan->flowing_us += sequence->flowing_us;
+    scan->peak_pc = sequence->peak_pc;
+    for (uint32_t index = 0; index < board->config.electrodes; index++) {
+        st_electrode *each = &board->config.each[index];
+        const st_load *load = st_load_of(board, sequence, index);
+        each->scan_pc = (goes_on ? each->scan_pc : 0u) + load->charge_pc;
+        each->scan_felt = (uint16_t)((goes_on ? each->scan_felt : 0u) + load->felt);
+    }
+    st_rise_note(board, sequence, scan->start_us);
 }

@@ -49,9 +49,11 @@ bool st_read_sequence(const st_board *board, const uint8_t *data, uint32_t size,
     sequence->intensity = st_u16(data + 6);
     sequence->flags = data[8];
     sequence->shapes = data[9];
-    const bool recharges = (sequence->flags & 2u) != 0u;
-    if (sequence->times == 0u || sequence->flags > 3u
-        || (recharges && board->config.output != ST_WEIGHTED)) {
+    const bool recharges = (sequence->flags & ST_RECHARGES) != 0u;
+    const bool part = (sequence->flags & (ST_MORE | ST_GOES_ON)) != 0u;
+    if (sequence->times == 0u || sequence->flags > 15u || (part && sequence->times != 1u)
+        || (recharges
+            && (board->config.output != ST_WEIGHTED || (sequence->flags & ST_MORE) != 0u))) {
         return false;
     }
     uint32_t at = HEAD + 4u * sequence->shapes;
@@ -82,7 +84,7 @@ bool st_read_sequence(const st_board *board, const uint8_t *data, uint32_t size,
         sequence->slots += kind == ST_SUM ? 1u : count;
     }
     sequence->left = sequence->times;
-    return true;
+    return !part || sequence->slots > 0u;
 }
 
 /* Enter the group at a place, if there is one. */

@@ -4,7 +4,7 @@ import json
 import math
 from collections.abc import Callable
 from contextlib import closing, suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -51,6 +51,8 @@ def emulate_board(
         int | None, option("With --tcp: UDP port to answer ETK? on.", "N")
     ] = None,
     ramp_ms: Annotated[int, option("Least time to full of a link board; 0 for tests.", "N")] = 500,
+    slots: Annotated[int | None, option("Most slots at once of a link board.", "N")] = None,
+    packet: Annotated[int | None, option("Largest packet of a link board.", "BYTES")] = None,
     event: Annotated[
         list[str] | None,
         option(
@@ -79,7 +81,7 @@ def emulate_board(
     _require_places(tcp, discovery_port, books)
     kept, finger = DeliveryLog(electrodes, books), EmulatedFinger(electrodes, event or ())
     _serve(
-        _board(name, kept, finger, volts, output, firmware, ramp_ms),
+        _board(name, kept, finger, volts, output, firmware, ramp_ms, slots, packet),
         lambda: TcpLine(discovery_port) if tcp else PtyLine(),
         str if port_only else partial(_board_advice, name),
         linger,
@@ -126,11 +128,13 @@ def _board(
     output: str,
     firmware: str | None,
     ramp_ms: int,
+    slots: int | None,
+    packet: int | None,
 ) -> "Firmware":
     from smarttouch.boards.link.protocol import OUTPUTS, Output
     from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
     from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
-    from smarttouch.emulator.link_firmware import LinkFirmware
+    from smarttouch.emulator.link_firmware import LinkFirmware, Room
 
     if name == "kajimoto61":
         return Kajimoto61Firmware(books, finger, volts)
@@ -138,7 +142,13 @@ def _board(
         return ETactileKitFirmware(books, finger, volts, firmware or "71adee2")
     kind: Output = next(each for each in OUTPUTS if each == output)
     require_within(SmartTouchError, "ramp_ms", ramp_ms, 0, 10_000)
-    return LinkFirmware(books.electrodes, kind, books, finger, volts, ramp_ms=ramp_ms)
+    room = Room()
+    slots, packet = slots or room.slots, packet or room.packet_bytes
+    require_within(SmartTouchError, "slots", slots, 1, room.slots)
+    least = 64 + 8 * books.electrodes
+    require_within(SmartTouchError, "packet", packet, least, room.packet_bytes)
+    room = replace(room, slots=slots, packet_bytes=packet)
+    return LinkFirmware(books.electrodes, kind, books, finger, volts, ramp_ms=ramp_ms, room=room)
 
 
 def _board_advice(name: str, port: str) -> str:

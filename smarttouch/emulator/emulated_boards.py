@@ -24,7 +24,7 @@ from smarttouch.boards.link.link_host import LinkHost
 from smarttouch.boards.link.protocol import ANSWERS, HostSession, Message, MessageKind
 from smarttouch.emulator import rules_over_time
 from smarttouch.emulator.firmware import DeliveryLog
-from smarttouch.emulator.link_firmware import LinkFirmware
+from smarttouch.emulator.link_firmware import LinkFirmware, Room
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
@@ -102,6 +102,8 @@ class SimulatedBoard(LinkHost):
     says, or at the end of the one before, and is over as soon as it has been computed."""
 
     simulated_time = True
+    room = Room()
+    """What the board has room for."""
     on_a_finger = False
     _line: _Line
 
@@ -131,7 +133,11 @@ class SimulatedBoard(LinkHost):
     def _power_up(self) -> None:
         self._books = _KeptBooks(self._gate.limits.electrodes)
         self._firmware = LinkFirmware(
-            self._books.electrodes, self._kind, self._books, ramp_ms=rules_over_time.RAMP_MS
+            self._books.electrodes,
+            self._kind,
+            self._books,
+            ramp_ms=rules_over_time.RAMP_MS,
+            room=self.room,
         )
         self._line = _Line(self._firmware, self._hear)
         self._number, self._suspicion = 0, ""
@@ -142,20 +148,25 @@ class SimulatedBoard(LinkHost):
         self._line.wait_until(end_ns, self._go_on_unless_stopped)
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
-        line, self._number = self._line, self._number + 1
-        payload = self._encoded(sequence, times)
+        parts = self._encoded(sequence, times)
+        first = self._number + 1
         self._wait_until(self._start_ns(sequence.time_ns))
-        self._note_sent(sequence, times)
-        line.say(MessageKind.SEQUENCE, self._number, payload)
-        self._wait_until(line.now_ns + sequence.period_us * times * 1000)
+        start_ns, before = self._line.now_ns, parts[0]
+        for part in parts:
+            # The board has room for it as soon as the one before has begun.
+            self._wait_until(start_ns + 1000 * before.start_us)
+            before, self._number = part, self._number + 1
+            self._note_sent(sequence, part, times)
+            self._line.say(MessageKind.SEQUENCE, self._number, part.payload)
+        self._wait_until(start_ns + sequence.period_us * times * 1000)
         if self._suspicion:
             raise self._latch(self._suspicion)
-        return self._number
+        return first
 
     def _start_ns(self, stamp_ns: int) -> int:
         """Return when a sequence with a time stamp begins."""
         now_ns, before_ns, self._stamp_ns = self._line.now_ns, self._stamp_ns, stamp_ns
-        if self._number == 1 or stamp_ns < before_ns:
+        if not self._number or stamp_ns < before_ns:
             # Time stamps have started again, as they may.
             self._ahead_ns = stamp_ns - now_ns
         gap_ns = stamp_ns - self._ahead_ns - now_ns

@@ -4,6 +4,7 @@ It checks every sequence again, by its own rules and in its own code: a host
 that proves its sequences safe must not be the only one who looks.
 """
 
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -28,7 +29,12 @@ from smarttouch.boards.link.protocol import (
 from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.emulator.firmware import DeliveryLog, Firmware
 from smarttouch.emulator.link_limits import MAX_CURRENT_UA, MAX_SLOTS, Load, SessionLimits
-from smarttouch.emulator.link_packets import BoardSession, KernelStore, decode_lists
+from smarttouch.emulator.link_packets import (
+    BoardSession,
+    KernelStore,
+    ReceivedSequence,
+    decode_lists,
+)
 from smarttouch.emulator.link_rules import BrokenRule, complaint
 from smarttouch.emulator.rules_over_time import RAMP_MS, LastSecond, Ramp
 from smarttouch.emulator.skin import COMPLIANCE_V, SkinCircuit
@@ -37,6 +43,34 @@ NAME = "SmartTouch board emulator 1"
 PACKET_BYTES = 1 << 20
 KERNEL_BYTES = 1 << 23
 MOST_KERNELS = 4096
+
+
+@dataclass(frozen=True)
+class Room:
+    """What a board has room for: small ones get a scan in parts."""
+
+    slots: int = MAX_SLOTS
+    packet_bytes: int = PACKET_BYTES
+    kernel_bytes: int = KERNEL_BYTES
+    kernels: int = MOST_KERNELS
+
+
+@dataclass
+class _ScanSoFar:
+    """Parts of a scan that were accepted: to the rules they are one sequence with those to come."""
+
+    period_us: int
+    intensity: int
+    rise_us: int
+    """When it was to begin, on the skin."""
+    rise: Ramp
+    """As it was before the scan."""
+    load: Load
+    more: bool = True
+
+    def goes_on_in(self, lists: ReceivedSequence) -> bool:
+        same = (self.period_us, self.intensity) == (lists.sequence.period_us, lists.intensity)
+        return self.more and same
 
 
 @dataclass
@@ -49,6 +83,10 @@ class _Table:
     """Of a pass; None without slots."""
     left: int
     """Number of remaining scans, with the current one."""
+    more: bool = False
+    """Whether it is a part of a scan that goes on."""
+    goes_on: bool = False
+    came_ns: int = 0
     start_ns: int = 0
     starts_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     end_ns: int = 0
@@ -66,12 +104,15 @@ class _Table:
         )
         return self.start_ns + 1000 * (busy_us + sequence.recharge_us)
 
-    def begin(self, start_ns: int) -> None:
+    def begin(self, start_ns: int, scan_end_ns: int) -> None:
+        """Begin a pass; that of a scan's further part ends when the scan does."""
         sequence = self.sequence
         lengths = sequence.width_us.astype(np.int64) + sequence.discharge_us
         self.start_ns, self.done = start_ns, 0
         self.starts_ns = start_ns + 1000 * (np.cumsum(lengths) - lengths)
         self.end_ns = start_ns + 1000 * sequence.period_us
+        if self.goes_on:
+            self.end_ns = max(scan_end_ns, self.over_ns)
         recharges = sequence.recharge_ua is not None
         self.recharge_ns = start_ns + 1000 * int(lengths.sum()) if recharges else None
         self.volts.clear()
@@ -96,8 +137,8 @@ class LinkFirmware(Firmware):
         Session that filters packets.
     ramp_ms : int
         Least time from zero to full intensity; 0 for tests whose time is what they claim.
-    kernel_bytes : int
-        Room for kernels.
+    room : Room, optional
+        For slots, packets and kernels.
 
     Attributes
     ----------
@@ -116,11 +157,11 @@ class LinkFirmware(Firmware):
         compliance_v: float = COMPLIANCE_V,
         session: BoardSession | None = None,
         ramp_ms: int = RAMP_MS,
-        kernel_bytes: int = KERNEL_BYTES,
+        room: Room = Room(),
     ) -> None:
         self._electrodes, self._output, self.books = electrodes, output, books
-        self._kernel_bytes = kernel_bytes
-        self._keep = KernelStore(electrodes, kernel_bytes, MOST_KERNELS)
+        self._room = room
+        self._keep = KernelStore(electrodes, room.kernel_bytes, room.kernels)
         self._ramp, self._second = Ramp(ramp_ms), LastSecond(electrodes)
         self._limits: SessionLimits | None = None
         self.switch_open = False
@@ -128,10 +169,12 @@ class LinkFirmware(Firmware):
         self._finger = finger or EmulatedFinger(electrodes)
         self._compliance_v = compliance_v
         self._recharging = Feature.RECHARGE if output == "weighted" else Feature(0)
-        self._deframer = Deframer()
+        self._deframer = Deframer(room.packet_bytes)
         self._session = session or BoardSession()
         self._running: _Table | None = None
         self._waiting: _Table | None = None
+        self._scan: _ScanSoFar | None = None
+        self._scan_end_ns = 0
         self._last, self._last_start_ns = (-1, False), 0
         """Number of the last sequence accepted, whether it has begun, and when."""
         self._refusing: Refusal | None = Refusal.STOPPED
@@ -239,12 +282,20 @@ class LinkFirmware(Firmware):
             for slot in range(table.done, due):
                 self._deliver(table, slot)
             table.done = max(table.done, due)
-            if until_ns < table.end_ns:
+            if until_ns < self._end_ns(table):
                 return
             self._recharge(table, until_ns)
             self._end_scan(table)
 
+    def _end_ns(self, table: _Table) -> int:
+        """Return when the pass at hand is over: with its slots, if the next part waits."""
+        waiting = self._waiting
+        if waiting is None or not waiting.goes_on:
+            return table.end_ns
+        return max(table.over_ns, waiting.came_ns)
+
     def _end_scan(self, table: _Table) -> None:
+        end_ns = self._end_ns(table)
         if table.sequence.measure:
             volts = encode_volts(np.array(table.volts))
             self._say(MessageKind.VOLTAGES, table.number, volts)
@@ -253,17 +304,19 @@ class LinkFirmware(Firmware):
         if table.left and self._waiting is None:
             self._begin_pass(table, table.end_ns)
             return
-        self.books.sequences += 1
+        self.books.sequences += not table.more
+        self._scan_end_ns = table.end_ns
         self._running, waiting = None, self._waiting
         self._waiting = None
         if waiting is None:
             self.books.state, self.books.reason = "shorted", "end"
         else:
-            self._begin(waiting, table.end_ns)
+            self._begin(waiting, end_ns)
 
     def _begin_pass(self, table: _Table, start_ns: int) -> None:
-        table.begin(start_ns)
-        self._second.begin(start_ns // 1000, table.sequence.period_us, table.load)
+        table.begin(start_ns, self._scan_end_ns)
+        period_us = table.sequence.period_us
+        self._second.begin(start_ns // 1000, period_us, table.load, table.goes_on)
 
     def _begin(self, table: _Table, start_ns: int) -> None:
         self._begin_pass(table, start_ns)
@@ -328,7 +381,7 @@ class LinkFirmware(Firmware):
             if self._running is not None:
                 self.zero("begin", now_ns)
             self._refusing, self._last, self._greeted = None, (-1, False), True
-            self._limits = None
+            self._limits = self._scan = None
             self._ramp.restart(0)
             self._second.begin_session()
         elif refusal := self._session.take(message, self._packet_ns):
@@ -398,30 +451,53 @@ class LinkFirmware(Firmware):
             self._refuse(number, Refusal.MALFORMED)
             return None
         sequence, load = lists.sequence, None
-        start_ns = now_ns if self._running is None else max(now_ns, self._running.end_ns)
+        start_ns = self._start_ns(lists.goes_on, now_ns)
         # Time that stood still with this process has passed on the skin.
         rise_us = start_ns // 1000 + round(1000 * self.books.stood_still_ms)
         if self._limits is None:
             found: BrokenRule | None = BrokenRule(Rule.LIMITS)
+        elif lists.goes_on and (self._scan is None or not self._scan.goes_on_in(lists)):
+            found = BrokenRule(Rule.PART)
         else:
+            scan = self._scan_of(lists, rise_us)
             found, load = complaint(
-                lists, self._limits, self._keep, self._output, self._second.net_pc
-            )
-            allowed = self._ramp.allowed(rise_us)
-            strength = self._limits.strength(lists.intensity, load.peak_pc)
+                lists, self._limits, self._keep, self._output, self._second.net_pc, scan.load,
+                self._room.slots,
+            )  # fmt: skip
+            allowed = scan.rise.allowed(scan.rise_us)
+            peak_pc = max(scan.load.peak_pc, load.peak_pc)
+            strength = self._limits.strength(lists.intensity, peak_pc)
             if found is None and strength > allowed:
                 found = BrokenRule(Rule.RISE, value=strength, allowed=allowed)
             found = found or self._second.complaint(
-                start_ns // 1000, sequence.period_us, sequence.times,
-                load if lists.slots else None, self._limits,
-            )  # fmt: skip
+                start_ns // 1000, lists, load if lists.slots else None, self._limits
+            )
         if found is not None:
             self._say(MessageKind.NAK, number, protocol.NAK.pack(Refusal.UNSAFE, *found))
             return None
         assert load is not None
-        span_us = sequence.times * sequence.period_us if load.peak_pc else 0
-        self._ramp.note(lists.intensity, strength, rise_us, span_us)
-        return _Table(number, sequence, load if lists.slots else None, sequence.times)
+        span_us = sequence.times * sequence.period_us if peak_pc else 0
+        self._scan, self._ramp = scan, copy(scan.rise)
+        scan.load, scan.more = scan.load.plus(load), lists.more
+        self._ramp.note(lists.intensity, strength, scan.rise_us, span_us)
+        flowing = load if lists.slots else None
+        times, parts = sequence.times, (lists.more, lists.goes_on)
+        return _Table(number, sequence, flowing, times, *parts, came_ns=now_ns)
+
+    def _start_ns(self, goes_on: bool, now_ns: int) -> int:
+        """Return when a sequence would begin: after the pass at hand; a further part of a scan
+        after the slots of the part before."""
+        running = self._running
+        if running is None:
+            return now_ns
+        return max(now_ns, running.over_ns if goes_on else running.end_ns)
+
+    def _scan_of(self, lists: ReceivedSequence, rise_us: int) -> _ScanSoFar:
+        """Return what the parts before a sequence amount to; of most there are none."""
+        if lists.goes_on and self._scan is not None:
+            return self._scan
+        period_us, nothing = lists.sequence.period_us, Load.none(self._electrodes)
+        return _ScanSoFar(period_us, lists.intensity, rise_us, copy(self._ramp), nothing)
 
     def _acknowledge(self) -> None:
         """Say that the last sequence has begun, and when."""
@@ -444,9 +520,11 @@ class LinkFirmware(Firmware):
         return (
             protocol.CAPABILITIES.pack(
                 self._electrodes, protocol.OUTPUTS.index(self._output), able, MAX_CURRENT_UA,
-                MAX_SLOTS, protocol.SILENCE_MS, round(self._compliance_v),
+                self._room.slots, protocol.SILENCE_MS, round(self._compliance_v),
             )
-            + protocol.KEEPING.pack(self._kernel_bytes, PACKET_BYTES, MOST_KERNELS)
+            + protocol.KEEPING.pack(
+                self._room.kernel_bytes, self._room.packet_bytes, self._room.kernels
+            )
             + NAME.encode()
         )  # fmt: skip
 

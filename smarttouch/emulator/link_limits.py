@@ -1,6 +1,6 @@
 """Limits of a session with an emulated ``link`` board, those of its firmware, and loads."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,16 +91,33 @@ class Load:
         Of either sign, and signed, positive cathodic; the recharge phase included.
     peak_pc : int, pC
         Largest charge of one pulse; 0 if no current flows.
+    busy_us, pulses_us : int, µs
+        Time of its slots and recharge phase, and of their current.
     """
 
     felt: NDArray[np.int64]
     charge_pc: NDArray[np.int64]
     net_pc: NDArray[np.int64]
     peak_pc: int = 0
+    busy_us: int = 0
+    pulses_us: int = 0
 
     @classmethod
     def none(cls, electrodes: int) -> "Load":
         return cls(*np.zeros((3, electrodes), np.int64))
+
+    def restarted(self) -> "Load":
+        """Return its times alone."""
+        nothing = Load.none(len(self.felt))
+        return replace(nothing, busy_us=self.busy_us, pulses_us=self.pulses_us)
+
+    def plus(self, other: "Load") -> "Load":
+        """Return the load of both one after the other."""
+        return Load(
+            self.felt + other.felt, self.charge_pc + other.charge_pc, self.net_pc + other.net_pc,
+            max(self.peak_pc, other.peak_pc), self.busy_us + other.busy_us,
+            self.pulses_us + other.pulses_us,
+        )  # fmt: skip
 
     def add(
         self, signed_ua: NDArray[np.int64], width_us: NDArray[np.int64], felt_ua: NDArray[np.int64]

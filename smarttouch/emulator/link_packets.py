@@ -168,6 +168,8 @@ class ReceivedSequence:
     intensity: int
     groups: list[SlotGroup]
     sequence: WireSequence  # currents of points and sums are zero until kernels are looked up
+    more: bool = False  # whether the scan goes on in the next sequence
+    goes_on: bool = False  # whether it is a further part of the scan before it
 
     @property
     def slots(self) -> int:
@@ -179,7 +181,9 @@ def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSeq
     if len(payload) < _HEAD.size:
         raise ValueError("too short")
     period_us, times, intensity, flags, count = _HEAD.unpack_from(payload)
-    if not times or flags > 3 or (switched and flags & 2):
+    more, goes_on = bool(flags & 4), bool(flags & 8)
+    wrong = (times > 1 and (more or goes_on)) or (flags & 2 and (switched or more))
+    if not times or flags > 15 or wrong:
         raise ValueError("a head that is none")
     at = _HEAD.size + 4 * count
     shapes = np.frombuffer(_part(payload, _HEAD.size, at), "<u2").reshape(count, 2)
@@ -212,6 +216,8 @@ def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSeq
         state.append(unpack_states(body[:, 4:], electrodes) if kind == 3 else empty)
         groups.append(SlotGroup(kind, slots, kernel, amplitude))
         shape += [index] * slots
+    if not groups and (more or goes_on):
+        raise ValueError("a part without slots")
     if not groups:
         current, state = [np.zeros((0, electrodes), np.int16)], [np.zeros((0, electrodes))]
         site = source = [nothing]
@@ -223,7 +229,7 @@ def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSeq
         np.concatenate(state).astype(np.int8) if switched else None,
         recharge, recharge_us,
     )  # fmt: skip
-    return ReceivedSequence(intensity, groups, sequence)
+    return ReceivedSequence(intensity, groups, sequence, more, goes_on)
 
 
 def _part(payload: bytes, start: int, end: int) -> bytes:

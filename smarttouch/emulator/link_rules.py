@@ -14,7 +14,6 @@ from smarttouch.emulator.link_limits import (
     MAX_RECHARGE_PC,
     MAX_RECHARGE_UA,
     MAX_RECHARGE_US,
-    MAX_SLOTS,
     MIN_DISCHARGE_US,
     Load,
     SessionLimits,
@@ -44,6 +43,8 @@ def complaint(
     keep: KernelStore,
     output: Output,
     carried_pc: NDArray[np.int64],
+    before: Load,
+    most_slots: int,
 ) -> tuple[BrokenRule | None, Load]:
     """Fill in what kernels make; return the first rule that is broken, if any, and the load.
 
@@ -51,30 +52,37 @@ def complaint(
     ----------
     carried_pc : ndarray, (E,) int64, pC
         Net charge of the session so far, positive cathodic.
+    before : Load
+        Of the parts of the same scan before this one.
+    most_slots : int
     """
     sequence = lists.sequence
     load = Load.none(sequence.electrodes)
     width = sequence.width_us.astype(np.int64)
-    if found := _times(lists, limits, width):
+    if lists.slots > most_slots:
+        return BrokenRule(Rule.SLOTS, value=lists.slots, allowed=most_slots), load
+    if found := _times(lists, limits, width, load, before):
         return found, load
     peaks = _all_at_once(lists, limits, keep, width, load) if output == "weighted" else None
     if peaks is None:
-        load = Load.none(sequence.electrodes)
+        load = load.restarted()
         found, peaks = _slot_by_slot(lists, limits, keep, output, width, load)
         if found:
             return found, load
     load.peak_pc = peaks[1]
-    return _whole(lists, limits, load, peaks, carried_pc), load
+    return _whole(lists, limits, load, peaks, carried_pc, before), load
 
 
 def _times(
-    lists: ReceivedSequence, limits: SessionLimits, width: NDArray[np.int64]
+    lists: ReceivedSequence,
+    limits: SessionLimits,
+    width: NDArray[np.int64],
+    load: Load,
+    before: Load,
 ) -> BrokenRule | None:
-    """Return the first broken rule about times."""
+    """Return the first broken rule about times; enter them into the load."""
     sequence, slots = lists.sequence, lists.slots
     period_us = sequence.period_us
-    if slots > MAX_SLOTS:
-        return BrokenRule(Rule.SLOTS, value=slots, allowed=MAX_SLOTS)
     if period_us < limits.period_us:
         return BrokenRule(Rule.PERIOD, value=_i32(period_us), allowed=_i32(limits.period_us))
     discharge = sequence.discharge_us.astype(np.int64)
@@ -84,12 +92,14 @@ def _times(
         if discharge[slot] < MIN_DISCHARGE_US:
             rest_us = int(discharge[slot])
             return BrokenRule(Rule.DISCHARGE, slot, value=rest_us, allowed=MIN_DISCHARGE_US)
-    busy_us = int((width + discharge).sum())
+    load.busy_us = int((width + discharge).sum())
     if sequence.recharge_ua is not None:
-        busy_us += sequence.recharge_us + MIN_DISCHARGE_US
+        load.busy_us += sequence.recharge_us + MIN_DISCHARGE_US
+    busy_us = before.busy_us + load.busy_us
     if busy_us > period_us:
         return BrokenRule(Rule.FIT, value=_i32(busy_us), allowed=_i32(period_us))
-    pulses_us = int(width.sum()) + sequence.recharge_us
+    load.pulses_us = int(width.sum()) + sequence.recharge_us
+    pulses_us = before.pulses_us + load.pulses_us
     if 100 * pulses_us > limits.duty_percent * period_us:
         allowed = period_us * limits.duty_percent // 100
         return BrokenRule(Rule.DUTY, value=_i32(pulses_us), allowed=_i32(allowed))
@@ -207,6 +217,7 @@ def _whole(
     load: Load,
     peaks: tuple[int, int],
     carried_pc: NDArray[np.int64],
+    before: Load,
 ) -> BrokenRule | None:
     """Return the first broken rule of those about the whole sequence, by itself."""
     sequence, (peak_ua, peak_pc) = lists.sequence, peaks
@@ -218,17 +229,16 @@ def _whole(
         load.net_pc += recharge_pc
     burst_us = min(sequence.period_us, BURST_US)
     allowed = MAX_MEAN_UA * burst_us
-    over = np.flatnonzero(load.charge_pc > allowed)
+    charge_pc, felt = before.charge_pc + load.charge_pc, before.felt + load.felt
+    over = np.flatnonzero(charge_pc > allowed)
     if len(over):
         electrode = int(over[0])
-        return BrokenRule(
-            Rule.MEAN, NOTHING, electrode, _i32(int(load.charge_pc[electrode])), allowed
-        )
-    over = np.flatnonzero(load.felt * 10**6 > MAX_PULSES_HZ * burst_us)
+        return BrokenRule(Rule.MEAN, NOTHING, electrode, _i32(int(charge_pc[electrode])), allowed)
+    over = np.flatnonzero(felt * 10**6 > MAX_PULSES_HZ * burst_us)
     if len(over):
         electrode = int(over[0])
         allowed = MAX_PULSES_HZ * burst_us // 10**6
-        return BrokenRule(Rule.FELT, NOTHING, electrode, int(load.felt[electrode]), allowed)
+        return BrokenRule(Rule.FELT, NOTHING, electrode, int(felt[electrode]), allowed)
     strongest_ua = limits.full_ua + limits.rounding_ua
     if limits.full_us:
         allowed = strongest_ua * limits.full_us * 1001 * lists.intensity // (1000 * FULL)

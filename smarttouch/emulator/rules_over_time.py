@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from smarttouch.boards.link.protocol import NOTHING, Rule
 from smarttouch.emulator.link_limits import FULL, MAX_PULSES_HZ, Load, SessionLimits
+from smarttouch.emulator.link_packets import ReceivedSequence
 from smarttouch.emulator.link_rules import BrokenRule
 
 BUCKET_US = 50_000
@@ -59,10 +60,13 @@ class LastSecond:
         self.session_pc: NDArray[np.int64] = np.zeros(self._electrodes, np.int64)
         self.net_pc: NDArray[np.int64] = np.zeros(self._electrodes, np.int64)
 
-    def begin(self, start_us: int, period_us: int, load: Load | None) -> None:
-        """Enter a pass that begins; without a load it has no slots."""
-        self._starts_us.append(start_us)
-        while self._starts_us[0] < start_us - SECOND_US:
+    def begin(self, start_us: int, period_us: int, load: Load | None, goes_on: bool) -> None:
+        """Enter a pass that begins; without a load it has no slots. Start and time of a scan are
+        those of its first part."""
+        if not goes_on:
+            self._starts_us.append(start_us)
+            self.session_us += period_us * (load is not None)
+        while self._starts_us and self._starts_us[0] < start_us - SECOND_US:
             self._starts_us.popleft()
         if load is None:
             return
@@ -71,7 +75,6 @@ class LastSecond:
         before = self._nets(start_us)
         self.most_net_pc = max(self.most_net_pc, int(_largest_net(before, load, 1).max()))
         self._running = load
-        self.session_us += period_us
         self.session_pc += load.charge_pc
         self.net_pc += load.net_pc
 
@@ -92,7 +95,7 @@ class LastSecond:
         return np.cumsum([np.zeros(self._electrodes, np.int64), *nets], axis=0)
 
     def complaint(
-        self, start_us: int, period_us: int, times: int, load: Load | None, limits: SessionLimits
+        self, start_us: int, lists: ReceivedSequence, load: Load | None, limits: SessionLimits
     ) -> BrokenRule | None:
         """Return the first rule that a sequence breaks with what was before it, if any.
 
@@ -101,12 +104,13 @@ class LastSecond:
         start_us : int
             When its first pass begins.
         """
+        period_us, times = lists.sequence.period_us, lists.sequence.times
         passes = range(min(times, -(-SECOND_US // period_us)))
         if load is not None and (found := self._second(start_us, period_us, passes, load)):
             return found
         allowed = -(-SECOND_US // limits.period_us) + 1
         most = 0
-        for index in passes:
+        for index in passes if not lists.goes_on else ():
             at_us = start_us + index * period_us
             before = sum(each >= at_us - SECOND_US for each in self._starts_us)
             own = min(index, SECOND_US // period_us) + 1
@@ -115,7 +119,7 @@ class LastSecond:
             return BrokenRule(Rule.OFTEN, value=most, allowed=allowed)
         if load is None:
             return None
-        session_us = self.session_us + times * period_us
+        session_us = self.session_us + times * period_us * (not lists.goes_on)
         if session_us > limits.session_us:
             seconds, allowed = -(-session_us // 10**6), limits.session_us // 10**6
             return BrokenRule(Rule.SESSION_TIME, value=seconds, allowed=allowed)

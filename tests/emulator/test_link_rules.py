@@ -19,6 +19,7 @@ from smarttouch.boards.link.sequence_encoding import (
     encode_lists,
 )
 from smarttouch.emulator.firmware import DeliveryLog
+from smarttouch.emulator.link_firmware import Room
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence
 
@@ -51,7 +52,7 @@ class Rig(LinkRig):
     def __init__(self, output="weighted", limits=LIMITS, kernel_bytes=10_000, ramp_ms=None):
         super().__init__(
             E, output, books=KeptBooks, limits=limits and encode_limits(limits),
-            kernel_bytes=kernel_bytes, ramp_ms=ramp_ms,
+            room=Room(kernel_bytes=kernel_bytes), ramp_ms=ramp_ms,
         )  # fmt: skip
         self.books.kept = []
         self.table = made_table()

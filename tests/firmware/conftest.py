@@ -14,10 +14,13 @@ def start_firmware():
     """Return a starter of the C core behind a pseudo-terminal: the process and its port."""
     started = []
 
-    def start(*arguments, electrodes=8, output="weighted"):
+    def start(*arguments, electrodes=8, output="weighted", built=None):
         options = (f"--electrodes={electrodes}", f"--output={output}", "--linger=2", *arguments)
         process = subprocess.Popen(
-            [build.host(), *options], stdout=subprocess.PIPE, text=True, start_new_session=True
+            [built or build.host(), *options],
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
         )
         started.append(process)
         assert select.select([process.stdout], [], [], 60)[0], "the firmware prints no port"

@@ -80,13 +80,17 @@ class Scan:
     recharge_us: int = 0
     recharge_ua: tuple = ()
     source_ua: int = 0
+    more: bool = False
+    """Whether the scan goes on in the next sequence."""
+    goes_on: bool = False
+    """Whether this is a further part of the scan before it."""
 
     def payload(self):
-        flags = 2 if self.recharge_ua else 0
+        flags = 2 * bool(self.recharge_ua) | 4 * self.more | 8 * self.goes_on
         parts = [struct.pack("<IHHBB", self.period_us, self.times, self.intensity, flags,
                              len(self.slots))]  # fmt: skip
         parts += [struct.pack("<HH", width, rest) for width, rest, _ in self.slots]
-        if flags:
+        if self.recharge_ua:
             parts += [struct.pack(f"<H{len(self.recharge_ua)}h", self.recharge_us,
                                   *self.recharge_ua)]  # fmt: skip
         for index, (_, _, each) in enumerate(self.slots):
@@ -127,6 +131,32 @@ class _Pass:
 
 
 @dataclass
+class _Rise:
+    """A level of intensity, and the current that flows since."""
+
+    ramp_us: int
+    level: int = 0
+    strength: int = 0
+    since_us: int = 0
+    span_us: int = 0
+
+    def risen(self, start_us):
+        """Return the level then, and the time with current until then."""
+        on_us = min(max(0, start_us - self.since_us), self.span_us)
+        if start_us - self.since_us - on_us > 15_000_000:
+            return 0, on_us
+        risen = self.level + on_us * FULL // self.ramp_us
+        return max(self.level, min(self.strength, risen)), on_us
+
+    def after(self, scan, strength, start_us):
+        level, on_us = self.risen(start_us)
+        if not strength:
+            return replace(self, level=level, since_us=self.since_us + on_us, span_us=0)
+        level, span_us = min(scan.intensity, level), scan.times * scan.period_us
+        return _Rise(self.ramp_us, level, strength, start_us, span_us)
+
+
+@dataclass
 class Judge:
     """A board's law and what it remembers, over sessions."""
 
@@ -139,12 +169,16 @@ class Judge:
     most_net_pc: int = 0
     flowing: list = field(default_factory=list)
     """Starts of all passes with slots."""
+    scan: Scan = None
+    """What was accepted of the scan of the last sequence, as one sequence."""
 
     def begin(self, limits, switched=False):
         self.limits, self.switched = limits.capped(switched), switched
         self.session_pc = np.zeros(self.electrodes, np.int64)
         self.net_pc, self.flowing_us = self.session_pc.copy(), 0
-        self.level = self.strength = self.since_us = self.span_us = 0
+        self.scan = None
+        self.scan_end_us = 0
+        self.rise = _Rise(1000 * self.limits.ramp_ms)
 
     def stop(self, now_us):
         """Cut off what executes."""
@@ -161,10 +195,12 @@ class Judge:
         while self.coming and self.coming[1] <= now_us:
             scan, start_us, left = self.coming
             one = self._pass(scan, start_us)
-            self.starts.append(start_us)
+            if scan.goes_on:
+                one = replace(one, end_us=max(self.scan_end_us, one.over_us))
+            self.starts += [start_us] * (not scan.goes_on)
             self.session_pc += one.charge_pc
             self.net_pc += one.net_pc
-            self.flowing_us += scan.period_us * bool(scan.slots)
+            self.flowing_us += scan.period_us * bool(scan.slots) * (not scan.goes_on)
             window = self._window(start_us, None)[2]
             self.most_net_pc = max(self.most_net_pc, self._net(window, one.net_pc[None]).max())
             self.passes.append(one)
@@ -172,45 +208,65 @@ class Judge:
             self.coming = (scan, start_us + scan.period_us, left - 1) if left > 1 else ()
         self.passes, self.starts = self.passes[-300:], self.starts[-300:]
 
-    def start_us(self, now_us):
+    def start_us(self, now_us, scan=None):
         self.advance(now_us)
-        return max(now_us, self.passes[-1].end_us if self.passes else 0)
+        if not self.passes:
+            return now_us
+        last = self.passes[-1]
+        return max(now_us, last.over_us if scan is not None and scan.goes_on else last.end_us)
+
+    def whole(self, scan):
+        """Return a part with those before it as one sequence."""
+        if not scan.goes_on:
+            return scan
+        return replace(scan, slots=[*self.scan.slots, *scan.slots])
 
     def accept(self, scan, now_us):
         """Begin a scan that has been found right, now or when the one at hand is over."""
-        start_us = self.start_us(now_us)
-        level, on_us = self._risen(start_us)
-        if strength := self._strength(scan):
-            self.strength = strength
-            self.level, self.since_us = min(scan.intensity, level), start_us
-            self.span_us = scan.times * scan.period_us
+        start_us = self.start_us(now_us, scan)
+        if scan.goes_on:
+            # The part before ends with its slots; the period is the scan's.
+            self.scan_end_us = self.passes[-1].end_us
+            if self.scan_end_us > now_us:
+                self.passes[-1] = replace(self.passes[-1], end_us=start_us)
         else:
-            self.level, self.since_us, self.span_us = level, self.since_us + on_us, 0
+            self.rise_us, self.before = start_us, self.rise
+        whole = self.scan = self.whole(scan)
+        self.rise = self.before.after(whole, self._strength(whole), self.rise_us)
         self.coming = scan, start_us, scan.times
         self.advance(now_us)
 
-    def allowed(self, start_us):
-        ramp_us = 1000 * self.limits.ramp_ms
+    def allowed(self, start_us, scan=None):
+        rise = self.rise
+        if scan is not None and scan.goes_on:
+            rise, start_us = self.before, self.rise_us
         if not self.ramp:
             return FULL
-        return min(FULL, self._risen(start_us)[0] + 150_000 * FULL // ramp_us + 2)
+        return min(FULL, rise.risen(start_us)[0] + 150_000 * FULL // rise.ramp_us + 2)
 
     def refusal(self, scan, now_us):
         """Return rule, slot, electrode, value and what is allowed; None if all is right."""
-        start_us = self.start_us(now_us)
-        found = self._times(scan) or self._slots(scan) or self._recharge(scan)
+        start_us, before = self.start_us(now_us, scan), self.scan
+        if scan.goes_on and not (
+            before is not None
+            and before.more
+            and (before.period_us, before.intensity) == (scan.period_us, scan.intensity)
+        ):
+            return Rule.PART, NOTHING, NOTHING, 0, 0
+        whole = self.whole(scan)
+        found = self._times(scan, whole) or self._slots(scan) or self._recharge(scan)
         if found:
             return found
-        one = self._pass(scan, start_us)
+        one, every = self._pass(scan, start_us), self._pass(whole, start_us)
         burst_us = min(scan.period_us, 40_000)
         return (
-            _above(Rule.MEAN, one.charge_pc, 500 * burst_us)
-            or _above(Rule.FELT, one.felt, 1500 * burst_us // 1_000_000)
-            or self._intensity(scan, self.allowed(start_us))
+            _above(Rule.MEAN, every.charge_pc, 500 * burst_us)
+            or _above(Rule.FELT, every.felt, 1500 * burst_us // 1_000_000)
+            or self._intensity(whole, self.allowed(start_us, scan))
             or self._over_time(scan, one, start_us, now_us)
         )
 
-    def _times(self, scan):
+    def _times(self, scan, whole):
         limits = self.limits
         if scan.period_us < limits.period_us:
             return Rule.PERIOD, NOTHING, NOTHING, scan.period_us, limits.period_us
@@ -219,10 +275,10 @@ class Judge:
                 return Rule.WIDTH, slot, NOTHING, width, limits.width_us
             if rest < 20:
                 return Rule.DISCHARGE, slot, NOTHING, rest, 20
-        busy_us = scan.busy_us + 20 * bool(scan.recharge_ua)
+        busy_us = whole.busy_us + 20 * bool(scan.recharge_ua)
         if busy_us > scan.period_us:
             return Rule.FIT, NOTHING, NOTHING, busy_us, scan.period_us
-        on_us = sum(width for width, _, _ in scan.slots) + scan.recharge_us
+        on_us = sum(width for width, _, _ in whole.slots) + scan.recharge_us
         allowed = limits.duty * scan.period_us
         return (
             (Rule.DUTY, NOTHING, NOTHING, on_us, allowed // 100) if 100 * on_us > allowed else None
@@ -303,9 +359,9 @@ class Judge:
             if found := _above(rule, value, limit):
                 return found
         most_starts = -(-_SECOND_US // self.limits.period_us) + 1
-        if often > most_starts:
+        if often > most_starts and not scan.goes_on:
             return Rule.OFTEN, NOTHING, NOTHING, often, most_starts
-        flowing_us = self.flowing_us + scan.times * scan.period_us
+        flowing_us = self.flowing_us + scan.times * scan.period_us * (not scan.goes_on)
         if scan.slots and flowing_us > _SECOND_US * self.limits.session_s:
             seconds = -(-flowing_us // _SECOND_US)
             return Rule.SESSION_TIME, NOTHING, NOTHING, seconds, self.limits.session_s
@@ -339,13 +395,6 @@ class Judge:
             start_us, start_us + scan.busy_us, start_us + scan.period_us, felt,
             width @ np.abs(rows) + np.abs(back), width @ rows + back, bool(scan.slots),
         )  # fmt: skip
-
-    def _risen(self, start_us):
-        on_us = min(max(0, start_us - self.since_us), self.span_us)
-        if start_us - self.since_us - on_us > 15_000_000:
-            return 0, on_us
-        risen = self.level + on_us * FULL // (1000 * self.limits.ramp_ms)
-        return max(self.level, min(self.strength, risen)), on_us
 
     def _strength(self, scan):
         """Return what a scan's intensity amounts to, by its strongest pulse."""

@@ -1,6 +1,8 @@
 """Lives of a board whose host has no gate: random scans, and scans at the edge of each rule."""
 
+import itertools
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 
@@ -62,7 +64,7 @@ class Life:
         self.wait(max(0, self.free_us - self.talk.now_us))
         now_us = self.talk.now_us
         wanted = self.judge.refusal(scan, now_us)
-        start_us = self.judge.start_us(now_us)
+        start_us = self.judge.start_us(now_us, scan)
         self.number += 1
         answers = self.talk.say(MessageKind.SEQUENCE, self.number, scan.payload())
         self._note()
@@ -77,6 +79,24 @@ class Life:
             assert found == [(Refusal.UNSAFE, *wanted)]
         self.decided[wanted and Rule(wanted[0])] += 1
         return wanted
+
+    def send_in_parts(self, scan):
+        """Send a scan's slots in parts, some of which are late, wrong or never come."""
+        rng = self.rng
+        cuts = sorted({0, *rng.integers(0, len(scan.slots) + 1, 3).tolist(), len(scan.slots)})
+        scan.times = 1
+        for at, end in itertools.pairwise(cuts):
+            one = replace(scan, slots=scan.slots[at:end], goes_on=at > 0, more=end < cuts[-1])
+            if one.more:
+                one.recharge_ua, one.recharge_us = (), 0
+            if rng.random() < 0.05:
+                one.period_us, one.goes_on = one.period_us + 1, not one.goes_on
+            if self.send(one) is not None and rng.random() < 0.8:
+                return
+            if rng.random() < 0.2:
+                self.wait(int(rng.choice([100, 1000, 5000, 30_000, 1_200_000])))
+            elif rng.random() < 0.05:
+                return
 
     def report(self):
         """Check what the board reports of the second and the session."""
@@ -138,7 +158,9 @@ class Life:
             if self.number == 0 or self.rng.random() < 0.03:
                 self.begin()
             scan = self.scan()
-            if self.rng.random() < 0.5:
+            if self.rng.random() < 0.3:
+                self.send_in_parts(scan)
+            elif self.rng.random() < 0.5:
                 self._edge(scan)
             else:
                 self.send(scan)
@@ -341,4 +363,63 @@ def limits(life):
     return life
 
 
-LIVES = (often, net, felt, charge, session, rise, recharge, one_source, limits)
+def parts(life):
+    """Scans in parts, of which the last is just too much, or just right, for the whole."""
+    pair = [(20, 20, (30, -30, 0, 0)), (20, 20, (-30, 30, 0, 0))]
+    loud = [(200, 40, (2500, -2500, 0, 0)), (200, 40, (-2500, 2500, 0, 0))]
+    weak = [(200, 40, (25, -25, 0, 0))]
+    life.begin(Limits(felt_ua=(0,) * ELECTRODES, duty=30, session_s=3))
+    for first, last, period_us in (
+        (pair * 3, pair * 2, 5000), (pair * 3, pair, 5000), (loud * 4, loud, 10_000),
+        (loud * 4, loud[:1], 10_000), (loud * 5, loud * 2, 10_000),
+        (pair * 24, pair * 27, 40_000), ([(40, 1200, (2, -2, 0, 0))] * 3,) * 2 + (5000,),
+        ([(200, 20, (2, -2, 0, 0))] * 6,) * 2 + (5000,),
+    ):  # fmt: skip
+        for wait_us in (0, 0, 700, 30_000):
+            for intensity in (0, 9000, FULL):
+                one = Scan(period_us, first, 1, intensity, more=True)
+                for part in (
+                    one,
+                    Scan(period_us, last[:1], 1, intensity, more=True, goes_on=True),
+                    Scan(period_us, last[1:] or weak, 1, intensity, goes_on=True),
+                ):
+                    life.send(part)
+                    life.wait(wait_us)
+        life.wait(20_000)
+    # Many scans of three parts are no more often than they begin.
+    life.begin(Limits(period_us=20_000))
+    for _ in range(80):
+        for which in ({"more": True}, {"more": True, "goes_on": True}, {"goes_on": True}):
+            life.send(Scan(20_000, [(20, 20, (2, -2, 0, 0))], 1, 0, **which))
+    # Nothing goes on after a whole scan, or at another period.
+    for period_us, which in (
+        (20_000, {"more": True}),
+        (20_001, {"goes_on": True}),
+        (20_000, {"goes_on": True}),
+        (20_000, {"goes_on": True}),
+    ):
+        life.send(Scan(period_us, weak, 1, 0, **which))
+    assert {Rule.PART, Rule.FIT, Rule.DUTY, Rule.MEAN, Rule.FELT} <= set(life.decided)
+    assert Rule.OFTEN not in life.decided
+    life.report()
+    return life
+
+
+def rising_parts(life):
+    """Scans that open a level, strongest in their first part, or in their last one."""
+    weak, strong = ([(200, 40, (ua, -ua, 0, 0))] for ua in (30, 1000))
+    life.begin(Limits())
+    for first, last in ((weak, strong), (strong, weak), (weak, weak), (strong, strong)):
+        for _ in range(12):
+            top = life.judge.allowed(life.judge.start_us(life.talk.now_us))
+            for intensity in (min(FULL, top + 1), top):
+                for slots, which in ((first, {"more": True}), (last, {"goes_on": True})):
+                    life.send(Scan(20_000, slots, 1, intensity, **which))
+                    life.wait(7000)
+        life.wait(15_100_000)
+    assert life.decided[Rule.RISE] > 10
+    return life
+
+
+LIVES = (often, net, felt, charge, session, rise, recharge, one_source, limits, parts,
+         rising_parts)  # fmt: skip

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from smarttouch.boards.link.protocol import MessageKind
-from smarttouch.boards.link.sequence_encoding import KernelImage
+from smarttouch.boards.link.sequence_encoding import KernelImage, encode_scan
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.firmware.rig import Both, Emulated, Talk
 from tests.firmware.scenes import Scene, random_lists, random_table, sequence_of
@@ -74,6 +74,22 @@ def _voltages():
     return talk
 
 
+def _parts():
+    talk = _talk().begin(LIMITS)
+    scan = sequence_of(random_lists(np.random.default_rng(5), _table(), 7), sums=None)
+    number = 0
+    for wait_us, most_slots in ((300, 3), (20_000, 2)):
+        for part in encode_scan(scan, 1, False, False, None, 1 << 20, most_slots):
+            number += 1
+            talk.say(MessageKind.SEQUENCE, number, part.payload)
+            talk.wait(wait_us, 500)
+    # A part that goes on where nothing does.
+    talk.say(MessageKind.SEQUENCE, number + 1, part.payload)
+    talk.wait(20_000)
+    talk.say(MessageKind.STATUS)
+    return talk
+
+
 def _scene(output):
     talk = _talk(500 if output == "weighted" else 0, output)
     scene = Scene(talk.board, 7, 4, output, 500 if output == "weighted" else 0)
@@ -89,6 +105,7 @@ def made():
         "rise": (_rise(), "weighted", 500),
         "silence": (_silence(), "weighted", 0),
         "voltages": (_voltages(), "weighted", 0),
+        "parts": (_parts(), "weighted", 0),
         "everything": (_scene("weighted"), "weighted", 500),
     }
     vectors = {}

@@ -23,8 +23,10 @@ from tests.firmware.lives import (
     net,
     often,
     one_source,
+    parts,
     recharge,
     rise,
+    rising_parts,
     session,
 )
 from tests.firmware.rig import Both, Core, Emulated, Unfelt
@@ -62,7 +64,9 @@ def test_emulator_and_core_refuse_what_the_judge_refuses(make_life, output, ramp
 def lived(make_life, built, play, both=False):
     """Play a life to the core of a library."""
     output = "three-state" if play is one_source else "weighted"
-    return play(make_life(built, output=output, ramp=play in (rise, limits), both=both))
+    return play(
+        make_life(built, output=output, ramp=play in (rise, limits, rising_parts), both=both)
+    )
 
 
 @pytest.mark.parametrize("play", LIVES)
@@ -116,6 +120,20 @@ MUTANTS = {
     "the safe ramp": (
         limits, LEVEL, "given_ms == 0u ? ST_SAFE_RAMP_MS : given_ms", "given_ms"
     ),
+    "the time of the parts before": (
+        parts, RULES, "scan->busy_us += sequence->busy_us", "scan->busy_us = 0"
+    ),
+    "the current of the parts before": (
+        parts, RULES, "scan->flowing_us += sequence->flowing_us", "scan->flowing_us = 0"
+    ),
+    "the charge of the parts before": (
+        parts, RULES, "st_goes_on(sequence) ? board->config.each[each].scan_pc", "false ? 0u"
+    ),
+    "the pulses of the parts before": (
+        parts, RULES, "st_goes_on(sequence) ? board->config.each[each].scan_felt", "false ? 0u"
+    ),
+    "the strongest part": (rising_parts, RULES, "board->scan.peak_pc > most.peak_pc", "false"),
+    "a part of another scan": (parts, RULES, "(!board->scan.open ||", "(false ||"),
     "one source": (
         one_source, RULES, "? total_ua : st_magnitude(", "? share[0] : st_magnitude("
     ),

@@ -56,11 +56,14 @@ static void step_clock(host *self)
     self->real_us = real_us;
     if (step_us > LONGEST_STEP_US) {
         const uint64_t away_us = step_us - LONGEST_STEP_US;
-        uint64_t *since_us = &self->board.ramp.since_us;
+        uint64_t *shifted[] = { &self->board.ramp.since_us, &self->board.scan.before.since_us,
+                                &self->board.scan.start_us };
         self->stood_still_us += away_us;
         step_us = LONGEST_STEP_US;
         /* On the skin that time has passed. */
-        *since_us -= *since_us < away_us ? *since_us : away_us;
+        for (unsigned each = 0; each < 3u; each++) {
+            *shifted[each] -= *shifted[each] < away_us ? *shifted[each] : away_us;
+        }
     }
     self->now_us += step_us;
 }

@@ -41,7 +41,7 @@ class Deframer:
 
     def __init__(self, largest: int = LARGEST_PACKET) -> None:
         self.errors: int = 0  # pieces between zeros that were no valid packet
-        self._most = largest * 1.01 + 64
+        self._largest, self._most = largest, largest * 1.01 + 64
         self._waiting = bytearray()
         self._skipping = False
 
@@ -79,7 +79,8 @@ class Deframer:
             except cobs.DecodeError:
                 body = b""
             end = len(body) - _CRC.size
-            if end >= _HEAD.size and zlib.crc32(body[:end]) == _CRC.unpack_from(body, end)[0]:
+            fits = _HEAD.size <= end <= self._largest - _CRC.size
+            if fits and zlib.crc32(body[:end]) == _CRC.unpack_from(body, end)[0]:
                 version, kind, number = _HEAD.unpack_from(body)
                 packets.append(WirePacket(kind, number, body[_HEAD.size : end], version))
             elif coded:

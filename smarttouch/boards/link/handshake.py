@@ -120,7 +120,7 @@ def malformed(name: str) -> BoardError:
     return BoardError(f"the board at {name} answers nonsense: check its firmware", about="board")
 
 
-OVERHEAD = 64  # bytes of a packet beside what it carries, at most, and some to spare
+OVERHEAD = protocol.WHOLE_HEAD_BYTES + 4  # bytes of a packet beside its payload
 _PIECE = 1024  # bytes of kernels at once: nothing else can pass while they do
 _IDLE = 3  # times that nothing new may have been kept
 
@@ -152,6 +152,7 @@ _RULES = {
     Rule.SESSION_TIME: "too long a session, s",
     Rule.SESSION_CHARGE: "too much charge in the session, µC",
     Rule.READY: "the board needs longer to compute a slot than the one before it lasts, µs",
+    Rule.PART: "a part that continues no scan",
 }
 
 
@@ -176,7 +177,7 @@ def give_kernels(
 ) -> None:
     """Give a board its kernels, in packets of at most ``most_bytes``; what it keeps already is not
     sent again. ``go_on`` raises if the board is to be stopped; one that keeps nothing is lost."""
-    piece = min(_PIECE, most_bytes - OVERHEAD)
+    piece = min(_PIECE, most_bytes - OVERHEAD - protocol.KERNELS.size)
     at, data, idle = 0, b"", 0
     while idle < _IDLE:
         go_on()

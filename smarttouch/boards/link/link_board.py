@@ -21,6 +21,7 @@ from smarttouch.boards.link.handshake import reason_of
 from smarttouch.boards.link.link_host import OLD_PACKETS, LinkHost
 from smarttouch.boards.link.packet_line import ANSWER_S, LinkLine
 from smarttouch.boards.link.protocol import Message, MessageKind, Refusal, Rule
+from smarttouch.boards.link.sequence_encoding import ScanPart
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import Rise, SafetyLimits
 from smarttouch.stimulation.safety_limits import parts_per_billion
@@ -63,6 +64,7 @@ class LinkBoard(LinkHost):
         self._identity: UsbIdentity | None = None
         self._in_flight_due_ns = 0
         self._in_flight_ppb, self._in_flight_ns = (0, 0), 0
+        self._rises = True
         # The line may be slower than the gate: the rise that the skin gets is the line's.
         self._rise = Rise(limits.ramp_ns)
         self._again_s = 0.0
@@ -104,26 +106,37 @@ class LinkBoard(LinkHost):
         self._start(port, self.capabilities)
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
-        self._number += 1
-        payload = self._encoded(sequence, times)
-        self._wait_for_room()
+        parts = self._encoded(sequence, times)
+        first = self._number + 1
+        for part in parts:
+            self._number += 1
+            self._wait_for_room()
+            self._send_part(sequence, part, times)
+        return first
+
+    def _send_part(self, sequence: ScanSequence, part: ScanPart, times: int) -> None:
+        """Send a sequence, or a part of one, which is due when the part before has begun; what
+        rises is noted once, with the first."""
         ppb = parts_per_billion(sequence.intensity)
         strength_ppb = self._gate.limits.strength_of(sequence)
-        if self._is_late(self._due_ns) or not (
-            not sequence.drives or self._rise.permits(strength_ppb, self._clock.now_ns())
+        due_ns = max(self._due_ns, self._clock.now_ns()) if part.first else self._due_ns
+        if self._is_late(due_ns) or not (
+            part.first
+            or not sequence.drives
+            or self._rise.permits(strength_ppb, self._clock.now_ns())
         ):
             self._drop_late()
         with self._line.news:
-            self._in_flight[self._number] = payload, self._clock.now_ns()
-            self._in_flight_due_ns, self._in_flight_ppb = self._due_ns, (ppb, strength_ppb)
+            self._in_flight[self._number] = part.payload, self._clock.now_ns()
+            self._in_flight_due_ns, self._in_flight_ppb = due_ns, (ppb, strength_ppb)
             self._in_flight_ns = 1000 * sequence.period_us * times * sequence.drives
+            self._rises = not part.first
             self._again_s = self._line.now_s() + AGAIN_S
-            self._note_sent(sequence, times)
-        if not self._write_in_time(self._number, payload):
+            self._note_sent(sequence, part, times)
+        if not self._write_in_time(self._number, part.payload):
             with self._line.news:
                 self._in_flight.pop(self._number, None)
             self._drop_late()
-        return self._number
 
     def _drop_late(self) -> Never:
         """Count a sequence that is not sent; the next one must begin at zero."""
@@ -142,7 +155,7 @@ class LinkBoard(LinkHost):
                 latest_ns=latest_ns,
                 now_ns=self._clock.now_ns,
             )
-        if went:
+        if went and self._rises:
             self._rise.note(*self._in_flight_ppb, self._clock.now_ns(), self._in_flight_ns)
         return went
 

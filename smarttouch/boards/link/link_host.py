@@ -2,7 +2,7 @@
 
 from collections import deque
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from smarttouch.boards.link.handshake import (
     give_limits,
 )
 from smarttouch.boards.link.protocol import Message, MessageKind, decode_volts
-from smarttouch.boards.link.sequence_encoding import KernelImage, encode_lists
+from smarttouch.boards.link.sequence_encoding import KernelImage, ScanPart, encode_scan
 from smarttouch.boards.probe_scans import measure_in_pairs, probe_sequences
 from smarttouch.boards.reports import SATURATED, Impedance, SequenceStart, judge
 from smarttouch.profile.device import Output
@@ -35,6 +35,14 @@ OPEN_SHARE = 0.97
 """Part of the compliance: if every slot reaches it, nothing touches the electrodes."""
 
 Measured = tuple[ScanSequence, NDArray[np.float32]]
+
+
+class SentPart(NamedTuple):
+    """Sequence on its way, or the part of one that a packet has room for."""
+
+    number: int
+    sequence: ScanSequence
+    part: ScanPart
 
 
 class BoardClock:
@@ -77,7 +85,9 @@ class LinkHost(Board):
         self._table: KernelTable | None = None
         self._image: KernelImage | None = None
         self._board_clock = BoardClock()
-        self._sent: deque[tuple[int, ScanSequence]] = deque(maxlen=4)
+        self._sent: deque[SentPart] = deque(maxlen=4)
+        self._volts: list[NDArray[np.float32]] = []
+        """Voltages of the parts of a scan so far."""
         self._measured: deque[Measured] = deque(maxlen=64)
 
     def _set_up(self) -> None:
@@ -94,20 +104,24 @@ class LinkHost(Board):
         return next((each for each in reversed(starts) if each.number == number), None)
 
     def _note_start(self, message: Message, sent_ns: int, now_ns: int) -> None:
-        self.acknowledged += 1
+        self.acknowledged += any(
+            each.number == message.about and not each.part.first for each in self._sent
+        )
         (board_us,) = protocol.ACK.unpack(message.payload)
         self._board_clock.note(message.about, board_us, sent_ns, now_ns)
 
-    def _note_sent(self, sequence: ScanSequence, times: int) -> None:
-        """Remember the sequence that is about to be sent."""
-        self._sent.append((self._number, sequence))
-        self._slots_sent += sequence.slots * times
+    def _note_sent(self, sequence: ScanSequence, part: ScanPart, times: int) -> None:
+        """Remember what is about to be sent."""
+        self._sent.append(SentPart(self._number, sequence, part))
+        self._slots_sent += part.slots * times
 
-    def _encoded(self, sequence: ScanSequence, times: int) -> bytes:
+    def _encoded(self, sequence: ScanSequence, times: int) -> list[ScanPart]:
         can = self.capabilities
         room = (can.packet_bytes or LARGEST_PACKET) - OVERHEAD
         switched = self._kind != "weighted"
-        return encode_lists(sequence, times, can.measures, switched, self._image, room)
+        return encode_scan(
+            sequence, times, can.measures, switched, self._image, room, can.max_slots
+        )
 
     def keep_kernels(self, table: KernelTable) -> None:
         self._table = table
@@ -221,11 +235,16 @@ class LinkHost(Board):
             self.force_n: float | None = force_mn / 1000
 
     def _note_volts(self, message: Message) -> None:
-        sequence = dict(self._sent).get(message.about)
-        if sequence is None:
+        sent = next((each for each in self._sent if each.number == message.about), None)
+        if sent is None:
             return self._line.session.refuse()
-        volts = decode_volts(message.payload)
-        if len(volts) == sequence.slots and len(volts):
+        sequence, part = sent.sequence, sent.part
+        found = decode_volts(message.payload)
+        if len(found) != part.slots or not len(found):
+            return None
+        self._volts = [*self._volts, found] if part.first else [found]
+        volts = np.concatenate(self._volts)
+        if len(volts) == sequence.slots == part.first + part.slots:
             compliance = self.capabilities.compliance_v
             if compliance is not None and volts.max() > MOST_COMPLIANCES * compliance:
                 self._suspicion = (

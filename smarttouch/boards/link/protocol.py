@@ -135,6 +135,7 @@ class Rule(IntEnum):
     SESSION_TIME = 25
     SESSION_CHARGE = 26
     READY = 27
+    PART = 28
 
 
 _VOLT = 100

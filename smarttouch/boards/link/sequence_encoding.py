@@ -3,9 +3,9 @@
 import hashlib
 import math
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +53,7 @@ _GROUP = struct.Struct("<BBH")
 _I16 = np.dtype("<i2")
 POINTS, SUM, CURRENTS, STATES = range(4)  # kinds of groups of slots
 FULL = 0xFFFF  # intensity 1
-MEASURE, RECHARGE = 1, 2
+MEASURE, RECHARGE, MORE, GOES_ON = 1, 2, 4, 8
 _MOST_SHAPES = 0xFF
 _U16_MAX = 0xFFFF
 
@@ -72,6 +72,92 @@ def encode_limits(limits: SafetyLimits) -> bytes:
     return head + b"".join(values.astype(kind).tobytes() for values, kind in each)
 
 
+class ScanPart(NamedTuple):
+    """Part of a scan, which is all of it where the board has room for that."""
+
+    payload: bytes
+    first: int
+    """Slot of the scan with which it begins."""
+    slots: int
+    start_us: int
+    """Start of its slots within the scan."""
+
+
+def encode_scan(
+    sequence: ScanSequence,
+    times: int,
+    measure: bool,
+    switched: bool,
+    image: KernelImage | None,
+    most_bytes: int,
+    most_slots: int,
+) -> list[ScanPart]:
+    """Return a proved sequence as payloads of SEQUENCE, in parts where the board has no room for
+    all of it: see `encode_lists`."""
+    slots = len(sequence.width_us)
+    given = measure, switched, image
+    if slots <= most_slots:
+        payload = _payload(sequence, times, *given)
+        if len(payload) <= most_bytes:
+            return [ScanPart(payload, 0, slots, 0)]
+    if slots < 2 or times > 1 or not most_slots:
+        raise BoardError(
+            f"{slots} slots are more than this board takes at once ({most_slots} slots, "
+            f"{most_bytes} bytes), and what is sent in parts is not repeated by the board: send it "
+            "once each period",
+            about="times",
+        )
+    lists = None if switched or image is None else _kept(sequence, image)
+    lengths_us = sequence.width_us.astype(np.int64) + sequence.discharge_us
+    size = min(slots, most_slots)
+    while True:
+        parts = []
+        for first in range(0, slots, size):
+            end = min(first + size, slots)
+            flags = GOES_ON * (first > 0) | MORE * (end < slots)
+            part = _cut(sequence, first, end, None if lists is None else lists[0])
+            payload = _payload(part, 1, *given, flags)
+            if size == 1 and len(payload) > most_bytes:
+                # Kernels of which one slot has too many.
+                payload = _payload(replace(part, sums=None), 1, *given, flags)
+            parts.append(ScanPart(payload, first, end - first, int(lengths_us[:first].sum())))
+        largest = max(len(part.payload) for part in parts)
+        if largest <= most_bytes:
+            return parts
+        if size == 1:
+            raise _too_large(largest, most_bytes)
+        size = max(1, min(size - 1, size * most_bytes // largest))
+
+
+def _cut(sequence: ScanSequence, first: int, end: int, lists: KernelLists | None) -> ScanSequence:
+    """Return slots of a sequence, with their checked lists; its recharge phase with the last."""
+    rows, last = slice(first, end), end == len(sequence.width_us)
+    sums = None
+    if lists is not None and sequence.sums is not None:
+        pairs = slice(lists.first[first], lists.first[end])
+        starts = lists.first[first : end + 1] - lists.first[first]
+        table = sequence.sums.table
+        sums = KernelLists(table, starts, lists.kernel[pairs], lists.amplitude[pairs])
+    return replace(
+        sequence,
+        current_ua=sequence.current_ua[rows],
+        width_us=sequence.width_us[rows],
+        discharge_us=sequence.discharge_us[rows],
+        site=sequence.site[rows],
+        recharge_ua=sequence.recharge_ua if last else None,
+        recharge_us=sequence.recharge_us if last else 0,
+        sums=sums,
+    )
+
+
+def _too_large(size: int, most_bytes: int) -> BoardError:
+    return BoardError(
+        f"a sequence of {size} bytes is above the board's limit of {most_bytes}: scan fewer "
+        "points at once",
+        about="packet",
+    )
+
+
 def encode_lists(
     sequence: ScanSequence,
     times: int,
@@ -86,6 +172,21 @@ def encode_lists(
     lists of these; others are written as currents, or as states for a board with one source
     (``switched``). ``measure`` requests voltages.
     """
+    payload = _payload(sequence, times, measure, switched, image)
+    if len(payload) > most_bytes:
+        raise _too_large(len(payload), most_bytes)
+    return payload
+
+
+def _payload(
+    sequence: ScanSequence,
+    times: int,
+    measure: bool,
+    switched: bool,
+    image: KernelImage | None,
+    part: int = 0,
+) -> bytes:
+    """Return the payload of a SEQUENCE of any size; ``part`` has its flags as part of a scan."""
     shapes, table, shape = _shapes(sequence)
     if shapes > _MOST_SHAPES:
         raise BoardError(
@@ -101,7 +202,7 @@ def encode_lists(
             about="recharge_ua",
         )
     intensity = -(-parts_per_billion(sequence.intensity) * FULL // PPB)
-    flags = MEASURE * measure | RECHARGE * (recharge is not None)
+    flags = part | MEASURE * measure | RECHARGE * (recharge is not None)
     # Bytes and arrays, copied only when they are joined.
     parts: list[Any] = [
         _HEAD.pack(sequence.period_us, times, intensity, flags, shapes),
@@ -111,14 +212,7 @@ def encode_lists(
         parts += [sequence.recharge_us.to_bytes(2, "little"), recharge.astype("<i2").tobytes()]
     if len(sequence.width_us):
         parts += _groups(sequence, shape, switched, image)
-    payload = b"".join(parts)
-    if len(payload) > most_bytes:
-        raise BoardError(
-            f"a sequence of {len(payload)} bytes is above the board's limit of {most_bytes}: scan "
-            "fewer points at once",
-            about="packet",
-        )
-    return payload
+    return b"".join(parts)
 
 
 def _shapes(sequence: ScanSequence) -> tuple[int, bytes, NDArray[np.intp] | None]:
