@@ -40,7 +40,7 @@ def move(texture, speed_mm_s, listeners):
 # electrode 27.
 grating = open_texture("grating:4mm")
 for speed_mm_s in (20, 40, 80):
-    pulses_s = []
+    pulses_s: list[float] = []
 
     def note(result, pulses_s=pulses_s):
         if result.tactile.activation[st.Afferent.RA, 27] > 0:

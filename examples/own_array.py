@@ -124,7 +124,7 @@ steps = list(st.steps(Wipe("a bar"), profile, mode="RA", kernels=kernels))
 
 # %%
 # The same on a display, which proves each sequence safe before it is sent.
-strongest_ma = []
+strongest_ma: list[float] = []
 with st.open_display("simulated:", profile) as display:
     statistics = st.run(
         Wipe("a bar"),

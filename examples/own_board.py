@@ -14,6 +14,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import smarttouch as st
+from smarttouch.types import Output
 
 
 class ListBoard(st.Board):
@@ -21,7 +22,7 @@ class ListBoard(st.Board):
 
     on_a_finger = False  # a list makes no current; a board that does leaves this out
 
-    def __init__(self, rest, limits, output=None):
+    def __init__(self, rest: str, limits: st.SafetyLimits, output: Output | None = None) -> None:
         super().__init__(
             limits,
             output,
@@ -31,14 +32,14 @@ class ListBoard(st.Board):
             firmware="list 1.0",
             clock="host",
         )
-        self.sequences = []
+        self.sequences: list[st.ScanSequence] = []
 
-    def _send(self, sequence, times):
+    def _send(self, sequence: st.ScanSequence, times: int) -> int:
         self.sequences.append(sequence)
         self.acknowledged += 1
         return len(self.sequences)
 
-    def _stop(self):
+    def _stop(self) -> None:
         """A list is always at zero."""
 
 
@@ -49,6 +50,7 @@ source = st.open_source("text:a", profile, speed_mm_s=60)
 with st.open_display(ListBoard, profile) as display:
     statistics = st.run(source, display, mode="RA")
     board = display.board
+    assert isinstance(board, ListBoard)
 print(f"{statistics.frames} frames, {len(board.sequences)} sequences")
 
 # %%

@@ -24,7 +24,8 @@ kernel_figure(profile, kernels, 5)
 
 # %%
 # Denser or coarser? The same skin under arrays of another pitch. A copy is checked as a file is.
-pitches_mm, off_target = [1.5, 2.0, 2.5, 3.0, 4.0], {each: [] for each in ("RA", "SAI")}
+pitches_mm = [1.5, 2.0, 2.5, 3.0, 4.0]
+off_target: dict[str, list[float]] = {"RA": [], "SAI": []}
 for pitch_mm in pitches_mm:
     pitches = {"pitch_x_mm": pitch_mm, "pitch_y_mm": pitch_mm}
     other = profile.model_copy(update={"array": profile.array.model_copy(update=pitches)})

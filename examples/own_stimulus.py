@@ -49,7 +49,7 @@ class Trail(st.Listener):
     def __init__(self, display: st.Display) -> None:
         super().__init__()
         self.pulses = np.zeros(len(display.profile.electrodes), int)
-        self.slots_a_step = []
+        self.slots_a_step: list[int] = []
 
     def step(self, result: st.StepResult) -> None:
         image: st.TactileImage = result.tactile

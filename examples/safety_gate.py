@@ -67,7 +67,7 @@ class Disc(st.OpticalSource):
         return st.Frame(disc, time_ns, force_n=force_n, number=self.frames - 1)
 
 
-results = []
+results: list[st.StepResult] = []
 with st.open_display("simulated:", profile) as display:
     st.run(Disc("a disc"), display, mode="RA", listeners=[results.append])
 figure, axes = plt.subplots(figsize=(6, 2.4), layout="constrained")

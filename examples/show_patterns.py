@@ -25,7 +25,8 @@ place_mm = display.profile.electrodes.position_mm
 def bar(angle_deg: float) -> np.ndarray:
     """Return activation of a bar through the middle."""
     across = (np.cos(np.deg2rad(angle_deg)), np.sin(np.deg2rad(angle_deg)))
-    return np.float32(np.abs((place_mm - place_mm.mean(axis=0)) @ across) < 1.1)
+    away_mm = np.abs((place_mm - place_mm.mean(axis=0)) @ across)
+    return np.asarray(away_mm < 1.1, np.float32)
 
 
 def show_bars(touch: st.Session) -> list[st.Shown]:

@@ -21,7 +21,7 @@ rows = csv.writer(sys.stdout)
 
 def bars(gap_mm: float) -> np.ndarray:
     """Return activation of two bars beside a gap."""
-    return np.float32(np.abs(np.abs(columns_mm) - gap_mm / 2 - 0.5) < 0.6)
+    return (np.abs(np.abs(columns_mm) - gap_mm / 2 - 0.5) < 0.6).astype(np.float32)
 
 
 # %%
