@@ -39,6 +39,16 @@ class Advice(Note):
 
 
 @dataclass(frozen=True)
+class Marked(Event):
+    """Somebody marked this instant, with a few words."""
+
+    text: str
+
+    def __str__(self) -> str:
+        return f"mark: {self.text}"
+
+
+@dataclass(frozen=True)
 class IntensityChanged(Event):
     """The user asked for another intensity, in [0, 1]."""
 

@@ -11,9 +11,10 @@ import numpy as np
 
 from smarttouch.base.errors import ReadingError, require_within
 from smarttouch.imaging.array_window import pixel_pitch_mm
+from smarttouch.pages.page_image import Page
 from smarttouch.profile import Profile
 from smarttouch.reading.line_feed import LineFeed, Place, TouchLine
-from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Source
+from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet, Source
 
 LAND_S = 0.15
 """Time of landing on a line, when intensity begins to rise."""
@@ -240,6 +241,21 @@ class ReadingSource(OpticalSource):
         lines = f"{len(self._texts)} line{'s' * (len(self._texts) != 1)} read"
         words = " / ".join(text for _, text in sorted(self._texts.items()) if text)
         return f"{lines}: {words}" if words else lines
+
+    @property
+    def words(self) -> str:
+        """Return the text of the line under the finger, if it is known."""
+        return self._texts.get(self.index, "")
+
+    @property
+    def sheet(self) -> Sheet | None:
+        """Return the line under the finger."""
+        line = self._feed.line(self.index) if self.index >= 0 else None
+        if line is None:
+            return None
+        middle_mm = self.index * self.line_step_mm
+        top_mm = middle_mm - line.image.shape[0] * self._pixel_mm / 2
+        return Sheet(self.index, Page(line.image, self._pixel_mm), (0.0, top_mm))
 
     @property
     def line_step_mm(self) -> float:

@@ -7,7 +7,7 @@ from numbers import Real
 from typing import Any
 
 from smarttouch.base.afferent import Mode
-from smarttouch.base.errors import SourceError, require_returned
+from smarttouch.base.errors import SmartTouchError, SourceError, require_returned, require_within
 from smarttouch.base.events import (
     Emit,
     FingerLifted,
@@ -72,6 +72,11 @@ class Controls:
         with self._lock:
             level = min(self.most, max(0.0, round(self._state.level + by, 6)))
             self._change(level=level)
+
+    def set_level(self, level: float) -> None:
+        """Ask for a level; raises if it is not from 0 to the most that is allowed."""
+        require_within(SmartTouchError, "intensity", level, 0, self.most)
+        self._change(level=level)
 
     def silence(self) -> None:
         """Set the level to 0 at once."""

@@ -69,6 +69,8 @@ class StepEncoder:
         yield "/sequence", _sequence(result)
         remember(self._numbers, step.sequence.time_ns, result.number)
         for sequence, volts in step.observed:
+            if sequence.time_ns not in self._numbers:
+                continue  # of before the recording
             known = np.asarray(volts, np.float64)[np.isfinite(volts)]
             yield (
                 "/volts",

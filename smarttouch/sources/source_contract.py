@@ -16,6 +16,7 @@ from smarttouch.base.events import Emit, drop_event
 from smarttouch.base.one_line import one_line
 from smarttouch.base.stopping import Closing
 from smarttouch.base.tactile_image import TactileImage
+from smarttouch.pages.page_image import Page
 from smarttouch.profile import Profile
 
 
@@ -179,6 +180,18 @@ class OutageTracker:
         self._notes.put(self._words, f"{self._words} for {seconds}{self._remedy}")
 
 
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A page or a line that lies under the finger: its picture, and where it is for poses.
+
+    ``number`` changes with the picture; ``corner_mm`` is the place of its top left corner.
+    """
+
+    number: int
+    page: Page
+    corner_mm: tuple[float, float] = (0.0, 0.0)
+
+
 class Canvas(Protocol):
     """Part of a source that a page of the window draws on; ``changes`` counts what it shows."""
 
@@ -223,6 +236,16 @@ class Source(Device, ABC):
     """Settings of a run that suit it, as `RunConfig` names them, where no others are asked for."""
     keys_help: ClassVar[str] = ""
     """Help text for its keys."""
+
+    @property
+    def sheet(self) -> Sheet | None:
+        """Return what lies under the finger, if that is known; from any thread."""
+        return None
+
+    @property
+    def words(self) -> str:
+        """Return the text that is read, if it is known."""
+        return ""
 
     @property
     def account(self) -> str:

@@ -21,7 +21,7 @@ from smarttouch.pages.prepared_page import print_text
 from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened
 from smarttouch.pages.text_lines import TextLine, find_lines
 from smarttouch.profile import Profile
-from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
+from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet
 
 Floats = NDArray[np.float64]
 
@@ -259,6 +259,7 @@ def open_text(
     """Open ``text:STRING``, a page printed from a text."""
     page = print_text(rest)
     source = PageSource(page, profile, "printed text", seed, speed_mm_s, path, light_on_dark)
+    source.text = rest
     source.repeat(passes)
     return source
 
@@ -288,6 +289,8 @@ class PageSource(OpticalSource):
     ) -> None:
         super().__init__(title)
         self.page = page
+        self.text: str = ""
+        """Text of the page, if it is known."""
         self.notes: list[str] = [notice] if notice else []
         self.path: Path2D = (
             ReadingPath(page, profile, speed_mm_s, seed, light_on_dark)
@@ -308,6 +311,16 @@ class PageSource(OpticalSource):
         self._fine = np.empty(fine, np.uint8)
         self._coarse = np.empty(self._shape, np.uint8)
         self._light = _light(self._shape)
+
+    @property
+    def sheet(self) -> Sheet:
+        """Return the page."""
+        return Sheet(0, self.page)
+
+    @property
+    def words(self) -> str:
+        """Return the text of the page, if it is known."""
+        return self.text
 
     def repeat(self, passes: int) -> None:
         """Let the finger read the page so often; without end if 0."""

@@ -5,6 +5,7 @@ import os
 import socket
 import subprocess
 import sys
+from collections import deque
 from collections.abc import Callable, Iterator
 from multiprocessing.connection import Connection
 from typing import Any
@@ -22,6 +23,7 @@ from smarttouch.running.step import StepResult
 
 _SERVE = "import sys; from smarttouch.views.live_finger import serve; serve(int(sys.argv[1]))"
 _POLITE = 5  # niceness of the process: the sending of packets goes first
+MOST_RECENT = 64  # steps that one response is to, at most
 _ENDS_WITHIN_S = 5.0
 
 
@@ -31,10 +33,17 @@ class LiveFinger(Listener):
     The loop never waits: it hands a step only to an idle process. A thread would not do, as it
     could be held up while it has the interpreter. ``draw`` is called with each `Feeling` in that
     process, which must be able to import it; its result is ``drawn``. ``simulated`` and ``skipped``
-    count steps that were simulated, and that came meanwhile.
+    count steps that were simulated, and that came meanwhile. With ``over_s``, the response is that
+    to all steps of the last ``over_s``.
     """
 
-    def __init__(self, finger: Finger, draw: Callable[[Feeling], Any] | None = None) -> None:
+    def __init__(
+        self,
+        finger: Finger,
+        draw: Callable[[Feeling], Any] | None = None,
+        *,
+        over_s: float = 0.0,
+    ) -> None:
         super().__init__()
         self.newest: Feeling | None = None
         self.drawn: Any = None
@@ -44,6 +53,11 @@ class LiveFinger(Listener):
         self._draw = draw
         self._line: Connection | None = None
         self._process: subprocess.Popen[bytes] | None = None
+        self.felt: StepResult | None = None
+        """The newest step of the response."""
+        self._recent: deque[StepResult] = deque(maxlen=MOST_RECENT)
+        self._over_ns = round(over_s * 1e9)
+        self._begun: StepResult | None = None
         self._given: Feeling | None = None  # what the process is at, without its spikes
 
     def prepare(self, run: RunContext) -> None:
@@ -68,17 +82,23 @@ class LiveFinger(Listener):
 
     def step(self, result: StepResult) -> None:
         """Take a finished response, and hand over a step if the process is idle."""
+        self._recent.append(result)
+        while result.input.time_ns - self._recent[0].input.time_ns >= max(1, self._over_ns):
+            self._recent.popleft()
         assert self._line is not None
         if self._given is not None and self._line.poll():
             self._take()
         if self._given is not None:
             self.skipped += 1
             return
-        sequence, active = result.sequence, np.asarray(result.tactile.activation.any(axis=0))
+        recent = [each.sequence for each in (self._recent if self._over_ns else [result])]
+        active = np.asarray(result.tactile.activation.any(axis=0))
         self._given = Feeling(self.finger, (), active, result.step.mode.afferents)
-        slots = DeliveredSlots(
-            sequence.current_ua, sequence.width_us, sequence.discharge_us, sequence.period_us
-        )
+        self._begun = result
+        slots = [
+            DeliveredSlots(each.current_ua, each.width_us, each.discharge_us, each.period_us)
+            for each in recent
+        ]
         with self._alive() as line:
             line.send((slots, active, self._given.wanted))
 
@@ -108,8 +128,8 @@ class LiveFinger(Listener):
     def _take(self) -> None:
         assert self._given is not None
         spikes, self.drawn = self._receive()
-        self.newest = Feeling(self.finger, (spikes,), self._given.active, self._given.wanted)
-        self._given = None
+        self.newest = Feeling(self.finger, spikes, self._given.active, self._given.wanted)
+        self._given, self.felt = None, self._begun
         self.simulated += 1
 
     def _receive(self) -> Any:
@@ -141,6 +161,6 @@ def serve(number: int) -> None:
             except (EOFError, OSError):
                 return
             model.begin_anew()
-            (spikes,) = fire_all(model, [slots])
-            feeling = Feeling(finger, (spikes,), active, wanted)
+            spikes = tuple(fire_all(model, slots))
+            feeling = Feeling(finger, spikes, active, wanted)
             line.send((spikes, None if draw is None else draw(feeling)))

@@ -1,6 +1,7 @@
 """A recording as pictures: indexed while it is read, written as PNG, SVG and MP4."""
 
 import base64
+import contextlib
 import json
 import tempfile
 import threading
@@ -14,14 +15,29 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.base.afferent import Mode
 from smarttouch.base.array_picture import Colors, ElectrodePicture, current_colors, electrodes_svg
 from smarttouch.base.electrodes import ElectrodeArray
-from smarttouch.base.errors import RecordingError
+from smarttouch.base.errors import DesignError, RecordingError
 from smarttouch.base.files import owner_only, unwritable
 from smarttouch.base.stopping import Closing
+from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.response import Feeling, fire_all
+from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.profile import Profile
+from smarttouch.running.delivered import DeliveredSlots
 from smarttouch.running.recording_reader import Recording
-from smarttouch.views.window_messages import Message, array_message, picture_message
+from smarttouch.sources.source_contract import Pose
+from smarttouch.views.window_messages import (
+    Message,
+    array_message,
+    finger_message,
+    picture_message,
+    response_message,
+)
 
+SIMULATED = (1, "branched")  # seed and anatomy of the finger of responses
+SPIKES_OVER_S = 0.1
 _LEVEL = 1
 _STANDS_FOR = ("mode", "board", "sensor", "subject", "note")
 
@@ -34,6 +50,14 @@ class RecordingIndex(Closing):
         self.recording: Recording = Recording(path)
         self.times_s: array[float] = array("d")
         self.array: Message = array_message(self.recording.profile)
+        self.finger: Finger | None = None
+        """The simulated finger of responses; None if none can be made of the profile."""
+        with contextlib.suppress(DesignError):
+            self.finger = Finger(self.recording.profile, *SIMULATED)
+        self._series: list[tuple[float, float, float | None]] = []
+        self._model: SpikeModel | None = None
+        self._feeling = threading.Lock()
+        self._poses: list[tuple[float, float]] = []
         self._places = array("q", [0])
         self._events: list[dict[str, Any]] = []
         self._ended = self._closing = False
@@ -59,6 +83,31 @@ class RecordingIndex(Closing):
             self._file.seek(self._places[index])
             return zlib.decompress(self._file.read(self._places[index + 1] - self._places[index]))
 
+    def response(self, index: int) -> bytes:
+        """Return the finger's response to the steps of `SPIKES_OVER_S` up to one, JSON; raise
+        IndexError if there is no such step, or no finger."""
+        if not 0 <= index < len(self.times_s) or self.finger is None:
+            raise IndexError(index)
+        first, until_s = index, self.times_s[index]
+        while first and until_s - self.times_s[first - 1] < SPIKES_OVER_S - 1e-9:
+            first -= 1
+        steps = [json.loads(self.picture(each)) for each in range(first, index + 1)]
+        electrodes = len(self.recording.profile.electrodes)
+        slots = [_slots(each, electrodes, self.finger.profile) for each in steps]
+        site = np.array(steps[-1]["site"], np.intp)
+        active = np.zeros(electrodes, np.bool_)
+        active[site[(site >= 0) & (site < electrodes)]] = True
+        wanted = Mode(steps[-1]["mode"]).afferents
+        with self._feeling:
+            self._model = self._model or SpikeModel(self.finger)
+            self._model.begin_anew()
+            spikes = tuple(fire_all(self._model, slots))
+        x_mm, y_mm, angle_rad = steps[-1]["pose"]
+        pose = Pose(x_mm, y_mm, angle_rad)
+        return json.dumps(
+            response_message(Feeling(self.finger, spikes, active, wanted), pose)
+        ).encode()
+
     def message(self, first: int = 0) -> dict[str, Any]:
         """Return what a page needs beside pictures; times from a step on."""
         recording = self.recording
@@ -70,10 +119,21 @@ class RecordingIndex(Closing):
             "duration_s": recording.duration_s,
             "told": {key: each for key, each in settings.items() if each},
             "times_s": self.times_s[first:].tolist(),
+            "series": self._series[first : len(self.times_s)],
+            "sheet": self._sheet(),
+            "finger": None if self.finger is None else finger_message(self.finger),
             "events": self._events,
             "ended": self._ended,
             "wrong": self.wrong,
         }
+
+    def _sheet(self) -> Message:
+        """Return the area that the finger passed over."""
+        poses = np.array([*self._poses] or [(0.0, 0.0)])
+        field_mm = np.array(self.array["field_mm"])
+        corner_mm = poses.min(axis=0) - field_mm
+        size_mm = np.ptp(poses, axis=0) + 2 * field_mm
+        return {"number": 0, "size_mm": size_mm.tolist(), "corner_mm": corner_mm.tolist()}
 
     def close(self) -> None:
         self._closing = True
@@ -85,11 +145,14 @@ class RecordingIndex(Closing):
             for recorded in self.recording.steps():
                 if self._closing:
                     return
-                data = zlib.compress(json.dumps(picture_message(recorded.sent)).encode(), _LEVEL)
+                picture = picture_message(recorded.sent)
+                data = zlib.compress(json.dumps(picture).encode(), _LEVEL)
                 with self._lock:
                     self._file.seek(self._places[-1])
                     self._file.write(data)
                 self._places.append(self._places[-1] + len(data))
+                self._poses.append((picture["pose"][0], picture["pose"][1]))
+                self._series.append((picture["peak_ma"], picture["charge_uc"], picture["force_n"]))
                 self.times_s.append(recorded.step.input.time_ns / 1e9)
             self._events = [
                 {"time_s": time_ns / 1e9, "text": words}
@@ -100,6 +163,14 @@ class RecordingIndex(Closing):
         except (RecordingError, OSError) as error:
             self.wrong = str(error)
         self._ended = True
+
+
+def _slots(picture: dict[str, Any], electrodes: int, profile: Profile) -> DeliveredSlots:
+    current_ua = np.frombuffer(base64.b64decode(picture["current_ua"]), "<i2")
+    width_us = np.array(picture["width_us"], np.uint16)
+    discharge_us = np.full(len(width_us), profile.pulse.discharge_us, np.uint16)
+    current_ua = current_ua.reshape(-1, electrodes).astype(np.int16)
+    return DeliveredSlots(current_ua, width_us, discharge_us, picture["period_us"])
 
 
 KINDS = (".png", ".svg", ".mp4")

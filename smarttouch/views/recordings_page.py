@@ -60,6 +60,7 @@ class RecordingsPage(Closing):
         return [
             Route("/recordings", self._about),
             Route("/step/{tape:int}/{step:int}", self._step),
+            Route("/felt/{tape:int}/{step:int}", self._felt),
             Route("/view/{tape:int}/{step:int}.{kind}", self._view),
             Route("/film/{tape:int}/{first:int}-{last:int}.mp4", self._film),
         ]
@@ -77,6 +78,16 @@ class RecordingsPage(Closing):
 
         try:
             data = self._tape(request).picture(request.path_params["step"])
+        except IndexError:
+            return Response(status_code=404)
+        return Response(data, media_type="application/json")
+
+    async def _felt(self, request: "Request") -> "Response":
+        from starlette.responses import Response
+
+        try:
+            tape = self._tape(request)
+            data = await asyncio.to_thread(tape.response, request.path_params["step"])
         except IndexError:
             return Response(status_code=404)
         return Response(data, media_type="application/json")

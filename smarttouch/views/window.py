@@ -8,27 +8,42 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from smarttouch.base.clock import prioritized
 from smarttouch.base.errors import DesignError, SmartTouchError
-from smarttouch.base.events import Event, RunEnded, RunFailed
+from smarttouch.base.events import (
+    Event,
+    IntensityChanged,
+    Marked,
+    ModeChanged,
+    RunEnded,
+    RunFailed,
+)
 from smarttouch.base.stopping import RunStopped, StopRequest
 from smarttouch.physiology.finger import Finger
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Source
-from smarttouch.views.live_finger import LiveFinger
+from smarttouch.views.live_finger import MOST_RECENT, LiveFinger
 from smarttouch.views.window_choices import RunChoice, RunChoices
 from smarttouch.views.window_messages import (
     array_message,
     finger_message,
     picture_message,
     response_message,
+    sheet_message,
+    sheet_png,
 )
 from smarttouch.views.window_pages import ConnectedPage, Pages, Steering
 from smarttouch.views.window_server import PageServer, open_browser
 
+if TYPE_CHECKING:
+    from smarttouch.running.recorder import Recorder
+
+SPIKES_OVER_S = 0.1  # time over which spikes are counted
+_MOST_NOTE = 200  # characters
 _EVENTS = 200
 _LOOK_S = 0.02
 _SWITCH_S = 0.0005
@@ -97,8 +112,11 @@ class Window(Listener):
         self._encoded: tuple[StepResult | None, str] = (None, "null")
         self._events: deque[tuple[int, dict[str, Any]]] = deque(maxlen=_EVENTS)
         self._event_count = 0
+        self._recent: deque[StepResult] = deque(maxlen=MOST_RECENT)
+        self._recording: Recorder | None = None
         self._felt = ""
         self._end: tuple[str, bool] = ("", False)
+        self._marks = 0
 
     @property
     def address(self) -> str:
@@ -151,7 +169,7 @@ class Window(Listener):
             return
         if before is not None:
             before.abandon()
-        self._live = None if finger is None else LiveFinger(finger)
+        self._live = None if finger is None else LiveFinger(finger, over_s=SPIKES_OVER_S)
         self._finger_ready.clear()
         if self._live is None:
             self._finger_ready.set()
@@ -173,12 +191,19 @@ class Window(Listener):
     def step(self, result: StepResult) -> None:
         """Keep the newest step, and check that the page in control is alive."""
         self._latest = result
+        self._recent.append(result)
+        recording = self._recording
+        if recording is not None:
+            recording.step(result)
         self.steering.look_after()
 
     def event(self, event: Event) -> None:
         """Keep an event for the pages, unless it would give an answer away."""
         if isinstance(event, RunEnded | RunFailed):
             self._end = str(event), isinstance(event, RunFailed)
+        recording = self._recording
+        if recording is not None:
+            recording.event(event)
         if self._blind and event.reveals:
             return
         entry = {"time_s": event.time_ns / 1e9, "text": str(event), "kind": type(event).__name__}
@@ -196,6 +221,9 @@ class Window(Listener):
             self._switch_s = None
         if not self._stays:
             self.shut()
+        recording, self._recording = self._recording, None
+        if recording is not None:
+            recording.close()
 
     def stay(self) -> bool:
         """Show the end of a run until a page asks for another, which returns True, until all pages
@@ -231,19 +259,18 @@ class Window(Listener):
 
     @prioritized()
     def _feel(self, live: LiveFinger) -> None:
-        """Simulate the newest step whenever the finger's process is idle and a page is
-        connected."""
-        latest = feeling = None
+        """Simulate the newest steps whenever the finger's process is idle."""
+        feeling = None
         try:
             live.prepare(self._context)
             self._finger_ready.set()
             while self._live is live and not self._shut.wait(_LOOK_S):
-                if self._latest is not None and self._latest is not latest and self._pages:
-                    latest = self._latest
-                    live.step(latest)
+                while self._recent:
+                    live.step(self._recent.popleft())
                 if live.newest is not None and live.newest is not feeling:
-                    feeling = live.newest
-                    self._felt = json.dumps(response_message(feeling))
+                    feeling, felt = live.newest, live.felt
+                    assert felt is not None
+                    self._felt = json.dumps(response_message(feeling, felt.input.pose))
         except SmartTouchError as error:
             # Delivery does not depend on it.
             if self._live is live and not self._shut.is_set():
@@ -252,30 +279,72 @@ class Window(Listener):
         finally:
             live.close()
 
-    def ask(self, page: int, text: str) -> str:
-        """Take a page's request for another run, JSON; return why it is refused, or nothing.
+    def ask(self, page: int, verb: str, text: str) -> None:
+        """Do what a page asks for: another run (JSON), a recording begun or ended, or a note.
 
-        The run that is on ends. Raises ValueError for what is no request.
+        Raises SmartTouchError with why it is refused, ValueError for what is no request.
         """
+        if not self.ended and not self.steering.steer(page):
+            raise SmartTouchError("another page steers this run: only that one can do this")
+        if verb == "run":
+            self._run_again(text)
+        elif self.ended:
+            raise SmartTouchError("the run is over: start another one first")
+        elif verb == "record":
+            self._record()
+        else:
+            self._note(text)
+
+    def _run_again(self, text: str) -> None:
         if self.offered is None:
             raise ValueError(text)
         choice = self.offered.parse(text)
-        if not self.ended and not self.steering.steer(page):
-            return "another page steers this run: let it stop the run first"
-        try:
-            self.offered.require(choice)
-        except SmartTouchError as error:
-            return str(error)
+        self.offered.require(choice)
         self.asked = choice
         if not self.ended:
             self._run_stop.ask("another run was chosen")
-        return ""
+
+    def _note(self, text: str) -> None:
+        text = text.strip()
+        if len(text) > _MOST_NOTE or not text.isprintable():
+            raise SmartTouchError(
+                f"a note of {len(text)} characters is not kept: type one line of at most "
+                f"{_MOST_NOTE}",
+                about="note",
+            )
+        self._marks += 1
+        self.source.emit(Marked(self._time_ns, text or f"mark {self._marks}"))
+
+    def _record(self) -> None:
+        """Begin a recording of the run beside where it was started, or end it."""
+        from smarttouch.running.recorder import Recorder
+
+        recording, self._recording = self._recording, None
+        if recording is not None:
+            recording.close()
+            return
+        number = 1
+        while (path := Path(f"recording-{number}.mcap")).exists():
+            number += 1
+        begun = Recorder(path, begun_ns=self._time_ns)
+        begun.start(self._context)
+        now = self._context.controls.state(self._time_ns)
+        begun.event(IntensityChanged(self._time_ns, now.level))
+        begun.event(ModeChanged(self._time_ns, now.mode))
+        self._recording = begun
+
+    @property
+    def _time_ns(self) -> int:
+        return 0 if self._latest is None else self._latest.input.time_ns
+
+    def sheet_png(self) -> bytes:
+        sheet = None if self._blind else self.source.sheet
+        return b"" if sheet is None else sheet_png(sheet)
 
     def refuse(self, error: SmartTouchError) -> None:
         """Show pages why the run that they asked for cannot be."""
         self.asked = None
         self.ended = json.dumps({"type": "ended", "reason": str(error), "failed": True})
-        self.number += 1
 
     def has_seen(self, page: ConnectedPage) -> bool:
         return self._latest is page.shown and page.events == self._event_count
@@ -294,6 +363,10 @@ class Window(Listener):
         if self._felt and self._felt is not page.felt:
             page.felt = self._felt
             parts.append(f'"felt":{self._felt}')
+        sheet = None if self._blind else self.source.sheet
+        if sheet is not None and sheet.number != page.sheet:
+            page.sheet = sheet.number
+            parts.append(f'"sheet":{json.dumps(sheet_message(sheet))}')
         if page.refused:
             parts.append(f'"refused":{json.dumps(page.refused)}')
             page.refused = ""
@@ -317,10 +390,13 @@ class Window(Listener):
         time_ns = 0 if latest is None else latest.input.time_ns
         now, dose, statistics = run.controls.state(time_ns), run.board.dose, run.statistics
         force_n = 0.0 if latest is None else latest.input.force_n
+        recording = self._recording
         state = {
             "title": run.source.title,
             "phase": self._phase(latest),
             "time_s": time_ns / 1e9,
+            "words": run.source.words,
+            "recording": "" if recording is None else recording.path.name,
             "level": now.level,
             "most": run.controls.most,
             "mode": str(now.mode),

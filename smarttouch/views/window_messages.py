@@ -14,9 +14,11 @@ from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.response import Feeling
 from smarttouch.profile import Profile
 from smarttouch.running.step import StepResult
+from smarttouch.sources.source_contract import Pose, Sheet
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 MOST_PIXELS = 160  # longer side of an image of what a sensor sees; larger ones are made smaller
+_MOST_SHEET_PX = 1600
 _DIGITS = 4
 Message = dict[str, Any]
 
@@ -28,6 +30,8 @@ def array_message(profile: Profile) -> Message:
         "profile": profile.title,
         "place_mm": electrodes.position_mm.round(_DIGITS).tolist(),
         "extent_mm": [round(each, _DIGITS) for each in electrodes.extent_mm],
+        "field_mm": [float(profile.optics.field_width_mm), float(profile.optics.field_height_mm)],
+        "magnification": float(profile.optics.magnification),
         "radius_mm": round(disc_radius_mm(electrodes), _DIGITS),
         "full_ma": float(profile.full_ma.max()),
         "full_n": float(profile.force.full_n),
@@ -50,10 +54,12 @@ def finger_message(finger: Finger) -> Message:
     }
 
 
-def response_message(feeling: Feeling) -> Message:
-    """Return the spikes of each afferent, and the quality of the response."""
+def response_message(feeling: Feeling, pose: Pose) -> Message:
+    """Return the spikes of each afferent at a pose of the finger, and the quality of the
+    response."""
     quality = feeling.quality
     return {
+        "pose": _pose(pose),
         "counts": _base64(np.minimum(feeling.counts, 255).astype(np.uint8)),
         "spikes": quality.spikes,
         "afferents": {each.name: count for each, count in quality.afferents.items()},
@@ -64,13 +70,13 @@ def response_message(feeling: Feeling) -> Message:
 
 
 def picture_message(sent: StepResult) -> Message:
-    """Return what was seen, meant and delivered in one step."""
+    """Return what was seen and delivered in one step."""
     step, given, sequence = sent.step, sent.step.input, sent.step.sequence
     picture = {
         "time_s": given.time_ns / 1e9,
         "number": sent.number,
         "mode": str(step.mode),
-        "tactile": _base64(np.rint(255 * step.driven).clip(0, 255).astype(np.uint8)),
+        "pose": _pose(given.pose),
         "force_n": _number(given.force_n),
         "age_ms": given.age_ns / 1e6,
         "latency_ms": given.age_ns / 1e6 + sent.latency_us / 1e3,
@@ -104,6 +110,28 @@ def _image(image: NDArray[np.uint8]) -> Message:
         height, width = (max(1, round(each * MOST_PIXELS / longer)) for each in image.shape)
         image = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA))
     return {"height": image.shape[0], "width": image.shape[1], "grey": _base64(image)}
+
+
+def sheet_message(sheet: Sheet) -> Message:
+    """Return where a page or a line lies, as poses count."""
+    return {
+        "number": sheet.number,
+        "size_mm": [round(each, _DIGITS) for each in sheet.page.size_mm],
+        "corner_mm": [round(each, _DIGITS) for each in sheet.corner_mm],
+    }
+
+
+def sheet_png(sheet: Sheet) -> bytes:
+    """Return the picture of a page or a line, not larger than a window shows it."""
+    grey = sheet.page.grey
+    scale = min(1.0, _MOST_SHEET_PX / max(grey.shape))
+    if scale < 1:
+        grey = np.asarray(cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
+    return cv2.imencode(".png", grey)[1].tobytes()
+
+
+def _pose(pose: Pose) -> list[float]:
+    return [round(pose.x_mm, 3), round(pose.y_mm, 3), round(pose.angle_rad, 4)]
 
 
 def _base64(values: NDArray[Any]) -> str:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
 from smarttouch.base.afferent import Mode
+from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.stopping import StopRequest
 from smarttouch.running.inputs import STEP, Controls
 from smarttouch.running.step import StepResult
@@ -98,6 +99,12 @@ class Steering:
             def does() -> None:
                 self.controls.choose_mode(mode)
 
+        elif kind == "level":
+            level = float(name)
+
+            def does() -> None:
+                self.controls.set_level(level)
+
         elif kind == "key" and name in self._keys:
             does = self._keys[name]
         else:
@@ -108,6 +115,7 @@ class Steering:
         return True
 
 
+ASKED = ("run", "record", "note")  # requests beside those of keys
 MOST_PAGES = 16
 MOST_HZ = 60
 MOST_MESSAGES_PER_S = 400  # limit for one page; one that sends more loses its connection
@@ -122,10 +130,11 @@ class ConnectedPage:
     number: int
     run: int = 0  # number of the run that it was greeted for
     waits: bool = True  # whether it has drawn what it was sent last
-    informed: bool = False  # whether it knows of the end of this run
+    ended: str = ""  # how this run ended, as it was sent
     shown: StepResult | None = None
     events: int = 0
     felt: str = ""
+    sheet: int | None = None  # number of the page or line that it shows
     drawn: int = 0  # changes of the drawing that it has seen
     refused: str = ""  # why what it asked for is not done
     received: int = 0  # messages of this second
@@ -133,8 +142,8 @@ class ConnectedPage:
 
     def begin(self, run: int) -> None:
         """Forget what it has seen of the run before."""
-        self.run, self.informed, self.waits = run, False, True
-        self.shown, self.events, self.felt, self.drawn = None, 0, "", 0
+        self.run, self.ended, self.waits = run, "", True
+        self.shown, self.events, self.felt, self.drawn, self.sheet = None, 0, "", 0, None
 
 
 class PageState(Protocol):
@@ -156,8 +165,11 @@ class PageState(Protocol):
     def ended(self) -> str:
         """The last message of a run; empty while it is on."""
 
-    def ask(self, page: int, text: str) -> str:
-        """Take a request for another run; return why it is refused, or nothing."""
+    def sheet_png(self) -> bytes:
+        """Return the picture of what lies under the finger; empty if there is none."""
+
+    def ask(self, page: int, verb: str, text: str) -> None:
+        """Do what a page asks for beside `Steering`; SmartTouchError says why it is refused."""
 
     def has_seen(self, page: ConnectedPage) -> bool:
         """Return whether there is nothing new for a page."""
@@ -186,6 +198,7 @@ class Pages:
         return [
             WebSocketRoute("/socket", self._connected),
             Route("/stop", self._stopped, methods=["POST"]),
+            Route("/sheet.png", self._sheet),
         ]
 
     def close(self) -> None:
@@ -193,6 +206,12 @@ class Pages:
         self._over.set()
         if self._pages:
             self._all_informed.wait(_INFORMED_WITHIN_S)
+
+    async def _sheet(self, request: "Request") -> "Response":
+        from starlette.responses import Response
+
+        png = await asyncio.to_thread(self._state.sheet_png)
+        return Response(png, status_code=200 if png else 404, media_type="image/png")
 
     async def _stopped(self, request: "Request") -> "Response":
         """Stop for a page that has lost its connection."""
@@ -254,9 +273,11 @@ class Pages:
             steering.steer(page.number)
         elif text == "leave":
             steering.leave(page.number)
-        elif verb in ("do", "draw", "run"):
+        elif verb in ("do", "draw", *ASKED):
             try:
                 await self._act(page, verb, rest)
+            except SmartTouchError as error:
+                page.refused = str(error)
             except ValueError:
                 return False
         else:
@@ -270,9 +291,9 @@ class Pages:
             await asyncio.to_thread(steering.act, page.number, rest)
         elif verb == "do":
             steering.act(page.number, rest)
-        elif verb == "run":
-            # It may look for the driver of a board, and ends the run that is on.
-            page.refused = await asyncio.to_thread(self._state.ask, page.number, rest)
+        elif verb in ASKED:
+            # It may look for the driver of a board, open a file, or end the run that is on.
+            await asyncio.to_thread(self._state.ask, page.number, verb, rest)
         elif canvas is None:
             raise ValueError(rest)
         elif steering.steer(page.number):
@@ -287,12 +308,12 @@ class Pages:
                 await socket.send_text(state.hello)
             ended, over = state.ended, self._over.is_set()
             idle = state.has_seen(page) and time.monotonic() - sent_s < _BEAT_S
-            news = bool(ended) and not page.informed
+            news = ended != page.ended
             if news or page.refused or (page.waits and not idle):
                 sent_s, page.waits = time.monotonic(), False
                 await socket.send_text(state.update(page))
             if news:
-                page.informed = True
+                page.ended = ended
                 await socket.send_text(ended)
             if over:
                 await socket.close(1000)

@@ -16,6 +16,7 @@ from ..waiting import until
 from .browser import chromium
 
 WAIT_S = 60
+MARGIN_MM = 1.2  # around the electrodes
 CATHODIC, ANODIC, BASE = (179, 88, 6), (84, 39, 136), (236, 238, 241)
 
 
@@ -131,7 +132,7 @@ def drawn(page, profile, canvas="#electrodes"):
     electrodes = profile.electrodes
     return page.evaluate(PIXELS, {
         "canvas": canvas,
-        "extent": [*electrodes.extent_mm],
+        "extent": [each + 2 * MARGIN_MM for each in electrodes.extent_mm],
         "places": electrodes.position_mm.tolist(),
         "radius": 0.42 * electrodes.pitch_mm,
     })  # fmt: skip

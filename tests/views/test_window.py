@@ -7,13 +7,17 @@ from contextlib import ExitStack, suppress
 from socket import SHUT_RDWR
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
-from smarttouch.base.errors import SmartTouchError
+import smarttouch as st
+from smarttouch.base.errors import RecordingError, SmartTouchError
 from smarttouch.base.events import Note, RunFailed, TrialEvent
 from smarttouch.profile import load_profile
+from smarttouch.running.check_recording import check_recording
+from smarttouch.running.recording_reader import Recording
 from smarttouch.views.window import Window
 from smarttouch.views.window_pages import LOST_S, MOST_PAGES
 from smarttouch.views.window_server import MOST_MESSAGE_BYTES
@@ -257,6 +261,87 @@ def test_what_would_tell_the_answer_is_not_sent(running):
             told += [each["text"] for each in update["state"]["events"]]
             socket.send("seen")
         assert "the answer" not in told
+
+
+def test_a_page_sees_where_the_finger_is_on_the_page(running, profile):
+    source = st.open_source("text:on and on?passes=0&speed_mm_s=400", profile)
+    with running(source) as run, connect(run) as socket:
+        array = receive(socket, "hello")["array"]
+        update = receive(socket, "update")
+        assert update["sheet"]["size_mm"] == pytest.approx(source.page.size_mm, abs=1e-3)
+        assert update["state"]["words"] == "on and on"
+        picture = ask(run, "GET", "/SECRET/sheet.png")
+        assert picture.status == 200
+        assert picture.headers["content-type"] == "image/png"
+        places = set()
+        while len(places) < 20:
+            socket.send("seen")
+            update = receive(socket, "update")
+            if "picture" in update:
+                step = run.results[update["picture"]["number"]]
+                pose = step.input.pose
+                assert update["picture"]["pose"][:2] == pytest.approx(
+                    [pose.x_mm, pose.y_mm], abs=1e-3
+                )
+                places.add(pose.x_mm)
+        assert array["field_mm"] == [5.0, 5.0]
+
+
+def test_a_finger_goes_over_a_page_again_and_again(running, profile):
+    """As ten minutes of the sample page are, in short: another pass, and the finger still moves."""
+    source = st.open_source("text:on?passes=0&speed_mm_s=400", profile)
+    with running(source) as run, connect(run) as socket:
+        receive(socket, "hello")
+        passes_ns = 3e9 * (source.path.duration_s + 1)
+        until(lambda: run.results and run.results[len(run.results)].input.time_ns > passes_ns)
+        places = set()
+        while len(places) < 3:
+            socket.send("seen")
+            places.add(receive(socket, "update").get("picture", {"pose": [None]})["pose"][0])
+        assert run.thread.is_alive()
+
+
+def update_where(socket, holds):
+    """Return the first update for which something holds."""
+    while True:
+        socket.send("seen")
+        if holds(update := receive(socket, "update")):
+            return update
+
+
+def test_a_page_records_and_marks(running, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with running() as run, connect(run) as socket, connect(run) as other:
+        for number in (1, 2):
+            socket.send("record")
+            name = f"recording-{number}.mcap"
+            update_where(socket, lambda each, name=name: each["state"]["recording"] == name)
+            begun = len(run.results)
+            socket.send("note the first letter")
+            socket.send("note ")
+            until(lambda begun=begun: len(run.results) > begun + 20)
+            other.send("record")
+            assert "another page" in update_where(other, lambda each: "refused" in each)["refused"]
+            socket.send("record")
+            update_where(socket, lambda each: not each["state"]["recording"])
+            recording = Recording(tmp_path / name)
+            steps = [*recording.steps()]
+            assert len(steps) > 15
+            kept = run.results[steps[5].sent.number]
+            assert np.array_equal(steps[5].step.sequence.current_ua, kept.sequence.current_ua)
+            words = [words for _, words in recording.events()]
+            assert words[:3] == ["intensity 1.00", "mode RA", "mark: the first letter"]
+            assert f"mark: mark {2 * number}" in words
+            assert recording.whole
+            # Its first sequences depend on what was before.
+            with raises(RecordingError, about="file"):
+                check_recording(tmp_path / name)
+        for wrong in ("note " + "x" * 201, "note two\nlines", "do level:1.5"):
+            socket.send(wrong)
+            assert update_where(socket, lambda each: "refused" in each)
+        assert run.state().level == 1
+        socket.send("do level:0.25")
+        until(lambda: run.state().level == 0.25)
 
 
 def test_a_finger_feels_what_is_delivered(running):

@@ -3,10 +3,13 @@
 import pytest
 
 from smarttouch.base.afferent import Mode
+from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.stopping import StopRequest
 from smarttouch.running.inputs import STEP, Controls, ControlState
 from smarttouch.views import window_pages
 from smarttouch.views.window_pages import Steering
+
+from ..raising import raises
 
 
 @pytest.fixture
@@ -34,6 +37,7 @@ def test_what_a_page_asks_for_is_done_as_by_keys():
         ("pause", ControlState(Mode.SAI, 0.5, paused=True)),
         ("pause", ControlState(Mode.SAI, 0.5, paused=True)),
         ("resume", ControlState(Mode.SAI, 0.5)),
+        ("level:0.25", ControlState(Mode.SAI, 0.25)),
         ("none", ControlState(Mode.SAI, 0.0)),
         ("key:r", ControlState(Mode.SAI, 0.0)),
     ):
@@ -43,7 +47,9 @@ def test_what_a_page_asks_for_is_done_as_by_keys():
     assert not stop.event.is_set()
 
 
-@pytest.mark.parametrize("what", ["", "most", "mode:PC", "mode:nothing", "key:q", "key:", "stop"])
+@pytest.mark.parametrize(
+    "what", ["", "most", "level:", "level:x", "mode:PC", "mode:nothing", "key:q", "key:", "stop"]
+)
 def test_nothing_else_can_be_asked_for(what):
     window_pages, controls, _, _ = make()
     before = controls.state(0)
@@ -51,6 +57,15 @@ def test_nothing_else_can_be_asked_for(what):
         window_pages.act(1, what)
     assert controls.state(0) is before
     assert window_pages.page is None
+
+
+@pytest.mark.parametrize("level", ["0.6", "-0.1", "nan", "inf"])
+def test_a_level_beyond_the_limit_is_refused(level):
+    steering, controls, _, _ = make(most=0.55)
+    before = controls.state(0)
+    with raises(SmartTouchError, about="intensity"):
+        steering.act(1, f"level:{level}")
+    assert controls.state(0) is before
 
 
 def test_one_page_steers_until_it_leaves():

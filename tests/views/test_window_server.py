@@ -133,7 +133,7 @@ def test_space_stops_where_another_page_steers(on_page, browser):
 
 def test_axe_finds_nothing(on_page):
     with on_page() as (_, page):
-        page.click("summary")
+        page.click("#table-more summary")
         for scheme in ("light", "dark"):
             page.emulate_media(color_scheme=scheme)
             assert violations(page) == []
@@ -157,7 +157,8 @@ def test_who_must_not_see_sees_nothing(on_page, running, browser):
     with running(blind=True) as run, opened(browser, run.address) as page:
         page.wait_for_selector("#status.runs")
         assert not page.is_visible("#electrodes")
-        assert not page.is_visible("#tactile")
+        assert not page.is_visible("#page")
+        assert not page.is_visible("#series")
         assert not page.is_visible("#sensor")
         assert "spots" in page.inner_text("#title")
 

@@ -1,10 +1,11 @@
 // The page of a run: takes the newest, steers, and stops.
 
-import { ElectrodesView, FeltView, SensorView, TactileView, bytes, calm, latencyOf } from "./views.js";
+import { ElectrodesView, FeltView, PageView, SensorView, SeriesView, SumView, bytes, calm, latencyOf } from "./views.js";
 import { SlotPlayer } from "./slots.js";
 import { Drawing } from "./draw.js";
 
 const find = (id) => document.getElementById(id);
+const FELT_AS = { RA: "flutter", SAI: "pressure", PC: "vibration" };
 const CALM_MS = 500;
 const WORDS_MS = 1000;
 const MOST_EVENTS = 200;
@@ -21,6 +22,7 @@ let drawing = null;
 let asked = false;
 let drawnAt = 0;
 let saidAt = 0;
+let sliding = false;
 
 function say(message) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(message);
@@ -69,23 +71,22 @@ function greet(hello) {
   offer(hello.choices);
   array = hello.array;
   keys = hello.keys;
-  find("keys").textContent = `${hello.keys_help}+ − intensity   0 none   space pause   Esc stop`;
-  find("full").textContent = `full color ${array.full_ma.toFixed(2)} mA`;
-  for (const id of ["electrodes-card", "sensor-card", "tactile-card"]) find(id).hidden = hello.blind;
+  find("keys").textContent = hello.keys_help.trim();
+  find("full").textContent = `+${array.full_ma.toFixed(1)} mA`;
+  find("full-anodic").textContent = `−${array.full_ma.toFixed(1)} mA`;
+  for (const id of ["electrodes-card", "page-card", "series-card", "table-card"]) find(id).hidden = hello.blind;
   find("draw-card").hidden = !hello.draws;
-  if (hello.draws) {
-    drawing ??= new Drawing(find, say, array);
-    // Beside a drawing there is room for them in other columns.
-    find("electrodes-card").after(find("tactile-card"));
-    find("events-card").after(find("felt-card"));
-  }
-  find("felt-card").hidden = !hello.finger;
+  find("page-card").hidden = hello.blind || hello.draws;
+  if (hello.draws) drawing ??= new Drawing(find, say, array);
+  for (const id of ["felt-card", "sum-card"]) find(id).hidden = !hello.finger || (id === "sum-card" && hello.draws);
   views = {
     electrodes: new ElectrodesView(find("electrodes"), array),
     sensor: new SensorView(find("sensor")),
-    tactile: new TactileView(find("tactile"), array),
+    page: new PageView(find("page"), array),
+    series: new SeriesView(find("series"), array),
     felt: hello.finger && new FeltView(find("felt"), hello.finger, array),
   };
+  if (views.felt) views.sum = new SumView(find("sum"), views.page, views.felt);
   player ??= new SlotPlayer(find);
   player.view = views.electrodes;
   views.blind = hello.blind;
@@ -94,7 +95,7 @@ function greet(hello) {
     const swatch = document.createElement("span");
     swatch.className = "swatch";
     swatch.style.background = color;
-    return [swatch, name];
+    return [swatch, `${name} ${FELT_AS[name] ?? ""}`];
   }));
   find("modes").replaceChildren(...hello.modes.map((mode) => {
     const button = document.createElement("button");
@@ -109,7 +110,7 @@ function greet(hello) {
 }
 
 function disable(off) {
-  for (const id of ["less", "more", "none", "pause", "steer"]) find(id).disabled = off;
+  for (const id of ["less", "more", "slider", "none", "pause", "steer", "record", "mark"]) find(id).disabled = off;
   for (const each of find("modes").children) each.disabled = off;
   find("draw-card").inert = off;
 }
@@ -120,7 +121,12 @@ function update(message) {
   state.events.forEach(note);
   if (message.picture) newest = message.picture;
   if (message.drawn) drawing.take(message.drawn);
-  if (message.felt) views.newFelt = message.felt;
+  if (message.sheet !== undefined) views.page.lay(message.sheet, `sheet.png?n=${message.sheet?.number}-${Date.now()}`);
+  if (message.picture && !views.blind) views.series.take(message.picture);
+  if (message.felt) {
+    views.newFelt = message.felt;
+    views.sum?.add(message.felt.pose, bytes(message.felt.counts));
+  }
   if (message.refused) alertUser(message.refused);
   if (!asked) {
     asked = true;
@@ -137,13 +143,12 @@ function draw(now) {
   if (newest && newest !== views.shown) {
     views.shown = newest;
     player.take(newest);
-    views.tactile.take(newest.tactile);
+    if (!find("page-card").hidden) views.page.take(newest);
     find("sensor-card").hidden = !newest.image;
     if (newest.image) views.sensor.take(newest.image);
   }
   if (views.newFelt && views.felt) {
-    const words = views.felt.take(views.newFelt);
-    if (now - saidAt > WORDS_MS) find("felt-words").textContent = words;
+    views.felt.take(views.newFelt);
     views.newFelt = null;
   }
   if (now - saidAt > WORDS_MS) {
@@ -156,14 +161,19 @@ function draw(now) {
 function describe() {
   if (!newest) return;
   find("electrodes").setAttribute("aria-label", views.electrodes.words());
-  find("tactile").setAttribute("aria-label", views.tactile.words());
-  if (views.felt?.said) find("felt").setAttribute("aria-label", views.felt.said);
+  find("page").setAttribute("aria-label", views.page.words());
+  find("series").setAttribute("aria-label", `Strongest current ${newest.peak_ma.toFixed(2)} mA, charge ${newest.charge_uc.toFixed(3)} µC, force ${(newest.force_n ?? 0).toFixed(2)} N`);
+  if (views.felt?.said) {
+    find("felt").setAttribute("aria-label", views.felt.said);
+    find("felt-words").textContent = views.felt.said;
+  }
+  if (views.sum) find("sum").setAttribute("aria-label", `${views.sum.spikes} spikes so far`);
   if (newest.image) {
     const grey = bytes(newest.image.grey);
     const dark = Math.round((100 * grey.filter((each) => each < 128).length) / grey.length);
     find("sensor").setAttribute("aria-label", `Image of ${newest.image.width} by ${newest.image.height} pixels, ${dark} % of it dark`);
   }
-  if (!document.querySelector("#electrodes-card details").open || !views.electrodes.current) return;
+  if (!find("table-more").open || !views.electrodes.current) return;
   find("currents").replaceChildren(...[...views.electrodes.current].flatMap((current, at) => {
     if (!current) return [];
     const row = document.createElement("tr");
@@ -179,6 +189,12 @@ function describe() {
 function showState() {
   find("title").textContent = `${state.title}  →  ${array.profile}  →  ${views.board}`;
   find("level").textContent = Math.round(100 * state.level);
+  find("most").textContent = Math.round(100 * state.most);
+  find("slider").max = 100 * state.most;
+  if (document.activeElement !== find("slider") || !sliding) find("slider").value = 100 * state.level;
+  find("words-read").textContent = state.words;
+  find("record").textContent = state.recording ? `End ${state.recording}` : "Record";
+  find("record").setAttribute("aria-pressed", String(Boolean(state.recording)));
   find("pause").textContent = state.paused ? "Go on" : "Pause";
   find("pause").setAttribute("aria-pressed", String(state.paused));
   const mine = state.steers === "you";
@@ -192,21 +208,17 @@ function showState() {
   else setStatus(state.paused ? "paused" : state.level ? "running" : "running, no intensity", state.paused ? "waits" : "runs");
   const { limits } = array;
   const picture = views.blind ? null : newest;
-  gauges([
-    picture && ["intensity", picture.intensity, 1, `${Math.round(100 * picture.intensity)} %`],
-    ["force", state.force_n ?? 0, array.full_n, state.force_n === null ? "unknown" : `${state.force_n.toFixed(2)} N`],
-    picture && ["current", picture.peak_ma, limits.current_ma, `${picture.peak_ma.toFixed(2)} of ${limits.current_ma} mA`],
-    picture && ["charge", picture.charge_uc, limits.charge_uc, `${picture.charge_uc.toFixed(3)} of ${limits.charge_uc} µC`],
-    !views.blind && ["session", state.dose_s, limits.session_s, `${state.dose_s.toFixed(0)} of ${limits.session_s} s`],
-    !views.blind && ["dose", state.dose_mc, limits.session_mc, `${state.dose_mc.toFixed(1)} of ${limits.session_mc} mC`],
-  ].filter(Boolean));
   table([
     ["time", `${state.time_s.toFixed(1)} s`],
     ["mode", state.mode],
+    picture && ["delivered intensity", `${Math.round(100 * picture.intensity)} %`],
+    ["force", state.force_n === null ? "unknown" : `${state.force_n.toFixed(2)} N`],
     picture && ["rate", `${(1e6 / picture.period_us).toFixed(1)} Hz`],
     picture && ["scan", `${picture.points} points, ${picture.slots} slots`],
     picture && ["latency", latencyOf(picture)],
     ...(views.blind ? [] : [
+      ["session", `${state.dose_s.toFixed(0)} of ${limits.session_s} s`],
+      ["dose", `${state.dose_mc.toFixed(2)} of ${limits.session_mc} mC`],
       ["sequences", `${state.sequences}, ${state.acknowledged} acknowledged`],
       ["late", String(state.late)],
       ["own work", `${(100 * state.work_share).toFixed(1)} % of the scans`],
@@ -236,27 +248,6 @@ function value() {
   return value;
 }
 
-function gauges(given) {
-  const values = rows("gauges", given.map(([name]) => name), (name) => {
-    const holder = document.createElement("dd");
-    const meter = document.createElement("meter");
-    meter.setAttribute("aria-label", name);
-    meter.max = 1;
-    if (name !== "intensity" && name !== "force") {
-      meter.low = 0.5;
-      meter.high = 0.85;
-      meter.optimum = 0;
-    }
-    holder.append(meter);
-    return [term(name), holder, value()];
-  });
-  const meters = find("gauges").querySelectorAll("meter");
-  given.forEach(([, part, most, words], at) => {
-    meters[at].value = part / most;
-    values[at].textContent = words;
-  });
-}
-
 function table(given) {
   const values = rows("numbers", given.map(([name]) => name), (name) => [term(name), value()]);
   given.forEach(([, words], at) => {
@@ -280,6 +271,7 @@ function end({ reason, failed }) {
   alertUser(failed ? `The run has failed: ${reason}` : `The run is over: ${reason || "it was ended"}. All electrodes are off.`);
   disable(true);
   find("stop").disabled = true;
+  find("again-more").open = true;
 }
 
 // Sources and boards of the next run.
@@ -303,6 +295,19 @@ find("more").addEventListener("click", () => say("do more"));
 find("none").addEventListener("click", () => say("do none"));
 find("pause").addEventListener("click", () => say(state?.paused ? "do resume" : "do pause"));
 find("again").addEventListener("click", again);
+find("slider").addEventListener("input", () => {
+  sliding = true;
+  say(`do level:${Number(find("slider").value) / 100}`);
+});
+find("slider").addEventListener("change", () => {
+  sliding = false;
+});
+find("record").addEventListener("click", () => say("record"));
+find("mark").addEventListener("click", () => {
+  say(`note ${find("note").value}`);
+  find("note").value = "";
+});
+find("sum-clear").addEventListener("click", () => views.sum?.clear());
 find("source").addEventListener("change", () => {
   find("words-row").hidden = find("source").value !== "";
 });
@@ -320,7 +325,7 @@ document.addEventListener("keydown", (event) => {
     else if (!event.repeat) find("pause").click();
     return;
   }
-  if (typing || event.ctrlKey || event.altKey || event.metaKey || event.target.matches?.("select, #sketch")) return;
+  if (typing || event.ctrlKey || event.altKey || event.metaKey || event.target.matches?.("select, #sketch, #slider")) return;
   if (event.key === "Enter" && event.target !== document.body) return;
   const key = ARROWS[event.key] ?? event.key;
   const own = { "+": "do more", "=": "do more", "-": "do less", "_": "do less", 0: "do none" };

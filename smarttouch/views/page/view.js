@@ -1,6 +1,6 @@
 // Recordings: a time line, steps and slots, events to jump to, one or two side by side.
 
-import { ElectrodesView, SensorView, TactileView, calm, latencyOf } from "./views.js";
+import { ElectrodesView, FeltView, PageView, SensorView, SeriesView, SumView, bytes, calm, latencyOf } from "./views.js";
 
 const find = (id) => document.getElementById(id);
 const AGAIN_MS = 500;
@@ -25,7 +25,13 @@ class Side {
     get("side-told").textContent = [about.array.profile, about.started.replace("T", " "), ...told].join(" · ");
     this.electrodes = new ElectrodesView(get("electrodes"), about.array);
     this.sensor = new SensorView(get("sensor"));
-    this.tactile = new TactileView(get("tactile"), about.array);
+    this.page = new PageView(get("page"), about.array);
+    this.series = new SeriesView(get("series"), about.array);
+    for (const name of ["felt-card", "sum-card"]) get(name).hidden = !about.finger;
+    if (about.finger) {
+      this.felt = new FeltView(get("felt"), about.finger, about.array);
+      this.sum = new SumView(get("sum"), this.page, this.felt);
+    }
     this.get = get;
     this.events = -1;
     find("main").append(part);
@@ -33,6 +39,10 @@ class Side {
 
   // Takes what has been read since.
   take(about) {
+    about.series.slice(Math.max(0, this.times.length - about.from)).forEach((each, at) => {
+      this.series.points.push([about.times_s[Math.max(0, this.times.length - about.from) + at], ...each]);
+    });
+    if (about.sheet && !this.page.corner) this.page.lay(about.sheet);
     this.times = this.times.concat(about.times_s.slice(Math.max(0, this.times.length - about.from)));
     if (this.events !== about.events.length) {
       this.events = about.events.length;
@@ -78,6 +88,25 @@ class Side {
     this.busy = false;
   }
 
+  // Fetches what the finger answers to the newest step that is shown.
+  async feel() {
+    if (!this.felt || this.feels) return;
+    this.feels = true;
+    let step = null;
+    while (step !== this.step) {
+      step = this.step;
+      const answer = await fetch(`felt/${this.number}/${step}`);
+      if (!answer.ok) break;
+      const felt = await answer.json();
+      this.get("felt").setAttribute("aria-label", this.felt.take(felt));
+      if (step < this.summed) this.sum.clear();
+      if (step !== this.summed) this.sum.add(felt.pose, bytes(felt.counts));
+      this.summed = step;
+      this.get("sum").setAttribute("aria-label", `${this.sum.spikes} spikes so far`);
+    }
+    this.feels = false;
+  }
+
   draw(fresh) {
     if (!this.picture) return;
     const { picture } = this;
@@ -94,8 +123,10 @@ class Side {
     this.get("save-mp4").href = `film/${this.number}/${this.step}-${end}.mp4`;
     this.get("save-mp4").textContent = `MP4, ${(this.times[end] - this.times[this.step]).toFixed(0)} s from here`;
     if (!fresh) return;
-    this.tactile.take(picture.tactile);
-    this.get("tactile").setAttribute("aria-label", this.tactile.words());
+    this.page.take(picture);
+    this.get("page").setAttribute("aria-label", this.page.words());
+    this.series.draw(this.times[0], this.times.at(-1), this.step);
+    this.feel();
     this.get("sensor-card").hidden = !picture.image;
     if (picture.image) {
       this.sensor.take(picture.image);

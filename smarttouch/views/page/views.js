@@ -1,9 +1,13 @@
-// Pictures on canvases: electrodes with currents, what is seen, what is meant, what is felt.
+// Pictures on canvases: page and finger, electrodes with currents, afferents that fire, their sum.
 
 export const CATHODIC = [179, 88, 6];
 export const ANODIC = [84, 39, 136];
 const BASE = [236, 238, 241];
 const EDGE = "#8b98a4";
+const INK = "#16202a";
+const FIELD_MM = 1; // of a receptive field in the skin
+const MARGIN_MM = 1.2; // around the electrodes, for the scale bar
+const LASTS_S = 20; // of the time series of a run
 // Part of the strongest current from which a sign on it is white.
 const DEEP = 0.45;
 
@@ -51,6 +55,20 @@ export class Field {
     this.paint.clearRect(0, 0, this.canvas.width, this.canvas.height);
   }
 
+  // A bar of whole millimeters at the lower right.
+  bar() {
+    const { paint, canvas, scale } = this;
+    const most = (0.3 * canvas.width) / scale;
+    const length = [100, 50, 20, 10, 5, 2, 1].find((each) => each <= most) ?? 0.5;
+    const size = 0.04 * Math.max(canvas.width, canvas.height);
+    const [right, y] = [canvas.width - size / 2, canvas.height - size / 2];
+    paint.fillStyle = INK;
+    paint.fillRect(right - length * scale, y - size / 4, length * scale, size / 6);
+    paint.font = `600 ${size}px system-ui, sans-serif`;
+    paint.textAlign = "right";
+    paint.fillText(`${length} mm`, right - length * scale - size / 3, y + size / 6);
+  }
+
   disc(place, radius, fill, edge, width = 1.2) {
     const [x, y] = this.at(place);
     this.paint.beginPath();
@@ -70,9 +88,31 @@ export class Field {
 export class ElectrodesView {
   constructor(canvas, array) {
     this.array = array;
-    this.field = new Field(canvas, array.extent_mm[0] / 2, array.extent_mm[1] / 2);
+    this.half = array.extent_mm.map((each) => each / 2 + MARGIN_MM);
+    this.field = new Field(canvas, this.half[0], this.half[1]);
     this.current = null;
+    canvas.addEventListener("pointermove", (event) => {
+      // The picture is as large as it can be within the canvas.
+      const side = Math.min(canvas.clientWidth / canvas.width, canvas.clientHeight / canvas.height);
+      const part = (at, size, own) => 0.5 + (at - size / 2) / (own * side);
+      canvas.title = this.nameOf(this.nearest(
+        part(event.offsetX, canvas.clientWidth, canvas.width), part(event.offsetY, canvas.clientHeight, canvas.height),
+      ));
+    });
     this.draw();
+  }
+
+  // The electrode nearest to a place, as parts of the picture.
+  nearest(x, y) {
+    const [wide, high] = this.half;
+    const away = this.array.place_mm.map(([a, b]) => Math.hypot(a - (2 * x - 1) * wide, b - (2 * y - 1) * high));
+    return away.indexOf(Math.min(...away));
+  }
+
+  nameOf(electrode) {
+    const [x, y] = this.array.place_mm[electrode];
+    const current = this.current ? this.current[electrode] / 1000 : 0;
+    return `electrode ${electrode} at ${x.toFixed(1)}, ${y.toFixed(1)} mm: ${current.toFixed(3)} mA`;
   }
 
   // Takes a picture; its currents are drawn as a whole scan or slot by slot.
@@ -105,7 +145,21 @@ export class ElectrodesView {
       const part = current / (1000 * array.full_ma);
       field.disc(place, array.radius_mm, currentColor(part), EDGE);
       if (current) this.sign(place, current > 0, Math.abs(part) > DEEP);
+      this.name(place, at, Math.abs(part) > DEEP);
     });
+    field.bar();
+  }
+
+  // The number of an electrode, where there is room for it.
+  name(place, number, onDeep) {
+    const { paint, scale } = this.field;
+    const size = 0.55 * this.array.radius_mm * scale;
+    if (size < 9) return;
+    const [x, y] = this.field.at(place);
+    paint.font = `${Math.round(size)}px system-ui, sans-serif`;
+    paint.textAlign = "center";
+    paint.fillStyle = onDeep ? "#ffffff" : "#4d5a66";
+    paint.fillText(number, x, y + 0.85 * this.array.radius_mm * scale);
   }
 
   // The sign is told by its shape, too: a cross is cathodic, a bar anodic.
@@ -148,58 +202,11 @@ export class SensorView {
   }
 }
 
-export class TactileView {
-  constructor(canvas, array) {
-    this.array = array;
-    this.names = Object.keys(array.colors);
-    this.field = new Field(canvas, array.extent_mm[0] / 2, array.extent_mm[1] / 2, 320);
-    this.activation = new Uint8Array(this.names.length * array.place_mm.length);
-    this.draw();
-  }
-
-  take(text) {
-    this.activation = bytes(text);
-    this.draw();
-  }
-
-  // Each class is a part of the ring: they are told apart by place, not by color alone.
-  draw() {
-    const { field, array } = this;
-    const count = array.place_mm.length;
-    field.clear();
-    array.place_mm.forEach((place, at) => {
-      field.disc(place, array.radius_mm, "#eceef1", EDGE);
-      const present = this.names.filter((_, row) => this.activation[row * count + at]);
-      present.forEach((name, index) => {
-        const row = this.names.indexOf(name);
-        const [x, y] = field.at(place);
-        const paint = field.paint;
-        const turn = (2 * Math.PI) / present.length;
-        paint.globalAlpha = this.activation[row * count + at] / 255;
-        paint.fillStyle = array.colors[name];
-        paint.beginPath();
-        if (present.length > 1) paint.moveTo(x, y);
-        paint.arc(x, y, array.radius_mm * field.scale * 0.9, index * turn, (index + 1) * turn);
-        paint.fill();
-        paint.globalAlpha = 1;
-      });
-    });
-  }
-
-  words() {
-    const count = this.array.place_mm.length;
-    const active = this.names.map((name, row) => {
-      const part = this.activation.subarray(row * count, (row + 1) * count);
-      return [name, part.filter((each) => each).length];
-    }).filter(([, each]) => each);
-    return active.length ? active.map(([name, each]) => `${name} at ${each} electrodes`).join(", ") : "Nothing is meant to be felt";
-  }
-}
-
 export class FeltView {
   constructor(canvas, finger, array) {
     this.array = array;
-    this.field = new Field(canvas, finger.reach_mm[0], finger.reach_mm[1], 360);
+    const half = array.extent_mm.map((each) => each / 2 + MARGIN_MM);
+    this.field = new Field(canvas, half[0], half[1]);
     const places = numbers(finger.receptor_mm);
     this.places = Array.from({ length: places.length / 2 }, (_, at) => [places[2 * at] / 100, places[2 * at + 1] / 100]);
     this.classes = bytes(finger.classes);
@@ -213,17 +220,191 @@ export class FeltView {
     this.array.place_mm.forEach((place) => field.disc(place, this.array.radius_mm, null, "#c3cbd2"));
     this.places.forEach((place, at) => {
       const spikes = counts ? counts[at] : 0;
-      const radius = spikes ? 0.14 + 0.08 * Math.min(4, spikes) : 0.05;
+      const radius = spikes ? 0.09 + 0.05 * Math.min(4, spikes) : 0.05;
       field.disc(place, radius, spikes ? this.colors[this.classes[at]] ?? "#444" : "#9aa5af");
     });
+    field.bar();
   }
 
   take(felt) {
-    this.draw(bytes(felt.counts));
+    this.counts = bytes(felt.counts);
+    this.draw(this.counts);
     this.field.canvas.dataset.spikes = felt.spikes;
     const fired = Object.entries(felt.afferents).filter(([, count]) => count).map(([name, count]) => `${count} ${name}`);
     this.said = felt.spikes ? `${felt.spikes} spikes of ${fired.join(", ") || "no"} afferents` : "Nothing fires";
     if (felt.spikes && felt.misplaced !== null) this.said += `, ${Math.round(100 * felt.misplaced)} % beyond a pitch`;
     return this.said;
+  }
+}
+
+// A page in millimeters, on which the finger moves; without one, what the sensor has seen so far.
+export class PageView {
+  constructor(canvas, array) {
+    this.canvas = canvas;
+    this.array = array;
+    this.seen = document.createElement("canvas");
+    this.lay(null);
+  }
+
+  // Lays a page under the finger: its corner and size in mm, and its picture once it is loaded.
+  lay(sheet, address) {
+    const [wide, high] = sheet?.size_mm ?? [4 * this.array.field_mm[0], 2 * this.array.field_mm[1]];
+    this.corner = sheet?.corner_mm ?? null;
+    this.scale = Math.min(1100 / wide, 420 / high);
+    this.canvas.width = this.seen.width = Math.round(wide * this.scale);
+    this.canvas.height = this.seen.height = Math.round(high * this.scale);
+    this.page = null;
+    if (!address) return;
+    const page = new Image();
+    page.addEventListener("load", () => {
+      this.page = page;
+      if (this.pose) this.draw(this.pose);
+    });
+    page.src = address;
+  }
+
+  // Place of a pose on the canvas; without a page the first pose is in the middle.
+  at([x, y]) {
+    const { canvas, scale } = this;
+    this.corner ??= [x - canvas.width / scale / 2, y - canvas.height / scale / 2];
+    return [(x - this.corner[0]) * scale, (y - this.corner[1]) * scale];
+  }
+
+  take(picture) {
+    const [x, y] = this.at(picture.pose);
+    if (x < 0 || y < 0 || x > this.canvas.width || y > this.canvas.height) this.lay(null);
+    if (!this.page && picture.image) this.see(picture.image, picture.pose);
+    this.draw(picture.pose);
+  }
+
+  // Puts what the sensor sees where it sees it.
+  see(image, [x, y, angle]) {
+    const small = document.createElement("canvas");
+    new SensorView(small).take(image);
+    const paint = this.seen.getContext("2d");
+    const [wide, high] = this.array.field_mm.map((each) => each * this.scale);
+    paint.save();
+    paint.translate(...this.at([x, y]));
+    paint.rotate(angle);
+    paint.drawImage(small, -wide / 2, -high / 2, wide, high);
+    paint.restore();
+  }
+
+  draw(pose) {
+    const { canvas, array, scale } = this;
+    const paint = canvas.getContext("2d");
+    this.pose = pose;
+    paint.clearRect(0, 0, canvas.width, canvas.height);
+    paint.drawImage(this.page ?? this.seen, 0, 0, canvas.width, canvas.height);
+    const [wide, high] = array.field_mm.map((each) => each * scale);
+    const radius = 0.62 * wide;
+    paint.save();
+    paint.translate(...this.at(pose));
+    paint.rotate(pose[2]);
+    paint.fillStyle = "rgba(214, 158, 122, .28)";
+    paint.strokeStyle = "#a0684a";
+    paint.lineWidth = 3;
+    paint.beginPath();
+    paint.arc(0, radius - 0.62 * high, radius, Math.PI, 0);
+    paint.lineTo(radius, 3 * high);
+    paint.lineTo(-radius, 3 * high);
+    paint.closePath();
+    paint.fill();
+    paint.stroke();
+    paint.strokeStyle = INK;
+    paint.strokeRect(-wide / 2, -high / 2, wide, high);
+    paint.restore();
+    canvas.dataset.x = pose[0].toFixed(2);
+    Field.prototype.bar.call({ paint, canvas, scale });
+  }
+
+  words() {
+    return this.pose ? `The finger is ${this.pose[0].toFixed(0)} mm from the left and ${this.pose[1].toFixed(0)} mm from the top` : "No finger yet";
+  }
+}
+
+// Sum of all spikes, where the receptors were on the page.
+export class SumView {
+  constructor(canvas, map, felt) {
+    Object.assign(this, { canvas, map, felt });
+    this.clear();
+  }
+
+  clear() {
+    const { canvas } = this.map;
+    this.canvas.width = canvas.width;
+    this.canvas.height = canvas.height;
+    this.spikes = 0;
+  }
+
+  // Adds a response at a pose of the finger.
+  add([x, y, angle], counts) {
+    const { felt, map } = this;
+    if (this.canvas.width !== map.canvas.width || this.canvas.height !== map.canvas.height) this.clear();
+    const paint = this.canvas.getContext("2d");
+    const [cos, sin, larger] = [Math.cos(angle), Math.sin(angle), map.array.magnification];
+    paint.globalAlpha = 0.1;
+    counts.forEach((spikes, at) => {
+      if (!spikes) return;
+      const [a, b] = felt.places[at].map((each) => each / larger);
+      const [left, top] = map.at([x + a * cos - b * sin, y + a * sin + b * cos]);
+      paint.fillStyle = felt.colors[felt.classes[at]];
+      paint.beginPath();
+      paint.arc(left, top, (FIELD_MM / larger) * map.scale, 0, 2 * Math.PI);
+      paint.fill();
+      this.spikes += spikes;
+    });
+    paint.globalAlpha = 1;
+    this.canvas.dataset.spikes = this.spikes;
+    Field.prototype.bar.call({ paint, canvas: this.canvas, scale: map.scale });
+  }
+}
+
+// Current, charge and force over time, each below its limit.
+export class SeriesView {
+  constructor(canvas, array) {
+    this.canvas = canvas;
+    const { limits } = array;
+    this.rows = [
+      ["Strongest current", "mA", limits.current_ma, limits.current_ma, "limit", "#b35806"],
+      ["Charge of a pulse", "µC", limits.charge_uc, limits.charge_uc, "limit", "#542788"],
+      ["Force", "N", array.full_n, 1.5 * array.full_n, "full", "#0b5c8a"],
+    ];
+    this.points = [];
+  }
+
+  take({ time_s, peak_ma, charge_uc, force_n }) {
+    const { points } = this;
+    if (points.length && time_s < points.at(-1)[0]) points.length = 0;
+    points.push([time_s, peak_ma, charge_uc, force_n ?? 0]);
+    while (points[0][0] < time_s - LASTS_S) points.shift();
+    this.draw(time_s - LASTS_S, time_s);
+  }
+
+  draw(from, to, now = null) {
+    const { canvas, rows, points } = this;
+    const paint = canvas.getContext("2d");
+    const [wide, high] = [canvas.width, canvas.height / rows.length];
+    paint.clearRect(0, 0, wide, canvas.height);
+    rows.forEach(([name, unit, line, most, word, color], row) => {
+      const base = (row + 1) * high - 8;
+      const y = (value) => base - Math.min(1, value / most) * (high - 36);
+      const x = (time) => (wide * (time - from)) / Math.max(1e-9, to - from);
+      paint.strokeStyle = "#c3cbd2";
+      paint.setLineDash([6, 5]);
+      paint.strokeRect(0, y(line), wide, 0.1);
+      paint.setLineDash([]);
+      paint.strokeRect(0, base, wide, 0.1);
+      paint.fillStyle = paint.strokeStyle = color;
+      paint.font = "600 17px system-ui, sans-serif";
+      const latest = (now === null ? points.at(-1) : points[now])?.[row + 1] ?? 0;
+      paint.fillText(`${name} ${latest.toFixed(2)} ${unit}   (${word} ${line.toFixed(2)})`, 2, base - high + 26);
+      paint.lineWidth = 2;
+      paint.beginPath();
+      points.forEach((point) => paint.lineTo(x(point[0]), y(point[row + 1])));
+      paint.stroke();
+      paint.lineWidth = 1;
+      if (now !== null && points[now]) paint.fillRect(x(points[now][0]) - 1, y(most), 2, base - y(most));
+    });
   }
 }
