@@ -20,7 +20,6 @@ from smarttouch.lab import (
     ExperimentOptions,
     Shape,
     TrialTiming,
-    as_series,
     discrimination_figure,
     judge_answers,
     new_experiment,
@@ -60,5 +59,5 @@ for found in findings:
 
 # %%
 # Shares judged faster, and the 75 % thresholds.
-discrimination_figure([as_series(replace(table, name="RA"), findings)])
+discrimination_figure([(replace(table, name="RA"), findings)])
 plt.show()

@@ -4,9 +4,11 @@ from smarttouch.base.afferent import CLASS_COLORS as CLASS_COLORS
 from smarttouch.base.files import data_folder as data_folder
 from smarttouch.braille.cell_pages import lay_out as lay_out
 from smarttouch.braille.code_tables import open_table as open_table
+from smarttouch.experiments.fitting.answer_figures import (
+    discrimination_figure as discrimination_figure,
+)
 from smarttouch.experiments.fitting.answers import read_table as read_table
 from smarttouch.experiments.fitting.answers import usual_model as usual_model
-from smarttouch.experiments.fitting.findings import as_series as as_series
 from smarttouch.experiments.fitting.findings import judge_answers as judge_answers
 from smarttouch.experiments.fitting.fit import BootstrapOptions as BootstrapOptions
 from smarttouch.experiments.fitting.psychometric import Shape as Shape
@@ -27,6 +29,7 @@ from smarttouch.experiments.psychophysics.trials import Task as Task
 from smarttouch.experiments.psychophysics.trials import Train as Train
 from smarttouch.experiments.psychophysics.trials import Trial as Trial
 from smarttouch.experiments.psychophysics.trials import TrialTiming as TrialTiming
+from smarttouch.experiments.study_figure import study_figure as study_figure
 from smarttouch.experiments.study_plan import Study as Study
 from smarttouch.experiments.study_run import STUDY_NAMES as STUDY_NAMES
 from smarttouch.experiments.study_run import run_study as run_study
@@ -63,8 +66,6 @@ from smarttouch.reading.material import ReadingMaterial as ReadingMaterial
 from smarttouch.running.check_recording import assert_replays as assert_replays
 from smarttouch.running.check_recording import check_recording as check_recording
 from smarttouch.views.class_figures import thresholds_figure as thresholds_figure
-from smarttouch.views.experiment_figures import discrimination_figure as discrimination_figure
-from smarttouch.views.experiment_figures import study_figure as study_figure
 from smarttouch.views.figure_style import ANODIC as ANODIC
 from smarttouch.views.figure_style import CATHODIC as CATHODIC
 from smarttouch.views.figure_style import GREY as GREY

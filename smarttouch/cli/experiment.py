@@ -166,12 +166,12 @@ def fit(
     from smarttouch.base.errors import ExperimentError, require_within
     from smarttouch.base.files import require_folder, write_json
     from smarttouch.cli.options import parse_choice
+    from smarttouch.experiments.fitting.answer_figures import discrimination_figure
     from smarttouch.experiments.fitting.answers import read_table, usual_model
-    from smarttouch.experiments.fitting.findings import as_figures, as_series, judge_answers
+    from smarttouch.experiments.fitting.findings import as_figures, judge_answers
     from smarttouch.experiments.fitting.fit import BootstrapOptions
     from smarttouch.experiments.fitting.psychometric import Shape
     from smarttouch.views import figure_style
-    from smarttouch.views.experiment_figures import discrimination_figure
 
     require_folder(json_file)
     require_folder(plot)
@@ -194,7 +194,7 @@ def fit(
     if json_file is not None:
         write_json(json_file, {table.name: as_figures(findings) for table, findings in found})
     if plot is not None:
-        figure_style.save(discrimination_figure([as_series(*each) for each in found]), plot)
+        figure_style.save(discrimination_figure(found), plot)
 
 
 def _parse_guess(text: str | None) -> "Guess | None":

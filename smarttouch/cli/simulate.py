@@ -224,7 +224,7 @@ def study(
         )
         print(output / ROWS_FILE)
     if kind != "none":
-        from smarttouch.views.experiment_figures import study_figure
+        from smarttouch.experiments.study_figure import study_figure
 
         picture = output / f"study.{kind}"
         figure_style.save(study_figure(found, STUDY_NAMES, asked.title), picture)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from smarttouch.experiments.fitting.answers import Answers, AnswerTable, Counts, usual_model
+from smarttouch.experiments.fitting.answers import Answers, Array, Counts, usual_model
 from smarttouch.experiments.fitting.fit import (
     BootstrapOptions,
     Bounded,
@@ -18,7 +18,6 @@ from smarttouch.experiments.fitting.fit import (
     how_sure,
 )
 from smarttouch.experiments.fitting.psychometric import Estimate, Model
-from smarttouch.views.experiment_figures import JudgedSeries, JudgedStandard
 
 FEWEST_ANSWERS = 15
 MOST_UNANSWERED = 0.5
@@ -31,6 +30,7 @@ POOR = 0.01
 """Share of replicas that fit no better than the answers, below which the fit is called poor."""
 _FALLING = -2.58
 """Trend, in standard deviations, of falling answers: one in two hundred by chance."""
+_CURVE_POINTS = 301
 _SAMPLES = 200
 """Replicas of a bootstrap that only estimates a standard deviation."""
 
@@ -48,6 +48,31 @@ class Finding:
     # comparison", "falling", "flat" or "outside"; empty if one can
     reason: str = ""
     beyond: int = 0  # 1 or -1 where the threshold lies above or below all comparisons, 0 else
+
+    @property
+    def standard(self) -> float:
+        """Standard of the comparisons; 0 if there is none."""
+        return self.answers.standard
+
+    @property
+    def said(self) -> str:
+        """Name of a success: *judged higher*, *felt* or *right*."""
+        return what_was_said(self.answers, self.model)
+
+    @cached_property
+    def counts(self) -> Counts:
+        """Trials and successes at each comparison."""
+        return self.answers.counts()
+
+    @cached_property
+    def curve(self) -> Array | None:
+        """Stimuli and fitted shares, (2, L); None without a fit."""
+        if self.fit is None:
+            return None
+        x = self.model.axis(self.counts.stimulus)
+        x = x[np.isfinite(x)]
+        stimulus = self.model.stimulus(np.linspace(x[0], x[-1], _CURVE_POINTS))
+        return np.stack([stimulus, self.fit(stimulus)])
 
     @cached_property
     def sureness(self) -> Uncertainty | None:
@@ -236,18 +261,6 @@ def _trend(counts: Counts) -> float:
     return float(counts.k @ rank / math.sqrt(share * (1 - share) * (counts.n @ rank**2)))
 
 
-_CURVE_POINTS = 301
-
-
-def as_series(table: AnswerTable, findings: Sequence[Finding]) -> JudgedSeries:
-    """Return the chart's series of one file."""
-    first = findings[0]
-    said = what_was_said(first.answers, first.model)
-    return JudgedSeries(
-        table.name, table.unit, tuple(map(_judged, findings)), first.model.share, said
-    )
-
-
 def as_figures(findings: Sequence[Finding]) -> list[dict[str, Any]]:
     """Return the JSON figures of each standard; an end that is not known is null."""
     return [
@@ -309,24 +322,6 @@ def in_percent(found: Bounded | None) -> str:
         return ""
     low, high = (f"{round(100 * each)}" if math.isfinite(each) else "…" for each in found[1:])
     return f"{found.value:.0%} ({low} to {high})"
-
-
-def _judged(found: Finding) -> JudgedStandard:
-    counts = found.answers.counts()
-    curve = None
-    if found.fit is not None:
-        x = found.model.axis(counts.stimulus)
-        x = x[np.isfinite(x)]
-        stimulus = found.model.stimulus(np.linspace(x[0], x[-1], _CURVE_POINTS))
-        curve = np.stack([stimulus, found.fit(stimulus)])
-    return JudgedStandard(
-        found.answers.standard,
-        *counts,
-        curve=curve,
-        threshold=found.threshold,
-        lower=found.lower,
-        beyond=found.beyond,
-    )
 
 
 def _ends(found: Bounded | None) -> dict[str, float | None] | None:

@@ -1,33 +1,38 @@
 """The chart shows every figure it was given, and says where there is none."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from smarttouch.views.experiment_figures import (
-    JudgedSeries,
-    JudgedStandard,
-    binomial_interval,
-    discrimination_figure,
-)
+from smarttouch.experiments.fitting.answer_figures import binomial_interval, discrimination_figure
+from smarttouch.experiments.fitting.answers import Counts
 from smarttouch.views.figure_style import save
 
-from ..said import numbers_in
+from ...said import numbers_in
 
 RATIOS = np.array([0.5, 0.75, 1.25, 2.0])
 N = np.full(4, 10.0)
 
 
+def finding(standard, counts, curve=None, threshold=None, lower=None, beyond=0):
+    """Return what the chart takes of a `Finding`."""
+    return SimpleNamespace(
+        standard=standard, counts=Counts(*counts), curve=curve, threshold=threshold, lower=lower,
+        beyond=beyond, said="judged higher" if standard else "felt",
+        model=SimpleNamespace(share=0.75 if standard else 0.5),
+    )  # fmt: skip
+
+
 def judged(standard, threshold=None, lower=None, beyond=0, curve=True):
     stimulus = standard * RATIOS
     line = np.stack([np.linspace(stimulus[0], stimulus[-1], 50), np.linspace(0, 1, 50)])
-    k = np.array([0.0, 2, 8, 10])
-    return JudgedStandard(
-        standard, stimulus, N, k, line if curve else None, threshold, lower, beyond
-    )
+    counts = stimulus, N, np.array([0.0, 2, 8, 10])
+    return finding(standard, counts, line if curve else None, threshold, lower, beyond)
 
 
-def series(name, *all_judged, unit="Hz"):
-    return JudgedSeries(name, unit, all_judged, 0.75, "judged higher")
+def series(name, *findings, unit="Hz"):
+    return SimpleNamespace(name=name, unit=unit), findings
 
 
 def words(axes):
@@ -103,15 +108,11 @@ def test_two_modes_share_the_thresholds():
 
 def test_without_standards(tmp_path):
     line = np.stack([np.linspace(0, 3, 40), np.linspace(0, 1, 40)])
-    felt = JudgedStandard(
-        0.0, np.array([0.0, 1, 2, 3]), N, np.array([0.0, 3, 7, 10]), line, (1.5, 1, 2)
-    )
-    nothing = JudgedStandard(0.0, np.array([1.0, 2]), N[:2], np.array([0.0, 0]), beyond=1)
+    k = np.array([0.0, 3, 7, 10])
+    felt = finding(0.0, (np.array([0.0, 1, 2, 3]), N, k), line, (1.5, 1, 2))
+    nothing = finding(0.0, (np.array([1.0, 2]), N[:2], np.zeros(2)), beyond=1)
     figure = discrimination_figure(
-        [
-            JudgedSeries("one", "mA", (felt,), 0.5, "felt"),
-            JudgedSeries("two", "mA", (nothing,), 0.5, "felt"),
-        ]
+        [series("one", felt, unit="mA"), series("two", nothing, unit="mA")]
     )
     (axes,) = figure.axes
     one, two = (each.get_text() for each in axes.get_legend().get_texts())

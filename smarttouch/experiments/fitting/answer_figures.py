@@ -1,23 +1,22 @@
-"""Figures of experiments and studies: shares of answers, thresholds, errors of choices."""
+"""Figures of answers: shares by comparison, and the thresholds fitted to them."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
-from smarttouch.views.figure_style import GREY, new_figure, plain
+from smarttouch.experiments.fitting.answers import AnswerTable
+from smarttouch.experiments.fitting.findings import Finding
+from smarttouch.experiments.fitting.fit import Bounded
+from smarttouch.views.figure_style import GREY, SERIES_COLORS, new_figure, plain
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
-Bounded = tuple[float, float, float]
 
-SERIES_COLORS = ("#d55e00", "#009e73", "#0072b2", "#cc79a7", "#e69f00", "#56b4e9")
-"""Colors of Okabe and Ito's set (2008); the first two are those of RA and PC elsewhere."""
 _MARKERS = ("o", "s", "D", "^", "v", "P")
 _TOP_IN, _BOTTOM_IN = 2.7, 2.9
 _SIDE_IN = 4.6
@@ -26,46 +25,17 @@ _FEWEST_FOR_INTERVAL = 3
 """Fewest answers at a comparison for which the interval of their share is drawn."""
 
 
-@dataclass(frozen=True, eq=False)
-class JudgedStandard:
-    """Answers to one standard (0 if there is none), and their fit.
-
-    Comparisons rise, (K,), with n answers and k successes each; the curve is (2, L), stimuli and
-    fitted shares; thresholds are value and interval. ``beyond``: the threshold lies above (1) or
-    below (-1) the range, 0 is unknown.
-    """
-
-    standard: float
-    stimulus: Array
-    n: Array
-    k: Array
-    curve: Array | None = None
-    threshold: Bounded | None = None
-    lower: Bounded | None = None
-    beyond: int = 0
+Series = tuple[AnswerTable, Sequence[Finding]]
+"""Results of one file."""
 
 
-@dataclass(frozen=True, eq=False)
-class JudgedSeries:
-    """Results of one file: those of each standard, the share of answers at the threshold.
-
-    ``said`` names a success: *judged higher*, *felt*.
-    """
-
-    name: str
-    unit: str
-    judged: tuple[JudgedStandard, ...]
-    share: float
-    said: str
-
-
-def discrimination_figure(series: Sequence[JudgedSeries]) -> "Figure":
+def discrimination_figure(series: Sequence[Series]) -> "Figure":
     """Draw shares of answers above, thresholds below.
 
     With standards: one panel of each series with a curve of each standard, and one with the
     thresholds of all. Without: one panel with a curve of each series, thresholds on it.
     """
-    if not all(found.standard for each in series for found in each.judged):
+    if not all(found.standard for _, findings in series for found in findings):
         return _without_standards(series)
     count = len(series)
     figure = new_figure(max(5.2, _SIDE_IN * count), _TOP_IN + _BOTTOM_IN)
@@ -73,7 +43,7 @@ def discrimination_figure(series: Sequence[JudgedSeries]) -> "Figure":
     shades, shares = _shades(series), None
     for index, each in enumerate(series):
         shares = figure.add_subplot(grid[0, index], sharey=shares)
-        _draw_shares(shares, each, shades, _title(each.name if count > 1 else "", index))
+        _draw_shares(shares, each, shades, _title(each[0].name if count > 1 else "", index))
     _draw_thresholds(figure.add_subplot(grid[1, :]), series, _title("", count))
     return figure
 
@@ -90,43 +60,43 @@ def _title(name: str, index: int) -> str:
     return f"({'abcdefghij'[index % 10]}) {name}".rstrip()
 
 
-def _shades(series: Sequence[JudgedSeries]) -> dict[float, Any]:
+def _shades(series: Sequence[Series]) -> dict[float, Any]:
     """Return the color of each standard, from dark to light, distinct in grey print, too."""
     from matplotlib import colormaps
 
-    standards = sorted({judged.standard for each in series for judged in each.judged})
+    standards = sorted({judged.standard for _, findings in series for judged in findings})
     places = np.linspace(0.0, 0.85, len(standards))
     return {
         each: colormaps["viridis"](place) for each, place in zip(standards, places, strict=True)
     }
 
 
-def _draw_shares(axes: Any, series: JudgedSeries, shades: dict[float, Any], title: str) -> None:
+def _draw_shares(axes: Any, series: Series, shades: dict[float, Any], title: str) -> None:
     """Draw shares against comparison / standard, and the curves through them."""
     axes.axhline(0.5, color=GREY, lw=0.5)
-    axes.axhline(series.share, color=GREY, lw=0.5, ls=":")
+    table, findings = series
+    share = findings[0].model.share
+    axes.axhline(share, color=GREY, lw=0.5, ls=":")
     edge = axes.get_yaxis_transform()
-    axes.text(0.995, series.share, f"{series.share:.0%}", transform=edge, color=GREY, fontsize=6.5,
+    axes.text(0.995, share, f"{share:.0%}", transform=edge, color=GREY, fontsize=6.5,
               ha="right", va="bottom")  # fmt: skip
     axes.axvline(1.0, color=GREY, lw=0.5)
-    middle = (len(series.judged) - 1) / 2
-    for place, judged in enumerate(series.judged):
+    middle = (len(findings) - 1) / 2
+    for place, judged in enumerate(findings):
         shade = shades[judged.standard]
         # Side by side: intervals at the same ratio would hide each other.
-        ratio = judged.stimulus / judged.standard * (1 + 0.006 * (place - middle))
-        label = f"{judged.standard:g} {series.unit}".rstrip()
+        ratio = judged.counts.stimulus / judged.standard * (1 + 0.006 * (place - middle))
+        label = f"{judged.standard:g} {table.unit}".rstrip()
         _draw_points(axes, ratio, judged, shade, _MARKERS[place % 6], label)
         _draw_curve(axes, judged, judged.standard, shade)
-    ratios = np.concatenate([each.stimulus / each.standard for each in series.judged])
+    ratios = np.concatenate([each.counts.stimulus / each.standard for each in findings])
     _ratio_axis(axes, float(ratios.min()), float(ratios.max()))
     axes.legend(frameon=False, fontsize=7, title="standard", title_fontsize=7, loc="upper left")
-    plain(axes, title, "comparison / standard", f"share {series.said}")
+    plain(axes, title, "comparison / standard", f"share {findings[0].said}")
 
 
-def _draw_points(
-    axes: Any, x: Array, judged: JudgedStandard, color: Any, marker: str, label: str
-) -> None:
-    n, k = judged.n, judged.k
+def _draw_points(axes: Any, x: Array, judged: Finding, color: Any, marker: str, label: str) -> None:
+    _, n, k = judged.counts
     low, high = binomial_interval(k, n)
     share = k / n
     # With few answers an interval is not informative, and hides the rest.
@@ -142,7 +112,7 @@ def _draw_points(
     axes.set_ylim(-0.04, 1.04)
 
 
-def _draw_curve(axes: Any, judged: JudgedStandard, unit: float, color: Any) -> None:
+def _draw_curve(axes: Any, judged: Finding, unit: float, color: Any) -> None:
     if judged.curve is not None:
         stimulus, share = judged.curve
         style = "--" if judged.threshold is None else "-"
@@ -156,41 +126,43 @@ def _ratio_axis(axes: Any, low: float, high: float) -> None:
     axes.minorticks_off()
 
 
-def _draw_thresholds(axes: Any, series: Sequence[JudgedSeries], title: str) -> None:
+def _draw_thresholds(axes: Any, series: Sequence[Series], title: str) -> None:
     """Draw thresholds against standards; those beyond the range as an open arrow."""
-    all_judged = [judged for each in series for judged in each.judged]
+    all_judged = [judged for _, findings in series for judged in findings]
     standards = sorted({judged.standard for judged in all_judged})
     gap = float(np.diff(standards).min()) if len(standards) > 1 else standards[0]
     highest = max(_end(judged) for judged in all_judged)
     axes.axhline(0, color=GREY, lw=0.6)
     axes.set_ylim(min(0.0, *(_lowest(judged) for judged in all_judged)) - 0.08, 1.15 * highest)
-    for index, each in enumerate(series):
+    for index, (table, findings) in enumerate(series):
         aside = 0.14 * gap * (index - (len(series) - 1) / 2)
         color, marker = SERIES_COLORS[index % 6], _MARKERS[index % 6]
-        upper = [(each.standard + aside, each.threshold, each.standard) for each in each.judged]
-        lower = [(each.standard + aside, each.lower, each.standard) for each in each.judged]
-        _draw_bounded(axes, upper, color, marker + "-", f"{each.name}, above")
-        _draw_bounded(axes, lower, color, marker + ":", f"{each.name}, below")
-        for judged in each.judged:
+        upper = [(each.standard + aside, each.threshold, each.standard) for each in findings]
+        lower = [(each.standard + aside, each.lower, each.standard) for each in findings]
+        _draw_bounded(axes, upper, color, marker + "-", f"{table.name}, above")
+        _draw_bounded(axes, lower, color, marker + ":", f"{table.name}, below")
+        for judged in findings:
             if judged.threshold is None:
                 _draw_none(axes, judged, judged.standard + aside, color)
     axes.set_xlim(standards[0] - 0.6 * gap, standards[-1] + 0.6 * gap)
     axes.set_xticks(standards, [f"{each:g}" for each in standards])
     axes.legend(frameon=False, fontsize=7, title="threshold", title_fontsize=7, ncols=len(series))
-    unit = f" ({series[0].unit})" if series[0].unit else ""
-    plain(axes, title, f"standard{unit}", f"{series[0].share:.0%} threshold, change / standard")
+    plain(
+        axes, title, f"standard{_unit(series)}",
+        f"{all_judged[0].model.share:.0%} threshold, change / standard",
+    )  # fmt: skip
 
 
-def _end(judged: JudgedStandard) -> float:
+def _end(judged: Finding) -> float:
     """Return the largest comparison tested, as a relative difference from the standard."""
-    return float(judged.stimulus.max()) / judged.standard - 1
+    return float(judged.counts.stimulus.max()) / judged.standard - 1
 
 
-def _lowest(judged: JudgedStandard) -> float:
+def _lowest(judged: Finding) -> float:
     bounded = judged.lower or judged.threshold
     if bounded is None:
         return 0.0
-    return max(bounded[1], float(judged.stimulus.min())) / judged.standard - 1
+    return max(bounded[1], float(judged.counts.stimulus.min())) / judged.standard - 1
 
 
 def _draw_bounded(
@@ -216,10 +188,10 @@ def _draw_bounded(
     )  # fmt: skip
 
 
-def _draw_none(axes: Any, judged: JudgedStandard, x: float, color: str) -> None:
+def _draw_none(axes: Any, judged: Finding, x: float, color: str) -> None:
     """Draw an open arrow at the end of the range tested, with the side of the threshold."""
     down = judged.beyond < 0
-    end = float(judged.stimulus.min()) / judged.standard - 1 if down else _end(judged)
+    end = float(judged.counts.stimulus.min()) / judged.standard - 1 if down else _end(judged)
     bottom, top = axes.get_ylim()
     length = 0.1 * (top - bottom) * (-1 if down else 1)
     axes.annotate(
@@ -234,81 +206,27 @@ def _draw_none(axes: Any, judged: JudgedStandard, x: float, color: str) -> None:
     axes.text(x, end - 0.65 * length, words, color=color, fontsize=7, ha="center", va=side)
 
 
-def _without_standards(series: Sequence[JudgedSeries]) -> "Figure":
+def _without_standards(series: Sequence[Series]) -> "Figure":
     """Draw shares against the stimulus itself; thresholds lie on the curves, with intervals."""
     figure = new_figure(5.2, 3.2)
     axes = figure.subplots()
-    for index, each in enumerate(series):
+    for index, (table, findings) in enumerate(series):
         color, marker = SERIES_COLORS[index % 6], _MARKERS[index % 6]
-        for judged in each.judged:
-            label = each.name + (", no threshold" if judged.threshold is None else "")
-            _draw_points(axes, judged.stimulus, judged, color, marker, label)
+        for judged in findings:
+            label = table.name + (", no threshold" if judged.threshold is None else "")
+            _draw_points(axes, judged.counts.stimulus, judged, color, marker, label)
             _draw_curve(axes, judged, 1.0, color)
             if judged.threshold is None or judged.curve is None:
                 continue
             value, low, high = judged.threshold
             share = np.interp(value, *judged.curve)
-            ends = np.clip([low, high], judged.stimulus.min(), judged.stimulus.max())
+            ends = np.clip([low, high], judged.counts.stimulus.min(), judged.counts.stimulus.max())
             axes.plot(ends, [share, share], color=color, lw=3, alpha=0.4)
             axes.plot([value], [share], "|", ms=14, color=color)
     axes.legend(frameon=False, fontsize=7)
-    unit = f" ({series[0].unit})" if series[0].unit else ""
-    plain(axes, "", f"stimulus{unit}", f"share {series[0].said}")
+    plain(axes, "", f"stimulus{_unit(series)}", f"share {series[0][1][0].said}")
     return figure
 
 
-_ROW_IN = 0.34
-_PANEL_IN = 2.3
-
-
-class SummedChoice(Protocol):
-    """One choice on the fingers of one anatomy, as `studies.summary.Summed`."""
-
-    @property
-    def anatomy(self) -> str: ...
-    @property
-    def label(self) -> str: ...
-    @property
-    def fingers(self) -> Mapping[str, Sequence[float]]: ...
-
-
-def study_figure(found: Sequence[SummedChoice], names: Mapping[str, str], title: str) -> "Figure":
-    """Draw each measure in a panel: a dot for each finger, a line at the median of a choice."""
-    anatomies = list(dict.fromkeys(each.anatomy for each in found))
-    labels = list(dict.fromkeys(each.label for each in found))
-    rows = len(labels) * len(anatomies)
-    figure = new_figure(2.4 + _PANEL_IN * len(names), 1.5 + _ROW_IN * rows)
-    panels = np.atleast_1d(figure.subplots(1, len(names), sharey=True))
-    random = np.random.default_rng(0)
-    for axes, (measure, name) in zip(panels, names.items(), strict=True):
-        for each in found:
-            place = labels.index(each.label) * (len(anatomies) + 0.6) + anatomies.index(
-                each.anatomy
-            )
-            color = SERIES_COLORS[anatomies.index(each.anatomy) % len(SERIES_COLORS)]
-            values = np.array([one for one in each.fingers[measure] if np.isfinite(one)])
-            if not len(values):
-                continue
-            aside = random.uniform(-0.3, 0.3, len(values))
-            axes.scatter(values, place + aside, s=6, color=color, alpha=0.45, linewidths=0)
-            axes.plot([np.median(values)] * 2, [place - 0.42, place + 0.42], color="black", lw=1.6)
-        plain(axes, "", name)
-        most = max(0.1, axes.get_xlim()[1])
-        axes.set_xlim(-0.03 * most, most)
-        axes.grid(axis="x", color="#e6e6e6", linewidth=0.6)
-        axes.set_axisbelow(True)
-    middle = (len(anatomies) - 1) / 2
-    panels[0].set_yticks(
-        [index * (len(anatomies) + 0.6) + middle for index in range(len(labels))], labels
-    )
-    panels[0].invert_yaxis()
-    for index, anatomy in enumerate(anatomies):
-        color = SERIES_COLORS[index % len(SERIES_COLORS)]
-        panels[0].scatter([], [], s=14, color=color, label=anatomy)
-    panels[0].plot([], [], color="black", lw=1.6, label="median")
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside lower center", fontsize=8,
-        frameon=False, ncols=len(anatomies) + 1,
-    )  # fmt: skip
-    figure.suptitle(title, x=0.01, ha="left", fontsize=10, color=GREY)
-    return figure
+def _unit(series: Sequence[Series]) -> str:
+    return f" ({series[0][0].unit})" if series[0][0].unit else ""
