@@ -19,6 +19,7 @@ from smarttouch.base.files import (
     read_bytes,
     write_bytes,
 )
+from smarttouch.pages.structured_text import format_of
 
 Pages: TypeAlias = list[list[str]]
 """Pages of lines of cells."""
@@ -83,12 +84,15 @@ class FileKind(StrEnum):
     TEXT = "text"
     BRF = "brf"
     PEF = "pef"
+    STRUCTURED = "structured"
+    """HTML, Markdown, EPUB, DOCX or ODT."""
     PAGES = "pages"
     """Images or a PDF, or nothing that can be read."""
 
 
 def file_kind(path: Path) -> FileKind:
-    """Return the kind of a file by its first bytes; only .brf and .txt are known by their names."""
+    """Return the kind of a file by its first bytes; only .brf, .txt and .md, and HTML without its
+    beginning, are known by their names."""
     suffix = path.suffix.lower()
     with open_file(path, BrailleError, MOST_DOCUMENT_BYTES) as file:
         data = file.read(_BEGINNING_BYTES)
@@ -98,6 +102,8 @@ def file_kind(path: Path) -> FileKind:
         return FileKind.PEF
     if suffix == ".txt":
         return FileKind.TEXT
+    if format_of(path) is not None:
+        return FileKind.STRUCTURED
     if b"%PDF-" in data or data.translate(None, _NO_TEXT) != data:
         return FileKind.PAGES
     try:
@@ -189,12 +195,15 @@ def read_pef(path: Path) -> Pages:
     return parse_pef(read_bytes(path, BrailleError, MOST_BYTES), str(path))
 
 
-def write_pef(path: Path, pages: Pages) -> None:
-    """Write a PEF file of one volume; its title is the file's name."""
-    write_bytes(path, format_pef(pages, path.stem), BrailleError)
+def write_pef(
+    path: Path, pages: Pages, title: str = "", author: str = "", language: str = ""
+) -> None:
+    """Write a PEF file of one volume; its title is the file's name if not given."""
+    data = format_pef(pages, title or path.stem, author, language)
+    write_bytes(path, data, BrailleError)
 
 
-def format_pef(pages: Pages, title: str) -> bytes:
+def format_pef(pages: Pages, title: str, author: str = "", language: str = "") -> bytes:
     """Return pages in PEF; equal pages give equal files."""
     for page in pages:
         for line in page:
@@ -208,7 +217,11 @@ def format_pef(pages: Pages, title: str) -> bytes:
         ("format", _FORMAT),
         ("identifier", uuid.uuid5(uuid.NAMESPACE_URL, name).urn),
         ("title", title),
+        ("creator", author),
+        ("language", language),
     ):
+        if not value:
+            continue
         ET.SubElement(meta, f"{{{_DC}}}{key}").text = value
     volume = _add(
         _add(root, "body"), "volume", rowgap="0", duplex="false",

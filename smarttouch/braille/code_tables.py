@@ -2,7 +2,7 @@
 
 import re
 import unicodedata
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple, Protocol
@@ -13,6 +13,7 @@ from smarttouch.braille.cells import BLANK, is_cell, require_cells
 from smarttouch.braille.grade1 import Grade1
 from smarttouch.braille.kana import Kana
 from smarttouch.braille.louis import LouisCode
+from smarttouch.pages.structured_text import Emphasis, Run
 
 DEFAULT_TABLE = "en-1"
 _MARKED = re.compile(
@@ -71,6 +72,19 @@ class BrailleTable:
             )
         tidy = tidy.translate(dict.fromkeys(map(ord, missing)))
         return "\n".join(self.code.encode(line) for line in tidy.split("\n"))
+
+    def runs_to_cells(self, runs: Sequence[Run], leave_out: bool = False) -> str:
+        """Return a line of runs as cells, with emphasis where liblouis has the table."""
+        line, marks = "", list[Emphasis]()
+        for run in runs:
+            tidy = _tidy(run.text, self.code)
+            kept = set(tidy) - set(self.code.missing(tidy)) if leave_out else set(tidy)
+            tidy = "".join(each for each in tidy if each in kept)
+            line += tidy
+            marks += [run.emphasis] * len(tidy)
+        if any(marks) and isinstance(self.code, LouisCode) and not self.code.missing(line):
+            return self.code.translate(line, marks).cells
+        return self.to_cells(line, leave_out)
 
     def to_text(self, cells: str) -> str:
         """Return cells as text, line by line; a cell without meaning stays as it is."""

@@ -6,12 +6,12 @@ import re
 import threading
 import unicodedata
 from collections.abc import Sequence
-from enum import IntFlag
 from functools import cache
 from typing import NamedTuple
 
 from smarttouch.base.errors import BrailleError
 from smarttouch.braille.cells import BLANK, pattern
+from smarttouch.pages.structured_text import Emphasis
 
 INSTALL = "apt install liblouis20 liblouis-data"
 JOINERS = "\u200c\u200d"
@@ -30,15 +30,6 @@ _ESCAPE = re.compile(r"\\([0-9A-F]*)/")  # output for a cell that a table cannot
 
 _lock = threading.Lock()
 """Lock of liblouis, which keeps its state in globals."""
-
-
-class Emphasis(IntFlag):
-    """Type of a character in print, as liblouis numbers them."""
-
-    PLAIN = 0
-    ITALIC = 1
-    UNDERLINE = 2
-    BOLD = 4
 
 
 class Translated(NamedTuple):

@@ -107,8 +107,8 @@ def braille(
     source: Annotated[
         str | None,
         argument(
-            "A file of text, of cells (.brf, .pef), of print or Braille (image, PDF); a "
-            "text, or text:WORDS where it could be a file; - for standard input.",
+            "A file of text (HTML, EPUB, DOCX …), cells (.brf, .pef), print or Braille (image, "
+            "PDF); a text, or text:WORDS where it could be a file; - for standard input.",
             "TEXT|FILE|-",
             callback=or_standard_input,
         ),
@@ -133,6 +133,7 @@ def braille(
         INDENT,
         ROWS,
         lay_out,
+        lay_out_blocks,
         load_cells,
         write_cells,
     )
@@ -163,7 +164,10 @@ def braille(
         print(output)
         return
     pages = loaded.pages
-    if pages is None or columns is not None or rows is not None:
+    if loaded.shaped is not None and output is not None:
+        wide = COLUMNS if columns is None else columns
+        pages = lay_out_blocks(loaded.shaped, wide, ROWS if rows is None else rows)
+    elif pages is None or columns is not None or rows is not None:
         # What is shown is not printed: there, paragraphs need no indent.
         indent = 0 if output is None else INDENT
         wide = COLUMNS if columns is None else columns
@@ -171,7 +175,7 @@ def braille(
     if output is None:
         print("\n".join(line for page in pages for line in page))
         return
-    write_cells(output, pages)
+    write_cells(output, pages, loaded.shaped.document if loaded.shaped else None)
     print(f"{output}: pages {len(pages)}, lines {sum(map(len, pages))}")
 
 

@@ -15,6 +15,7 @@ from smarttouch.pages.document import open_document, parse_pages
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.prepared_page import LEFT_OUT, PreparedPage, prepare_page, prepare_text
 from smarttouch.pages.straighten import QUARTER
+from smarttouch.pages.structured_text import read_structured_text
 from smarttouch.pages.text_lines import TextLine
 from smarttouch.reading.ocr import recognize_lines, upright
 
@@ -298,6 +299,8 @@ class ReadingMaterial:
             return self.name[len(TEXT) :]
         if self.kind is FileKind.TEXT:
             return read_plain_text(Path(self.name))
+        if self.kind is FileKind.STRUCTURED:
+            return read_structured_text(Path(self.name)).text
         return None
 
     def pages(self) -> Iterator[tuple[int, Page]]:

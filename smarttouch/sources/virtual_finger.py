@@ -19,6 +19,7 @@ from smarttouch.pages.ink import separate_ink
 from smarttouch.pages.page_image import Page, load_page
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened
+from smarttouch.pages.structured_text import format_of, read_structured_text
 from smarttouch.pages.text_lines import TextLine, find_lines
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet
@@ -236,6 +237,8 @@ def _magnification(text: str, page: Page, profile: Profile, light_on_dark: bool)
 
 def load_or_guess(path: Path, dpi: float | None, width_mm: float | None) -> tuple[Page, str]:
     """Return a page, and a sentence if its scale is guessed; a text in a .txt file is printed."""
+    if path.exists() and format_of(path) is not None:
+        return print_text(read_structured_text(path).text), ""
     if path.suffix.lower() == ".txt":
         return print_text(read_text(path, PageError).strip()), ""
     try:

@@ -58,7 +58,8 @@ def test_what_looks_like_a_name_is_no_text(load, tmp_path):
 
 
 @pytest.mark.parametrize(("name", "data", "kind"), [
-    ("a.md", "é".encode() * 2048, FileKind.TEXT),
+    ("a.md", "é".encode() * 2048, FileKind.STRUCTURED),
+    ("a", b"<!DOCTYPE html><p>", FileKind.STRUCTURED),
     ("a", b"x" + "é".encode() * 2048, FileKind.TEXT),
     ("a.dat", b'<?xml version="1.0"?>\n<pef version="2008-1">', FileKind.PEF),
     ("a.brf", b"ABC", FileKind.BRF),

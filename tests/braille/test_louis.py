@@ -7,7 +7,8 @@ import pytest
 from smarttouch.base.errors import BrailleError
 from smarttouch.braille import louis
 from smarttouch.braille.code_tables import open_table
-from smarttouch.braille.louis import Emphasis, LouisCode
+from smarttouch.braille.louis import LouisCode
+from smarttouch.pages.structured_text import Emphasis
 
 from ..raising import raises
 from .liblouis import needs_liblouis

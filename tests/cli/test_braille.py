@@ -46,9 +46,11 @@ def test_files(braille, tmp_path, suffix):
 
 
 def test_what_a_file_holds_is_read(braille, tmp_path):
-    (tmp_path / "README.md").write_text("Go\n")
-    assert braille("README.md") == braille("Go")
-    assert braille("text:README.md") == braille("README.md ").rstrip("⠀\n") + "\n" != braille("Go")
+    (tmp_path / "README.rst").write_text("Go\n")
+    assert braille("README.rst") == braille("Go")
+    assert (
+        braille("text:README.rst") == braille("README.rst ").rstrip("⠀\n") + "\n" != braille("Go")
+    )
 
 
 def test_tables(braille):

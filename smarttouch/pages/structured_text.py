@@ -1,0 +1,279 @@
+"""Documents of text with headings, lists, tables and emphasis, by pandoc."""
+
+import io
+import re
+import shutil
+import string
+import subprocess
+import zipfile
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from enum import IntFlag, StrEnum
+from pathlib import Path
+from typing import Any
+
+from smarttouch.base.errors import PageError
+from smarttouch.base.files import open_file, parse_json, read_bytes
+
+INSTALL = "apt install pandoc"
+MOST_BYTES, MOST_UNPACKED_BYTES = 50_000_000, 500_000_000
+"""Largest file, and largest content of a packed one."""
+_TIMEOUT_S = 120.0
+_MEMORY = "1500M"
+_BEGINNING_BYTES = 4096
+_BY_NAME = {".md": "gfm", ".markdown": "gfm", ".html": "html", ".htm": "html", ".xhtml": "html"}
+_PACKED = {b"mimetypeapplication/epub+zip": "epub",
+           b"mimetypeapplication/vnd.oasis.opendocument.text": "odt"}  # fmt: skip
+_HTML = re.compile(
+    rb"(\xef\xbb\xbf)?\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<(!doctype\s+html|html)\b",
+    re.IGNORECASE | re.DOTALL,
+)
+
+
+class Emphasis(IntFlag):
+    """Type of a character in print, as liblouis numbers them."""
+
+    PLAIN = 0
+    ITALIC = 1
+    UNDERLINE = 2
+    BOLD = 4
+
+
+class BlockKind(StrEnum):
+    """What a block of text is."""
+
+    HEADING = "heading"
+    PARAGRAPH = "paragraph"
+    ITEM = "item"
+    """Of a list."""
+    ROW = "row"
+    """Of a table; its cells are parted by semicolons."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """Characters of one emphasis."""
+
+    text: str
+    emphasis: Emphasis = Emphasis.PLAIN
+
+
+@dataclass(frozen=True)
+class Block:
+    """Heading, paragraph, item or row; its level counts from 1 for headings, from 0 for items."""
+
+    kind: BlockKind
+    level: int
+    runs: tuple[Run, ...]
+
+    @property
+    def text(self) -> str:
+        """Its words, without emphasis."""
+        return "".join(run.text for run in self.runs)
+
+
+@dataclass(frozen=True)
+class StructuredText:
+    """Blocks of a document in order, and what it says of itself; empty where it does not."""
+
+    blocks: tuple[Block, ...]
+    title: str = ""
+    author: str = ""
+    language: str = ""
+
+    @property
+    def text(self) -> str:
+        """A line for each block."""
+        return "\n".join(block.text for block in self.blocks)
+
+
+def format_of(path: Path) -> str | None:
+    """Return pandoc's name of a document's format, by its content where it says so; None if it is
+    none with structure."""
+    with open_file(path, PageError, MOST_UNPACKED_BYTES) as file:
+        data = file.read(_BEGINNING_BYTES)
+    if data.startswith(b"PK\x03\x04"):
+        packed = next((name for mark, name in _PACKED.items() if mark in data[:120]), None)
+        return packed or ("docx" if b"[Content_Types].xml" in data or b"word/" in data else None)
+    if _HTML.match(data):
+        return "html"
+    return None if b"\x00" in data else _BY_NAME.get(path.suffix.lower())
+
+
+def read_structured_text(path: Path) -> StructuredText:
+    """Read HTML, Markdown, EPUB, DOCX or ODT; nothing else is opened and no script is run."""
+    kind = format_of(path)
+    program = shutil.which("pandoc")
+    if program is None:
+        message = f"{path}: this kind of document needs pandoc: {INSTALL}"
+        raise PageError(message, about="pandoc", remedy=INSTALL)
+    data = read_bytes(path, PageError, MOST_BYTES)
+    if data.startswith(b"PK"):
+        _require_modest(path, data)
+    if kind == "odt":
+        data = _with_table_heads(data)
+    try:
+        done = subprocess.run(
+            [program, "+RTS", f"-M{_MEMORY}", "-RTS", "--sandbox", "-f", str(kind), "-t", "json"],
+            input=data, capture_output=True, timeout=_TIMEOUT_S, check=False,
+        )  # fmt: skip
+        if done.returncode:
+            lines = done.stderr.decode("utf-8", "replace").split("\n")
+            raise PageError(f"{path} cannot be read: {lines[0] or 'pandoc failed'}", about="file")
+        document = parse_json(done.stdout)
+        blocks = tuple(each for each in _blocks(document["blocks"]) if each.text.strip())
+        about = document["meta"]
+    except subprocess.TimeoutExpired:
+        message = f"{path} was not read within {_TIMEOUT_S:g} s: give a smaller document"
+        raise PageError(message, about="file") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise PageError(f"{path} cannot be read: {error}", about="file") from None
+    title, author = _said(about.get("title")), _said(about.get("author") or about.get("creator"))
+    return StructuredText(blocks, title, author, _said(about.get("lang") or about.get("language")))
+
+
+def _require_modest(path: Path, data: bytes) -> None:
+    """Raise if a packed document is damaged, or would fill the memory when unpacked."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as packed:
+            size = sum(each.file_size for each in packed.infolist())
+    except (zipfile.BadZipFile, ValueError, OSError) as error:
+        raise PageError(f"{path} is damaged: {error}", about="file") from None
+    if size > MOST_UNPACKED_BYTES:
+        raise PageError(
+            f"{path} would unpack to {size // 10**6} MB, above the limit of "
+            f"{MOST_UNPACKED_BYTES // 10**6}: give a smaller document",
+            about="file",
+        )
+
+
+def _with_table_heads(data: bytes) -> bytes:
+    """Return an ODT whose tables begin with their heads as usual rows: pandoc leaves out others."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as packed, zipfile.ZipFile(file, "w") as made:
+        for each in packed.infolist():
+            content = packed.read(each)
+            if each.filename == "content.xml":
+                content = re.sub(rb"</?table:table-header-rows[^>]*>", b"", content)
+            made.writestr(each, content)
+    return file.getvalue()
+
+
+def _said(value: Any) -> str:
+    """Return a value of a document's metadata as words; several are parted by commas."""
+    if value is None:
+        return ""
+    content = value["c"]
+    if value["t"] == "MetaInlines":
+        return "".join(run.text for run in _runs(content)).strip()
+    if value["t"] == "MetaBlocks":
+        return " ".join(block.text for block in _blocks(content))
+    if value["t"] == "MetaList":
+        return ", ".join(filter(None, map(_said, content)))
+    if value["t"] == "MetaMap":
+        return _said(content.get("text") or content.get("name"))
+    return str(content)
+
+
+def _blocks(nodes: Iterable[Any], inside: Block | None = None) -> Iterator[Block]:
+    """Yield the blocks of pandoc's nodes; ``inside`` is the item that holds them, without runs."""
+    usual = inside or Block(BlockKind.PARAGRAPH, 0, ())
+    for node in nodes:
+        kind, content = node["t"], node.get("c")
+        if kind in ("Para", "Plain"):
+            yield from _lines(usual, _runs(content))
+        elif kind == "Header":
+            yield from _lines(Block(BlockKind.HEADING, content[0], ()), _runs(content[2]))
+        elif kind == "CodeBlock":
+            yield from _lines(usual, [Run(content[1])])
+        elif kind == "LineBlock":
+            for line in content:
+                yield from _lines(usual, _runs(line))
+        elif kind in ("BlockQuote", "Div", "Figure"):
+            yield from _blocks(content if kind == "BlockQuote" else content[-1], inside)
+        elif kind in ("BulletList", "OrderedList"):
+            level = inside.level + 1 if inside and inside.kind is BlockKind.ITEM else 0
+            numbers = _numbers(content[0]) if kind == "OrderedList" else iter(())
+            for item in content if kind == "BulletList" else content[1]:
+                yield from _item(item, level, next(numbers, ""))
+        elif kind == "DefinitionList":
+            for term, meanings in content:
+                yield from _lines(Block(BlockKind.ITEM, 0, ()), _runs(term))
+                for meaning in meanings:
+                    yield from _item(meaning, 1, "")
+        elif kind == "Table":
+            yield from _table(content)
+
+
+def _item(nodes: Iterable[Any], level: int, number: str) -> Iterator[Block]:
+    """Yield the blocks of an item, the first with its number."""
+    for block in _blocks(nodes, Block(BlockKind.ITEM, level, ())):
+        yield replace(block, runs=(Run(number), *block.runs)) if number else block
+        number = ""
+
+
+def _numbers(attributes: Any) -> Iterator[str]:
+    """Yield the numbers or letters of a list's items."""
+    start, style, _ = attributes
+    letters = {"LowerAlpha": string.ascii_lowercase, "UpperAlpha": string.ascii_uppercase}
+    signs = letters.get(style["t"])
+    number = int(start)
+    while True:
+        yield f"{signs[number - 1] if signs and number <= len(signs) else number}. "
+        number += 1
+
+
+def _table(content: Any) -> Iterator[Block]:
+    _, caption, _, head, bodies, foot = content
+    yield from _blocks(caption[1])
+    rows = [*head[1], *(row for body in bodies for part in body[2:4] for row in part), *foot[1]]
+    for row in rows:
+        runs: list[Run] = []
+        for cell in row[1]:
+            inside = [run for block in _blocks(cell[-1]) for run in (*block.runs, Run(" "))][:-1]
+            runs += ([Run("; ")] if runs else []) + (inside or [Run("-")])
+        if any(run.text.strip("-; ") for run in runs):
+            yield Block(BlockKind.ROW, 0, tuple(runs))
+
+
+def _lines(like: Block, runs: Iterable[Run]) -> Iterator[Block]:
+    """Yield a block of this kind for each line of some runs."""
+    line: list[Run] = []
+    for run in runs:
+        first, *others = run.text.split("\n")
+        line.append(replace(run, text=first))
+        for each in others:
+            yield replace(like, runs=tuple(line))
+            line = [replace(run, text=each)]
+    yield replace(like, runs=tuple(line))
+
+
+_EMPHASIS = {"Emph": Emphasis.ITALIC, "Strong": Emphasis.BOLD, "Underline": Emphasis.UNDERLINE}
+_QUOTES = {"SingleQuote": "‘’", "DoubleQuote": "“”"}
+_SPACES = {"Space": " ", "SoftBreak": " ", "LineBreak": "\n"}
+
+
+def _runs(nodes: Iterable[Any], emphasis: Emphasis = Emphasis.PLAIN) -> Iterator[Run]:
+    """Yield the runs of pandoc's inline nodes."""
+    for node in nodes:
+        kind, content = node["t"], node.get("c")
+        if kind == "Str" or kind in _SPACES:
+            yield Run(_SPACES.get(kind) or content, emphasis)
+        elif kind in _EMPHASIS:
+            yield from _runs(content, emphasis | _EMPHASIS[kind])
+        elif kind in ("Code", "Math"):
+            yield Run(content[1], emphasis)
+        elif kind == "Quoted":
+            quotes = _QUOTES[content[0]["t"]]
+            yield Run(quotes[0], emphasis)
+            yield from _runs(content[1], emphasis)
+            yield Run(quotes[1], emphasis)
+        elif kind == "Note":
+            note = " ".join(block.text for block in _blocks(content))
+            yield Run(f" ({note})", emphasis)
+        elif kind == "Link" and "footnote-back" in content[0][1]:
+            continue
+        elif kind in ("Link", "Span", "Cite", "Image"):
+            yield from _runs(content[1], emphasis)
+        elif kind in ("Strikeout", "Superscript", "Subscript", "SmallCaps"):
+            yield from _runs(content, emphasis)
