@@ -5,8 +5,8 @@
 
 #define MOST_UA 5000u
 
-const st_kit st_kajimoto61 = { "Kajimoto 61", 61, 64, 2442, 4095, NULL };
-const st_kit st_etactilekit64 = { "eTactileKit 64", 64, 64, 9990, 4095, NULL };
+const st_kit st_kajimoto61 = { "Kajimoto 61", 61, 64, 2442, 4095, ST_AD5452, NULL };
+const st_kit st_etactilekit64 = { "eTactileKit 64", 64, 64, 9990, 4095, ST_AD5452, NULL };
 
 /* Check that a kit's numbers fit together; touches nothing. */
 const char *st_kit_wrong(const st_kit *kit)
@@ -17,6 +17,10 @@ const char *st_kit_wrong(const st_kit *kit)
     if (kit->na_per_count == 0u || kit->na_per_count > 50000u
         || (uint32_t)kit->na_per_count * kit->most_counts < 1000u * MOST_UA) {
         return "kit.na_per_count or most_counts is missing, or too small for 5 mA";
+    }
+    if ((kit->converter != ST_AD5452 && kit->converter != ST_MCP4921)
+        || kit->most_counts > 4095u) {
+        return "kit.converter is missing: ST_AD5452 or ST_MCP4921, of 4095 counts at most";
     }
     for (uint32_t each = 0; kit->output_of != NULL && each < kit->electrodes; each++) {
         if (kit->output_of[each] >= kit->chain_bits) {
@@ -31,6 +35,12 @@ uint16_t st_kit_counts(const st_kit *kit, uint16_t source_ua)
 {
     const uint32_t counts = 1000u * (uint32_t)source_ua / kit->na_per_count;
     return counts > kit->most_counts ? 0u : (uint16_t)counts;
+}
+
+/* Place counts as the kit's converter reads them; touches nothing. */
+uint16_t st_kit_word(const st_kit *kit, uint16_t counts)
+{
+    return kit->converter == ST_MCP4921 ? (uint16_t)(0x3000u | counts) : (uint16_t)(counts << 2);
 }
 
 /* Write one bit for each output: 1 for an anode. */

@@ -12,14 +12,18 @@ from tests.firmware import build
 
 _WRITE = re.compile(r"addr (0x[0-9a-f]+) value (0x[0-9a-f]+) size \d name")
 GPIOA_BSRR, GPIOB_BSRR = 0x40020018, 0x40020418
-SPI1_DR, SPI2_DR = 0x4001300C, 0x4000380C
+SPI1_DR, SPI2_CR1, SPI2_DR = 0x4001300C, 0x40003800, 0x4000380C
 TIM4_CR1, TIM4_ARR = 0x40000800, 0x4000082C
 LE, POL, SELECT = 4, 7, 12
 
 
 @dataclass
 class ShiftRegisters:
-    """HV507 or HV513 behind SPI 1, LE, POL and a timer's BL, and a MCP4921 behind SPI 2.
+    """HV507 or HV513 behind SPI 1, LE, POL and a timer's BL, and an AD5452 behind SPI 2.
+
+    By the table of functions in KajiLabHV507B.h: BL low with POL high puts all outputs at ground;
+    POL low inverts them. The AD5452 takes two zeros, counts and two bits that do not matter, at
+    falling edges (phase 1).
 
     Every write to a register of the processor goes through `write`. What must never be is kept in
     `wrong`, a sentence each.
@@ -33,6 +37,7 @@ class ShiftRegisters:
     edges: dict = field(default_factory=lambda: {LE: 0, POL: 0, SELECT: 0, "clock": 0, "BL": 0})
     counts: int = 0
     word: int | None = None
+    phase: int = 0
     width_us: int = 0
     high: bool = False
     """Whether BL is high, so that outputs follow the latches."""
@@ -53,9 +58,9 @@ class ShiftRegisters:
             self._convert(self.word)
 
     def _convert(self, word):
-        if word >> 12 != 3:
-            self.wrong.append(f"the converter is told {word:#x}")
-        self.counts, self.word = word & 0xFFF, None
+        if word >> 14 or not self.phase:
+            self.wrong.append(f"the converter is told {word:#x} in phase {self.phase}")
+        self.counts, self.word = word >> 2 & 0xFFF, None
         if self.counts and not self.high:
             self.wrong.append("current before BL is high")
         if self.counts and self.high:
@@ -83,6 +88,8 @@ class ShiftRegisters:
             self.edges["clock"] += 16
         elif address == SPI2_DR:
             self.word = value
+        elif address == SPI2_CR1:
+            self.phase = value & 1
         elif address == TIM4_ARR:
             self.width_us = value
         elif address == TIM4_CR1:

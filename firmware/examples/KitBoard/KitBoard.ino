@@ -1,4 +1,5 @@
-/* A kit's board on an ESP32 (Arduino-ESP32 3.x), wired as the kit's registers and converter are.
+/* A kit's board on an ESP32 (Arduino-ESP32 3.x), with the pins of Kajimoto's own sketches: registers
+ * at 13 and 14, converter at 18, 23 and 22.
  *
  * NOT SEEN on hardware. Check the pins and na_per_count (in st_kit.c) against your own board, and go
  * through the checklist of docs/how-to/firmware.md on a dummy load first. A timer's interrupt ends
@@ -11,7 +12,7 @@
 
 static const st_kit &kit = st_kajimoto61;
 
-enum { BL = 25, LE = 26, POL = 27, SELECT = 5, SWITCH = 34 };
+enum { DATA = 13, CLOCK = 14, BL = 25, LE = 26, POL = 27, SELECT = 22, SWITCH = 34 };
 static const uint16_t ELECTRODES = 64;
 static const uint32_t PACKET_BYTES = 8192;
 
@@ -19,13 +20,14 @@ static st_board board;
 static uint8_t buffer[ST_BUFFERS][PACKET_BYTES];
 static int16_t current_ua[ELECTRODES], pulse_ua[ELECTRODES];
 static st_electrode electrodes[ELECTRODES];
+static SPIClass registers(HSPI);
 static hw_timer_t *timer;
 static portMUX_TYPE lock = portMUX_INITIALIZER_UNLOCKED;
 
 static void convert(uint16_t counts)
 {
     digitalWrite(SELECT, LOW);
-    SPI.transfer16(0x3000 | counts);
+    SPI.transfer16(st_kit_word(&kit, counts));
     digitalWrite(SELECT, HIGH);
 }
 
@@ -62,7 +64,7 @@ static uint64_t pulse(void *, const st_pulse *given)
     digitalWrite(BL, LOW);
     convert(0);
     st_kit_bits(&kit, given, bits);
-    SPI.transfer(bits, kit.chain_bits / 8);
+    registers.transfer(bits, kit.chain_bits / 8);
     digitalWrite(LE, HIGH);
     digitalWrite(LE, LOW);
     timerAlarm(timer, given->width_us, false, 0);
@@ -96,8 +98,13 @@ void setup()
     pinMode(LE, OUTPUT);
     pinMode(SELECT, OUTPUT);
     pinMode(SWITCH, INPUT_PULLUP);
+    digitalWrite(SELECT, HIGH);
+    registers.begin(CLOCK, -1, DATA);
+    registers.beginTransaction(SPISettings(8000000, MSBFIRST, SPI_MODE0));
     SPI.begin();
-    SPI.beginTransaction(SPISettings(10000000, MSBFIRST, SPI_MODE0));
+    const uint8_t mode = kit.converter == ST_AD5452 ? SPI_MODE1 : SPI_MODE0;
+    SPI.beginTransaction(SPISettings(10000000, MSBFIRST, mode));
+    convert(0);
     Serial.setRxBufferSize(4096);
     Serial.begin(921600);
     timer = timerBegin(1000000);

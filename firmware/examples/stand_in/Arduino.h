@@ -14,6 +14,8 @@
 #define IRAM_ATTR
 #define MSBFIRST 1
 #define SPI_MODE0 0
+#define SPI_MODE1 1
+#define HSPI 2
 
 typedef int portMUX_TYPE;
 #define portMUX_INITIALIZER_UNLOCKED 0
@@ -39,7 +41,8 @@ struct SPISettings {
     SPISettings(uint32_t clock, uint8_t order, uint8_t mode);
 };
 struct SPIClass {
-    void begin();
+    explicit SPIClass(uint8_t bus);
+    void begin(int8_t clock = -1, int8_t in = -1, int8_t out = -1);
     void beginTransaction(SPISettings settings);
     void endTransaction();
     void transfer(void *data, uint32_t size);

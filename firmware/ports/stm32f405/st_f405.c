@@ -7,7 +7,7 @@
  * PB6        BL, by TIM4 channel 1 in one-pulse mode: it falls by itself after the pulse's width,
  *            whatever the processor does; a resistor of 10 kOhm holds it low until then
  * PB7        POL, high
- * PB13, PB15 SPI2: clock and data of the converter, a MCP4921
+ * PB13, PB15 SPI2: clock and data of the converter, an AD5452 or MCP4921
  * PB12       its chip select
  * PC13       the emergency switch, which connects it to ground in normal use
  *
@@ -74,11 +74,11 @@ static void spi_write(volatile uint32_t *spi, uint32_t word)
     (void)spi[SPI_DR / 4];
 }
 
-/* Set the converter: a MCP4921's 0x3000 is unbuffered, once the reference, on. */
+/* Set the converter by its select line and SPI 2. */
 static void convert(uint16_t counts)
 {
     GPIOB(BSRR) = 1u << (SELECT + 16u);
-    spi_write(&SPI2(0), 0x3000u | counts);
+    spi_write(&SPI2(0), st_kit_word(&ST_KIT, counts));
     GPIOB(BSRR) = 1u << SELECT;
 }
 
@@ -272,7 +272,8 @@ static void start_hardware(void)
     GPIOA(MODER) = 0xA8000000u | (1u << 8) | (2u << 10) | (2u << 14) | (2u << 18) | (2u << 20);
     GPIOB(MODER) = 0x280u | (2u << 12) | (1u << 14) | (1u << 24) | (2u << 26) | (2u << 30);
     SPI1(SPI_CR1) = 0x354u;                       /* master, 84 MHz / 8, eight bits, on */
-    SPI2(SPI_CR1) = 0xB4Cu;                       /* master, 42 MHz / 4, sixteen bits, on */
+    /* Master, 42 MHz / 4, sixteen bits, on; the edge that the converter reads at. */
+    SPI2(SPI_CR1) = 0xB4Cu | (ST_KIT.converter == ST_AD5452 ? 1u : 0u);
     USART1(0x08) = 91;                            /* 84 MHz / 921,600 */
     USART1(0x0C) = 0x202Cu;
     SYSCFG_EXTICR4 = 0x20u;                       /* line 13 is PC13 */
