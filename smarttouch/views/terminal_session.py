@@ -133,13 +133,7 @@ def run_in_terminal(
             ],
             stop=stop,
             load_kernels=partial(_load_kernels, quiet=outputs.quiet),
-            operation=Operation(
-                controls,
-                # On a finger, intensity starts at zero where there are controls.
-                first_level=0.0 if display.on_a_finger and (typed or window is not None) else None,
-                most_level=config.intensity if display.on_a_finger else None,
-                opened=partial(opened, display.board),
-            ),
+            operation=_operation(display, config, controls, typed or window is not None),
         )
         try:
             runner.run()
@@ -155,6 +149,19 @@ def run_in_terminal(
                 closing.pop_all()
                 return window
     return None
+
+
+def _operation(
+    display: Display, config: RunConfig, controls: MakeControls, steered: bool
+) -> Operation:
+    """Return how a run is operated: on a finger it starts at zero where somebody can raise it."""
+    finger = display.on_a_finger
+    return Operation(
+        controls,
+        first_level=0.0 if finger and steered else None,
+        most_level=config.intensity if finger else None,
+        opened=partial(opened, display.board),
+    )
 
 
 def _window(

@@ -16,7 +16,7 @@ from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Stimulus
 from smarttouch.stimulation.scan_sequence import SlotPolicy
 
-from ..views.test_markers import FakeLsl
+from ..views.test_lsl_markers import FakeLsl
 
 FAST = "live texture:grating:4mm?motion=sweep:?speed_mm_s=120 --board simulated: --quiet"
 
