@@ -1,6 +1,7 @@
 """Takes a picture of `smarttouch live` in a terminal: needs tmux, Chromium and playwright."""
 
 import io
+import re
 import subprocess
 import time
 from pathlib import Path
@@ -20,9 +21,11 @@ def main() -> None:
     live = "env COLORTERM=truecolor smarttouch live"
     subprocess.run([*TMUX, "new-session", "-d", "-x", "80", "-y", "24", live], check=True)
     try:
-        time.sleep(6)
-        capture = [*TMUX, "capture-pane", "-p", "-e"]
-        said = subprocess.run(capture, check=True, capture_output=True, text=True).stdout
+        said = ""
+        while not re.search(r"time.* [2-9]\.\d s", said):
+            time.sleep(0.2)
+            capture = [*TMUX, "capture-pane", "-p", "-e"]
+            said = subprocess.run(capture, check=True, capture_output=True, text=True).stdout
     finally:
         subprocess.run([*TMUX, "kill-server"], check=True)
     console = Console(record=True, width=80, file=io.StringIO())

@@ -16,7 +16,7 @@ WIDTH = 10
 def recipe():
     """Return the settings file that the page tells readers to write."""
     (found,) = re.findall(
-        r"^```conf\n(.*?)^```$", PAGE.read_text("utf-8"), re.MULTILINE | re.DOTALL
+        r"^```text\n(braille-driver.*?)^```$", PAGE.read_text("utf-8"), re.MULTILINE | re.DOTALL
     )
     return found
 
