@@ -136,3 +136,23 @@ def test_the_gallery_has_each_program_in_a_section():
         r"\.\./examples/(\w+)\.py", (ROOT / "docs" / "gallery.md").read_text("utf-8")
     )
     assert sorted(named) == sorted(path.stem for path in (ROOT / "examples").glob("*.py"))
+
+
+def test_modules_that_pages_name_are_there():
+    text = "\n".join(page.read_text("utf-8") for page in PAGES)
+    # The last part may be a name of the module, or a group of entry points.
+    named = set(re.findall(r"`(smarttouch(?:\.[a-z_]+)+)(?:\.[A-Z]\w*)?`", text))
+    groups = {f"smarttouch.{group}" for group in ("boards", "sources", "forces", "experiments")}
+    missing = [
+        name
+        for name in named - groups
+        if not any(
+            (ROOT / each).exists() for each in _places(name) + _places(name.rpartition(".")[0])
+        )
+    ]
+    assert missing == []
+
+
+def _places(name):
+    path = name.replace(".", "/")
+    return [f"{path}.py", path]
