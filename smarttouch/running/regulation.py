@@ -8,7 +8,7 @@ from smarttouch.boards.board import Board
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.step import Step
-from smarttouch.stimulation.adaptation import Adaptation, Hold
+from smarttouch.stimulation.adaptation import RESERVED, Adaptation, Hold
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules, add_recharge
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
@@ -75,9 +75,11 @@ class Regulator:
         """Return what a user should know after the run."""
         notes = []
         limited = () if self.adaptation is None else self.adaptation.limited
-        if limited:
+        if limited and self.adaptation is not None:
+            what, end = ("energy", "strongest") if self.adaptation.holds == "energy" else (
+                "charge", "longest")  # fmt: skip
             notes.append(
-                f"charge could not be held at {len(limited)} sites: pulses are at their longest"
+                f"{what} could not be held at {len(limited)} sites: pulses are at their {end}"
             )
         if self._reversed:
             notes.append(
@@ -146,6 +148,11 @@ def make_regulator(
                 about="hold",
             )
         hold: Hold = "charge" if config.hold == "charge" else "energy"
+        if hold == "energy":
+            note(
+                f"Energy is held from {RESERVED:.0%} of the current on, so that it can rise where "
+                "skin becomes wet: raise the intensity until it is as strong as you want."
+            )
         adaptation = Adaptation(profile, hold, can.compliance_v, board.timing)
     if config.balance:
         if can.recharges:

@@ -22,7 +22,10 @@ NEAR = 0.92
 FASTEST_FALL = 0.8
 FASTEST_RISE = 1.05
 """Largest ratio of a site's current between observations; at 50 Hz, 0.3 s from half to full."""
-FAINTEST_ENERGY = 0.25
+RESERVED = 0.5
+"""Part of the current asked for with which energy is held from, so that it holds while impedance
+falls to a quarter, too: nothing may carry more than was asked for."""
+FAINTEST_ENERGY = RESERVED / 4
 """Least part of its current a site keeps to hold energy: 16 times the first impedance."""
 WORTHWHILE = 0.999
 """Factor above which a current is left as it is."""
@@ -36,8 +39,9 @@ class Adaptation:
     """Estimates the impedance of every site, and adapts currents and widths to it.
 
     To hold ``charge``, pulses become weaker and as much longer where the source is near its
-    compliance, which a board with one pulse width cannot do. To hold ``energy``, they become weaker
-    by the square root of the rise in impedance since the first observation.
+    compliance, which a board with one pulse width cannot do. To hold ``energy``, they begin with
+    `RESERVED` of the current and change by the square root of the change in impedance since the
+    first observation, either way; what was asked for is never exceeded.
     """
 
     def __init__(
@@ -55,7 +59,8 @@ class Adaptation:
                 about="hold",
             )
         sites = len(profile.electrodes)
-        self._limits, self._hold = profile.limits, hold
+        self._limits = profile.limits
+        self.holds: Hold = hold
         self._switched = profile.output.kind != "weighted"
         self._near_v = NEAR * compliance_v
         longest = profile.pulse.width_us / profile.limits.pulse_us
@@ -63,12 +68,12 @@ class Adaptation:
         self._least_ua = longest * np.asarray(profile.threshold_ma, np.float64) * 1000
         self._highest_ua = np.full(sites, np.inf)
         self._first_kohm = np.full(sites, np.nan)
-        self._factor = np.ones(sites)
+        self._factor = np.full(sites, RESERVED if hold == "energy" else 1.0)
         self._limited = np.zeros(sites, np.bool_)
 
     @property
     def limited(self) -> tuple[int, ...]:
-        """Sites whose pulses cannot become longer: their charge is no longer held."""
+        """Sites whose pulses cannot become longer, or stronger: charge or energy is not held."""
         return tuple(np.flatnonzero(self._limited).tolist())
 
     def observe(self, sequence: ScanSequence, volts: NDArray[np.float32]) -> None:
@@ -77,7 +82,7 @@ class Adaptation:
         known = (peak_ua > 0) & np.isfinite(volts) & (np.asarray(volts) > 0)
         site, peak_ua = sequence.site[known].astype(np.intp), peak_ua[known]
         needed_v = np.asarray(volts, np.float64)[known]
-        if self._hold == "charge":
+        if self.holds == "charge":
             self._observe_charge(site, peak_ua, needed_v)
         else:
             self._observe_energy(site, peak_ua, needed_v)
@@ -98,7 +103,8 @@ class Adaptation:
         kohm = needed_v / peak_ua * 1000
         first = np.isnan(self._first_kohm[site]) & (needed_v <= self._near_v)
         self._first_kohm[site[first]] = kohm[first]
-        wanted = np.sqrt(self._first_kohm[site] / kohm)
+        wanted = RESERVED * np.sqrt(self._first_kohm[site] / kohm)
+        self._limited[site] = wanted > 1 / WORTHWHILE
         # Nothing comes on suddenly, not even where a lifted finger is back.
         wanted = np.fmin(wanted, FASTEST_RISE * self._factor[site])
         self._factor[site] = np.clip(wanted, FAINTEST_ENERGY, 1.0)
@@ -111,7 +117,7 @@ class Adaptation:
         """
         site = sequence.site.astype(np.intp)
         peak_ua = _peak_ua(sequence.current_ua)
-        if self._hold == "charge":
+        if self.holds == "charge":
             wanted = np.fmin(self._highest_ua[site] / np.maximum(peak_ua, 1), 1.0)
             longest = np.minimum(sequence.width_us / self._limits.pulse_us, 1.0)
             self._limited[site] = wanted < longest
@@ -127,7 +133,7 @@ class Adaptation:
         current_ua[changed] = round_charge_balanced(
             current_ua[changed].astype(np.float64) * factor[changed, None]
         )
-        if self._hold == "charge":
+        if self.holds == "charge":
             width_us[changed] = self._stretched(
                 width_us[changed], peak_ua[changed], _peak_ua(current_ua[changed])
             )
