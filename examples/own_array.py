@@ -34,7 +34,7 @@ ra_depth_mm = 0.7
 sai_depth_mm = 0.9
 pc_depth_mm = 2.0
 sai_angles_deg = [0.0, 45.0, 90.0, 135.0]
-node_spacing_mm = 0.5
+node_spacing_mm = 0.1
 
 [skin.spread]  # robust kernels hold over this
 ra_depth_mm = 0.1

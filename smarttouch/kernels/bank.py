@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from smarttouch.kernels.batch_design import Timed
     from smarttouch.kernels.design_problem import Kernel, KernelKind, Problem
 
-DESIGN_VERSION = 2
+DESIGN_VERSION = 3
 """Version of the design, raised when the same problem would get other kernels."""
 
 _IN_FILE = {

@@ -126,6 +126,20 @@ class Kernel:
         return titled(title, cells_svg(self.weights))
 
 
+_FIRST_MM = 0.5
+"""Distance of the places at which a design looks first."""
+
+
+def _sublattice(grids: list[tuple[tuple[int, int], int]], apart: int) -> NDArray[np.intp]:
+    """Return every so many rows and columns of stacks of lattices, (K,), by index of all."""
+    found, start = [], 0
+    for (high, wide), count in grids:
+        index = np.arange(start, start + count * high * wide).reshape(count, high, wide)
+        found.append(index[:, ::apart, ::apart].ravel())
+        start += index.size
+    return np.concatenate(found)
+
+
 def masked_site(site: int) -> DesignError:
     """Return the error of a site that has no kernel."""
     return DesignError(
@@ -189,6 +203,11 @@ class Problem:
         self.grids: list[tuple[tuple[int, int], int]] = [
             (one.grid, self._layers(one)) for each in others for one in sets[each]
         ]  # fmt: skip
+        own_grids = [(one.grid, self._layers(one)) for one in sets[afferent]]
+        apart = max(1, round(_FIRST_MM / profile.skin.node_spacing_mm))
+        self.coarse_other: NDArray[np.intp] = _sublattice(self.grids, apart)
+        """Rows of other classes, and of the own, that lie about `_FIRST_MM` apart."""
+        self.coarse_own: NDArray[np.intp] = _sublattice(own_grids, apart)
         self._own_position_mm = np.concatenate(
             [np.tile(one.position_mm, (self._layers(one), 1)) for one in sets[afferent]]
         )
@@ -223,10 +242,11 @@ class Problem:
         if site in self.profile.output.masked:
             raise masked_site(site)
 
-    def beyond_a_pitch(self, site: int) -> NDArray[np.bool_]:
-        """Return which own rows are farther than one pitch from a site's target, (M,)."""
+    def beyond_a_pitch(self, site: int, node: int = 0) -> NDArray[np.bool_]:
+        """Return which own rows are farther than one pitch from a node of a site's axon, (M,)."""
         electrodes = self.profile.electrodes
-        away = np.linalg.norm(self._own_position_mm - electrodes.position_mm[site], axis=1)
+        place = self.axon_mm(site)[node, :2] if node else electrodes.position_mm[site]
+        away = np.linalg.norm(self._own_position_mm - place, axis=1)
         return np.asarray(away > electrodes.pitch_mm + 1e-9)
 
     def full_ma(self, site: int) -> float:
@@ -277,7 +297,7 @@ class Problem:
     ) -> Kernel:
         """Return weights scaled to an activation of 1, with their figures on the worst skin;
         DesignError if they do not activate the target in one of them."""
-        far = self.beyond_a_pitch(site)
+        far = self.beyond_a_pitch(site, node)
         worst, spill, whose, smallest = -np.inf, 0.0, 0, np.inf
         for rows in self.rows:
             aims = rows.target[:, site] if node == 0 else self.axon(site)[node][None]

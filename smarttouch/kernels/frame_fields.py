@@ -164,8 +164,8 @@ class FrameFigures:
 class FrameBounds:
     """Bounds on the side effects of a slot; impossible ones raise a DesignError.
 
-    0.30 is what the paper's own single SAI point reaches on its line array (Fig. 8). All targets
-    may be weaker together by `uneven`, which saves current.
+    0.30 is what a single SAI point reaches on the paper's line array, by its own program. All
+    targets may be weaker together by `uneven`, which saves current.
     """
 
     other: float = 0.30  # of `FrameFigures.off_target`

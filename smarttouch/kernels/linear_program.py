@@ -53,17 +53,63 @@ class _SilentHighs(highspy.Highs):
         highspy.Highs.enableCallbacks(self)
 
 
+class ProgramRows:
+    """Rows (N, O) of a program, kept as those of all sites: parts (M, E), each over its scale and
+    with the rows chosen of it or all, times the pattern of each unknown, (E, O).
+
+    Those at `coarse` (K,) are looked at first, whole rows only where none of them is broken.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[tuple[Array, float, NDArray[np.intp] | None]],
+        orbits: Array,
+        coarse: NDArray[np.intp] | None = None,
+    ) -> None:
+        self._parts, self.orbits = parts, orbits
+        counts = [len(rows) if chosen is None else len(chosen) for rows, _, chosen in parts]
+        self._ends = np.cumsum(counts)
+        self.coarse = np.arange(len(self)) if coarse is None else coarse
+        self.coarse_rows = self.take(self.coarse)
+
+    def __len__(self) -> int:
+        return int(self._ends[-1])
+
+    def times(self, weights: Array) -> Array:
+        """Return all rows times a pattern (O,), (N,)."""
+        pattern = self.orbits @ weights
+        found = []
+        for rows, scale, chosen in self._parts:
+            each = rows @ pattern / scale
+            found.append(each if chosen is None else each[chosen])
+        return np.concatenate(found)
+
+    def take(self, index: NDArray[np.intp]) -> Array:
+        """Return some rows, (K, O)."""
+        found, part = (
+            np.empty((len(index), self.orbits.shape[1])),
+            self._ends.searchsorted(index, "right"),
+        )
+        for which, (rows, scale, chosen) in enumerate(self._parts):
+            mine = np.flatnonzero(part == which)
+            begin = self._ends[which] - (len(rows) if chosen is None else len(chosen))
+            own = index[mine] - begin
+            found[mine] = rows[own if chosen is None else chosen[own]] @ self.orbits / scale
+        return found
+
+
 class LinearProgram:
     """Minimize t such that rows·w ≤ slope·t + bound, aims·w ≥ 1, Σw = 0.
 
     Each of the O unknowns stands for `size` electrodes, (O,). Of equally good patterns the cheapest
     by the first of `ties` is taken, then by the next; each is a price of every unknown's magnitude,
     (O,). `worst` chooses rows to add from the excess of all rows, (N,); by default those broken.
+    `after` is a program of the same rows whose choice is where this one begins; its t is 0 or more.
     """
 
     def __init__(
         self,
-        rows: Array,  # (N, O) to be kept small
+        rows: ProgramRows,  # (N, O) to be kept small
         slope: Array,  # (N,) 1 where t is the limit, else 0
         bound: Array,  # (N,) 0 where t is the limit
         aims: Array,  # (S, O) to reach 1; a single row is exactly 1
@@ -71,18 +117,19 @@ class LinearProgram:
         ties: Sequence[Array],
         worst: Chooser | None = None,
         options: Options | None = None,
+        after: "LinearProgram | None" = None,
     ) -> None:
         self._rows, self._slope, self._bound = rows, slope, bound
         self._size, self._ties = size, ties
         self._worst = worst or (lambda excess: np.flatnonzero(excess > _TOLERANCE))
-        self._count = rows.shape[1]
+        self._count = rows.orbits.shape[1]
         self._given = np.zeros(len(rows), bool)
         self._solver = _SilentHighs()
         for name, value in (_OPTIONS | (options or {})).items():
             self._solver.setOptionValue(name, value)
         self._solver.addVars(
             self._count + 1,
-            np.r_[np.full(self._count, -_BOX), -1.0],
+            np.r_[np.full(self._count, -_BOX), -1.0 if after is None else 0.0],
             np.full(self._count + 1, _BOX),
         )
         self._cost(np.r_[np.zeros(self._count), 1.0])
@@ -90,7 +137,9 @@ class LinearProgram:
         self._add(np.c_[aims, np.zeros(len(aims))], 1.0, np.full(len(aims), exact))
         self._add(np.r_[size, 0.0][None], 0.0, np.zeros(1))
         # Where each electrode excites most and least is where patterns are held up in the end.
-        self._give(np.unique(np.r_[rows.argmax(axis=0), rows.argmin(axis=0)]))
+        coarse = rows.coarse_rows
+        first = rows.coarse[np.unique(np.r_[coarse.argmax(axis=0), coarse.argmin(axis=0)])]
+        self._give(first if after is None else np.flatnonzero(after._given))
 
     def most_selective(self) -> float:
         """Return the smallest t; infinite if no pattern keeps the rows."""
@@ -165,10 +214,8 @@ class LinearProgram:
             if status == highspy.HighsModelStatus.kOptimal:
                 answer = np.asarray(self._solver.getSolution().col_value)
                 weights, worst = answer[: self._count], answer[self._count]
-                excess = self._rows @ weights - self._slope * worst - self._bound
-                excess[self._given] = -np.inf
-                if (excess > _TOLERANCE).any():
-                    self._give(self._choose(excess))
+                if len(broken := self._broken(weights, float(worst))):
+                    self._give(broken)
                     continue
                 if believed or self._proven(answer):
                     return answer
@@ -202,10 +249,26 @@ class LinearProgram:
             )
         return abs(value - bound) <= 1e-6 * max(1.0, abs(value))
 
-    def _choose(self, excess: Array) -> NDArray[np.intp]:
+    def _broken(self, weights: Array, worst: float) -> NDArray[np.intp]:
+        """Return rows to add, of the coarse ones as long as one of them is broken."""
+        coarse = self._rows.coarse
+        excess = (
+            self._rows.coarse_rows @ weights - self._slope[coarse] * worst - self._bound[coarse]
+        )
+        excess[self._given[coarse]] = -np.inf
+        broken = np.flatnonzero(excess > _TOLERANCE)
+        if len(broken):
+            return coarse[self._worst_of(broken, excess)]
+        excess = self._rows.times(weights) - self._slope * worst - self._bound
+        excess[self._given] = -np.inf
+        if not (excess > _TOLERANCE).any():
+            return broken
         chosen = self._worst(excess)
         if not len(chosen):
             chosen = np.flatnonzero(excess > _TOLERANCE)
+        return self._worst_of(chosen, excess)
+
+    def _worst_of(self, chosen: NDArray[np.intp], excess: Array) -> NDArray[np.intp]:
         many = max(_ROWS_AT_ONCE, self._count // 5)
         if len(chosen) > many:
             chosen = chosen[np.argpartition(excess[chosen], -many)[-many:]]
@@ -213,7 +276,7 @@ class LinearProgram:
 
     def _give(self, chosen: NDArray[np.intp]) -> None:
         self._given[chosen] = True
-        coefficients = np.c_[self._rows[chosen], -self._slope[chosen]]
+        coefficients = np.c_[self._rows.take(chosen), -self._slope[chosen]]
         self._add(coefficients, -np.inf, self._bound[chosen])
 
     @property

@@ -61,7 +61,7 @@ def _best_states(judge: "_Judge", problem: Problem, site: int) -> tuple[NDArray[
             if len(left) and worths.min() < reached - _SLACK:
                 states = left[int(worths.argmin())]
             return states, 0.0
-    kernel = design_kernel(problem, site)
+    kernel = design_kernel(problem, site, given_up=0)
     bound = max(kernel.off_target, kernel.spill if kernel.spill > SPILL + 1e-6 else 0.0)
     return states, max(0.0, (reached - bound) / reached)
 
@@ -163,7 +163,7 @@ class _Judge:
 def _local_search(judge: _Judge, problem: Problem, site: int) -> tuple[NDArray[np.int8], float]:
     """Return a good assignment and its objective: the weighted kernel cut at two levels, then
     improved by changing one or two states at a time."""
-    order = np.argsort(design_kernel(problem, site).weights[problem.driven])
+    order = np.argsort(design_kernel(problem, site, given_up=0).weights[problem.driven])
     count = len(order)
     cuts = [
         (anodes, cathodes)

@@ -8,8 +8,10 @@ afferent (Eq. 10 to 18)::
 and no node of the target's own axon above 1 (Eq. 11). Beyond the paper, rows of
 the target's own class farther than one pitch may reach at most `SPILL` of the
 target: on a grid the paper's program alone lets neighbors of the same class
-nearly fire. On a problem with a spread every row stands for all that it might
-be, and a kernel is as good as it is on the worst finger.
+nearly fire. Of all patterns whose t is within `GIVEN_UP` of the least, the one
+with the least such spill is then taken. On a problem with a spread every row
+stands for all that it might be, and a kernel is as good as it is on the worst
+finger.
 """
 
 import numpy as np
@@ -18,11 +20,15 @@ from scipy.ndimage import maximum_filter
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
 from smarttouch.kernels.design_problem import Array, Kernel, Problem
-from smarttouch.kernels.linear_program import Chooser, LinearProgram, Options
+from smarttouch.kernels.linear_program import Chooser, LinearProgram, Options, ProgramRows
 
 SPILL = 0.2
 """Largest own-class activation beyond one pitch, as a part of the target's."""
+GIVEN_UP = 0.03
+"""Part by which the worst other may exceed its least value, so that less of the own class fires."""
 _WORTHWHILE = 1e-6
+_SEARCHED_MM = 0.5
+"""Distance of the nodes that are tried."""
 _LOOSE_ROWS = 40
 """Broken rows off any lattice added per round."""
 
@@ -33,17 +39,19 @@ def design_kernel(
     spill: float | None = SPILL,
     node: int = 0,
     options: Options | None = None,
+    given_up: float = GIVEN_UP,
 ) -> Kernel:
     """Design the weighted kernel of one site; DesignError if there is none within the limits.
 
-    Among equally selective kernels one with all the symmetries of its site is taken, of those the
-    one of least total current, and of those the one whose currents are nearest to the site and to
-    the array's middle, so that the answer does not depend on the solver. Where electrodes stand
-    closer than afferents lie deep, the bound `spill` on own-class activation beyond one pitch
-    cannot be met, or only by losing the target; the larger of worst other and spill is then made as
-    small as possible, and `Kernel.spill` is what is left. None is the paper's unconfined program.
-    No electrode carries more than a thousand times what alone would fire the target. Node 0 of the
-    target's axon is under the electrode.
+    Of kernels whose worst other is within the part `given_up` of the least, the one of least spill
+    is taken; 0 asks for the least worst other, whatever spills within the bound. Among equal ones
+    it is one with all the symmetries of its site, of those the one of least total current, and of
+    those the one whose currents are nearest to the site and to the array's middle, so that the
+    answer does not depend on the solver. Where electrodes stand closer than afferents lie deep, the
+    bound `spill` on own-class activation beyond one pitch cannot be met, or only by losing the
+    target; the larger of worst other and spill is then made as small as possible first. None is the
+    paper's own program, without a bound. No electrode carries more than a thousand times what alone
+    would fire the target. Node 0 of the target's axon is under the electrode.
     """
     problem.check_site(site)
     rows = _Assembled(problem, site, spill, node)
@@ -66,7 +74,7 @@ def design_kernel(
             about="site",
             electrode=site,
         )
-    if not (program.unique and rows.within_limits(program.pattern)) and rows.limit(program):
+    if rows.break_limits(program) and rows.limit(program):
         best = program.most_selective()
         if best == np.inf:
             raise DesignError(
@@ -76,24 +84,33 @@ def design_kernel(
                 remedy="limits.total_ma or limits.electrode_ma",
                 electrode=site,
             )
+    if spill is not None and given_up > 0:
+        program = rows.least_spill(program, best + given_up * abs(best), options)
     weights = rows.orbits @ program.settled()
     return problem.judge(weights, site, node)
 
 
 def design_any_node(problem: Problem, site: int) -> Kernel:
-    """Return the best design over the nodes of the target's axon that are nearest (Eq. 13 to
-    15)."""
+    """Return the best design over the nodes of the target's axon under the array, by brute force
+    (Eq. 13 to 15); on fine lattices those about `_SEARCHED_MM` apart are tried."""
     problem.check_site(site)
     nodes = problem.axon_mm(site)
-    near = np.linalg.norm(nodes - nodes[0], axis=1) <= problem.profile.electrodes.pitch_mm / 2
-    kernels = []
-    for node in np.flatnonzero(near):
+    away = np.linalg.norm(nodes - nodes[0], axis=1) / _SEARCHED_MM
+    half = problem.profile.skin.node_spacing_mm / _SEARCHED_MM / 2
+    tried = (
+        np.flatnonzero(np.abs(away - np.round(away)) <= half) if half < 0.5 else range(len(away))
+    )
+    best, worst = 0, np.inf
+    for node in tried:
         try:
-            kernels.append(design_kernel(problem, site, SPILL, int(node)))
+            kernel = design_kernel(problem, site, SPILL, int(node), given_up=0)
         except DesignError:
             if node == 0:
                 raise
-    return min(kernels, key=lambda kernel: max(kernel.off_target, kernel.spill))
+            continue
+        if max(kernel.off_target, kernel.spill) < worst - _WORTHWHILE:
+            best, worst = int(node), max(kernel.off_target, kernel.spill)
+    return design_kernel(problem, site, SPILL, best)
 
 
 class _Assembled:
@@ -103,35 +120,69 @@ class _Assembled:
         self._problem, self._site = problem, site
         alone = np.eye(problem.electrodes)[:, problem.driven]
         self.orbits = problem.orbits(site) if node == 0 else alone
-        far = problem.beyond_a_pitch(site) if spill is not None else np.zeros(0, np.intp)
+        far = problem.beyond_a_pitch(site, node) if spill is not None else np.zeros(0, np.intp)
         axon = problem.axon(site)
         scale = [float(np.abs(rows.target[0, site]).max()) for rows in problem.rows]
-        others = [rows.other / each for rows, each in zip(problem.rows, scale, strict=True)]
-        own = [rows.own[far] / each for rows, each in zip(problem.rows, scale, strict=True)]
+        far = np.flatnonzero(far)
+        others = [(rows.other, each, None) for rows, each in zip(problem.rows, scale, strict=True)]
+        own = [(rows.own, each, far) for rows, each in zip(problem.rows, scale, strict=True)]
         aims = [rows.target[:, site] / each for rows, each in zip(problem.rows, scale, strict=True)]
         if node:
             aims = [axon[node][None] / scale[0]]
         # Eq. 11: of the target's own axon no other node may fire first.
-        eq11 = np.delete(axon, node, axis=0) / scale[0]
+        eq11 = np.delete(axon, node, axis=0)
         if problem.spread:
             eq11 = eq11[:0]
-        self._rows = np.concatenate([*others, *own, eq11]) @ self.orbits
+        counts = [sum(len(rows) for rows, *_ in others), len(far) * len(own), len(eq11)]
+        own_too = np.isin(far, problem.coarse_own).nonzero()[0]
+        every = [len(problem.rows[0].other), len(far)]
+        coarse = np.concatenate(
+            [problem.coarse_other + index * every[0] for index in range(len(others))]
+            + [own_too + counts[0] + index * every[1] for index in range(len(own))]
+            + [np.arange(sum(counts[:2]), sum(counts))]
+        )
+        parts = [*others, *own, (eq11, scale[0], None)]
+        self._rows = ProgramRows(parts, self.orbits, coarse)
         self._aims = np.concatenate(aims) @ self.orbits
-        counts = [sum(map(len, others)), sum(map(len, own)), len(eq11)]
         self._slope = np.repeat([1.0, 0.0, 0.0], counts)
         self._even_slope = np.repeat([1.0, 1.0, 0.0], counts)
+        self._counts = counts
         self._bound = np.repeat([0.0, spill or 0.0, 1.0], counts)
         self._even_bound = np.repeat([0.0, 0.0, 1.0], counts)
 
     def program(self, even: bool, options: Options | None) -> LinearProgram:
+        """Return the program of the worst other, with spill bounded or, if even, made as small."""
         slope, bound = (self._even_slope, self._even_bound) if even else (self._slope, self._bound)
+        return self._of(slope, bound, options)
+
+    def least_spill(
+        self, found: LinearProgram, other: float, options: Options | None
+    ) -> LinearProgram:
+        """Return the solved program of the least spill with a bound on what others get."""
+        slope = np.repeat([0.0, 1.0, 0.0], self._counts)
+        bound = np.repeat([other, 0.0, 1.0], self._counts)
+        program = self._of(slope, bound, options, found)
+        program.most_selective()
+        if self.break_limits(program) and self.limit(program):
+            program.most_selective()
+        return program
+
+    def _of(
+        self,
+        slope: Array,
+        bound: Array,
+        options: Options | None,
+        after: LinearProgram | None = None,
+    ) -> LinearProgram:
         size = self.orbits.sum(axis=0)
         array = self._problem.profile.electrodes
         # Least current in all; of that, near the site; of that, near the array's middle.
         from_site = array.distance_mm[self._site] @ self.orbits
         from_middle = np.linalg.norm(array.position_mm, axis=1) @ self.orbits
         ties, peaks = (size, from_site, from_middle), _peaks(self._problem)
-        return LinearProgram(self._rows, slope, bound, self._aims, size, ties, peaks, options)
+        return LinearProgram(
+            self._rows, slope, bound, self._aims, size, ties, peaks, options, after
+        )
 
     def limit(self, program: LinearProgram) -> bool:
         """Bound the currents by the profile's limits; False if there are none."""
@@ -141,13 +192,14 @@ class _Assembled:
         program.limit(reference, factors, None if np.isinf(total) else total)
         return True
 
-    def within_limits(self, pattern: Array) -> bool:
-        """Return whether a pattern keeps the limits unchanged."""
-        reference, factors, total = self._limits()
+    def break_limits(self, program: LinearProgram) -> bool:
+        """Return whether a program's pattern might break the limits, now or among equals."""
+        pattern, (reference, factors, total) = program.pattern, self._limits()
         current, magnitude = float(reference @ pattern), np.abs(pattern)
         in_all = float(self.orbits.sum(axis=0) @ magnitude)
-        return (
-            current > 0
+        return not (
+            program.unique
+            and current > 0
             and bool((magnitude <= factors * current).all())
             and in_all <= (total * current)
         )

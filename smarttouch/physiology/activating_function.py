@@ -95,17 +95,20 @@ def along_axon(profile: Profile, afferent: Afferent, site: int) -> tuple[Afferen
     center = profile.electrodes.position_mm[site]
     skin, first = profile.skin, targets(profile, afferent)
     direction = first.direction[0]
-    reach = 2 * profile.electrodes.pitch_mm
-    steps = max(1, int(reach / skin.node_spacing_mm))
-    along = np.arange(1, steps + 1) * skin.node_spacing_mm
+    spacing = skin.node_spacing_mm
     sets: list[tuple[NDArray[np.float64], float, str | None]]
     if direction[2] == 0:
-        away = np.concatenate([[0.0], along, -along])
+        # As far as nodes of other axons are looked at.
+        most = _reach_mm(profile) + 1e-9
+        steps = np.arange(1, int(2 * most.max() / spacing) + 1) * spacing
+        away = np.concatenate([[0.0], steps, -steps])
         position = center + away[:, None] * direction[:2]
-        sets = [(position, first.depth_mm, None)]
+        inside = (np.abs(position) <= most).all(axis=1)
+        sets = [(position[inside], first.depth_mm, None)]
     else:
+        below = np.arange(1, max(1, int(2 * profile.electrodes.pitch_mm / spacing)) + 1) * spacing
         sets = [(center[None], first.depth_mm, first.ending)]
-        sets += [(center[None], first.depth_mm + each, None) for each in along]
+        sets += [(center[None], first.depth_mm + each, None) for each in below]
     return tuple(
         Afferents(afferent, position, depth, first.direction, ending, (len(position), 1))
         for position, depth, ending in sets
@@ -134,11 +137,15 @@ def _ending(skin: Skin, afferent: Afferent) -> str | None:
     return skin.ra_ending if afferent is Afferent.RA else None
 
 
-def _lattice(profile: Profile, spacing_mm: float) -> tuple[NDArray[np.float64], tuple[int, int]]:
+def _reach_mm(profile: Profile) -> NDArray[np.float64]:
+    """Return how far from the array's middle nodes are looked at, (2,) mm."""
     electrodes = profile.electrodes
-    plane = profile.skin.medium == "plane"
     margin = _MARGIN_PITCHES.get(profile.skin.medium, 1.0) * electrodes.pitch_mm
-    reach = np.abs(electrodes.position_mm).max(axis=0) + margin
+    return np.asarray(np.abs(electrodes.position_mm).max(axis=0) + margin)
+
+
+def _lattice(profile: Profile, spacing_mm: float) -> tuple[NDArray[np.float64], tuple[int, int]]:
+    plane, reach = profile.skin.medium == "plane", _reach_mm(profile)
     axes = []
     for half in reach:
         steps = int(np.floor(2 * half / spacing_mm + 1e-9))

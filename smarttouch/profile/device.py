@@ -170,8 +170,8 @@ class Frames(Table):
     """Bounds of a slot with many points, where a whole frame is shown at once."""
 
     other: float = Field(default=0.3, gt=0, le=1)
-    """Largest activation of any other class, relative to the weakest target. 0.30 is the paper's
-    own single SAI point on its line array (Fig. 8)."""
+    """Largest activation of any other class, relative to the weakest target. 0.30 is what a
+    single SAI point reaches on the paper's line array, by its own program."""
     spill: float = Field(default=0.3, gt=0, le=1)
     """Largest activation of the own class more than a pitch from every target, likewise."""
     uneven: float = Field(default=0.05, gt=0, le=0.5)
@@ -270,7 +270,8 @@ class Skin(Table):
     sai_angles_deg: tuple[float, ...] = Field(min_length=1)
     """Directions of the horizontal afferents; the first is the target of SAI mode."""
     node_spacing_mm: Positive
-    """Spacing of the points at which unwanted activation is bounded."""
+    """Spacing of the points at which unwanted activation is bounded: 0.1 in shipped profiles, at
+    most 0.25 in a file of up to 200 electrodes; frames of many points take 0.5 at least."""
     ra_ending: Literal["passive", "active"] = "passive"
     """Whether the ending of a rising axon can fire: it decides RA's polarity."""
     internode_mm: Positive = 0.079

@@ -26,6 +26,12 @@ def list_profiles() -> list[str]:
     return sorted(path.stem for path in data_folder("calibration").glob("*.toml"))
 
 
+COARSEST_MM = 0.25
+"""Largest ``skin.node_spacing_mm`` of a file whose array is not large."""
+MOST_FINE = 200
+"""Largest number of electrodes of which that is asked: rows of more may not fit into memory."""
+
+
 def load_profile(name: str | Path) -> Profile:
     """Load a shipped profile by name, or any profile by its file.
 
@@ -41,7 +47,17 @@ def load_profile(name: str | Path) -> Profile:
     64
     """
     path = profile_path(name)
-    return profile_of(read_toml(path, ProfileError), path)
+    profile = profile_of(read_toml(path, ProfileError), path)
+    skin, small = profile.skin, len(profile.electrodes) <= MOST_FINE
+    if skin.medium != "plane" and skin.node_spacing_mm > COARSEST_MM and small:
+        raise ProfileError(
+            f"{path}: skin.node_spacing_mm {skin.node_spacing_mm:g} is of older profiles: between "
+            "such places other classes get up to a third more than is bounded; set it to 0.1 (at "
+            f"most {COARSEST_MM:g}), and kernels are designed again",
+            about="skin.node_spacing_mm",
+            remedy="0.1",
+        )
+    return profile
 
 
 def profile_path(name: str | Path) -> Path:

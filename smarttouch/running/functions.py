@@ -13,6 +13,7 @@ from smarttouch.kernels.design_problem import Kernel, Problem
 from smarttouch.kernels.driving_problem import DrivingProblem
 from smarttouch.kernels.finger_kernels import FingerKernels
 from smarttouch.kernels.switched_design import designer
+from smarttouch.kernels.weighted_design import design_kernel as unbounded_kernel
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig, RunOptions
 from smarttouch.running.display import Display, open_display
@@ -220,7 +221,7 @@ def design_kernel(
     profile: Profile,
     afferent: Afferent | str,
     site: int,
-    model: Literal["activating", "driving"] = "activating",
+    model: Literal["activating", "paper", "driving"] = "activating",
 ) -> Kernel:
     """Design the kernel of one site, of the kind that the profile's board can make.
 
@@ -231,11 +232,12 @@ def design_kernel(
         Afferent class: RA, SAI or PC.
     site : int
         Electrode over the target.
-    model : {"activating", "driving"}
+    model : {"activating", "paper", "driving"}
         What fires a fiber: the activating function at a node, as in the paper, or a driving
-        function fitted to a cable model; weights are then in mA at the target's threshold. A
-        profile whose objective is the finger has its own, by driving functions: weights are then
-        parts of the full current.
+        function fitted to a cable model; weights are then in mA at the target's threshold.
+        "paper" is its own program (Eq. 16 to 18), for currents of each electrode's own: nothing
+        bounds what its own class gets elsewhere. A profile whose objective is the finger has its
+        own, by driving functions: weights are then parts of the full current.
 
     Raises
     ------
@@ -253,4 +255,6 @@ def design_kernel(
     if profile.kernels.objective == "finger" and model == "activating":
         return FingerKernels(profile, kernels_at_nodes(profile)).kernels(afferent, [site])[0][0]
     problem = (DrivingProblem if model == "driving" else Problem)(profile, afferent)
+    if model == "paper":
+        return unbounded_kernel(problem, site, spill=None)
     return designer(profile)(problem, site)

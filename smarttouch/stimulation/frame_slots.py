@@ -36,6 +36,10 @@ REMEMBERED = 256
 
 Where kernels are added up the last one will do: others take longer to fetch than to make."""
 
+_JUDGED_MM = 0.5
+"""Least distance of places at which frames are judged, 25 times as fast as .1 mm, where what is
+proved of all frames of a shipped array is no larger (tests/kernels/test_proved_sets.py)."""
+
 _ROUNDING = 0.99
 """Part of a bound that plans keep, so that whole µA keep all of it down to a third of full
 intensity. Nothing is felt below, and what breaks a bound there is shown point by point."""
@@ -79,8 +83,9 @@ class FrameSlots:
         # Matrices are small: with other work on the machine, a second thread costs a hundredfold.
         self._blas = ThreadpoolController()
         kernels = [np.asarray(bank.kernels(each), np.float64) for each in afferents]
+        coarse = _coarse(profile)
         judges = [
-            FrameJudge(profile, each, full_wish(profile, own, bank.receptor[each]))
+            FrameJudge(coarse, each, full_wish(profile, own, bank.receptor[each]))
             for each, own in zip(afferents, kernels, strict=True)
         ]
         judge: SlotJudge = judges[0] if len(judges) == 1 else MixedJudge(judges)
@@ -95,9 +100,13 @@ class FrameSlots:
         self._driven = np.isin(np.arange(len(full_ma)), profile.driven)
         each = np.flatnonzero(np.tile(self._driven, len(afferents)))
         self._points_do = np.full((2, len(self._points_ma)), np.nan)
-        self._points_do[:, each] = _selectivity(
-            judge, self._points_ma[each], np.eye(len(self._points_ma))[each]
-        )
+        if bank.absolute:
+            self._points_do[:, each] = _selectivity(
+                judge, self._points_ma[each], np.eye(len(self._points_ma))[each]
+            )
+        else:
+            for row, column in zip(self._points_do, (bank.off_target, bank.spill), strict=True):
+                row[each] = np.concatenate([column[mode] for mode in afferents])[each]
         frames = profile.frames
         self._bounds = FrameBounds(frames.other, frames.spill, frames.uneven)
         self._planned_bounds = FrameBounds(
@@ -281,6 +290,14 @@ class FrameSlots:
             np.concatenate([plan.alone, added]),
             np.concatenate([plan.alone_level, level[added]]),
         )
+
+
+def _coarse(profile: Profile) -> Profile:
+    """Return a profile with places at `_JUDGED_MM` or farther apart."""
+    if profile.skin.node_spacing_mm >= _JUDGED_MM:
+        return profile
+    skin = profile.skin.model_copy(update={"node_spacing_mm": _JUDGED_MM})
+    return profile.model_copy(update={"skin": skin})
 
 
 def _completed(

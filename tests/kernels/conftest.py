@@ -7,8 +7,9 @@ from smarttouch.kernels.frame_operator import FrameOperator
 
 
 @pytest.fixture(scope="module")
-def make_operator(profile, bank):
-    made = {}
+def make_operator(profile, bank, changed):
+    """Return a maker of operators with places as far apart as where frames are shown."""
+    made, profile = {}, changed(profile, {"skin.node_spacing_mm": 0.5})
 
     def make(afferent):
         if afferent not in made:

@@ -7,7 +7,11 @@ from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from smarttouch.kernels import linear_program
-from smarttouch.kernels.linear_program import LinearProgram
+from smarttouch.kernels.linear_program import LinearProgram, ProgramRows
+
+
+def dense(rows):
+    return ProgramRows([(rows, 1.0, None)], np.eye(rows.shape[1]))
 
 
 def random_programme(seed, rows=120, unknowns=6):
@@ -17,7 +21,7 @@ def random_programme(seed, rows=120, unknowns=6):
     return (
         coefficients,
         aim,
-        LinearProgram(coefficients, np.ones(rows), np.zeros(rows), aim, size, (size,)),
+        LinearProgram(dense(coefficients), np.ones(rows), np.zeros(rows), aim, size, (size,)),
     )
 
 
@@ -37,7 +41,7 @@ def test_linprog_agrees(seed):
 def test_what_cannot_be_reached_is_infinite():
     even = np.ones((1, 4))
     unreachable = LinearProgram(
-        np.eye(4), np.ones(4), np.zeros(4), even, np.ones(4), (np.ones(4),)
+        dense(np.eye(4)), np.ones(4), np.zeros(4), even, np.ones(4), (np.ones(4),)
     )  # fmt: skip
     assert unreachable.most_selective() == np.inf
 

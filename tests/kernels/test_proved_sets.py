@@ -9,7 +9,7 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
 from smarttouch.base.whole_kernels import quantized
 from smarttouch.kernels.frame_fields import FrameBounds
-from smarttouch.kernels.frame_judges import FrameJudge
+from smarttouch.kernels.frame_judges import FrameJudge, full_wish
 from smarttouch.kernels.frame_operator import FrameOperator
 from smarttouch.kernels.proved_sets import Certainty, SharedKernels, color_classes, proved_sets
 from smarttouch.profile import load_profile
@@ -99,6 +99,17 @@ def test_sets_are_as_large_as_can_be_proved(make_operator, profile, changed):
     for one in sets:
         assert one.off_target <= 0.3
         assert (0.96 * one.electrode_ma <= judge.full_ma).all()
+
+
+def test_what_is_proved_holds_every_tenth_of_a_millimeter(make_operator, profile, bank):
+    wish = full_wish(profile, bank.kernels(Afferent.RA), bank.receptor[Afferent.RA])
+    fine = FrameOperator(FrameJudge(profile, Afferent.RA, wish))
+    for one in proved_sets(make_operator(Afferent.RA), FrameBounds()):
+        # The same kernels as at .5 mm, judged closer.
+        closer = SharedKernels(fine, one.sites)
+        closer.__dict__["kernels"] = one.kernels
+        assert closer.off_target == pytest.approx(one.off_target, rel=0.005)
+        assert closer.spill == pytest.approx(one.spill, rel=0.05)
 
 
 def test_what_is_no_grid_or_large_has_no_sets(profile, bank, changed):
