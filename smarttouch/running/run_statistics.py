@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from smarttouch.base.afferent import Mode
 from smarttouch.boards.board import Board, BoardReport
+from smarttouch.kernels.bank import KernelBank
 from smarttouch.running.step import FirstPulse, StepResult
 from smarttouch.sources.source_contract import Source
 
@@ -93,6 +95,10 @@ class RunStatistics:
     """Largest of all proofs: what points that share slots did to other classes."""
     spill: float = 0.0
     """And to their own class elsewhere."""
+    kernels: KernelBank | None = None
+    """Kernels that points have by themselves."""
+    modes: set[Mode] = field(default_factory=set)
+    """Modes in which slots were sent."""
     seconds: float = 0.0
     scan_us: int = 0
     """Sum of the periods of all sequences sent."""
@@ -124,7 +130,9 @@ class RunStatistics:
         self.frames += 1
         self.delivered += step.input.number != self._last_sent
         self._last_sent = step.input.number
-        self.slots += len(sequence.width_us)
+        if slots := len(sequence.width_us):
+            self.slots += slots
+            self.modes.add(step.mode)
         if sequence.proof is not None and (shared := sequence.proof.shared) is not None:
             self.off_target = max(self.off_target, shared[0])
             self.spill = max(self.spill, shared[1])
@@ -148,6 +156,22 @@ class RunStatistics:
         add_durations([(self.first_pulse, pulse.latency_us), (self.waited, pulse.waited_us)])
 
     @property
+    def selectivity(self) -> tuple[float, float] | None:
+        """Most that other classes got, and the own class elsewhere, over the target's; None where
+        nothing is known: bounds of shared slots, and figures of all kernels of the modes."""
+        bank, shared = self.kernels, (self.off_target, self.spill)
+        if bank is None or bank.single or bank.absolute:
+            return shared if any(shared) else None
+        classes = {each for mode in self.modes for each in mode.afferents} & bank.weights.keys()
+        if not classes:
+            return None
+        other, spill = (
+            max(float(column[each].max()) for each in classes)
+            for column in (bank.off_target, bank.spill)
+        )
+        return max(shared[0], other), max(shared[1], spill)
+
+    @property
     def work_share(self) -> float:
         """The loop's own work, of the time that the board scans."""
         return self.work.total_us / self.scan_us if self.scan_us else 0.0
@@ -161,6 +185,7 @@ def figures_of(
     ended: str,
 ) -> dict[str, Any]:
     """Return the figures of a run, ready for JSON; the board's own are None after a fault."""
+    other, spill = statistics.selectivity or (None, None)
     return {
         "ended": ended,
         "seconds": statistics.seconds,
@@ -170,8 +195,8 @@ def figures_of(
         "dropped_frames": source.dropped_frames + statistics.seen - statistics.delivered,
         "sequences": statistics.frames,
         "slots": statistics.slots,
-        "worst_other": statistics.off_target or None,
-        "worst_spill": statistics.spill or None,
+        "worst_other": other,
+        "worst_spill": spill,
         "pulses": report and report.pulses,
         "pulses_at_most": report and (report.most_pulses or report.pulses),
         "acknowledged": board.acknowledged,

@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from smarttouch.base.afferent import Mode
+from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.clock import Pace, SimulatedClock
 from smarttouch.base.errors import (
     BoardError,
@@ -149,7 +149,7 @@ class Runner:
             with self._opened(self._stop):
                 self._require_force()
                 profile = masked_where_broken(board, profile, self._advise)
-        bank = self._load_kernels(profile)
+        bank = self.statistics.kernels = self._load_kernels(profile)
         vibrated = self.display.vibrators_url is not None
         pipeline = Pipeline(
             profile, bank, config, board.timing, vibrated=vibrated, in_sums=board.keeps_kernels
@@ -180,6 +180,8 @@ class Runner:
                 board.keep_kernels(pipeline.table)
             self._require_force()
             self._warn_of_simulation(profile)
+            if pipeline.mode is Mode.PC and self.display.on_a_finger:
+                self._advise(_weak_selectivity(context.bank))
             regulator = make_regulator(board, profile, self.config, self._advise)
             context.settings |= self._board_settings(regulator)
             source = self.source
@@ -324,3 +326,12 @@ def _refused_packets(board: Board, report: BoardReport) -> list[str]:
         f"{by_host + by_board} packets were old, or of another session: the board refused "
         f"{by_board} and the host {by_host} (something on the line repeats, delays or mixes them)"
     ]
+
+
+def _weak_selectivity(bank: KernelBank) -> str:
+    """Return what PC mode does to the classes above."""
+    most = float(bank.off_target[Afferent.PC].max())
+    return (
+        f"PC mode is not selective: classes nearer to the surface get up to {most:.1f} times what "
+        f"PC does, and answer at {1 / most:.0%} of its current. Raise the intensity slowly."
+    )

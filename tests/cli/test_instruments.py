@@ -85,4 +85,4 @@ def test_a_replay_shares_slots_only_where_the_board_can(program_here, figures_of
     program_here(f"{recorded} --record run.mcap").fine()
     figures = figures_of("replay run.mcap --profile kajimoto-61 --board simulated:")
     assert figures["slots"] > 0
-    assert figures["worst_other"] is figures["worst_spill"] is None
+    assert 0 < figures["worst_spill"] < figures["worst_other"] < 0.2

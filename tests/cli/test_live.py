@@ -168,8 +168,7 @@ def test_many_points_in_a_slot(program_here, tmp_path):
     frames = done.figures
     assert_safe(frames)
     assert 2.5 * frames["slots"] < points["slots"]
-    assert points["worst_other"] is points["worst_spill"] is None
-    assert 0 < frames["worst_other"] <= 0.3
+    assert 0 < points["worst_other"] < frames["worst_other"] <= 0.3
     assert 0 < frames["worst_spill"] <= 0.3
     assert f" {frames['worst_other']:.2f} " in done.stdout
     assert f" {frames['worst_spill']:.2f}" in done.stdout
@@ -189,4 +188,4 @@ def test_points_one_by_one_where_each_is_measured(figures_of):
     page = "live text:on?speed_mm_s=100 --set hold=energy"
     figures = figures_of(f"{page} --seconds 1.5 --quiet")
     assert figures["slots"] > 0
-    assert figures["worst_other"] is None
+    assert 0 < figures["worst_other"] < 0.1
