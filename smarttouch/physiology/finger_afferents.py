@@ -122,6 +122,12 @@ class FingerAfferents:
         return np.concatenate(places).astype(np.float32)
 
     @cached_property
+    def receptor_away_mm(self) -> Array:
+        """Distance of each receptor from each electrode along the skin, (A, E) mm."""
+        places = self.profile.electrodes.position_mm
+        return np.asarray(np.linalg.norm(self.receptor_mm[:, None] - places, axis=2))
+
+    @cached_property
     def rows(self) -> tuple[Floats, NDArray[np.intp]]:
         """Drive (N, E) float32, 1/mA, of nodes that legal currents can fire, and starts (A,).
 

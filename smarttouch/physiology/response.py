@@ -17,7 +17,10 @@ from smarttouch.physiology.spikes import SlotCurrents, SpikeModel, Spikes
 
 @dataclass(frozen=True)
 class ResponseQuality:
-    """What a pattern fired in a finger."""
+    """What a pattern fired in a finger, by the one definition that all commands have.
+
+    Active electrodes are those that were to stimulate, whatever the board made of it.
+    """
 
     spikes: int  # of all classes
     afferents: dict[Afferent, int]  # number that fired, of each class
@@ -36,10 +39,9 @@ def response_quality(
 ) -> ResponseQuality:
     """Return what spike counts (A,) mean for active electrodes (E,) and the classes wanted."""
     electrodes = finger.profile.electrodes
-    places = electrodes.position_mm[active]
     fired = counts > 0
     right = np.isin(finger.classes, [int(each) for each in wanted])
-    away = np.linalg.norm(finger.receptor_mm[:, None] - places, axis=2)
+    away = finger.receptor_away_mm[:, active]
     near = away <= electrodes.pitch_mm
     reached = ((away <= electrodes.pitch_mm / 2) & (fired & right)[:, None]).any(axis=0)
     total = int(counts.sum())
@@ -47,7 +49,7 @@ def response_quality(
     return ResponseQuality(
         total,
         {each: int((fired & (finger.classes == each)).sum()) for each in Afferent},
-        float(1 - reached.mean()) if len(places) else 0.0,
+        float(1 - reached.mean()) if active.any() else 0.0,
         float(counts[~right].sum() * share),
         float(counts[~near.any(axis=1)].sum() * share),
     )

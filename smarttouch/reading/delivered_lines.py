@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.emulator.emulated_boards import SimulatedBoard
@@ -17,6 +18,7 @@ from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.response import ignore_nan, response_quality
+from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import Profile
 from smarttouch.reading.line_feed import LineFeed, TouchLine
 from smarttouch.reading.line_source import LineMotion, ReadingSource, SweepingCursor
@@ -25,6 +27,7 @@ from smarttouch.running.delivered import FIELD_MM, DeliveredResponses, delivered
 from smarttouch.running.delivered_line import LinePicture
 from smarttouch.running.display import Display
 from smarttouch.running.runner import Runner
+from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Pose
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
 
@@ -49,6 +52,7 @@ class DeliveredLine:
     picture: LinePicture
     length_mm: float
     poses: dict[int, Pose]  # by number of the sequence
+    meant: dict[int, NDArray[np.bool_]]  # (E,) electrodes that were to stimulate, likewise
     answers: dict[int, NDArray[np.float32]]  # (E,) in [0, 1], by number of the sequence
     numbers: NDArray[np.uint32]  # (N,), sequence of each delivered slot
     width_us: NDArray[np.float32]  # (N,)
@@ -67,6 +71,13 @@ def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
     source = ReadingSource("a line", profile, feed, cursor)
     feed.wait_for_end()
     answers = DeliveredResponses(profile, reading.bank, reading.mode.afferents)
+    meant: dict[int, NDArray[np.bool_]] = {}
+
+    def watch(sent: StepResult) -> None:
+        answers.watch(sent)
+        if sent.number in answers.poses:
+            meant[sent.number] = np.asarray(sent.step.tactile.activation.any(axis=0))
+
     config = RunConfig(
         mode=reading.mode, tone=reading.tone, scan=reading.sharing, intensity=reading.intensity
     )
@@ -75,7 +86,7 @@ def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
             source,
             display,
             config,
-            listeners=[answers.watch],
+            listeners=[watch],
             load_kernels=lambda _: reading.bank,
         ).run()
         board = display.board
@@ -86,7 +97,7 @@ def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
     picture = LinePicture(profile.electrodes, length_mm)
     for pose, answer in answers:
         picture.add(pose.x_mm, answer)
-    return DeliveredLine(picture, length_mm, answers.poses, answers.answer, *pulses)
+    return DeliveredLine(picture, length_mm, answers.poses, meant, answers.answer, *pulses)
 
 
 def deliver_lines(lines: Sequence[TouchLine], reading: LineDelivery) -> Iterator[DeliveredLine]:
@@ -127,10 +138,8 @@ _FULL_QUANTILE = 0.99
 
 @dataclass(frozen=True, eq=False)
 class NerveReading:
-    """Lines as one finger responded to them, and means over the sequences that had slots.
-
-    The means are NaN if none of these fired. Active are the electrodes at which the board's own
-    response is above the threshold.
+    """Lines as one finger responded to them, and means of `ResponseQuality` over the sequences that
+    had slots, each by itself; NaN if none of these fired.
     """
 
     pictures: list[LinePicture]
@@ -152,15 +161,18 @@ def read_at_nerve(
     away = finger.receptor_mm[:, None] - places
     field = np.exp(-(away**2).sum(axis=2) / (2 * FIELD_MM**2)).astype(np.float32)
     silent = np.zeros(len(field), np.intp)
-    found, values = [], []
+    found, values, model = [], [], SpikeModel(finger)
     for line in lines:
         periods = dict.fromkeys(line.poses, round(1e6 / profile.pulse.rate_hz))
-        spikes = delivered_spikes(finger, line.numbers, line.width_us, line.current_ua, periods)
+        slots = line.numbers, line.width_us, line.current_ua
+        # Products are small: a second thread would only wait.
+        with threadpool_limits(limits=1, user_api="blas"):
+            spikes = delivered_spikes(finger, *slots, periods, model=model)
         for number, pose in line.poses.items():
             counts = spikes.get(number, silent)
             values.append((line, pose.x_mm, counts @ field))
             if number in line.answers:
-                found.append(response_quality(finger, counts, line.answers[number] > 0, wanted))
+                found.append(response_quality(finger, counts, line.meant[number], wanted))
     full = float(np.quantile([each.max() for _, _, each in values], _FULL_QUANTILE))
     pictures = {id(line): LinePicture(profile.electrodes, line.length_mm) for line in lines}
     for line, x_mm, each in values:

@@ -117,9 +117,11 @@ def delivered_spikes(
     current_ua: NDArray[np.int16],
     period_us: Mapping[int, int],
     most_slots: int | None = None,
+    model: SpikeModel | None = None,
 ) -> Counts:
     """Return the spikes of a finger under delivered slots (see `Perception.answers`), of the
-    sequences that ``period_us`` names; above ``most_slots``, sequences are left out evenly."""
+    sequences that ``period_us`` names; above ``most_slots``, sequences are left out evenly. A model
+    of the finger that is used again knows the patterns of before, and fires as a new one."""
     begins = np.flatnonzero(np.diff(numbers.astype(np.int64), prepend=-1))
     parts = zip(begins, np.append(begins[1:], len(numbers)), strict=False)
     sequences = {}
@@ -133,7 +135,9 @@ def delivered_spikes(
             )
     every = 1 if most_slots is None else 1 + len(numbers) // most_slots
     kept = dict(list(sequences.items())[::every])
-    spikes = fire_all(SpikeModel(finger), list(kept.values()))
+    model = SpikeModel(finger) if model is None else model
+    model.begin_anew()
+    spikes = fire_all(model, list(kept.values()))
     return {number: each.counts for number, each in zip(kept, spikes, strict=True)}
 
 
