@@ -3,8 +3,10 @@ Frequency discrimination
 ========================
 
 Which of two trains of pulses was faster? Here a simulated observer answers, who sits at the end
-of the whole chain: every train goes through kernels, safety and an emulated board. The paper's
-experiment has 500 trials; this one has fewer, so its intervals are wide.
+of the whole chain: every train goes through kernels, safety and an emulated board, on the paper's
+concentric electrode. What it tests is that chain: the observer's sense of frequency was itself
+fitted to the paper's curve. The paper's experiment has 500 trials; this one has fewer, so its
+intervals are wide.
 """
 
 import tempfile
@@ -28,7 +30,7 @@ from smarttouch.lab import (
     usual_model,
 )
 
-profile = st.load_profile("electric-mouse")
+profile = st.load_profile("concentric")
 
 
 def sit(folder, standards_hz, repetitions):

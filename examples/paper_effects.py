@@ -3,8 +3,10 @@ The paper's effects on simulated fingers
 ========================================
 
 Order of sensations, blur by polarity, the shift of PC, and the concentric electrode (Sections III-B
-and III-C): nothing of it was put into the fingers. ``examples/studies/finger_tables.py effects``
-prints the numbers.
+and III-C). Blur and the concentric electrode follow from the anatomy alone. That PC joins between
+SAI and RA was put in, by PC's threshold factor of 2 (with 1 it comes first), and how far PC is felt
+aside follows from how long its axons are assumed to be. The numbers are printed by
+``examples/studies/finger_tables.py effects``.
 """
 
 import matplotlib.pyplot as plt
@@ -75,7 +77,7 @@ print(f"PC is felt {-found.y_mm:.1f} mm toward the fingertip")
 # %%
 # The concentric electrode of Section III-C, an array of two shapes, under an anodic middle.
 _, ring = plt.subplots(figsize=(5, 4.5), layout="constrained")
-electrode = finger_effects.concentric(finger_effects.CONCENTRIC_MM)
+electrode = st.load_profile("concentric")
 finger = st.Finger(electrode, 4, "paper")
 fires = finger_effects.fired(finger, np.array([[-2.4, 2.4]]))[:, 0]
 for patch in electrode_patches(electrode):

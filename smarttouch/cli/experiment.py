@@ -41,7 +41,7 @@ def sit(
         for line in () if options.quiet else lines:
             typer.echo(line)
 
-    say(sitting.before())
+    say(sitting.before(simulate == "model"))
     if sitting.session.over:
         say(sitting.after())
         return
@@ -337,6 +337,7 @@ def run_listed(
     """
     from dataclasses import replace
 
+    from smarttouch.base.afferent import Afferent
     from smarttouch.base.errors import ExperimentError
     from smarttouch.cli.options import parse_afferent, parse_choice, require_answers
     from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, new_experiment
@@ -369,8 +370,11 @@ def run_listed(
             about="board",
             remedy="simulate",
         )
-    chosen = run.load_profile()
     afferent = parse_afferent(mode)
+    if name == "frequency" and afferent is Afferent.RA and run.takes_usual_profile:
+        # The electrode of the paper's own experiment (III-C).
+        run = replace(run, profile="concentric")
+    chosen = run.load_profile()
     named = f"{Path(name).stem}-{afferent.name}"
     stem, order = session_name(named, run.subject, session, seed)
     options = ExperimentOptions(

@@ -141,6 +141,11 @@ def _frequency(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Desi
     )
     highest_hz = stimuli.profile.limits.rate_hz
     notes = []
+    if stimuli.afferent is Afferent.PC:
+        notes.append(
+            f"PC is stimulated by {stimuli.profile.name or 'this profile'}'s own PC kernel: the "
+            "paper's large electrode (Fig. 17) has no printed size"
+        )
     if method == CONSTANT:
         pairs = ratio_pairs(standards, highest=highest_hz)
         left_out = len(ratio_pairs(standards)) - len(pairs)

@@ -16,6 +16,7 @@ from smarttouch.base.errors import ExperimentError, SmartTouchError
 from smarttouch.base.version import __version__
 from smarttouch.experiments.psychophysics.catalog import LIMITS, Design
 from smarttouch.experiments.psychophysics.experiment_source import ExperimentSource
+from smarttouch.experiments.psychophysics.perceived_spikes import FITTED
 from smarttouch.experiments.psychophysics.procedures import (
     Condition,
     Interleaved,
@@ -23,7 +24,7 @@ from smarttouch.experiments.psychophysics.procedures import (
     middle_and_spread,
 )
 from smarttouch.experiments.psychophysics.simulated_subject import Subject, make_observer
-from smarttouch.experiments.psychophysics.tasks import LetterTask
+from smarttouch.experiments.psychophysics.tasks import FrequencyTask, LetterTask
 from smarttouch.experiments.psychophysics.trial_rows import About, RowFile, TrialRow
 from smarttouch.experiments.psychophysics.trials import Answer, Task, Trial, TrialTiming
 from smarttouch.profile import Profile
@@ -224,13 +225,15 @@ class ExperimentSession:
         )
         return Subject(source, observer)
 
-    def before(self) -> Iterator[str]:
-        """Yield lines that introduce the session."""
+    def before(self, modeled: bool = False) -> Iterator[str]:
+        """Yield lines that introduce the session, with a modeled participant or another."""
         session = self.session
         total = "" if session.total is None else f" of {session.total}"
         if session.resumed and not session.over:
             yield f"goes on at trial {session.resumed + 1}{total}: {self.path}"
         yield from self.made.notes
+        if modeled and isinstance(self.made.task, FrequencyTask):
+            yield FITTED
 
     def after(self) -> list[str]:
         """Return lines on the progress of the session."""

@@ -48,6 +48,13 @@ SHARPNESS = 3.2
 """Steepness of the limit of perceived frequency. Ours: with it the threshold at 75 Hz in RA mode
 is 0.68, where the paper has 0.7."""
 
+FITTED = (
+    "the simulated participant's sense of frequency was fitted to the paper's RA mode "
+    f"({ALONE_HZ:g} Hz, {BASE_WEBER:.1%}, steepness {SHARPNESS:g}): where no PC fires, its "
+    "thresholds are no result"
+)
+"""What to know of a modeled participant's answers to frequencies."""
+
 
 @dataclass(frozen=True)
 class FrequencySense:
