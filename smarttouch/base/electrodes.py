@@ -51,8 +51,13 @@ class ElectrodeArray:
                 "least two, as current must go somewhere",
                 about="electrodes",
             )
+        # Of one shape they may overlap where a field is computed for each by itself.
+        self._refuse_overlaps(COINCIDENT_MM if self.own is None else None)
+
+    def _refuse_overlaps(self, least_mm: float | None = None) -> None:
+        """Raise if two electrodes overlap, or are nearer to each other than a distance."""
         apart = self.distance_mm + np.diag(np.full(len(self), np.inf))
-        touching = self._overlap(apart)
+        touching = self._overlap(apart) if least_mm is None else apart < least_mm
         if touching.any():
             first, second = divmod(int(touching.argmax()), len(self))
             away = apart[first, second]
@@ -179,7 +184,9 @@ def free(
     np.fill_diagonal(apart, np.inf)
     # Most electrodes' distance to their neighbor: one close pair must not set it for all.
     pitch = float(np.median(apart.min(axis=1))) if len(position) > 1 else 1.0
-    return ElectrodeArray(position, (pitch, pitch), pitch, shape, size_mm, own)
+    array = ElectrodeArray(position, (pitch, pitch), pitch, shape, size_mm, own)
+    array._refuse_overlaps()
+    return array
 
 
 def _area_mm2(shape: Shape, size_mm: tuple[float, float]) -> float:

@@ -179,6 +179,16 @@ class _Loop:
         if self._expected_ns is not None:
             self._expected_ns += by_ns
 
+    def _hold(self, until_ns: int) -> int:
+        """Wait until a time of `time.monotonic_ns`, and move the schedule; return how long, ns."""
+        begun_ns, left_ns = self.clock.now_ns(), until_ns - time.monotonic_ns()
+        if left_ns <= 0:
+            return 0
+        self.clock.wait_until(begun_ns + left_ns, self.stop.event)
+        held_ns = self.clock.now_ns() - begun_ns
+        self._shift_ns += held_ns
+        return held_ns
+
     def _step(self, now_ns: int, late_ns: int, board_ns: int) -> bool:
         """Deliver one input; return False at the end of the source."""
         # The skin waits since the sequence before was over, whatever the plan says.
@@ -198,6 +208,10 @@ class _Loop:
         step = pipeline.process(*read)
         if self.regulator is not None:
             step = self.regulator.regulate(step, board)
+        if inputs.source.send_at_ns is not None and not board.simulated_time:
+            held_ns = self._hold(inputs.source.send_at_ns)
+            now_ns, in_hand_ns = now_ns + held_ns, in_hand_ns + held_ns
+            board_ns, due_ns = board_ns + held_ns, due_ns + held_ns
         sending_ns = clock.now_ns()
         try:
             number = self._send(step, due_ns)

@@ -23,6 +23,8 @@ from smarttouch.sources.given_sources import checked_activation, gray_image
 from smarttouch.sources.source_contract import IDLE_NS, Frame, Input, Source, Stimulus
 from smarttouch.stimulation.intensity import force_gate
 
+AHEAD_NS = 6_000_000
+"""Time before a planned start in which its first sequence is made."""
 Pattern = NDArray[Any] | Frame | TactileImage
 """Activation (E,) or (3, E), an image (H, W), a frame, or a tactile image."""
 
@@ -168,7 +170,7 @@ class SessionFeed(Source, Listener):
             if show is not None:
                 if show.began or show.at_ns is None or not self._is_open(show, time_ns):
                     return 0
-                return max(0, min(IDLE_NS, show.at_ns - now_ns))
+                return max(0, min(IDLE_NS, show.at_ns - AHEAD_NS - now_ns))
             if self._put is not None and now_ns < self._put[2]:
                 if self._put_sent_ns is None:
                     return 0
@@ -185,6 +187,7 @@ class SessionFeed(Source, Listener):
     def read(self, time_ns: int) -> Input | None:
         """Return what is shown now."""
         self.now_ns, self._read_at_ns = time_ns, (time_ns, time.monotonic_ns())
+        self.send_at_ns = None
         while True:
             with self._lock:
                 given = None if self.is_over else self._shown_now(time_ns)
@@ -264,10 +267,11 @@ class SessionFeed(Source, Listener):
         if not show.began:
             if show.opens is not None and not self._is_open(show, time_ns):
                 return self._opening(show, time_ns)
-            waits = show.at_ns is not None and not self._simulated
-            if waits and show.at_ns is not None and time.monotonic_ns() < show.at_ns:
+            now_ns, at_ns = time.monotonic_ns(), None if self._simulated else show.at_ns
+            if at_ns is not None and now_ns < at_ns - AHEAD_NS:
                 return None
-            show.began, show.time_ns, show.clock_ns = True, time_ns, time.monotonic_ns()
+            self.send_at_ns = at_ns
+            show.began, show.time_ns, show.clock_ns = True, time_ns, max(now_ns, at_ns or 0)
             self._count += show.pattern is not None
             # What was put before comes again after it, unless it is stale by then.
             self._put_sent_ns = None

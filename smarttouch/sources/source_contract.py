@@ -252,6 +252,8 @@ class Source(Device, ABC):
         """Return in words what it has delivered, for who cannot see it; empty if it cannot say."""
         return ""
 
+    send_at_ns: int | None = None
+    """When to send what was read last, by `time.monotonic_ns`; at once if None."""
     news: threading.Event | None = None
     """Set when it has something new, for sources that `patience_ns` lets the loop wait for."""
 

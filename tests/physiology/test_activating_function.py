@@ -133,11 +133,10 @@ def test_an_array_of_several_shapes_has_the_fields_of_each(profile, changed):
     nodes = everywhere(mixed, Afferent.SAI)
     whole = af_matrix(mixed, nodes)
     for index, (shape, size) in enumerate(zip(MIXED["shapes"], MIXED["sizes_mm"], strict=True)):
-        one = {"layout": "free", "positions_mm": MIXED["positions_mm"], "shape": shape}
-        one["positions_mm"] = [[x + 0.01 * k, y] for k, (x, y) in enumerate(MIXED["positions_mm"])]
+        apart = {"layout": "free", "positions_mm": [[0, 0], [50, 0]], "shape": shape}
         alone = replace(
-            changed(profile, {"array": one | {"size_mm": size}}).electrodes,
-            position_mm=mixed.electrodes.position_mm[[index, (index + 2) % 4]],
+            changed(profile, {"array": apart | {"size_mm": size}}).electrodes,
+            position_mm=mixed.electrodes.position_mm[index] + [[0, 0], [50, 0]],
         )
         found, scale = field_at(alone, mixed.skin, nodes.position_mm, nodes.depth_mm)
         expected = np.concatenate([found.along(each)[:, 0] for each in nodes.direction])
