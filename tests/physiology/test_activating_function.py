@@ -133,10 +133,9 @@ def test_an_array_of_several_shapes_has_the_fields_of_each(profile, changed):
     nodes = everywhere(mixed, Afferent.SAI)
     whole = af_matrix(mixed, nodes)
     for index, (shape, size) in enumerate(zip(MIXED["shapes"], MIXED["sizes_mm"], strict=True)):
-        apart = {"layout": "free", "positions_mm": [[0, 0], [50, 0]], "shape": shape}
+        places = mixed.electrodes.position_mm[[index, (index + 2) % 4]]
         alone = replace(
-            changed(profile, {"array": apart | {"size_mm": size}}).electrodes,
-            position_mm=mixed.electrodes.position_mm[index] + [[0, 0], [50, 0]],
+            mixed.electrodes, position_mm=places, shape=shape, size_mm=tuple(size), own=None
         )
         found, scale = field_at(alone, mixed.skin, nodes.position_mm, nodes.depth_mm)
         expected = np.concatenate([found.along(each)[:, 0] for each in nodes.direction])
