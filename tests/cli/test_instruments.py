@@ -64,7 +64,7 @@ def test_markers_are_told_of_a_run(program_here, monkeypatch):
     assert sum(sample[1] for sample in pulses) > 100
     assert ["intensity 1.00"] in events
     # What ended it, and last of all what was delivered.
-    assert any(each.startswith("1 s ") for (each,) in events)
+    assert any("1 s" in each for (each,) in events)
     assert events[-1][0].startswith("dose ")
 
 

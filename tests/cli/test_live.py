@@ -137,7 +137,7 @@ def test_seconds(program_here):
     done = program_here("live --board simulated: --seconds 1 --json run.json").fine()
     figures = done.figures
     assert f"({figures['ended']})" in done.stdout
-    assert figures["ended"].startswith("1 s ")
+    assert "1 s" in figures["ended"]
     assert figures["frames"] in (50, 51)
 
 
