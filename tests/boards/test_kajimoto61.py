@@ -56,6 +56,22 @@ def test_zero_first_scans_between_zero_last(script):
     assert board.acknowledged == 2
 
 
+def test_what_a_broken_line_may_have_carried_counts_as_a_range(script, monkeypatch):
+    script(*OPEN, (packet(), b""), (packet(e0=26), b""), *OPEN)
+    board = Kajimoto61Board("x", LIMITS)
+    with board:
+        deliver(board, anodic({}, 0), anodic({0: 1020}))
+
+        def broken(*_):
+            raise board._lost("broke")
+
+        monkeypatch.setattr(board, "_write_in_time", broken)
+        deliver(board, anodic({0: 1020, 60: 3900}, 2))
+        report = board.report()
+    assert (report.sequences, report.slots) == (3, 1)
+    assert (report.pulses, report.most_pulses) == (61, 3 * 61)
+
+
 def test_the_scale_of_the_profile_counts(script):
     output = Output(kind="one-against-all", polarities=("anodic",), ua_per_count=2.5)
     script(*OPEN, (packet(), b""), (packet(e3=51), b""), *OPEN)

@@ -13,6 +13,7 @@ from tests.firmware import build
 _WRITE = re.compile(r"addr (0x[0-9a-f]+) value (0x[0-9a-f]+) size \d name")
 GPIOA_BSRR, GPIOB_BSRR = 0x40020018, 0x40020418
 SPI1_DR, SPI2_CR1, SPI2_DR = 0x4001300C, 0x40003800, 0x4000380C
+SILENT_US = 0x40023000
 TIM4_CR1, TIM4_ARR = 0x40000800, 0x4000082C
 LE, POL, SELECT = 4, 7, 12
 
@@ -44,6 +45,9 @@ class ShiftRegisters:
     pulses: list = field(default_factory=list)
     """Output bits, counts and width of each."""
     wrong: list = field(default_factory=list)
+    zeros: list = field(default_factory=list)
+    """Of each time that all electrodes were shorted: pulses until then, and µs since the last
+    packet, by the board's clock."""
 
     def _pin(self, pin, level):
         if self.levels.get(pin) == level:
@@ -88,6 +92,8 @@ class ShiftRegisters:
             self.edges["clock"] += 16
         elif address == SPI2_DR:
             self.word = value
+        elif address == SILENT_US:
+            self.zeros.append((len(self.pulses), value))
         elif address == SPI2_CR1:
             self.phase = value & 1
         elif address == TIM4_ARR:
@@ -126,6 +132,15 @@ class F405:
     def close(self):
         self.process.kill()
         self.process.wait()
+
+    def until_zero(self):
+        """Wait until all electrodes are shorted after pulses; return the model."""
+        for _ in range(600):
+            model = self.registers()
+            if model.zeros and model.zeros[-1][0] == len(model.pulses) > 0:
+                break
+            time.sleep(0.1)
+        return model
 
     def registers(self):
         """Return the model, after all writes so far."""

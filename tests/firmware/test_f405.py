@@ -11,6 +11,7 @@ from smarttouch.boards.link.protocol import MessageKind, Refusal
 from smarttouch.boards.link.sequence_encoding import encode_limits, encode_lists
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
+from tests.firmware import build
 from tests.firmware.build import built
 from tests.firmware.f405 import F405, LE, POL, states
 from tests.firmware.rig import Talk
@@ -94,6 +95,37 @@ def test_what_is_sent_is_what_registers_and_converter_get(start, kit):
     # One edge of LE and two of BL for each pulse; POL rises once.
     assert model.edges["clock"] == 2 * 64 * made
     assert (model.edges[LE], model.edges["BL"], model.edges[POL]) == (2 * made + 1, 2 * made, 1)
+
+
+@pytest.mark.usefixtures("patient_boards")
+@pytest.mark.parametrize("how", ["stop", "silence", "cable"])
+def test_a_stop_a_silent_host_and_a_cut_cable_end_in_zero(start, how):
+    """A packet within a millisecond, and else silence after the last one, by the board's clock."""
+    machine, slots = start("st_kajimoto61"), 20
+    limits = SafetyLimits(61, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
+    row = np.full((slots, 61), -5)
+    row[:, 7] = 300
+    column = np.ones(slots, np.uint16)
+    sequence = ScanSequence(row.astype(np.int16), 50 * column, 50 * column, 0 * column, 10_000,
+                            0.15, 0)  # fmt: skip
+    with socket.create_connection(("127.0.0.1", machine.port)) as line:
+        talk = Host(OverSocket(line)).begin()
+        talk.until(MessageKind.LIMITED, MessageKind.LIMITS, payload=encode_limits(limits))
+        payload = encode_lists(sequence, 1000, False, True, None, 8192)
+        talk.until(MessageKind.ACK, MessageKind.SEQUENCE, 1, payload)
+        while talk.account()[0] < 2 * slots:
+            pass
+        if how == "stop":
+            talk.until(MessageKind.STOPPED, MessageKind.STOP)
+        if how == "silence":
+            machine.until_zero()
+    model = machine.until_zero()
+    pulses, silent_us = model.zeros[-1]
+    assert model.wrong == []
+    assert 2 * slots <= pulses == len(model.pulses) < 1000 * slots
+    least_us = 0 if how == "stop" else 1000 * build.silence_ms
+    assert least_us <= silent_us <= least_us + 1000
+    assert len(machine.registers().pulses) == pulses
 
 
 def test_the_library_links_from_cpp():

@@ -137,7 +137,7 @@ def reopen_port(
         except BoardError:
             if time.monotonic() > deadline:
                 raise
-            pause(0.05)
+            pause(0.02)
 
 
 def read_some(port: Port) -> bytes:

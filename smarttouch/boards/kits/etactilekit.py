@@ -70,7 +70,8 @@ class ETactileKitBoard(SteppedKit):
 
     def _greet(self) -> None:
         firmware, capacity = self._find_out()
-        self._promise_zero(self._codec.zero_anywhere, self._slow)
+        self._zero_anywhere = self._codec.zero_anywhere
+        self._promise_zero(self._zero_anywhere, self._slow)
         self._give_up()
         self._on_board, self._settings, self._before = b"", None, None
         self._senses = False
@@ -93,8 +94,8 @@ class ETactileKitBoard(SteppedKit):
         )
 
     def _zero_first(self) -> None:
-        self._promise_zero(self._codec.zero_anywhere, self._slow)
-        self._write_out(self._codec.zero_anywhere)
+        self._promise_zero(self._zero_anywhere, self._slow)
+        self._write_out(self._zero_anywhere)
 
     def _zero(self) -> None:
         for _ in range(2):

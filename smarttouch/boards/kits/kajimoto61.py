@@ -23,7 +23,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from smarttouch.base.errors import BoardError
+from smarttouch.base.errors import BoardError, LineLostError
 from smarttouch.boards.board import Capabilities
 from smarttouch.boards.kits.current_scale import one_against_all, scale_of
 from smarttouch.boards.kits.streamed import Job, StreamedBoard
@@ -167,10 +167,7 @@ class Kajimoto61Board(StreamedBoard):
                 if self._closing.is_set():
                     break
                 sent_ns = self._clock.now_ns()
-                if not (
-                    self._is_in_time(job, deadline_ns)
-                    and self._write_in_time(job.data, deadline_ns)
-                ):
+                if not (self._is_in_time(job, deadline_ns) and self._went(job, deadline_ns)):
                     self._drop_late(job)
                     return None, deadline_ns
                 self._note_rise(job)
@@ -181,6 +178,16 @@ class Kajimoto61Board(StreamedBoard):
             period_ns = 1000 * job.sequence.period_us
             deadline_ns = max(deadline_ns + period_ns, sent_ns + period_ns - period_ns // HURRY)
         return job, deadline_ns
+
+    def _went(self, job: Job, deadline_ns: int) -> bool:
+        """Write a sequence in time; return whether it was. Where the line breaks meanwhile, the
+        scan counts as one that may have been made."""
+        try:
+            return self._write_in_time(job.data, deadline_ns)
+        except LineLostError:
+            with self._news:
+                self._books.add(job.sequence, 0, job.number == self._last_begun, most=1)
+            raise
 
     def _peek(self) -> Job | None:
         with self._news:

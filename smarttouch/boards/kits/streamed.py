@@ -67,6 +67,8 @@ class StreamedBoard(Board):
     kind: str
     """Name of the driver, for messages."""
     drives_in_send = False
+    _zero_anywhere: bytes = b""
+    """Puts a board that goes on by itself at zero, at any point of its byte stream."""
     can_be_asked: ClassVar[bool] = False
     """Whether a harmless query identifies such a board."""
     room_s: ClassVar[float] = 0.0
@@ -155,6 +157,10 @@ class StreamedBoard(Board):
 
     def _start_again(self) -> None:
         port = reopen_port(self._port_name, RECOVER_S, self._identity, self._pause)
+        if self._identity is not None:
+            # It is the same board, and may go on with its last pattern while all else starts.
+            with contextlib.suppress(*LINE_ERRORS):
+                port.write(self._zero_anywhere)
         self._start(port, again=True)
 
     def _send(self, sequence: ScanSequence, times: int) -> int:
