@@ -2,7 +2,6 @@
 
 import tempfile
 import threading
-import time
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -24,7 +23,7 @@ ARGUMENTS = ("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "-
 def running(url):
     """A run with a window on an emulator; yields its address."""
     profile, stop = st.load_profile("electric-mouse"), StopRequest()
-    window = Window(stop, show=lambda _: None)
+    window = Window(stop, show=lambda _: None, waits_s=600)
     display = st.open_display("emulator:", profile)
     runner = Runner(
         st.open_source(url, profile), display, st.RunConfig(intensity=0.8), stop=stop,
@@ -33,16 +32,15 @@ def running(url):
     thread = threading.Thread(target=runner.run)
     thread.start()
     try:
-        time.sleep(1)
         yield window.address
     finally:
         stop.ask("enough")
         thread.join()
 
 
-def take(page, name):
+def take(page, name, whole=False):
     """Save what a page shows, in colors that are near enough."""
-    image = Image.open(BytesIO(page.screenshot(full_page=True))).convert("RGB")
+    image = Image.open(BytesIO(page.screenshot(full_page=whole))).convert("RGB")
     few = image.quantize(method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
     few.save(HERE / name, optimize=True)
 
@@ -65,6 +63,7 @@ def main():
 
         def opened(address, width, height=900):
             page = browser.new_page(viewport={"width": width, "height": height})
+            page.set_default_timeout(300_000)
             page.goto(address)
             return page
 
@@ -73,7 +72,7 @@ def main():
                 page = opened(address, width)
                 page.wait_for_selector("#felt[data-spikes]")
                 page.wait_for_timeout(3000)
-                take(page, name)
+                take(page, name, whole=width < 1000)
                 page.close()
         with running("draw:") as address:
             page = opened(address, 1440)
@@ -85,7 +84,7 @@ def main():
             page.click("#keep")
             page.wait_for_selector("#felt[data-spikes]")
             page.wait_for_timeout(4000)
-            take(page, "window-draw.png")
+            take(page, "window-draw.png", whole=True)
             page.close()
         both = [record(Path(folder), mode) for mode in ("RA", "SAI")]
         with RecordingsPage(both) as recordings:
@@ -94,8 +93,9 @@ def main():
             for _ in range(42):
                 page.click("#after")
             page.wait_for_selector(".electrodes[data-step='42']")
-            page.wait_for_timeout(500)
-            take(page, "recordings.png")
+            page.wait_for_selector(".side:nth-child(2) .felt[data-spikes]")
+            page.wait_for_timeout(5000)
+            take(page, "recordings.png", whole=True)
         browser.close()
 
 

@@ -172,9 +172,8 @@ def study(
     ],
     output: Annotated[Path, option("Write to this folder; a study that is there goes on.", "DIR")],
     cluster: ClusterOption = None,
-    kind: Annotated[
-        str | None,
-        option("Choose the form of the plot: png, pdf, svg or none.", "png|pdf|svg|none", "--plot"),
+    plot: Annotated[
+        Path | None, option("Draw the figure to this file; DIR/study.png otherwise.", "PNG|PDF|SVG")
     ] = None,
     quiet: QuietOption = False,
 ) -> None:
@@ -182,7 +181,7 @@ def study(
     from importlib.util import find_spec
 
     from smarttouch.base.cluster import on_cluster
-    from smarttouch.base.errors import not_offered
+    from smarttouch.base.files import require_folder
     from smarttouch.base.terminal import print_table
     from smarttouch.experiments.study_plan import load_study
     from smarttouch.experiments.study_run import (
@@ -196,13 +195,11 @@ def study(
     from smarttouch.views.progress import bank_progress, lines_progress
 
     asked = load_study(plan)
-    offered = (*figure_style.FORMATS, "none")
-    if kind is None:
-        kind = "png" if find_spec("matplotlib") else "none"
-    if kind not in offered:
-        raise not_offered("plot", kind, offered)
-    if kind != "none":
-        figure_style.new_figure(1, 1)
+    require_folder(plot)
+    if plot is None and find_spec("matplotlib"):
+        plot = output / "study.png"
+    if plot is not None:
+        figure_style.require_drawable(plot)
     with (
         on_cluster(cluster),
         bank_progress(quiet) as designing,
@@ -223,10 +220,9 @@ def study(
             left=2,
         )
         print(output / ROWS_FILE)
-    if kind != "none":
+    if plot is not None:
         from smarttouch.experiments.study_figure import study_figure
 
-        picture = output / f"study.{kind}"
-        figure_style.save(study_figure(found, STUDY_NAMES, asked.title), picture)
+        figure_style.save(study_figure(found, STUDY_NAMES, asked.title), plot)
         if not quiet:
-            print(picture)
+            print(plot)

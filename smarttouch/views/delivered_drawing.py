@@ -34,6 +34,8 @@ from smarttouch.views.mosaic import Mosaic
 FINEST_MM = 0.1
 _WIDTH = (900, 1400)  # pixels that a picture is drawn wide at least, and at most
 _MARGIN, _LABEL = 24, 28
+_DOT_PART = 0.8  # diameter of the dot that stands for an electrode, of its cell
+_STOOD = 5  # sequences at a place, in the mean, of a finger that goes in steps
 _SCALE_PART = 0.2  # largest part of a picture's width that its scale bar takes
 _SCALES_MM = (100, 50, 20, 10, 5, 2, 1, 0.5)
 Grey = NDArray[np.uint8]
@@ -109,7 +111,12 @@ class DeliveredDrawing(DeliveredResponses, ABC):
         if self.strongest:
             cell = np.ones((high, wide), np.uint8)
             return as_ink(np.asarray(cv2.dilate(raster.value, cell), np.float32))
-        return as_ink(raster.mean(lambda each: np.asarray(cv2.blur(each, (wide, high)))))
+        if _STOOD * len(set(self.poses.values())) > len(self.poses):
+            return as_ink(raster.mean(lambda each: np.asarray(cv2.blur(each, (wide, high)))))
+        # Dots where the finger goes in steps, so that those of a Braille cell stand apart.
+        sides = [max(1, round(_DOT_PART * each)) for each in (wide, high)]
+        dot = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, sides).astype(np.float32)
+        return as_ink(raster.mean(lambda each: np.asarray(cv2.filter2D(each, -1, dot))))
 
     def felt_picture(
         self, corner_mm: Place, shape: tuple[int, int], pixel_mm: float

@@ -140,9 +140,23 @@ def test_frame_100_is_as_it_was(recorded, profile, address, browser):
         assert violations(page) == []
 
 
+def test_what_a_finger_answers_is_that_of_a_tenth_of_a_second(tape, recorded, address):
+    steps = recorded[1]
+    found = json.loads(tape.response(100))
+    feeling = tape.finger.feel([each.step for each in steps[96:101]])
+    counts = np.frombuffer(base64.b64decode(found["counts"]), np.uint8)
+    assert np.array_equal(counts, np.minimum(feeling.counts, 255))
+    assert found["spikes"] == feeling.counts.sum() > 0
+    series = tape.message(100)["series"][0]
+    current = np.abs(steps[100].step.sequence.current_ua).max()
+    assert series[0] == pytest.approx(current / 1000)
+    with urlopen(address.replace("view.html", "felt/0/100"), timeout=60) as answer:
+        assert json.loads(answer.read()) == found
+
+
 def test_what_is_not_there_is_not_found(address):
-    for path in ("step/0/120", "step/2/0", "step/0/x", "view/0/0.gif", "view/0/0.png?slot=99",
-                 "film/0/5-4.mp4", "film/0/500-600.mp4"):  # fmt: skip
+    for path in ("step/0/120", "step/2/0", "step/0/x", "felt/0/120", "view/0/0.gif",
+                 "view/0/0.png?slot=99", "film/0/5-4.mp4", "film/0/500-600.mp4"):  # fmt: skip
         with pytest.raises(HTTPError) as refused:
             urlopen(address.replace("view.html", path), timeout=10)
         assert refused.value.code == 404

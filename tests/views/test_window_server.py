@@ -10,6 +10,7 @@ from urllib.request import url2pathname
 import numpy as np
 import pytest
 
+import smarttouch as st
 from smarttouch.views import window_server
 
 from ..waiting import until
@@ -151,6 +152,36 @@ def test_it_fits_a_phone_and_little_moves_for_who_wants_that(on_page):
         box = page.locator("#stop").bounding_box()
         assert box["y"] >= 0
         assert box["height"] >= 44
+
+
+def test_nothing_that_matters_is_below_the_fold(on_page, profile):
+    source = st.open_source("text:on?passes=0&speed_mm_s=20", profile)
+    with on_page(1440, 900, source=source, finger=(1, "paper")) as (_, page):
+        page.wait_for_selector("#felt[data-spikes]")
+        page.wait_for_selector("#page[data-x]")
+        ends = page.evaluate(
+            "['stop', 'slider', 'pause', 'modes', 'page', 'words-read', 'sum', 'electrodes',"
+            " 'slot', 'felt', 'series', 'numbers', 'record', 'mark', 'sensor'].map(each => {"
+            "const box = document.getElementById(each).getBoundingClientRect();"
+            "return [each, box.bottom, box.height]; })"
+        )
+        assert [each for each in ends if each[1] > 900 or each[2] < 12] == []
+        assert page.inner_text("#words-read") == "on"
+        page.hover("#electrodes")
+        assert "electrode" in page.get_attribute("#electrodes", "title")
+
+
+def test_the_slider_sets_intensity(on_page):
+    with on_page(1440, 900) as (run, page):
+        page.focus("#slider")
+        page.keyboard.press("Home")
+        until(lambda: not run.state().level)
+        for _ in range(3):
+            page.keyboard.press("ArrowRight")
+        until(lambda: run.state().level == 0.03)
+        page.fill("#note", "here")
+        page.click("#mark")
+        page.wait_for_selector("#events :text('mark: here')")
 
 
 def test_who_must_not_see_sees_nothing(on_page, running, browser):

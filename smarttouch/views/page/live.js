@@ -22,7 +22,7 @@ let drawing = null;
 let asked = false;
 let drawnAt = 0;
 let saidAt = 0;
-let sliding = false;
+let slidAt = -Infinity;
 
 function say(message) {
   if (socket?.readyState === WebSocket.OPEN) socket.send(message);
@@ -191,7 +191,7 @@ function showState() {
   find("level").textContent = Math.round(100 * state.level);
   find("most").textContent = Math.round(100 * state.most);
   find("slider").max = 100 * state.most;
-  if (document.activeElement !== find("slider") || !sliding) find("slider").value = 100 * state.level;
+  if (performance.now() - slidAt > CALM_MS) find("slider").value = 100 * state.level;
   find("words-read").textContent = state.words;
   find("record").textContent = state.recording ? `End ${state.recording}` : "Record";
   find("record").setAttribute("aria-pressed", String(Boolean(state.recording)));
@@ -296,11 +296,8 @@ find("none").addEventListener("click", () => say("do none"));
 find("pause").addEventListener("click", () => say(state?.paused ? "do resume" : "do pause"));
 find("again").addEventListener("click", again);
 find("slider").addEventListener("input", () => {
-  sliding = true;
+  slidAt = performance.now();
   say(`do level:${Number(find("slider").value) / 100}`);
-});
-find("slider").addEventListener("change", () => {
-  sliding = false;
 });
 find("record").addEventListener("click", () => say("record"));
 find("mark").addEventListener("click", () => {
