@@ -16,7 +16,7 @@ import smarttouch as st
 from smarttouch.base.errors import BoardError, SmartTouchError
 from smarttouch.running import touch as module
 from smarttouch.running.check_recording import assert_replays
-from smarttouch.running.listener import OnEvent
+from smarttouch.running.listener import OnEvent, OnStep
 from smarttouch.running.recording_reader import Recording
 
 from ..raising import raises
@@ -216,6 +216,20 @@ def test_the_displays_of_a_hand_begin_together(url):
     assert {each.ramped_s for each in shown.values()} == {0}
     # They rise at the same time, too.
     assert url == "simulated:" or time.monotonic() - began < 20
+
+
+def test_a_planned_pattern_is_made_ahead_and_sent_at_its_time():
+    sent_ns = []
+    note = OnStep(lambda each: each.sequence.slots and sent_ns.append(time.monotonic_ns()))
+    touch, _ = session("emulator:", listeners=[note])
+    with touch:
+        touch.rise()
+        for wait_ns in (0, 20_000_000, 90_000_000):
+            sent_ns.clear()
+            at_ns = time.monotonic_ns() + wait_ns
+            shown = touch.show(RING, 0.1, at_ns=at_ns)
+            assert min(sent_ns) >= at_ns
+            assert (shown.sequences, shown.intensity) == (5, 0.6)
 
 
 @pytest.mark.parametrize("url", ["memory:", "simulated:"])
