@@ -129,17 +129,21 @@ def print_table(
     ruled: bool = False,
     left: int = 1,
 ) -> None:
-    """Print a table of texts; its first ``left`` columns are aligned left, the others right."""
+    """Print a table of texts; its first ``left`` columns are aligned left, the others right.
+
+    Rules are drawn on a screen alone: in a pipe or a dumb terminal they would be read aloud.
+    """
     from rich.box import HEAVY_HEAD
     from rich.table import Table
 
-    rows = list(rows)
+    rows, shown = list(rows), console()
+    drawn = ruled and shown.is_terminal and not shown.is_dumb_terminal
     names = all(len(str(row[0])) <= _LONGEST_NAME for row in rows if row)
     table = Table(
         title=title,
         title_justify="left",
-        box=HEAVY_HEAD if ruled else None,
-        pad_edge=ruled,
+        box=HEAVY_HEAD if drawn else None,
+        pad_edge=drawn,
         show_header=bool(heading),
     )
     for column in range(len(heading or max(rows, key=len, default=()))):
@@ -152,7 +156,6 @@ def print_table(
         )
     for row in rows:
         table.add_row(*row)
-    shown = console()
     shown.print(table)
     if note is not None:
         shown.print(note, style="dim", soft_wrap=True)
