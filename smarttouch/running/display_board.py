@@ -26,9 +26,10 @@ class DisplayBoard(Closing):
         if isinstance(url, str):
             board = make_board(url, limits, profile.output, **options)
         else:
-            # Drivers are made as their URLs are opened, and `Board` itself by its limits alone.
+            # `Board` itself is made by its limits alone; drivers as their URLs are opened.
+            driver: Any = url
             given = SafetyLimits.of(profile)
-            board = url("", limits, profile.output, **options)  # type: ignore[call-arg, arg-type]
+            board = driver("", limits, profile.output, **options)
             require_gate(board, limits, given)
             url = f"{url.__module__}.{url.__qualname__}:"
         self.url: str = url

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -257,9 +258,9 @@ class _Sheet:
         draw = ImageDraw.Draw(panel)
         middle = np.array(panel.size) / 2
 
-        def disc(place_mm: NDArray[np.float64], radius_mm: float, **style: str | int) -> None:
+        def disc(place_mm: NDArray[np.float64], radius_mm: float, **style: Any) -> None:
             (x, y), radius = place_mm * scale + middle, radius_mm * scale
-            draw.ellipse((x - radius, y - radius, x + radius, y + radius), **style)  # type: ignore[arg-type]
+            draw.ellipse((x - radius, y - radius, x + radius, y + radius), **style)
 
         for place in self._electrodes.position_mm:
             disc(place, disc_radius_mm(self._electrodes), outline=_LINE, width=_SMOOTH)

@@ -57,11 +57,12 @@ def test_a_simulated_session_is_kept_and_gone_on_with(program_here, tmp_path):
     before = path.read_bytes()
     assert first.figures["emulator_violations"] == 0
     again = program_here(one)
-    assert re.findall(r"\d+", again.stdout.splitlines()[0]) == ["10", "10", "10"]
+    # After a line on where the participant's answers come from.
+    assert re.findall(r"\d+", again.stdout.splitlines()[1]) == ["10", "10", "10"]
     assert path.read_bytes() == before
     path.write_bytes(before[:-20])
     rest = program_here(one)
-    goes_on = rest.stdout.splitlines()[0]
+    goes_on = " ".join(rest.stdout.splitlines()[:2])
     assert "10 of 10" in goes_on
     assert "ann-2-frequency-RA.csv" in goes_on
     assert len(read_rows(path)) == 10
