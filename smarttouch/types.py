@@ -54,6 +54,7 @@ from smarttouch.imaging.tactile_mapper import Tone as Tone
 from smarttouch.kernels.bank import KernelBank as KernelBank
 from smarttouch.kernels.design_problem import Kernel as Kernel
 from smarttouch.kernels.design_problem import KernelKind as KernelKind
+from smarttouch.pages.page_image import Page as Page
 from smarttouch.physiology.anatomy import Anatomy as Anatomy
 from smarttouch.physiology.anatomy import Bystander as Bystander
 from smarttouch.physiology.anatomy import BystanderAnatomy as BystanderAnatomy
@@ -100,6 +101,7 @@ from smarttouch.sources.source_contract import Canvas as Canvas
 from smarttouch.sources.source_contract import Device as Device
 from smarttouch.sources.source_contract import Input as Input
 from smarttouch.sources.source_contract import Pose as Pose
+from smarttouch.sources.source_contract import Sheet as Sheet
 from smarttouch.sources.source_contract import Source as Source
 from smarttouch.stimulation.exposure import Dose as Dose
 from smarttouch.stimulation.pulse_rates import ScanTiming as ScanTiming
