@@ -22,6 +22,7 @@ from smarttouch.pages.page_image import (
     require_pixels,
     require_size_mm,
 )
+from smarttouch.pages.text_layer import layered_page
 
 if TYPE_CHECKING:
     import pypdfium2
@@ -144,7 +145,7 @@ class ImageDocument(Document):
 
 
 class PdfDocument(Document):
-    """A PDF; its pages are rendered, with filled-in forms."""
+    """A PDF; its pages are rendered, with filled-in forms, and bring their text layer."""
 
     def __init__(
         self, path: Path, dpi: float | None, page_width_mm: float | None, password: str | None
@@ -188,7 +189,8 @@ class PdfDocument(Document):
         with contextlib.closing(sheet.render(scale=scale, grayscale=True)) as bitmap:
             # A copy, as the bitmap frees its memory.
             grey = np.array(bitmap.to_numpy(), np.uint8).reshape(bitmap.height, bitmap.width)
-            return Page(grey, mm_per_pixel)
+        page = Page(grey, mm_per_pixel)
+        return layered_page(sheet, page, mm) or page
 
 
 def _is_pdf(path: Path) -> bool:

@@ -23,6 +23,7 @@ from smarttouch.braille.photo import looks_like_braille, read_braille
 from smarttouch.imaging.array_window import pixel_pitch_mm, usual_speed_mm_s
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.pages.page_image import Page
+from smarttouch.pages.text_layer import LayeredPage
 from smarttouch.pages.text_lines import TextLine
 from smarttouch.profile import Profile
 from smarttouch.reading.line_feed import Place, TouchLine
@@ -313,7 +314,9 @@ class Braille:
         _note_missing(source, number, table, missing)
 
     def _shows_dots(self, page: Page) -> bool:
-        return looks_like_braille(page) if self.embossed is None else self.embossed
+        if self.embossed is None:
+            return not isinstance(page, LayeredPage) and looks_like_braille(page)
+        return self.embossed
 
     def _decoded(self, source: ReadingMaterial, number: int, page: Page) -> list[str]:
         found = read_braille(page, self.light_from_deg)

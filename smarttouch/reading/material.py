@@ -12,10 +12,12 @@ from smarttouch.base.errors import ReadingError
 from smarttouch.braille.cell_pages import TEXT
 from smarttouch.braille.cells import FileKind, file_kind, read_plain_text
 from smarttouch.pages.document import open_document, parse_pages
+from smarttouch.pages.ink import separate_ink
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.prepared_page import LEFT_OUT, PreparedPage, prepare_page, prepare_text
 from smarttouch.pages.straighten import QUARTER
 from smarttouch.pages.structured_text import read_structured_text
+from smarttouch.pages.text_layer import LayeredPage
 from smarttouch.pages.text_lines import TextLine
 from smarttouch.reading.ocr import recognize_lines, upright
 
@@ -170,7 +172,13 @@ def document_pages(
 
 
 def upright_page(number: int, page: Page, options: RecognitionOptions, note: Note) -> PreparedPage:
-    """Return a page straight and upright, ink on white paper, its lines in reading order."""
+    """Return a page straight and upright, ink on white paper, its lines in reading order.
+
+    A page that brings its text is so already.
+    """
+    if isinstance(page, LayeredPage):
+        ink = separate_ink(page.grey, options.light_on_dark)
+        return PreparedPage(page, ink.cleaned, page.lines, ink.light_on_dark, (), page.words)
     prepared = prepare_page(page, options.light_on_dark)
     notes = list(prepared.notes)
     turn_deg = _turn_deg(prepared, options)
@@ -233,6 +241,9 @@ def recognized_lines(
     prepared: PreparedPage, options: RecognitionOptions, note: Note
 ) -> Iterator[tuple[int, str]]:
     """Yield numbers and texts of the lines of a page; the first of them early."""
+    if prepared.words:
+        yield from enumerate(prepared.words)
+        return
     count, start, size = len(prepared.lines), 0, 1
     confidences: list[tuple[int, float]] = []
     while start < count:

@@ -1,0 +1,197 @@
+"""Text layers of PDF pages: their words as lines in reading order, rows of tables whole."""
+
+import ctypes
+import itertools
+import unicodedata
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from smarttouch.pages.page_image import Page
+from smarttouch.pages.text_lines import TextLine, reading_order
+
+if TYPE_CHECKING:
+    import pypdfium2
+
+_EM = 1.15  # height of a character's box, in sizes of its font
+_ASCENT, _X_HEIGHT, _DESCENT = 0.74, 0.48, 0.22  # of most fonts, in their sizes
+_SAME_LINE = 0.3  # distance of baselines of one line, in sizes
+_SPACE, _APART = 0.17, 1.1  # least gap between words, and between columns, in sizes
+_NARROW, _ALIGNED, _NEAR, _ALIKE = 0.5, 0.25, 6, 2
+"""Least gap, in sizes, that ends where those of rows around do: how near, of how many, and how
+many of them."""
+_CELL_WORDS, _TABLE_ROWS = 3.0, 2  # mean words of a table's cells at most, and rows at least
+_FEWEST = 40  # characters below which a page with a large picture is a scan with a stamp
+_PICTURE = 0.4  # part of the page that a large picture covers
+_MOST_UNKNOWN = 0.05  # part of a layer's characters that mean nothing
+_VOWELS, _VOWEL_SHARE = frozenset("aeiouyæœø"), (0.22, 0.62)
+"""Part of Latin letters that are vowels in any language; in a layer of wrong codes they are not."""
+
+
+@dataclass(frozen=True, eq=False)
+class LayeredPage(Page):
+    """Page that brings its text: lines in reading order, and the words of each."""
+
+    lines: tuple[TextLine, ...]
+    words: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Sign:
+    text: str
+    left: float
+    right: float
+    y: float  # of its baseline, down from the top; all in points
+    size: float
+
+
+def layered_page(sheet: "pypdfium2.PdfPage", page: Page, point_mm: float) -> LayeredPage | None:
+    """Return a rendered page with its text layer; None if that is empty or makes no sense."""
+    if sheet.get_rotation():
+        return None
+    rows = _rows(_signs(sheet))
+    text = "".join(sign.text for row in rows for sign in row)
+    if not _makes_sense(text) or (len(text) < _FEWEST and _is_mostly_picture(sheet)):
+        return None
+    pieces = [piece for row in _whole_tables(_cut(rows)) for piece in row]
+    size = np.array([piece[0].size for piece in pieces])
+    order = reading_order(
+        np.array([min(sign.left for sign in piece) for piece in pieces]),
+        np.array([max(sign.right for sign in piece) for piece in pieces]),
+        np.array([piece[0].y for piece in pieces]),
+        (_ASCENT + _DESCENT) * size,
+    )
+    lines = tuple(_line(pieces[k], point_mm) for k in order)
+    return LayeredPage(page.grey, page.mm_per_pixel, lines, tuple(_words(pieces[k]) for k in order))
+
+
+def _signs(sheet: "pypdfium2.PdfPage") -> list[_Sign]:
+    """Return the visible characters of a page."""
+    import pypdfium2.raw as pdfium
+
+    left, _, _, top = sheet.get_cropbox()
+    found = []
+    layer = sheet.get_textpage()
+    try:
+        box, x, y = pdfium.FS_RECTF(), ctypes.c_double(), ctypes.c_double()
+        for k in range(layer.count_chars()):
+            text = chr(pdfium.FPDFText_GetUnicode(layer, k))
+            if text.isspace() or unicodedata.category(text) == "Cf":
+                continue
+            pdfium.FPDFText_GetLooseCharBox(layer, k, box)
+            pdfium.FPDFText_GetCharOrigin(layer, k, x, y)
+            size = (box.top - box.bottom) / _EM
+            if size > 0:
+                found.append(_Sign(text, box.left - left, box.right - left, top - y.value, size))
+    finally:
+        layer.close()
+    return found
+
+
+def _rows(signs: list[_Sign]) -> list[list[_Sign]]:
+    """Return the characters of each baseline, from the top down, left to right."""
+    rows: list[list[_Sign]] = []
+    for sign in sorted(signs, key=lambda sign: sign.y):
+        if rows and sign.y - rows[-1][0].y < _SAME_LINE * min(sign.size, rows[-1][0].size):
+            rows[-1].append(sign)
+        else:
+            rows.append([sign])
+    return [sorted(row, key=lambda sign: sign.left) for row in rows]
+
+
+def _cut(rows: list[list[_Sign]]) -> list[list[list[_Sign]]]:
+    """Return rows cut where columns or cells of a table part: at wide gaps, and at narrower ones
+    that end where wide ones of two rows around do."""
+    wide = [[sign.left for sign, gap in _gaps(row) if gap > _APART] for row in rows]
+    found = []
+    for number, row in enumerate(rows):
+        around = wide[max(0, number - _NEAR) : number] + wide[number + 1 : number + 1 + _NEAR]
+        pieces = [[row[0]]]
+        for sign, gap in _gaps(row):
+            near = _ALIGNED * sign.size
+            same = sum(any(abs(end - sign.left) < near for end in ends) for ends in around)
+            if gap > _APART or (gap > _NARROW and same >= _ALIKE):
+                pieces.append([])
+            pieces[-1].append(sign)
+        found.append(pieces)
+    return found
+
+
+def _gaps(row: list[_Sign]) -> Iterator[tuple[_Sign, float]]:
+    """Yield the characters of a row but the first, with the gap before each, in sizes."""
+    right = row[0].right
+    for before, sign in itertools.pairwise(row):
+        right = max(right, before.right)
+        yield sign, (sign.left - right) / max(before.size, sign.size)
+
+
+def _whole_tables(rows: list[list[list[_Sign]]]) -> list[list[list[_Sign]]]:
+    """Return the rows with those of tables as one piece, their cells parted by semicolons."""
+    found: list[list[list[_Sign]]] = []
+    for is_cut, group in itertools.groupby(rows, key=lambda row: len(row) > 1):
+        same = list(group)
+        cells = [cell for row in same for cell in row]
+        words = sum(len(_words(cell).split()) for cell in cells) / len(cells)
+        if not is_cut or len(same) < _TABLE_ROWS or words > _CELL_WORDS:
+            found += same
+            continue
+        for row in same:
+            whole = list(row[0])
+            for cell in row[1:]:
+                end = whole[-1]
+                whole.append(_Sign(";", end.right, end.right, end.y, end.size))
+                whole += cell
+            found.append([whole])
+    return found
+
+
+def _words(piece: list[_Sign]) -> str:
+    """Return the text of a piece, from the right if its script is written so."""
+    letters = [unicodedata.bidirectional(sign.text[0]) for sign in piece]
+    leftward = sum(each in ("R", "AL") for each in letters) > sum(each == "L" for each in letters)
+    signs = piece[::-1] if leftward else piece
+    text = signs[0].text
+    for before, sign in itertools.pairwise(signs):
+        gap = before.left - sign.right if leftward else sign.left - before.right
+        text += (" " if gap > _SPACE * sign.size else "") + sign.text
+    return unicodedata.normalize("NFC", text)
+
+
+def _line(piece: list[_Sign], point_mm: float) -> TextLine:
+    size = float(np.median([sign.size for sign in piece])) * point_mm
+    return TextLine(
+        left_mm=min(sign.left for sign in piece) * point_mm,
+        right_mm=max(sign.right for sign in piece) * point_mm,
+        baseline=(piece[0].y * point_mm,),
+        x_height_mm=_X_HEIGHT * size,
+        ascent_mm=_ASCENT * size,
+        descent_mm=_DESCENT * size,
+    )
+
+
+def _makes_sense(text: str) -> bool:
+    """Return whether a layer is text: not empty, and not of unknown or wrong codes."""
+    if not text:
+        return False
+    unknown = sum(unicodedata.category(each)[0] == "C" or each == "\ufffd" for each in text)
+    if unknown > _MOST_UNKNOWN * len(text):
+        return False
+    # Accents are marks of their own here.
+    plain = unicodedata.normalize("NFD", text.lower())
+    latin = [each for each in plain if each.isalpha() and "LATIN" in unicodedata.name(each, "")]
+    share = sum(each in _VOWELS for each in latin) / max(1, len(latin))
+    return len(latin) < _FEWEST or _VOWEL_SHARE[0] < share < _VOWEL_SHARE[1]
+
+
+def _is_mostly_picture(sheet: "pypdfium2.PdfPage") -> bool:
+    """Return whether one picture covers much of a page."""
+    import pypdfium2.raw as pdfium
+
+    width, height = sheet.get_size()
+    for picture in sheet.get_objects(filter=[pdfium.FPDF_PAGEOBJ_IMAGE]):
+        left, bottom, right, top = picture.get_bounds()
+        if (right - left) * (top - bottom) > _PICTURE * width * height:
+            return True
+    return False
