@@ -232,7 +232,7 @@ class ExperimentSession:
         if session.resumed and not session.over:
             yield f"goes on at trial {session.resumed + 1}{total}: {self.path}"
         yield from self.made.notes
-        if modeled and isinstance(self.made.task, FrequencyTask):
+        if modeled and not session.over and isinstance(self.made.task, FrequencyTask):
             yield FITTED
 
     def after(self) -> list[str]:
