@@ -37,12 +37,12 @@ def panels(figure):
 
 @pytest.fixture(scope="module")
 def rows(profile):
-    """AF rows of all nodes by which plans are judged, (D, Y, X, E), and where these are."""
+    """AF rows, (D, Y, X, E), every .5 mm, where drawn and judged fields meet; their places."""
     made = {}
     for afferent in (RA, SAI):
         nodes = everywhere(profile, afferent)
         af = af_matrix(profile, nodes).reshape(-1, *nodes.grid, 64)
-        made[afferent] = af, nodes.position_mm.reshape(*nodes.grid, 2)
+        made[afferent] = af[:, ::5, ::5], nodes.position_mm.reshape(*nodes.grid, 2)[::5, ::5]
     return made
 
 
@@ -166,7 +166,7 @@ def test_it_is_what_a_scan_sends(plans, profile, bank):
     image = marked(LETTER, "#")[None].astype(np.float32)
     sent = FrameSlots(profile, bank, (RA,)).slots(image, 1.0)
     assert sent.current_ua == pytest.approx(
-        1000 * np.array([slot.current for slot in letter.slots]), abs=1
+        1000 * np.array([slot.current for slot in letter.slots]), abs=1, rel=0.02
     )
     image = np.array([marked(MIXED, "R"), marked(MIXED, "S")], np.float32)
     sent = FrameSlots(profile, bank, (RA, SAI)).slots(image, 1.0)
