@@ -12,7 +12,7 @@
 
 static const st_kit &kit = st_kajimoto61;
 
-enum { DATA = 13, CLOCK = 14, BL = 25, LE = 26, POL = 27, SELECT = 22, SWITCH = 34 };
+enum { DATA = 13, CLOCK = 14, BL = 25, LE = 26, POL = 27, SELECT = 22, SWITCH = 33 };
 static const uint16_t ELECTRODES = 64;
 static const uint32_t PACKET_BYTES = 8192;
 
