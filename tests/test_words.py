@@ -7,8 +7,8 @@ import smarttouch
 
 PACKAGE = Path(smarttouch.__file__).parent
 COMMANDS = ("cli/", "emulator/commands.py", "emulator/__main__.py")
-STARTERS = {"emulator/emulated_boards.py", "reading/ocr.py"}
-"""Files that give other programs their options."""
+STARTERS = {"emulator/emulated_boards.py", "reading/ocr.py", "pages/structured_text.py"}
+"""Files that give other programs their options: the emulator, Tesseract and pandoc."""
 
 
 def test_only_commands_know_options():

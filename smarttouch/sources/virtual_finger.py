@@ -63,7 +63,8 @@ class ReadingPath:
     ) -> None:
         require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
         field = (profile.optics.field_width_mm, profile.optics.field_height_mm)
-        lines = find_lines(page, light_on_dark) or [_printed(page, light_on_dark)]
+        # Without a word of it, print may still be light: else the dark between letters is read.
+        lines = find_lines(page, light_on_dark or None) or [_printed(page, light_on_dark)]
         self.lines: list[TextLine] = [sweep for line in lines for sweep in _sweeps(line, field[1])]
         self._force_n = _PRESS * profile.force.full_n
         self._phases = np.random.default_rng(seed).uniform(0, 2 * math.pi, 2).tolist()
@@ -222,7 +223,7 @@ def _magnification(text: str, page: Page, profile: Profile, light_on_dark: bool)
                 about="magnify",
             )
         return factor
-    lines = find_lines(page, light_on_dark)
+    lines = find_lines(page, light_on_dark or None)
     if not lines:
         return 1.0
     # Long lines are the text; headings are larger.

@@ -42,6 +42,7 @@ BASES = {
     "replay": f"replay {{golden}} {PAGE}",
     "recordings view": "recordings view {golden} --save view.png",
     "design": "design --profile line-7",
+    "profiles new": "profiles new mine.toml --grid 2x2 --overwrite",
     "simulate letters": "simulate letters T --profile smarttouch-4x4 --anatomy paper",
     "experiment run": (
         "experiment run detection?trials=1&procedure=questplus --simulate first "

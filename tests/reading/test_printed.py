@@ -1,6 +1,7 @@
 """Pages are turned upright, recognized piece by piece, and their paragraphs put together."""
 
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -52,9 +53,21 @@ def tesseract(monkeypatch):
     return reads
 
 
+def printed(text):
+    """Return a printed page whose words are not known, as of a scan."""
+    return replace(prepare_text(text), words=())
+
+
+def test_words_that_a_page_brings_are_not_recognized(tesseract, notes):
+    stands = tesseract("other words")
+    lines = recognized_lines(prepare_text("x\ny"), RecognitionOptions(), notes.append)
+    assert list(lines) == [(0, "x"), (1, "y")]
+    assert (stands.pieces, notes) == ([], [])
+
+
 def test_paragraphs_are_put_together_and_divided_words_joined(tesseract, notes):
     tesseract(TEXT)
-    text = recognized_text(prepare_text(TEXT), RecognitionOptions(), notes.append)
+    text = recognized_text(printed(TEXT), RecognitionOptions(), notes.append)
     assert text == "Some words that are divided by a line, and more of them\nanother paragraph"
     assert notes == []
 
@@ -65,12 +78,12 @@ def test_paragraphs_are_put_together_and_divided_words_joined(tesseract, notes):
 ])  # fmt: skip
 def test_hyphens_at_the_end_of_a_line(tesseract, notes, lines, text):
     tesseract(lines)
-    assert recognized_text(prepare_text(lines), RecognitionOptions(), notes.append) == text
+    assert recognized_text(printed(lines), RecognitionOptions(), notes.append) == text
 
 
 def test_the_first_line_is_not_waited_for(tesseract, notes):
     stands = tesseract("\n".join(f"line {number}" for number in range(40)))
-    lines = recognized_lines(prepare_text("x\n" * 40), RecognitionOptions(), notes.append)
+    lines = recognized_lines(printed("x\n" * 40), RecognitionOptions(), notes.append)
     assert next(lines) == (0, "line 0")
     assert stands.pieces == [1]
     assert [text for _, text in lines] == [f"line {number}" for number in range(1, 40)]
@@ -79,7 +92,7 @@ def test_the_first_line_is_not_waited_for(tesseract, notes):
 
 def test_what_is_hardly_recognized_is_told_of(tesseract, notes):
     tesseract("scrawl", confidence=0.3)
-    assert list(recognized_lines(prepare_text("x"), RecognitionOptions(), notes.append)) == [
+    assert list(recognized_lines(printed("x"), RecognitionOptions(), notes.append)) == [
         (0, "scrawl")
     ]
     assert len(notes) == 1

@@ -110,6 +110,13 @@ def test_samples_say_their_size(profile, name):
     assert 5 < sensor.duration_s < 60
 
 
+def test_the_finger_follows_light_print_that_nobody_told_it_of(profile):
+    found = opened(profile, 0, "light_on_dark.png").path.lines
+    assert len(found) == 4
+    url = f"page:{data_folder('sample_images') / 'light_on_dark.png'}"
+    assert found == open_source(url, profile, light_on_dark=True).path.lines
+
+
 def test_text(profile):
     sensor = open_source("text:hello", profile, seed=0, dpi=None, page_width_mm=None)
     assert sensor.read(1_000_000_000).image.min() < 60
