@@ -326,7 +326,8 @@ class Window(Listener):
         number = 1
         while (path := Path(f"recording-{number}.mcap")).exists():
             number += 1
-        begun = Recorder(path, begun_ns=self._time_ns)
+        # Steps may pass while the file is opened: even before the first, the start may be missed.
+        begun = Recorder(path, begun_ns=max(1, self._time_ns))
         begun.start(self._context)
         now = self._context.controls.state(self._time_ns)
         begun.event(IntensityChanged(self._time_ns, now.level))
