@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from studies.finger_effects import (
     CLEAR_MA,
-    CONCENTRIC_MM,
     against_all,
-    concentric,
     fired,
     inner_sites,
     kernel_ma,
@@ -60,9 +58,13 @@ def test_a_cathode_blurs_what_an_anode_focuses(mouse):
     assert cathodic.afferents > anodic.afferents > 0
 
 
-@pytest.mark.parametrize("flat_mm", [5.0, 7.0])
-def test_pc_is_felt_toward_the_fingertip(mouse, flat_mm):
-    """Section III-B.4: 1 to 3 mm, however far its axons are taken to run flat."""
+@pytest.mark.parametrize(("flat_mm", "shift_mm"), [(3.0, 1.9), (5.0, 2.7), (7.0, 3.5)])
+def test_pc_is_felt_toward_the_fingertip(mouse, flat_mm, shift_mm):
+    """Section III-B.4: 1 to 3 mm, which holds of axons taken to run flat for up to 5 mm.
+
+    Means over 20 fingers; those over four of them differ by up to .16 mm. With kernels designed at
+    places .1 mm apart, axons of the assumed 7 mm are felt half a millimeter farther than it says.
+    """
     anatomy, none = load_anatomy("paper"), {"density_per_cm2": 0.0}
     alone = {each: getattr(anatomy, each).model_copy(update=none) for each in ("ra", "sai")}
     many = {"flat_mm": flat_mm, "density_per_cm2": 210.0}
@@ -70,15 +72,17 @@ def test_pc_is_felt_toward_the_fingertip(mouse, flat_mm):
     fingers = [Finger(mouse.profile, seed, anatomy.model_copy(update=alone)) for seed in SEEDS]
     current_ma = CLEAR_MA * kernel_ma(mouse.profile, mouse.bank, Afferent.PC)
     found = shift(fingers, current_ma, mouse.sites, [Afferent.PC])
-    assert 1 <= -found.y_mm <= 3
+    assert -found.y_mm == pytest.approx(shift_mm, abs=0.25)
+    assert (1 <= -found.y_mm <= 3) == (flat_mm <= 5)
     assert abs(found.x_mm) < 0.5
 
 
-@pytest.mark.parametrize(("mode", "most_pc"), [(Afferent.RA, 0.03), (Afferent.SAI, 0.15)])
+@pytest.mark.parametrize(("mode", "most_pc"), [(Afferent.RA, 0.06), (Afferent.SAI, 0.15)])
 def test_each_mode_fires_its_class_most(mouse, mode, most_pc):
-    """PC are .009 of what RA mode fires, .115 in SAI mode, over 60 fingers.
+    """PC are .027 of what RA mode fires, .117 in SAI mode, over 60 fingers.
 
-    Of four fingers the shares differ with a standard deviation of .008 and .018. RA mode fires no
+    Of four fingers the shares differ with a standard deviation of .016 and .018: the bounds are two
+    above. (Kernels of places .5 mm apart fired .009 and .115.) RA mode fires no
     PC, says the paper; of SAI mode it says only that it is pure in a narrow range of currents.
     """
     current_ma = CLEAR_MA * kernel_ma(mouse.profile, mouse.bank, mode)[mouse.sites]
@@ -91,7 +95,7 @@ def test_each_mode_fires_its_class_most(mouse, mode, most_pc):
 
 def test_an_anodic_disc_in_a_ring_fires_ra_alone():
     """Section III-C: RA mode of the concentric electrode reaches no PC."""
-    counts = reached(concentric(CONCENTRIC_MM), -CLEAR_MA, "paper", SEEDS)
+    counts = reached(load_profile("concentric"), -CLEAR_MA, "paper", SEEDS)
     assert counts[Afferent.RA] > 0
     assert counts[Afferent.SAI] == counts[Afferent.PC] == 0
 

@@ -72,13 +72,18 @@ def test_a_point_that_breaks_its_bound_stands_alone_and_says_so(make_operator, b
         assert slot.figures.weakest == pytest.approx(1, abs=1e-3)
 
 
-def test_points_join_slots_that_they_leave_within_bounds():
-    """SAI on points 1.1 mm apart, where selectivity is short; dealing anew alone took 25 slots."""
+def test_points_join_slots_that_they_leave_within_bounds(changed):
+    """SAI on points 1.1 mm apart, where selectivity is short; dealing anew alone took 25 slots.
+
+    Frames are judged every .5 mm, as `FrameSlots` does. Every .1 mm no point keeps .3 of any other
+    class even alone (.32), and none can join another.
+    """
     profile = load_profile("optacon-24x6")
     bank, afferent = load_bank(profile), Afferent.SAI
     kernels = bank.kernels(afferent)
     wish = full_wish(profile, kernels, bank.receptor[afferent])
-    operator = FrameOperator(FrameJudge(profile, afferent, wish))
+    coarse = changed(profile, {"skin.node_spacing_mm": 0.5})
+    operator = FrameOperator(FrameJudge(coarse, afferent, wish))
     slots = 0
     for seed in range(6):
         level = np.zeros(144)

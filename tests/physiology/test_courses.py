@@ -13,10 +13,14 @@ from ..raising import raises
 
 
 def test_paper_nodes_run_from_minus_five_to_five():
-    sai = everywhere(load_profile("line-7"), Afferent.SAI)
-    assert sai.position_mm[:, 0] == pytest.approx(np.arange(-5, 6))
-    assert not sai.position_mm[:, 1].any()
-    assert sai.grid == (1, 11)
+    """Two pitches beyond the outer lines; RA a pitch apart, the others as in the file."""
+    profile = load_profile("line-7")
+    for afferent, apart_mm in zip(Afferent, (1.0, 0.1, 0.1), strict=True):
+        nodes = everywhere(profile, afferent)
+        expected = apart_mm * np.arange(-round(5 / apart_mm), round(5 / apart_mm) + 1)
+        assert nodes.position_mm[:, 0] == pytest.approx(expected)
+        assert not nodes.position_mm[:, 1].any()
+        assert nodes.grid == (1, len(expected))
 
 
 def test_paper_ra_axons_stand_a_pitch_apart_however_fine_the_nodes(changed):
@@ -46,10 +50,14 @@ def test_an_axon_starts_under_its_electrode(profile, afferent):
     assert sets[0].depth_mm == activating_function.depth_mm(profile.skin, afferent)
     if afferent is Afferent.RA:
         assert [each.ending for each in sets] == ["passive"] + [None] * (len(sets) - 1)
-        assert [each.depth_mm for each in sets[:3]] == pytest.approx([0.7, 1.2, 1.7])
+        # Down to two pitches below the ending, .1 mm apart.
+        assert [each.depth_mm for each in sets] == pytest.approx(0.7 + 0.1 * np.arange(41))
     else:
         assert len(sets) == 1
-        assert len(sets[0].position_mm) == 17
+        # As far as nodes are looked at: 9 mm either way, a pitch beyond the outer electrodes.
+        expected = np.linspace(-9, 9, 181)
+        assert np.sort(sets[0].position_mm[:, 0]) == pytest.approx(expected)
+        assert set(sets[0].position_mm[:, 1]) == {profile.electrodes.position_mm[27, 1]}
 
 
 def test_a_fiber_outside_the_skin_is_refused(profile):
