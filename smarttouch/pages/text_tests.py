@@ -46,6 +46,8 @@ them at least, and their usual width in heights; bars of a code are narrower."""
 _OWN, _BAND = (-0.7, 1.9), 2.1
 """Extent of a line over its baseline, and of the bands beside it, in x-heights."""
 _FOREIGN = 0.4  # most ink of no line in either band, relative to that of its letters
+_BESIDE_A_PICTURE = 1.0
+"""The same in one band, for rows of one or two with few strokes: specks at a picture's edge."""
 _TOUCHING = 1.3  # usual width of spots in which letters run together, in x-heights
 
 
@@ -149,7 +151,10 @@ def _are_solid(letters: Spots) -> bool:
 def outside_pictures(
     lines: list[tuple[Baseline, Spots]], spots: Spots
 ) -> list[tuple[Baseline, Spots]]:
-    """Return the lines without those amid other ink on both sides, which are parts of pictures."""
+    """Return the lines without those amid other ink on both sides, which are parts of pictures.
+
+    One or two that have fewer strokes than letters are so with ink on one side, too.
+    """
     x, y = (spots.left + spots.right) / 2, (spots.top + spots.bottom) / 2
     size = spots.width * spots.height
     of_a_line = np.zeros(len(x), np.bool_)
@@ -165,14 +170,16 @@ def outside_pictures(
         part = np.maximum(across, 0) * np.maximum(down, 0) / size
         return float((part * spots.area)[~of_a_line].sum())
 
-    return [
-        (baseline, row)
-        for baseline, row in lines
-        if min(
-            foreign(baseline, _OWN[1], _OWN[1] + _BAND), foreign(baseline, _OWN[0] - _BAND, _OWN[0])
-        )
-        < _FOREIGN * int(row.area.sum())
-    ]
+    def belongs(baseline: Baseline, row: Spots) -> bool:
+        above = foreign(baseline, _OWN[1], _OWN[1] + _BAND)
+        below = foreign(baseline, _OWN[0] - _BAND, _OWN[0])
+        own = int(row.area.sum())
+        # Figures at the axis of a diagram have the strokes of letters.
+        speck = len(row.area) < _SURE and baseline.strokes < _FEWEST_STROKES
+        most = _BESIDE_A_PICTURE if speck else np.inf
+        return min(above, below) < _FOREIGN * own and max(above, below) < most * own
+
+    return [(baseline, row) for baseline, row in lines if belongs(baseline, row)]
 
 
 def credible_lines(lines: list[tuple[Baseline, Spots]], ink: int) -> list[Baseline]:

@@ -224,6 +224,7 @@ class ReadingSource(OpticalSource):
         self.index: int = -1
         """Index of the line under the finger."""
         self._feed, self._cursor = feed, cursor
+        self._titled = False
         self._texts: dict[int, str] = {}
         self._pixel_mm = pixel_pitch_mm(profile)
         self._shape = (profile.optics.sensor_rows, profile.optics.sensor_columns)
@@ -267,9 +268,11 @@ class ReadingSource(OpticalSource):
         spot = self._cursor.at(time_ns)
         if spot is None:
             return None
-        if spot.index != self.index:
+        if spot.index != self.index or not self._titled:
             self.index = spot.index
             line = self._feed.line(self.index)
+            # A line that is still being recognized is named when it is there.
+            self._titled = line is not None
             if line is not None:
                 text = f": {line.text}" if line.text else ""
                 total = self._feed.total

@@ -1,9 +1,12 @@
 """Frames are what lies under the array."""
 
+import threading
+
 import numpy as np
 import pytest
 
 from smarttouch.imaging.array_window import pixel_pitch_mm
+from smarttouch.reading.line_feed import LineFeed
 from smarttouch.reading.line_source import LineMotion, ReadingSource, Spot, SweepingCursor
 
 
@@ -61,6 +64,29 @@ def test_lines_lie_one_below_the_other(reading, feed_of, make_line):
     assert np.diff(heights) == pytest.approx([source.line_step_mm] * 2)
     assert source.line_step_mm > reading.electrodes.extent_mm[1]
     assert source.title == "a page, line 3 of 3: what it says"
+
+
+def test_a_line_that_was_late_is_named_all_the_same(reading, make_line):
+    recognized = threading.Event()
+
+    def lines():
+        yield make_line(text="one")
+        recognized.wait(10)
+        yield make_line(text="two")
+
+    feed = LineFeed(lines()).start()
+    first = feed.wait_for(0)
+    stands = Stands(Spot(0, first, 5.0, 0.0, 1.0), Spot(1, None), Spot(1, None))
+    source = ReadingSource("x", reading, feed, stands)
+    source.read(0)
+    source.read(1)
+    assert source.account == "1 line read: one"
+    recognized.set()
+    assert feed.wait_for(1, 10) is not None
+    source.read(2)
+    feed.close()
+    assert source.account == "2 lines read: one / two"
+    assert source.title.endswith("two")
 
 
 def test_it_heeds_the_keys_of_its_cursor(reading, feed_of, make_line):
