@@ -214,7 +214,7 @@ class TestTheThresholdsOfThePaper:
         """Many more RA fire for each PC: what the paper found is explained in part only.
 
         With the kernels designed at places .1 mm apart this finger trusts frequencies up to 84 Hz,
-        one without branches up to 175 Hz, and RA mode 65 Hz.
+        one without branches up to 250 Hz, and RA mode 65 Hz.
         """
         subject = SimulatedObserver(Finger(profile, 1, "branched"), bank)
         ratio = subject.ratio(PC, MIDDLE)
