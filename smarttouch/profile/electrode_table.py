@@ -53,6 +53,9 @@ def layout_of(table: Path | str | NDArray[np.floating[Any]]) -> FreeLayout:
     return made
 
 
+LARGEST_PITCH_MM = 1e9
+
+
 def grid_of(size: str, pitch_mm: float, diameter_mm: float) -> GridLayout:
     """Return a grid of discs, of a size like ``5x5``: rows and columns."""
     found = re.fullmatch(r"(\d+)x(\d+)", size)
@@ -63,6 +66,12 @@ def grid_of(size: str, pitch_mm: float, diameter_mm: float) -> GridLayout:
             f"discs of {diameter_mm:g} mm do not fit a pitch of {pitch_mm:g} mm: give a diameter "
             "above 0 and below the pitch",
             about="diameter_mm",
+        )
+    if pitch_mm > LARGEST_PITCH_MM:
+        # Along both axes at once: the layout would say it twice.
+        raise ProfileError(
+            f"a pitch of {pitch_mm:g} mm is of no use: give at most {LARGEST_PITCH_MM:g} mm",
+            about="pitch_mm",
         )
     layout = {
         "layout": "grid",
