@@ -40,7 +40,8 @@ uint16_t st_kit_counts(const st_kit *kit, uint16_t source_ua)
 /* Place counts as the kit's converter reads them; touches nothing. */
 uint16_t st_kit_word(const st_kit *kit, uint16_t counts)
 {
-    return kit->converter == ST_MCP4921 ? (uint16_t)(0x3000u | counts) : (uint16_t)(counts << 2);
+    const uint32_t word = kit->converter == ST_MCP4921 ? 0x3000u | counts : (uint32_t)counts << 2;
+    return (uint16_t)word;
 }
 
 /* Write one bit for each output: 1 for an anode. */
