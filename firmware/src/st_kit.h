@@ -15,7 +15,7 @@ extern "C" {
 #endif
 
 /* Converters, by the word of 16 bits that sets them. */
-enum {
+enum st_converter {
     ST_AD5452 = 1, /* two zeros, counts, two zeros; taken on falling edges: SPI mode 1 */
     ST_MCP4921 = 2 /* 0x3, unbuffered, once the reference, on; then counts; rising edges: mode 0 */
 };

@@ -26,7 +26,8 @@ class Life:
 
     def begin(self, limits=None):
         """Begin a session, some of which allow little."""
-        if self.number:
+        if hasattr(self, "limits"):
+            # A session that goes on takes the next HELLO for a stranger's.
             self.judge.stop(self.talk.now_us)
             self.talk.say(MessageKind.STOP)
             self._note()

@@ -83,7 +83,7 @@ MUTANTS = {
         recharge, RULES, "recharge_us + ST_MIN_DISCHARGE_US", "recharge_us"
     ),
     "the duty of a recharge": (
-        recharge, RULES, "current_us = sequence->recharge_us", "current_us = 0"
+        recharge, RULES, "flowed_us + sequence->recharge_us", "flowed_us"
     ),
     "felt pulses of a period": (
         felt, RULES, "(uint64_t)felt > allowed", "(uint64_t)felt > 2u * allowed"
@@ -96,7 +96,8 @@ MUTANTS = {
     ),
     "scans in a second": (often, LAST, "if (value > allowed)", "if (value > 2u * allowed)"),
     "time of the session": (
-        session, LAST, "flowing_us += sequence->period_us", "flowing_us += 0u"
+        session, LAST, "flowing_us += sequence->slots > 0u ? sequence->period_us : 0u",
+        "flowing_us += 0u"
     ),
     "charge of the session": (
         session, LAST, "session_pc += load->charge_pc", "session_pc += 0u"
