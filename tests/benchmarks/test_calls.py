@@ -26,7 +26,7 @@ FRAMES = 160
 MOST = {
     "memory:, RA": (71, 22),
     "emulator:, RA": (118, 28),
-    "emulator:, NATURAL": (125, 29),
+    "emulator:, NATURAL": (125, 30),
     "start of live": (3400, 92),
 }
 """Calls and files at most; a start also counts how often it looks whether the emulator is up."""
