@@ -25,7 +25,7 @@ builtins.__import__ = imported
 for name in "SIGHUP", "SIGKILL", "SIGUSR1", "SIGUSR2", "SIGPIPE", "SIGALRM":
     delattr(signal, name)
 gone = {"fork", "openpty", "setsid", "mkfifo", "killpg", "set_blocking", "geteuid", "fchmod"}
-gone |= {"pread", "pwrite", "sysconf"}
+gone |= {"pread", "pwrite"}  # not sysconf: other libraries ask for it on Linux
 gone |= {"O_NONBLOCK", "O_NOCTTY", "O_NOFOLLOW", "O_CLOEXEC", "O_DIRECTORY", "getpgid", "ttyname"}
 for name in [name for name in dir(os) if name in gone or name.startswith(("sched_", "SCHED_"))]:
     delattr(os, name)
