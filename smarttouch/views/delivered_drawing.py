@@ -67,6 +67,8 @@ class DeliveredDrawing(DeliveredResponses, ABC):
         self._cell_mm = tuple(side / magnification for side in profile.electrodes.cell_mm)
         self._names = " and ".join(each.name for each in afferents)
         self._finger: Finger | None = None
+        self.slots = np.zeros(0, np.uint32), np.zeros((0, len(profile.electrodes)), np.int16)
+        """Number of the sequence of each delivered slot, (N,), and its currents, (N, E) µA."""
         self.spikes: Counts = {}
         """Spikes of each afferent, (A,), by number of the sequence."""
 
@@ -83,6 +85,7 @@ class DeliveredDrawing(DeliveredResponses, ABC):
     ) -> None:
         """Take delivered slots, see `answers`; with a finger its spikes are drawn, too."""
         super().deliver(numbers, width_us, current_ua)
+        self.slots = numbers, current_ua
         self._finger = finger
         if finger is not None:
             self.spikes = delivered_spikes(

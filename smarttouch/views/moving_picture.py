@@ -1,7 +1,6 @@
 """Moving picture of a run: page, electrodes, afferents and their sum, as an animated GIF."""
 
 from collections.abc import Iterator
-from functools import cached_property
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -20,8 +19,7 @@ from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.files import write_bytes
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.response import in_color
-from smarttouch.running.delivered import FIELD_MM, Floats, SpikeMap
-from smarttouch.running.step import StepResult
+from smarttouch.running.delivered import FIELD_MM, SpikeMap
 from smarttouch.sources.source_contract import Pose
 from smarttouch.views.delivered_drawing import PageDrawing, scale_bar
 
@@ -48,27 +46,6 @@ class MovingPicture(PageDrawing):
     larger with spikes; and all spikes so far where the receptors were on the page, for each pass.
     """
 
-    def watch(self, sent: StepResult) -> None:
-        """Record the pose of a step and its time, and its frame if the page is not known."""
-        super().watch(sent)
-        if sent.number in self.poses:
-            self._time_s[sent.number] = sent.input.time_ns / 1e9
-
-    def deliver(
-        self,
-        numbers: NDArray[np.uint32],
-        width_us: Floats,
-        current_ua: NDArray[np.int16],
-        finger: Finger | None = None,
-    ) -> None:
-        """Take delivered slots, see `Perception.answers`; a finger is needed."""
-        super().deliver(numbers, width_us, current_ua, finger)
-        self._slots = numbers, current_ua
-
-    @cached_property
-    def _time_s(self) -> dict[int, float]:
-        return {}
-
     def save(self, path: Path) -> None:
         """Write the picture; raises where there is no finger, or nothing was delivered."""
         if self._finger is None or not self.spikes:
@@ -78,7 +55,7 @@ class MovingPicture(PageDrawing):
                 about="felt",
             )
         sheet = _Sheet(self, self._finger)
-        times_s = list(self._time_s.values())
+        times_s = list(self.time_s.values())
         count = int((times_s[-1] - times_s[0]) / FRAME_S) + 1
         if count > MOST_FRAMES:
             raise SmartTouchError(
@@ -107,13 +84,13 @@ class MovingPicture(PageDrawing):
     ) -> Iterator[tuple[float, Pose, NDArray[np.int16], NDArray[np.intp], list[int]]]:
         """Yield time, pose, currents of a slot (E,) µA, spikes of each afferent (A,), and numbers
         of the sequences since the moment before."""
-        numbers, current_ua = self._slots
+        numbers, current_ua = self.slots
         assert self._finger is not None
         for index in range(count):
             begin_s = first_s + index * FRAME_S
             passed = [
                 number
-                for number, time_s in self._time_s.items()
+                for number, time_s in self.time_s.items()
                 if begin_s <= time_s < begin_s + FRAME_S
             ]
             spikes = np.zeros(len(self._finger.classes), np.intp)

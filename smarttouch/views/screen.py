@@ -141,8 +141,9 @@ class Screen(Listener):
             rest_s = max(_REFRESH_S, _LEAST_REST * (time.monotonic() - began_s))
 
     def _print(self, line: str) -> None:
-        line = line.replace("\n", " ")
-        self._console.print(line, soft_wrap=True, highlight=False, markup=False)
+        """Print a line; a terminal's are broken at words."""
+        line, whole = line.replace("\n", " "), not self._console.is_terminal
+        self._console.print(line, soft_wrap=whole, highlight=False, markup=False)
 
     def _render(self) -> RenderableType:
         """Draw all of it, in a constant number of rows that fits the terminal."""

@@ -89,7 +89,13 @@ class RunChoices:
             raise SmartTouchError(
                 f"the board {choice.board!r} is not offered: leave out its options", about="board"
             )
-        if may_touch_a_finger(choice.board) and not choice.confirmed:
+        if not may_touch_a_finger(choice.board):
+            # One of a plug-in may write a file that its URL names.
+            raise SmartTouchError(
+                f"the board {choice.board!r} is not offered: choose one of the list, or a real one",
+                about="board",
+            )
+        if not choice.confirmed:
             raise SmartTouchError(
                 f"a finger may be on {choice.board}: confirm that, and that current through it is "
                 "intended",

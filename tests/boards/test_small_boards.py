@@ -16,7 +16,7 @@ from smarttouch.emulator.link_firmware import Room
 from smarttouch.emulator.link_packets import KernelStore, decode_lists
 from smarttouch.emulator.link_rules import _filled_in
 from smarttouch.profile import load_profile
-from smarttouch.stimulation.scan_sequence import KernelLists
+from smarttouch.stimulation.scan_sequence import KernelLists, ScanSequence
 from tests.boards.fresh import deliver, fresh_state
 from tests.boards.test_contract import Contract
 from tests.firmware.build import host
@@ -179,3 +179,16 @@ def test_parts_are_small_enough_and_make_up_the_scan(seed):
         np.testing.assert_array_equal(lists.sequence.width_us, scan.width_us[rows])
         at += part.slots
     assert at == scan.slots
+
+
+@pytest.mark.parametrize("slots", [0, 1, 3])
+def test_a_slot_that_no_packet_holds_is_refused_by_its_size(slots):
+    rows = np.zeros((slots, 8), np.int16)
+    column = np.ones(slots, np.uint16)
+    recharge = (np.zeros(8, np.int16), 500) if not slots else (None, 0)
+    scan = ScanSequence(
+        rows, 100 * column, 50 * column, 0 * column, 10_000, 0.5, 0,
+        recharge_ua=recharge[0], recharge_us=recharge[1],
+    )  # fmt: skip
+    with raises(BoardError, about="packet", value="20"):
+        encode_scan(scan, 1, False, False, None, 20, 4)

@@ -135,6 +135,7 @@ def test_a_window_waits_for_its_page_and_runs_again_until_that_is_closed(start_p
             ("text:a?path=b", "emulator:", "options"),
             ("text:a", "emulator:?books=/", "options"),
             ("text:a", "nothing:", "emulator:"),
+            ("text:a", "memory:", "not offered"),
             ("text:a", "link:/dev/none", "confirm"),
         ):
             ask(page, source, board)

@@ -100,7 +100,9 @@ def encode_scan(
         payload = _payload(sequence, times, *given)
         if len(payload) <= most_bytes:
             return [ScanPart(payload, 0, slots, 0)]
-    if slots < 2 or times > 1 or not most_slots:
+        if not slots:
+            raise _too_large(len(payload), most_bytes)
+    if times > 1 or not most_slots:
         raise BoardError(
             f"{slots} slots are more than this board takes at once ({most_slots} slots, "
             f"{most_bytes} bytes), and what is sent in parts is not repeated by the board: send it "
