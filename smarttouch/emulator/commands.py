@@ -134,7 +134,8 @@ def _board(
     from smarttouch.boards.link.protocol import OUTPUTS, Output
     from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
     from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
-    from smarttouch.emulator.link_firmware import LinkFirmware, Room
+    from smarttouch.emulator.link_firmware import LinkFirmware
+    from smarttouch.emulator.sequence_at_hand import Room
 
     if name == "kajimoto61":
         return Kajimoto61Firmware(books, finger, volts)

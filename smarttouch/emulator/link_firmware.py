@@ -5,10 +5,8 @@ that proves its sequences safe must not be the only one who looks.
 """
 
 from copy import copy
-from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards.link import protocol as protocol
@@ -22,13 +20,12 @@ from smarttouch.boards.link.protocol import (
     Output,
     Refusal,
     Rule,
-    WireSequence,
     decode,
     encode_volts,
 )
 from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.emulator.firmware import DeliveryLog, Firmware
-from smarttouch.emulator.link_limits import MAX_CURRENT_UA, MAX_SLOTS, Load, SessionLimits
+from smarttouch.emulator.link_limits import MAX_CURRENT_UA, Load, SessionLimits
 from smarttouch.emulator.link_packets import (
     BoardSession,
     KernelStore,
@@ -37,85 +34,10 @@ from smarttouch.emulator.link_packets import (
 )
 from smarttouch.emulator.link_rules import BrokenRule, complaint
 from smarttouch.emulator.rules_over_time import RAMP_MS, LastSecond, Ramp
+from smarttouch.emulator.sequence_at_hand import Room, ScanSoFar, SequenceAtHand
 from smarttouch.emulator.skin import COMPLIANCE_V, SkinCircuit
 
 NAME = "SmartTouch board emulator 1"
-PACKET_BYTES = 1 << 20
-KERNEL_BYTES = 1 << 23
-MOST_KERNELS = 4096
-
-
-@dataclass(frozen=True)
-class Room:
-    """What a board has room for: small ones get a scan in parts."""
-
-    slots: int = MAX_SLOTS
-    packet_bytes: int = PACKET_BYTES
-    kernel_bytes: int = KERNEL_BYTES
-    kernels: int = MOST_KERNELS
-
-
-@dataclass
-class _ScanSoFar:
-    """Parts of a scan that were accepted: to the rules they are one sequence with those to come."""
-
-    period_us: int
-    intensity: int
-    rise_us: int
-    """When it was to begin, on the skin."""
-    rise: Ramp
-    """As it was before the scan."""
-    load: Load
-    more: bool = True
-
-    def goes_on_in(self, lists: ReceivedSequence) -> bool:
-        same = (self.period_us, self.intensity) == (lists.sequence.period_us, lists.intensity)
-        return self.more and same
-
-
-@dataclass
-class _Table:
-    """Sequence that executes, or waits to."""
-
-    number: int
-    sequence: WireSequence
-    load: Load | None
-    """Of a pass; None without slots."""
-    left: int
-    """Number of remaining scans, with the current one."""
-    more: bool = False
-    """Whether it is a part of a scan that goes on."""
-    goes_on: bool = False
-    came_ns: int = 0
-    start_ns: int = 0
-    starts_ns: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    end_ns: int = 0
-    done: int = 0
-    volts: list[float] = field(default_factory=list)
-    recharge_ns: int | None = None
-    """Start of its recharge phase, until that has been recorded."""
-
-    @property
-    def over_ns(self) -> int:
-        """End of the last slot or recharge phase of the pass at hand."""
-        sequence = self.sequence
-        busy_us = int(
-            sequence.width_us.sum(dtype=np.int64) + sequence.discharge_us.sum(dtype=np.int64)
-        )
-        return self.start_ns + 1000 * (busy_us + sequence.recharge_us)
-
-    def begin(self, start_ns: int, scan_end_ns: int) -> None:
-        """Begin a pass; that of a scan's further part ends when the scan does."""
-        sequence = self.sequence
-        lengths = sequence.width_us.astype(np.int64) + sequence.discharge_us
-        self.start_ns, self.done = start_ns, 0
-        self.starts_ns = start_ns + 1000 * (np.cumsum(lengths) - lengths)
-        self.end_ns = start_ns + 1000 * sequence.period_us
-        if self.goes_on:
-            self.end_ns = max(scan_end_ns, self.over_ns)
-        recharges = sequence.recharge_ua is not None
-        self.recharge_ns = start_ns + 1000 * int(lengths.sum()) if recharges else None
-        self.volts.clear()
 
 
 class LinkFirmware(Firmware):
@@ -157,10 +79,10 @@ class LinkFirmware(Firmware):
         compliance_v: float = COMPLIANCE_V,
         session: BoardSession | None = None,
         ramp_ms: int = RAMP_MS,
-        room: Room = Room(),
+        room: Room | None = None,
     ) -> None:
         self._electrodes, self._output, self.books = electrodes, output, books
-        self._room = room
+        self._room = room = room or Room()
         self._keep = KernelStore(electrodes, room.kernel_bytes, room.kernels)
         self._ramp, self._second = Ramp(ramp_ms), LastSecond(electrodes)
         self._limits: SessionLimits | None = None
@@ -171,9 +93,9 @@ class LinkFirmware(Firmware):
         self._recharging = Feature.RECHARGE if output == "weighted" else Feature(0)
         self._deframer = Deframer(room.packet_bytes)
         self._session = session or BoardSession()
-        self._running: _Table | None = None
-        self._waiting: _Table | None = None
-        self._scan: _ScanSoFar | None = None
+        self._running: SequenceAtHand | None = None
+        self._waiting: SequenceAtHand | None = None
+        self._scan: ScanSoFar | None = None
         self._scan_end_ns = 0
         self._last, self._last_start_ns = (-1, False), 0
         """Number of the last sequence accepted, whether it has begun, and when."""
@@ -287,14 +209,14 @@ class LinkFirmware(Firmware):
             self._recharge(table, until_ns)
             self._end_scan(table)
 
-    def _end_ns(self, table: _Table) -> int:
+    def _end_ns(self, table: SequenceAtHand) -> int:
         """Return when the pass at hand is over: with its slots, if the next part waits."""
         waiting = self._waiting
         if waiting is None or not waiting.goes_on:
             return table.end_ns
         return max(table.over_ns, waiting.came_ns)
 
-    def _end_scan(self, table: _Table) -> None:
+    def _end_scan(self, table: SequenceAtHand) -> None:
         end_ns = self._end_ns(table)
         if table.sequence.measure:
             volts = encode_volts(np.array(table.volts))
@@ -313,19 +235,19 @@ class LinkFirmware(Firmware):
         else:
             self._begin(waiting, end_ns)
 
-    def _begin_pass(self, table: _Table, start_ns: int) -> None:
+    def _begin_pass(self, table: SequenceAtHand, start_ns: int) -> None:
         table.begin(start_ns, self._scan_end_ns)
         period_us = table.sequence.period_us
         self._second.begin(start_ns // 1000, period_us, table.load, table.goes_on)
 
-    def _begin(self, table: _Table, start_ns: int) -> None:
+    def _begin(self, table: SequenceAtHand, start_ns: int) -> None:
         self._begin_pass(table, start_ns)
         self._running = table
         self._last = (table.number, True)
         self._last_start_ns = start_ns
         self._acknowledge()
 
-    def _deliver(self, table: _Table, slot: int) -> None:
+    def _deliver(self, table: SequenceAtHand, slot: int) -> None:
         sequence, start_ns = table.sequence, int(table.starts_ns[slot])
         self._finger.at(start_ns / 1e9, self._skin)
         self._skin.short(max(0, start_ns - self._shorted_since_ns) / 1000)
@@ -347,7 +269,7 @@ class LinkFirmware(Firmware):
             self._skin.residual_uc, start_ns // 1000,
         )  # fmt: skip
 
-    def _recharge(self, table: _Table, until_ns: int) -> None:
+    def _recharge(self, table: SequenceAtHand, until_ns: int) -> None:
         """Execute the recharge phase, or the part of it before it was cut off."""
         sequence, start_ns = table.sequence, table.recharge_ns
         if sequence.recharge_ua is None or start_ns is None or until_ns <= start_ns:
@@ -443,7 +365,7 @@ class LinkFirmware(Firmware):
             self._waiting = table
         return self._execute(now_ns)
 
-    def _judged(self, number: int, payload: bytes, now_ns: int) -> _Table | None:
+    def _judged(self, number: int, payload: bytes, now_ns: int) -> SequenceAtHand | None:
         """Return what a payload asks for, or refuse it."""
         try:
             lists = decode_lists(payload, self._electrodes, self._output != "weighted")
@@ -482,7 +404,7 @@ class LinkFirmware(Firmware):
         self._ramp.note(lists.intensity, strength, scan.rise_us, span_us)
         flowing = load if lists.slots else None
         times, parts = sequence.times, (lists.more, lists.goes_on)
-        return _Table(number, sequence, flowing, times, *parts, came_ns=now_ns)
+        return SequenceAtHand(number, sequence, flowing, times, *parts, came_ns=now_ns)
 
     def _start_ns(self, goes_on: bool, now_ns: int) -> int:
         """Return when a sequence would begin: after the pass at hand; a further part of a scan
@@ -492,12 +414,12 @@ class LinkFirmware(Firmware):
             return now_ns
         return max(now_ns, running.over_ns if goes_on else running.end_ns)
 
-    def _scan_of(self, lists: ReceivedSequence, rise_us: int) -> _ScanSoFar:
+    def _scan_of(self, lists: ReceivedSequence, rise_us: int) -> ScanSoFar:
         """Return what the parts before a sequence amount to; of most there are none."""
         if lists.goes_on and self._scan is not None:
             return self._scan
         period_us, nothing = lists.sequence.period_us, Load.none(self._electrodes)
-        return _ScanSoFar(period_us, lists.intensity, rise_us, copy(self._ramp), nothing)
+        return ScanSoFar(period_us, lists.intensity, rise_us, copy(self._ramp), nothing)
 
     def _acknowledge(self) -> None:
         """Say that the last sequence has begun, and when."""

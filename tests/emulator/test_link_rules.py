@@ -19,7 +19,7 @@ from smarttouch.boards.link.sequence_encoding import (
     encode_lists,
 )
 from smarttouch.emulator.firmware import DeliveryLog
-from smarttouch.emulator.link_firmware import Room
+from smarttouch.emulator.sequence_at_hand import Room
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from smarttouch.emulator.link_firmware import LinkFirmware, Room
+from smarttouch.emulator.link_firmware import LinkFirmware
+from smarttouch.emulator.sequence_at_hand import Room
 from tests.firmware.judge import Limits
 from tests.firmware.rig import Emulated, PulseBooks
 from tests.reference.small_board import Board
