@@ -229,3 +229,15 @@ def test_answers_are_not_shown():
 
     assert BlindScreen("emulator:", quiet=False).hides(Answered(0, "right"))
     assert not Screen("emulator:", quiet=False).hides(Answered(0, "right"))
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_lines_break_at_words_on_a_terminal_and_nowhere_else(monkeypatch, terminal):
+    console = Console(file=io.StringIO(), force_terminal=terminal, width=33)
+    monkeypatch.setattr("smarttouch.views.screen.terminal.console", lambda **_: console)
+    title = " ".join(["letters"] * 20)
+    run = SimpleNamespace(source=SimpleNamespace(title=title), profile=SimpleNamespace(title="p"))
+    Screen("emulator:", quiet=False, plain=True).start(run)
+    lines = [each for each in console.file.getvalue().splitlines() if not each.startswith("keys")]
+    assert (max(map(len, lines)) <= 33) == terminal
+    assert " ".join(each.rstrip() for each in lines) == f"{title}, p, emulator:"
