@@ -166,11 +166,10 @@ class PdfDocument(Document):
 
         name = f"page {index + 1} of {self.path}"
         try:
-            sheet = self._pdf[index]
+            with contextlib.closing(self._pdf[index]) as sheet:
+                return self._render(sheet, name)
         except pypdfium2.PdfiumError:
             raise PageError(f"{name} cannot be read: the file is damaged", about="page") from None
-        with contextlib.closing(sheet):
-            return self._render(sheet, name)
 
     def _render(self, sheet: "pypdfium2.PdfPage", name: str) -> Page:
         width, height = sheet.get_size()

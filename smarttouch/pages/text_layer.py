@@ -49,7 +49,10 @@ class _Sign:
 
 def layered_page(sheet: "pypdfium2.PdfPage", page: Page, point_mm: float) -> LayeredPage | None:
     """Return a rendered page with its text layer; None if that is empty or makes no sense."""
-    if sheet.get_rotation():
+    import pypdfium2
+
+    # The method of pypdfium2 has no answer for a damaged page, whose rotation is -1.
+    if pypdfium2.raw.FPDFPage_GetRotation(sheet):
         return None
     rows = _rows(_signs(sheet))
     text = "".join(sign.text for row in rows for sign in row)
