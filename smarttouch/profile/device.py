@@ -34,14 +34,15 @@ class Output(Table):
     )
     """Polarities that the board can drive; positive currents are cathodic."""
     impedance_kohm: Positive | tuple[Positive, ...] = 1.0
-    """Impedance of electrode and skin, of all or of each: electrodes share the current of one
-    source by it."""
+    """Impedance of electrode and skin, one for all or one for each; the current of one source
+    divides among electrodes accordingly."""
     masked: tuple[int, ...] = ()
     """Electrodes that are broken, open or shorted, and are never driven."""
     wiring: tuple[int, ...] | None = None
     """The board's output of each electrode; its own number if not given."""
     ua_per_count: Positive | None = None
-    """Measured current of one count of the board's DAC; the driver's nominal one if not given."""
+    """Measured current of one count of the board's DAC; the nominal current of the driver if not
+    given."""
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
@@ -70,9 +71,9 @@ class Optics(Table):
     sensor_rows: int = Field(ge=2, le=4096)
     """Height of a frame in pixels."""
     field_width_mm: Positive
-    """Width of page that a frame shows."""
+    """Width of the part of the page that a frame shows."""
     field_height_mm: Positive
-    """Height of page that a frame shows."""
+    """Height of the part of the page that a frame shows."""
     magnification: Positive
     """Millimeters on the array per millimeter on the page."""
     rotation_deg: float = Field(default=0.0, ge=-180, le=180)
@@ -126,14 +127,14 @@ class Pulse(Table):
     carrier: Literal["height", "width"] = "height"
     """Quantity that grows with intensity: the current, or the pulse width."""
     chronaxie_us: Positive = 200.0
-    """Chronaxie of the afferents: it says how much more current a shorter pulse needs."""
+    """Chronaxie of the afferents, which determines how much more current a shorter pulse needs."""
     ra_rate_hz: float = Field(default=30.0, ge=1, le=200)
     """Pulses of RA a second in natural mode; RA answers best at 30 Hz (paper, Fig. 2)."""
     sai_rate_hz: float = Field(default=50.0, ge=1, le=200)
     """Pulses of SAI a second in natural mode, at full force."""
     softness: float = Field(default=1.0, ge=0, le=1)
-    """Softness, by which the rate of SAI pulses follows force less: 1 soft, 0 hard (paper, Section
-    III-B.2)."""
+    """Softness: the rate of SAI pulses follows force at 0 (hard) and is constant at 1 (soft)
+    (paper, Section III-B.2)."""
 
 
 class Limits(Table):
@@ -144,7 +145,7 @@ class Limits(Table):
     total_ma: float | None = Field(default=None, gt=0, le=CEILING_TOTAL_MA)
     """Largest current of all cathodes together in one slot; the project's ceiling if not given.
 
-    On a board with one source never more than a single electrode may carry.
+    With one source it is at most what a single electrode may carry.
     """
     electrode_ma: tuple[Positive, ...] | None = None
     """Largest current of each electrode, where some must stay below ``current_ma``."""
@@ -153,7 +154,7 @@ class Limits(Table):
     charge_uc: float = Field(gt=0, le=CEILING_CHARGE_UC)
     """Largest charge of a pulse."""
     rate_hz: float = Field(gt=0, le=CEILING_RATE_HZ)
-    """Most sequences a second."""
+    """Largest number of sequences a second."""
     duty: float = Field(gt=0, le=CEILING_DUTY)
     """Largest part of the time in which current flows."""
     ramp_s: float = Field(ge=SHORTEST_RAMP_S, le=10)
@@ -171,13 +172,15 @@ class Frames(Table):
 
     other: float = Field(default=0.3, gt=0, le=1)
     """Largest activation of any other class, relative to the weakest target. 0.30 is what a
-    single SAI point reaches on the paper's line array, by its own program."""
+    single SAI point reaches on the paper's line array, by the paper's own optimization."""
     spill: float = Field(default=0.3, gt=0, le=1)
-    """Largest activation of the own class more than a pitch from every target, likewise."""
+    """Largest activation of the target's class more than a pitch from every target, relative to the
+    weakest target."""
     uneven: float = Field(default=0.05, gt=0, le=0.5)
-    """Largest deviation of a target from what was wished, relative to it."""
+    """Largest deviation of a target from its intended activation, relative to it."""
     share: bool | None = None
-    """Whether points may share a slot; if not given, where ``limits.total_ma`` is."""
+    """Whether points may share a slot; if not given, they may where ``limits.total_ma`` is
+    given."""
 
 
 class PerceptThresholds(Table):
@@ -220,9 +223,9 @@ class Calibrated(Table):
     when: datetime
     """When it was measured."""
     versions: str
-    """Versions that measured it."""
+    """Versions of the software that measured it."""
     found: str
-    """Result in a sentence, with how good it is."""
+    """Result and its quality in one sentence."""
 
 
 class SkinLayer(Table):
@@ -237,7 +240,8 @@ class SkinLayer(Table):
 
 
 class Spread(Table):
-    """Largest deviation of a true finger from the nominal one; robust kernels hold over it."""
+    """Largest deviation of a true finger from the nominal one; robust kernels keep their bounds
+    within it."""
 
     ra_depth_mm: float = Field(default=0.1, ge=0)
     """Largest error of the depth of RA, each way."""
@@ -246,7 +250,7 @@ class Spread(Table):
     pc_depth_mm: float = Field(default=0.3, ge=0)
     """Largest error of the depth of PC, each way."""
     angle_deg: float = Field(default=10.0, ge=0, le=45)
-    """Largest turn of flat axons in the plane, and of rising ones from the vertical."""
+    """Largest turn of flat axons in the plane, and tilt of rising ones from the vertical."""
     conductivity_factor: float = Field(default=1.5, ge=1, le=100)
     """Factor by which the conductivity of each layer may be off, up and down."""
 
@@ -273,7 +277,7 @@ class Skin(Table):
     """Spacing of the points at which unwanted activation is bounded: 0.1 in shipped profiles, at
     most 0.25 in a file of up to 200 electrodes; frames of many points take 0.5 at least."""
     ra_ending: Literal["passive", "active"] = "passive"
-    """Whether the ending of a rising axon can fire: it decides RA's polarity."""
+    """Whether the ending of a rising axon can fire, which determines RA's polarity."""
     internode_mm: Positive = 0.079
     """Distance between the nodes of Ranvier of an axon near its ending; 79 µm by Nolano et al.
     2003."""

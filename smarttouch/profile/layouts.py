@@ -71,7 +71,7 @@ class LineLayout(Table):
     """Parallel line electrodes."""
 
     layout: Literal["lines"]
-    """Lines side by side, each long from top to bottom."""
+    """Lines side by side, each running from top to bottom."""
     count: int = Field(ge=2, le=64)
     """Number of electrodes."""
     pitch_mm: Positive
@@ -86,10 +86,10 @@ class LineLayout(Table):
 
 
 class FreeLayout(Table):
-    """Electrodes anywhere, one after the other."""
+    """Electrodes at any positions."""
 
     layout: Literal["free"]
-    """Electrodes at positions that are listed."""
+    """Electrodes at the listed positions."""
     positions_mm: tuple[tuple[Number, Number], ...] = Field(max_length=4096)
     """Position of each electrode, right and down; only differences count."""
     shape: Literal["point", "disc", "annulus", "rectangle"] = "disc"
