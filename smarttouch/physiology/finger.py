@@ -11,9 +11,9 @@ class Finger(FingerAfferents):
 
     Parameters
     ----------
-    profile : Profile
-        Array and skin. x runs to the right, y from the fingertip toward the palm, z into the
-        skin.
+    profile : Profile or str
+        Array and skin, or the name or file of the profile. x runs to the right, y from the
+        fingertip toward the palm, z into the skin.
     seed : int
         Seed of everything that differs between fingers; the same seed is the same finger.
     anatomy : str, Path or Anatomy

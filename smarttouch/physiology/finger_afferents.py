@@ -15,7 +15,7 @@ from smarttouch.physiology import activating_function as nominal
 from smarttouch.physiology.activating_function import potential_mv
 from smarttouch.physiology.anatomy import Anatomy, Bystander, ClassAnatomy, load_anatomy
 from smarttouch.physiology.driving_function import DrivingFunction
-from smarttouch.profile import Profile
+from smarttouch.profile import Profile, load_profile
 
 Array = NDArray[np.float64]
 
@@ -83,10 +83,13 @@ class FingerAfferents:
     """Population of afferents of one finger under the array of a profile; see `Finger`."""
 
     def __init__(
-        self, profile: Profile, seed: int = 1, anatomy: str | Path | Anatomy = "branched"
+        self,
+        profile: Profile | str,
+        seed: int = 1,
+        anatomy: str | Path | Anatomy = "branched",
     ) -> None:
         require_within(ProfileError, "seed", seed, 0, math.inf)
-        self.profile: Profile = profile
+        self.profile: Profile = load_profile(profile)
         self.seed: int = seed
         self.anatomy: Anatomy = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
         self.populations: dict[Any, Population] = {

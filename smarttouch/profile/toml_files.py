@@ -32,8 +32,8 @@ MOST_FINE = 200
 """Largest number of electrodes of which that is asked: rows of more may not fit into memory."""
 
 
-def load_profile(name: str | Path) -> Profile:
-    """Load a shipped profile by name, or any profile by its file.
+def load_profile(name: str | Path | Profile) -> Profile:
+    """Load a shipped profile by name, or any profile by its file; a profile is returned as it is.
 
     Raises
     ------
@@ -46,6 +46,8 @@ def load_profile(name: str | Path) -> Profile:
     >>> len(st.load_profile("electric-mouse").electrodes)
     64
     """
+    if isinstance(name, Profile):
+        return name
     path = profile_path(name)
     profile = profile_of(read_toml(path, ProfileError), path)
     skin, small = profile.skin, len(profile.electrodes) <= MOST_FINE
@@ -64,7 +66,7 @@ def profile_path(name: str | Path) -> Path:
     """Return the file of a profile, by its name or as it is given."""
     path = data_folder("calibration") / f"{name}.toml"
     if str(name) not in list_profiles():
-        path = Path(name)
+        path = Path(str(name))
         if not _is_there(path):
             raise ProfileError(
                 f"no profile {str(name)!r}: give a TOML file or one of "

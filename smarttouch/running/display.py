@@ -100,8 +100,5 @@ def open_display(
     >>> st.open_display("simulated:").profile.name
     'electric-mouse'
     """
-    if not isinstance(profile, Profile):
-        profile = load_profile(
-            profile or (default_profile(url) if isinstance(url, str) else url.default_profile)
-        )
-    return Display(url, profile, vibrators_url, **options)
+    usual = default_profile(url) if isinstance(url, str) else url.default_profile
+    return Display(url, load_profile(profile or usual), vibrators_url, **options)

@@ -14,7 +14,7 @@ from smarttouch.kernels.driving_problem import DrivingProblem
 from smarttouch.kernels.finger_kernels import FingerKernels
 from smarttouch.kernels.switched_design import designer
 from smarttouch.kernels.weighted_design import design_kernel as unbounded_kernel
-from smarttouch.profile import Profile
+from smarttouch.profile import Profile, load_profile
 from smarttouch.running.config import RunConfig, RunOptions
 from smarttouch.running.display import Display, open_display
 from smarttouch.running.listener import Listener
@@ -91,7 +91,7 @@ def run(
 
 def steps(
     source: Given,
-    profile: Profile,
+    profile: Profile | str,
     *,
     mode: Mode | str = Mode.RA,
     kernels: KernelBank | None = None,
@@ -105,8 +105,8 @@ def steps(
     ----------
     source : Source, str, Path, ndarray or iterable
         See `run`.
-    profile : Profile
-        Device and finger.
+    profile : Profile or str
+        Device and finger, or the name or file of the profile.
     mode : Mode or str
         Which afferents are driven.
     kernels : KernelBank, optional
@@ -122,7 +122,7 @@ def steps(
     >>> first.tactile.activation.shape
     (3, 64)
     """
-    config = RunConfig(mode=mode, **settings)
+    profile, config = load_profile(profile), RunConfig(mode=mode, **settings)
     level = 1.0 if config.intensity is None else config.intensity
     pipeline = Pipeline(profile, kernels or load_bank(profile), config, in_sums=True)
     most_ns = float("inf") if config.seconds is None else config.seconds * 1e9

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from numbers import Integral
 
 import cv2
 
@@ -16,6 +17,8 @@ from smarttouch.base.errors import (
     BoardRestartedError,
     BoardStoppedError,
     SequenceLateError,
+    SourceError,
+    require_returned,
 )
 from smarttouch.base.events import BoardRestarted, Emit, Event, Note, RunEnded
 from smarttouch.base.stopping import StopRequest
@@ -57,6 +60,7 @@ def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iter
 
 HELD_UP_NS = 1_000_000
 """A send that takes longer than this has waited for the board."""
+_WAIT = "a whole number of nanoseconds"
 
 
 LOG = logging.getLogger("smarttouch.run")
@@ -149,7 +153,7 @@ class _Loop:
         while not stop.event.is_set():
             deadline_ns = start_ns + self.elapsed_ns + self._shift_ns
             clock.wait_until(deadline_ns, stop.event)
-            if news is not None and (waits_ns := source.patience_ns(self.elapsed_ns)) > 0:
+            if news is not None and (waits_ns := self._patience_ns()) > 0:
                 # Nothing is to be shown: time goes on.
                 news.wait(waits_ns / 1e9)
                 waited_ns = max(0, clock.now_ns() - deadline_ns)
@@ -171,6 +175,12 @@ class _Loop:
         board.drain()
         self.phase.follow(self._shift_ns)
         statistics.seconds = (clock.now_ns() - start_ns) / 1e9
+
+    def _patience_ns(self) -> int:
+        """Return how long the source's news may be waited for, ns, a second at most."""
+        waits_ns = self.inputs.source.patience_ns(self.elapsed_ns)
+        require_returned(self.inputs.source, "patience_ns", waits_ns, Integral, _WAIT, SourceError)
+        return min(waits_ns, 1_000_000_000)
 
     def _move(self, by_ns: int) -> None:
         """Move the schedule later: what comes then is not late."""

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from smarttouch.base.errors import BoardError
+from smarttouch.base.errors import BoardError, require_returned
 from smarttouch.boards.board import Board
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
@@ -12,6 +12,7 @@ from smarttouch.stimulation.adaptation import RESERVED, Adaptation, Hold
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules, add_recharge
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
+_VOLTS = "a list of (sequence, volts at the end of each slot)"
 _WAITING_UC = 0.02
 """Charge that whole µA of the longest recharge phase may leave."""
 
@@ -41,8 +42,10 @@ class Regulator:
 
     def regulate(self, step: Step, board: Board) -> Step:
         """Return the step with its sequence as it is to be sent."""
-        if observed := tuple(board.take_volts()):
-            step = replace(step, observed=observed)
+        observed = board.take_volts()
+        require_returned(board, "take_volts", observed, list, _VOLTS, BoardError)
+        if observed:
+            step = replace(step, observed=tuple(observed))
         if self.adaptation is not None:
             for sequence, volts in step.observed:
                 self.adaptation.observe(sequence, volts)

@@ -145,6 +145,7 @@ class Runner:
         profile = self.display.profile
         if self.display.on_a_finger:
             profile = source.narrowed(profile)
+            require_returned(source, "narrowed", profile, Profile, "a Profile", SourceError)
         if config.measure:
             with self._opened(self._stop):
                 self._require_force()

@@ -10,7 +10,7 @@ from smarttouch.base.errors import SourceError, require_made
 from smarttouch.base.files import file_at, named_file
 from smarttouch.base.registry import find_opener, given_options, known_names, unknown
 from smarttouch.base.url_options import joined_options, read_options
-from smarttouch.profile import Profile
+from smarttouch.profile import Profile, load_profile
 from smarttouch.sources.source_contract import Source
 
 _NOT_IN_URLS = ("light_on_dark", "mode", "rate_hz", "display")
@@ -57,7 +57,7 @@ def options_taken(url: str) -> set[str]:
 
 
 def open_source(
-    url: str, profile: Profile, *, light_on_dark: bool = False, **options: Any
+    url: str, profile: Profile | str, *, light_on_dark: bool = False, **options: Any
 ) -> Source:
     """Open a source by its URL, for example ``page:FILE`` or ``camera:0``.
 
@@ -67,8 +67,8 @@ def open_source(
         Kind and place of the source; options of its kind may follow, as in
         ``page:scan.png?dpi=300``, except ``light_on_dark``, which imaging needs as well. A file, a
         folder or words may stand without their kind: ``scan.png``, ``Hello``.
-    profile : Profile
-        Its optics and the finger's force.
+    profile : Profile or str
+        Its optics and the finger's force, or its name or file.
     light_on_dark : bool
         Whether print is lighter than paper, for sources that detect print themselves.
     **options
@@ -86,7 +86,7 @@ def open_source(
     ...     source.read(0).image.shape
     (64, 64)
     """
-    url = source_url(url)
+    url, profile = source_url(url), load_profile(profile)
     opener, rest = find_opener("smarttouch.sources", url, SourceError, Source, ("rest", "profile"))
     rest, in_url = read_options(opener, rest, SourceError, but=_NOT_IN_URLS)
     given = given_options(opener, url, options, SourceError)

@@ -1,5 +1,6 @@
 """Mistakes in a program's own classes: one sentence with the name of the class."""
 
+import threading
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,6 +62,28 @@ class NoNumber(MemoryBoard):
         super()._send(sequence, times)
 
 
+class Touched(MemoryBoard):
+    on_a_finger, simulated_time = True, False
+    _time = st.Board._time
+
+
+class NoVoltages(MemoryBoard):
+    def take_volts(self):
+        return np.ones(64)
+
+
+class Waiting(Camera):
+    def __init__(self, wait, profile=None):
+        super().__init__(None)
+        self.wait, self.other, self.news = wait, profile, threading.Event()
+
+    def patience_ns(self, time_ns):
+        return self.wait
+
+    def narrowed(self, profile):
+        return self.other or profile
+
+
 class NoReport(MemoryBoard):
     def report(self):
         return {}
@@ -92,6 +115,11 @@ def run(source="text:a", display="memory:", **settings):
         (st.BoardError, "board", "Silent", lambda: run(display=Silent)),
         (st.BoardError, "board", "Silent", lambda: Silent("", None).open()),
         (st.BoardError, "_send", "NoNumber", lambda: run(display=NoNumber)),
+        (st.BoardError, "take_volts", "NoVoltages", lambda: run(display=NoVoltages)),
+        (st.SourceError, "patience_ns", "Waiting", lambda: run(Waiting(0.5), "emulator:")),
+        (st.SourceError, "narrowed", "Waiting", lambda: run(
+            Waiting(0, "finer"), Touched, force="fixed:1", intensity=0.1)),
+        (st.ProfileError, "profile", "4", lambda: st.open_source("text:a", 4)),
         (st.BoardError, "report", "NoReport", lambda: run(display=NoReport)),
         (st.BoardError, "_measure", "NoImpedance", lambda: run(display=NoImpedance, measure=True)),
     ],
@@ -100,6 +128,12 @@ def test_the_sentence_names_the_class(kind, about, name, act):
     with raises(kind, about=about) as caught:
         act()
     assert name in str(caught.value)
+
+
+def test_a_profile_may_be_named_wherever_one_is_taken():
+    step = next(st.steps(st.open_source("text:a", "line-7"), "line-7"))
+    assert st.Finger("line-7").profile == st.load_profile(st.load_profile("line-7"))
+    assert step.tactile.activation.shape == (3, 7)
 
 
 def test_numbers_of_numpy_are_numbers():
