@@ -26,7 +26,7 @@ class CalibrationOptions(OptionGroup):
     output: Annotated[Path | None, option("Write this profile.", "FILE.toml")] = None
     profile: Annotated[str | None, option("Start a new profile from this one.", "NAME|FILE")] = None
     overwrite: Annotated[
-        bool, option("Measure again what the profile has already.", None, "--overwrite")
+        bool, option("Measure again what the profile already has.", None, "--overwrite")
     ] = False
 
     def start(self, board_url: str) -> str:
@@ -109,8 +109,10 @@ calibrate: Commands = Commands(
 )
 
 
-_Yes = Annotated[bool, option("Ask nothing, because everything is in place.", None, "--yes")]
-_Simulate = Annotated[bool, option("Walk through it without hardware.", None, "--simulate")]
+_Yes = Annotated[bool, option("Ask no questions: everything is in place.", None, "--yes")]
+_Simulate = Annotated[
+    bool, option("Run the whole calibration without hardware.", None, "--simulate")
+]
 _Frames = Annotated[int, option("Average this many frames.", "N", min=1, max=1000)]
 _SourceUrl = Annotated[str | None, option("Take frames from this source, such as camera:0.", "URL")]
 _BoardUrl = Annotated[
@@ -167,10 +169,12 @@ def optics(
 def registration(
     calibration: CalibrationOptions,
     source: _SourceUrl = None,
-    target: Annotated[Path | None, option("Write the target, which you print.", "FILE.png")] = None,
+    target: Annotated[Path | None, option("Write the target, to be printed.", "FILE.png")] = None,
     dot_pitch_mm: Annotated[
         float | None,
-        option("Set the pitch of the target's dots; it suits the field otherwise.", "MM"),
+        option(
+            "Set the pitch of the target's dots; it is chosen to suit the field otherwise.", "MM"
+        ),
     ] = None,
     center: Annotated[
         str, option("Choose what lies in the middle of the array.", "target|image")
@@ -179,7 +183,7 @@ def registration(
     yes: _Yes = False,
     simulate: _Simulate = False,
 ) -> None:
-    """Find the place of each electrode in the sensor's image by a printed target."""
+    """Find each electrode's position in the sensor's image with a printed target."""
     from smarttouch.base.errors import CalibrationError, not_offered
     from smarttouch.experiments.calibration.contact import show_registration
     from smarttouch.experiments.calibration.dot_target import target_for
@@ -233,7 +237,7 @@ def force(
     yes: _Yes = False,
     simulate: _Simulate = False,
 ) -> None:
-    """Measure the load cell's curve by known weights; one given twice shows its hysteresis."""
+    """Measure the load cell's curve with known weights; one given twice shows hysteresis."""
     from smarttouch.base.errors import CalibrationError, require_within
     from smarttouch.experiments.calibration.contact import show_force
     from smarttouch.experiments.calibration.force_curve import fit_curve, parse_grams, weigh_on
@@ -270,7 +274,7 @@ def thresholds(
         int, option("Repeat the rising current this many times.", "N", min=1, max=10)
     ] = 3,
     seed: Annotated[
-        int, option("Set the seed of pauses, starts and the simulation.", min=0, panel=MORE)
+        int, option("Set the seed of pauses, starts and the simulation.", "N", min=0, panel=MORE)
     ] = 0,
     force: ForceOption = None,
     simulate: _Simulate = False,
@@ -348,7 +352,7 @@ def contact(
 def scale(
     url: Annotated[str, argument("kajimoto61:PORT, link:PORT, ...", "URL")],
     ohm: Annotated[
-        float, option("State the resistor between the electrode and all others.", "OHM")
+        float, option("State the resistance between the electrode and all others.", "OHM")
     ] = 1000.0,
     electrode: Annotated[
         int, option("Name the electrode that the resistor is connected to.", "N")
@@ -356,7 +360,7 @@ def scale(
     current_ma: Annotated[float, option("Set the nominal current.", "MA")] = 1.0,
     volts: Annotated[
         float | None,
-        option("State the peak voltage; you are asked otherwise, while it pulses.", "V"),
+        option("State the measured peak voltage; you are asked during the pulses otherwise.", "V"),
     ] = None,
     profile: ProfileOption = None,
 ) -> None:

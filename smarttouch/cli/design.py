@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 def design(
     site: Annotated[
-        int | None, argument("One site, with all its weights; else all sites.", "SITE")
+        int | None, argument("A site to show with all its weights; all sites otherwise.", "SITE")
     ] = None,
     profile: ArrayOption = "electric-mouse",
     mode: Annotated[
@@ -34,7 +34,7 @@ def design(
         option("Use only cathode, anode and insulated, from one source.", None, "--three-state"),
     ] = False,
     any_node: Annotated[
-        bool, option("Search the activated node, too.", None, "--any-node")
+        bool, option("Search for the best node to activate, too.", None, "--any-node")
     ] = False,
     driving: Annotated[
         bool,
@@ -152,7 +152,7 @@ def _print(table: "WordTable", marked: Sequence[Sequence[bool]] = ()) -> None:
 
 
 profiles: Commands = Commands(
-    help="List the shipped profiles, show what one says, and make your own.",
+    help="List the shipped profiles, show one, and make your own.",
     invoke_without_command=True,
 )
 
@@ -184,7 +184,7 @@ def list_profiles(context: typer.Context) -> None:
 
 @profiles.command()
 def show(name: _Name) -> None:
-    """Print all that a profile says, defaults included, and what calibrations measured."""
+    """Print all values of a profile, defaults included, and what calibrations measured."""
     from smarttouch.profile import load_profile
     from smarttouch.profile.toml_writer import as_toml
 
@@ -197,7 +197,7 @@ def copy(
     file: _File,
     overwrite: Annotated[bool, option("Replace the file.", None, "--overwrite")] = False,
 ) -> None:
-    """Write a copy of a profile, with its comments, to be edited."""
+    """Write a copy of a profile for editing, with its comments."""
     from smarttouch.experiments.calibration.profile_file import ProfileFile
 
     copied = ProfileFile(name, file, overwrite)
@@ -210,21 +210,21 @@ def new(
     files: Annotated[
         list[Path],
         argument(
-            "A table with columns x_mm, y_mm, maybe diameter_mm; and the profile to write.",
+            "A table with columns x_mm, y_mm and perhaps diameter_mm; then the profile to write.",
             "[TABLE.csv] FILE.toml",
         ),
     ],
-    grid: Annotated[str, option("Use a grid in place of a table.", "ROWSxCOLUMNS")] = "",
+    grid: Annotated[str, option("Use a grid instead of a table.", "ROWSxCOLUMNS")] = "",
     pitch_mm: Annotated[float, option("Set the pitch of the grid.", "MM", "--pitch")] = 2.0,
     diameter_mm: Annotated[
         float, option("Set the diameter of its discs.", "MM", "--diameter")
     ] = 1.0,
     like: Annotated[
-        str, option("Take all else from this profile.", "NAME|FILE")
+        str, option("Take everything else from this profile.", "NAME|FILE")
     ] = "electric-mouse",
     overwrite: Annotated[bool, option("Replace the file.", None, "--overwrite")] = False,
 ) -> None:
-    """Write a profile with a grid of electrodes, or at the places of a table, to be edited."""
+    """Write a profile for editing, with a grid of electrodes or positions from a table."""
     from smarttouch.base.errors import ProfileError
     from smarttouch.base.files import require_replaceable, write_bytes
     from smarttouch.profile import load_profile

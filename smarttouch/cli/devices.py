@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 devices: Commands = Commands(
-    help="List boards, sensors and cameras, or look at one, measure, try or emulate it.",
+    help="List boards, sensors and cameras; show, measure, test or emulate one.",
     invoke_without_command=True,
 )
 
@@ -28,7 +28,7 @@ devices: Commands = Commands(
 @devices.callback()
 def list_devices(
     context: typer.Context,
-    network: Annotated[bool, option("Ask the network for eTactileKits by a broadcast.")] = True,
+    network: Annotated[bool, option("Find eTactileKits on the network by a broadcast.")] = True,
 ) -> None:
     # Nothing is opened, and no unknown device gets a byte.
     if context.invoked_subcommand is not None:
@@ -63,7 +63,7 @@ def emulate(
         ),
     ],
 ) -> None:
-    """Emulate a board on skin, or a sensor, behind a port, until Ctrl-C."""
+    """Emulate a board on skin, or a sensor, at a port until Ctrl-C."""
     from smarttouch.base.errors import not_offered
     from smarttouch.base.url_options import options_of, read_options
     from smarttouch.emulator.commands import BOARDS, SENSORS
@@ -101,7 +101,7 @@ def show(
     save: Annotated[Path | None, option("Write the last frame to this file.", "PNG")] = None,
     profile: ProfileOption = None,
 ) -> None:
-    """Say what a board is and can do, or what a sensor or load cell delivers."""
+    """Show what a board is and can do, or what a sensor or load cell delivers."""
     import cv2
 
     from smarttouch.base.errors import require_within
@@ -150,7 +150,7 @@ def _describe_board(url: str, profile: str | None) -> None:
 
 @devices.command()
 def clear(url: _Url, profile: ProfileOption = None) -> None:
-    """Clear the fault of a board that was found and latched, once it has been checked."""
+    """Clear the latched fault of a board, once the board has been checked."""
     from smarttouch.boards.faults import clear_latch
     from smarttouch.running.display import open_display
 
@@ -167,7 +167,9 @@ def clear(url: _Url, profile: ProfileOption = None) -> None:
 def measure(
     url: _Url,
     profile: ProfileOption = None,
-    json_file: Annotated[Path | None, option("Write the impedances.", "FILE", "--json")] = None,
+    json_file: Annotated[
+        Path | None, option("Write the impedances as JSON.", "FILE", "--json")
+    ] = None,
 ) -> None:
     """Measure the impedance of every electrode on the finger, with small currents."""
     from smarttouch.base.files import require_folder, write_json
@@ -189,12 +191,13 @@ def try_out(
         float | None, option("Raise the current through each electrode to this.", "MA")
     ] = None,
     seconds: Annotated[
-        float | None, option("Stay this long at each electrode; a key goes on otherwise.", "S")
+        float | None,
+        option("Stay at each electrode for this time; a key continues otherwise.", "S"),
     ] = None,
     force: ForceOption = None,
     profile: ProfileOption = None,
 ) -> None:
-    """Walk through the electrodes, each against all others, from zero up to a small current."""
+    """Drive each electrode in turn against all others, from zero up to a small current."""
     import sys
 
     from smarttouch.boards.open import may_touch_a_finger

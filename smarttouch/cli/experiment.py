@@ -114,9 +114,9 @@ def fit(
         list[Path], argument("CSV files of answers, one of each condition.", "FILE...")
     ],
     x: Annotated[
-        str, option("Name the column of what was shown.", "COLUMN", panel=MORE)
+        str, option("Name the column of the stimulus that was compared.", "COLUMN", panel=MORE)
     ] = "comparison",
-    y: Annotated[str, option("Name the column of answers: 1, 0 or nothing.", "COLUMN")] = "success",
+    y: Annotated[str, option("Name the column of answers: 1, 0 or empty.", "COLUMN")] = "success",
     standard: Annotated[
         str, option("Name the column of the standard, if there is one.", "COLUMN")
     ] = "standard",
@@ -129,7 +129,7 @@ def fit(
     linear: Annotated[
         bool | None,
         option(
-            "Choose a linear or a logarithmic axis; the comparisons decide otherwise.",
+            "Choose a linear or a logarithmic axis; the comparisons determine it otherwise.",
             None,
             "--linear/--log",
             panel=MORE,
@@ -156,10 +156,10 @@ def fit(
     json_file: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Fit thresholds with intervals to answers, or say why there are none.
+    """Fit thresholds with intervals to answers, or report why there are none.
 
-    Several files, of RA and PC mode for example, come into one table and one picture, under their
-    names.
+    Several files, for example of RA and PC mode, share one table and one picture, where each has
+    its name.
     """
     from dataclasses import replace
 
@@ -233,7 +233,7 @@ def _print(found: Sequence[tuple["AnswerTable", list["Finding"]]]) -> None:
 
 
 experiment: Commands = Commands(
-    help="Run psychophysical experiments, and fit their answers.", no_args_is_help=True
+    help="Run psychophysical experiments, and fit the answers.", no_args_is_help=True
 )
 
 _Overwrite = Annotated[bool, option("Replace the CSV file.", None, "--overwrite", panel=MORE)]
@@ -241,7 +241,7 @@ _Session = Annotated[str, option("Name the session.", "NAME", panel=MORE)]
 _Output = Annotated[
     Path | None,
     option(
-        "Write the answers to this file; the participant's name names it otherwise.",
+        "Write the answers to this file; it is named after the participant otherwise.",
         "CSV",
         "--output",
     ),
@@ -310,13 +310,15 @@ def run_listed(
     mode: ClassOption = "RA",
     rate_hz: Annotated[
         float | None,
-        option("Set the rate of pulses, where none is asked.", "HZ", "--rate", panel=MORE),
+        option("Set the rate of pulses where the experiment does not.", "HZ", "--rate", panel=MORE),
     ] = None,
     session: _Session = "",
     seed: Annotated[
         int | None,
         option(
-            "Set the seed of orders; the participant's name sets it otherwise.", "N", panel=MORE
+            "Set the seed of the order of trials; the participant's name sets it otherwise.",
+            "N",
+            panel=MORE,
         ),
     ] = None,
     output: _Output = None,
@@ -326,14 +328,15 @@ def run_listed(
         option("Let a simulated participant answer: model, random, first or silent.", "WHO"),
     ] = None,
     board: Annotated[
-        str | None, option("Drive this board; a simulated participant takes simulated:.", "URL")
+        str | None,
+        option("Drive this board; simulated: is usual for a simulated participant.", "URL"),
     ] = None,
 ) -> None:
-    """Run an experiment of the list or of a file; the same command again goes on where it was.
+    """Run an experiment by name or from a file; the same command continues it later.
 
-    Keys: the answers that the screen names, r for the trial once more, and those of live; q to
-    go on another time. With free: ↑ ↓ for the amplitude, ← → for the rate, [ ] for the site, 1 to 9
-    to mark what is perceived; every change is a row of the CSV file.
+    Keys: the answers that the screen names, r to repeat the trial, and those of live; q to continue
+    another time. With free: ↑ ↓ for the amplitude, ← → for the rate, [ ] for the site, 1 to 9 to
+    mark what is perceived; every change is a row of the CSV file.
     """
     from dataclasses import replace
 

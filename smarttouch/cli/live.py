@@ -44,7 +44,7 @@ def live(
     light_on_dark: Annotated[
         bool,
         option(
-            "Take light print on dark paper.",
+            "Read light print on dark paper.",
             None,
             "--light-on-dark",
             show_default=False,
@@ -52,10 +52,10 @@ def live(
         ),
     ] = False,
 ) -> None:
-    """Show on the finger what a source sees, until it ends, a key or Ctrl-C.
+    """Show on the finger what a source sees, until it ends or you press q or Ctrl-C.
 
-    On a screen or in a window, and where nothing is written to files, a page is read again and
-    again at some 30 words a minute; 'text:Hello?passes=1' is read once.
+    A page is read again and again, at some 30 words a minute, on a screen or in a window if nothing
+    is written to files; 'text:Hello?passes=1' is read once.
     """
     from smarttouch.base.errors import SmartTouchError
     from smarttouch.base.files import data_folder
@@ -142,10 +142,10 @@ def _offered(run: RunOptionGroup, url: str) -> "RunChoices | None":
 
 def stop(
     url: Annotated[
-        str | None, argument("A board that is put at zero, by its URL, as well.", "BOARD")
+        str | None, argument("A board to set to zero as well, by its URL.", "BOARD")
     ] = None,
 ) -> None:
-    """End every run of this user with all electrodes at zero, and wait for it.
+    """End every run of this user with all electrodes at zero, and wait until all have ended.
 
     Runs that are still starting are canceled, too.
     """

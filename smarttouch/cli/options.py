@@ -152,7 +152,7 @@ ModeOption = Annotated[
     str, option("Choose the class that is stimulated: RA, SAI, PC or natural.", "CLASS")
 ]
 RateOption = Annotated[
-    float | None, option("Set the scan sequences per second.", "HZ", "--rate", panel=MORE)
+    float | None, option("Set the number of scan sequences per second.", "HZ", "--rate", panel=MORE)
 ]
 JsonOption = Annotated[
     Path | None, option("Write the results as JSON.", "FILE", "--json", panel=KEPT)

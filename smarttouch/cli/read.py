@@ -38,10 +38,10 @@ def read(
         ),
     ],
     pause_s: Annotated[
-        float, option("Rest after each line; inf waits for a key.", "S", "--pause")
+        float, option("Rest this long after each line; inf waits for a key.", "S", "--pause")
     ] = 1.0,
     follow: Annotated[
-        str | None, option("Take the place of the finger from this source.", "URL", panel=MORE)
+        str | None, option("Take the position of the finger from this source.", "URL", panel=MORE)
     ] = None,
     board: Annotated[
         str | None, option("Drive this board; smarttouch live --help names them.", "URL")
@@ -51,7 +51,7 @@ def read(
 ) -> None:
     """Read a page with a fingertip, line by line.
 
-    Keys: arrows for lines, r for once more, and those of live.
+    Keys: arrows choose a line, r repeats it, and those of live.
     """
     import contextlib
     from dataclasses import replace
@@ -118,14 +118,18 @@ def braille(
     output: Annotated[
         Path | None, option("Write a .brf, .pef or .txt file instead of printing.", "FILE")
     ] = None,
-    columns: Annotated[int | None, option("Set the cells of a line, usually 40.")] = None,
-    rows: Annotated[int | None, option("Set the lines of a page, usually 25.")] = None,
+    columns: Annotated[
+        int | None, option("Set the number of cells in a line, usually 40.", "N")
+    ] = None,
+    rows: Annotated[
+        int | None, option("Set the number of lines on a page, usually 25.", "N")
+    ] = None,
     leave_out: Annotated[
         bool, option("Leave out characters that the table has no cells for.", None, "--leave-out")
     ] = False,
-    tables: Annotated[bool, option("List the tables.", None, "--tables")] = False,
+    tables: Annotated[bool, option("List the Braille tables.", None, "--tables")] = False,
 ) -> None:
-    """Turn a text into Braille, or Braille into a text."""
+    """Translate text into Braille, or Braille into text."""
     from smarttouch.base.errors import BrailleError
     from smarttouch.base.files import require_folder, write_bytes
     from smarttouch.braille.cell_pages import (
@@ -233,7 +237,7 @@ def braille_display(
     mode: ModeOption = "RA",
     rate_hz: RateOption = None,
 ) -> None:
-    """Be the Braille display of a running screen reader, by way of BRLTTY.
+    """Be the Braille display of a running screen reader, through BRLTTY.
 
     Two commands, in two terminals:
 
@@ -241,7 +245,7 @@ def braille_display(
 
         sudo brltty -b vr -d client:
 
-    The console is then under the finger, and through BrlAPI what Orca reads of a desktop.
+    The finger then reads the console and, through BrlAPI, what Orca reads on a desktop.
     """
     from smarttouch.cli.options import parse_mode
     from smarttouch.imaging.array_window import profile_for_reading

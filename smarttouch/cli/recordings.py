@@ -12,16 +12,14 @@ from smarttouch.cli.plain_help import Commands
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.views.keys_and_signals import drives_a_board
 
-recordings: Commands = Commands(
-    help="Look into, view, repair and export what ``live --record`` kept.", no_args_is_help=True
-)
+recordings: Commands = Commands(help="Show, repair and export recordings.", no_args_is_help=True)
 
-_File = Annotated[Path, argument("A recording, whole or cut.", "FILE")]
+_File = Annotated[Path, argument("A recording, whole or cut off.", "FILE")]
 
 
 @recordings.command()
 def info(file: _File) -> None:
-    """Say what was delivered to whom and when, and how much of it is kept."""
+    """Show what was delivered to whom and when, and how much of it was recorded."""
     from smarttouch.running.recording_files import describe
 
     print_table(describe(file), left=2)
@@ -34,7 +32,7 @@ def repair(
         Path | None, option("Write this file; a new one beside the old one otherwise.", "FILE")
     ] = None,
 ) -> None:
-    """Write a valid file of all that can be read; the old one stays as it is."""
+    """Write all that can be read to a valid file; the old file stays as it is."""
     from smarttouch.running.recording_files import is_sound
     from smarttouch.running.recording_files import repair as write_anew
 
@@ -48,7 +46,7 @@ def repair(
 
 @recordings.command()
 def export(
-    file: _File, folder: Annotated[Path, argument("A new or an empty one.", "FOLDER")]
+    file: _File, folder: Annotated[Path, argument("A new or empty folder.", "FOLDER")]
 ) -> None:
     """Write images as PNG, steps and events as CSV, and all numbers as NPZ."""
     from smarttouch.running.recording_files import export as write_out
@@ -59,7 +57,9 @@ def export(
 
 @recordings.command()
 def view(
-    files: Annotated[list[Path], argument("One, or two side by side.", "FILE [OTHER]")],
+    files: Annotated[
+        list[Path], argument("One recording, or two to show side by side.", "FILE [OTHER]")
+    ],
     port: Annotated[int, option("Serve the page at this port; a free one otherwise.", "N")] = 0,
     save: Annotated[
         Path | None, option("Write .png, .svg or .mp4, and show nothing.", "FILE")
@@ -68,7 +68,7 @@ def view(
         int, option("Choose the step of a picture, or the first of a film.", "N", min=0)
     ] = 0,
 ) -> None:
-    """Show recordings in a browser: time line, steps, slots, events (extra window)."""
+    """Show recordings in a browser: time line, steps, slots, events (needs the extra window)."""
     if save is None:
         from smarttouch.views.recordings_page import show_recordings
 
@@ -89,7 +89,7 @@ def view(
 @takes_options()
 def replay(
     run: RunOptionGroup,
-    file: Annotated[Path, argument("A recording, whole or cut.", "FILE")],
+    file: Annotated[Path, argument("A recording, whole or cut off.", "FILE")],
     check: Annotated[
         bool, option("Compare today's sequences with the recorded ones, exactly.", None, "--check")
     ] = False,
@@ -116,7 +116,7 @@ def replay(
         option("Scale the recorded intensity, 0 to 1. Real boards start at 0.", "0..1"),
     ] = None,
 ) -> None:
-    """Play a recording on a board again, or check that its sequences are still the same."""
+    """Play a recording on a board, or check that its sequences are still the same."""
     from smarttouch.running.recording_reader import Recording
 
     if check:
@@ -165,7 +165,7 @@ def report(
 ) -> None:
     """Write a file for a bug report: versions, boards, settings and last events.
 
-    Nothing of participants is in it: no name, note, file name, threshold, current or answer.
+    It contains nothing about participants: no name, note, file name, threshold, current or answer.
     """
     from smarttouch.base.files import require_folder, write_json
     from smarttouch.running.bug_report import bug_report

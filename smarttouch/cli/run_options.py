@@ -66,7 +66,8 @@ class RunOptionGroup(OptionGroup):
     felt: Annotated[
         Path | None,
         option(
-            "Draw what was seen, delivered and answered by a simulated finger; a .gif moves.",
+            "Draw what the sensor saw, what was delivered and how a simulated finger responds; a "
+            ".gif moves.",
             "PNG|GIF",
             panel=KEPT,
         ),
@@ -94,7 +95,7 @@ class RunOptionGroup(OptionGroup):
     note: Annotated[str, option("Add a note to the recording.", "TEXT", panel=KEPT)] = ""
     stream: Annotated[
         str | None,
-        option("Send the run to the Lab Streaming Layer while it goes on.", "lsl:", panel=KEPT),
+        option("Send the live run to the Lab Streaming Layer.", "lsl:", panel=KEPT),
     ] = None
     json_file: JsonOption = None
     window: Annotated[

@@ -42,7 +42,7 @@ def simulate_letters(
     mode: ClassOption = "RA",
     anatomy: AnatomyOption = "branched",
     fingers: Annotated[
-        int, option("Simulate this many fingers, by seeds from 1 on.", "N", min=1, max=1000)
+        int, option("Simulate this many fingers, with seeds from 1 on.", "N", min=1, max=1000)
     ] = 10,
     plot_file: Annotated[
         str | None, option("Draw the first letter on finger 1.", "PNG", "--plot")
@@ -50,7 +50,7 @@ def simulate_letters(
     json_file: JsonOption = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Put letters on simulated fingers, and say which afferents fire and what is read."""
+    """Put letters on simulated fingers; show which afferents fire and what is recognized."""
     from smarttouch.base.afferent import Mode
     from smarttouch.base.files import require_folder, write_json
     from smarttouch.base.terminal import print_table
@@ -117,11 +117,13 @@ def simulate_page(
     profile: ArrayOption = "electric-mouse",
     truth: Annotated[
         Path | None,
-        option("Compare with this text; with what Tesseract reads otherwise.", "FILE.txt"),
+        option(
+            "Compare with this text; with what Tesseract reads on the page otherwise.", "FILE.txt"
+        ),
     ] = None,
     mode: ModeOption = "RA",
     fingers: Annotated[
-        int, option("Simulate this many fingers that read it, too.", "N", min=0, max=1000)
+        int, option("Let this many simulated fingers read it, too.", "N", min=0, max=1000)
     ] = 0,
     anatomy: AnatomyOption = "branched",
     json_file: JsonOption = None,
@@ -170,14 +172,16 @@ def study(
     plan: Annotated[
         Path, argument("The plan: what is compared, and on which fingers.", "STUDY.toml")
     ],
-    output: Annotated[Path, option("Write to this folder; a study that is there goes on.", "DIR")],
+    output: Annotated[
+        Path, option("Write to this folder; a study that is there continues.", "DIR")
+    ],
     cluster: ClusterOption = None,
     plot: Annotated[
         Path | None, option("Draw the figure to this file; DIR/study.png otherwise.", "PNG|PDF|SVG")
     ] = None,
     quiet: QuietOption = False,
 ) -> None:
-    """Run a grid of fingers, profiles, kernels, scans, letters and pages, or go on with one."""
+    """Run a grid of fingers, profiles, kernels, scans, letters and pages, or continue one."""
     from importlib.util import find_spec
 
     from smarttouch.base.cluster import on_cluster

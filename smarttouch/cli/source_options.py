@@ -86,7 +86,7 @@ class DocumentOptions(OptionGroup):
     """Options of a document."""
 
     password: Annotated[
-        str | None, option("Give the password of an encrypted PDF.", panel=MORE)
+        str | None, option("Give the password of an encrypted PDF.", "TEXT", panel=MORE)
     ] = None
     languages: Annotated[
         str | None,
