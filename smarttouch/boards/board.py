@@ -159,8 +159,8 @@ class Board(TimedBoard, ABC):
         if not isinstance(getattr(self, "capabilities", None), Capabilities):
             self.close()
             raise BoardError(
-                f"{type(self).__name__} does not say what the board can do: set capabilities, at "
-                "the latest in _open",
+                f"{type(self).__name__} does not set capabilities: do so in __init__, or at the "
+                f"latest in _open",
                 about="capabilities",
             )
         if self._stopped.is_set():

@@ -230,7 +230,7 @@ def _translate(
             return Translated(made, cell_of[:length], character_of[: written.value])
     way = "cells into a text" if back else "a text into cells"
     raise BrailleError(
-        f"liblouis could not turn {way} with {table}: choose another table", about="table"
+        f"liblouis could not translate {way} with {table}: choose another table", about="table"
     )
 
 

@@ -115,7 +115,7 @@ def _outcome(error: BaseException) -> int:
             _say(sentence)
         _say(last + named_options(error, _built(), sys.argv[1:]))
     elif isinstance(error, MemoryError):
-        _say("the memory of this machine does not suffice: give less at once")
+        _say("this machine has too little memory: give less at once")
     elif isinstance(error, OSError):
         about = f"{error.filename}: " if error.filename else ""
         _say(f"{about}{error.strerror or error}; all electrodes are off")

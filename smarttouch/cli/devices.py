@@ -210,8 +210,8 @@ def try_out(
     if current_ma is None:
         if may_touch_a_finger(url) and not sys.stdin.isatty():
             raise SmartTouchError(
-                "there is no keyboard to end it with, and a finger may be on the board: say how "
-                f"strong it is to become, for example {_WALK_MA:g} mA",
+                "there is no keyboard to end it with, and a finger may be on the board: give the "
+                "current, for example {_WALK_MA:g} mA",
                 about="keyboard",
                 remedy="current_ma",
             )

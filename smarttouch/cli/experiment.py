@@ -369,7 +369,7 @@ def run_listed(
     require_answers(simulate is not None, run.board_url, ("simulated:",), ExperimentError)
     if simulate is None and run.board_url == "simulated:":
         raise ExperimentError(
-            "nobody can answer as fast as simulated: goes: choose emulator:, or simulate",
+            "simulated: runs too fast for a person to answer: choose emulator:, or simulate",
             about="board",
             remedy="simulate",
         )

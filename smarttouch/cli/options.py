@@ -128,8 +128,8 @@ def require_answers(
     """Raise unless a person at a keyboard can answer, or a simulation on such boards."""
     if simulate and not board_url.startswith(boards):
         raise error(
-            f"a simulation answers for nobody: no current of its flows through {board_url!r}, only "
-            f"through {' or '.join(boards)}",
+            f"a simulation never drives a board that a finger may be on: not {board_url!r}, only "
+            f"{' or '.join(boards)}",
             about="board",
         )
     if not simulate and not sys.stdin.isatty():

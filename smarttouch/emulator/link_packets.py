@@ -184,7 +184,7 @@ def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSeq
     more, goes_on = bool(flags & 4), bool(flags & 8)
     wrong = (times > 1 and (more or goes_on)) or (flags & 2 and (switched or more))
     if not times or flags > 15 or wrong:
-        raise ValueError("a head that is none")
+        raise ValueError("an invalid head")
     at = _HEAD.size + 4 * count
     shapes = np.frombuffer(_part(payload, _HEAD.size, at), "<u2").reshape(count, 2)
     recharge_us, recharge = 0, None
@@ -200,7 +200,7 @@ def decode_lists(payload: bytes, electrodes: int, switched: bool) -> ReceivedSeq
         kind, index, number = _GROUP.unpack(_part(payload, at, at + _GROUP.size))
         at += _GROUP.size
         if kind > 3 or index >= count or not number:
-            raise ValueError("a group that is none")
+            raise ValueError("an invalid group")
         row = (4, 4, 2 + 2 * electrodes, 4 + packed)[kind]
         body = np.frombuffer(_part(payload, at, at + row * number), np.uint8).reshape(number, row)
         at += row * number
@@ -316,12 +316,12 @@ class KernelStore:
                 first, length = _PAIR.unpack(_part(data, at, at + 4))
                 at += 4
                 if first < end or not length or first + length > electrodes:
-                    raise ValueError("a run that is none")
+                    raise ValueError("an invalid run")
                 end = first + length
                 weights[index, first:end] = np.frombuffer(_part(data, at, at + 2 * length), "<i2")
                 at += 2 * length
             if site[index] >= electrodes or int(weights[index].sum(dtype=np.int64)):
-                raise ValueError("a kernel that is none")
+                raise ValueError("an invalid kernel")
             if (weights[index] == -32768).any():
                 raise ValueError("a weight below all others")
         if at != len(data):

@@ -149,7 +149,7 @@ def look_at_page(url: str, profile: Profile, rows: int, columns: int) -> Look:
     kind = url.partition(":")[0]
     if kind not in ("page", "text"):
         raise SourceError(
-            f"source {url!r}: an emulated array looks at page:FILE or text:STRING", about="url"
+            f"source {url!r}: an emulated array takes page:FILE or text:STRING", about="url"
         )
     shape = {"sensor_rows": rows, "sensor_columns": columns}
     optics = profile.optics.model_copy(update=shape)

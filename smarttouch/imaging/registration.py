@@ -159,7 +159,7 @@ def _field_mm(
     chosen = parts.max(axis=1) if finest else parts.min(axis=1)
     if not ((chosen > 0) & (chosen * min(electrodes.cell_mm) <= optics.magnification)).all():
         raise ProfileError(
-            "optics.homography takes some electrode out of the camera's sight, or sees less than "
+            "optics.homography puts some electrode outside the camera's view, or covers less than "
             "one: calibrate the registration again, or remove it",
             about="optics.homography",
         )

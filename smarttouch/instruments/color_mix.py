@@ -243,9 +243,9 @@ def mix_answers(
     }
     if len(electrical) > 1 and (timing.whole_hz or timing.every_electrode or timing.in_index_order):
         raise ScheduleError(
-            f"{' and '.join(each.name for each in electrical)} answer this, each at a rate of its "
-            "own, and this board scans all electrodes at one: choose another board, or something "
-            "that one class alone answers",
+            f"{' and '.join(each.name for each in electrical)} respond to this, each at a rate of "
+            f"its own, and this board scans all electrodes at one rate: choose another board, or "
+            f"a stimulus that one class alone responds to",
             about="classes",
         )
     trains = list(ideal.values())
@@ -292,9 +292,9 @@ def _drivable(
     left_out = tuple(each for each in answering if each not in made)
     if left_out and len(left_out) == len(answering):
         raise ScheduleError(
-            f"only {' and '.join(each.name for each in left_out)} would answer this, and the "
+            f"only {' and '.join(each.name for each in left_out)} would respond to this, and the "
             f"board of {profile.name} drives {' and '.join(each.name for each in made)} at these "
-            "sites: choose another profile, or something that others answer too",
+            f"sites: choose another profile, or a stimulus that others respond to, too",
             about="classes",
         )
     return [each for each in answering if each in made], left_out

@@ -79,7 +79,9 @@ class TexturePicture(DeliveredDrawing):
     def under(self) -> Under:
         """Return the part of the texture that the array passed over."""
         if not np.isfinite(self._least).all():
-            raise SmartTouchError("the hand felt nothing: there is nothing to draw", about="felt")
+            raise SmartTouchError(
+                "the hand received no stimulus: there is nothing to draw", about="felt"
+            )
         half = np.abs(self._position_mm).max(axis=0) + np.array(self._cell_mm)
         corner, end = self._least - half, self._most + half
         left, top = corner.tolist()

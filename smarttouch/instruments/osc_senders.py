@@ -89,7 +89,8 @@ class Key:
             found, self._key = os.fstat(file.fileno()), file.read().strip()
         if found.st_uid != user_number() or found.st_mode & 0o077:
             raise SourceError(
-                f"{path} is not yours alone: chmod 600 {path}, with a new key in it", about="key"
+                f"{path} can be read by others: write a new key to it, and chmod 600 {path}",
+                about="key",
             )
         if len(self._key) < LEAST_KEY_BYTES:
             raise SourceError(

@@ -124,8 +124,8 @@ def _kernel(profile: Profile, afferents: Afferents, skin: Skin, dx: Array, dy: A
     array = profile.electrodes
     if len(array.kinds) > 1:
         raise DesignError(
-            "whole frames are offered for arrays of one shape of electrode, this one has "
-            f"{len(array.kinds)}: give points slots of their own",
+            f"whole frames need electrodes of one shape, and this array has {len(array.kinds)}: "
+            f"give points slots of their own",
             about="array.shapes",
             remedy="frames.share",
         )

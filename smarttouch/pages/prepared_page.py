@@ -184,7 +184,7 @@ def prepare_text(text: str) -> PreparedPage:
 def _wrapped(text: str) -> list[str]:
     lines = [line for part in text.splitlines() for line in textwrap.wrap(part, _COLUMNS) or [""]]
     if not any(line.strip() for line in lines):
-        raise PageError("text: has nothing to print: give some words after the colon", about="text")
+        raise PageError("text: has no words: give some after the colon", about="text")
     return lines
 
 

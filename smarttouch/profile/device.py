@@ -298,13 +298,13 @@ class Skin(Table):
         if layered != bool(self.layers) or layered != (self.conductivity_s_per_m is None):
             yield UnfitError(
                 "a layered medium takes its conductivities from skin.layers, any other one from "
-                "skin.conductivity_s_per_m: give just that",
+                "skin.conductivity_s_per_m: give only that",
                 about="skin.medium",
                 remedy="skin.layers" if layered else "skin.conductivity_s_per_m",
             )
         if layered and self.layers and not np.isinf(self.layers[-1].thickness_mm):
             yield UnfitError(
-                "the last of skin.layers goes on without end: leave out thickness_mm",
+                "the last of skin.layers is infinitely thick: leave out thickness_mm",
                 about="skin.layers",
             )
         if any(np.isinf(layer.thickness_mm) for layer in self.layers[:-1]):

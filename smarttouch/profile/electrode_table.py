@@ -32,8 +32,8 @@ def layout_of(table: Path | str | NDArray[np.floating[Any]]) -> FreeLayout:
         path, numbers = Path("the table"), np.asarray(table, np.float64)
     if numbers.ndim != 2 or numbers.shape[1] not in (2, 3) or not len(numbers):
         raise ProfileError(
-            f"a table of {numbers.shape} is none of electrodes: give (E, 2), mm right and down, "
-            "or (E, 3) with diameters",
+            f"a table of {numbers.shape} is no table of electrodes: give (E, 2), mm right and "
+            f"down, or (E, 3) with diameters",
             about="electrodes",
         )
     count = len(numbers)
@@ -60,7 +60,7 @@ def grid_of(size: str, pitch_mm: float, diameter_mm: float) -> GridLayout:
     """Return a grid of discs, of a size like ``5x5``: rows and columns."""
     found = re.fullmatch(r"(\d+)x(\d+)", size)
     if found is None:
-        raise ProfileError(f"grid {size!r} is not one: give rows and columns as 5x5", about="grid")
+        raise ProfileError(f"grid {size!r} is no grid: give rows and columns as 5x5", about="grid")
     if not 0 < diameter_mm < pitch_mm:
         raise ProfileError(
             f"discs of {diameter_mm:g} mm do not fit a pitch of {pitch_mm:g} mm: give a diameter "
@@ -70,7 +70,7 @@ def grid_of(size: str, pitch_mm: float, diameter_mm: float) -> GridLayout:
     if pitch_mm > LARGEST_PITCH_MM:
         # Along both axes at once: the layout would say it twice.
         raise ProfileError(
-            f"a pitch of {pitch_mm:g} mm is of no use: give at most {LARGEST_PITCH_MM:g} mm",
+            f"a pitch of {pitch_mm:g} mm is out of range: give at most {LARGEST_PITCH_MM:g} mm",
             about="pitch_mm",
         )
     layout = {

@@ -37,7 +37,9 @@ def raise_all(errors: Iterable[UnfitError]) -> None:
 
 def _require_sensible(value: float) -> float:
     if not SMALLEST <= value <= LARGEST:
-        raise UnfitError(f"{value:g} is of no use: give a number from {SMALLEST:g} to {LARGEST:g}")
+        raise UnfitError(
+            f"{value:g} is out of range: give a number from {SMALLEST:g} to {LARGEST:g}"
+        )
     return value
 
 

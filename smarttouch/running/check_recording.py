@@ -160,8 +160,8 @@ def rebuild_pipeline(
     if run.hold is not None:
         if run.compliance_v is None:
             raise RecordingError(
-                f"the settings in {recording.path} do not say how it was made: compliance_v is "
-                "missing, which hold needs",
+                f"the settings in {recording.path} do not show how it was made: compliance_v is "
+                f"missing, which hold needs",
                 about="settings.compliance_v",
             )
         adaptation = Adaptation(profile, run.hold, run.compliance_v, run.timing)

@@ -43,8 +43,8 @@ class DisplayBoard(Closing):
             board = HybridBoard(board, shaking)
         elif url.startswith("vibrators:"):
             raise SmartTouchError(
-                "vibrators make no current, and shake only what PC is to feel: give them beside a "
-                "board of electrodes",
+                "vibrators drive PC alone and make no current: give them beside a board of "
+                "electrodes",
                 about="board",
                 remedy="vibrators",
             )

@@ -103,9 +103,8 @@ def run_loop(
     """
     if controls is None and board.on_a_finger:
         raise BoardError(
-            "there may be a finger on this board, and nobody says how strong it may be: give "
-            "controls, for example Controls(ControlState(mode, level=0)), and raise the level "
-            "from there",
+            "there may be a finger on this board, and no intensity is set: give controls, for "
+            "example Controls(ControlState(mode, level=0)), and raise the level from there",
             about="controls",
         )
     controls = controls or Controls(ControlState(pipeline.mode))

@@ -271,8 +271,7 @@ class Runner:
     def _require_a_level(self) -> None:
         if self._level is None and self.display.on_a_finger:
             raise SmartTouchError(
-                "a finger may be on the board, and nobody says how strong it is to become: give "
-                "an intensity, for example 0.3",
+                "a finger may be on the board, and no intensity is set: give one, for example 0.3",
                 about="intensity",
                 remedy="intensity",
             )

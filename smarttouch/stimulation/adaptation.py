@@ -54,8 +54,8 @@ class Adaptation:
         self._timing = ScanTiming() if timing is None else timing
         if hold == "charge" and self._timing.width_us is not None:
             raise ScheduleError(
-                f"charge is held by longer pulses, and this board's last {self._timing.width_us} "
-                "µs always: hold energy",
+                f"hold charge needs longer pulses, and this board's pulses last "
+                f"{self._timing.width_us} µs always: hold energy",
                 about="hold",
             )
         sites = len(profile.electrodes)

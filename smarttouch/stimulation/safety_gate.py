@@ -286,7 +286,5 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
     try:
         intensity = float(value)
     except OverflowError:
-        raise SafetyError(
-            "intensity is beyond all numbers, must be one", limit="intensity"
-        ) from None
+        raise SafetyError("intensity is too large to be a number", limit="intensity") from None
     return ScanSequence(**fields, intensity=intensity)

@@ -224,8 +224,8 @@ class ScanScheduler:
             elif not (self._vibrated and each == Afferent.PC):
                 offered = ", ".join(afferent.name for afferent in self._driven) or "none"
                 raise ScheduleError(
-                    f"{Afferent(each).name} was asked for and cannot be driven here: choose of "
-                    f"{offered}",
+                    f"{Afferent(each).name} was requested and cannot be driven here: choose one "
+                    f"of {offered}",
                     about="mode",
                 )
         return tuple(driven)

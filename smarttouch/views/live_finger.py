@@ -143,7 +143,7 @@ class LiveFinger(Listener):
             yield self._line
         except (EOFError, OSError):
             raise SmartTouchError(
-                "the process that simulates the finger has ended: see what it wrote, and run again",
+                "the process that simulates the finger has ended: see its messages, and run again",
                 about="finger",
             ) from None
 

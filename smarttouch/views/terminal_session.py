@@ -144,7 +144,7 @@ def run_in_terminal(
             shown.summarize(runner.statistics.figures, runner.statistics.notes, outputs.files)
         if window is not None and not by_signal():
             if window.pages and not outputs.quiet:
-                print("The window shows how it went until it is closed, or Ctrl-C.")
+                print("The window shows the result until it is closed or you press Ctrl-C.")
             if window.stay():
                 closing.pop_all()
                 return window

@@ -273,8 +273,8 @@ class ETactileKitBoard(SteppedKit):
                 break
         else:
             raise LineLostError(
-                f"the board at {self._port_name} did not tell all of its {self._outputs} readings: "
-                "measure again",
+                f"the board at {self._port_name} did not report all of its {self._outputs} "
+                f"readings: measure again",
                 about="measure",
             )
         volts = readings[self._wiring].astype(np.float64) * VOLTS_PER_COUNT

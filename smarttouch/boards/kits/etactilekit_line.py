@@ -149,7 +149,7 @@ class ETactileKitLine(KeptBoard):
         if len(answer) == self._outputs:
             raise BoardError(
                 f"the firmware of the board at {self._port_name} is eTactileKit v1.0, which is "
-                "not spoken: update it",
+                f"not supported: update it",
                 about="firmware",
             )
         raise self._lost(f"sent {len(answer)} bytes of readings, not {codec.answer_bytes}")
@@ -253,6 +253,6 @@ def _parse(options: str) -> tuple[bool, str | None]:
             firmware = value
         else:
             raise BoardError(
-                f"etactilekit: knows the options ?slow and ?firmware, not ?{option}", about="option"
+                f"etactilekit: takes the options ?slow and ?firmware, not ?{option}", about="option"
             )
     return slow, firmware

@@ -221,9 +221,9 @@ class Kajimoto61Board(StreamedBoard):
             if len(answer) != ELECTRODES + 1 or answer[-1] != 0xFF or 0xFF in answer[:-1]:
                 self._zero()
                 raise BoardError(
-                    f"the board at {self._port_name} answered {len(answer)} of "
-                    f"{ELECTRODES + 1} bytes to a measurement, or others than readings: it was put "
-                    "at zero; measure again",
+                    f"the board at {self._port_name} answered {len(answer)} of {ELECTRODES + 1} "
+                    f"bytes to a measurement, or some that are no readings: it was put at zero; "
+                    f"measure again",
                     about="measure",
                 )
         readings = np.frombuffer(answer[:-1], np.uint8).astype(np.float64)

@@ -198,8 +198,8 @@ class KeptLine:
 def _descriptor(port: Port) -> int:
     if not isinstance(port, (serial.Serial, protocol_socket.Serial)):
         raise BoardError(
-            "this board goes on by itself when its program is gone, so a process of its own must "
-            "hold the line, which is possible for a serial device or tcp://HOST:PORT only",
+            "this board continues by itself when its program is gone, so a process of its own "
+            "must hold the line, which is possible for a serial device or tcp://HOST:PORT only",
             about="port",
             remedy="tcp://HOST:PORT",
         )

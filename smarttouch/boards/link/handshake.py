@@ -116,8 +116,10 @@ def _require_fit(name: str, found: Capabilities, electrodes: int, wanted: Output
 
 
 def malformed(name: str) -> BoardError:
-    """Return the error of a board that answers nonsense."""
-    return BoardError(f"the board at {name} answers nonsense: check its firmware", about="board")
+    """Return the error of a board that gives invalid answers."""
+    return BoardError(
+        f"the board at {name} gives invalid answers: check its firmware", about="board"
+    )
 
 
 OVERHEAD = protocol.WHOLE_HEAD_BYTES + 4  # bytes of a packet beside its payload
@@ -190,7 +192,7 @@ def give_kernels(
             if proof == image.proof(line.session.number):
                 return
             raise KernelTableError(
-                f"the board at {line.name} keeps other kernels than it was sent", about="kernels"
+                f"the board at {line.name} holds other kernels than those sent", about="kernels"
             )
         # The first query carries no kernels: its answer says where to begin.
         kept = kept if identity == image.identity and kept < len(image.data) else 0

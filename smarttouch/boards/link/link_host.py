@@ -213,8 +213,8 @@ class LinkHost(Board):
         ]
         if probe.slots and not found:
             raise BoardError(
-                f"the board at {self._line.name} did not tell the voltages of its electrodes: "
-                "measure again",
+                f"the board at {self._line.name} did not report the voltages of its electrodes: "
+                f"measure again",
                 about="measure",
             )
         return found[-1].astype(np.float64) if found else np.empty(0)

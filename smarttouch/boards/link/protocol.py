@@ -186,7 +186,7 @@ def source_of(current_ua: NDArray[np.int16]) -> NDArray[np.uint16]:
     strongest = int(source.max(initial=0))
     if strongest > _U16_MAX:
         raise BoardError(
-            f"a slot asks {strongest / 1000:.1f} mA of one source, the wire carries at most "
+            f"a slot asks {strongest / 1000:.1f} mA of one source, the protocol carries at most "
             f"{_U16_MAX / 1000:.1f} mA: lower the currents",
             about="source_ua",
             slot=int(source.argmax()),

@@ -168,7 +168,7 @@ def _read_options(query: str) -> dict[str, Any]:
             read[name] = _number(name, text, 1000, 192_000)
         else:
             raise BoardError(
-                f"vibrators: knows the options grid, hz and rate, not {name}", about="option"
+                f"vibrators: takes the options grid, hz and rate, not {name}", about="option"
             )
     return read
 

@@ -220,7 +220,7 @@ def _require_weights(grams: NDArray[np.float64], law: ForceLaw) -> None:
     distinct = len(np.unique(grams))
     if distinct < 3:
         raise CalibrationError(
-            f"{distinct} different weights say nothing of the residual: give three or more",
+            f"{distinct} different weights do not determine the residual: give three or more",
             about="weights",
         )
     full_g = 1000 * law.full_n / STANDARD_GRAVITY
@@ -249,8 +249,8 @@ def _require_answer(
     if turned.any():
         first, second = np.unique(grams)[[turned.argmax(), turned.argmax() + 1]]
         raise CalibrationError(
-            f"the reading does not go on in one direction from {first:g} to {second:g} g: weigh "
-            "again, each weight alone and at rest",
+            f"the reading does not change in one direction from {first:g} to {second:g} g: weigh "
+            f"again, each weight alone and at rest",
             about="readings",
         )
 
@@ -270,6 +270,6 @@ def _require_good(found: ForceFound) -> None:
     if drift_n > MOST_DRIFT * found.full_n:
         raise CalibrationError(
             f"the reading drifted by {drift_n:.3f} N while {restless.grams:g} g lay on the cell: "
-            "wait until it rests, and weigh again",
+            f"wait until it settles, and weigh again",
             about="drift",
         )

@@ -125,7 +125,7 @@ class ProfileFile:
         except ProfileError as error:
             said = str(error).removeprefix(f"{draft}: ")
             raise CalibrationError(
-                f"what was measured makes no profile, nothing was written: {said}",
+                f"what was measured is no valid profile, so nothing was written: {said}",
                 about=error.about,
                 remedy=error.remedy,
                 electrode=error.electrode,
@@ -188,8 +188,8 @@ def file_to_calibrate(
     key = None if start is None else difference(file.profile, _begin(profile_path(start))[-1])
     if key is not None:
         raise CalibrationError(
-            f"{output} is there, and differs from {start} in {key}: go on from "
-            "what is there, or write another file",
+            f"{output} is there, and differs from {start} in {key}: continue from what is there, "
+            f"or write another file",
             about=key,
             remedy="output",
         )

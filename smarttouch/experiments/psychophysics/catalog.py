@@ -192,8 +192,8 @@ def _discomfort(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Des
     slowest_s = _SLOWER * stimuli.profile.limits.ramp_s
     if stimuli.train_s < slowest_s:
         raise ExperimentError(
-            f"a current that is enough in {stimuli.train_s:g} s comes too suddenly: let trains "
-            f"last {slowest_s:g} s or more",
+            f"a current that reaches discomfort in {stimuli.train_s:g} s comes too suddenly: let "
+            f"trains last {slowest_s:g} s or more",
             about="train_s",
         )
     task = DiscomfortTask(stimuli, _site(stimuli, wanted), _rate_hz(stimuli, wanted))

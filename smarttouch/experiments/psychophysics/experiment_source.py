@@ -219,8 +219,8 @@ class ExperimentSource(ProgramSource):
         most = self._timing.most_spoiled
         if most is not None and spoiled > most:
             raise ExperimentError(
-                f"current was lost {spoiled} times in one trial, and {most} may be: check the "
-                "board's line, and keep the finger on the electrodes",
+                f"current was lost {spoiled} times in one trial, and {most} times are allowed: "
+                f"check the board's line, and keep the finger on the electrodes",
                 about="trial",
             )
 

@@ -214,7 +214,8 @@ class SimulatedObserver:
         if task not in self._judges:
             known = (*self._judges, *_YES_OR_NO, "which")
             raise ExperimentError(
-                f"the simulated observer has no answer to {task!r}: it knows {', '.join(known)}",
+                f"the simulated observer has no answer to {task!r}: it can answer "
+                f"{', '.join(known)}",
                 about="task",
             )
         return self._judges[task]
@@ -269,8 +270,8 @@ class SimulatedObserver:
         missing = [each for each in alternatives if each not in self.templates]
         if missing:
             raise ExperimentError(
-                f"the simulated observer does not know what {missing[0]!r} feels like: give it a "
-                "template of each alternative",
+                f"the simulated observer has no template of {missing[0]!r}: give it a template of "
+                f"each alternative",
                 about="template",
             )
         nerve = self._nerve

@@ -59,7 +59,8 @@ class Subject(Listener):
         """Attach to a board, as `start` does."""
         if not isinstance(board, SimulatedBoard):
             raise ExperimentError(
-                "simulated subjects feel simulated currents only: choose the board simulated:",
+                "a simulated subject responds to simulated currents only: choose the board "
+                "simulated:",
                 about="board",
             )
         self._board = board

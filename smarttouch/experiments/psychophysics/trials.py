@@ -82,7 +82,7 @@ class Stimuli:
         if pulses < FEWEST_PULSES:
             raise ExperimentError(
                 f"{self.train_s:g} s at {rate_hz:g} Hz are {pulses} pulses, fewer than the "
-                f"{FEWEST_PULSES} that make a frequency: make trains longer",
+                f"{FEWEST_PULSES} that define a frequency: make trains longer",
                 about="train_s",
             )
         activation = np.zeros((len(Afferent), len(self.profile.electrodes)), np.float32)
