@@ -1,1 +1,1 @@
-"""The ground of all rooms: errors, files, clocks, stopping, names; knows nothing of touch."""
+"""Base of all packages: errors, files, clocks, stopping and names, but nothing about touch."""

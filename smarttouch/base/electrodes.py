@@ -171,7 +171,7 @@ def free(
     size_mm: tuple[float, float],
     own: tuple[tuple[Shape, tuple[float, float]], ...] | None = None,
 ) -> ElectrodeArray:
-    """Return electrodes anywhere, numbered as given; the origin is moved to their middle."""
+    """Return electrodes at any positions, numbered as given; the origin moves to their middle."""
     position = np.array(position_mm, np.float64).reshape(-1, 2)
     if len(position):
         position -= (position.max(axis=0) + position.min(axis=0)) / 2

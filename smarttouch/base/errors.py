@@ -71,11 +71,11 @@ class SourceLostError(SourceError):
 
 
 class PageError(SmartTouchError):
-    """A page or document cannot be read, or shows nothing that could be."""
+    """A page or document cannot be read, or has nothing to read."""
 
 
 class UnknownSizeError(PageError):
-    """Nothing says how large a page is: give its resolution or width."""
+    """The size of a page is unknown: give its resolution or width."""
 
 
 class BrailleError(SmartTouchError):
@@ -95,7 +95,7 @@ class LevelNotReachedError(SmartTouchError):
 
 
 class CalibrationError(SmartTouchError):
-    """A calibration cannot be done, or what it measured makes no sense."""
+    """A calibration cannot be done, or its result is implausible."""
 
 
 class DesignError(SmartTouchError):

@@ -73,8 +73,8 @@ class StopRequest:
                 call()
 
     def always_on_stop(self, tell: Callable[[], None]) -> None:
-        """Call a function whenever the end is requested, from now on, before those so far: a run
-        knows of its end when its board refuses."""
+        """Call a function whenever the end is requested from now on, before earlier functions: a
+        run must be ended before its board refuses."""
         with self._lock:
             self._on_stop.insert(0, tell)
 

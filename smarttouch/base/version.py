@@ -1,3 +1,3 @@
-"""Version of the package: this is the one place that says it."""
+"""Version of the package, defined only here."""
 
 __version__ = "1.0.0rc1"

@@ -184,7 +184,7 @@ _MOST_NAMED = 12  # characters listed in a note on left-out ones
 
 @dataclass(frozen=True)
 class ShapedText:
-    """Blocks of cells with their shapes, and what their document says of itself."""
+    """Blocks of cells with their shapes, and the metadata of their document."""
 
     cells: list[str]
     shapes: list[Shape]

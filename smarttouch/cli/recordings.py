@@ -1,4 +1,4 @@
-"""``smarttouch recordings``, ``replay`` and ``report``: recordings seen, mended, played."""
+"""``smarttouch recordings``, ``replay`` and ``report``: recordings shown, repaired, played."""
 
 from pathlib import Path
 from typing import Annotated

@@ -202,7 +202,7 @@ _SPEAKS_WITHIN_S = 5.0  # longest silence: it may wait for a processor
 
 
 def _ended(process: "subprocess.Popen[bytes]") -> None:
-    """End a process to which no host will come."""
+    """End a process that no host will connect to."""
     process.kill()
     process.wait()
     if process.stdout is not None:

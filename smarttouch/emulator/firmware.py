@@ -231,7 +231,7 @@ class Firmware(ABC):
         self.advance(now_ns)
 
     def hang_up(self, now_ns: int) -> None:
-        """Handle that the host has closed the line, which a device need not notice."""
+        """Handle the end of the line to the host, which a device may not detect."""
         self.idle(now_ns)
 
     # Not abstract: sensors carry no current and leave it out.

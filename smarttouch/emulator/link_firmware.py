@@ -422,7 +422,7 @@ class LinkFirmware(Firmware):
         return ScanSoFar(period_us, lists.intensity, rise_us, copy(self._ramp), nothing)
 
     def _acknowledge(self) -> None:
-        """Say that the last sequence has begun, and when."""
+        """Report that the last sequence has begun, and when."""
         began = protocol.ACK.pack(self._last_start_ns // 1000)
         self._say(MessageKind.ACK, self._last[0], began)
 

@@ -51,7 +51,7 @@ class SessionLimits:
 
     @classmethod
     def of(cls, payload: bytes, electrodes: int, output: Output) -> "SessionLimits | None":
-        """Return the limits in a payload; None if it is none."""
+        """Return the limits in a payload; None if it is invalid."""
         if len(payload) != LIMITS.size + 8 * electrodes:
             return None
         (

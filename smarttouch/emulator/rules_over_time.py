@@ -199,7 +199,7 @@ class Ramp:
         return min(FULL, self._risen(now_us) + ahead + _LEEWAY)
 
     def note(self, intensity: int, strength: int, now_us: int, span_us: int) -> None:
-        """Take down a sequence that begins at a time, and for how long its current flows."""
+        """Record a sequence that begins at a time, and for how long its current flows."""
         if not self._ramp_us:
             return
         risen, on_us = self._risen(now_us), self._on_us(now_us)

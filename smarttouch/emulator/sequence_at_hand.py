@@ -17,7 +17,7 @@ MOST_KERNELS = 4096
 
 @dataclass(frozen=True)
 class Room:
-    """What a board has room for: small ones get a scan in parts."""
+    """What a board has room for: a small one gets a scan in parts."""
 
     slots: int = MAX_SLOTS
     packet_bytes: int = PACKET_BYTES

@@ -126,7 +126,7 @@ def as_csv(rows: Iterable[StudyRow]) -> str:
 
 
 def from_csv(text: str) -> list[StudyRow]:
-    """Return the rows of a CSV text; ValueError if it is none of a study."""
+    """Return the rows of a CSV text; ValueError if they are not of a study."""
     heading, *lines = csv.reader(io.StringIO(text, newline=""))
     if tuple(heading) != HEADING:
         raise ValueError("its columns are others")

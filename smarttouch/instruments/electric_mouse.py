@@ -272,7 +272,7 @@ def _possible_hz(rate_hz: float, fastest_hz: float | None, most_hz: float) -> fl
 
 
 def open_motion_over(texture: Texture, url: str, profile: Profile, **options: Any) -> HandMotion:
-    """Open a motion by its URL, with what its kind needs to know of the texture or the profile."""
+    """Open a motion by its URL, with what its kind needs of the texture or the profile."""
     kind = url.partition(":")[0]
     if kind == "window":
         options["texture"] = texture

@@ -121,7 +121,7 @@ _IMAGE_RESOLUTION_MM = 0.02
 
 
 def open_posed_source(url: str, *, profile: Profile | None = None) -> "SourceMotion":
-    """Open any source that knows its pose; its optics are electric-mouse's if none are given."""
+    """Open any source that has a pose; its optics are electric-mouse's if none are given."""
     return SourceMotion(open_source(url, profile or load_profile(DEFAULT_PROFILE)))
 
 

@@ -74,7 +74,7 @@ class Block:
 
 @dataclass(frozen=True)
 class StructuredText:
-    """Blocks of a document in order, and what it says of itself; empty where it does not."""
+    """Blocks of a document in order, and its metadata, empty where it has none."""
 
     blocks: tuple[Block, ...]
     title: str = ""
@@ -88,8 +88,8 @@ class StructuredText:
 
 
 def format_of(path: Path) -> str | None:
-    """Return pandoc's name of a document's format, by its content where it says so; None if it is
-    none with structure."""
+    """Return pandoc's name of a document's format, by its content where that shows it; None if it
+    has no structure."""
     with open_file(path, PageError, MOST_UNPACKED_BYTES) as file:
         data = file.read(_BEGINNING_BYTES)
     if data.startswith(b"PK\x03\x04"):

@@ -38,7 +38,7 @@ class Finger(FingerAfferents):
     """
 
     def feel(self, given: Any, seed: int = 1) -> Feeling:
-        """Return what it feels of a step, a scan sequence, or a list of them.
+        """Return its response to a step, a scan sequence, or a list of them.
 
         Parameters
         ----------

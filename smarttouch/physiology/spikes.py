@@ -205,7 +205,7 @@ class SpikeModel:
         self.begin_anew()
 
     def begin_anew(self) -> None:
-        """Forget all spikes, and begin with the same noise; known currents stay known."""
+        """Reset all spikes and the noise; computed drives are kept."""
         self._random = np.random.default_rng(self._seed)
         self._last_us = np.full(len(self.finger.classes), -np.inf)
         self._now_us = 0

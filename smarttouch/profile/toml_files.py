@@ -77,7 +77,7 @@ def profile_path(name: str | Path) -> Path:
 
 
 def profile_of(table: Mapping[str, Any], path: Path) -> Profile:
-    """Return the profile that the table of a file says; files beside it are found from there."""
+    """Return the profile in the table of a file; files beside it are found from there."""
     try:
         profile = Profile.model_validate({**table, "name": path.stem})
     except ProfileError as error:

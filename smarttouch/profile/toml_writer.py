@@ -23,8 +23,8 @@ _A_LINE = 8  # numbers of a long list on one line
 
 
 def as_toml(profile: Profile) -> str:
-    """Return all that a profile says, as it would stand in a file. A comment beside each value that
-    is not the file's own says whether it is a default, or which calibration it comes from."""
+    """Return all values of a profile, as they would stand in a file. A comment beside each value
+    that is not the file's own says whether it is a default, or which calibration it comes from."""
     origins = {
         key: f"calibrated: {part}, {note.when:%Y-%m-%d}"
         for part, note in profile.calibrated.items()

@@ -120,7 +120,7 @@ def letters_on_finger(
     wanted: Sequence[Afferent],
     known: Mapping[str, Floats],  # see `letter_templates`
 ) -> list[LetterResponse]:
-    """Return what a finger feels of letters, each for ten periods."""
+    """Return the response of a finger to letters, each for ten periods."""
     model, places = SpikeModel(finger, finger.seed), finger.profile.electrodes.position_mm
     found = []
     for letter, (slots, active) in shown.items():

@@ -238,7 +238,7 @@ class ReadingSource(OpticalSource):
 
     @property
     def account(self) -> str:
-        """Say which lines were read, and their words."""
+        """Return in words which lines were read, and their text."""
         lines = f"{len(self._texts)} line{'s' * (len(self._texts) != 1)} read"
         words = " / ".join(text for _, text in sorted(self._texts.items()) if text)
         return f"{lines}: {words}" if words else lines

@@ -33,7 +33,7 @@ class RunOptions(TypedDict, total=False):
 
 @dataclass(frozen=True, kw_only=True)
 class RunConfig:
-    """Settings of one run; what is None is the profile's.
+    """Settings of one run; None takes the value of the profile.
 
     Parameters
     ----------

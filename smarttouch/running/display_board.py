@@ -78,5 +78,5 @@ class DisplayBoard(Closing):
             yield self.board
 
     def close(self) -> None:
-        """Put all electrodes at zero and let go of the board; a second time does nothing."""
+        """Put all electrodes at zero and release the board; a second call does nothing."""
         self.board.close()

@@ -1,4 +1,4 @@
-"""The front door for programs: run, step through, replay, and design, each by one function."""
+"""Functions for programs: run, step through, replay, and design."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace

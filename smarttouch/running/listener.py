@@ -74,16 +74,16 @@ class Listener:
         """Begin: the board is open, at zero."""
 
     def step(self, result: StepResult) -> None:
-        """Take note of a step; called by the loop, so it must be quick."""
+        """Process a step; called by the loop, so it must be quick."""
 
     def event(self, event: Event) -> None:
-        """Take note of an event, also before the start; from any thread."""
+        """Process an event, also before the start; from any thread."""
 
     def finish(self, run: RunContext) -> None:
         """Complete what only a run without a fault has: the board is closed."""
 
     def close(self) -> None:
-        """Let go of everything, whatever has happened; a second time does nothing."""
+        """Release everything, whatever has happened; a second call does nothing."""
 
 
 class OnStep(Listener):

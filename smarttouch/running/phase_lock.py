@@ -53,7 +53,7 @@ class PhaseLock:
         """Of the newest sequence whose start has become known since the step before."""
 
     def note(self, sent: Sent) -> None:
-        """Take note of a sequence that was sent, on a board that says when it began."""
+        """Note a sequence that was sent, on a board that reports when it began."""
         if not self._says_starts:
             return
         self._delays_ns.append(sent.sent_ns - sent.waited_ns - sent.deadline_ns)
@@ -82,7 +82,7 @@ class PhaseLock:
         return 0 if self._board.simulated_time else more_ns
 
     def forget(self) -> None:
-        """Forget what was sent: the board was lost."""
+        """Discard what was sent: the board was lost."""
         self._pending.clear()
         self._free_ns = None
 

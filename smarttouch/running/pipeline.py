@@ -156,7 +156,7 @@ class Pipeline:
         self._restarted = True
 
     def notes(self) -> list[str]:
-        """Return what a user should know after the run."""
+        """Return notes for the user after the run."""
         slowed = sum(scan.net_slowed for scan in self._scans.values())
         emptied = sum(scan.net_emptied for scan in self._scans.values())
         if not slowed and not emptied:

@@ -91,7 +91,7 @@ class RecordingSource(Source):
         return stricter(profile, was)
 
     def close(self) -> None:
-        """Let go of the file; what was passed and not read is dropped."""
+        """Close the file; what was passed and not read is dropped."""
         self._steps.close()
         self._drop()
 

@@ -36,7 +36,7 @@ class Regulator:
     _longest_us: int = 0
 
     def is_idle(self, board: Board) -> bool:
-        """Whether nothing that a board measures is asked for or used."""
+        """Whether no measurement of a board is requested or used."""
         measures = getattr(board.take_volts, "__func__", None) is not Board.take_volts
         return not measures and self.adaptation is None and self.ledger is None
 
@@ -75,7 +75,7 @@ class Regulator:
             self.ledger.add(sequence, -1)
 
     def notes(self) -> list[str]:
-        """Return what a user should know after the run."""
+        """Return notes for the user after the run."""
         notes = []
         limited = () if self.adaptation is None else self.adaptation.limited
         if limited and self.adaptation is not None:

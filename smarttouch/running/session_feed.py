@@ -333,7 +333,7 @@ class SessionFeed(Source, Listener):
         )
 
     def note_opening(self) -> None:
-        """Take note that a level is being opened; for sources that say so."""
+        """Note that a level is being opened; for sources that report it."""
 
     def _scale(self, show: Show) -> float:
         """Return the share of a level that flows."""
@@ -344,7 +344,7 @@ class SessionFeed(Source, Listener):
         return self._context is not None and 0 < STEADY * asked <= self._context.open_level(time_ns)
 
     def step(self, result: StepResult) -> None:
-        """Take note of how the last input was sent."""
+        """Note how the last input was sent."""
         step = result.step
         self.gate = force_gate(step.input.force_n, self._profile.force)
         self.user_level = 0.0 if self.controls.state(0).paused else step.level

@@ -81,7 +81,7 @@ class Show:
         return left_us if left_us <= usual_us + least_us else usual_us
 
     def note(self, result: StepResult, asked: float) -> None:
-        """Take note of a step of it, or of the pulses before it, that asked for an intensity."""
+        """Note a step of it, or of the pulses before it, that requested an intensity."""
         step, sequence = result.step, result.step.sequence
         if not self.began:
             if 0 < STEADY * asked <= sequence.intensity:
@@ -105,7 +105,7 @@ class Show:
             )
 
     def note_start(self, board: Board) -> None:
-        """Note when its first pulse began, if the board says so."""
+        """Note when its first pulse began, if the board reports it."""
         start = None if self.first is None else board.start_of(self.first)
         if start is not None:
             self.board_us = start.board_us

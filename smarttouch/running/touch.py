@@ -155,7 +155,7 @@ class Touch:
         self._feed.put(self._checked(pattern), round(1e9 * stale_s))
 
     def present(self, show: Show) -> Show:
-        """Carry out a request; its fault says what went wrong."""
+        """Carry out a request; its fault describes what went wrong."""
         with self.begun(show):
             show.over.wait()
         self._require_life()

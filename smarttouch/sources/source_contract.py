@@ -198,7 +198,7 @@ class Canvas(Protocol):
     changes: int
 
     def draw(self, words: str) -> None:
-        """Do what a page asks for; ValueError if it cannot be understood."""
+        """Execute the request of a page; ValueError if it is invalid."""
 
     def message(self) -> dict[str, Any]:
         """Return all that a page shows of it, with ``changes``; for JSON."""
@@ -249,7 +249,7 @@ class Source(Device, ABC):
 
     @property
     def account(self) -> str:
-        """Return in words what it has delivered, for who cannot see it; empty if it cannot say."""
+        """Return in words what it has delivered, for users who cannot see it; empty if unknown."""
         return ""
 
     send_at_ns: int | None = None

@@ -46,7 +46,7 @@ class SourceContract:
         raise NotImplementedError("return your source")
 
     def make_impossible(self, profile: Profile) -> None:
-        """Open one that is not there, as a file without a name; replace it."""
+        """Open a source that does not exist, as a file without a name; override it."""
         pytest.skip("make_impossible is not given")
 
     def pause(self) -> None:
@@ -236,7 +236,7 @@ class ForceContract:
         raise NotImplementedError("return your source of force")
 
     def make_impossible(self, profile: Profile) -> None:
-        """Open one that is not there, as a file without a name; replace it."""
+        """Open a source that does not exist, as a file without a name; override it."""
         pytest.skip("make_impossible is not given")
 
     @pytest.fixture

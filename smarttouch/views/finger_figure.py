@@ -1,4 +1,4 @@
-"""Figure of one finger: its afferents, what is delivered to it, and what it feels."""
+"""Figure of one finger: its afferents, what is delivered to it, and its response."""
 
 from typing import TYPE_CHECKING, Any
 

@@ -97,7 +97,7 @@ class Markers(Listener):
         self._push(self._events, [str(event)], self._at_s(event.time_ns))
 
     def close(self) -> None:
-        """End the streams; a second time does nothing."""
+        """End the streams; a second call does nothing."""
         if self._pulses is not None:
             time.sleep(_LINGER_S)
         self._pulses = self._frames = self._events = None

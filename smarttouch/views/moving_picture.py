@@ -39,7 +39,7 @@ Box = tuple[int, int, int, int]
 
 
 class MovingPicture(PageDrawing):
-    """Draws a run as a moving picture in its own time, all panels to scale.
+    """Draws a run as a moving picture in real time, all panels to scale.
 
     Four panels: the page with the part that the finger touches; the currents of the electrodes in
     one slot of the scan at that instant; the receptors whose afferents fired in the last `FRAME_S`,

@@ -219,7 +219,7 @@ def export_film(
     last: int | None = None,
     advance: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> None:
-    """Write a range of steps as a film (``.mp4``) in their own time."""
+    """Write a range of steps as a film (``.mp4``) in real time."""
     # A copy: the recording may still be being read, and it grows.
     times = np.array(tape.times_s[first : None if last is None else last + 1])
     if not len(times):

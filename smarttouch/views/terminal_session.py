@@ -187,7 +187,7 @@ def _load_kernels(profile: Profile, quiet: bool) -> KernelBank:
 
 
 class _Orderly(Listener):
-    """Lets a run end by itself on a signal, from when its board may be open."""
+    """Lets a run end by itself on a signal, once its board may be open."""
 
     def __init__(self, patience_s: float) -> None:
         super().__init__()

@@ -104,7 +104,7 @@ class Window(Listener):
         keys_help: str = "",
         alone: bool = True,
     ) -> None:
-        """Forget the run before, and take what controls the next one."""
+        """Reset to a new run, and take what controls it."""
         self._run_stop, self._keys, self._keys_help = stop, keys or {}, keys_help
         self._alone = alone
         self.asked = None
@@ -198,7 +198,7 @@ class Window(Listener):
         self.steering.look_after()
 
     def event(self, event: Event) -> None:
-        """Keep an event for the pages, unless it would give an answer away."""
+        """Keep an event for the pages, unless it would reveal an answer."""
         if isinstance(event, RunEnded | RunFailed):
             self._end = str(event), isinstance(event, RunFailed)
         recording = self._recording
@@ -343,7 +343,7 @@ class Window(Listener):
         return b"" if sheet is None else sheet_png(sheet)
 
     def refuse(self, error: SmartTouchError) -> None:
-        """Show pages why the run that they asked for cannot be."""
+        """Show pages why the requested run is impossible."""
         self.asked = None
         self.ended = json.dumps({"type": "ended", "reason": str(error), "failed": True})
 

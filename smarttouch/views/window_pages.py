@@ -141,7 +141,7 @@ class ConnectedPage:
     second: int = 0
 
     def begin(self, run: int) -> None:
-        """Forget what it has seen of the run before."""
+        """Reset what it has been sent of the run before."""
         self.run, self.ended, self.waits = run, "", True
         self.shown, self.events, self.felt, self.drawn, self.sheet = None, 0, "", 0, None
 
@@ -202,7 +202,7 @@ class Pages:
         ]
 
     def close(self) -> None:
-        """Close all connections, once pages know how the run ended."""
+        """Close all connections, once pages have been sent the end of the run."""
         self._over.set()
         if self._pages:
             self._all_informed.wait(_INFORMED_WITHIN_S)
@@ -257,7 +257,7 @@ class Pages:
             await asyncio.gather(feeding, return_exceptions=True)
 
     async def _take(self, page: ConnectedPage, text: str) -> bool:
-        """Execute a page's message; return False if it is none."""
+        """Execute a page's message; return False if it is invalid."""
         steering, second = self._state.steering, int(time.monotonic())
         page.received = page.received + 1 if second == page.second else 1
         page.second = second

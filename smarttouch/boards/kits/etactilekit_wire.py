@@ -63,7 +63,7 @@ class Settings:
 
 
 def settings_of(sequence: ScanSequence) -> Settings:
-    """Return the settings of a sequence; raise BoardError if its slots want several polarities or
+    """Return the settings of a sequence; raise BoardError if its slots need several polarities or
     widths, or a time that is out of reach."""
     _, current_ua = one_against_all(sequence)
     if len(np.unique(np.sign(current_ua))) > 1:

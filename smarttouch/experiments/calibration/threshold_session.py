@@ -36,7 +36,8 @@ from smarttouch.profile import Profile
 
 
 class Progress(Closing):
-    """Results of a threshold session until now, by electrode, in a file beside the profile to come.
+    """Results of a threshold session until now, by electrode, in a file beside the profile to be
+    written.
 
     They count only where `settings` are the same. Until it is closed no other session can continue
     the same file.
@@ -182,7 +183,7 @@ class ThresholdSession:
         return self._next
 
     def record(self, trial: Trial, answer: Answer) -> None:
-        """Go on with an answer; a result is on disk after that."""
+        """Process an answer; a result is on disk after that."""
         try:
             self._next = self._trials.send(answer)
         except StopIteration:

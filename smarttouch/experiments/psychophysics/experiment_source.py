@@ -58,7 +58,7 @@ class ExperimentSource(ProgramSource):
         self._pressed.append((key, self.time_ns()))
 
     def step(self, result: StepResult) -> None:
-        """Take note of how the last stimulus went out."""
+        """Note how the last stimulus was sent."""
         super().step(result)
         asked_us, sequence = result.step.asked_us, result.sequence
         if self.playing is not None and sequence.period_us != asked_us and not self.notes:
@@ -111,7 +111,7 @@ class ExperimentSource(ProgramSource):
                 )
 
     def _unless_ready(self, _since_s: float) -> float | None:
-        """Return a level, and say what is missing, until a current can follow the keys."""
+        """Return a level, and report what is missing, until a current can follow the keys."""
         if self.gate * self.user_level >= STEADY:
             return None
         self.note_opening()

@@ -32,7 +32,7 @@ __all__ = [
 
 @dataclass
 class KnownObserver:
-    """Observer that says whether a current is felt, or enough, by given thresholds."""
+    """Observer that reports whether a current is felt, or enough, by given thresholds."""
 
     profile: Profile
     # (E,) mA: threshold_ma, enough_ma: strongest electrode's current that is felt, or enough, in

@@ -71,7 +71,7 @@ class Interleaved:
 
     @property
     def total(self) -> int | None:
-        """Number of trials of all; None if one does not know its own."""
+        """Number of trials of all; None if that of one is unknown."""
         totals = [each.total for each in self.procedures]
         known = [total for total in totals if total is not None]
         return sum(known) if len(known) == len(totals) else None
