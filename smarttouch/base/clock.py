@@ -68,7 +68,7 @@ def prioritized(level: int = LOOP) -> Iterator[bool]:
     finally:
         if given and before is not None:
             policy, parameters = before
-            # Without this flag only root may set it: it stays, and says nothing of this thread.
+            # Without this flag only root may set it: it stays, whatever this thread does.
             os.sched_setscheduler(0, policy | _RESET, parameters)
 
 

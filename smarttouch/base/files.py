@@ -181,7 +181,7 @@ def owner_only(path: str, flags: int) -> int:
     try:
         found = os.fstat(number)
         if _is_shared(found) and user_number() is not None:
-            # Some file systems know no rights; a file of somebody else must not get what is ours.
+            # Some file systems have no rights; another user's file must not get our data.
             with contextlib.suppress(*([OSError] if found.st_uid == user_number() else [])):
                 os.fchmod(number, 0o600)
         if cut and stat.S_ISREG(found.st_mode):
@@ -254,7 +254,7 @@ def open_alone(path: Path, error: type[SmartTouchError], of: Path | None = None)
             raise error(message, about="file") from None
         except OSError:
             return file
-        # Whoever had it may have removed it just now: that lock keeps nobody out.
+        # Its owner may have removed it just now: that lock then excludes no one.
         if path.exists() and os.path.samestat(path.stat(), os.fstat(file.fileno())):
             return file
         file.close()

@@ -7,7 +7,7 @@ works.
 import os
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:  # a module cannot be None for a type checker; whoever needs one asks first
+if TYPE_CHECKING:  # a module cannot be None for a type checker; users of one check first
     import fcntl
     import pty
     import resource

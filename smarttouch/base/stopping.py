@@ -163,7 +163,7 @@ class SignalWatch:
                 if not again:
                     self.number = self.number or number
                     threading.Thread(target=self._ask, args=(number,), daemon=True).start()
-        # By force only when boards are at zero, or nobody can know; and nothing goes on.
+        # By force only when boards are at zero, or that is unknown; and nothing goes on.
         self._at_zero.wait(ZERO_WITHIN_S)
         last_s = time.monotonic() + RUNS_ON_S
         while self._goes_on() and time.monotonic() < last_s:

@@ -143,7 +143,7 @@ def network_boards(
     found: dict[str, NetworkBoard] = {}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
         line.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        # Without a network there is nobody to find.
+        # Without a network there is nothing to find.
         with contextlib.suppress(OSError):
             line.sendto(b"ETK?", (address, port))
             deadline = time.monotonic() + wait_s

@@ -30,7 +30,7 @@ from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
-_BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest time that the host says nothing
+_BEAT_NS = protocol.SILENCE_MS * 1_000_000 // 2  # longest silence of the host
 _LONGEST_GAP_NS = 1000 * (rules_over_time.KEPT_US + rules_over_time.SECOND_US)
 """Gap after which a board has forgotten all but its session: a longer one is cut to this."""
 

@@ -108,7 +108,7 @@ class Generation:
     # 2 biphasic) where one height counts for all.
     height_bytes: int
     reading_bytes: int = 2  # of each electrode in the answer to `READINGS`
-    echoes: bool = True  # whether it knows `ECHO`
+    echoes: bool = True  # whether it has `ECHO`
     forgets: bool = True  # whether half a command is dropped after two seconds
     waits: bool = True  # whether its parser stands still during a scan: one processor core
     slot_ns: int = 10_000  # that switching adds to each slot's pulse and discharge

@@ -187,7 +187,7 @@ def mix_colors(
     # its force law sets the pressure at which SAI is driven in full, its limits how fast sequences
     # may follow one another
     profile: Profile,
-    bank: KernelBank,  # its kernels say which classes the board can drive
+    bank: KernelBank,  # its kernels determine which classes the board can drive
     sites: Collection[int] | None = None,  # electrodes that pulse; those of `disc` if not given
     timing: ScanTiming | None = None,  # scan timing fixed by the board
     vibrated: bool = False,  # whether mechanical vibrators do what PC is to feel

@@ -86,7 +86,7 @@ class LslInlet:
         inlet = self._lsl.StreamInlet(info, max_buflen=1, recover=False)
         try:
             inlet.open_stream(timeout=FIND_S)
-            # The system says where the connection leads; what the stream says of itself is not
+            # The system shows where the connection leads; what the stream states of itself is not
             # believed.
             if lead_to_us(own_sockets() - before):
                 return inlet

@@ -313,7 +313,7 @@ _NUMBER = r"([0-9]*\.?[0-9]+)"
 def open_texture(
     spec: str,
     *,
-    # dpi, width_mm: scale of a file that does not say; width of a text
+    # dpi, width_mm: scale of a file that states none; width of a text
     dpi: float | None = None,
     width_mm: float | None = None,
     # way between two pulses on what is high and wide; measured if not given

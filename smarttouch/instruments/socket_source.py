@@ -257,7 +257,7 @@ def _listening_at(path: Path) -> socket.socket:
         )
     line = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        # What an earlier run left, which nobody listens at.
+        # Left by an earlier run: no program listens there.
         if path.exists() and stat.S_ISSOCK(path.stat().st_mode) and line.connect_ex(str(path)):
             path.unlink()
         line.close()

@@ -96,7 +96,7 @@ def _timed(design: Design, problem: Problem, site: int) -> tuple[int, Kernel, fl
 def _moved(problem: Problem, site: int, kernel: Kernel, move: np.ndarray) -> Kernel:
     weights = np.empty_like(kernel.weights)
     weights[move] = kernel.weights
-    # An axon that is mirrored counts its nodes the other way: the fired one says which (Eq. 11).
+    # An axon that is mirrored counts its nodes the other way: the fired one shows which (Eq. 11).
     node = kernel.node and int((problem.axon(site) @ weights).argmax())
     return replace(kernel, weights=weights, node=node)
 

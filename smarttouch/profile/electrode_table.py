@@ -68,7 +68,7 @@ def grid_of(size: str, pitch_mm: float, diameter_mm: float) -> GridLayout:
             about="diameter_mm",
         )
     if pitch_mm > LARGEST_PITCH_MM:
-        # Along both axes at once: the layout would say it twice.
+        # Along both axes at once: the layout would report it twice.
         raise ProfileError(
             f"a pitch of {pitch_mm:g} mm is out of range: give at most {LARGEST_PITCH_MM:g} mm",
             about="pitch_mm",

@@ -98,5 +98,5 @@ def _is_there(path: Path) -> bool:
     try:
         return path.exists()
     except OSError:
-        # Reading it will say what is wrong.
+        # Reading it raises the right error.
         return True

@@ -203,7 +203,7 @@ class Inputs:
     def _handle_lift(self, time_ns: int, now_ns: int) -> None:
         """Keep intensity at zero for a while after the board found the finger lifted."""
         if self.board.lifted and now_ns >= self._lifted_until_ns:
-            # Only a pulse can tell whether the finger is back: try again, from zero.
+            # Only a pulse can show whether the finger is back: try again, from zero.
             self.board.lifted = False
             self.statistics.lifts += 1
             self.emit(FingerLifted(time_ns))

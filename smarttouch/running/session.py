@@ -21,7 +21,7 @@ from smarttouch.running.touch import Shown, Touch
 from smarttouch.sources.force import ForceSource
 
 _TOGETHER_NS = 60_000_000  # from the call to the start of patterns that begin together
-_END_S = 5.0  # time for a session that is over to say why
+_END_S = 5.0  # time for a session that is over to report why
 
 
 class Session(Touch):

@@ -143,7 +143,7 @@ class StepDecoder:
 
 
 def _begun(board: Message) -> FirstPulse | None:
-    # Older recordings say nothing of it.
+    # Older recordings do not have it.
     if board.get("begun") is None:
         return None
     return FirstPulse(

@@ -257,7 +257,7 @@ def frozen(sequence: ScanSequence) -> ScanSequence:
         values = getattr(sequence, name)
         if values is None and not of_slots:
             continue
-        # As a plain array: a class of somebody else's may answer for another array than it is.
+        # As a plain array: a foreign class may pretend to be another array.
         plain = values if type(values) is np.ndarray else None
         if plain is None and isinstance(values, np.ndarray):
             plain = np.asarray(values)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import pytest
 
-# So that the asserts of the contracts say what they compared.
+# So that failed asserts of the contracts show what they compared.
 pytest.register_assert_rewrite(
     *(f"smarttouch.testing.{each}" for each in ("board_contract", "source_contracts"))
 )

@@ -241,7 +241,7 @@ class Screen(Listener):
         wrote = [f"wrote {path}" for path in files]
         account = self._source.account if self._plain else ""
         if account:
-            # Who listens to it wants to know what was read, and what went wrong.
+            # Plain output ends with what was read, and with what failed.
             if again := figures["restarts"] + figures["dropped_late"]:
                 notes = [*notes, f"intensity restarted at zero {again} times"]
             more = "; ".join([*notes, *wrote]) or "No warning, and nothing was kept."

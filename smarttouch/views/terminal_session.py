@@ -124,7 +124,7 @@ def run_in_terminal(
             config,
             force=force,
             listeners=[
-                *([] if window is None else [window]),  # before the screen: it says its address
+                *([] if window is None else [window]),  # before the screen: it prints its address
                 shown,
                 _Keyboard(stop, keys or {}),
                 *followers,

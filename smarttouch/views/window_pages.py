@@ -119,7 +119,7 @@ ASKED = ("run", "record", "note")  # requests beside those of keys
 MOST_PAGES = 16
 MOST_HZ = 60
 MOST_MESSAGES_PER_S = 400  # limit for one page; one that sends more loses its connection
-_BEAT_S = 0.2  # longest time without a message to a page: its answer says that it is alive
+_BEAT_S = 0.2  # longest time without a message to a page: its answer shows that it is alive
 _INFORMED_WITHIN_S = 0.5
 
 

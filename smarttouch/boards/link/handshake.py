@@ -194,7 +194,7 @@ def give_kernels(
             raise KernelTableError(
                 f"the board at {line.name} holds other kernels than those sent", about="kernels"
             )
-        # The first query carries no kernels: its answer says where to begin.
+        # The first query carries no kernels: its answer shows where to begin.
         kept = kept if identity == image.identity and kept < len(image.data) else 0
         idle = 0 if kept > at else idle + 1
         at, data = kept, image.data[kept : kept + piece]

@@ -214,7 +214,7 @@ class View:
     offset_mm: tuple[float, float] = (0.0, 0.0)  # place on the page at the middle of the image
     # from the page, along the line of sight; perspective grows as it falls
     distance_mm: float = 30.0
-    zoom: float = 1.0  # pixels per millimeter, of what the profile says
+    zoom: float = 1.0  # pixels per millimeter, as a part of the profile's
     # blur_px, noise_levels: of the optics and of the sensor, standard deviations
     blur_px: float = 0.5
     noise_levels: float = 2.0

@@ -143,7 +143,7 @@ class ThresholdProcedure:
 
     def measure(
         self,
-        progress: Progress,  # keeps each as it is done
+        progress: Progress,  # keeps each once it is done
         # hands every key to a function while a block runs; an empty one is a terminal that is gone
         keys: Callable[[Callable[[str], None]], AbstractContextManager[None]],
         say: Callable[[str], None],  # shows a line

@@ -109,7 +109,7 @@ class AnswerTable:
     """The answers of one file."""
 
     name: str  # of the file, without its ending
-    unit: str  # of standards and comparisons, if it says so
+    unit: str  # of standards and comparisons, if stated
     answers: tuple[Answers, ...]  # to each standard, rising
 
 

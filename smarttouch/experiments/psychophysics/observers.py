@@ -163,7 +163,7 @@ class SimulatedObserver:
     place_mm: float = GRATING_LIMIT_MM / (math.sqrt(2) * float(ndtri(0.75)))
     # standard deviation of each site of a remembered pattern, whose strongest is 1
     letter_noise: float = 0.4
-    # (E,) in [0, 1]: the patterns it knows, by their names
+    # (E,) in [0, 1]: patterns to recognize, by name
     templates: Mapping[str, NDArray[np.float32]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

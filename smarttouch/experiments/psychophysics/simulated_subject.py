@@ -136,7 +136,7 @@ def make_observer(
     kind: str,
     profile: Profile,  # profile of the finger whose spikes the model judges
     seed: int,  # of its noise
-    templates: Mapping[str, NDArray[np.float32]] | None = None,  # (E,): the letters that it knows
+    templates: Mapping[str, NDArray[np.float32]] | None = None,  # (E,): letters to recognize
     finger: int = 1,  # seed of the model's finger
     anatomy: str | Path = "paper",  # of the model's finger
 ) -> Observer:
