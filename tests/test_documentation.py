@@ -56,11 +56,11 @@ def test_there_is_something_to_try():
 
 
 @pytest.mark.parametrize("name", DRAWN)
-def test_a_page_does_as_it_says(name, tmp_path):
+def test_a_page_works_as_written(name, tmp_path):
     Reader(tmp_path, Forked).read(ROOT / "docs" / name)
 
 
-def test_a_page_that_is_wrong_is_told_by_its_line(tmp_path, monkeypatch):
+def test_a_wrong_page_is_reported_by_its_line(tmp_path, monkeypatch):
     monkeypatch.setattr("tests.documented.ROOT", tmp_path)
     page = tmp_path / "page.md"
     page.write_text("# Page\n\n```sh\nsmarttouch profiles\nsmarttouch profiles show no.toml\n```\n")

@@ -14,7 +14,7 @@ REFERENCE = Path(__file__).parents[1] / "docs" / "reference" / "profile-keys.md"
 TABLES = dict(_tables())
 
 
-def test_the_documentation_is_what_the_models_say():
+def test_the_documentation_matches_the_models():
     assert REFERENCE.read_text(encoding="utf-8") == key_reference()
 
 

@@ -20,7 +20,7 @@ def test_no_name_of_the_last_release_is_gone_unannounced():
     assert len(before["names"]) > 1000
 
 
-def test_what_is_deprecated_says_since_when_until_when_and_what_to_use():
+def test_a_deprecation_names_its_versions_and_its_replacement():
     now = number_of(smarttouch.__version__)
     for name, message in NAMES.items():
         if message:

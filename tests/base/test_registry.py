@@ -194,7 +194,7 @@ def test_where_no_finger_can_be_time_is_what_sequences_claim(installed, limits):
     assert not may_touch_a_finger("mine:")
 
 
-def test_a_board_that_does_not_say_what_it_can_do(installed, limits):
+def test_a_board_without_capabilities(installed, limits):
     start, end = BOARD.index("        self.capabilities"), BOARD.index("    def drain")
     installed(BOARD[:start] + BOARD[end:])
     board = make_board("mine:", limits)
@@ -228,7 +228,7 @@ def test_ours_keep_the_contract():
 @pytest.mark.parametrize(("group", "base"), [
     ("smarttouch.sources", object), ("smarttouch.forces", object), ("smarttouch.boards", Board),
 ])  # fmt: skip
-def test_ours_are_where_they_are_said_to_be(group, base):
+def test_ours_are_where_they_are_registered(group, base):
     for name in known_names(group):
         opener, rest = find_opener(group, f"{name}:rest", SmartTouchError, base, ())
         assert callable(opener)

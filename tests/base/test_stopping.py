@@ -21,7 +21,7 @@ def forced():
     return []
 
 
-def test_who_is_to_be_told_is_told_at_once_and_only_while_it_matters():
+def test_functions_are_called_at_once_and_only_within_their_block():
     stop, told = StopRequest(), []
     with stop.on_stop(lambda: told.append("within")):
         stop.ask("key q")
@@ -33,14 +33,14 @@ def test_who_is_to_be_told_is_told_at_once_and_only_while_it_matters():
     assert (stop.reason, stop.event.is_set()) == ("key q", True)
 
 
-def test_an_end_that_can_wait_tells_nobody():
+def test_an_end_that_can_wait_calls_nothing():
     stop, told = StopRequest(), []
     with stop.on_stop(lambda: told.append(1)):
         stop.ask("5 s are over", at_once=False)
     assert (told, stop.event.is_set()) == ([], True)
 
 
-def test_one_that_cannot_be_told_keeps_nobody_else_from_it():
+def test_one_that_fails_does_not_keep_others_from_being_called():
     stop, told = StopRequest(), []
 
     def fails():
@@ -120,7 +120,7 @@ def test_without_a_signal_nothing_is_left_behind(forced):
     assert forced == []
 
 
-def test_a_thread_that_works_and_one_that_waits_are_told_apart():
+def test_a_working_and_a_waiting_thread_are_distinguished():
     over, numbers = threading.Event(), {}
 
     def work():

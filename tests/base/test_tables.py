@@ -39,7 +39,7 @@ def test_a_quoted_cell_may_go_over_lines(table):
     ("a,b\n1,2\n2,1e999\n", "line", 3), ("a,b\n0,5,1\n", "line", 2),
     ("a,b\n1,2\n3,4\n3,5\n", "line", 4),
 ])  # fmt: skip
-def test_what_is_wrong_is_said_with_its_line(table, text, about, value):
+def test_errors_are_reported_with_their_line(table, text, about, value):
     with raises(SourceError, about=about, value=value):
         table(text).numbers(("a", "b"))
 

@@ -102,7 +102,7 @@ def test_a_process_younger_than_the_mark_begins(folder):
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
-def test_the_start_of_this_process_is_never_told_too_late():
+def test_the_start_of_this_process_is_never_too_late():
     before = now_ns()
 
     def work(say):
@@ -114,14 +114,14 @@ def test_the_start_of_this_process_is_never_told_too_late():
     assert started_ns() < before
 
 
-def test_where_the_system_does_not_tell_it_is_the_import(monkeypatch, tmp_path):
+def test_where_the_system_has_no_start_time_it_is_the_import(monkeypatch, tmp_path):
     monkeypatch.setattr(module, "_OWN_STAT", tmp_path / "nothing")
     assert started_ns() == module._IMPORTED_NS
     assert started_ns() < now_ns()
 
 
 @pytest.mark.parametrize("text", ["", "x", "x y", "x -5", "x 1 2", "\udce4 5", "9" * 1000])
-def test_a_mark_that_says_nothing_is_none(folder, text):
+def test_an_empty_mark_is_none(folder, text):
     (folder / "stopped").write_bytes(text.encode("utf-8", "surrogateescape"))
     refuse_if_stopped()
 

@@ -152,7 +152,7 @@ def test_a_lost_echo_brings_no_current_and_the_next_frame_goes_on(script, make):
         assert board.report().slots == 1
 
 
-def test_a_board_that_never_echoes_again_is_told_of(script, make):
+def test_a_board_that_never_echoes_again_is_reported(script, make):
     ping = (QUIET + bytes(4) + PING, b"")
     silent = [ZEROS, ping, ping]
     script(

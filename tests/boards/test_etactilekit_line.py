@@ -69,7 +69,7 @@ def meet(monkeypatch):
 
 
 @pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
-def test_each_is_told_apart(meet, firmware):
+def test_each_is_distinguished(meet, firmware):
     meeting = meet(firmware)
     meeting.driver._greet()
     can = meeting.driver.capabilities
@@ -160,7 +160,7 @@ class Deaf(ETactileKitFirmware):
     ("936c6c0", "?slow&firmware=936c6c0", True), ("71adee2", "?firmware=936c6c0", False),
     ("936c6c0", "?firmware=newest", False),
 ])  # fmt: skip
-def test_a_user_may_say_which_it_is(meet, firmware, option, is_one):
+def test_a_user_may_name_it(meet, firmware, option, is_one):
     meeting = meet(firmware, option)
     if not is_one:
         with raises(BoardError, about="?firmware", allowed=firmware):

@@ -72,7 +72,7 @@ def test_a_killed_host_leaves_all_electrodes_shorted(tmp_path):
     until(lambda: not alive(emulator))
 
 
-def test_a_killed_board_is_told_of_at_the_next_send(make_limits, make_sequence):
+def test_a_killed_board_is_reported_at_the_next_send(make_limits, make_sequence):
     with EmulatorBoard("", make_limits()) as board:
         deliver(board, make_sequence(0))
         os.kill(board.process_id, signal.SIGKILL)
@@ -114,7 +114,7 @@ def test_a_killed_board_can_be_closed(make_limits):
     assert board.refused == 0
 
 
-def test_a_board_that_hangs_is_told_of(make_limits, make_sequence):
+def test_a_board_that_hangs_is_reported(make_limits, make_sequence):
     with EmulatorBoard("", make_limits()) as board:
         board._line.silence_s = SILENCE_S
         board._line.answer_s = 1.0
@@ -165,7 +165,7 @@ def test_another_board_than_the_profiles_is_refused(make_limits, start_emulator)
         LinkBoard(port, make_limits(), Output(kind="three-state")).open()
 
 
-def test_a_silent_port_is_told_of(make_limits):
+def test_a_silent_port_is_reported(make_limits):
     master, slave = os.openpty()
     name = os.ttyname(slave)
     try:
@@ -176,7 +176,7 @@ def test_a_silent_port_is_told_of(make_limits):
         os.close(slave)
 
 
-def test_a_board_that_someone_else_stopped_is_told_of(make_limits, make_sequence):
+def test_a_board_stopped_by_another_program_is_reported(make_limits, make_sequence):
     with EmulatorBoard("", make_limits()) as board:
         board.send(make_sequence(0))
         board._line.send(MessageKind.STOP)

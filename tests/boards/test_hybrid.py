@@ -73,7 +73,7 @@ class Vibrated(test_contract.Contract):
             assert self.board.capabilities.recharges
             assert board.report().slots == 4
 
-    def test_it_says_that_it_vibrates_and_leaves_the_rest_to_the_electrodes(self, make_board):
+    def test_it_offers_vibration_and_leaves_the_rest_to_the_electrodes(self, make_board):
         with make_board() as board:
             assert board.capabilities == replace(self.board.capabilities, vibrates=True)
             assert board.timing is self.board.timing
@@ -88,7 +88,7 @@ class Vibrated(test_contract.Contract):
             self.board.take_volts = lambda: volts
             assert board.take_volts() is volts
 
-    def test_whatever_has_to_be_said_is_said_once(self, make_board):
+    def test_each_note_comes_once(self, make_board):
         board = make_board()
         for part, words in ((self.board, "one"), (self.shaking, "two"), (board, "three")):
             part.notes.append(words)

@@ -89,7 +89,7 @@ def test_long_scans_leave_enough_time_between_them(monkeypatch, firmware, width_
 
 @FIRMWARES
 @pytest.mark.parametrize("seed", range(4))
-def test_what_a_busy_host_cannot_know_it_says(monkeypatch, firmware, seed):
+def test_what_a_busy_host_cannot_determine_is_a_range(monkeypatch, firmware, seed):
     """Waits of milliseconds too long, and frames that come when they like: none unscanned."""
     kit = ToldKit(
         monkeypatch, LIMITS, firmware, seed=seed, late_us=3000, phase_ns=7 * MS * seed, wire_us=2000
@@ -132,7 +132,7 @@ def test_each_height_has_a_scan_of_its_own_where_there_is_one_for_all(monkeypatc
     assert (kit.driver.acknowledged, kit.driver.refused) == (5, 0)
 
 
-def test_what_is_too_weak_to_be_measured_is_scanned_and_a_range_told(monkeypatch):
+def test_what_is_too_weak_to_measure_is_scanned_and_reported_as_a_range(monkeypatch):
     kit = ToldKit(monkeypatch, LIMITS, phase_ns=3 * MS)
     weak = [pulses(10, [step % 8], step, intensity=0.1) for step in range(60)]
     start = kit.clock.time_ns

@@ -197,7 +197,7 @@ def test_where_it_is_killed_this_program_writes_zero(board, promised):
     assert exit_code(promised) == -signal.SIGKILL
 
 
-def test_a_line_that_breaks_is_told_of(board, promised):
+def test_a_line_that_breaks_is_reported(board, promised):
     end = board.end
     board.end = os.open("/dev/null", os.O_RDONLY)
     os.close(end)

@@ -170,7 +170,7 @@ def test_a_port_that_goes_and_comes_back_begins_at_zero(hosted, known_by_usb):
 
 @pytest.mark.usefixtures("patient_boards")
 @ALL
-def test_a_port_that_stays_away_is_told_of(hosted, monkeypatch):
+def test_a_port_that_stays_away_is_reported(hosted, monkeypatch):
     for module in ("link.link_board", "kits.streamed"):
         monkeypatch.setattr(f"smarttouch.boards.{module}.RECOVER_S", 0.3)
     with raises(BoardError, about="board", value=str(hosted.line.path)) as error, hosted.board:
@@ -222,7 +222,7 @@ def test_what_is_lost_again_meanwhile_is_begun_again(kind, again):
     assert left == []
 
 
-def test_the_first_loss_is_told_of_where_it_does_not_come_back():
+def test_the_first_loss_is_reported_where_it_does_not_come_back():
     start, left = failing(*[LineLostError("again")] * (TIMES + 1))
     with pytest.raises(LineLostError) as error:
         restart_lost_board(start, LOST)

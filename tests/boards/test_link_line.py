@@ -63,14 +63,14 @@ def test_our_own_absence_is_not_the_boards_silence(listen):
 
 
 @pytest.mark.parametrize("noise", [b"", b"nothing whole"])
-def test_a_board_that_says_nothing_is_gone(listen, noise):
+def test_a_silent_board_is_gone(listen, noise):
     line = listen(ALIVE, noise)
     until(lambda: line.fault is not None)
     with raises(LineLostError, about="board", value="here"):
         line.raise_fault()
 
 
-def test_a_board_says_nothing_before_a_session(listen):
+def test_a_board_is_silent_before_a_session(listen):
     line = listen(b"", begun=False)
     time.sleep(2 * SILENCE_S)
     line.raise_fault()

@@ -67,7 +67,7 @@ def test_hello_bears_the_hosts_half_and_begin_both():
     assert talk.session.refused == 0
 
 
-def test_numbers_rise_and_tell_what_was_heard(talk):
+def test_numbers_rise_and_confirm_what_was_received(talk):
     talk.hear(MessageKind.ALIVE)
     sent = [message(talk.session.encode(MessageKind.HEARTBEAT)) for _ in range(3)]
     assert [each.number for each in sent] == [3, 4, 5]

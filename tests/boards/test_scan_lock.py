@@ -23,7 +23,7 @@ def test_without_a_bracket_only_ranges_are_known(lock):
     assert lock.starts(Span(0, T), Span(3 * T + T // 2, 4 * T)) == (2, 5)
 
 
-def test_one_bracket_tells_of_all_scans_around_it(lock):
+def test_one_bracket_bounds_all_scans_around_it(lock):
     lock.learn(Span(0, 1_000_000))
     assert lock.locked
     assert lock.scan(0) == Span(0, 1_000_000)

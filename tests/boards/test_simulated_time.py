@@ -53,7 +53,7 @@ def test_a_gap_closes_the_level(send, later_s):
     assert board._line.session.sent < 1000
 
 
-def test_stamps_may_begin_anew(send):
+def test_stamps_may_begin_again(send):
     send((100, SILENT), (101, FAINT), (102, STRONG), (0, SILENT), (1, FAINT), (2, STRONG))
     with raises(BoardError, about="board", value=7):
         send((19, STRONG))

@@ -197,7 +197,7 @@ def test_a_board_with_vibrators_counts_once(profile, tmp_path):
         assert sum(stoppable._program._boards.values()) == 2 * round(1000 * limits.total_ma)
 
 
-def test_who_stops_a_board_that_confirms_no_zero_learns_of_it():
+def test_stopping_a_board_that_confirms_no_zero_is_an_error():
     def work(say):
         with Lost():
             say()

@@ -191,7 +191,7 @@ class TestTheFile:
         ("out.wav?rate=fast", "rate", "fast", (1000, 192_000)),
         ("out.wav?hz=800&rate=3000", "rate", 3000, 3200),
     ])  # fmt: skip
-    def test_what_is_wrong_with_a_url_is_said(self, profile, rest, about, value, allowed):
+    def test_errors_of_a_url_are_reported(self, profile, rest, about, value, allowed):
         with raises(BoardError, about=about, value=value, allowed=allowed):
             VibratorBoard(rest, SafetyLimits.of(profile))
 
@@ -358,7 +358,7 @@ class TestTheSoundDevice:
         (ImportError(), "sounddevice", "pip install 'smarttouch[audio]'"),
         (OSError("PortAudio"), "PortAudio", "apt install libportaudio2"),
     ])  # fmt: skip
-    def test_what_is_missing_is_said(self, board, monkeypatch, missing, about, remedy):
+    def test_what_is_missing_is_named(self, board, monkeypatch, missing, about, remedy):
         def refuse(name):
             raise missing
 

@@ -63,7 +63,7 @@ def test_no_such_table(table, capfd):
 
 
 @needs_liblouis
-def test_what_a_table_says_of_itself():
+def test_the_metadata_of_a_table():
     assert not LouisCode("de-g2.ctb").goes_back
     assert LouisCode("fr-bfu-g2.ctb").goes_back
 
@@ -116,7 +116,7 @@ def test_it_is_found_under_its_own_names(monkeypatch):
     ],
     ids=["accents are joined", "letters Unicode takes apart", "Arabic marks", "Persian joiners"],
 )
-def test_texts_stay_as_liblouis_knows_them(table, text, same):
+def test_texts_stay_as_in_liblouis(table, text, same):
     opened = open_table(table)
     assert opened.missing(text) == ""
     code = LouisCode("fr-bfu-comp6.utb" if table == "fr-1" else table)

@@ -23,7 +23,7 @@ def test_what_is_written_is_read(pages, title):
     assert parse_pef(format_pef(pages, title)) == pages
 
 
-def test_the_structure_that_the_standard_wants(tmp_path):
+def test_the_structure_of_the_standard(tmp_path):
     path = tmp_path / "story.pef"
     write_pef(path, [["⠁⠃⠉", ""], ["⠁"]])
     root = ET.parse(path).getroot()

@@ -68,7 +68,7 @@ def test_pages(condition):
     assert len(read.cells_px) == len(read.patterns)
 
 
-def test_which_side_is_read_is_said_if_nobody_knows():
+def test_the_side_that_is_read_is_reported_if_unknown():
     photo = emboss(LINES, light_deg=100, back_side=BACK)
     read = read_braille(photo.page)
     assert characters_right(read.lines, LINES) > 0.9

@@ -27,7 +27,7 @@ def test_by_the_hosts_books_charge_is_back(live, mode):
     assert plain["max_net_charge_uc"] > 10 * balanced["max_net_charge_uc"] > 0
 
 
-def test_where_it_does_not_fit_the_rate_falls_and_the_run_says_so(live):
+def test_where_it_does_not_fit_the_rate_falls_with_a_note(live):
     done = live("--board simulated: --rate 150 --set scan=points --set balance").fine()
     figures = done.figures
     assert figures["slowed_sequences"] > 0
@@ -53,7 +53,7 @@ def test_a_board_on_a_line_makes_them(live, start_emulator):
     assert np.abs(state["passed_uc"]).max() < 0.02
 
 
-def test_one_source_reverses_and_says_what_that_does(live):
+def test_one_source_reverses_with_a_note_on_the_effect(live):
     done = live("--board simulated: --profile smarttouch-4x4 --set balance").fine()
     figures = done.figures
     for said in (done.stderr, done.stdout):

@@ -72,7 +72,7 @@ def test_live_end_to_end_ends_in_zero(program_here, kit):
 
 
 @on("link")
-def test_packets_that_come_twice_are_told_of(program_here, monkeypatch, kit):
+def test_packets_that_come_twice_are_reported(program_here, monkeypatch, kit):
     encode = HostSession.encode
 
     def twice(session, kind, *more):
@@ -122,7 +122,7 @@ def test_a_killed_host(start_program, kit):
     assert after["slots"] == before["slots"]
 
 
-def test_info_of_the_newest_kit_tells_how_long_it_goes_on(program_here, start_emulator):
+def test_info_of_the_newest_kit_has_how_long_it_goes_on(program_here, start_emulator):
     _, port, _ = start_emulator(32, "etactilekit", "--firmware=newest")
     # On a busy computer it may pass for the one before it: then once more.
     for _ in range(10):
@@ -172,7 +172,7 @@ def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(program_here
 
 
 @pytest.mark.realtime
-def test_measuring_without_a_finger_says_so(program_here, start_emulator):
+def test_measuring_without_a_finger_is_reported(program_here, start_emulator):
     _, port, _ = start_emulator(16, "link", "--output=three-state", "--event=0 lift")
     small = f"link:{port} --profile smarttouch-4x4"
     found = program_here(f"devices measure {small} --json found.json").fine().figures

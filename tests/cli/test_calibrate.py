@@ -108,7 +108,7 @@ def test_optics_from_folders(run, tmp_path):
     assert FlatField.load(tmp_path / "mine.flat-field.npz").gain == pytest.approx(field_before)
 
 
-def test_optics_asks_for_dark_and_white(run, tmp_path):
+def test_optics_needs_dark_and_white(run, tmp_path):
     save(tmp_path / "same", SimulatedPatch().images(4, light=True))
     asked = run("optics --source frames:same --output mine.toml", typed="\n\n")
     assert asked.output.count(" Enter") == 2

@@ -54,7 +54,7 @@ def test_a_file_keeps_its_own_time_and_can_be_cut(mixed, tmp_path):
         assert figures["printed"] == ""
 
 
-def test_what_is_left_out_is_said(mixed):
+def test_what_is_left_out_is_reported(mixed):
     said = mixed("tone:30Hz,9um+press:1N?seconds=0.3", "--profile kajimoto-61")["printed"]
     (left_out,) = (line for line in said.splitlines() if line.split()[:2] == ["SAI", "would"])
     assert "PC" not in left_out

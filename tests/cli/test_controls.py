@@ -92,7 +92,7 @@ def test_a_run_that_was_killed_is_no_run(start_at_a_terminal, program_here, tmp_
     assert not list((tmp_path / "state").rglob("*.run"))
 
 
-def test_nobody_knows_the_force(program_here, tmp_path):
+def test_the_force_is_unknown(program_here, tmp_path):
     (tmp_path / "frames").mkdir()
 
     Image.new("L", (64, 64), 255).save(tmp_path / "frames" / "1.png")

@@ -95,7 +95,7 @@ def test_kinds_compared(designed):
     assert min(over_spread, key=over_spread.get) == "robust"
 
 
-def test_a_bank_is_made_anew(program_here, tmp_path):
+def test_a_bank_is_made_again(program_here, tmp_path):
     program_here("design --profile=line-7 --bank=bank.npz").fine()
     with np.load(tmp_path / "bank.npz") as bank:
         assert bank["weights_RA"].shape == (7, 7)

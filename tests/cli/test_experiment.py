@@ -229,7 +229,7 @@ def test_the_seed_of_another_session_is_not_gone_on_with(program_here):
     says(ExperimentError, "frequency-RA.csv", "seed 5204", " 1:")(refused(other))
 
 
-def test_a_participant_s_screen_does_not_tell_the_answer(profile, make_frame):
+def test_a_participant_s_screen_does_not_show_the_answer(profile, make_frame):
     run = SimpleNamespace(
         source=SimpleNamespace(title="frequency-RA, trial 3 of 50: which was faster? 1 or 2"),
         profile=profile, controls=Controls(ControlState(Mode.RA, 0.5)), board=None,

@@ -32,7 +32,7 @@ def test_a_letter_on_one_finger(figures_of, tmp_path):
     ("T --profile=line-7", ExperimentError, {"about": "profile", "value": 1}),
     ("T --mode=SAII", SmartTouchError, {"about": "mode"}),
 ])  # fmt: skip
-def test_fingers_of_nonsense(program_here, arguments, kind, says):
+def test_invalid_fingers(program_here, arguments, kind, says):
     error = refused(program_here("simulate letters", *arguments.split()))
     assert isinstance(error, kind)
     assert_says(error, **says)

@@ -99,7 +99,7 @@ def test_help_is_plain_and_short(program_here, monkeypatch, name):
             assert each.opts[0] in everything
 
 
-def test_completion_knows_the_commands():
+def test_completion_has_the_commands():
     done = as_module(
         _SMARTTOUCH_COMPLETE="complete_bash", COMP_WORDS="smarttouch ca", COMP_CWORD="1"
     )

@@ -27,7 +27,7 @@ def test_pulses_that_were_asked_for_are_asked_for_again_in_a_replay(figures_of):
     assert was["slots"] == now["slots"] > 200
 
 
-def test_vibrators_shake_what_the_recording_says(program_here, tmp_path, changed):
+def test_vibrators_shake_what_was_recorded(program_here, tmp_path, changed):
     mixed = "live vibration:tone:30Hz,8um+tone:250Hz,2um?seconds=1 --board simulated: --quiet"
     program_here(f"{mixed} --vibrators v.wav?grid=1x1 --record a.mcap").flawless()
     rate_hz, wave = wavfile.read(tmp_path / "v.wav")
@@ -52,7 +52,7 @@ def test_the_picture_of_a_mouse_has_its_few_pulses_in_full(program_here, tmp_pat
     assert np.percentile(touched, 0.5) < 60
 
 
-def test_markers_are_told_of_a_run(program_here, monkeypatch):
+def test_a_run_sends_markers(program_here, monkeypatch):
     lsl = FakeLsl()
     monkeypatch.setitem(sys.modules, "pylsl", lsl)
     program_here(f"{FAST} --seconds 1 --stream lsl:").fine()

@@ -164,7 +164,7 @@ def test_legibility_of_no_anatomy_is_refused_before_anything_is_read(program_her
 
 
 @needs_tesseract
-def test_legibility_knows_what_cannot_be_read(figures_of, tmp_path):
+def test_legibility_counts_what_cannot_be_read(figures_of, tmp_path):
     """The measure can fail: compared with another text, all of it is wrong."""
     (tmp_path / "truth.txt").write_text("0123456789")
     Image.fromarray(print_text("thin beam").grey).save(tmp_path / "page.png")
@@ -178,7 +178,7 @@ def test_legibility_of_braille_needs_no_tesseract(figures_of, monkeypatch):
     assert (figures["cell_error_rate"], figures["text"]) == (0, "Hello, 42")
 
 
-def test_without_tesseract_it_says_how_to_get_it(program_here, page_file, monkeypatch):
+def test_without_tesseract_the_error_says_how_to_install_it(program_here, page_file, monkeypatch):
     monkeypatch.setenv("PATH", "")
     for command in ("simulate page", "read --as braille"):
         says(ReadingError, "apt install tesseract-ocr")(refused(program_here(command, page_file)))
@@ -274,7 +274,7 @@ def test_what_waits_for_nothing_is_felt_at_once_also_from_a_terminal(start_at_a_
     assert json.loads((tmp_path / "figures.json").read_text())["slots"] > 0
 
 
-def test_plain_says_the_words_of_each_line_and_what_was_read(program_here):
+def test_plain_prints_the_words_of_each_line_and_what_was_read(program_here):
     done = program_here("read 'text:one\ntwo' --plain --board simulated:").flawless()
     said = [line.partition(" s: ")[2] for line in done.stdout.splitlines()]
     assert [each for each in said if ", line " in each] == [
@@ -287,7 +287,7 @@ def test_plain_says_the_words_of_each_line_and_what_was_read(program_here):
 
 
 @needs_tesseract
-def test_plain_says_the_words_of_a_picture(program_here, page_file):
+def test_plain_prints_the_words_of_a_picture(program_here, page_file):
     done = program_here("read", page_file, "--plain", "--board", "simulated:").fine()
     read = done.stdout.splitlines()[-2]
     assert re.fullmatch("2 lines read: a thin / light beam", read)

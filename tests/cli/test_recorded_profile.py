@@ -96,7 +96,7 @@ NONSENSE = [
 
 
 @pytest.mark.parametrize(("key", "value"), NONSENSE)
-def test_what_a_profile_may_not_say_a_recording_may_not(forge, port, into, key, value):
+def test_what_a_profile_may_not_hold_a_recording_may_not(forge, port, into, key, value):
     far, name = port
     assert isinstance(into(forge(key, value), f"kajimoto61:{name}"), RecordingError)
     with pytest.raises(BlockingIOError):

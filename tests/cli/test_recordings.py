@@ -35,7 +35,7 @@ def call():
     return run
 
 
-def test_info_tells_what_an_ethics_board_asks(call, recording):
+def test_info_has_what_an_ethics_board_asks(call, recording):
     done = call("recordings", "info", recording)
     assert done.exit_code == 0
     for told in (
@@ -45,7 +45,7 @@ def test_info_tells_what_an_ethics_board_asks(call, recording):
         assert told in done.stdout
 
 
-def test_a_cut_one_is_told_mended_and_whole_again(call, recording):
+def test_a_cut_recording_is_reported_repaired_and_whole_again(call, recording):
     whole = call("recordings", "repair", recording)
     assert whole.exit_code == 0
     assert list(recording.parent.glob("*.mcap")) == [recording]

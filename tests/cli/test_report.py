@@ -79,7 +79,7 @@ def test_nothing_that_is_not_in_the_list_goes_in(program_here, tmp_path, profile
 
 
 @pytest.mark.parametrize("given", ["Alice.png", "Alice:", "/Alice/x", "page", "page:Alice.png"])
-def test_what_no_source_is_named_is_not_told(given):
+def test_names_that_are_no_source_are_left_out(given):
     assert _kind(given, "sources") == ("page:" if given.startswith("page:") else "other")
 
 

@@ -83,7 +83,7 @@ def test_every_point_that_is_stimulated_is_shown(sent):
     assert delivered_ma[points].min() > 1
 
 
-def test_what_shared_slots_do_is_told(sent):
+def test_what_shared_slots_do_is_reported(sent):
     sequence = sent.step.sequence
     if sequence.proof is None:
         assert sequence.slots == sequence.points
@@ -179,7 +179,7 @@ def test_where_there_is_no_image_the_activation_is_drawn(shown, profile, bank):
     assert "▀" in "\n".join(shown((80, 24), StepResult(with_image, 1, 0.0)))
 
 
-def test_events_and_lines_are_told_over_a_pipe_and_keys_work(start_at_a_terminal):
+def test_events_and_lines_are_printed_over_a_pipe_and_keys_work(start_at_a_terminal):
     process, keys = start_at_a_terminal(
         "read", "text:one\ntwo\nthree", "--as=braille", "--plain", "--pause=inf"
     )

@@ -123,7 +123,7 @@ def test_a_terminal_that_has_stopped_reading_keeps_nobody(
     assert (tmp_path / "run.json").exists()
 
 
-def test_without_a_place_for_the_mark_runs_are_stopped_and_it_is_told(tmp_path, program_here):
+def test_without_a_place_for_the_mark_runs_are_stopped_and_it_is_reported(tmp_path, program_here):
     folder = tmp_path / "state" / "smarttouch"
     (folder / "stopped").mkdir(parents=True)
     (folder / "stopped" / "full").write_text("")

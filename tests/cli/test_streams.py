@@ -54,7 +54,7 @@ def test_closed_streams_lead_nowhere(shell, tmp_path, closed):
 
 
 @pytest.mark.parametrize("closed", [">&-", "<&- >&- 2>&-"])
-def test_errors_are_told_where_that_stream_is_open(shell, closed):
+def test_errors_are_printed_where_that_stream_is_open(shell, closed):
     done = shell(f"smarttouch devices show link:/dev/nothing {closed}")
     assert done.returncode == 2
     assert (b"/dev/nothing" in done.stderr) == ("2>&-" not in closed)
@@ -88,7 +88,7 @@ def test_a_full_disk_behind_a_file(program_here, option):
     assert os.strerror(errno.ENOSPC) in done.stderr
 
 
-def test_errors_that_cannot_be_told_change_nothing():
+def test_errors_that_cannot_be_printed_change_nothing():
     command = [PROGRAM, *["live", "--intensity", "1", "--board", "link:/dev/nothing"]]
     with (
         Path("/dev/full").open("w") as full,
@@ -162,7 +162,7 @@ def test_no_name_title_or_note_is_obeyed(program_here, tmp_path):
     "read {}.png",
     "replay {}", "live page:{}.toml", "experiment fit {}.toml",
 ])  # fmt: skip
-def test_what_is_said_of_names_is_not_obeyed(program_here, tmp_path, command):
+def test_control_characters_in_names_are_not_obeyed(program_here, tmp_path, command):
     evil_profile(tmp_path, EVIL + ".toml")
     text = shown(program_here(*(each.format(EVIL) for each in command.split(" "))))
     assert "owned" in text

@@ -221,13 +221,13 @@ def test_electrodes_beyond_the_count_are_left_out(rig):
 
 
 @pytest.mark.parametrize(("outputs", "chips"), [(32, 4), (1, 1), (8, 1), (9, 2), (255, 32)])
-def test_it_tells_chips_and_echoes_its_count(make_rig, outputs, chips):
+def test_it_reports_chips_and_echoes_its_count(make_rig, outputs, chips):
     rig = make_rig(outputs)
     assert rig.say(0, "F5") == bytes([chips])
     assert rig.say(1, "FC11 F4 FC12 F4") == b"\x11\x12"
 
 
-def test_version_1_knows_bytes_only(make_rig):
+def test_version_1_takes_bytes_only(make_rig):
     rig = make_rig(32, firmware="v1.0")
     assert rig.say(0, "F4 F5 FC11 F4") == b"\x04"
     assert rig.say(1, "FF") == bytes(17)

@@ -43,7 +43,7 @@ def test_lifting_opens_every_electrode_and_touching_is_as_before():
     assert finger.force_n == pytest.approx(0.9)
 
 
-def test_a_drift_is_smooth_and_ends_where_it_was_told():
+def test_a_drift_is_smooth_and_ends_where_set():
     finger, skin = EmulatedFinger(16, ["10 drift 12 4 60"]), SkinCircuit(16)
     for now_s, factor in ((9, 1), (10, 1), (40, 2), (70, 4), (500, 4)):
         finger.at(now_s, skin)

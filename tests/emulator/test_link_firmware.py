@@ -110,7 +110,7 @@ def test_after_a_silence_only_begin_helps(rig):
     assert rig.reason(105, GOOD) is None
 
 
-def test_heartbeats_keep_it_alive_and_it_speaks_by_itself(rig):
+def test_heartbeats_keep_it_alive_and_it_sends_unasked(rig):
     rig.send(0, np.tile(GOOD, (500, 1)), period=200_000)
     for now_ms in range(5, 201, 5):
         assert rig.told(now_ms) == []
@@ -160,7 +160,7 @@ def test_the_same_number_is_the_same_sequence(rig):
     assert rig.books.slots == 5
 
 
-def test_what_is_garbled_is_told_of(rig):
+def test_garbled_bytes_are_reported(rig):
     (answer,) = rig.feed(1, b"\x05abcd\0")
     assert (answer.kind, answer.about, answer.payload[0]) == (MessageKind.NAK, 0, Refusal.GARBLED)
 
@@ -174,7 +174,7 @@ def test_hello_of_any_version_is_answered_and_nothing_else():
 
 
 @pytest.mark.parametrize("output", protocol.OUTPUTS)
-def test_voltages_are_told_after_each_scan(output):
+def test_voltages_are_reported_after_each_scan(output):
     rig = Rig(output=output)
     rig.send(0, GOOD, times=2, measure=True)
     told = [*rig.advance(11), *rig.advance(21)]

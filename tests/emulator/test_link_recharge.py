@@ -30,7 +30,7 @@ def rig():
 
 
 @pytest.mark.parametrize("output", ["weighted", "three-state", "one-against-all"])
-def test_only_a_board_with_a_source_for_each_electrode_says_it_can(output):
+def test_only_a_board_with_a_source_for_each_electrode_offers_it(output):
     features = protocol.CAPABILITIES.unpack_from(Rig(output=output).can.payload)[2]
     assert bool(features & Feature.RECHARGE) == (output == "weighted")
 

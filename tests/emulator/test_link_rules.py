@@ -225,7 +225,7 @@ SLOT = Rule.NONE, NOTHING, NOTHING
      (Rule.INTENSITY, NOTHING, NOTHING, 1205, 1204)),
     (plain([[0, 2000, -2000, 0, 0, 0]] * 26), (Rule.MEAN, NOTHING, 1, 5_200_000, 5_000_000)),
 ])  # fmt: skip
-def test_rules_are_told_in_numbers(rig, sequence, wanted):
+def test_refusals_give_rule_and_numbers(rig, sequence, wanted):
     assert rig.send(sequence) == (None if wanted is None else (Refusal.UNSAFE, *wanted))
     assert rig.books.violations == (wanted is not None)
 

@@ -215,7 +215,7 @@ def test_a_long_packet_on_its_way_is_a_sign_of_life_for_a_while(rig):
     assert (rig.books.state, rig.books.reason) == ("shorted", "silence")
 
 
-def test_a_packet_of_a_host_that_has_heard_nothing_for_long_is_old(rig):
+def test_a_packet_of_a_host_that_has_long_received_nothing_is_old(rig):
     rig.tell(MessageKind.SEQUENCE, 1, payload(10_000))
     rig.wait(40)
     kept_back = [rig.host.encode(MessageKind.HEARTBEAT) for _ in range(20)]
@@ -239,7 +239,7 @@ def test_a_stop_is_never_too_late(rig, monkeypatch):
     assert (rig.books.state, rig.books.reason) == ("shorted", "stop")
 
 
-def test_a_report_tells_what_was_refused(rig):
+def test_a_report_counts_what_was_refused(rig):
     rig.hear(rig.sent[0])
     rig.hear(rig.sent[1])
     (report,) = rig.tell(MessageKind.STATUS)

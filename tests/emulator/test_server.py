@@ -242,7 +242,7 @@ def test_a_boards_answers_wait_for_a_host_that_reads_later_and_not_for_ever():
     assert (server.statistics.sent, server.statistics.dropped) == (4, 1)
 
 
-def test_a_board_goes_on_without_a_host_and_hears_nothing_on_a_silent_line():
+def test_a_board_goes_on_without_a_host_and_receives_nothing_on_a_silent_line():
     board = Answering()
     server, line = make_server(board, faults=["0.002 silent 0.002"])
     for now_ms, data in enumerate((None, b"a", b"", b"lost", None, None)):

@@ -54,7 +54,7 @@ def switched(skin, state, source_ua, shunt_ohm=np.inf):
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("width_us", [50, 200])
 @pytest.mark.parametrize(("compliance_v", "shunt_ohm"), [(300, np.inf), (60, np.inf), (300, 66e3)])
-def test_a_switched_pulse_divides_as_the_equations_say(seed, width_us, compliance_v, shunt_ohm):
+def test_a_switched_pulse_divides_by_the_equations(seed, width_us, compliance_v, shunt_ohm):
     skin = unequal(12, seed, compliance_v=compliance_v)
     state = np.random.default_rng(seed).integers(-1, 2, 12).astype(np.int8)
     state[:2] = 1, -1

@@ -30,13 +30,13 @@ def test_one_threshold_gives_all_of_a_flat_fiber(table):
     assert table["flat fiber", "cathodic", 0.9].ratio == pytest.approx(1, abs=1e-9)
 
 
-def test_endings_take_more_than_the_af_says(table):
+def test_endings_need_more_than_by_the_af(table):
     for depth_mm in DEPTHS_MM:
         assert table["rising, passive ending", "anodic", depth_mm].ratio < 0.7
         assert table["rising, active ending", "cathodic", depth_mm].ratio < 0.5
 
 
-def test_the_af_knows_no_cathode_for_a_passive_ending_the_cable_does(table):
+def test_the_af_has_no_cathode_for_a_passive_ending_the_cable_has(table):
     row = table["rising, passive ending", "cathodic", 0.7]
     assert row.af_ma == float("inf")
     assert row.cable_ma < 5

@@ -100,7 +100,7 @@ def test_an_anodic_disc_in_a_ring_fires_ra_alone():
     assert counts[Afferent.SAI] == counts[Afferent.PC] == 0
 
 
-def test_far_points_are_told_apart_and_one_is_not(mouse):
+def test_far_points_are_distinguished_and_one_is_not(mouse):
     current_ma = CLEAR_MA * kernel_ma(mouse.profile, mouse.bank, Afferent.SAI)
     places = mouse.profile.electrodes.position_mm
     apart = [

@@ -202,7 +202,7 @@ def test_text_does_not_overlap_and_the_file_is_written(figure, tmp_path):
 @pytest.mark.parametrize(
     ("key", "value", "slots"), [("limits.total_ma", 5.0, 7), ("perception.threshold_ma", 0.2, 1)]
 )
-def test_as_many_slots_as_total_current_asks_for(profile, bank, changed, key, value, slots):
+def test_as_many_slots_as_total_current_requires(profile, bank, changed, key, value, slots):
     other = changed(profile, {key: value})
     panels = np.array(frame_figure(other, bank).axes[:12]).reshape(3, 4)
     many = len(plan_letter(other, bank).slots)

@@ -32,7 +32,7 @@ def rows(tmp_path_factory):
     return study_run.run_study(SMALL, Path(), tmp_path_factory.mktemp("whole"))
 
 
-def test_each_finger_feels_each_letter_in_each_choice(rows):
+def test_each_finger_gets_each_letter_in_each_choice(rows):
     assert len(rows) == 3 * 2 * 2 * 2
     assert len({(row.finger, row.mode, row.intensity, row.pattern) for row in rows}) == len(rows)
     assert [row.finger for row in rows] == sorted(row.finger for row in rows)
@@ -72,7 +72,7 @@ def test_more_fingers_are_added_to_those_that_are_there(rows, tmp_path):
 
 
 @pytest.mark.parametrize("broken", ["finger,letter\n1,L\n", 'finger\n"' + 200_000 * "x"])
-def test_a_broken_part_is_made_anew(tmp_path, broken):
+def test_a_broken_part_is_made_again(tmp_path, broken):
     one = SMALL.model_copy(update={"fingers": 1, "intensities": (1.0,), "modes": ("RA",)})
     found = study_run.run_study(one, Path(), tmp_path)
     (part,) = (tmp_path / "parts").iterdir()

@@ -47,7 +47,7 @@ def test_rows_are_the_same_when_a_worker_is_killed(tmp_path):
     assert tables[0] == tables[1]
 
 
-def test_no_scheduler_is_said(monkeypatch):
+def test_a_missing_scheduler_is_an_error(monkeypatch):
     monkeypatch.setattr("smarttouch.base.cluster._ANSWERS_WITHIN_S", 0.2)
     with (
         raises(SmartTouchError, about="cluster", value="tcp://127.0.0.1:1"),
@@ -56,7 +56,7 @@ def test_no_scheduler_is_said(monkeypatch):
         pass
 
 
-def test_no_dask_is_said(monkeypatch):
+def test_missing_dask_is_an_error(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
     with raises(SmartTouchError, about="cluster"), on_cluster("tcp://a:1"):
         pass

@@ -9,7 +9,7 @@ import pytest
 from tests.firmware.build import SOURCES
 
 
-def test_size_and_deepest_stack_are_what_the_page_says(tmp_path):
+def test_size_and_deepest_stack_are_as_documented(tmp_path):
     if not SOURCES.is_dir() or shutil.which("arm-none-eabi-gcc") is None:
         pytest.skip("needs the folder firmware and arm-none-eabi-gcc")
     files = [each for each in (SOURCES / "src").glob("*.c") if each.name != "st_kit.c"]

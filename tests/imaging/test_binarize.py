@@ -57,7 +57,7 @@ def test_dimming_light_stays_silent(binarizer):
         assert share(binarizer.ink(image, tenth * SECOND // 10, True)) == 0
 
 
-def test_a_lifted_finger_forgets_the_white(binarizer, patch):
+def test_a_lifted_finger_resets_the_white(binarizer, patch):
     binarizer.ink(patch(0, 0, paper=255), 0, True)
     dim = np.full((64, 64), 100, np.uint8)
     assert share(binarizer.ink(dim, 1, False)) == 0
@@ -99,7 +99,7 @@ def test_paper_with_faint_rules_is_silent(binarizer, level, noise):
 
 
 @pytest.mark.parametrize("name", PAPERS)
-def test_a_finger_over_paper_without_print_feels_nothing(binarizer, name):
+def test_a_finger_over_paper_without_print_gets_nothing(binarizer, name):
     page = cv2.resize(blank_papers()[name], None, fx=2, fy=2)
     found, time_ns = [], 0
     for y in range(0, page.shape[0] - 64, 96):

@@ -33,7 +33,7 @@ def test_a_large_frame_is_averaged_not_sampled(profile):
 
 
 @pytest.mark.parametrize("name", list_profiles())
-def test_every_electrode_of_every_profile_sees_the_field(name):
+def test_every_electrode_of_every_profile_is_in_the_field(name):
     profile = load_profile(name)
     shape = (profile.optics.sensor_rows, profile.optics.sensor_columns)
     registration = Registration(profile.electrodes, profile.optics, shape)
@@ -100,7 +100,7 @@ def test_an_upright_homography_is_field_rotation_and_offset(name, shape):
     assert by_matrix.sample(ink) == pytest.approx(plain.sample(ink), abs=0.01)
 
 
-def test_a_tilted_camera_sees_a_quadrilateral_of_each_cell(profile):
+def test_each_cell_is_a_quadrilateral_to_a_tilted_camera(profile):
     """Against polygons filled at 16 times the resolution."""
     import cv2
 

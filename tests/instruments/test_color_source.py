@@ -109,7 +109,7 @@ def test_where_pc_cannot_be_driven_it_has_no_price(profile, bank):
     assert pacinian_crosstalk(profile, bank, np.array([60])) is None  # nothing lies below
 
 
-def test_notes_say_what_went_out(profile, bank, make_source):
+def test_notes_count_what_was_sent(profile, bank, make_source):
     spec = "tone:30Hz,9um+press:0.45N"
     answers = split_trace(open_trace(spec, 0.5), sai_full_n=profile.force.full_n)
     source, mixture = make_source(spec, sites=range(64))

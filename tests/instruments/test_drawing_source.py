@@ -113,7 +113,7 @@ def test_a_saved_list_is_read_again(source, profile, tmp_path, monkeypatch):
         np.testing.assert_array_equal(before.level, after.level)
 
 
-def test_what_cannot_be_saved_is_said(source, tmp_path, monkeypatch):
+def test_what_cannot_be_saved_is_reported(source, tmp_path, monkeypatch):
     monkeypatch.setattr(
         "smarttouch.instruments.drawing_source._free_name", lambda _: tmp_path / "gone" / "a.json"
     )

@@ -175,7 +175,7 @@ def test_the_limit_holds_whatever_is_asked():
     assert always.left_out == 300
 
 
-def test_it_tells_once_what_is_left_out(mouse):
+def test_what_is_left_out_is_reported_once(mouse):
     told = []
     way = [(2.5 * k, 0) for k in range(100)]
     source = MouseSource(GRATING, Played(way), mouse, fastest_hz=10.0, press_n=1.0)
@@ -185,7 +185,7 @@ def test_it_tells_once_what_is_left_out(mouse):
     assert numbers_in(told[0][1]) == [10]
 
 
-def test_what_a_frame_says(mouse):
+def test_the_contents_of_a_frame(mouse):
     motion = Played([(0, 0), (3, 1), (3, 1)], force_n=0.4)
     source = MouseSource(GRATING, motion, mouse, Mode.SAI, rate_hz=50, scale=2.0)
     frames = [source.read(20_000_000 * k) for k in range(3)]
@@ -226,7 +226,7 @@ def test_without_contact_nothing_flows(tmp_path, mouse, mouse_bank):
 
 
 @pytest.mark.parametrize("mode", [Mode.SAI, Mode.PC])
-def test_other_classes_feel_it_too(mouse, mouse_bank, mode):
+def test_other_classes_respond_too(mouse, mouse_bank, mode):
     pulses_hz, _ = stroke(GRATING, 40, mouse, mouse_bank, mode=mode, length_mm=20)
     assert pulses_hz == pytest.approx([10] * 64)
 
@@ -240,7 +240,7 @@ def test_other_classes_feel_it_too(mouse, mouse_bank, mode):
     ({"mode": Mode.NATURAL}, "mode", ("RA", "SAI", "PC")),
     ({"mode": Mode.COLOR}, "mode", ("RA", "SAI", "PC")),
 ])  # fmt: skip
-def test_what_is_impossible_is_said(mouse, options, about, allowed):
+def test_the_impossible_is_refused(mouse, options, about, allowed):
     (value,) = options.values()
     with raises(SourceError, about=about, value=value, allowed=allowed):
         MouseSource(GRATING, Played([]), mouse, **options)

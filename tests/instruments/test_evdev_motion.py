@@ -95,7 +95,7 @@ def test_what_moved_before_the_first_look_does_not_count(device):
         await_mm(motion, (-25.4, 0))
 
 
-def test_lost_events_are_said_once(device):
+def test_lost_events_are_reported_once(device):
     with open_motion("evdev:") as motion:
         motion.read(0)
         device.latest.play((0, 3, 0), (0, 3, 0), (2, 1, 800))

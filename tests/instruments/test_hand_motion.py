@@ -79,7 +79,7 @@ def test_a_recorded_way(tmp_path):
     assert (motion.knows_force, motion.duration_s) == (True, 3)
 
 
-def test_a_sensor_tells_the_motion():
+def test_a_sensor_gives_the_motion():
     with open_motion("text:abc") as motion:
         assert motion.read(0) == (0, 0)
         assert motion.read(900_000_000)[0] > 0
@@ -98,7 +98,7 @@ def test_a_sensor_tells_the_motion():
     ("path:none.csv", {}, "file", Path("none.csv")),
     ("camera:x", {}, "camera", "x"),
 ])  # fmt: skip
-def test_what_is_wrong_is_said(url, options, about, value):
+def test_errors_are_reported(url, options, about, value):
     known = ("sweep", "path", "evdev", "window", "camera")
     allowed = {"motion": known, "rounds": (1, 10_000)}.get(about)
     with raises(SourceError, about=about, value=value, allowed=allowed):
@@ -119,7 +119,7 @@ def test_too_many_strokes():
     ("time_s,x_mm,y_mm\n0,0,0\n1,inf,1\n", "line", 3),
     ("time_s,x_mm,y_mm\n0,0,0\n1,1\n", "line", 3),
 ])  # fmt: skip
-def test_a_wrong_way_says_where(tmp_path, text, about, value):
+def test_a_wrong_path_is_reported_with_its_line(tmp_path, text, about, value):
     path = tmp_path / "way.csv"
     path.write_text(text)
     with raises(SourceError, about=about, value=value) as caught:

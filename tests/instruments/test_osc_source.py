@@ -175,7 +175,7 @@ def test_silence_is_nothing(source, send, monkeypatch):
     assert source.dropped_frames == 0
 
 
-def test_nonsense_changes_nothing(source, send):
+def test_invalid_messages_change_nothing(source, send):
     send(built("point", 0.0, 0.0).dgram)
     noise, wrong = random.Random(1), 0
     for data in (
@@ -218,7 +218,7 @@ def test_other_machines_need_a_key(profile, address):
         st.open_source(f"osc:{address}:9000", profile)
 
 
-def test_a_system_that_does_not_say_who_sends_needs_a_key(profile, monkeypatch, tmp_path):
+def test_a_system_that_does_not_show_who_sends_needs_a_key(profile, monkeypatch, tmp_path):
     monkeypatch.setattr(osc_senders, "UDP_TABLES", (tmp_path / "none", tmp_path / "none6"))
     with raises(SourceError, about="key"):
         st.open_source("osc:9000", profile)

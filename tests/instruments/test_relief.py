@@ -143,7 +143,7 @@ def test_a_ridge_passed_obliquely_is_one_ridge(tmp_path, angle):
     assert len(found) == pytest.approx(wanted, rel=0.05)
 
 
-def test_a_hand_that_trembles_in_an_area_feels_nothing(tmp_path):
+def test_a_hand_that_trembles_in_an_area_gets_nothing(tmp_path):
     texture = open_texture(str(object_file(tmp_path / "o.png", "disc")))
     feeler = texture.feeler(ONE)
     feeler.place(40, 20)
@@ -239,7 +239,7 @@ def test_letters_are_large():
     ("words.npy", {"dpi": 100}, "file", {"value": Path("words.npy")}),
     ("words.png", {}, "file", {"value": Path("words.png")}),
 ])  # fmt: skip
-def test_what_is_wrong_is_said(tmp_path, monkeypatch, spec, options, about, attributes):
+def test_errors_are_reported(tmp_path, monkeypatch, spec, options, about, attributes):
     monkeypatch.chdir(tmp_path)
     object_file(tmp_path / "o.png", "disc")
     Image.fromarray(np.full((40, 40), 99, np.uint8)).save("flat.png")

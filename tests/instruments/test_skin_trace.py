@@ -102,7 +102,7 @@ def test_phases_that_a_spectrum_has_not_follow_the_seed(csv_file):
     ("frequency_hz,amplitude_um\n9000,1\n", "line", 2),
     ("time_s,force_n\n0,1\n700,1\n", "duration_s", 700),
 ])  # fmt: skip
-def test_a_bad_file_is_told_with_its_line(csv_file, text, about, value):
+def test_a_bad_file_is_reported_with_its_line(csv_file, text, about, value):
     path = csv_file(text)
     with raises(SmartTouchError, about=about, value=value) as caught:
         open_trace(path)

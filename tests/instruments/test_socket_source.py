@@ -165,7 +165,7 @@ def test_a_place_that_is_taken_is_refused_and_one_that_was_left_is_not(profile, 
         connect(source).close()
 
 
-def test_a_system_that_does_not_say_who_connects_needs_a_path(profile, monkeypatch, tmp_path):
+def test_a_system_that_does_not_show_who_connects_needs_a_path(profile, monkeypatch, tmp_path):
     monkeypatch.setattr("smarttouch.instruments.socket_source.TCP_TABLES", (tmp_path / "none",))
     with raises(SourceError, about="address"):
         st.open_source("socket:9000", profile)

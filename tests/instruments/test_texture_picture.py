@@ -56,7 +56,7 @@ def test_the_sheet_shows_both(cross, tmp_path):
         touched.drawing.save(path)
 
 
-def test_nothing_felt_is_said(mouse, mouse_bank, tmp_path):
+def test_a_run_without_pulses_is_an_error(mouse, mouse_bank, tmp_path):
     empty = TexturePicture(mouse, mouse_bank, (Afferent.RA,), open_texture("grating:4mm"))
     empty.deliver(np.zeros(0, np.uint32), np.zeros(0, np.float32), np.zeros((0, 64), np.int16))
     assert (empty.picture((0.0, 0.0), (20, 20), 1.0) == 255).all()

@@ -154,7 +154,7 @@ def test_an_interrupted_bank_goes_on_where_it_was(tmp_path, mine):
 
 
 @pytest.mark.parametrize("junk", [b"", b"PK\x03\x04 not really", b"\0" * 100])
-def test_a_broken_cache_is_designed_anew(cache, mine, junk):
+def test_a_broken_cache_is_designed_again(cache, mine, junk):
     cache.mkdir()
     path = cache / f"{problem_hash(mine)}.npz"
     path.write_bytes(junk)

@@ -87,7 +87,7 @@ def test_an_interrupted_design_goes_on_where_it_was(problem, tmp_path):
 
 
 @pytest.mark.parametrize("junk", ["", "{", "[]", "{}", json.dumps({"weights": [1.0]})])
-def test_a_broken_part_is_designed_anew(problem, tmp_path, junk):
+def test_a_broken_part_is_designed_again(problem, tmp_path, junk):
     (tmp_path / "SAI-0.json").write_text(junk)
     ((kernel, _),) = design_sites(problem, design_kernel, [0], keep=tmp_path)
     assert kernel.weights == pytest.approx(design_kernel(problem, 0).weights)

@@ -64,7 +64,7 @@ def test_how_many_symmetries_there_are(changed, name, keys, count):
     assert len(Problem(changed(load_profile(name), keys), Afferent.RA).symmetries) == count
 
 
-def test_judging_says_what_weights_do(profile):
+def test_judging_gives_the_effects_of_weights(profile):
     problem = Problem(profile, Afferent.SAI)
     weights = np.zeros(64)
     weights[27], weights[0] = 1.0, -1.0

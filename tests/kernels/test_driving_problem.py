@@ -53,7 +53,7 @@ def test_places_lie_closer_than_in_the_profile(problem):
     assert problem.profile.skin.node_spacing_mm == 0.1
 
 
-def test_a_kernel_is_what_the_cable_says(problem, designed):
+def test_a_kernel_agrees_with_the_cable(problem, designed):
     kernel, found = designed
     assert problem.target[5] @ kernel.weights == pytest.approx(1)
     assert kernel.weights.sum() == pytest.approx(0, abs=1e-9)

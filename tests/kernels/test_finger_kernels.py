@@ -58,7 +58,7 @@ def test_what_limits_cannot_fire_is_left_out(profile):
     assert (fires == (whole.drives(point)[0] >= 1)).all()
 
 
-def test_they_are_balanced_and_ask_for_no_more_current(profile, bank, designed):
+def test_they_are_balanced_and_need_no_more_current(profile, bank, designed):
     for (kernel, _), site in zip(designed[1], (SITE, MIRRORED), strict=True):
         before = bank.kernels(Afferent.SAI)[site]
         assert abs(kernel.weights.sum()) < 1e-9

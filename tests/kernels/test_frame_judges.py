@@ -85,7 +85,7 @@ def test_limits_are_the_smallest_of_all(profile, changed):
     assert judge.full_ma[[0, 3, 10, 63]] == pytest.approx([2.4, 0, 2.4, 2.0])
 
 
-def test_what_cannot_be_judged_is_said(profile):
+def test_what_cannot_be_judged_is_refused(profile):
     with raises(DesignError, about="wish_af", value=3, allowed=64):
         FrameJudge(profile, Afferent.RA, np.ones(3))
     judge = FrameJudge(load_profile("smarttouch-4x4"), Afferent.RA, np.ones(16))

@@ -93,7 +93,7 @@ def test_bounds_hold_where_the_least_squares_break_them(make_operator, seed):
     assert current.sum() == pytest.approx(0, abs=1e-9)
 
 
-def test_what_cannot_be_kept_is_said_by_its_figures(make_operator):
+def test_what_cannot_be_kept_shows_in_its_figures(make_operator):
     operator, level = make_operator(Afferent.SAI), scattered(0, 30)
     current, figures = operator.bounded(level, FrameBounds(), 10.0)
     assert not keeps(operator.judge, figures, FrameBounds(), current, 10.0)

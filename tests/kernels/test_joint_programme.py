@@ -90,7 +90,7 @@ def test_every_limit_binds_where_it_should(small):
     assert faint.optimum == pytest.approx(whole(problem, judge, level, bounds, 20.0), rel=2e-3)
 
 
-def test_what_is_impossible_is_said(profile):
+def test_the_impossible_is_refused(profile):
     judge = FrameJudge(load_profile("smarttouch-4x4"), Afferent.RA, np.full(16, 2.0))
     with raises(DesignError, about="slot"):
         joint_programme(judge, np.ones(16), FrameBounds(), 1.0)

@@ -54,7 +54,7 @@ def test_only_the_optimum_is_proven():
     assert not mine._proven(answer + 1e-3)
 
 
-def test_an_answer_that_is_not_proven_is_sought_anew(monkeypatch):
+def test_an_answer_that_is_not_proven_is_computed_again(monkeypatch):
     _, _, usual = random_programme(2)
     expected, asked = usual.most_selective(), []
     monkeypatch.setattr(LinearProgram, "_proven", lambda *_: bool(asked.append(1)))

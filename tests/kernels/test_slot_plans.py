@@ -61,7 +61,7 @@ def test_total_current_sets_where_a_plan_begins(make_operator):
     assert likely_slots(operator, 0.5 * level, bounds, 10.0) < counts[1]
 
 
-def test_a_point_that_breaks_its_bound_stands_alone_and_says_so(make_operator, bank):
+def test_a_point_that_breaks_its_bound_stands_alone_with_a_mark(make_operator, bank):
     operator, strict = make_operator(Afferent.SAI), FrameBounds(other=0.01, spill=0.01)
     slots = plan_slots(operator, scattered(5, 4), strict)
     assert [len(slot.sites) for slot in slots] == [1] * 4

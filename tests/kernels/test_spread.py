@@ -41,7 +41,7 @@ def test_no_spread_is_the_nominal_finger(make_operator):
     assert Worst.of(tilted).off_target > tilted[0].off_target
 
 
-def test_channels_err_as_much_as_said():
+def test_channels_err_by_the_stated_amount():
     current = np.linspace(-2, 2, 64)
     drawn = np.array(list(with_gain_error(current, 0.05, 200, 1)))
     apart = drawn[:, current != 0] / current[current != 0] - 1

@@ -166,7 +166,7 @@ def test_the_scale_of_a_pdf(put, options, shape, width_mm):
     assert page.grey.mean() == pytest.approx(255 * 3 / 4, abs=2)
 
 
-def test_a_poster_is_rendered_coarser_and_this_is_said(put):
+def test_a_poster_is_rendered_coarser_with_a_note(put):
     path = put(one_page(size=(3600, 3600)), "poster.pdf")
     with open_document(path) as document:
         page = document.page(0)

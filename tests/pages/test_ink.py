@@ -91,7 +91,7 @@ def test_a_dark_table_around_a_page_is_neither_ink_nor_a_dark_page(printed):
 
 @pytest.mark.parametrize("inverted", [False, True])
 @pytest.mark.parametrize("picture", ["page", "print"])
-def test_light_on_dark_is_told(printed, picture, inverted):
+def test_light_on_dark_is_detected(printed, picture, inverted):
     grey = data.page() if picture == "page" else printed.page.grey
     assert is_light_on_dark(255 - grey if inverted else grey) == inverted
 

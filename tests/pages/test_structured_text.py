@@ -74,7 +74,7 @@ def test_structure_is_kept(tmp_path, kind):
 
 
 @needs_pandoc
-def test_markdown_and_what_a_document_says_of_itself(tmp_path):
+def test_markdown_and_the_metadata_of_a_document(tmp_path):
     path = tmp_path / "a.md"
     path.write_text(MARKDOWN.partition("---\n\n")[2])
     blocks = read_structured_text(path).blocks

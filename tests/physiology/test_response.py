@@ -25,7 +25,7 @@ def strongest(steps):
     return max(steps, key=lambda step: (step.sequence.intensity, step.sequence.slots))
 
 
-def test_steps_sequences_and_lists_of_them_feel_the_same(finger, steps):
+def test_steps_sequences_and_lists_of_them_give_the_same_response(finger, steps):
     strong = strongest(steps)
     one, bare, several = (finger.feel(each) for each in (strong, strong.sequence, [strong]))
     for other in (bare, several):

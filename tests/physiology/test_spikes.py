@@ -41,7 +41,7 @@ def test_an_axon_is_refractory_after_a_spike(finger):
     assert np.array_equal(second.time_us, 20_000 + first.time_us)
 
 
-def test_a_model_that_begins_anew_fires_as_at_first(finger):
+def test_a_restarted_model_fires_as_at_first(finger):
     model, near = SpikeModel(finger), slots(finger, current_ma=1.5)
     first = model.fire(near)
     model.fire(near)

@@ -35,7 +35,7 @@ def test_places_and_sizes_are_those_of_the_table(table):
     assert (discs.electrodes.shape, discs.electrodes.size_mm) == ("disc", (1.0, 0.0))
 
 
-def test_what_was_said_of_each_electrode_is_the_least_of_all():
+def test_values_of_each_electrode_become_the_least_of_all():
     perception = MOUSE.perception.model_dump() | {
         "threshold_ma": tuple(np.linspace(1, 1.5, 64).tolist()),
         "comfort_ma": tuple(np.linspace(1.8, 2.4, 64).tolist()),
@@ -106,7 +106,7 @@ def test_a_command_prints_the_schema_of_profiles():
     assert schema["$defs"]["FreeLayout"]["properties"]["positions_mm"]["maxItems"] == 4096
 
 
-def test_a_grid_says_its_size_everywhere_and_shows_the_same_page(tmp_path):
+def test_a_grid_has_its_size_everywhere_and_shows_the_same_page(tmp_path):
     path = tmp_path / "five.toml"
     done = smarttouch("profiles", "new", "--grid", "5x5", "--pitch", "2", path)
     assert done.returncode == 0, done.stderr

@@ -176,7 +176,7 @@ def test_impossible_arrays(edited, positions, shape, size, attributes):
         ),
     ],
 )  # fmt: skip
-def test_all_that_is_wrong_is_told_at_once(edited, changes, complaints):
+def test_all_errors_are_reported_at_once(edited, changes, complaints):
     path = edited(*changes)
     with raises(ProfileError) as caught:
         load_profile(path)

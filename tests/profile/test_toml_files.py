@@ -30,7 +30,7 @@ def test_shipped(name):
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_files_say_what_they_are(name):
+def test_shipped_files_describe_themselves(name):
     assert (data_folder("calibration") / f"{name}.toml").read_text(encoding="utf-8")[0] == "#"
 
 

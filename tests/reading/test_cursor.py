@@ -199,6 +199,6 @@ def test_following_leads_on_through_a_long_text(make_line):
         assert cursor.at(number).index == number
 
 
-def test_a_stale_pose_presses_nobody_knows_how_hard(feed_of, make_line):
+def test_a_stale_pose_has_an_unknown_force(feed_of, make_line):
     feed = feed_of(make_line(place=Place(20.0, 80.0, 30.0, 4.0)))
     assert math.isnan(FollowingCursor(feed, Follows((0, 0), stale=True)).at(0).force_n)

@@ -22,7 +22,7 @@ def test_a_letter_is_given_at_full_comfort(small):
     assert abs(sequence.current_ua).max() == pytest.approx(1000 * profile.full_ma.max(), rel=0.01)
 
 
-def test_the_same_fingers_feel_the_same(small):
+def test_the_same_fingers_respond_the_same(small):
     profile, bank = small
     one, again = (
         letter_responses.respond_to_letters(profile, bank, Mode.RA, "paper", (1, 2), "LT")
@@ -43,5 +43,5 @@ def test_ra_mode_fires_mostly_ra_in_the_paper_s_anatomy(small):
     assert letter_responses.summary(found)["wrong_class"] < 0.5
 
 
-def test_letters_are_told_apart_at_the_board_of_many_electrodes(profile, bank):
+def test_letters_are_distinguished_at_the_board_of_many_electrodes(profile, bank):
     assert letter_responses.error_at_board(profile, bank, Mode.RA, "LTO") == 0

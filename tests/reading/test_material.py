@@ -71,7 +71,7 @@ def test_a_printed_line_fills_the_array_from_ascender_to_descender(source_of, re
     assert rows[-1] >= reading.optics.sensor_rows - 4
 
 
-def test_a_line_knows_how_much_larger_it_is_than_on_its_page(source_of, reading):
+def test_a_line_has_its_magnification_from_its_page(source_of, reading):
     source = source_of("text:dp and more")
     (line,) = Shapes().lines(source, reading)
     (page,) = source.prepared()
@@ -92,7 +92,7 @@ def test_optics_and_their_registration_play_no_part(profile):
     assert odd.optics.field_height_mm == pytest.approx(profile.electrodes.extent_mm[1])
 
 
-def test_few_rows_are_told_of_and_fewer_are_refused(source_of, notes):
+def test_few_rows_are_reported_and_fewer_are_refused(source_of, notes):
     four = profile_for_reading(load_profile("smarttouch-4x4"))
     assert list(Shapes().lines(source_of("text:hi"), four))
     assert len(notes) == 1
@@ -117,14 +117,14 @@ def test_pages_come_in_the_order_asked_for(source_of, reading):
     assert lengths[0] < lengths[1]
 
 
-def test_blank_pages_are_told_of(source_of, reading, notes):
+def test_blank_pages_are_reported(source_of, reading, notes):
     source = source_of("three.tif", "some words", "", "and more")
     assert len(list(Shapes().lines(source, reading))) == 2
     (note,) = notes
     assert note.endswith("page 2")
 
 
-def test_where_nothing_is_found_it_says_so(source_of, reading):
+def test_where_nothing_is_found_that_is_the_error(source_of, reading):
     for kind in (Shapes(), Braille(embossed=False)):
         with raises(ReadingError, about="page"):
             list(kind.lines(source_of("two.tif", "", ""), reading))
@@ -178,7 +178,7 @@ def test_thinning_keeps_a_hole_open():
     assert thin(np.full((64, 64), 255, np.uint8)).min() == 255
 
 
-def test_words_and_cells_are_told_apart(tmp_path, reading):
+def test_words_and_cells_are_distinguished(tmp_path, reading):
     (tmp_path / "a.brf").write_bytes(b"AB\r\n")
     (tmp_path / "a.txt").write_text("ab")
     assert ReadingMaterial(str(tmp_path / "a.brf")).holds_cells
@@ -193,7 +193,7 @@ def test_words_and_cells_are_told_apart(tmp_path, reading):
         list(Shapes().lines(ReadingMaterial(str(tmp_path / "a.brf")), reading))
 
 
-def test_lines_of_braille_know_what_they_say(source_of, reading):
+def test_lines_of_braille_have_their_words(source_of, reading):
     lines = list(Braille().lines(source_of("text:ab\n\nc"), reading))
     assert [(line.cells, line.text) for line in lines] == [(("⠁⠃",), "ab"), (("⠉",), "c")]
     # On paper they would be a centimeter apart.

@@ -124,7 +124,7 @@ def test_an_image_too_wide_for_tesseract_is_shrunk(program, tmp_path):
         assert given.size == (32_000, 10)
 
 
-def test_what_the_program_is_told(program, spotted, tmp_path):
+def test_the_arguments_of_the_program(program, spotted, tmp_path):
     program(f'cat > /dev/null; echo "$OMP_THREAD_LIMIT $*" > {tmp_path}/told; cat TABLE')
     recognize(spotted, languages="eng+deu", layout=Layout.BLOCK, dpi=299.6)
     told = (tmp_path / "told").read_text().strip()

@@ -90,7 +90,7 @@ def test_the_first_line_is_not_waited_for(tesseract, notes):
     assert stands.pieces == [1, 4, 16, 16, 3]
 
 
-def test_what_is_hardly_recognized_is_told_of(tesseract, notes):
+def test_what_is_hardly_recognized_is_reported(tesseract, notes):
     tesseract("scrawl", confidence=0.3)
     assert list(recognized_lines(printed("x"), RecognitionOptions(), notes.append)) == [
         (0, "scrawl")
@@ -121,7 +121,7 @@ def test_a_page_is_turned_as_it_should_be(monkeypatch, notes, turn_deg):
 
 
 @pytest.mark.parametrize("matters", [False, True])
-def test_a_guessed_size_is_told_of_where_it_matters(tmp_path, notes, matters):
+def test_a_guessed_size_is_reported_where_it_matters(tmp_path, notes, matters):
     Image.fromarray(print_text("words").grey).save(tmp_path / "page.png")
     options = RecognitionOptions(scale_matters=matters)
     list(document_pages(tmp_path / "page.png", options, notes.append))

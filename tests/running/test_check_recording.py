@@ -68,7 +68,7 @@ def test_goldens_hold_what_they_are_for(goldens):
     assert max(each.step.sequence.points / max(1, each.step.sequence.slots) for each in both) >= 4
 
 
-def test_one_weight_changed_by_a_thousandth_is_told_with_its_place(goldens):
+def test_one_weight_changed_by_a_thousandth_is_reported_with_its_place(goldens):
     for path in goldens:
         if path.stem in ("frame", "regulated"):
             # Found from what is to be felt, not added up of kernels; scaled by what all electrodes
@@ -97,7 +97,7 @@ def test_one_weight_changed_by_a_thousandth_is_told_with_its_place(goldens):
         assert all(each in line for each in (*numbers, *named, first.what))
 
 
-def test_another_profile_is_told(golden, changed):
+def test_another_profile_is_reported(golden, changed):
     path = golden("ra")
     profile = changed(Recording(path).profile, {"limits.ramp_s": 0.9})
     report = check_recording(path, profile=profile)
@@ -109,7 +109,7 @@ def test_another_profile_is_told(golden, changed):
         assert_replays(path, profile=profile)
 
 
-def test_another_bound_on_slots_that_are_shared_is_told(golden, changed):
+def test_another_bound_on_shared_slots_is_reported(golden, changed):
     path = golden("frame")
     profile = changed(Recording(path).profile, {"frames.other": 0.1})
     report = check_recording(path, profile=profile)
@@ -155,7 +155,7 @@ def test_nothing_is_not_identical(record, tmp_path):
     ({}, "mode"), ({"mode": "XY"}, "mode"), ({"timing": {"width": 3}}, "timing.width"),
     ({"hold": "tight"}, "hold"),
 ])  # fmt: skip
-def test_settings_that_do_not_say_how(tmp_path, record, about, settings, steps, wrong, key):
+def test_settings_that_are_incomplete(tmp_path, record, about, settings, steps, wrong, key):
     table = json.dumps({**settings, **wrong} if wrong else {})
     path = record(tmp_path / "run.mcap", steps[:2], about={**about, "settings": table})
     with raises(RecordingError, about=f"settings.{key}"):

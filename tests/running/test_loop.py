@@ -310,7 +310,7 @@ def test_what_was_measured_changes_what_is_sent(profile, pipeline, board, monkey
     assert regulator.ledger.worst_uc < 1.0
 
 
-def test_what_could_not_be_held_is_told(profile):
+def test_what_could_not_be_held_is_reported(profile):
     """This profile's pulses are at their limit: there is no room to lengthen them."""
     adaptation = Adaptation(profile, "charge", 100.0)
     assert Regulator().notes() == Regulator(adaptation).notes() == []
@@ -427,7 +427,7 @@ class Scripted(Controls):
         return [wish for since, wish in self.wishes if since <= time_ns][-1]
 
 
-def test_the_user_s_wish_is_heeded_and_told_of(pipeline, board):
+def test_the_user_s_request_is_followed_and_reported(pipeline, board):
     controls = Scripted(
         (0, ControlState(Mode.RA, 0.5)),
         (800_000_000, ControlState(Mode.RA, 0.5, paused=True)),
@@ -565,7 +565,7 @@ def test_a_board_stopped_by_nobody_who_may_is_a_fault(pipeline, board):
         loop(Bars(60), pipeline, board, listeners=as_listeners([stops]))
 
 
-def test_on_a_finger_somebody_must_say_how_strong(monkeypatch, pipeline, board):
+def test_on_a_finger_an_intensity_must_be_given(monkeypatch, pipeline, board):
     monkeypatch.setattr(type(board), "on_a_finger", True)
     with board:
         with raises(BoardError, about="controls"):

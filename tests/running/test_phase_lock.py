@@ -62,7 +62,7 @@ def jitter(count, most_ns, seed=0):
 
 
 @pytest.mark.parametrize("jitter_ns", [0, MS // 2, 3 * MS])
-def test_a_sequence_waits_for_no_more_than_jitter_asks_for(jitter_ns):
+def test_a_sequence_waits_no_longer_than_jitter_requires(jitter_ns):
     waits_ns, board, statistics = play(jitter(200, jitter_ns), first_ns=19 * MS)
     settled_ns = waits_ns[5:]
     assert settled_ns.max() <= GUARD_NS + board.line_ns + jitter_ns
@@ -105,7 +105,7 @@ def test_a_board_with_another_second(slower):
     assert board.paused_ns <= 1000 * 20 * MS * max(0, 1 - slower) + 2 * MS
 
 
-def test_of_a_board_that_never_says_it_nothing_is_known():
+def test_a_board_that_never_reports_a_start_has_no_phase():
     waits_ns, _, statistics = play(jitter(50, 0), kind=Silent, first_ns=19 * MS)
     assert np.ptp(waits_ns) == 0
     assert statistics.first_pulse.known_figures() is None

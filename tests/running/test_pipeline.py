@@ -52,7 +52,7 @@ def test_warming_up_changes_nothing(profile, bank, make_frame, patch):
         max_size=8,
     )
 )
-def test_whatever_the_sensor_says_is_safe(profile, bank, moments):
+def test_any_sensor_input_is_safe(profile, bank, moments):
     pipeline, gate = (
         Pipeline(profile, bank, RunConfig(scan="points")),
         SafetyGate(SafetyLimits.of(profile)),

@@ -83,7 +83,7 @@ def test_one_that_was_reversed_is_not_recharged(write):
     assert {each.what for each in report.differences} >= {"recharge_us", "recharge current"}
 
 
-def test_another_threshold_is_told_with_its_electrode(write, profile, changed):
+def test_another_threshold_is_reported_with_its_electrode(write, profile, changed):
     path = write(recharge=True)
     higher = changed(
         profile, {"perception.threshold_ma": 1.21, "perception.comfort_ma": (2.4,) * 64}

@@ -196,7 +196,7 @@ def test_an_endless_force_is_the_largest_there_is(steps, force):
     assert math.copysign(1e308, force) / found.step.input.force_n > 0.5
 
 
-def test_messages_are_as_their_schemas_say(steps, with_volts):
+def test_messages_match_their_schemas(steps, with_volts):
     types = {"string": str, "integer": int, "number": (int, float), "boolean": bool, "array": list,
              "object": dict, "null": type(None)}  # fmt: skip
     encoder = StepEncoder(123, load_profile("electric-mouse").electrodes)
@@ -219,7 +219,7 @@ def test_messages_are_as_their_schemas_say(steps, with_volts):
     ("/tactile_image", "foxglove.CompressedImage", {"timestamp", "frame_id", "data", "format"}),
     ("/event", "foxglove.Log", {"timestamp", "level", "message", "name", "file", "line"}),
 ])  # fmt: skip
-def test_images_and_words_are_what_foxglove_wants(topic, name, required):
+def test_images_and_words_fit_foxglove(topic, name, required):
     """By schemas/jsonschema of foxglove-sdk."""
     assert SCHEMAS[topic][0] == name
     assert set(SCHEMAS[topic][1]) == required

@@ -80,7 +80,7 @@ def test_what_was_handed_over_is_on_the_disk_soon(recorder, tmp_path, steps):
     assert not Recording(tmp_path / "run.mcap").whole
 
 
-def test_a_failure_is_told_at_the_next_step_and_once(recorder, tmp_path, steps, monkeypatch):
+def test_a_failure_is_raised_once_at_the_next_step(recorder, tmp_path, steps, monkeypatch):
     recorder.record(steps[0])
     until(lambda: list(Recording(tmp_path / "run.mcap").steps()))
     monkeypatch.setattr(recorder._writer, "add_message", full)
@@ -99,7 +99,7 @@ def test_a_failure_is_told_at_the_next_step_and_once(recorder, tmp_path, steps, 
     (("_writer", "finish"), OSError(28, "full"), "full"),
     (("_encoder", "messages"), ValueError("this cannot be written"), "this cannot be written"),
 ])  # fmt: skip
-def test_a_failure_that_nobody_heard_of_is_told_at_the_end(
+def test_a_failure_without_a_next_step_is_raised_at_the_end(
     recorder, steps, monkeypatch, place, error, words
 ):
     def fail(*_):
@@ -136,7 +136,7 @@ def test_indexes_are_kept_as_bytes():
     assert isinstance(getattr(new_writer(io.BytesIO()), module._INDEXES), module._PackedIndexes)
 
 
-def test_about_says_with_what_it_was_made(profile):
+def test_the_description_has_the_versions(profile):
     about = about_run(profile, {"subject": "S7"}, 17)
     assert about["started_unix_ns"] == "17"
     assert set(json.loads(about["versions"])) == {

@@ -158,7 +158,7 @@ def test_a_recording_of_the_future(broken_path):
 
 @pytest.mark.parametrize("key", ["profile", "settings", "versions", "started_unix_ns"])
 @pytest.mark.parametrize("value", [None, "", "[]", "{}"])
-def test_a_recording_that_does_not_say_how_it_was_made(broken_path, about, key, value):
+def test_a_recording_without_its_settings(broken_path, about, key, value):
     known = {"format": "1", **about}
     del known[key]
     found = written(broken_path, known if value is None else {**known, key: value})

@@ -58,7 +58,7 @@ def rules_of(profile):
     return RechargeRules.of(profile, ScanTiming())
 
 
-def test_a_phase_that_does_not_fit_slows_the_scan_and_the_notes_say_so(profile, step):
+def test_a_phase_that_does_not_fit_slows_the_scan_with_a_note(profile, step):
     hurried = replace(step, sequence=replace(step.sequence, period_us=step.asked_us // 2))
     regulator = Regulator(ledger=ChargeBalance(64), recharge=rules_of(profile))
     sent = regulator.regulate(hurried, Told()).sequence
@@ -84,7 +84,7 @@ def test_reversed_scans_are_noted_with_what_they_do(step):
     assert all(name in note for name in ("SAI", "RA"))
 
 
-def test_without_a_balance_there_is_nothing_to_say(step):
+def test_without_balance_there_is_no_note(step):
     regulator = Regulator()
     assert regulator.regulate(step, Told()) is step
     assert regulator.notes() == []

@@ -161,7 +161,7 @@ def test_a_stop_from_another_thread_ends_it_at_zero(profile):
             display.board.open()
 
 
-def test_on_a_finger_somebody_says_how_strong(profile, source):
+def test_on_a_finger_an_intensity_is_required(profile, source):
     display = open_display("link:/dev/nowhere", profile)
     with raises(SmartTouchError, about="intensity"):
         Runner(source, display, RunConfig()).run()
@@ -195,7 +195,7 @@ def test_a_simulated_calibration_is_no_finger_s(profile, source, monkeypatch):
     assert any("thresholds" in str(each) for each in notes[1])
 
 
-def test_each_run_on_a_display_tells_its_own_notes(profile, bank, display):
+def test_each_run_on_a_display_has_its_own_notes(profile, bank, display):
     told = []
     for words in ("first", "second"):
         display.board.notes.append(words)

@@ -68,7 +68,7 @@ def test_after_a_rise_a_pattern_is_at_its_level_from_its_first_pulse(url):
     assert touch.statistics.ended == "the session is over"
 
 
-def test_a_level_that_is_not_open_is_opened_first_and_that_is_said():
+def test_a_level_that_is_not_open_is_opened_first_with_an_event():
     touch, results = session()
     events = []
     with touch:

@@ -71,7 +71,7 @@ def test_any_period_down_to_the_limit_is_kept(profile, bank):
         pipeline.process(asking({Afferent.RA: (27,)}, 4_999, now + 9))
 
 
-def test_pulses_that_do_not_fit_lengthen_the_period_and_say_so(profile, bank):
+def test_pulses_that_do_not_fit_lengthen_the_period_with_a_note(profile, bank):
     pipeline, now = settled(profile, bank, Mode.COLOR)
     everything = {each: range(64) for each in Afferent}
     step = pipeline.process(asking(everything, 10_000, now))

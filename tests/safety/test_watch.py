@@ -107,7 +107,7 @@ def test_a_simulated_board(blind, taken, monkeypatch):
     assert len(board.take_pulses()[0]) == (not taken)
 
 
-def test_a_clock_is_heard():
+def test_a_clock_is_audible():
     class Clock(ToldClock):
         spin_ns = 5
 

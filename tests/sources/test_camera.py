@@ -140,7 +140,7 @@ def test_what_the_camera_takes_is_set_without_a_word(profile, device):
     assert device.properties[cv2.CAP_PROP_FRAME_WIDTH] == 320
 
 
-def test_what_the_camera_does_not_take_is_said_once(profile, device):
+def test_what_the_camera_does_not_accept_is_noted_once(profile, device):
     source = CameraDevice("0", (800, 600), 9000.0, 120.0)
     source.open()
     source.open()
@@ -227,7 +227,7 @@ def test_an_odd_failure_is_no_image(device, monkeypatch):
     assert source.grab(0.0) is None
 
 
-def test_the_driver_may_tell_when_an_image_was_taken(device, monkeypatch):
+def test_the_driver_may_report_when_an_image_was_taken(device, monkeypatch):
     now_ns = 7_000_000_000_000
     monkeypatch.setattr(camera.time, "perf_counter_ns", lambda: now_ns)
     source = CameraDevice("0")
@@ -254,7 +254,7 @@ def test_a_missing_camera_is_one_sentence_and_nothing_else(profile, capfd, place
     assert captured.out == captured.err == ""
 
 
-def test_opencv_speaks_again_when_all_are_done():
+def test_opencv_logs_again_when_all_are_done():
     level = OPENCV_LOG.getLogLevel()
     assert level != SILENT
     first, second = threading.Event(), threading.Event()

@@ -38,7 +38,7 @@ def test_lines(line, reading):
 @pytest.mark.parametrize(
     "line", [b"nan", b"Reading: NaN g", b"-inf", b"ovf", b"1e10", b"9" * 400, b"nan 3"]
 )
-def test_lines_that_say_there_is_no_reading(line):
+def test_lines_that_report_no_reading(line):
     assert math.isnan(parse_line(line))
 
 
@@ -158,7 +158,7 @@ class TestWatch:
             assert watch.reading((k + 1) * SECOND // 10) == k
         assert notes == []
 
-    def test_a_cell_that_says_it_has_none(self, watch, notes):
+    def test_a_cell_that_reports_no_reading(self, watch, notes):
         watch.take([200, math.nan], 0)
         assert math.isnan(watch.reading(0))
         watch.take([math.nan], 1)

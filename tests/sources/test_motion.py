@@ -52,7 +52,7 @@ def test_the_patch_moves_against_its_print(profile, look, x, y):
     assert motion == pytest.approx((x * pixel_mm, y * pixel_mm), abs=0.1 * pixel_mm)
 
 
-def test_the_first_image_and_one_after_a_gap_tell_nothing(profile, look):
+def test_the_first_image_and_one_after_a_gap_give_no_motion(profile, look):
     tracker = MotionTracker(profile)
     assert tracker.follow(look()) == (0, 0)
     tracker.forget()
@@ -60,7 +60,7 @@ def test_the_first_image_and_one_after_a_gap_tell_nothing(profile, look):
     assert tracker.follow(look(6))[0] > 0
 
 
-def test_another_size_starts_anew(profile, look):
+def test_another_size_restarts(profile, look):
     tracker = MotionTracker(profile)
     assert follow(tracker, look(), look(3, size=(48, 32))) == (0, 0)
     x_mm, _ = tracker.follow(look(6, size=(48, 32)))
@@ -228,7 +228,7 @@ def test_a_path_that_turns_is_summed_to_a_pose(profile, blots):
     assert pose.y_mm == pytest.approx(19.5 * FIELD_MM / 64, abs=0.1)
 
 
-def test_pixels_that_are_not_square_tell_no_turn(profile, changed, blots):
+def test_pixels_that_are_not_square_give_no_turn(profile, changed, blots):
     flat = changed(profile, {"optics.field_height_mm": 4.0})
     tracker = MotionTracker(flat)
     follow(tracker, turned_look(blots, 0, 0, 0), turned_look(blots, 0, 0, 2))

@@ -112,11 +112,11 @@ HEAD = bytes([2, 3, 0, 0, 0, 0])
     (PacketKind.FRAME, bytes([3, 0, 0, 0, 0, 0])), (PacketKind.FORCE, bytes(7)),
     (PacketKind.FORCE, bytes(9)), (PacketKind.INFO, bytes(256)), (0x44, b""),
 ])  # fmt: skip
-def test_malformed_payloads_say_nothing(kind, payload):
+def test_malformed_payloads_give_nothing(kind, payload):
     assert decode(WirePacket(kind, 0, payload, VERSION)) is None
 
 
-def test_another_version_says_nothing():
+def test_another_version_gives_nothing():
     assert decode(WirePacket(PacketKind.FRAME, 0, HEAD + bytes(6), VERSION)) is not None
     assert decode(WirePacket(PacketKind.FRAME, 0, HEAD + bytes(6), VERSION + 1)) is None
 

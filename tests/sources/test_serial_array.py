@@ -119,7 +119,7 @@ def test_gaps_and_garbage_are_noted_once(line, source):
     assert counts == [[2], [12]]
 
 
-def test_a_device_that_starts_anew_has_lost_nothing(line, source):
+def test_a_device_that_restarts_has_lost_nothing(line, source):
     line.send(frame(500) + frame(0) + frame(1))
     assert books(grab_all(source, line.sent)) == 3
     assert source.notes == []

@@ -217,7 +217,7 @@ def test_a_folder_at_its_pace(profile, folder):
     assert sensor.frames == 6 == len(set(found)) + sensor.dropped_frames
 
 
-def test_thirty_images_a_second_if_not_told(profile, folder):
+def test_thirty_images_a_second_if_unknown(profile, folder):
     with open_source(f"frames:{folder}", profile) as sensor:
         assert sensor.duration_s == pytest.approx(0.2)
 

@@ -104,13 +104,13 @@ def test_the_end(profile):
 
 
 @pytest.mark.parametrize("name", ["page.png", "photo.png", "light_on_dark.png"])
-def test_samples_say_their_size(profile, name):
+def test_samples_state_their_size(profile, name):
     sensor = opened(profile, 0, name)
     assert sensor.page.size_mm[0] == pytest.approx(92, abs=0.5)
     assert 5 < sensor.duration_s < 60
 
 
-def test_the_finger_follows_light_print_that_nobody_told_it_of(profile):
+def test_the_finger_follows_light_print_by_itself(profile):
     found = opened(profile, 0, "light_on_dark.png").path.lines
     assert len(found) == 4
     url = f"page:{data_folder('sample_images') / 'light_on_dark.png'}"
@@ -132,7 +132,7 @@ def test_an_unknown_source(profile):
         open_source("nothing:x", profile)
 
 
-def test_a_page_without_a_scale_is_felt_at_a_guessed_one_and_said_so(tmp_path, profile):
+def test_a_page_without_a_scale_gets_a_guessed_one_with_a_note(tmp_path, profile):
     path = tmp_path / "page.png"
     Image.fromarray(np.full((400, 300), 240, np.uint8)).save(path)
     source = open_page(str(path), profile)

@@ -117,7 +117,7 @@ def test_a_wet_electrode_gets_its_own_pulse_back():
     assert widths[-1] == 80
 
 
-def test_where_pulses_cannot_be_longer_it_is_told():
+def test_where_pulses_cannot_be_longer_that_is_reported():
     finger = Finger(MOUSE, "charge")
     finger.kohm[9] = 2000.0
     for _ in range(30):

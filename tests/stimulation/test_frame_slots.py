@@ -112,7 +112,7 @@ def test_every_slot_is_within_limits_and_bounds_and_its_proof_is_true(
             assert true <= proof.off_target[slot] * 1.08
 
 
-def test_each_class_is_felt_where_its_own_shift_says(profile, bank, changed, problems):
+def test_each_class_is_felt_at_its_own_shift(profile, bank, changed, problems):
     """SAI one cell to the right of where it is stimulated, RA where it is."""
     shifted = changed(profile, {"perception.sai_shift_mm": (2.0, 0.0)})
     slots = FrameSlots(shifted, bank, (Afferent.RA, Afferent.SAI))

@@ -88,7 +88,7 @@ def test_the_gate_bounds_charge_where_width_carries_intensity(by_width, bank):
         gate.prove_measurement(sequence)
 
 
-def test_a_board_with_one_width_wants_height(by_width, bank):
+def test_a_board_with_one_width_needs_height(by_width, bank):
     with raises(ScheduleError, about="pulse.carrier", value="width", allowed="height"):
         ScanScheduler(by_width, bank, (Afferent.RA,), timing=ScanTiming(own_widths=False))
 

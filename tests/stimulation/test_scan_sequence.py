@@ -24,7 +24,7 @@ def test_whole_currents_stay_as_they_are():
     assert (round_charge_balanced(current_ua) == current_ua).all()
 
 
-def test_what_shared_slots_do_is_told_apart_from_single_points():
+def test_shared_slots_are_reported_apart_from_single_points():
     ratio = np.array([0.5, 0.2, 0.25, np.nan], np.float32)
     proof = SelectivityReport(np.array([1, 2, 3, 0], np.uint16), ratio, ratio / 2)
     assert proof.shared == (0.25, 0.125)

@@ -70,7 +70,7 @@ def test_the_array_turns_with_the_finger(drawing):
     )
 
 
-def test_cathodic_current_is_not_what_ra_feels(drawing):
+def test_ra_does_not_respond_to_cathodic_current(drawing):
     drawing.watch(at(1, 12.0, 9.0))
     deliver(drawing, [1], slot(0, 2000))
     assert drawing.picture(*AREA).min() == 255

@@ -116,7 +116,7 @@ class TestWhatIsTold:
         assert [words for _, [words] in told[:2]] == ["intensity 1.00", "mode RA"]
         assert told[-1][0] - told[0][0] == pytest.approx(30 / profile.pulse.rate_hz)
 
-    def test_the_streams_say_what_they_are(self, lsl, profile):
+    def test_the_streams_describe_themselves(self, lsl, profile):
         opened(profile, "here")
         assert lsl.infos == [
             ("smarttouch-pulses", "Stimulation", len(PULSES), 0, 2, "smarttouch-pulses-here"),
@@ -181,7 +181,7 @@ class TestFaults:
         assert str(fault) in note
         markers.close()
 
-    def test_a_fault_at_the_start_is_told(self, lsl, profile):
+    def test_a_fault_at_the_start_is_an_error(self, lsl, profile):
         lsl.refuse = RuntimeError("could not create stream outlet.")
         with raises(MarkersError, about="markers") as error:
             opened(profile)
@@ -191,7 +191,7 @@ class TestFaults:
         (ImportError(), "pylsl", "pip install 'smarttouch[lsl]'"),
         (RuntimeError("no library"), "liblsl", "https://labstreaminglayer.org"),
     ])  # fmt: skip
-    def test_what_is_missing_is_said(self, profile, monkeypatch, missing, about, remedy):
+    def test_what_is_missing_is_named(self, profile, monkeypatch, missing, about, remedy):
         def refuse(name):
             raise missing
 

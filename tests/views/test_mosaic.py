@@ -51,7 +51,7 @@ def test_a_line_that_was_read_is_there_again(profile, angle):
     assert np.corrcoef(true.ravel(), found.ravel())[0, 1] > 0.9
 
 
-def test_a_turned_sensor_is_turned_back_as_its_registration_says(profile):
+def test_a_turned_sensor_is_turned_back_by_its_registration(profile):
     """A spot in the image is where an electrode would see it."""
     optics = profile.optics.model_copy(update={"rotation_deg": 30.0})
     image = np.full((64, 64), 255, np.uint8)

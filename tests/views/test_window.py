@@ -129,7 +129,7 @@ def test_what_is_no_message_ends_a_page_and_nothing_else(running):
         assert run.state() == before
 
 
-def test_a_page_is_told_of_the_run(running):
+def test_a_page_is_sent_the_run(running):
     with running() as run, connect(run) as socket:
         hello = receive(socket, "hello")
         assert hello["modes"][0] == "RA"
@@ -153,7 +153,7 @@ def test_stop_from_a_page_ends_the_run(running):
         assert run.ended() == "the window"
 
 
-def test_a_page_does_not_say_that_a_run_that_failed_is_at_zero(running):
+def test_a_page_does_not_show_a_failed_run_as_being_at_zero(running):
     with running() as run, connect(run) as socket:
         run.window.event(RunFailed(0, "lift the finger"))
         run.window.close()
@@ -247,7 +247,7 @@ def test_keys_of_the_source_are_pressed(running):
         until(lambda: run.source.pressed)
 
 
-def test_what_would_tell_the_answer_is_not_sent(running):
+def test_what_would_reveal_the_answer_is_not_sent(running):
     with running(blind=True) as run, connect(run) as socket:
         assert receive(socket, "hello")["blind"]
         run.window.event(TrialEvent(0, "the answer"))
@@ -263,7 +263,7 @@ def test_what_would_tell_the_answer_is_not_sent(running):
         assert "the answer" not in told
 
 
-def test_a_page_sees_where_the_finger_is_on_the_page(running, profile):
+def test_a_page_shows_where_the_finger_is_on_it(running, profile):
     source = st.open_source("text:on and on?passes=0&speed_mm_s=400", profile)
     with running(source) as run, connect(run) as socket:
         array = receive(socket, "hello")["array"]
@@ -348,7 +348,7 @@ def test_a_page_records_and_marks(running, tmp_path, monkeypatch):
         until(lambda: run.state().level == 0.25)
 
 
-def test_a_finger_feels_what_is_delivered(running):
+def test_a_finger_responds_to_what_is_delivered(running):
     source = Spots(load_profile("smarttouch-4x4"))
     with running(source, finger=(1, "paper")) as run, connect(run) as socket:
         hello = receive(socket, "hello")

@@ -27,7 +27,7 @@ def make(alone=True, most=1.0):
     return Steering(controls, stop, keys, alone=alone), controls, stop, pressed
 
 
-def test_what_a_page_asks_for_is_done_as_by_keys():
+def test_requests_of_a_page_act_as_keys():
     window_pages, controls, stop, pressed = make(most=0.5 + STEP)
     for what, expected in (
         ("more", ControlState(Mode.RA, 0.5 + STEP)),

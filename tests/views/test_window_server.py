@@ -140,7 +140,7 @@ def test_axe_finds_nothing(on_page):
             assert violations(page) == []
 
 
-def test_it_fits_a_phone_and_little_moves_for_who_wants_that(on_page):
+def test_it_fits_a_phone_and_respects_reduced_motion(on_page):
     with on_page(360, 740, media={"reduced_motion": "reduce"}) as (_, page):
         page.click("#slow")
         slot = page.inner_text("#slot")
@@ -184,7 +184,7 @@ def test_the_slider_sets_intensity(on_page):
         page.wait_for_selector("#events :text('mark: here')")
 
 
-def test_who_must_not_see_sees_nothing(on_page, running, browser):
+def test_a_blind_participant_is_shown_nothing(on_page, running, browser):
     with running(blind=True) as run, opened(browser, run.address) as page:
         page.wait_for_selector("#status.runs")
         assert not page.is_visible("#electrodes")

@@ -81,7 +81,7 @@ def heard(far):
         return b""
 
 
-def test_usb_tells_who_is_behind_a_port_whatever_its_name(plugged):
+def test_usb_identifies_the_device_of_a_port_whatever_its_name(plugged):
     name, _ = plugged(vid=0x303A, pid=0x1001, serial_number="A1B2C3", location="1-2:1.2")
     with open_port(name) as port:
         assert identity_of(port) == UsbIdentity(0x303A, 0x1001, "A1B2C3", "1.2")

@@ -136,7 +136,7 @@ def test_what_the_board_refused_before_is_not_of_this_run(world, board):
     assert world.refused() == 3
 
 
-def test_a_board_of_another_version_is_told_in_a_sentence(world, monkeypatch):
+def test_a_board_of_another_version_is_reported_in_a_sentence(world, monkeypatch):
     def old_board(data, now_ns):
         return frame_packet(2, MessageKind.CAPABILITIES, 0, bytes(14)) if b"\x01" in data else b""
 

@@ -114,7 +114,7 @@ class Lossy:
         return self.measured
 
 
-def test_a_board_that_is_lost_is_opened_anew_and_measured_on():
+def test_a_lost_board_is_opened_again_and_measuring_continues():
     board = Lossy({2, 4})
     assert measure_contact(board, 4) == [1, 3, 5, 6]
     assert board.opened == 3

@@ -54,7 +54,7 @@ def test_cells_of_known_truth(profile, bend, degree):
     assert np.std(off, axis=0).max() < 0.001
 
 
-def test_what_is_said_is_what_it_is(profile):
+def test_the_sentence_has_the_results(profile):
     cell = SimulatedCell(counts_per_n=-2e5, zero=5000, hysteresis_n=0.02, noise_n=0.003)
     found = fit_curve(weighed(cell, UP_AND_DOWN), profile.force)
     assert found.slope_n == pytest.approx(-1 / 2e5, rel=0.02)

@@ -94,7 +94,7 @@ def test_the_middle_of_the_image_as_the_middle_of_the_array(profile):
     assert by_image.rms_mm == pytest.approx(by_target.rms_mm)
 
 
-def test_a_mirror_in_the_optics_is_told(profile):
+def test_a_mirror_in_the_optics_is_reported(profile):
     target = target_for(profile)
     image = View(turn_deg=40).render(target, profile.optics, COARSE)
     found = register(np.ascontiguousarray(image[:, ::-1]), profile, target)

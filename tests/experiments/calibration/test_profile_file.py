@@ -58,7 +58,7 @@ def test_any_numbers_and_words_are_read_back(tmp_path_factory, values, found):
     assert profile.calibrated["contact"].found == found
 
 
-def test_nothing_is_overwritten_without_being_told_to(tmp_path):
+def test_nothing_is_overwritten_unless_requested(tmp_path):
     mine = tmp_path / "mine.toml"
     mine.write_text("what was there")
     with raises(CalibrationError, about="file", value=mine, remedy="overwrite"):

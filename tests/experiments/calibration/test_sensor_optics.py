@@ -37,7 +37,7 @@ def test_after_is_judged_on_frames_that_the_correction_was_not_made_from():
     assert result.uneven_after > 0.03
 
 
-def test_one_frame_of_each_tells_no_noise():
+def test_one_frame_of_each_gives_no_noise():
     result = found(SimulatedPatch(), frames=1)
     assert np.isnan(result.noise_levels)
     assert result.field.gain.shape == (64, 64)

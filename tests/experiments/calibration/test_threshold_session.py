@@ -303,7 +303,7 @@ def measured(procedure, key_at=lambda _line: None):
 
 
 @pytest.mark.parametrize("key", STOP_KEYS)
-def test_a_person_is_told_what_to_do_and_stops(procedure, key):
+def test_a_person_is_instructed_and_stops(procedure, key):
     """By a key; an empty one means that the terminal is gone."""
     said = []
 

@@ -82,7 +82,7 @@ def test_a_subject_without_noise_is_found_to_a_step():
     assert found.spread < 0.03
 
 
-def test_who_never_feels_is_not_asked_again():
+def test_an_electrode_never_felt_is_not_tried_again():
     found = rise(SimulatedSubject(50.0, 90.0, guess=0), ceiling_ma=2.0)
     assert not found.felt
     assert not found.usable
@@ -100,7 +100,7 @@ def test_runs_that_differ_are_made_again():
     assert rise(subject, seed=7).runs == 5
 
 
-def test_rises_from_zero_in_small_steps_no_faster_than_told():
+def test_rises_from_zero_in_small_steps_no_faster_than_allowed():
     procedure = AscendingLimits(5.0, 1.2, fastest_ma_s=0.5)
     before, starts = 0.0, 0
     while len(procedure.runs) < 2:
@@ -117,7 +117,7 @@ def until(procedure, level_ma):
         procedure.answer(False)
 
 
-def test_keys_without_current_are_counted_and_begin_the_pause_anew():
+def test_keys_without_current_are_counted_and_restart_the_pause():
     procedure = AscendingLimits(5.0, 1.2)
     for _ in range(200):
         assert procedure.next() == 0
@@ -194,7 +194,7 @@ def test_whatever_is_answered_trials_stay_within_the_ceiling(answers, expected):
     assert expected / 3 <= procedure.threshold_ma <= 3 * expected
 
 
-def test_who_feels_everything_is_not_believed():
+def test_feeling_everything_is_not_believable():
     procedure = AdaptiveThreshold(1.2, 2.4, seed=1)
     while not procedure.done:
         procedure.next()

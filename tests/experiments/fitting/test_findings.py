@@ -112,7 +112,7 @@ def test_beyond_the_range():
     assert (verdict(low).reason, verdict(low).beyond) == ("outside", -1)
 
 
-def test_separated_answers_say_so():
+def test_separated_answers_are_reported():
     sharp = session(lambda each, n: each.comparison > 30)
     found = judge_answers(sharp, usual_model([sharp]), HOW)
     assert found.verdict is None
@@ -137,14 +137,14 @@ def test_one_sided_and_of_two_intervals_are_tested_against_guessing():
     assert verdict(felt).reason == "flat"
 
 
-def test_an_interval_beyond_the_range_is_told():
+def test_an_interval_beyond_the_range_is_reported():
     answers = of_counts(30 * RATIO, [10] * 10, [2, 3, 2, 4, 3, 6, 5, 6, 7, 8], standard=30.0)
     found = judge_answers(answers, usual_model([answers]), HOW)
     assert found.threshold.high > 60
     assert any(numbers(each) == [15, 60] for each in found.notes)
 
 
-def test_a_poor_fit_is_told():
+def test_a_poor_fit_is_reported():
     answers = of_counts(30 * RATIO, [20] * 10, [0, 9, 0, 9, 1, 19, 8, 20, 9, 20], standard=30.0)
     found = judge_answers(answers, usual_model([answers]), HOW)
     assert found.goodness < POOR

@@ -136,7 +136,7 @@ def test_slopes_are_derivatives(model, threshold, log_spread, lapse, guess):
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_threshold_is_where_it_says(model):
+def test_the_threshold_is_at_the_stated_share(model):
     parameters = parameters_of(0.7, -0.5, 0.0, 0.0)
     if not isinstance(model.guess, str):
         parameters = parameters._replace(guess=np.array([model.guess]))

@@ -96,7 +96,7 @@ def test_a_run_that_is_stopped_in_the_middle_of_a_trial_goes_on(
     assert [row.success for row in read_rows(parts)] == [row.success for row in whole]
 
 
-def test_rows_say_what_was_shown_and_answered(profile, bank, tmp_path):
+def test_rows_hold_what_was_shown_and_answered(profile, bank, tmp_path):
     path = tmp_path / "rows.csv"
     sat = sit(new_experiment("frequency", profile, SHORT), profile, bank, path, Perfect())
     rows = read_rows(path)

@@ -125,7 +125,7 @@ def test_a_trial_whose_current_was_lost_is_presented_again(take, how):
     ]  # fmt: skip
 
 
-def test_the_user_regulates_the_amplitude_and_rows_tell(profile, take):
+def test_the_user_sets_the_amplitude_and_rows_have_it(profile, take):
     def watch(_, source, controls):
         if source.playing == (5, 0):
             controls.change_level(-0.01)
@@ -303,7 +303,7 @@ def test_a_trial_is_felt_again_on_request(begin):
     assert trials.answers[0].response == "1"
 
 
-def test_an_experiment_may_forbid_to_feel_again(begin):
+def test_an_experiment_may_forbid_repeating_a_trial(begin):
     loop, trials = begin(again=False)
     source = loop.source
     loop.until(lambda: source.asking)

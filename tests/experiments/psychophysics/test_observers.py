@@ -225,7 +225,7 @@ class TestTheThresholdsOfThePaper:
         assert weber[110] == math.inf
 
     @pytest.mark.parametrize(("afferent", "standard_hz"), [(RA, 30), (RA, 75), (PC, 75), (PC, 100)])
-    def test_trials_find_what_the_closed_form_says(self, observer, train, afferent, standard_hz):
+    def test_trials_agree_with_the_closed_form(self, observer, train, afferent, standard_hz):
         subject = observer(seed=7, lapse=0.0)
         ratio = subject.ratio(afferent, MIDDLE)
         weber = weber_fraction(subject.frequency, standard_hz, ratio)
@@ -250,7 +250,7 @@ class TestTheTasks:
         assert felt == pytest.approx(0.8, abs=0.05)
 
     @pytest.mark.parametrize("task", ["felt", "enough"])
-    def test_a_level_is_felt_as_its_truth_says(self, profile, train, task):
+    def test_a_level_is_felt_by_its_true_threshold(self, profile, train, task):
         middle = np.linspace(0.9, 1.5, 64)
         subject = KnownObserver(profile, middle, middle + 0.5, seed=4, guess=0.1)
         at_ma = middle[MIDDLE] + 0.5 * (task == "enough")
@@ -287,7 +287,7 @@ class TestTheTasks:
         assert subject.chance_felt(0.0, "enough") == 0
         assert subject.chance_felt(50.0) == pytest.approx(0.98)
 
-    def test_two_points_are_told_from_one_by_their_distance(self, observer, points, finger):
+    def test_two_points_differ_from_one_by_their_distance(self, observer, points, finger):
         subject = observer(seed=6, lapse=0.0)
         one, near, far = points(27), points(27, 28), points(27, 30)
         for two in (near, far):
@@ -296,10 +296,10 @@ class TestTheTasks:
             assert right == pytest.approx(chance_apart(subject, wider_mm), abs=0.08)
         assert share(200, lambda: subject.respond("two", [far, one], "12"), "1") > 0.97
 
-    def test_the_grating_limit_is_told_three_times_of_four(self, observer):
+    def test_the_grating_limit_is_right_three_times_of_four(self, observer):
         assert chance_apart(observer(lapse=0.0), GRATING_LIMIT_MM) == pytest.approx(0.75)
 
-    def test_sides_are_told_in_two_intervals_or_one(self, observer, points, finger):
+    def test_sides_are_distinguished_in_two_intervals_or_one(self, observer, points, finger):
         subject = observer(seed=8, lapse=0.0)
         left, right = points(26), points(27)
         at_mm = [Nerve(finger).of(each).center_mm[0] for each in (left, right)]

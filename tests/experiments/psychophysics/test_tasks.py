@@ -41,7 +41,7 @@ def test_the_paper_s_frequencies(profile):
     assert made.notes == []
 
 
-def test_comparisons_above_the_limit_are_not_offered_and_that_is_said(profile, changed):
+def test_comparisons_above_the_limit_are_left_out_with_a_note(profile, changed):
     made = new_experiment("frequency", profile, ExperimentOptions(Afferent.PC, repetitions=1))
     assert max(each.comparison for each in conditions(made)) <= 200
     made = new_experiment("frequency", profile, ExperimentOptions(Afferent.PC))
@@ -136,7 +136,7 @@ def test_two_points_and_one_between(profile):
         assert trial.target == trial.success == str(each.comparison_interval)
 
 
-def test_the_second_point_is_as_far_right_as_it_says(profile):
+def test_the_second_point_is_as_far_right_as_stated(profile):
     made = new_experiment("localization", profile, ExperimentOptions())
     shown = conditions(made)
     assert {each.comparison for each in shown} == {-6, -4, -2, 2, 4, 6}

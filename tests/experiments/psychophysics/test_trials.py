@@ -81,7 +81,7 @@ def test_the_middle_is_driven(profile, changed):
     assert np.hypot(*profile.electrodes.position_mm[other]) < 1.5
 
 
-def test_pairs_are_as_far_apart_as_they_say_and_around_the_middle(profile, stimuli):
+def test_pairs_are_as_far_apart_as_stated_and_around_the_middle(profile, stimuli):
     pairs = stimuli.pairs()
     assert list(pairs) == [2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 14.0]
     place_mm = profile.electrodes.position_mm
