@@ -86,7 +86,7 @@ class OscSource(PushedStimuli):
         self._thread.join(_JOIN_S)
         self._line.close()
         if self.wrong:
-            self.notes.append(f"{self.wrong} OSC packets were not understood")
+            self.notes.append(f"{self.wrong} OSC packets were invalid")
             self.wrong = 0
         if self.refused:
             self.notes.append(

@@ -91,8 +91,8 @@ class Regulator:
             )
         if self._longer:
             notes.append(
-                f"the recharge phase made {self._longer} of {self._scans} scans longer than asked "
-                f"for, at most to {self._longest_us / 1000:.1f} ms"
+                f"the recharge phase made {self._longer} of {self._scans} scans longer than "
+                f"requested, at most to {self._longest_us / 1000:.1f} ms"
             )
         if self.recharge is not None and self.ledger is not None and self._waited:
             notes.append(

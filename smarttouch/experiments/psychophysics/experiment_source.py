@@ -63,7 +63,7 @@ class ExperimentSource(ProgramSource):
         asked_us, sequence = result.step.asked_us, result.sequence
         if self.playing is not None and sequence.period_us != asked_us and not self.notes:
             self.notes.append(
-                f"pulses were asked for at {1e6 / asked_us:.4g} Hz and went out at "
+                f"pulses were requested at {1e6 / asked_us:.4g} Hz and sent at "
                 f"{sequence.rate_hz:.4g} Hz: this board or so many sites cannot do all frequencies"
             )
 
