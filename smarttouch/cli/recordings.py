@@ -12,7 +12,9 @@ from smarttouch.cli.plain_help import Commands
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.views.keys_and_signals import drives_a_board
 
-recordings: Commands = Commands(help="Show, repair and export recordings.", no_args_is_help=True)
+recordings: Commands = Commands(
+    help="Show what recordings hold; repair and export them.", no_args_is_help=True
+)
 
 _File = Annotated[Path, argument("A recording, whole or cut off.", "FILE")]
 
