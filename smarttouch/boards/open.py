@@ -164,7 +164,7 @@ def parse_answer(data: bytes) -> NetworkBoard | None:
     port = answer.get("port", "")
     if not answer.get("ip") or not port.isdecimal():
         return None
-    # Whatever a stranger calls itself must not steer the terminal.
+    # A name from the network must not control the terminal.
     name = "".join(
         each for each in answer.get("name") or answer.get("id", "") if each.isprintable()
     )

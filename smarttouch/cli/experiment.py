@@ -407,7 +407,7 @@ def _run_free(
 
     run = replace(run, profile=run.profile or "line-8")
     if run.intensity is None and not run.on_a_finger:
-        # By hand from nothing here too.
+        # Adjusted by hand, from zero here too.
         run = replace(run, intensity=0.0)
     rate = 50.0 if rate_hz is None else rate_hz
     free_run(run, run.load_profile(), parse_afferent(mode), parts.site, rate, parts.knob, output)

@@ -133,7 +133,7 @@ class ETactileKitFirmware(Firmware):
             return None
         length = 1 + self._payload(received[0])
         if length == 1 and received[0] == op.PATTERN and not self._is.forgets:
-            # It waits for the last of no bytes, for ever.
+            # It waits for ever for the last of zero bytes.
             self._stuck = True
             return None
         if len(received) < length:

@@ -151,7 +151,7 @@ def _made(work: Sequence[_Work]) -> Generator[tuple[int, list[StudyRow]], None, 
             yield each
     finally:
         with warnings.catch_warnings():
-            # That what was under way is thrown away is as it should be.
+            # Work under way is discarded on purpose.
             warnings.simplefilter("ignore", UserWarning)
             made.close()
 

@@ -79,7 +79,7 @@ def parse_places(
         return profile.driven
     named: list[int] = []
     for low, high in parse_ranges(sites, "sites"):
-        # The first site that there is not is refused; those after it need no room.
+        # The first missing site is refused; those after it need no memory.
         named += range(low, min(high, max(low, len(profile.electrodes))) + 1)
     return named
 

@@ -215,7 +215,7 @@ class MouseSource(StimulusSource):
 
     def _pulses(self, place: tuple[float, float], time_ns: int) -> NDArray[np.float32]:
         before, self._place = self._place, place
-        # Also the first place: it is no distance from nowhere.
+        # Also the first place, whose distance is NaN.
         if not math.dist(place, before) <= JUMP_MM:
             self._feeler.place(*place)
             return np.zeros(self._electrodes, np.float32)

@@ -80,7 +80,7 @@ class SocketImages(ImageDevice):
         if not self._began:
             self._began = True
             blank = np.full((self._optics.sensor_rows, self._optics.sensor_columns), 255, np.uint8)
-            # As old as no program's: it makes no current.
+            # Too old to make current.
             return Shot(blank, time.perf_counter_ns() - 3600 * 10**9)
         return self.newest(timeout_s)
 

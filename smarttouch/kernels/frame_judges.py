@@ -97,7 +97,7 @@ class FrameJudge:
         """Return the largest activation of the own class far from all active targets."""
         away = np.empty(self.own.places_n + 1, own.dtype)
         np.maximum.reduce(own.reshape(self.own.directions_n, -1), axis=0, out=away[:-1])
-        # The last one is nowhere, as is what is near.
+        # The last one is padding; near places are excluded.
         away[-1] = -np.inf
         away[self._near[active]] = -np.inf
         return float(away.max())

@@ -49,7 +49,7 @@ class DisplayBoard(Closing):
                 remedy="vibrators",
             )
         self.board: Board = board
-        # With no run, too: a program may drive the board itself.
+        # Also without a run: a program may drive the board itself.
         self._stop.always_on_stop(board.halt)
         self.notes_reported = 0
         """Number of the board's notes that earlier runs have reported."""

@@ -109,7 +109,7 @@ def run_loop(
         )
     controls = controls or Controls(ControlState(pipeline.mode))
     if isinstance(source, Listener):
-        # One that goes by how its frames were delivered.
+        # A source that depends on how its frames were delivered.
         listeners = [source, *listeners]
     source.emit = emit = emit_to(listeners)
     inputs = Inputs(source, force, board, pipeline, controls, statistics, emit)

@@ -175,7 +175,7 @@ class Pipeline:
         twin = copy.copy(self)
         twin._mapper = TactileMapper(self._profile, self._config.light_on_dark, self._config.tone)
         twin._soft_start = SoftStart(self._profile.limits.ramp_s)
-        # What shares slots remembers nothing but what it has planned.
+        # Makers of shared slots have no state but their plans.
         twin._scans, twin._common = {}, replace(self._common, net=None)
         twin.change_mode(self.mode)
         profile, force_n = self._profile, self._profile.force.full_n

@@ -273,7 +273,7 @@ class SessionFeed(Source, Listener):
             self.send_at_ns = at_ns
             show.began, show.time_ns, show.clock_ns = True, time_ns, max(now_ns, at_ns or 0)
             self._count += show.pattern is not None
-            # What was put before comes again after it, unless it is stale by then.
+            # An earlier pattern returns afterwards, unless it is stale by then.
             self._put_sent_ns = None
             if self._put is not None and time.monotonic_ns() >= self._put[2]:
                 self._put = None

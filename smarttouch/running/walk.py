@@ -125,6 +125,6 @@ def run_walk(
         listeners=listeners,
         stop=stop,
         load_kernels=single_bank,
-        # The strength is what the walk was given.
+        # The strength is an argument of the walk.
         operation=Operation(first_level=1.0, opened=opened),
     ).run()

@@ -120,7 +120,7 @@ class KernelLists:
         weights, lists = self.table.weights, (self.first, self.kernel, self.amplitude)
         kept, electrodes = _bytes_of(weights), weights.shape[1]
         if tuple(each.dtype for each in lists) != _LIST_TYPES:
-            # Of numbers that are no lists for a board: not as these would be in other types.
+            # Lists in types that no board takes are added up directly.
             return _added_up(_ua_so_far(kept, electrodes), *lists)
         return _currents(kept, electrodes, *(each.tobytes() for each in lists))
 

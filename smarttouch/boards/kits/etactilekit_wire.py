@@ -288,7 +288,7 @@ class HeightCodec(Codec):
 
     @property
     def zero_anywhere(self) -> bytes:
-        # It ends without electrodes: nothing may follow.
+        # It ends with zero electrodes: nothing may follow.
         return bytes(2 * self.outputs + 4) + b"".join(AT_REST)
 
     def is_answer(self, answer: bytes) -> bool:

@@ -96,7 +96,7 @@ class LinkBoard(LinkHost):
             raise
 
     def _recover(self, lost: LineLostError) -> None:
-        # One that goes on would take the next HELLO for a stranger's.
+        # A board still in its session would refuse the next HELLO.
         self._line.stop_blindly()
         self._line.close()
         restart_lost_board(self._start_again, lost)
@@ -219,7 +219,7 @@ class LinkBoard(LinkHost):
 
     def _close(self) -> None:
         try:
-            # Who halts does not wait, and a fault is one already.
+            # A halt does not wait; after a fault there is nothing to check.
             if self._stop_answered and not self._halted and self._line.fault is None:
                 self._check_zero()
         finally:

@@ -176,7 +176,7 @@ def _draw_bounded(
     table = np.array([(x, *(bounded or (np.nan,) * 3), unit) for x, bounded, unit in points]).T
     x, (value, low, high) = table[0], table[1:4] / table[4] - 1
     bottom, top = axes.get_ylim()
-    # What leaves the axes does so visibly, without a cap.
+    # Bars that leave the axes end there without a cap.
     reach = [
         (value - np.maximum(low, bottom - 1)).tolist(),
         (np.minimum(high, top + 1) - value).tolist(),

@@ -184,7 +184,7 @@ def _detection(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Desi
             method, threshold_ma, full_ma, wanted.two_intervals, wanted.trials, wanted.seed
         )
     task = DetectionTask(stimuli, site, _rate_hz(stimuli, wanted))
-    # Feeling it again would give more than one presentation does.
+    # A repetition would give more information than one presentation.
     return Design(task, procedure, method, again=False)
 
 

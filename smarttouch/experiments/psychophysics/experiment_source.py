@@ -100,7 +100,7 @@ class ExperimentSource(ProgramSource):
                 # It rises by itself, from zero; only force and the user's level must be there.
                 opening = Show(None, self._unless_ready, patience_s)
             self._touch.present(opening)
-            # Nothing was to be opened where no pulses are as weak.
+            # Where no pulses are weak enough, no level was opened.
             opened = opening.ramped_ns > 0 and opening.opens is not None
             if opening.fault or (trial.course is not None and self._unless_ready(0.0)):
                 raise ExperimentError(
@@ -152,7 +152,7 @@ class ExperimentSource(ProgramSource):
             if train.rises:
                 key = self._key(trial)
             else:
-                # Whoever answers while the last pulse fades has felt all of them.
+                # Keys are dropped until the last pulse; one while it fades counts.
                 self._pressed.clear()
             return train.level_at(round(since_s * 1e6) // train.period_us) if key is None else None
 

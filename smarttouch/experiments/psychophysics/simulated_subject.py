@@ -94,7 +94,7 @@ class Subject(Listener):
             key = self._answer(trial, [starts])
             self._starts = {next(iter(self._starts)): {}}
             self._looked_ns = time_ns
-            # That it is not felt or not enough yet is no key.
+            # As long as it is not felt, or not enough, there is no key.
             if key:
                 self._key = time_ns + round(self._reaction_s * 1e9), key
         if self._key is not None and time_ns >= self._key[0]:
