@@ -1,4 +1,4 @@
-"""Nobody waits for a terminal that has stopped reading."""
+"""Nothing waits for a terminal that has stopped reading."""
 
 import io
 import os

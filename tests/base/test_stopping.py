@@ -1,4 +1,4 @@
-"""A stop reaches whoever it must, whatever the main thread is doing."""
+"""A stop reaches everything it must, whatever the main thread is doing."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""No sign that a terminal would obey gets to one, whoever wrote it."""
+"""No control character reaches a terminal, whatever its origin."""
 
 import errno
 import io

@@ -1,4 +1,4 @@
-"""To the byte: what an eTactileKit hears, and that no change is trusted without its echo."""
+"""To the byte: what an eTactileKit receives, and that no change is trusted without its echo."""
 
 from dataclasses import replace
 

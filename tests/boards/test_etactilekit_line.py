@@ -1,4 +1,4 @@
-"""Whatever eTactileKit is there, in whatever state: it is found out, and put at zero first."""
+"""Whatever eTactileKit is there, in whatever state: it is identified, and put at zero first."""
 
 import contextlib
 

@@ -1,4 +1,4 @@
-"""Whatever breaks, the electrodes end at zero and the user hears one sentence."""
+"""Whatever breaks, the electrodes end at zero and the user gets one sentence."""
 
 import gc
 import os

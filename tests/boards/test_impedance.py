@@ -1,4 +1,4 @@
-"""Voltages become impedances, and bad electrodes are told from good ones."""
+"""Voltages become impedances, and bad electrodes are distinguished from good ones."""
 
 import numpy as np
 from hypothesis import given

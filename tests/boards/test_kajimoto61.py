@@ -1,4 +1,4 @@
-"""To the byte: what the 61-electrode kit hears, and what it never hears."""
+"""To the byte: what the 61-electrode kit receives, and what it never receives."""
 
 import threading
 

@@ -1,4 +1,4 @@
-"""Faults of a line: the driver recovers or stops at zero, and says which."""
+"""Faults of a line: the driver recovers or stops at zero, and reports which."""
 
 import itertools
 import threading

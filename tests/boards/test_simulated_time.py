@@ -1,4 +1,4 @@
-"""Time of ``simulated:``, which passes as time stamps say."""
+"""Time of ``simulated:``, which passes by time stamps."""
 
 import pytest
 

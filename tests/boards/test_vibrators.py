@@ -1,4 +1,4 @@
-"""Drive of vibrators, in a file or on a sound device that is none."""
+"""Drive of vibrators, in a file or on a simulated sound device."""
 
 import contextlib
 import errno

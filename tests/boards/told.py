@@ -1,4 +1,4 @@
-"""An eTactileKit in this process, on a clock of its own that is told, not waited for."""
+"""An eTactileKit in this process, on a clock that the test sets, without waiting."""
 
 import random
 from dataclasses import dataclass, field, replace

@@ -1,4 +1,4 @@
-"""Life without liblouis."""
+"""Tests as if liblouis were not installed."""
 
 import pytest
 

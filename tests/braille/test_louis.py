@@ -1,4 +1,4 @@
-"""liblouis: known contractions, what it does not know, and life without it."""
+"""liblouis: known contractions, unknown characters, and what works without it."""
 
 import threading
 

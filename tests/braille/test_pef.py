@@ -1,4 +1,4 @@
-"""PEF: what is written is read and as the standard wants it; nonsense gets one sentence."""
+"""PEF: what is written is read back and fits the standard; invalid files give one sentence."""
 
 import contextlib
 import xml.etree.ElementTree as ET

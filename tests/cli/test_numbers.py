@@ -1,4 +1,4 @@
-"""Every numeric option of every command takes whatever it is given, or says no in one sentence."""
+"""Every numeric option of every command takes any input, or refuses it in one sentence."""
 
 import inspect
 import os

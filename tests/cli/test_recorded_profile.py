@@ -1,4 +1,4 @@
-"""The profile inside a recording is believed no more than a profile file."""
+"""The profile inside a recording is trusted no more than a profile file."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Recordings from the command line: looked into, mended, taken apart, and checked."""
+"""Recordings from the command line: inspected, repaired, exported, and checked."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""``smarttouch devices``: what it shows of sensors, and the ones it plays."""
+"""``smarttouch devices``: what it shows of sensors, and the ones it emulates."""
 
 import json
 import math

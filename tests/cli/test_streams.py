@@ -1,4 +1,4 @@
-"""Streams that are closed, full or obeyed by a terminal, and names that nobody expects."""
+"""Streams that are closed, full or obeyed by a terminal, and unexpected names."""
 
 import errno
 import json

@@ -1,4 +1,4 @@
-"""Studies: the same rows however they are made, and what a plan may not say."""
+"""Studies: the same rows however they are made, and what a plan may not contain."""
 
 import csv
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The C core in this process, and both boards side by side on a clock that is told."""
+"""The C core in this process, and both boards side by side on a clock that the test sets."""
 
 import ctypes
 import itertools

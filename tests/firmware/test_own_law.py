@@ -1,4 +1,4 @@
-"""What the C core refuses by itself, beside a judge; a core without one rule is found out."""
+"""What the C core refuses by itself, beside a judge; a core without one rule is detected."""
 
 import ctypes
 import hashlib

@@ -1,4 +1,4 @@
-"""A trace all the way to the skin: what each class got, told from delivered currents alone."""
+"""A trace all the way to the skin: what each class got, recovered from delivered currents alone."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""OSC: what other programs send is felt, and silence and nonsense are not."""
+"""OSC: what other programs send is delivered, silence and invalid messages are not."""
 
 import hmac
 import random

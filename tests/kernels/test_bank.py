@@ -1,4 +1,4 @@
-"""Banks: shipped ones are current, and no broken file is believed."""
+"""Banks: shipped ones are current, and no broken file is used."""
 
 import io
 import os

@@ -1,4 +1,4 @@
-"""Ink is told from paper in any light, and blank paper has none."""
+"""Ink is separated from paper in any light, and blank paper has none."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""A text as it is printed: its lines are where they are said to be."""
+"""A text as it is printed: its lines are where they are stated to be."""
 
 import numpy as np
 import pytest

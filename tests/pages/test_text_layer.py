@@ -1,4 +1,4 @@
-"""The text that a PDF brings is read as it stands: columns, rows of tables, and no nonsense."""
+"""The text that a PDF brings is read as it stands: columns, rows of tables, and no invalid text."""
 
 import string
 

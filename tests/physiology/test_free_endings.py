@@ -1,4 +1,4 @@
-"""Free endings: what a linear cable foretells fires an active one, and what must not fire."""
+"""Free endings: what a linear cable predicts fires an active one, and what must not fire."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""Cells under the finger, with a told clock and a connection that is told what BRLTTY shows."""
+"""Cells under the finger, with a clock and a connection that the test sets."""
 
 from itertools import pairwise
 

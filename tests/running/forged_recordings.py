@@ -1,4 +1,4 @@
-"""Recordings that nobody recorded: whole files with one thing in them that makes no sense."""
+"""Forged recordings: whole files with one impossible thing in them."""
 
 import json
 import random

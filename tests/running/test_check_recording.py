@@ -1,4 +1,4 @@
-"""The offline test: goldens come out again to the bit, and the smallest change is told."""
+"""The offline test: goldens come out again to the bit, and the smallest change is reported."""
 
 import json
 import re

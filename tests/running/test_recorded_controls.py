@@ -1,4 +1,4 @@
-"""A recorded user's wishes come again, and today's user can only lower them."""
+"""A recorded user's requests come again, and today's user can only lower them."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Recharge phases in recordings: kept, computed again, and told where they differ."""
+"""Recharge phases in recordings: kept, computed again, and reported where they differ."""
 
 import json
 from types import SimpleNamespace

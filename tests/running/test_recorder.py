@@ -1,4 +1,4 @@
-"""Nothing recorded is lost, and nobody goes on unrecorded."""
+"""Nothing recorded is lost, and no run continues unrecorded."""
 
 import contextlib
 import io

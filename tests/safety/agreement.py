@@ -1,4 +1,4 @@
-"""Gate and oracle asked of the same sequences: ``python -m tests.safety.agreement 1000000``.
+"""Gate and oracle on the same sequences: ``python -m tests.safety.agreement 1000000``.
 
 Run in the repository's root; ``--jobs 2`` divides the work among processes. It prints a table
 and ends with 1 if the two disagree anywhere, or a limit was never the only one broken.

@@ -1,4 +1,4 @@
-"""Cameras: what they do not take is said, gone is noticed, and OpenCV keeps quiet.
+"""Cameras: refused settings are noted, losses are detected, and OpenCV stays silent.
 
 There is no camera where tests run: `FakeCapture` is one that can be unplugged.
 """

@@ -1,4 +1,4 @@
-"""Blank paper looks blank, and a damaged file is told in one sentence."""
+"""Blank paper looks blank, and a damaged file is reported in one sentence."""
 
 import contextlib
 

@@ -1,4 +1,4 @@
-"""Newest wins, every image is read or counted as dropped, and no fault goes unheard."""
+"""Newest wins, every image is read or counted as dropped, and no fault goes unreported."""
 
 import itertools
 import math

@@ -1,4 +1,4 @@
-"""Load cells: what their bytes say, what a reading is worth, and newtons by the curve."""
+"""Load cells: what their bytes mean, what a reading is worth, and newtons by the curve."""
 
 import math
 import threading

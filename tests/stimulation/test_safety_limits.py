@@ -1,4 +1,4 @@
-"""Limits as whole numbers, and what is told of a profile."""
+"""Limits as whole numbers, and what they take of a profile."""
 
 import numpy as np
 import pytest

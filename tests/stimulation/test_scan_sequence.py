@@ -1,4 +1,4 @@
-"""Whole µA, and what a proof says."""
+"""Whole µA, and what a proof shows."""
 
 import numpy as np
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""A finger that feels a run: the loop never waits for it, and the newest step wins."""
+"""A finger simulated during a run: the loop never waits for it, and the newest step wins."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""One page steers; a run that nobody steers any more is paused where pages are alone."""
+"""One page steers; a run that no page steers any more is paused where pages are alone."""
 
 import pytest
 

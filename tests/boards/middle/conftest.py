@@ -1,4 +1,4 @@
-"""A host, a board, and someone between them, in one thread and on a clock that is told."""
+"""A host, a board, and someone between them, in one thread and on a clock that the test sets."""
 
 import random
 import struct

@@ -1,4 +1,4 @@
-"""Repeated measurements say together what touches, and how well."""
+"""Repeated measurements show together what touches, and how well."""
 
 import contextlib
 

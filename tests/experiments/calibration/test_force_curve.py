@@ -1,4 +1,4 @@
-"""A load cell's curve is found, and what is no load cell is not believed."""
+"""A load cell's curve is found, and readings of anything else are refused."""
 
 import dataclasses
 

@@ -1,4 +1,4 @@
-"""A whole experiment on a simulated board, answered by observers that know what they feel."""
+"""A whole experiment on a simulated board, answered by observers of known thresholds."""
 
 from dataclasses import dataclass, field
 

@@ -1,4 +1,4 @@
-"""QUEST+ shows what tells most, and learns what is to be learned."""
+"""QUEST+ shows the most informative stimulus, and finds the threshold."""
 
 import numpy as np
 import pytest

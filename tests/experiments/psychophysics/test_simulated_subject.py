@@ -1,4 +1,4 @@
-"""A simulated subject is told what the board delivered, and nothing else."""
+"""A simulated subject is given what the board delivered, and nothing else."""
 
 import numpy as np
 import pytest

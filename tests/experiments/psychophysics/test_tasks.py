@@ -1,4 +1,4 @@
-"""Every experiment of the catalog shows what its conditions say, and knows the right answer."""
+"""Every experiment of the catalog shows what its conditions name, and has the right answer."""
 
 import math
 
