@@ -315,7 +315,7 @@ def whole_programme():
 
 @pytest.fixture
 def usb_ports(monkeypatch):
-    """Return a setter of what USB tells of a device, as pyserial lists it."""
+    """Return a setter of the USB description of a device, as pyserial lists it."""
     listed = []
 
     def tell(device, *, vid, pid, serial_number, location="1-1"):

@@ -236,7 +236,7 @@ def test_default_path(row, make_bank, quick, side, shape, frames):
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(("side", "frames"), [(8, 600), (16, 200), (32, 40)])
 def test_scans(benchmark, make_bank, quick, side, frames, capsys):
-    """Points one by one, kernels added up, frames planned anew: in turn with the plain chain.
+    """Points one by one, kernels added up, frames planned again: in turn with the plain chain.
 
     More than `MOST_PROVED` electrodes have no proved sets, and planning for 1,024 takes seconds a
     frame: no way for a loop, so it gets few frames.

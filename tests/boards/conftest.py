@@ -148,7 +148,7 @@ class ScriptedPort:
     at_zero = False
 
     def promise_zero(self, zero, slow):
-        """Hear what a keeper would be told; here there is none."""
+        """Take what a keeper would be sent; here there is none."""
 
     def close(self):
         self.is_open = False

@@ -255,7 +255,7 @@ class TestMemory(Contract):
 
 
 class TestSimulated(TestMemory):
-    """In this process too, but what it tells of is what its firmware let flow."""
+    """In this process too, but it reports what its firmware let flow."""
 
     shows_recharges = False
 

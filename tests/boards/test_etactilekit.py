@@ -82,7 +82,7 @@ def anodic(level_ua, step=1, sites=(1,), cathodic=False, width=100, period_us=20
 
 @pytest.fixture
 def make(monkeypatch):
-    """Return a maker of drivers on a clock that is told, and that are never idle."""
+    """Return a maker of drivers on a clock that the test sets, and that are never idle."""
     monkeypatch.setattr(etactilekit, "IDLE_S", 600.0)
     # One look at the readings is good enough to know when the board scans.
     monkeypatch.setattr(etactilekit_step, "WIDE_NS", 10 * MS)

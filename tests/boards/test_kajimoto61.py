@@ -170,7 +170,7 @@ def test_another_profile_is_refused():
 
 
 class StillClock:
-    """Time that jumps to every deadline, and is told of each."""
+    """Time that jumps to every deadline, and records each."""
 
     def __init__(self):
         self.time_ns, self.deadlines = 0, []

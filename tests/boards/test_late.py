@@ -20,7 +20,7 @@ HOUR_NS = 3600 * 10**9
 
 
 class ToldClock:
-    """Time that passes when it is told to; waits are over at once."""
+    """Time that passes when it is set; waits are over at once."""
 
     def __init__(self, time_ns=10**12):
         self.time_ns = time_ns

@@ -18,7 +18,7 @@ ALL = pytest.mark.parametrize("hosted", ["link", "kajimoto61", "etactilekit"], i
 
 
 class Stranger:
-    """A device at a path that keeps what it hears and answers what it likes."""
+    """A device at a path that keeps what it receives and answers as it is set."""
 
     def __init__(self, path, answer=lambda _heard: b""):
         self.heard, self._answer = b"", answer

@@ -44,7 +44,7 @@ def says(kind=SmartTouchError, *names, **attributes):
 
 
 class Done(SimpleNamespace):
-    """How a run in this process ended: `returncode`, `stdout`, `stderr`, the `error` it told of."""
+    """How a run in this process ended: `returncode`, `stdout`, `stderr`, its `error`."""
 
     def fine(self):
         """Check that it ended well; return it."""
@@ -159,7 +159,7 @@ def start_program(tmp_path):
 
 @pytest.fixture
 def start_at_a_terminal(tmp_path):
-    """Return a starter of a run with a keyboard: its process, once it hears keys, and they."""
+    """Return a starter of a run with a keyboard: its process, once it takes keys, and they."""
     running = []
 
     def start(*arguments):

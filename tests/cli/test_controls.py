@@ -25,7 +25,7 @@ def wait_for(process, words):
 
 
 def wait_for_the_run(process):
-    """Its mode is told once it has begun."""
+    """Its mode is reported once it has begun."""
     wait_for(process, ": mode RA")
 
 

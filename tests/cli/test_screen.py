@@ -48,7 +48,7 @@ def sent(request, make_frame, profile, bank):
 
 @pytest.fixture
 def shown(profile, monkeypatch):
-    """Return a function that gives the lines of a screen of some size, after it was told."""
+    """Return a function that gives the lines of a screen of some size, after some events."""
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
 
     def lines(size, *told, color=True, keys_help=""):

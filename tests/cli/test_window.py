@@ -179,7 +179,7 @@ def page_of(address):
 
 
 def state(page):
-    """Return the next state that a page is told of, and its picture."""
+    """Return the next state that a page is sent, and its picture."""
     while True:
         message = json.loads(page.recv(timeout=20))
         if message["type"] == "update":

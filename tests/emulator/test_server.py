@@ -208,7 +208,7 @@ def test_garbage_is_nothing_and_ends_as_what_it_stands_for():
 
 
 class Answering(Firmware):
-    """A board that answers what it hears, and notes what happens to it."""
+    """A board that answers what it receives, and notes what happens to it."""
 
     def __init__(self):
         self.heard, self.calls = b"", []

@@ -140,7 +140,7 @@ def in_10_mv(volts):
 
 
 class PulseBooks(DeliveryLog):
-    """Books that keep every pulse as `Core` tells it, and what it left where there is a skin."""
+    """Books that keep every pulse as `Core` reports it, and what it left where there is a skin."""
 
     worn = False
 
@@ -203,7 +203,7 @@ class Emulated:
 
 
 class Unfelt:
-    """A board whose pulses are told without their currents."""
+    """A board whose pulses are reported without their currents."""
 
     def __init__(self, board):
         self.board, self.books, self.hang_up = board, board.books, board.hang_up

@@ -60,7 +60,7 @@ def test_answers_and_pulses_are_the_emulators(make_core, output, seed):
 
 @pytest.mark.parametrize("output", ["weighted", "three-state", "one-against-all"])
 def test_voltages_and_charge_are_the_emulators(make_core, output):
-    """On the same skin: what each scan answers, what REPORT tells of what was left."""
+    """On the same skin: what each scan answers, what REPORT has of what was left."""
     core = make_core(6, output, 0).wear(Worn(6, output != "weighted"))
     boards = Emulated(6, output, 0, worn=True), core
     # What a switched board splits equally in its books, impedances divide on the skin.

@@ -73,7 +73,7 @@ def test_a_point_that_breaks_its_bound_stands_alone_with_a_mark(make_operator, b
 
 
 def test_points_join_slots_that_they_leave_within_bounds(changed):
-    """SAI on points 1.1 mm apart, where selectivity is short; dealing anew alone took 25 slots.
+    """SAI on points 1.1 mm apart, where selectivity is short; dealing again alone took 25 slots.
 
     Frames are judged every .5 mm, as `FrameSlots` does. Every .1 mm no point keeps .3 of any other
     class even alone (.32), and none can join another.

@@ -42,7 +42,7 @@ def polarities(potential, fiber, step_us=5.0, **options):
 
 
 def fires_by_integration(potential, current_ma, width_us):
-    """The same equations, written out anew per node and left to LSODA; ending active."""
+    """The same equations, written out again per node and left to LSODA; ending active."""
     nodes = potential.size
     axial_us = 1.98e-4 / (4 * 54.7 * SPACING_MM * 0.1 * 2.5 * 1.5e-4)
 

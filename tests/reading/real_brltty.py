@@ -75,7 +75,7 @@ def _nabcc():
 
 
 class Brltty:
-    """BRLTTY with its virtual display, started anew as often as one likes.
+    """BRLTTY with its virtual display, restarted as often as needed.
 
     Its device is as behind its option ``-d``; the screen is the driver of what it reads. Settings
     are a file such as ``/etc/brltty.conf``, which then says all of this.

@@ -66,7 +66,7 @@ def updated(connection, number):
 
 
 def connect(connection):
-    """Return BRLTTY's end, once it has been told the width."""
+    """Return BRLTTY's end, once it has been sent the width."""
     end = socket.create_connection(("127.0.0.1", connection.address.port), timeout=HANGS_S)
     assert end.recv(100) == b"cells 7\r\n"
     return end

@@ -164,7 +164,7 @@ def test_impossible_pauses_are_named(pause, feed_of, make_line):
 
 
 class Follows(OpticalSource):
-    """A sensor that is where it is told to be."""
+    """A sensor at the place that the test sets."""
 
     def __init__(self, *poses, stale=False):
         super().__init__("a mouse")

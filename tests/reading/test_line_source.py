@@ -11,7 +11,7 @@ from smarttouch.reading.line_source import LineMotion, ReadingSource, Spot, Swee
 
 
 class Stands:
-    """A cursor that is where it is told to be."""
+    """A cursor at the place that the test sets."""
 
     knows_force, measures_force, keys = True, False, {}
 

@@ -14,7 +14,7 @@ WIDTH = 10
 
 
 def recipe():
-    """Return the settings file that the page tells readers to write."""
+    """Return the settings file that the page asks readers to write."""
     (found,) = re.findall(
         r"^```text\n(braille-driver.*?)^```$", PAGE.read_text("utf-8"), re.MULTILINE | re.DOTALL
     )

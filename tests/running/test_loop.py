@@ -110,7 +110,7 @@ class Watched(MemoryBoard):
 
 
 def loop(source, pipeline, board, **options):
-    """Run on a clock that is told, with a stop and statistics of its own if none are given."""
+    """Run on a clock that the test sets, with its own stop and statistics if none are given."""
     usual = {"stop": StopRequest(), "statistics": RunStatistics(), "clock": FakeClock()}
     run_loop(source, pipeline, board, **(usual | options))
 
@@ -327,7 +327,7 @@ def test_what_could_not_be_held_is_reported(profile):
 @pytest.mark.usefixtures("patient_boards")
 @pytest.mark.realtime
 def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
-    """By the voltages and the force that the board tells; it comes back from zero."""
+    """By the voltages and the force that the board reports; it comes back from zero."""
     sent = []
     board = EmulatorBoard(
         "", SafetyLimits.of(profile), profile.output, events=["1.5 lift", "2.1 touch"]

@@ -177,7 +177,7 @@ class ToldQueue:
 
 @contextlib.contextmanager
 def told_clock(handed):
-    """Patch the writer's queue and clock by those that are told; see `ToldQueue`."""
+    """Patch the writer's queue and clock by those that the test sets; see `ToldQueue`."""
     told = ToldQueue(handed)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module.queue, "SimpleQueue", lambda: told)

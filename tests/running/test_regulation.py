@@ -17,7 +17,7 @@ from smarttouch.stimulation.safety_gate import SafetyLimits
 
 
 class Told:
-    """A board that tells what a test wants."""
+    """A board that reports what a test sets."""
 
     def __init__(self, *measured):
         self.measured = list(measured)

@@ -32,7 +32,7 @@ class Answer:
 
 
 class GateUnderTest:
-    """A safety gate with a clock that is told."""
+    """A safety gate with a clock that the test sets."""
 
     def __init__(self, profile):
         self.clock = ToldClock()

@@ -37,7 +37,7 @@ def blind(safety_watch):
 
 
 def rules(broken):
-    """Return the names of the rules that something broke, as the watch tells."""
+    """Return the names of the rules that something broke, as the watch reports."""
     return set(broken.partition(" breaks ")[2].partition(": ")[0].split(", "))
 
 

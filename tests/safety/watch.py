@@ -93,7 +93,7 @@ class Watch:
         self._oracles.pop(gate, None)
 
     def restart(self, gate):
-        """Let a gate's oracle begin anew at zero, as the gate does; the dose stays."""
+        """Let a gate's oracle begin again at zero, as the gate does; the dose stays."""
         oracle, clock = self._oracles.get(gate), self._clocks.get(gate)
         if oracle is not None and clock is None:
             oracle.restart(oracle.clock_ns or 0)

@@ -26,7 +26,7 @@ ODD = ZeroDivisionError("by zero")
 
 
 class Script(ImageDevice):
-    """Does what it is told: shots are given, exceptions raised; at the end, it is over."""
+    """Does as it is set: shots are given, exceptions raised; at the end, it is over."""
 
     title = "camera 0"
 

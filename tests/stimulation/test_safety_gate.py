@@ -115,7 +115,7 @@ def test_a_refused_sequence_does_not_count_as_the_one_before():
 
 
 class ToldClock:
-    """Time as a test tells it."""
+    """Time as a test sets it."""
 
     def __init__(self):
         self.time_ns = 0
@@ -125,7 +125,7 @@ class ToldClock:
 
 
 def on_a_clock(limits=LIMITS):
-    """A gate on a told clock, at full intensity a second after its start."""
+    """A gate on a clock that a test sets, at full intensity a second after its start."""
     clock = ToldClock()
     gate = SafetyGate(limits, clock)
     open_level(gate.prove, sequence(GOOD), gate.limits, clock=clock)

@@ -19,7 +19,7 @@ def finger():
 
 
 def run(profile, *listeners, speed_mm_s=60):
-    """Run on a board whose clock is told by the loop: only waiting takes time."""
+    """Run on a board whose clock is set by the loop: only waiting takes time."""
     source = st.open_source("text:on", profile, speed_mm_s=speed_mm_s)
     return st.run(source, st.open_display("simulated:", profile), listeners=listeners)
 

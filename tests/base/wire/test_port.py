@@ -56,7 +56,7 @@ def test_a_port_that_stays_away_is_not_waited_for_longer_than_asked():
 
 @pytest.fixture
 def plugged(tmp_path, usb_ports):
-    """Return a maker of devices at one name, each with what USB tells of it, and their far ends."""
+    """Return a maker of devices at one name, each with its USB description, and their far ends."""
     ends, name = [], tmp_path / "port"
 
     def plug(**usb):
