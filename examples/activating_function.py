@@ -2,7 +2,7 @@
 How far the activating function can be trusted
 ==============================================
 
-Kernels are designed with the activating function (AF), which knows of places and not of membranes.
+Kernels are designed with the activating function (AF), which depends on places, not on membranes.
 If it were all that counts, one threshold would give all others. Here the flat fiber under a cathode
 0.9 mm deep gives it; every other threshold that follows stands beside that of a fiber with active
 membrane.

@@ -3,8 +3,8 @@ The electric mouse
 ==================
 
 A texture lies still while the hand moves over it: each electrode pulses when a ridge passes under
-it, so that the pulse rate is the spatial frequency times the speed, and a hand at rest feels
-nothing.
+it, so that the pulse rate is the spatial frequency times the speed, and a hand at rest gets no
+pulse.
 """
 
 import math

@@ -16,7 +16,7 @@ import numpy as np
 import smarttouch as st
 
 # %%
-# A profile says all of one device on one finger: electrodes, skin, limits. `steps` goes through a
+# A profile describes one device on one finger: electrodes, skin, limits. `steps` goes through a
 # source without a board and without a clock.
 profile = st.load_profile("electric-mouse")
 source = st.open_source("text:touch", profile, speed_mm_s=60)

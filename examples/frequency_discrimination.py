@@ -50,7 +50,7 @@ def sit(folder, standards_hz, repetitions):
 
 
 # %%
-# Each answer is a row of a CSV file; `fit` finds the thresholds, or says in a sentence why there
+# Each answer is a row of a CSV file; `fit` finds the thresholds, or reports in a sentence why there
 # are none.
 with tempfile.TemporaryDirectory() as folder:
     table = read_table(sit(folder, (30.0,), 8))

@@ -17,7 +17,7 @@ finger = st.Finger(profile, seed=1, anatomy="paper")
 print(f"{len(finger.classes)} afferents")
 
 # %%
-# Steps of a run, without a board, and what the finger feels of them.
+# Steps of a run, without a board, and the finger's response to them.
 steps = list(st.steps(st.open_source("text:T", profile, speed_mm_s=40), profile, seconds=2))
 strongest = max(steps, key=lambda step: np.abs(step.sequence.current_ua).sum(dtype=int))
 feeling = finger.feel(strongest)

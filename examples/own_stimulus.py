@@ -2,7 +2,7 @@
 Touch without a sensor
 ======================
 
-A stimulus source knows itself what each electrode is to do: it gives tactile images in place of
+A stimulus source determines itself what each electrode is to do: it gives tactile images instead of
 frames. Here a point goes around in a circle. A listener follows the run.
 """
 
@@ -16,7 +16,7 @@ from smarttouch.lab import profile_for_reading, reading_force_n
 
 
 # %%
-# `read` is asked for the stimulus at a time. Each says how long it lasts; every electrode that is
+# `read` returns the stimulus at a time. Each has its own duration; every electrode that is
 # active in it pulses once.
 class Circle(st.StimulusSource):
     """A point of RA that goes around the middle of the array, twice."""

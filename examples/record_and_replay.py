@@ -4,7 +4,7 @@ Record a run, and replay it in your tests
 
 A recording keeps frames, forces, sequences and all settings in one file. Replayed through today's
 program it gives the same sequences to the last microampere, or a list of differences: a test that
-tells when a change of yours, or of SmartTouch, changes what a finger would feel.
+shows when a change of yours, or of SmartTouch, changes what a finger would feel.
 """
 
 from pathlib import Path

@@ -2,8 +2,8 @@
 Show patterns, and look at what was sent
 ========================================
 
-A session is a board that is open: a program opens a level once, and shows patterns when it wants
-to. Its recording is arrays.
+A session is a board that is open: a program opens a level once, and shows patterns at any
+time. Its recording is arrays.
 """
 
 from pathlib import Path

@@ -2,9 +2,9 @@
 Strength and duration
 =====================
 
-How strong must a pulse be, the shorter it is? A fiber with active membrane says: threshold falls
+How strong must a pulse be, depending on its width? In a fiber with active membrane threshold falls
 with width by Weiss' law, with a rheobase and a chronaxie. It is the check on the activating
-function, which knows of places and not of time.
+function, which depends on places, not on time.
 """
 
 import matplotlib.pyplot as plt

@@ -1,6 +1,6 @@
 """Published measurements beside those of simulated fingers.
 
-Of the literature only what we are sure of stands here; a dash is where we know of no figure.
+Only figures of the literature that we are sure of are listed; a dash means that we have none.
 """
 
 from collections.abc import Callable, Sequence

@@ -263,7 +263,7 @@ void st_feed(st_board *board, const uint8_t *data, size_t size)
     }
 }
 
-/* Short and end the session; the board says nothing more by itself. */
+/* Short and end the session; the board sends nothing more unasked. */
 void st_hang_up(st_board *board)
 {
     st_advance(board);

@@ -1,9 +1,9 @@
 /* Core of a SmartTouch board: the link protocol of version 5 between bytes and pulses.
  *
- * It knows no hardware and has no heap: a port gives it memory, bytes and a clock in microseconds,
+ * It uses no hardware and no heap: a port gives it memory, bytes and a clock in microseconds,
  * and makes pulses. docs/reference/link.md is the specification.
- * Currents are positive cathodic. A field that is left at zero is the safest there is, or st_init
- * says that it is missing.
+ * Currents are positive cathodic. A field that is left at zero has its safest value, or st_init
+ * reports that it is missing.
  */
 #ifndef ST_BOARD_H
 #define ST_BOARD_H
@@ -15,7 +15,7 @@
 #define ST_VERSION 5u
 #define ST_NOTHING 0xFFFFu    /* no slot or electrode; as a slot, the recharge phase */
 #define ST_BUFFERS 3u         /* a packet that comes in, a sequence that executes, one that waits */
-#define ST_HOSTS 8u           /* hosts whose HELLOs are told apart */
+#define ST_HOSTS 8u           /* hosts whose HELLOs are distinguished */
 #define ST_ALIVES 14u         /* packets ALIVE whose age is known */
 #define ST_BUCKETS 21u        /* of 50 ms: the last second, whose beginning lies within the first */
 #define ST_STARTS 201u        /* passes that begin in a second, at 5 ms each */
@@ -61,7 +61,7 @@ typedef struct {
     /* With ST_VOLTAGE: the source's voltage at the end of the last pulse, in 10 mV. Asked for when
      * that pulse is over. */
     uint16_t (*volts)(void *self);
-    /* The largest charge that was left on an electrode after a discharge; NULL if nobody knows. */
+    /* The largest charge that was left on an electrode after a discharge; NULL if unknown. */
     uint32_t (*left_pc)(void *self);
     bool (*emergency_open)(void *self); /* with ST_SWITCH */
 } st_port;
@@ -73,7 +73,7 @@ typedef struct {
     uint32_t felt;      /* pulses strong enough to be felt */
 } st_load;
 
-/* What the core knows of one electrode: limits of the session, and what has passed through it. */
+/* What the core keeps of one electrode: limits of the session, and what has passed through it. */
 typedef struct {
     st_load load[2];       /* of a pass of each of the two sequences */
     int64_t net_pc;        /* of the passes that began in the session */
@@ -108,7 +108,7 @@ typedef struct {
     uint8_t *volts;        /* (2 most_slots,), with ST_VOLTAGE */
     const char *name;
 #ifdef ST_FOR_TESTS
-    bool played;  /* time is what the port says: what is due begins then, however late */
+    bool played;  /* time is set by the port: what is due begins then, however late */
     bool no_ramp; /* intensity may be full at once */
 #endif
 } st_config;
@@ -138,9 +138,9 @@ typedef struct {
     uint32_t level, strength; /* strength: of the last sequence with current */
 } st_ramp;
 
-/* A scan that comes in parts: what the rules need to know of the parts that were accepted. */
+/* A scan that comes in parts: what the rules need of the parts that were accepted. */
 typedef struct {
-    bool open;         /* the last of them says that more follow */
+    bool open;         /* the last of them announces more */
     uint16_t intensity;
     uint32_t period_us, busy_us, flowing_us, peak_pc;
     uint64_t start_us; /* when it was to begin, as the rules count */

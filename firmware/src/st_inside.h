@@ -121,7 +121,7 @@ void st_send_capabilities(st_board *board, uint64_t session, uint32_t number);
 void st_send_report(st_board *board, uint32_t about);
 
 /* st_engine.c */
-/* Return whether time is what a test says. */
+/* Return whether time is set by a test. */
 static inline bool st_is_played(const st_board *board)
 {
 #ifdef ST_FOR_TESTS

@@ -14,11 +14,11 @@ class JournalBoard(st.Board):
     Parameters
     ----------
     rest : str
-        The file, written anew each time the board is opened.
+        The file, rewritten each time the board is opened.
     limits : SafetyLimits
         Of the finger's profile.
     output : Output, optional
-        What the profile says of the board.
+        The board's table in the profile.
     """
 
     on_a_finger = False

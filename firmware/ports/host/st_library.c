@@ -149,7 +149,7 @@ void st_rig_free(st_rig *rig)
     free(rig);
 }
 
-/* What finds out what each pulse does to a skin, before the pulse is told. */
+/* Set the function that computes each pulse's effect on a skin, before the pulse is reported. */
 void st_rig_wear(st_rig *rig, void (*skin)(const uint32_t *times, uint64_t start_us,
                                            const int16_t *current_ua, uint32_t *found))
 {

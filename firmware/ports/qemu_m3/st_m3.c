@@ -5,7 +5,7 @@
  *
  * and every time all electrodes are shorted, but for a pulse's end, as a record of the same length
  * without a width: the reason's first four letters, u32 time in us, u32 us since the host's last
- * sign of life, u16 0, u16 refused sequences. It may be told what to be by words after its name:
+ * sign of life, u16 0, u16 refused sequences. Words after its name set its kind:
  * electrodes (64 at most), output (0, 1, 2), least time from zero to full in ms; with ST_WATCHDOG also
  * the pulses after which it stands still, with interrupts off, for its watchdog to end.
  *
