@@ -71,8 +71,8 @@ CEILINGS = (
         "Shannon's k of a pulse",
         CEILING_SHANNON_K,
         "",
-        "Shannon 1992 puts the edge of damage, found on cat cortex, near 1.85; skin has no number "
-        "of its own. Full frames of the shipped profiles reach 1.66.",
+        "Shannon 1992 puts the edge of damage, found on cat cortex, near 1.85; no such number is "
+        "known for skin. Full frames of the shipped profiles reach 1.66.",
     ),
     Ceiling(
         "least discharge after each pulse",
@@ -133,7 +133,7 @@ CEILINGS = (
         "session",
         CEILING_SESSION_S,
         "s",
-        "Ours: an hour of scans with current; skin is then looked at.",
+        "Ours: an hour of scans with current, after which the skin is inspected.",
     ),
     Ceiling(
         "charge through an electrode in a session",
@@ -145,8 +145,8 @@ CEILINGS = (
         "current of all displays of a user together",
         CEILING_USER_MA,
         "mA",
-        "Ours: two displays at the ceiling of a slot; their clocks are their own, so pulses of two "
-        "displays cannot be kept apart.",
+        "Ours: two displays at the ceiling of a slot; each display has its own clock, so their "
+        "pulses may coincide.",
     ),
 )
 """All enforced ceilings. `ADVISORY_RMS_MA_CM2` is reported and not enforced: IEC 60601-2-10 wants
