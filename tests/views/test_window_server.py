@@ -138,6 +138,9 @@ def test_axe_finds_nothing(on_page):
         for scheme in ("light", "dark"):
             page.emulate_media(color_scheme=scheme)
             assert violations(page) == []
+        page.click("#stop")
+        page.wait_for_selector("#stop:disabled")
+        assert violations(page) == []
 
 
 def test_it_fits_a_phone_and_respects_reduced_motion(on_page):
