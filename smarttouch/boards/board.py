@@ -160,7 +160,7 @@ class Board(TimedBoard, ABC):
             self.close()
             raise BoardError(
                 f"{type(self).__name__} does not set capabilities: do so in __init__, or at the "
-                f"latest in _open",
+                "latest in _open",
                 about="capabilities",
             )
         if self._stopped.is_set():

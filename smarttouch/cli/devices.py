@@ -211,7 +211,7 @@ def try_out(
         if may_touch_a_finger(url) and not sys.stdin.isatty():
             raise SmartTouchError(
                 "there is no keyboard to end it with, and a finger may be on the board: give the "
-                "current, for example {_WALK_MA:g} mA",
+                f"current, for example {_WALK_MA:g} mA",
                 about="keyboard",
                 remedy="current_ma",
             )

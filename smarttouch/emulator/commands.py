@@ -257,7 +257,7 @@ def _sensor_advice(name: str, curve: str, port: str) -> str:
             f"  smarttouch live {name}:{port} --force fixed:0.5\n\nCtrl-C ends it."
         )
     return (
-        f"A load cell. In another terminal:\n\n"
+        "A load cell. In another terminal:\n\n"
         f"  smarttouch devices show {name}:{port} --profile P\n"
         f"  smarttouch live --force {name}:{port} --profile P\n\n"
         f"with {curve} in [force] of the profile P, or smarttouch calibrate force to find it. "

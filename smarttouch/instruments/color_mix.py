@@ -244,8 +244,8 @@ def mix_answers(
     if len(electrical) > 1 and (timing.whole_hz or timing.every_electrode or timing.in_index_order):
         raise ScheduleError(
             f"{' and '.join(each.name for each in electrical)} respond to this, each at a rate of "
-            f"its own, and this board scans all electrodes at one rate: choose another board, or "
-            f"a stimulus that one class alone responds to",
+            "its own, and this board scans all electrodes at one rate: choose another board, or "
+            "a stimulus that one class alone responds to",
             about="classes",
         )
     trains = list(ideal.values())
@@ -294,7 +294,7 @@ def _drivable(
         raise ScheduleError(
             f"only {' and '.join(each.name for each in left_out)} would respond to this, and the "
             f"board of {profile.name} drives {' and '.join(each.name for each in made)} at these "
-            f"sites: choose another profile, or a stimulus that others respond to, too",
+            "sites: choose another profile, or a stimulus that others respond to, too",
             about="classes",
         )
     return [each for each in answering if each in made], left_out

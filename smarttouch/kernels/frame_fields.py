@@ -125,7 +125,7 @@ def _kernel(profile: Profile, afferents: Afferents, skin: Skin, dx: Array, dy: A
     if len(array.kinds) > 1:
         raise DesignError(
             f"whole frames need electrodes of one shape, and this array has {len(array.kinds)}: "
-            f"give points slots of their own",
+            "give points slots of their own",
             about="array.shapes",
             remedy="frames.share",
         )

@@ -33,7 +33,7 @@ def layout_of(table: Path | str | NDArray[np.floating[Any]]) -> FreeLayout:
     if numbers.ndim != 2 or numbers.shape[1] not in (2, 3) or not len(numbers):
         raise ProfileError(
             f"a table of {numbers.shape} is no table of electrodes: give (E, 2), mm right and "
-            f"down, or (E, 3) with diameters",
+            "down, or (E, 3) with diameters",
             about="electrodes",
         )
     count = len(numbers)

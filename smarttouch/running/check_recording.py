@@ -161,7 +161,7 @@ def rebuild_pipeline(
         if run.compliance_v is None:
             raise RecordingError(
                 f"the settings in {recording.path} do not show how it was made: compliance_v is "
-                f"missing, which hold needs",
+                "missing, which hold needs",
                 about="settings.compliance_v",
             )
         adaptation = Adaptation(profile, run.hold, run.compliance_v, run.timing)

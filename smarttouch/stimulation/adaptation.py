@@ -54,7 +54,7 @@ class Adaptation:
         self._timing = ScanTiming() if timing is None else timing
         if hold == "charge" and self._timing.width_us is not None:
             raise ScheduleError(
-                f"hold charge needs longer pulses, and this board's pulses last "
+                "hold charge needs longer pulses, and this board's pulses last "
                 f"{self._timing.width_us} µs always: hold energy",
                 about="hold",
             )

@@ -51,7 +51,7 @@ class PointSlots:
         if weights[:, masked].any():
             raise ScheduleError(
                 f"the kernels drive an electrode that output.masked {masked} lists: design the "
-                f"bank for this profile",
+                "bank for this profile",
                 about="output.masked",
             )
         self._kernels_ua = weights * (profile.full_ma * 1000)[:, None]

@@ -274,7 +274,7 @@ class ETactileKitBoard(SteppedKit):
         else:
             raise LineLostError(
                 f"the board at {self._port_name} did not report all of its {self._outputs} "
-                f"readings: measure again",
+                "readings: measure again",
                 about="measure",
             )
         volts = readings[self._wiring].astype(np.float64) * VOLTS_PER_COUNT

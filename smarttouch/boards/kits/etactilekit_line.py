@@ -149,7 +149,7 @@ class ETactileKitLine(KeptBoard):
         if len(answer) == self._outputs:
             raise BoardError(
                 f"the firmware of the board at {self._port_name} is eTactileKit v1.0, which is "
-                f"not supported: update it",
+                "not supported: update it",
                 about="firmware",
             )
         raise self._lost(f"sent {len(answer)} bytes of readings, not {codec.answer_bytes}")

@@ -222,8 +222,8 @@ class Kajimoto61Board(StreamedBoard):
                 self._zero()
                 raise BoardError(
                     f"the board at {self._port_name} answered {len(answer)} of {ELECTRODES + 1} "
-                    f"bytes to a measurement, or some that are no readings: it was put at zero; "
-                    f"measure again",
+                    "bytes to a measurement, or some that are no readings: it was put at zero; "
+                    "measure again",
                     about="measure",
                 )
         readings = np.frombuffer(answer[:-1], np.uint8).astype(np.float64)

@@ -214,7 +214,7 @@ class LinkHost(Board):
         if probe.slots and not found:
             raise BoardError(
                 f"the board at {self._line.name} did not report the voltages of its electrodes: "
-                f"measure again",
+                "measure again",
                 about="measure",
             )
         return found[-1].astype(np.float64) if found else np.empty(0)

@@ -250,7 +250,7 @@ def _require_answer(
         first, second = np.unique(grams)[[turned.argmax(), turned.argmax() + 1]]
         raise CalibrationError(
             f"the reading does not change in one direction from {first:g} to {second:g} g: weigh "
-            f"again, each weight alone and at rest",
+            "again, each weight alone and at rest",
             about="readings",
         )
 
@@ -270,6 +270,6 @@ def _require_good(found: ForceFound) -> None:
     if drift_n > MOST_DRIFT * found.full_n:
         raise CalibrationError(
             f"the reading drifted by {drift_n:.3f} N while {restless.grams:g} g lay on the cell: "
-            f"wait until it settles, and weigh again",
+            "wait until it settles, and weigh again",
             about="drift",
         )

@@ -189,7 +189,7 @@ def file_to_calibrate(
     if key is not None:
         raise CalibrationError(
             f"{output} is there, and differs from {start} in {key}: continue from what is there, "
-            f"or write another file",
+            "or write another file",
             about=key,
             remedy="output",
         )

@@ -64,7 +64,7 @@ class WeightedStaircase:
             )
         if not (self.step > 0 and 0 < self.target < 1):
             raise ExperimentError(
-                f"a staircase needs a step above 0 and a target between 0 and 1, not "
+                "a staircase needs a step above 0 and a target between 0 and 1, not "
                 f"{self.step:g} and {self.target:g}",
                 about="target" if self.step > 0 else "step",
             )

@@ -220,7 +220,7 @@ class ExperimentSource(ProgramSource):
         if most is not None and spoiled > most:
             raise ExperimentError(
                 f"current was lost {spoiled} times in one trial, and {most} times are allowed: "
-                f"check the board's line, and keep the finger on the electrodes",
+                "check the board's line, and keep the finger on the electrodes",
                 about="trial",
             )
 

@@ -271,7 +271,7 @@ class SimulatedObserver:
         if missing:
             raise ExperimentError(
                 f"the simulated observer has no template of {missing[0]!r}: give it a template of "
-                f"each alternative",
+                "each alternative",
                 about="template",
             )
         nerve = self._nerve

@@ -128,7 +128,7 @@ def test_a_man_in_the_middle(make_world):
             totals.update(slots=world.books.slots, refused=world.refused(), faults=world.given_up)
     print(
         f"\n{RUNS} runs, {Host.asked_ever - asked} sequences asked for, {totals['slots']} slots: "
-        f"0 unsafe, 0 unasked, 0 old delivered; old frames that reached the board "
+        "0 unsafe, 0 unasked, 0 old delivered; old frames that reached the board "
         f"{totals['board']}, refused by it {totals['refused']}; that reached the host, all "
         f"counted, {totals['host']}; "
         f"faults {dict(faults)}, hosts that gave up {totals['faults']}"
