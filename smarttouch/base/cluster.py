@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
 
 from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.lazy_names import import_extra
 
 _ANSWERS_WITHIN_S = 10
 
@@ -18,19 +18,11 @@ def on_cluster(address: str | None) -> Iterator[None]:
     if address is None:
         yield
         return
-    try:
-        from distributed import Client
-    except ImportError:
-        raise SmartTouchError(
-            "a cluster needs Dask: install it with the extra, pip install 'smarttouch[cluster]'",
-            about="cluster",
-            remedy="pip install 'smarttouch[cluster]'",
-        ) from None
+    dask = import_extra("distributed", "a cluster", "cluster")
     from joblib import parallel_config
 
     try:
-        connect: Any = Client
-        client = connect(address, timeout=_ANSWERS_WITHIN_S, set_as_default=False)
+        client = dask.Client(address, timeout=_ANSWERS_WITHIN_S, set_as_default=False)
     except (OSError, ValueError, ImportError) as error:
         raise SmartTouchError(
             f"no Dask scheduler answers at {address!r} ({error or type(error).__name__}): give its "

@@ -1,9 +1,11 @@
-"""Names of a package that are imported when they are used first."""
+"""Imports at first use: names of a package, and modules of extras."""
 
 import sys
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
+
+from smarttouch.base.errors import SmartTouchError
 
 
 def lazy_names(package: str, where: Mapping[str, str]) -> Callable[[str], Any]:
@@ -18,3 +20,15 @@ def lazy_names(package: str, where: Mapping[str, str]) -> Callable[[str], Any]:
         return value
 
     return find
+
+
+def import_extra(
+    module: str, what: str, extra: str, error: type[SmartTouchError] = SmartTouchError
+) -> Any:
+    """Import a module of an extra; raises an error that names the extra where it is missing."""
+    try:
+        return import_module(module)
+    except ImportError:
+        command = f"pip install 'smarttouch[{extra}]'"
+        message = f"{what} needs the extra {extra}: {command}"
+        raise error(message, about="extra", remedy=command) from None

@@ -36,10 +36,6 @@ def design(
     any_node: Annotated[
         bool, option("Search for the best node to activate, too.", None, "--any-node")
     ] = False,
-    driving: Annotated[
-        bool,
-        option("Judge by thresholds of fibers, not by the activating function.", None, "--driving"),
-    ] = False,
     compare: Annotated[
         bool,
         option(
@@ -75,7 +71,7 @@ def design(
         name
         for name, asked in (
             ("robust", robust and not three_state), ("three_state", three_state),
-            ("any_node", any_node), ("driving", driving), ("compare", compare),
+            ("any_node", any_node), ("compare", compare),
             ("bank_file", bank_file is not None),
         )
         if asked
@@ -106,7 +102,7 @@ def design(
         for each in shown:
             _print(*kernel_tables.weight_table(chosen, each))
     if json_file is not None:
-        write_json(json_file, kernel_tables.as_json(chosen, shown, driving))
+        write_json(json_file, kernel_tables.as_json(chosen, shown))
     if plot_file is not None:
         from smarttouch.views.figure_style import save
         from smarttouch.views.kernel_figures import kernel_figure

@@ -1,14 +1,13 @@
 """A mouse of this machine, through Linux's evdev: its counts, before any acceleration."""
 
 import contextlib
-import importlib
 import select
 import threading
 from pathlib import Path
-from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from smarttouch.base.errors import SourceError, SourceLostError, require_within
+from smarttouch.base.lazy_names import import_extra
 from smarttouch.instruments.hand_motion import HandMotion
 from smarttouch.pages.page_image import INCH_MM
 
@@ -141,12 +140,5 @@ def _is_mouse(device: "InputDevice[str]") -> bool:
     return ecodes.REL_X in moves and ecodes.REL_Y in moves
 
 
-def _evdev() -> ModuleType:
-    try:
-        return importlib.import_module("evdev")
-    except ImportError:
-        raise SourceError(
-            "evdev: needs the extra mouse, on Linux: pip install 'smarttouch[mouse]'",
-            about="evdev",
-            remedy="pip install 'smarttouch[mouse]'",
-        ) from None
+def _evdev() -> Any:
+    return import_extra("evdev", "evdev:, on Linux alone,", "mouse", SourceError)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import SourceError
+from smarttouch.base.lazy_names import import_extra
 from smarttouch.instruments.osc_senders import STAMP, Key, OwnPrograms, Packet, Verdict, received
 from smarttouch.instruments.pushed_stimuli import PushedStimuli
 from smarttouch.profile import Profile
@@ -233,16 +234,9 @@ def _bound(host: str, port: int, alone: bool) -> socket.socket:
 
 
 def _import_parser() -> Any:
-    try:
-        from pythonosc.osc_packet import OscPacket
-    except ImportError:
-        raise SourceError(
-            "osc: needs the extra osc: pip install 'smarttouch[osc]'",
-            about="osc",
-            remedy="pip install 'smarttouch[osc]'",
-        ) from None
+    packet: Any = import_extra("pythonosc.osc_packet", "osc:", "osc", SourceError).OscPacket
 
     def parse(data: bytes) -> list[tuple[str, list[Any]]]:
-        return [(each.message.address, each.message.params) for each in OscPacket(data).messages]
+        return [(each.message.address, each.message.params) for each in packet(data).messages]
 
     return parse

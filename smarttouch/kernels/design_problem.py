@@ -27,7 +27,7 @@ from smarttouch.physiology.activating_function import (
     targets,
     tilted_directions,
 )
-from smarttouch.profile import Profile, Skin
+from smarttouch.profile import Profile
 
 _SQUARE = [
     np.array(matrix)
@@ -187,29 +187,31 @@ class Problem:
         aims = self._might_be(targets(profile, afferent))
         self.rows: list[Rows] = [
             Rows(
-                np.concatenate([self._by_direction(aim, skin) for aim in aims]),
-                np.concatenate([self._matrix(one, skin) for e in others for one in sets[e]]),
-                np.concatenate([self._matrix(one, skin) for one in sets[afferent]]),
+                np.concatenate([af_matrix(profile, aim, skin) for aim in aims]).reshape(
+                    -1, self.electrodes, self.electrodes
+                ),
+                np.concatenate([af_matrix(profile, one, skin) for e in others for one in sets[e]]),
+                np.concatenate([af_matrix(profile, one, skin) for one in sets[afferent]]),
             )
             for skin in (skin_variants(profile.skin) if spread else [profile.skin])
         ]
         self.other_class: NDArray[np.int8] = np.concatenate(
             [
-                np.full(self._layers(one) * len(one.position_mm), each, np.int8)
+                np.full(len(one.direction) * len(one.position_mm), each, np.int8)
                 for each in others
                 for one in sets[each]
             ]
         )
         self.grids: list[tuple[tuple[int, int], int]] = [
-            (one.grid, self._layers(one)) for each in others for one in sets[each]
+            (one.grid, len(one.direction)) for each in others for one in sets[each]
         ]  # fmt: skip
-        own_grids = [(one.grid, self._layers(one)) for one in sets[afferent]]
+        own_grids = [(one.grid, len(one.direction)) for one in sets[afferent]]
         apart = max(1, round(_FIRST_MM / profile.skin.node_spacing_mm))
         self.coarse_other: NDArray[np.intp] = _sublattice(self.grids, apart)
         """Rows of other classes, and of the own, that lie about `_FIRST_MM` apart."""
         self.coarse_own: NDArray[np.intp] = _sublattice(own_grids, apart)
         self._own_position_mm = np.concatenate(
-            [np.tile(one.position_mm, (self._layers(one), 1)) for one in sets[afferent]]
+            [np.tile(one.position_mm, (len(one.direction), 1)) for one in sets[afferent]]
         )
 
     @property
@@ -265,7 +267,7 @@ class Problem:
     def axon(self, site: int) -> Array:
         """Return the rows of the target's own axon, the node under the electrode first."""
         sets = along_axon(self.profile, self.afferent, site)
-        return np.concatenate([self._matrix(one, self.profile.skin) for one in sets])
+        return np.concatenate([af_matrix(self.profile, one, self.profile.skin) for one in sets])
 
     def axon_mm(self, site: int) -> Array:
         """Return the places of the nodes of the target's own axon, (K, 3) x, y and depth."""
@@ -338,15 +340,3 @@ class Problem:
         return [
             replace(one, depth_mm=one.depth_mm + shift, direction=direction) for shift in shifts
         ]
-
-    def _by_direction(self, aim: Afferents, skin: Skin) -> Array:
-        count = self.electrodes
-        return self._matrix(aim, skin).reshape(-1, count, count)
-
-    def _matrix(self, nodes: Afferents, skin: Skin) -> Array:
-        """Return the rows of a set of nodes, layer by layer."""
-        return af_matrix(self.profile, nodes, skin)
-
-    def _layers(self, nodes: Afferents) -> int:
-        """Return how many rows a set has for each place."""
-        return len(nodes.direction)

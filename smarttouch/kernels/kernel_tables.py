@@ -11,7 +11,6 @@ from smarttouch.base.errors import DesignError
 from smarttouch.kernels.bank import KernelBank, kernels_at_nodes
 from smarttouch.kernels.batch_design import Design, Timed, design_sites, part_of
 from smarttouch.kernels.design_problem import Kernel, Problem
-from smarttouch.kernels.driving_problem import DrivingProblem
 from smarttouch.kernels.finger_kernels import FingerKernels
 from smarttouch.kernels.switched_design import (
     design_one_of_n,
@@ -113,9 +112,8 @@ def kernels_designed(
     robust: bool,
     progress: Advance | None,
 ) -> list[SiteKernel]:
-    """Return kernels designed now: one of `DESIGNS`, or as the board needs them, also "driving"."""
+    """Return kernels designed now: one of `DESIGNS`, or as the board needs them."""
     design_one = DESIGNS[kind] if kind in DESIGNS else designer(profile)
-    a_problem = DrivingProblem if kind == "driving" else Problem
     found = []
     if kind is None and profile.kernels.objective == "finger":
         on_fingers = FingerKernels(profile, kernels_at_nodes(profile))
@@ -126,7 +124,7 @@ def kernels_designed(
             ]
         return found
     for index, mode in enumerate(modes):
-        problem = a_problem(profile, mode, spread=robust)
+        problem = Problem(profile, mode, spread=robust)
         timed = design_sites(problem, design_one, sites, part_of(progress, index, len(modes)))
         found += [SiteKernel(mode, site, *each) for site, each in zip(sites, timed, strict=True)]
     return found
@@ -158,15 +156,12 @@ def middle_kernels(
     return site, found
 
 
-def as_json(
-    profile: Profile, kernels: Sequence[SiteKernel], driving: bool = False
-) -> dict[str, Any]:
+def as_json(profile: Profile, kernels: Sequence[SiteKernel]) -> dict[str, Any]:
     """Return kernels as a JSON object; weights in mA, positive cathodic."""
-    aim = "the target's threshold" if driving else "an activating function of 1 V/mm² at the target"
     return {
         "profile": profile.name,
         "positive": "cathodic",
-        "weights_unit": f"mA for {aim}",
+        "weights_unit": "mA for an activating function of 1 V/mm² at the target",
         "kernels": [_one_as_json(profile, each) for each in kernels],
     }
 

@@ -10,6 +10,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from smarttouch.base.errors import ReadingError
+from smarttouch.base.lazy_names import import_extra
 from smarttouch.braille.cells import read_plain_text
 from smarttouch.braille.code_tables import open_table
 from smarttouch.imaging.array_window import rows_of
@@ -71,20 +72,14 @@ def _rate(truth: Sequence[str], text: Sequence[str]) -> float:
         raise ReadingError(
             "the text to compare with is empty: give the text of the page", about="truth"
         )
-    return _levenshtein()(truth, text) / len(truth)
+    return float(_levenshtein()(truth, text)) / len(truth)
 
 
-def _levenshtein() -> Callable[[Sequence[str], Sequence[str]], int]:
+def _levenshtein() -> Any:
     """Return the function for the distance of two sequences, from the extra ``legibility``."""
-    try:
-        from rapidfuzz.distance import Levenshtein
-    except ModuleNotFoundError:
-        raise ReadingError(
-            "error rates need the extra legibility: pip install 'smarttouch[legibility]'",
-            about="extra",
-            remedy="pip install 'smarttouch[legibility]'",
-        ) from None
-    return Levenshtein.distance
+    return import_extra(
+        "rapidfuzz.distance.Levenshtein", "an error rate", "legibility", ReadingError
+    ).distance
 
 
 _Item = TypeVar("_Item")

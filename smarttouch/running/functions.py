@@ -10,7 +10,6 @@ from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.stopping import StopRequest
 from smarttouch.kernels.bank import KernelBank, kernels_at_nodes, load_bank
 from smarttouch.kernels.design_problem import Kernel, Problem
-from smarttouch.kernels.driving_problem import DrivingProblem
 from smarttouch.kernels.finger_kernels import FingerKernels
 from smarttouch.kernels.switched_design import designer
 from smarttouch.kernels.weighted_design import design_kernel as unbounded_kernel
@@ -221,7 +220,7 @@ def design_kernel(
     profile: Profile,
     afferent: Afferent | str,
     site: int,
-    model: Literal["activating", "paper", "driving"] = "activating",
+    model: Literal["activating", "paper"] = "activating",
 ) -> Kernel:
     """Design the kernel of one site, of the kind that the profile's board can make.
 
@@ -232,12 +231,10 @@ def design_kernel(
         Afferent class: RA, SAI or PC.
     site : int
         Electrode over the target.
-    model : {"activating", "paper", "driving"}
-        What fires a fiber: the activating function at a node, as in the paper, or a driving
-        function fitted to a cable model; weights are then in mA at the target's threshold.
+    model : {"activating", "paper"}
         "paper" is its own program (Eq. 16 to 18), for currents of each electrode's own: nothing
         bounds what its own class gets elsewhere. A profile whose objective is the finger has its
-        own, by driving functions: weights are then parts of the full current.
+        own kernels, by driving functions: weights are then parts of the full current.
 
     Raises
     ------
@@ -254,7 +251,7 @@ def design_kernel(
     afferent = afferent if isinstance(afferent, Afferent) else Afferent[afferent]
     if profile.kernels.objective == "finger" and model == "activating":
         return FingerKernels(profile, kernels_at_nodes(profile)).kernels(afferent, [site])[0][0]
-    problem = (DrivingProblem if model == "driving" else Problem)(profile, afferent)
+    problem = Problem(profile, afferent)
     if model == "paper":
         return unbounded_kernel(problem, site, spill=None)
     return designer(profile)(problem, site)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from smarttouch.base.errors import SourceError
+from smarttouch.base.lazy_names import import_extra
 from smarttouch.profile import Profile
 from smarttouch.running.mcap_chunks import parse_message
 from smarttouch.running.mcap_file import McapFile
@@ -193,17 +194,8 @@ def _decoder(channel: Channel, schema: Schema) -> Decode:
 
 
 def _from_package(module: str, encoding: str, schema: Schema) -> Decode:
-    from importlib import import_module
-
-    try:
-        factory = import_module(module).DecoderFactory()
-    except ImportError:
-        raise SourceError(
-            f"messages in {encoding} need the extra ros: pip install 'smarttouch[ros]'",
-            about="extra",
-            remedy="pip install 'smarttouch[ros]'",
-        ) from None
-    decode: Decode = factory.decoder_for(encoding, schema)
+    decoders = import_extra(module, f"a message in {encoding}", "ros", SourceError)
+    decode: Decode = decoders.DecoderFactory().decoder_for(encoding, schema)
     return decode
 
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import RecordingError, SmartTouchError
+from smarttouch.base.errors import RecordingError
+from smarttouch.base.lazy_names import import_extra
 from smarttouch.profile import Profile
 from smarttouch.running.recording_reader import Recording
 from smarttouch.running.step_decoder import RecordedStep
@@ -253,13 +254,9 @@ class RecordedRun:
 
         Needs pandas, the extra ``data``.
         """
-        try:
-            import pandas
-        except ImportError:
-            raise SmartTouchError(
-                "tables need pandas: pip install 'smarttouch[data]'", about="extra", remedy="data"
-            ) from None
-        return pandas.DataFrame(self.arrays.by_step())
+        pandas = import_extra("pandas", "a table", "data")
+        frame: pandas.DataFrame = pandas.DataFrame(self.arrays.by_step())
+        return frame
 
     def compare(self, other: "RecordedRun") -> dict[str, float]:
         """Return the largest difference of each array that differs; empty if they are the same.

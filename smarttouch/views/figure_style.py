@@ -10,6 +10,7 @@ from smarttouch.base.array_picture import CATHODIC as _CATHODIC_RGB
 from smarttouch.base.array_picture import hex_color
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.files import write_bytes
+from smarttouch.base.lazy_names import import_extra
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -27,17 +28,11 @@ FORMATS = ("png", "pdf", "svg")
 
 def new_figure(width_in: float, height_in: float) -> "Figure":
     """Return an empty figure; one of pyplot where a program or notebook has imported that."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise SmartTouchError(
-            "figures need matplotlib: install it with the extra, pip install 'smarttouch[plot]'",
-            about="matplotlib",
-            remedy="pip install 'smarttouch[plot]'",
-        ) from None
+    plain: Any = import_extra("matplotlib.figure", "a figure", "plot").Figure
     pyplot = sys.modules.get("matplotlib.pyplot")
-    make: Any = Figure if pyplot is None else pyplot.figure
-    figure: Figure = make(figsize=(width_in, height_in), layout="constrained")
+    figure: Figure = (plain if pyplot is None else pyplot.figure)(
+        figsize=(width_in, height_in), layout="constrained"
+    )
     return figure
 
 

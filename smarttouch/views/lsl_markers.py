@@ -5,7 +5,6 @@ one clock: see https://labstreaminglayer.org.
 """
 
 import contextlib
-import importlib
 import os
 import platform
 import time
@@ -16,6 +15,7 @@ import numpy as np
 
 from smarttouch.base.errors import MarkersError
 from smarttouch.base.events import Event
+from smarttouch.base.lazy_names import import_extra
 from smarttouch.profile import Profile
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
@@ -157,13 +157,7 @@ class Markers(Listener):
 
 def _import_pylsl() -> Any:
     try:
-        pylsl = importlib.import_module("pylsl")
-    except ImportError:
-        raise MarkersError(
-            "markers need pylsl: install it with the extra, pip install 'smarttouch[lsl]'",
-            about="pylsl",
-            remedy="pip install 'smarttouch[lsl]'",
-        ) from None
+        pylsl = import_extra("pylsl", "a stream of markers", "lsl", MarkersError)
     except RuntimeError:
         raise MarkersError(
             "markers need liblsl, which pylsl has not found: install it (https://labstreaminglayer.org)"

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 from smarttouch.base.clock import prioritized
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.files import write_bytes
+from smarttouch.base.lazy_names import import_extra
 
 if TYPE_CHECKING:
     import uvicorn
@@ -143,18 +144,8 @@ async def _refuse(scope: Any, send: Any) -> None:
 
 def import_server() -> Any:
     """Return uvicorn; raises if the extra is missing."""
-    try:
-        # All three are parts of the extra.
-        import starlette  # noqa: F401
-        import uvicorn
-        import websockets  # noqa: F401
-    except ImportError:
-        raise SmartTouchError(
-            "a window needs the extra window: pip install 'smarttouch[window]'",
-            about="window",
-            remedy="pip install 'smarttouch[window]'",
-        ) from None
-    return uvicorn
+    modules = ("starlette", "websockets", "uvicorn")
+    return [import_extra(each, "a window", "window") for each in modules][-1]
 
 
 def has_browser() -> bool:

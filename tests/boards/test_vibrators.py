@@ -355,14 +355,14 @@ class TestTheSoundDevice:
         assert str(sound.refuse) in str(error.value)
 
     @pytest.mark.parametrize(("missing", "about", "remedy"), [
-        (ImportError(), "sounddevice", "pip install 'smarttouch[audio]'"),
+        (ImportError(), "extra", "pip install 'smarttouch[audio]'"),
         (OSError("PortAudio"), "PortAudio", "apt install libportaudio2"),
     ])  # fmt: skip
     def test_what_is_missing_is_named(self, board, monkeypatch, missing, about, remedy):
         def refuse(name):
             raise missing
 
-        monkeypatch.setattr("importlib.import_module", refuse)
+        monkeypatch.setattr("smarttouch.base.lazy_names.import_module", refuse)
         with raises(BoardError, about=about, remedy=remedy) as error:
             board("audio")
         assert remedy in str(error.value)

@@ -1,6 +1,5 @@
 """``design`` shows what is shipped, and what a user describes."""
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -167,19 +166,3 @@ def test_an_array_and_a_skin_of_one_s_own(designed, tmp_path):
 ])  # fmt: skip
 def test_nonsense_is_one_sentence(program_here, arguments, wrong):
     wrong(refused(program_here("design", *arguments.split())))
-
-
-def test_figures_without_matplotlib(monkeypatch):
-    from smarttouch.views.figure_style import new_figure
-
-    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    with pytest.raises(SmartTouchError) as caught:
-        new_figure(1, 1)
-    says(SmartTouchError, "smarttouch[plot]")(caught.value)
-
-
-def test_one_site_by_driving_functions(designed):
-    _, table = designed("--profile=line-7", "--mode=sai", "3", "--driving")
-    (kernel,) = table["kernels"]
-    assert "threshold" in table["weights_unit"]
-    assert 1 < np.abs(kernel["weights"]).max() < 20

@@ -45,7 +45,7 @@ def test_without_the_extra_it_says_which(program_here, monkeypatch, library):
     for name in [library, *(each for each in sys.modules if each.startswith(f"{library}."))]:
         monkeypatch.setitem(sys.modules, name, None)
     done = program_here("live --window --board simulated:")
-    says(SmartTouchError, "smarttouch[window]", about="window")(refused(done))
+    says(SmartTouchError, "smarttouch[window]", about="extra")(refused(done))
 
 
 def test_recordings_are_shown_until_ctrl_c(start_program, program_here, tmp_path):

@@ -58,5 +58,5 @@ def test_a_missing_scheduler_is_an_error(monkeypatch):
 
 def test_missing_dask_is_an_error(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-    with raises(SmartTouchError, about="cluster"), on_cluster("tcp://a:1"):
+    with raises(SmartTouchError, about="extra"), on_cluster("tcp://a:1"):
         pass

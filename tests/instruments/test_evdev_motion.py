@@ -159,5 +159,5 @@ def test_what_is_no_mouse(device, monkeypatch):
 
 def test_without_the_extra_it_names_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "evdev", None)
-    with raises(SourceError, about="evdev", remedy="pip install 'smarttouch[mouse]'"):
+    with raises(SourceError, about="extra", remedy="pip install 'smarttouch[mouse]'"):
         open_motion("evdev:")

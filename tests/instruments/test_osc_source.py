@@ -387,7 +387,7 @@ def is_bound(line, port):
 
 def test_without_the_extra_it_says_which(profile, monkeypatch):
     monkeypatch.setitem(sys.modules, "pythonosc.osc_packet", None)
-    with raises(SourceError, about="osc"):
+    with raises(SourceError, about="extra"):
         st.open_source("osc:9000", profile)
 
 

@@ -21,5 +21,5 @@ def test_a_name_of_no_kind_of_figure(name):
 def test_without_matplotlib(monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     remedy = "pip install 'smarttouch[plot]'"
-    with raises(SmartTouchError, about="matplotlib", remedy=remedy):
+    with raises(SmartTouchError, about="extra", remedy=remedy):
         require_drawable(Path("figure.svg"))

@@ -188,14 +188,14 @@ class TestFaults:
         assert str(lsl.refuse) in str(error.value)
 
     @pytest.mark.parametrize(("missing", "about", "remedy"), [
-        (ImportError(), "pylsl", "pip install 'smarttouch[lsl]'"),
+        (ImportError(), "extra", "pip install 'smarttouch[lsl]'"),
         (RuntimeError("no library"), "liblsl", "https://labstreaminglayer.org"),
     ])  # fmt: skip
     def test_what_is_missing_is_named(self, profile, monkeypatch, missing, about, remedy):
         def refuse(name):
             raise missing
 
-        monkeypatch.setattr("importlib.import_module", refuse)
+        monkeypatch.setattr("smarttouch.base.lazy_names.import_module", refuse)
         with raises(MarkersError, about=about, remedy=remedy) as error:
             opened(profile)
         assert remedy in str(error.value)

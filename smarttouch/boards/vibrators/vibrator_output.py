@@ -1,7 +1,6 @@
 """Waveforms of vibrators, and their output: a file or a sound device."""
 
 import contextlib
-import importlib
 import os
 import struct
 import threading
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from smarttouch.base.electrodes import ElectrodeArray
 from smarttouch.base.errors import BoardError, SmartTouchError
 from smarttouch.base.files import owner_only, unwritable
+from smarttouch.base.lazy_names import import_extra
 
 PC_HZ = 250.0  # most sensitive frequency of the Pacinian corpuscle (paper, Section I and V)
 GLIDE_S = 0.004
@@ -299,14 +299,9 @@ class SoundOutput(VibratorOutput):
 
 def _import_sounddevice() -> Any:
     try:
-        return importlib.import_module("sounddevice")
-    except ImportError:
-        raise BoardError(
-            "vibrators:audio needs sounddevice: install it with pip install 'smarttouch[audio]', "
-            "or write a file with vibrators:FILE.wav",
-            about="sounddevice",
-            remedy="pip install 'smarttouch[audio]'",
-        ) from None
+        return import_extra(
+            "sounddevice", "vibrators:audio, as vibrators:FILE.wav does not,", "audio", BoardError
+        )
     except OSError:
         raise BoardError(
             "vibrators:audio needs PortAudio: install it with apt install libportaudio2, or write "
