@@ -29,10 +29,10 @@ from smarttouch.experiments.psychophysics.trials import Task as Task
 from smarttouch.experiments.psychophysics.trials import Train as Train
 from smarttouch.experiments.psychophysics.trials import Trial as Trial
 from smarttouch.experiments.psychophysics.trials import TrialTiming as TrialTiming
-from smarttouch.experiments.study_figure import study_figure as study_figure
 from smarttouch.experiments.study_plan import Study as Study
 from smarttouch.experiments.study_run import STUDY_NAMES as STUDY_NAMES
 from smarttouch.experiments.study_run import run_study as run_study
+from smarttouch.experiments.study_run import study_figure as study_figure
 from smarttouch.experiments.study_run import study_sums as study_sums
 from smarttouch.experiments.study_run import study_table as study_table
 from smarttouch.imaging.array_window import profile_for_reading as profile_for_reading

@@ -250,8 +250,7 @@ _Output = Annotated[
 
 def _list_all() -> None:
     from smarttouch.base.registry import plug_in_names
-    from smarttouch.experiments.psychophysics.catalog import CATALOG, find_experiment
-    from smarttouch.experiments.psychophysics.own_experiments import GROUP
+    from smarttouch.experiments.psychophysics.catalog import CATALOG, GROUP, find_experiment
 
     for name in (*CATALOG, *plug_in_names(GROUP)):
         entry = find_experiment(name)

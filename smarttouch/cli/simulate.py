@@ -90,8 +90,8 @@ def simulate_letters(
         )  # fmt: skip
         figures |= at_nerve
     if picture is not None:
+        from smarttouch.views.class_figures import letter_figure
         from smarttouch.views.figure_style import save
-        from smarttouch.views.finger_figure import letter_figure
 
         sequence, active = letter_responses.letter_sequence(drawn[0], chosen, bank, driven)
         save(letter_figure(Finger(chosen, 1, anatomy), sequence, active), picture)
@@ -225,7 +225,7 @@ def study(
         )
         print(output / ROWS_FILE)
     if plot is not None:
-        from smarttouch.experiments.study_figure import study_figure
+        from smarttouch.experiments.study_run import study_figure
 
         figure_style.save(study_figure(found, STUDY_NAMES, asked.title), plot)
         if not quiet:

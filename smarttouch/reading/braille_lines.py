@@ -35,7 +35,7 @@ from smarttouch.reading.material import (
     recognized_text,
     upright_page,
 )
-from smarttouch.running.delivered_line import LinePicture
+from smarttouch.running.delivered import LinePicture
 
 DOT_MM, CELL_MM, LINE_MM = 2.34, 6.2, 10.0
 """Distances from dot to dot, cell to cell and line to line (NLS Specification 800)."""

@@ -23,8 +23,7 @@ from smarttouch.profile import Profile
 from smarttouch.reading.line_feed import LineFeed, TouchLine
 from smarttouch.reading.line_source import LineMotion, ReadingSource, SweepingCursor
 from smarttouch.running.config import RunConfig
-from smarttouch.running.delivered import FIELD_MM, DeliveredResponses, delivered_spikes
-from smarttouch.running.delivered_line import LinePicture
+from smarttouch.running.delivered import FIELD_MM, DeliveredResponses, LinePicture, delivered_spikes
 from smarttouch.running.display import Display
 from smarttouch.running.runner import Runner
 from smarttouch.running.step import StepResult

@@ -29,7 +29,7 @@ from smarttouch.reading.delivered_lines import (
 from smarttouch.reading.letter_shapes import Shapes, Style, require_rows, shape_line
 from smarttouch.reading.material import LINE_PIXELS, ReadingMaterial, recognized_lines
 from smarttouch.reading.ocr import Layout, recognize
-from smarttouch.running.delivered_line import LinePicture
+from smarttouch.running.delivered import LinePicture
 
 _SAME_SIGNS = str.maketrans(
     dict.fromkeys("‘’‚‛′`´", "'")

@@ -16,8 +16,7 @@ from PIL import Image
 from smarttouch.base.errors import SourceError
 from smarttouch.base.lazy_names import import_extra
 from smarttouch.profile import Profile
-from smarttouch.running.mcap_chunks import parse_message
-from smarttouch.running.mcap_file import McapFile
+from smarttouch.running.mcap_file import McapFile, parse_message
 from smarttouch.sources.camera import to_grey
 from smarttouch.sources.source_contract import OpticalSource
 from smarttouch.sources.video import FASTEST_HZ, Clip, open_clip

@@ -254,8 +254,8 @@ class RecordedRun:
 
         Needs pandas, the extra ``data``.
         """
-        pandas = import_extra("pandas", "a table", "data")
-        frame: pandas.DataFrame = pandas.DataFrame(self.arrays.by_step())
+        made: Any = import_extra("pandas", "a table", "data").DataFrame
+        frame: pandas.DataFrame = made(self.arrays.by_step())
         return frame
 
     def compare(self, other: "RecordedRun") -> dict[str, float]:

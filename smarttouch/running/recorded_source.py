@@ -10,7 +10,7 @@ from smarttouch.base.errors import RecordingError, SourceError
 from smarttouch.profile import Profile
 from smarttouch.profile.profile import stricter
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.mcap_chunks import parse_message
+from smarttouch.running.mcap_file import parse_message
 from smarttouch.running.recording_reader import Recording
 from smarttouch.running.step_decoder import RecordedStep
 from smarttouch.sources.source_contract import Input, Source, Stimulus

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from smarttouch.base.errors import RecordingError
 from smarttouch.base.files import make_folder, owner_only, unwritable, write_bytes
 from smarttouch.base.version import __version__
-from smarttouch.running.mcap_chunks import parse_message
+from smarttouch.running.mcap_file import parse_message
 from smarttouch.running.recorded_run import ArrayCollector
 from smarttouch.running.recorder import new_writer
 from smarttouch.running.recording_format import LAST, METADATA

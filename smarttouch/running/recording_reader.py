@@ -12,14 +12,14 @@ from pydantic import ValidationError
 
 from smarttouch.base.errors import ProfileError, RecordingError
 from smarttouch.profile import Profile
-from smarttouch.running.mcap_chunks import (
+from smarttouch.running.mcap_file import (
     BASE_BYTES,
     BASE_MESSAGES,
     MOST_CHUNK_BYTES,
     MOST_INFLATION,
+    McapFile,
     parse_message,
 )
-from smarttouch.running.mcap_file import McapFile
 from smarttouch.running.recording_format import FORMAT, METADATA, RecordedSettings, read_settings
 from smarttouch.running.step_decoder import RecordedStep, StepDecoder
 from smarttouch.stimulation.sequence_limits import LONGEST_PERIOD_US

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.tactile_image import TactileImage
-from smarttouch.running.mcap_chunks import parse_message
+from smarttouch.running.mcap_file import parse_message
 from smarttouch.running.recording_format import LAST
 from smarttouch.running.step import FirstPulse, Measured, Step, StepResult
 from smarttouch.running.step_encoder import Message, remember

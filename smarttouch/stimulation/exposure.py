@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from smarttouch.base.clock import LATE_NS
 from smarttouch.base.errors import SafetyError
-from smarttouch.stimulation.pass_load import (
+from smarttouch.stimulation.safety_limits import SafetyLimits, decimal
+from smarttouch.stimulation.slot_sums import (
     BURST_US,
     MOST_PER_US,
     NET_PC,
@@ -23,7 +24,6 @@ from smarttouch.stimulation.pass_load import (
     PassLoad,
     Sums,
 )
-from smarttouch.stimulation.safety_limits import SafetyLimits, decimal
 
 _LAST_NS = WINDOW_NS - 1
 

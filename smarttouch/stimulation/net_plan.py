@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.stimulation.pass_load import NET_PC, PLANNED
+from smarttouch.stimulation.slot_sums import NET_PC, PLANNED
 
 WINDOW_US = 1_100_000
 """Time over which net charge is planned: a board may count its second in tenths."""

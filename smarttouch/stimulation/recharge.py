@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from smarttouch.base.errors import SafetyError
 from smarttouch.profile import Profile
 from smarttouch.profile.ceilings import CEILING_DUTY, CEILING_MEAN_MA, LEAST_DISCHARGE_US
-from smarttouch.stimulation.pass_load import BURST_US, PLANNED
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_limits import recharge_most_ua
 from smarttouch.stimulation.scan_sequence import ScanSequence
+from smarttouch.stimulation.slot_sums import BURST_US, PLANNED
 
 _LOWEST = np.iinfo(np.int16).min
 

@@ -14,15 +14,6 @@ from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
 from smarttouch.stimulation.frame_slots import FrameSlots
 from smarttouch.stimulation.net_plan import NetPlan
-from smarttouch.stimulation.pass_load import (
-    BURST_US,
-    MOST_PER_US,
-    PER_PC,
-    PER_PULSE,
-    PLANNED,
-    Load,
-    shortest_period_us,
-)
 from smarttouch.stimulation.point_slots import PointSlots, Slots, constant_us, joined
 from smarttouch.stimulation.pulse_rates import PulseRates, ScanTiming, rate_share, rates_of
 from smarttouch.stimulation.safety_limits import SafetyLimits, parts_per_billion
@@ -33,7 +24,17 @@ from smarttouch.stimulation.scan_sequence import (
     SlotPolicy,
     peak_pc,
 )
-from smarttouch.stimulation.slot_sums import SlotAdder, extent_us
+from smarttouch.stimulation.slot_sums import (
+    BURST_US,
+    MOST_PER_US,
+    PER_PC,
+    PER_PULSE,
+    PLANNED,
+    Load,
+    SlotAdder,
+    extent_us,
+    shortest_period_us,
+)
 
 _PULSE_US = PER_PULSE / (PLANNED * MOST_PER_US)
 """Period planned for each pulse of an electrode."""

@@ -7,11 +7,10 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import SafetyError
 from smarttouch.profile.ceilings import LEAST_DISCHARGE_US
-from smarttouch.stimulation.pass_load import PER_PC, Load, PassLoad
 from smarttouch.stimulation.recharge import prove_recharge
 from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, decimal
 from smarttouch.stimulation.scan_sequence import ScanSequence
-from smarttouch.stimulation.slot_sums import SlotAdder, extent_us
+from smarttouch.stimulation.slot_sums import PER_PC, Load, PassLoad, SlotAdder, extent_us
 
 LONGEST_PERIOD_US = 60_000_000
 LARGEST_TIME_NS = 2**62

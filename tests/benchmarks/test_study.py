@@ -6,8 +6,7 @@ import joblib
 import pytest
 
 from smarttouch.base.cluster import on_cluster
-from smarttouch.experiments.study_plan import Grid, Study
-from smarttouch.experiments.study_rows import rows_of_finger
+from smarttouch.experiments.study_plan import Grid, Study, rows_of_finger
 from smarttouch.experiments.study_run import run_study
 from smarttouch.physiology.anatomy import load_anatomy
 

@@ -8,10 +8,8 @@ import pytest
 
 from smarttouch.base.errors import ProfileError, SmartTouchError
 from smarttouch.experiments import study_run
-from smarttouch.experiments.study_figure import study_figure
-from smarttouch.experiments.study_plan import Grid, Study, load_study
-from smarttouch.experiments.study_rows import from_csv
-from smarttouch.experiments.study_run import STUDY_NAMES, study_sums, study_table
+from smarttouch.experiments.study_plan import Grid, Study, from_csv, load_study
+from smarttouch.experiments.study_run import STUDY_NAMES, study_figure, study_sums, study_table
 
 from ..raising import raises
 

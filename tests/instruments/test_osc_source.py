@@ -12,7 +12,7 @@ import pytest
 import smarttouch as st
 from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import SourceError
-from smarttouch.instruments import osc_senders, pushed_stimuli
+from smarttouch.instruments import osc_source, pushed_stimuli
 from smarttouch.testing import StimulusContract
 
 from ..raising import raises
@@ -219,7 +219,7 @@ def test_other_machines_need_a_key(profile, address):
 
 
 def test_a_system_that_does_not_show_who_sends_needs_a_key(profile, monkeypatch, tmp_path):
-    monkeypatch.setattr(osc_senders, "UDP_TABLES", (tmp_path / "none", tmp_path / "none6"))
+    monkeypatch.setattr(osc_source, "UDP_TABLES", (tmp_path / "none", tmp_path / "none6"))
     with raises(SourceError, about="key"):
         st.open_source("osc:9000", profile)
 
@@ -301,14 +301,14 @@ OURS, OTHER = 1000, 65534
 def test_a_socket_is_ours_before_a_packet_and_after_it(tmp_path, monkeypatch, tables, verdicts):
     """Each table is read just after a packet came from port 9: ours, new or foreign."""
     paths = tmp_path / "udp", tmp_path / "udp6"
-    monkeypatch.setattr(osc_senders, "UDP_TABLES", paths)
-    monkeypatch.setattr(osc_senders.os, "geteuid", lambda: OURS)
+    monkeypatch.setattr(osc_source, "UDP_TABLES", paths)
+    monkeypatch.setattr(osc_source.os, "geteuid", lambda: OURS)
     for path in paths:
         path.write_text(HEAD)
-    programs = osc_senders.OwnPrograms()
+    programs = osc_source.OwnPrograms()
     found = ""
     for number, entries in enumerate(tables):
-        packet = osc_senders.Packet(b"", 9, time.time_ns())
+        packet = osc_source.Packet(b"", 9, time.time_ns())
         for place, path in zip(("0100007F", "0" * 32), paths, strict=True):
             mine = entries[::2] if place == "0100007F" else entries[1::2]
             path.write_text(HEAD + "".join(ENTRY.format(number, place, *each) for each in mine))

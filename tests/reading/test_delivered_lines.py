@@ -18,7 +18,7 @@ from smarttouch.reading.delivered_lines import (
 )
 from smarttouch.reading.letter_shapes import Shapes, Style
 from smarttouch.reading.line_source import LineMotion
-from smarttouch.running.delivered_line import PIXELS_PER_PITCH, LinePicture
+from smarttouch.running.delivered import PIXELS_PER_PITCH, LinePicture
 from smarttouch.stimulation.scan_sequence import SlotPolicy
 
 GRADED = Tone(0.0, 1.0, prepared=True)

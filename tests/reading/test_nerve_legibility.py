@@ -12,8 +12,7 @@ from smarttouch.physiology.response import response_quality
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import load_profile
 from smarttouch.reading.delivered_lines import DeliveredLine, nerve_figures, read_at_nerve
-from smarttouch.running.delivered import delivered_spikes
-from smarttouch.running.delivered_line import LinePicture
+from smarttouch.running.delivered import LinePicture, delivered_spikes
 from smarttouch.sources.source_contract import Pose
 
 

@@ -13,7 +13,7 @@ import zstandard
 from mcap.opcode import Opcode
 
 from smarttouch.base.errors import RecordingError, SmartTouchError
-from smarttouch.running.mcap_chunks import (
+from smarttouch.running.mcap_file import (
     BASE_BYTES,
     MOST_CHUNK_BYTES,
     chunk_records,

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.stimulation.net_plan import NetPlan
-from smarttouch.stimulation.pass_load import NET_PC
+from smarttouch.stimulation.slot_sums import NET_PC
 
 SECOND_US = 1_000_000
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from smarttouch.stimulation.net_plan import NetPlan
-from smarttouch.stimulation.pass_load import NET_PC
+from smarttouch.stimulation.slot_sums import NET_PC
 
 BUSY_US = 300
 

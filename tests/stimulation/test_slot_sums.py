@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.stimulation import slot_sums as module
-from smarttouch.stimulation.pass_load import PER_PC, PER_PULSE
-from smarttouch.stimulation.slot_sums import SlotAdder, extent_us
+from smarttouch.stimulation.slot_sums import PER_PC, PER_PULSE, SlotAdder, extent_us
 
 
 def check(current_ua, width_us, felt_ua):

@@ -9,7 +9,7 @@ from smarttouch.base.errors import SmartTouchError
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.sources.source_contract import Frame, Pose
 from smarttouch.sources.virtual_finger import PageSource
-from smarttouch.views.mosaic import Mosaic
+from smarttouch.views.delivered_drawing import Mosaic
 
 from ..raising import raises
 

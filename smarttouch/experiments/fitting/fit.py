@@ -11,8 +11,16 @@ from typing import NamedTuple
 import numpy as np
 
 from smarttouch.experiments.fitting.answers import Counts
-from smarttouch.experiments.fitting.likelihood import Maximum, bounds_of, maximize, saturated
-from smarttouch.experiments.fitting.psychometric import MOST_GUESSES, Array, Model, Parameters
+from smarttouch.experiments.fitting.psychometric import (
+    MOST_GUESSES,
+    Array,
+    Maximum,
+    Model,
+    Parameters,
+    bounds_of,
+    maximize,
+    saturated,
+)
 
 SAMPLES = 1000
 CONFIDENCE = 0.95

@@ -8,10 +8,9 @@ from smarttouch.base.errors import ExperimentError
 from smarttouch.base.events import TrialEvent
 from smarttouch.experiments.psychophysics.trials import Answer, Train, Trial, Trials, TrialTiming
 from smarttouch.profile import Profile
-from smarttouch.running.program_source import ProgramSource
 from smarttouch.running.show_request import SILENT_US, STEADY, Level, Show
 from smarttouch.running.step import StepResult
-from smarttouch.running.touch import Touch
+from smarttouch.running.touch import ProgramSource, Touch
 from smarttouch.stimulation.intensity import FIRST_NS, MOST_STEP_NS
 
 PAUSE_S = 0.5

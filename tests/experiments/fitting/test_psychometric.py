@@ -18,8 +18,14 @@ from smarttouch.experiments.fitting.fit import (
     how_sure,
     percentiles,
 )
-from smarttouch.experiments.fitting.likelihood import bounds_of, log_likelihood, maximize
-from smarttouch.experiments.fitting.psychometric import Model, Parameters, Shape
+from smarttouch.experiments.fitting.psychometric import (
+    Model,
+    Parameters,
+    Shape,
+    bounds_of,
+    log_likelihood,
+    maximize,
+)
 
 from ...raising import raises
 from ..psychophysics.simulated import Subject
