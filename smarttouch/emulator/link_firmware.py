@@ -43,29 +43,7 @@ NAME = "SmartTouch board emulator 1"
 class LinkFirmware(Firmware):
     """The board between its serial line and its electrodes.
 
-    Parameters
-    ----------
-    electrodes : int
-        Number of outputs.
-    output : str
-        Kind of the outputs.
-    books : DeliveryLog
-        Delivery log.
-    finger : EmulatedFinger, optional
-        Events of the skin while it runs.
-    compliance_v : float, V
-        The most its sources can give.
-    session : BoardSession, optional
-        Session that filters packets.
-    ramp_ms : int
-        Least time from zero to full intensity; 0 for tests whose time is what they claim.
-    room : Room, optional
-        For slots, packets and kernels.
-
-    Attributes
-    ----------
-    switch_open : bool
-        Whether somebody holds its emergency switch open.
+    ``switch_open`` says whether somebody holds its emergency switch open.
     """
 
     books: DeliveryLog
@@ -75,9 +53,10 @@ class LinkFirmware(Firmware):
         electrodes: int,
         output: Output,
         books: DeliveryLog,
-        finger: EmulatedFinger | None = None,
-        compliance_v: float = COMPLIANCE_V,
+        finger: EmulatedFinger | None = None,  # events of the skin while it runs
+        compliance_v: float = COMPLIANCE_V,  # the most its sources can give, V
         session: BoardSession | None = None,
+        # least time from zero to full intensity; 0 for tests whose time is what they claim
         ramp_ms: int = RAMP_MS,
         room: Room | None = None,
     ) -> None:

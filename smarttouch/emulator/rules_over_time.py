@@ -33,16 +33,8 @@ _I32_MAX = 2**31 - 1
 class LastSecond:
     """Passes of the last second, and the dose of the session.
 
-    Parameters
-    ----------
-    electrodes : int
-
-    Attributes
-    ----------
-    most_net_pc : int, pC
-        Largest net charge of an electrode within a second, of all passes that have begun.
-    net_pc : ndarray, (E,) int64, pC
-        Net charge of the session, positive cathodic.
+    ``most_net_pc`` is the largest net charge of an electrode within a second, of all passes that
+    have begun; ``net_pc``, (E,) int64, that of the session, positive cathodic.
     """
 
     def __init__(self, electrodes: int) -> None:

@@ -63,10 +63,6 @@ class ReceptorResponse:
         return float(self.drive.mean())
 
     @property
-    def peak_drive(self) -> float:
-        return float(self.drive.max())
-
-    @property
     def mean_rate_hz(self) -> float:
         """Mean rate while it fires; 0 if it never does."""
         firing = self.rate_hz[self.drive > 0]

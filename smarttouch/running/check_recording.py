@@ -1,7 +1,7 @@
 """The offline test: recorded inputs through today's pipeline, slot by slot, to the bit."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,6 @@ import numpy as np
 from smarttouch.base.errors import RecordingError
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile
-from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.recording_reader import Recording
 from smarttouch.running.regulation import Regulator
@@ -143,15 +142,7 @@ def rebuild_pipeline(
     pipeline = Pipeline(
         profile,
         bank,
-        RunConfig(
-            mode=run.mode,
-            rate_hz=run.rate_hz,
-            light_on_dark=run.light_on_dark,
-            softness=run.softness,
-            tone=run.tone,
-            scan=run.sharing,
-            balance=run.balance,
-        ),
+        replace(run.config, balance=run.balance),
         run.timing,
         vibrated=run.vibrated,
         in_sums=run.in_sums,

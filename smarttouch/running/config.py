@@ -133,22 +133,13 @@ class RunConfig:
 
     def settings(self, profile: Profile) -> dict[str, Any]:
         """Return what a recording keeps of it."""
-        sharing = self.sharing(profile)
-        return {
+        sharing, kept = self.sharing(profile), asdict(self)
+        for name in ("scan", "seconds", "intensity", "measure"):
+            del kept[name]
+        primaries = [each.name for each in sharing.afferents]
+        return kept | {
             "mode": str(self.mode),
-            "rate_hz": self.rate_hz,
-            "light_on_dark": self.light_on_dark,
-            "softness": self.softness,
-            "tone": None if self.tone is None else asdict(self.tone),
-            "sharing": {
-                "primaries": [each.name for each in sharing.afferents],
-                "planned": sharing.planned,
-            },
-            "hold": self.hold,
-            "balance": self.balance,
-            "seed": self.seed,
-            "subject": self.subject,
-            "note": self.note,
+            "sharing": {"primaries": primaries, "planned": sharing.planned},
         }
 
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal, Unpack
+from typing import Literal, Unpack
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.stopping import StopRequest
@@ -190,17 +190,7 @@ def replay(
 
 def recording_config(recording: Recording, **settings: Unpack[RunOptions]) -> RunConfig:
     """Return the configuration of a recorded run, changed by settings of `RunConfig`."""
-    was = recording.run
-    recorded: dict[str, Any] = {
-        "mode": was.mode,
-        "rate_hz": was.rate_hz,
-        "light_on_dark": was.light_on_dark,
-        "softness": was.softness,
-        "scan": was.sharing,
-        "tone": was.tone,
-    }
-    recorded.update(settings)
-    return RunConfig(**recorded)
+    return replace(recording.run.config, **settings)
 
 
 def load_kernels(profile: Profile) -> KernelBank:

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import RecordingError
 from smarttouch.imaging.tactile_mapper import Tone
+from smarttouch.running.config import RunConfig
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.scan_sequence import SlotPolicy
 
@@ -237,15 +238,17 @@ class RecordedSettings(BaseModel):
         return ScanTiming(**self.timed.model_dump())
 
     @property
-    def tone(self) -> Tone | None:
-        """Tone curve from ink to activation."""
-        return None if self.toned is None else Tone(**self.toned.model_dump())
-
-    @property
-    def sharing(self) -> SlotPolicy:
-        """Classes whose points shared slots."""
-        return SlotPolicy(
-            tuple(Afferent[each] for each in self.shared.primaries), self.shared.planned
+    def config(self) -> RunConfig:
+        """Configuration of a run with these settings, that neither holds nor balances."""
+        return RunConfig(
+            mode=self.mode,
+            rate_hz=self.rate_hz,
+            light_on_dark=self.light_on_dark,
+            softness=self.softness,
+            tone=None if self.toned is None else Tone(**self.toned.model_dump()),
+            scan=SlotPolicy(
+                tuple(Afferent[each] for each in self.shared.primaries), self.shared.planned
+            ),
         )
 
 

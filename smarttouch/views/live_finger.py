@@ -6,7 +6,7 @@ import socket
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -31,26 +31,17 @@ class LiveFinger(Listener):
     """Simulates a finger's response to the newest step of a run whenever the one before is done.
 
     The loop never waits: it hands a step only to an idle process. A thread would not do, as it
-    could be held up while it has the interpreter. ``draw`` is called with each `Feeling` in that
-    process, which must be able to import it; its result is ``drawn``. ``simulated`` and ``skipped``
-    count steps that were simulated, and that came meanwhile. With ``over_s``, the response is that
-    to all steps of the last ``over_s``.
+    could be held up while it has the interpreter. ``simulated`` and ``skipped`` count steps that
+    were simulated, and that came meanwhile. With ``over_s``, the response is that to all steps of
+    the last ``over_s``.
     """
 
-    def __init__(
-        self,
-        finger: Finger,
-        draw: Callable[[Feeling], Any] | None = None,
-        *,
-        over_s: float = 0.0,
-    ) -> None:
+    def __init__(self, finger: Finger, *, over_s: float = 0.0) -> None:
         super().__init__()
         self.newest: Feeling | None = None
-        self.drawn: Any = None
         self.simulated: int = 0
         self.skipped: int = 0
         self.finger: Finger = finger
-        self._draw = draw
         self._line: Connection | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self.felt: StepResult | None = None
@@ -77,7 +68,7 @@ class LiveFinger(Listener):
             )
         self._line = Connection(ours.detach())
         with self._alive() as line:
-            line.send((self.finger, self._draw))
+            line.send(self.finger)
         self._receive()
 
     def step(self, result: StepResult) -> None:
@@ -100,7 +91,7 @@ class LiveFinger(Listener):
             for each in recent
         ]
         with self._alive() as line:
-            line.send((slots, active, self._given.wanted))
+            line.send(slots)
 
     def finish(self, run: RunContext) -> None:
         """Take the last response: the board is closed."""
@@ -127,8 +118,7 @@ class LiveFinger(Listener):
 
     def _take(self) -> None:
         assert self._given is not None
-        spikes, self.drawn = self._receive()
-        self.newest = Feeling(self.finger, spikes, self._given.active, self._given.wanted)
+        self.newest = Feeling(self.finger, self._receive(), self._given.active, self._given.wanted)
         self._given, self.felt = None, self._begun
         self.simulated += 1
 
@@ -152,15 +142,13 @@ def serve(number: int) -> None:
     """Simulate responses to slots from a socket until it is closed."""
     os.nice(_POLITE)
     with Connection(number) as line:
-        finger, draw = line.recv()
+        finger = line.recv()
         model = SpikeModel(finger)
         line.send(None)
         while True:
             try:
-                slots, active, wanted = line.recv()
+                slots = line.recv()
             except (EOFError, OSError):
                 return
             model.begin_anew()
-            spikes = tuple(fire_all(model, slots))
-            feeling = Feeling(finger, spikes, active, wanted)
-            line.send((spikes, None if draw is None else draw(feeling)))
+            line.send(tuple(fire_all(model, slots)))

@@ -1,7 +1,7 @@
 """Outputs of a run as listeners: recordings, pictures of what was delivered, streams."""
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -125,27 +125,3 @@ class Patterns(Listener):
         """Write them."""
         assert self._file is not None
         self._file.save()
-
-
-def output_listeners(
-    *,
-    felt: Path | None = None,
-    finger: int = 1,
-    anatomy: str = "branched",
-    frames: Path | None = None,
-    record: Path | None = None,
-    markers: bool = False,
-) -> Iterator[Listener]:
-    """Yield a listener for each output that is wanted."""
-    if markers:
-        from smarttouch.views.lsl_markers import Markers
-
-        yield Markers()
-    if felt is not None:
-        yield DeliveredPicture(felt, finger, anatomy)
-    if frames is not None:
-        yield Patterns(frames)
-    if record is not None:
-        from smarttouch.running.recorder import Recorder
-
-        yield Recorder(record)

@@ -3,7 +3,7 @@
 import contextlib
 import math
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -28,7 +28,7 @@ from smarttouch.views.keys_and_signals import (
     keyboard_listener,
     opened,
 )
-from smarttouch.views.outputs import output_listeners
+from smarttouch.views.outputs import DeliveredPicture, Patterns
 from smarttouch.views.progress import bank_progress
 from smarttouch.views.screen import BlindScreen, Screen
 
@@ -70,18 +70,20 @@ class Outputs:
         drawn = self.felt is not None or self.frames is not None
         return DRAWN_WITHIN_S if drawn else ENDS_WITHIN_S
 
-    def listeners(self) -> list[Listener]:
-        """Return the listeners that write these files."""
-        return list(
-            output_listeners(
-                felt=self.felt,
-                finger=self.finger,
-                anatomy=self.anatomy,
-                frames=self.frames,
-                record=self.record,
-                markers=self.markers,
-            )
-        )
+    def listeners(self) -> Iterator[Listener]:
+        """Yield a listener for each output that is wanted."""
+        if self.markers:
+            from smarttouch.views.lsl_markers import Markers
+
+            yield Markers()
+        if self.felt is not None:
+            yield DeliveredPicture(self.felt, self.finger, self.anatomy)
+        if self.frames is not None:
+            yield Patterns(self.frames)
+        if self.record is not None:
+            from smarttouch.running.recorder import Recorder
+
+            yield Recorder(self.record)
 
 
 def run_in_terminal(
@@ -107,7 +109,7 @@ def run_in_terminal(
     shown = screen(display.url, outputs.quiet, keys_help, outputs.plain)
     typed = sys.stdin.isatty()
     # Before the window, which takes a port, as an output may be impossible.
-    followers = outputs.listeners()
+    followers = list(outputs.listeners())
     # A drawing source needs a page.
     port = 0 if outputs.window is None and source.canvas is not None else outputs.window
     with contextlib.ExitStack() as closing:

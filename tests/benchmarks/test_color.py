@@ -56,7 +56,7 @@ def test_what_comes_back(profile, bank, row, quick, seconds):
                     "off by, ms, p50 / max": f"{np.median(off_ms):.2f} / {off_ms.max():.2f}",
                 },
             )
-        spread = {each: answers[each].peak_drive for each in Afferent if each not in got}
+        spread = {each: answers[each].drive.max() for each in Afferent if each not in got}
         assert max(spread.values(), default=0) < 0.01
 
 

@@ -11,7 +11,6 @@ picture is made of it.
 import pytest
 
 import smarttouch as st
-from smarttouch.physiology.response import Feeling
 from smarttouch.views.live_finger import LiveFinger
 
 
@@ -19,9 +18,7 @@ from smarttouch.views.live_finger import LiveFinger
 @pytest.mark.parametrize("anatomy", [None, "paper", "branched"])
 def test_period_error_with_a_finger(row, quick, anatomy):
     profile, seconds = st.load_profile("electric-mouse"), 1.0 if quick else 20.0
-    live = (
-        None if anatomy is None else LiveFinger(st.Finger(profile, 1, anatomy), Feeling._repr_html_)
-    )
+    live = None if anatomy is None else LiveFinger(st.Finger(profile, 1, anatomy))
     source = st.open_source(f"text:{'the quick brown fox jumps over the lazy dog ' * 6}", profile)
     with st.open_display("emulator:", profile) as display:
         statistics = st.run(
@@ -45,6 +42,5 @@ def test_period_error_with_a_finger(row, quick, anatomy):
     assert figures["emulator_violations"] == 0
     if live is not None:
         assert live.simulated > 0
-        assert live.drawn == live.newest._repr_html_()
         # A step that the board lost is felt, and is no sequence.
         assert live.simulated + live.skipped >= figures["sequences"]

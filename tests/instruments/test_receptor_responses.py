@@ -19,7 +19,7 @@ SILENT = 0.01
 
 def drives(spec, seconds=2.0):
     return {
-        afferent: each.peak_drive
+        afferent: each.drive.max()
         for afferent, each in split_trace(open_trace(spec, seconds)).items()
     }
 

@@ -29,32 +29,12 @@ _LIBRARIES = {"opencv": "opencv-contrib-python-headless", "numpy": "numpy", "sci
 
 
 class ProfileFile:
-    """Edit of a profile from one file to another.
+    """Edit of ``profile``, a shipped one or a file, to a ``.toml`` file.
 
-    Everything but the keys that are set stays as it is, comments included.
-
-    Parameters
-    ----------
-    start : str
-        Name of a shipped profile, or a file.
-    output : Path
-        File to write, a ``.toml`` file.
-    overwrite : bool
-        Whether it may be there already.
-    update : bool
-        Whether the output is what it begins as: it is replaced unless it changes meanwhile.
-
-    Attributes
-    ----------
-    profile : Profile
-        What it began as.
-
-    Raises
-    ------
-    ProfileError
-        If the start is no profile.
-    CalibrationError
-        If the output may not be written: said before anything is measured.
+    Everything but the keys that are set stays as it is, comments included. The output may be there
+    already with ``overwrite``; with ``update`` it is what it begins as, and is replaced unless it
+    changes meanwhile. Raises ProfileError if the start is no profile, and CalibrationError if the
+    output may not be written, before anything is measured.
     """
 
     def __init__(

@@ -19,12 +19,10 @@ from smarttouch.profile import Profile
 from smarttouch.running.delivered import strength
 
 __all__ = [
+    "BlindObserver",
     "Interval",
     "KnownObserver",
     "Observer",
-    "RandomObserver",
-    "SameObserver",
-    "SilentObserver",
     "SimulatedObserver",
     "chance_of_yes",
 ]
@@ -104,9 +102,11 @@ class Observer(Protocol):
 
 
 @dataclass
-class RandomObserver:
-    """Observer that guesses, whatever is delivered."""
+class BlindObserver:
+    """Observer that answers whatever is delivered: at ``random``, always the ``first`` answer, or
+    ``silent``, never."""
 
+    kind: str
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -115,27 +115,11 @@ class RandomObserver:
     def respond(
         self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
     ) -> str | None:
-        return alternatives[int(self._random.integers(len(alternatives)))]
-
-
-@dataclass
-class SameObserver:
-    """Observer that always gives the first answer."""
-
-    def respond(
-        self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
-    ) -> str | None:
-        return alternatives[0]
-
-
-@dataclass
-class SilentObserver:
-    """Observer that never answers."""
-
-    def respond(
-        self, task: str, intervals: Sequence[Interval], alternatives: Sequence[str]
-    ) -> str | None:
-        return None
+        if self.kind == "silent":
+            return None
+        return alternatives[
+            int(self._random.integers(len(alternatives))) if self.kind == "random" else 0
+        ]
 
 
 @dataclass

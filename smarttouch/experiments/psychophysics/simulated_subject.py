@@ -12,10 +12,8 @@ from smarttouch.boards.board import Board
 from smarttouch.emulator.emulated_boards import Pulses, SimulatedBoard
 from smarttouch.experiments.psychophysics.experiment_source import ExperimentSource
 from smarttouch.experiments.psychophysics.observers import (
+    BlindObserver,
     Observer,
-    RandomObserver,
-    SameObserver,
-    SilentObserver,
     SimulatedObserver,
 )
 from smarttouch.experiments.psychophysics.perceived_spikes import Interval
@@ -142,12 +140,8 @@ def make_observer(
 ) -> Observer:
     """Return the observer of a kind: ``model``; or ``random``, ``first`` or ``silent``, for
     checks."""
-    if kind == "random":
-        return RandomObserver(seed)
-    if kind == "first":
-        return SameObserver()
-    if kind == "silent":
-        return SilentObserver()
+    if kind != "model":
+        return BlindObserver(kind, seed)
     judging = SimulatedObserver(
         Finger(profile, finger, anatomy), load_bank(profile), seed, templates=templates or {}
     )

@@ -11,7 +11,7 @@ from smarttouch.base.errors import ExperimentError
 from smarttouch.boards.open import MemoryBoard
 from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, new_experiment
 from smarttouch.experiments.psychophysics.experiment_source import AGAIN, ExperimentSource
-from smarttouch.experiments.psychophysics.observers import SilentObserver
+from smarttouch.experiments.psychophysics.observers import BlindObserver
 from smarttouch.experiments.psychophysics.trial_rows import read_rows
 from smarttouch.experiments.psychophysics.trials import TrialTiming
 from smarttouch.kernels.bank import load_bank
@@ -188,7 +188,7 @@ def test_a_trial_that_cannot_begin_is_not_waited_for_where_nobody_is(take):
 
 def test_nobody_answers(take):
     """Every trial comes again once, at the end."""
-    sat, rows = take(SilentObserver(), course=TrialTiming(answer_s=0.2))
+    sat, rows = take(BlindObserver("silent"), course=TrialTiming(answer_s=0.2))
     assert len(rows) == 20
     assert {(row.response, row.success, row.rt) for row in rows} == {("", None, None)}
     assert [words for _, words in sat.told if words.startswith("response 2:")] == [
@@ -343,7 +343,7 @@ def test_a_rising_current_ends_with_the_key_and_is_measured_there(profile, begin
 
 def test_a_current_that_is_never_enough_stops_at_the_ceiling(profile, take):
     wanted = ExperimentOptions(repetitions=2, train_s=1.0)
-    sat, rows = take(SilentObserver(), wanted, "discomfort", experiment="d")
+    sat, rows = take(BlindObserver("silent"), wanted, "discomfort", experiment="d")
     full_ma = profile.full_ma[27]
     assert [row.response for row in rows] == ["n", "n"]
     assert [row.comparison for row in rows] == pytest.approx([full_ma] * 2, abs=0.005)

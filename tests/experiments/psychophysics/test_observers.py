@@ -13,11 +13,9 @@ from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError
 from smarttouch.experiments.psychophysics.observers import (
     GRATING_LIMIT_MM,
+    BlindObserver,
     Interval,
     KnownObserver,
-    RandomObserver,
-    SameObserver,
-    SilentObserver,
     SimulatedObserver,
 )
 from smarttouch.experiments.psychophysics.perceived_spikes import FrequencySense, Nerve
@@ -349,9 +347,9 @@ class TestTheTasks:
 
 class TestUselessSubjects:
     def test_they_do_what_they_are_for(self):
-        assert SilentObserver().respond("faster", [NOTHING], "12") is None
-        assert SameObserver().respond("side", [NOTHING], "lr") == "l"
-        guessing = RandomObserver(seed=1)
+        assert BlindObserver("silent").respond("faster", [NOTHING], "12") is None
+        assert BlindObserver("first").respond("side", [NOTHING], "lr") == "l"
+        guessing = BlindObserver("random", seed=1)
         answers = [guessing.respond("which", [], "ABCD") for _ in range(800)]
         counts = [answers.count(each) for each in "ABCD"]
         assert min(counts) > 150

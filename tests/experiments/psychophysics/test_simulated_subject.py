@@ -9,9 +9,7 @@ from smarttouch.base.errors import ExperimentError
 from smarttouch.boards.open import MemoryBoard
 from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, new_experiment
 from smarttouch.experiments.psychophysics.observers import (
-    RandomObserver,
-    SameObserver,
-    SilentObserver,
+    BlindObserver,
 )
 from smarttouch.experiments.psychophysics.simulated_subject import (
     Subject,
@@ -77,16 +75,13 @@ def test_letters_are_felt_where_they_were_drawn(profile, bank, tmp_path):
 
 def test_only_simulated_boards_have_simulated_subjects(profile):
     with raises(ExperimentError, about="board", allowed=("simulated:",)):
-        Subject(None, SameObserver()).attend(MemoryBoard("", SafetyLimits.of(profile)))
+        Subject(None, BlindObserver("first")).attend(MemoryBoard("", SafetyLimits.of(profile)))
 
 
-@pytest.mark.parametrize(
-    ("kind", "made"),
-    [("random", RandomObserver), ("first", SameObserver), ("silent", SilentObserver),
-     ("model", TwoLooks)],
-)  # fmt: skip
-def test_observers_by_name(profile, kind, made):
-    assert isinstance(make_observer(kind, profile, 0), made)
+def test_observers_by_name(profile):
+    for kind in ("random", "first", "silent"):
+        assert make_observer(kind, profile, 3) == BlindObserver(kind, 3)
+    assert isinstance(make_observer("model", profile, 0), TwoLooks)
 
 
 class Says:
