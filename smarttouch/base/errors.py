@@ -2,7 +2,9 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, TypeVar
+
+_Choice = TypeVar("_Choice", bound=str)
 
 
 class SmartTouchError(Exception):
@@ -212,7 +214,7 @@ def require_within(
         return
     allowed = f"above {least:g}, at most {most:g}" if above else f"{least:g} to {most:g}"
     if most == math.inf:
-        allowed = f"{least:g} or more"
+        allowed = f"a number above {least:g}" if above else f"{least:g} or more"
     message = f"{words or f'{about} {value:g}'} is out of range: give {allowed}"
     raise error(message, about=about)
 
@@ -223,6 +225,20 @@ def not_offered(
     """Return the error of a parameter that names none of its choices."""
     message = f"{about} {value!r} is not offered: choose {' or '.join(names)}"
     return error(message, about=about)
+
+
+def choice_of(
+    about: str,
+    text: str,
+    choices: Iterable[_Choice],
+    error: type[SmartTouchError] = SmartTouchError,
+) -> _Choice:
+    """Return the choice that a text is, in capitals or not."""
+    known = list(choices)
+    for each in known:
+        if text.lower() == each.lower():
+            return each
+    raise not_offered(about, text, known)
 
 
 def kind_in_words(value: object) -> str:

@@ -163,9 +163,8 @@ def fit(
     """
     from dataclasses import replace
 
-    from smarttouch.base.errors import ExperimentError, require_within
+    from smarttouch.base.errors import ExperimentError, choice_of, require_within
     from smarttouch.base.files import require_folder, write_json
-    from smarttouch.cli.options import parse_choice
     from smarttouch.experiments.fitting.answer_figures import discrimination_figure
     from smarttouch.experiments.fitting.answers import read_table, usual_model
     from smarttouch.experiments.fitting.findings import as_figures, judge_answers
@@ -180,7 +179,7 @@ def fit(
     require_within(ExperimentError, "samples", samples, 100, 100_000)
     require_within(ExperimentError, "seed", seed, 0, math.inf)
     bootstrap = BootstrapOptions(samples, seed)
-    shape, guessed = parse_choice("function", function, Shape), _parse_guess(guess)
+    shape, guessed = choice_of("function", function, Shape), _parse_guess(guess)
     found: list[tuple[AnswerTable, list[Finding]]] = []
     for path in files:
         table = read_table(path, x, y, standard)
@@ -340,8 +339,8 @@ def run_listed(
     from dataclasses import replace
 
     from smarttouch.base.afferent import Afferent
-    from smarttouch.base.errors import ExperimentError
-    from smarttouch.cli.options import parse_afferent, parse_choice, require_answers
+    from smarttouch.base.errors import ExperimentError, choice_of
+    from smarttouch.cli.options import parse_afferent, require_answers
     from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, new_experiment
     from smarttouch.experiments.psychophysics.experiment_session import (
         numbered,
@@ -363,7 +362,7 @@ def run_listed(
         _run_free(replace(run, board=board), mode, parts, rate_hz, output)
         return
     if simulate is not None:
-        simulate = parse_choice("simulate", simulate, ("model", "random", "first", "silent"))
+        simulate = choice_of("simulate", simulate, ("model", "random", "first", "silent"))
     run = replace(run, board=board or (None if simulate is None else "simulated:"))
     require_answers(simulate is not None, run.board_url, ("simulated:",), ExperimentError)
     if simulate is None and run.board_url == "simulated:":

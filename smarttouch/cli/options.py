@@ -3,14 +3,14 @@
 import functools
 import inspect
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import Field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_type_hints
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.command_options import option
-from smarttouch.base.errors import SmartTouchError, not_offered, require_within
+from smarttouch.base.errors import SmartTouchError, choice_of, require_within
 
 if TYPE_CHECKING:
     from smarttouch.profile import Profile
@@ -89,31 +89,14 @@ def with_ports(words: Sequence[str]) -> list[str]:
     return found
 
 
-Choice = TypeVar("Choice", bound=str)
-
-
 def parse_mode(mode: str) -> Mode:
     """Return a mode by its name; only modes that images can drive."""
-    offered = [each for each in Mode if each is not Mode.COLOR]
-    for each in offered:
-        if mode.lower() == each.value.lower():
-            return each
-    raise not_offered("mode", mode, offered)
-
-
-def parse_choice(option: str, text: str, choices: Iterable[Choice]) -> Choice:
-    """Return the choice that an option names, in capitals or not."""
-    known = list(choices)
-    if text.lower() not in known:
-        raise not_offered(option, text, known)
-    return next(each for each in known if each == text.lower())
+    return choice_of("mode", mode, [each for each in Mode if each is not Mode.COLOR])
 
 
 def parse_afferent(mode: str) -> Afferent:
     """Return a class of afferents by its name."""
-    if mode.upper() not in Afferent.__members__:
-        raise not_offered("mode", mode, Afferent.__members__)
-    return Afferent[mode.upper()]
+    return Afferent[choice_of("mode", mode, Afferent.__members__)]
 
 
 def require_site(profile: "Profile", site: int) -> None:

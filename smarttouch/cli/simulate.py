@@ -133,9 +133,10 @@ def simulate_page(
 ) -> None:
     """Run a page on a simulated board and read the result with Tesseract."""
     from smarttouch.base.cluster import on_cluster
+    from smarttouch.base.errors import choice_of
     from smarttouch.base.files import require_folder, write_json
     from smarttouch.base.terminal import print_table
-    from smarttouch.cli.options import parse_choice, parse_mode
+    from smarttouch.cli.options import parse_mode
     from smarttouch.imaging.array_window import profile_for_reading
     from smarttouch.kernels.bank import load_bank
     from smarttouch.profile import load_profile
@@ -153,7 +154,7 @@ def simulate_page(
     motion = presentation.motion(chosen, speed_mm_s)
     with bank_progress(quiet) as progress:
         bank = load_bank(chosen, progress)
-    sharing = RunConfig(scan=parse_choice("scan", scan or "auto", SCANS)).sharing(chosen)
+    sharing = RunConfig(scan=choice_of("scan", scan or "auto", SCANS)).sharing(chosen)
     reading = LineDelivery(chosen, bank, presentation.tone, motion, parse_mode(mode), sharing)
     with on_cluster(cluster), lines_progress(quiet) as advance:
         found = measure_legibility(text, reading, presentation, truth, advance, fingers, anatomy)

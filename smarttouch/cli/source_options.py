@@ -167,9 +167,8 @@ class FormOptions(OptionGroup):
 
         Without a table, it is that of the language.
         """
-        from smarttouch.base.errors import ReadingError
+        from smarttouch.base.errors import ReadingError, choice_of
         from smarttouch.base.url_options import options_of, read_options
-        from smarttouch.cli.options import parse_choice
         from smarttouch.reading.braille_lines import Braille, Presentation
         from smarttouch.reading.letter_shapes import Shapes, Style
 
@@ -179,9 +178,9 @@ class FormOptions(OptionGroup):
             message = f"{text!r} has an option that there is not: choose {known}"
             raise ReadingError(message, about="kind")
         form = _Form(**given)
-        shapes = Shapes(parse_choice("style", form.style, Style), named)
-        presentation = parse_choice("cells", form.cells, Presentation)
-        if parse_choice("kind", text, ("shapes", "braille")) == "shapes":
+        shapes = Shapes(choice_of("style", form.style, Style), named)
+        presentation = choice_of("cells", form.cells, Presentation)
+        if choice_of("kind", text, ("shapes", "braille")) == "shapes":
             return shapes, form.speed_mm_s
         table = table_of(form.table, language)
         braille = Braille(table, presentation, form.lines, form.embossed, form.light_from)

@@ -1,10 +1,11 @@
 """Run configuration shared by all commands and by programs."""
 
+import math
 from dataclasses import asdict, dataclass
 from typing import Any, TypedDict
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.errors import SmartTouchError, choice_of, require_within
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.profile import Profile
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy, unsupported_reason
@@ -95,17 +96,17 @@ class RunConfig:
 
     def __post_init__(self) -> None:
         modes = tuple(each.value for each in Mode)
-        object.__setattr__(self, "mode", Mode(_one_of("mode", str(self.mode), modes)))
+        object.__setattr__(self, "mode", Mode(choice_of("mode", str(self.mode), modes)))
         if not isinstance(self.scan, SlotPolicy):
-            _one_of("scan", self.scan, SCANS)
+            choice_of("scan", self.scan, SCANS)
         if self.hold is not None:
-            _one_of("hold", self.hold, HOLDS)
+            choice_of("hold", self.hold, HOLDS)
         for name in ("intensity", "softness"):
             value = getattr(self, name)
-            if value is not None and not 0 <= value <= 1:
-                raise SmartTouchError(f"{name} {value:g} must be from 0 to 1", about=name)
-        if self.seconds is not None and not self.seconds > 0:
-            raise SmartTouchError(f"seconds {self.seconds:g} must be above 0", about="seconds")
+            if value is not None:
+                require_within(SmartTouchError, name, value, 0, 1)
+        if self.seconds is not None:
+            require_within(SmartTouchError, "seconds", self.seconds, 0, math.inf, above=True)
 
     def sharing(self, profile: Profile) -> SlotPolicy:
         """Return the classes whose points share slots, and how.
@@ -141,12 +142,3 @@ class RunConfig:
             "mode": str(self.mode),
             "sharing": {"primaries": primaries, "planned": sharing.planned},
         }
-
-
-def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> str:
-    for each in allowed:
-        if value.lower() == each.lower():
-            return each
-    raise SmartTouchError(
-        f"{name} {value!r} is not offered: choose {' or '.join(allowed)}", about=name
-    )

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Mode
-from smarttouch.base.errors import LevelNotReachedError, SmartTouchError
+from smarttouch.base.errors import LevelNotReachedError, SmartTouchError, require_within
 from smarttouch.base.events import Note
 from smarttouch.profile import Profile
 from smarttouch.running.session_feed import Pattern, SessionFeed
@@ -191,12 +191,8 @@ class Touch:
         opens = level(0.0) if callable(level) else level
         _require_level(opens)
         most_hz = self._feed.most_hz
-        if rate_hz is not None and not 0 < rate_hz <= most_hz:
-            raise SmartTouchError(
-                f"rate_hz {rate_hz:g} must be above 0 and at most {most_hz:g}, as the profile "
-                "limits it",
-                about="rate_hz",
-            )
+        if rate_hz is not None:
+            require_within(SmartTouchError, "rate_hz", rate_hz, 0, most_hz, above=True)
         return Show(
             self._checked(pattern), level, seconds, opens, _PATIENCE_S, at_ns,
             None if rate_hz is None else round(1e6 / rate_hz),

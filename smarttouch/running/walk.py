@@ -1,5 +1,6 @@
 """Pulses on one electrode after another, while someone feels or watches."""
 
+import math
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import AbstractContextManager
 from typing import ClassVar
@@ -7,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.errors import SmartTouchError, require_within
 from smarttouch.base.events import Note
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board
@@ -45,16 +46,12 @@ class Walk(StimulusSource):
         sites: Sequence[int] | None = None,
     ) -> None:
         super().__init__("one electrode after another")
-        if seconds is not None and not seconds > 0:
-            message = f"{seconds:g} s for each electrode must be above 0"
-            raise SmartTouchError(message, about="seconds")
+        if seconds is not None:
+            words = f"{seconds:g} s for each electrode"
+            require_within(SmartTouchError, "seconds", seconds, 0, math.inf, words, above=True)
         full_ma = float(profile.full_ma.max())
-        if not 0 < current_ma <= full_ma:
-            raise SmartTouchError(
-                f"{current_ma:g} mA must be above 0 and at most the {full_ma:g} mA that the "
-                "profile calls the strongest comfortable",
-                about="current_ma",
-            )
+        words = f"{current_ma:g} mA, where {full_ma:g} mA are the strongest comfortable current,"
+        require_within(SmartTouchError, "current_ma", current_ma, 0, full_ma, words, above=True)
         self.tried: int = 0
         self._profile, self._current_ma, self._seconds = profile, current_ma, seconds
         self._sites = range(len(profile.electrodes)) if sites is None else sites

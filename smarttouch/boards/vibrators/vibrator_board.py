@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.electrodes import ElectrodeArray
-from smarttouch.base.errors import BoardError, BoardRestartedError
+from smarttouch.base.errors import BoardError, BoardRestartedError, require_within
 from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.reports import Impedance
 from smarttouch.boards.vibrators.vibrator_output import (
@@ -193,8 +193,7 @@ def _number(name: str, text: str, least: float, most: float) -> float:
         value = float(text)
     except ValueError:
         value = float("nan")
-    if not least <= value <= most:
-        raise BoardError(f"vibrators: {name}={text} must be from {least:g} to {most:g}", about=name)
+    require_within(BoardError, name, value, least, most, f"vibrators: {name}={text}")
     return value
 
 

@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.errors import ExperimentError
+from smarttouch.base.errors import ExperimentError, require_within
 from smarttouch.base.events import Note
 from smarttouch.base.files import owner_only, unwritable
 from smarttouch.base.stopping import Closing
@@ -134,11 +134,7 @@ class FreeSource(StimulusSource, Listener):
     ) -> None:
         super().__init__("free stimulation")
         fastest_hz = min(FASTEST_HZ, profile.limits.rate_hz)
-        if not SLOWEST_HZ <= rate_hz <= fastest_hz:
-            raise ExperimentError(
-                f"{rate_hz:g} pulses a second must be from {SLOWEST_HZ:g} to {fastest_hz:g}",
-                about="rate_hz",
-            )
+        require_within(ExperimentError, "rate_hz", rate_hz, SLOWEST_HZ, fastest_hz)
         if afferent not in offered:
             raise ExperimentError(
                 f"mode {afferent.name} is not possible with {profile.name}: choose "

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.errors import ExperimentError
+from smarttouch.base.errors import ExperimentError, require_within
 from smarttouch.experiments.psychophysics.procedures import Condition
 from smarttouch.profile import Profile
 
@@ -59,11 +59,8 @@ class Stimuli:
     """Factory of trains of one length for one class of afferents."""
 
     def __init__(self, profile: Profile, afferent: Afferent, train_s: float) -> None:
-        if not 0 < train_s <= LONGEST_S:
-            raise ExperimentError(
-                f"trains of {train_s:g} s must be above 0 and at most {LONGEST_S:g} s long",
-                about="train_s",
-            )
+        words = f"a train of {train_s:g} s"
+        require_within(ExperimentError, "train_s", train_s, 0, LONGEST_S, words, above=True)
         self.profile: Profile = profile
         self.afferent: Afferent = afferent
         self.train_s: float = train_s
@@ -72,12 +69,8 @@ class Stimuli:
         """Return a train on some sites, given as whole numbers, or with an activation of each, (E,)
         of numbers or bool."""
         limit_hz = self.profile.limits.rate_hz
-        if not 0 < rate_hz <= limit_hz:
-            raise ExperimentError(
-                f"pulses at {rate_hz:g} Hz are not possible: the frequency must be above 0 and at "
-                f"most the profile's limit of {limit_hz:g} Hz",
-                about="rate_hz",
-            )
+        words = f"{rate_hz:g} Hz, where the profile allows {limit_hz:g} Hz,"
+        require_within(ExperimentError, "rate_hz", rate_hz, 0, limit_hz, words, above=True)
         pulses = round(self.train_s * rate_hz)
         if pulses < FEWEST_PULSES:
             raise ExperimentError(
@@ -249,12 +242,6 @@ class TrialTiming:
     most_spoiled: int | None = None
 
     def __post_init__(self) -> None:
-        if not 0 <= self.gap_s <= 60:
-            raise ExperimentError(
-                f"a gap of {self.gap_s:g} s must be from 0 to 60 s", about="gap_s"
-            )
-        if self.answer_s is not None and not 0 < self.answer_s <= 3600:
-            raise ExperimentError(
-                f"{self.answer_s:g} s for an answer must be above 0, at most 3600 s",
-                about="answer_s",
-            )
+        require_within(ExperimentError, "gap_s", self.gap_s, 0, 60)
+        if self.answer_s is not None:
+            require_within(ExperimentError, "answer_s", self.answer_s, 0, 3600, above=True)
