@@ -106,6 +106,7 @@ def no_place(name):
     ("devices show kajimoto61:/dev/x --profile electric-mouse",
      says(BoardError, "weighted", "one-against-all", remedy="profile kajimoto-61")),
     ("devices test memory:", says(about="keyboard", remedy="seconds")),
+    ("devices test link:/dev/nowhere", says(value=0.5, about="keyboard", remedy="current_ma")),
     ("devices test memory: --seconds 0", says(about="seconds", value=0, allowed=0)),
     ("devices test memory: --seconds 1 --current-ma 9",
      says(about="current_ma", value=9, allowed=pytest.approx(2.4))),
