@@ -117,3 +117,15 @@ def test_rests_on_a_cortex_m3(shift):
     assert len(rests) >= (15 if shift < 4 else 5)
     # At most 150 us beyond what was asked, and what a pass takes to begin.
     assert [each for each in rests if each[5] > 32 * (250 + each[2]) + 6000] == []
+
+
+def test_what_was_built_with_other_options_is_built_again(tmp_path):
+    """A kit's firmware must not pass for another's, whose counts are four times the current."""
+    if not SOURCES.is_dir() or shutil.which("make") is None or shutil.which("cc") is None:
+        pytest.skip("needs the folder firmware, make and cc")
+    times = []
+    for more in ("-DST_SILENCE_US=100000u", "-DST_SILENCE_US=100000u", ""):
+        command = ["make", "-s", "-C", SOURCES, f"BUILD={tmp_path}", "CFLAGS=-O0", f"MORE={more}"]
+        subprocess.run(command, check=True)
+        times.append((tmp_path / "st_host").stat().st_mtime_ns)
+    assert times[0] == times[1] < times[2]
