@@ -133,11 +133,12 @@ class F405:
         self.process.kill()
         self.process.wait()
 
-    def until_zero(self):
-        """Wait until all electrodes are shorted after pulses; return the model."""
+    def until_zero(self, least_us=0):
+        """Wait until all electrodes are shorted after pulses and some silence; return the model."""
         for _ in range(600):
             model = self.registers()
-            if model.zeros and model.zeros[-1][0] == len(model.pulses) > 0:
+            pulses, silent_us = model.zeros[-1] if model.zeros else (0, 0)
+            if pulses == len(model.pulses) > 0 and silent_us >= least_us:
                 break
             time.sleep(0.1)
         return model

@@ -3,6 +3,7 @@
 import socket
 import struct
 import subprocess
+import time
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from tests.firmware.build import built
 from tests.firmware.f405 import F405, LE, POL, states
 from tests.firmware.rig import Talk
 from tests.firmware.test_qemu import OverSocket
+from tests.forks import PROGRAM, Forked
 
 pytestmark = pytest.mark.realtime
 
@@ -98,8 +100,8 @@ def test_what_is_sent_is_what_registers_and_converter_get(start, kit):
 
 
 @pytest.mark.usefixtures("patient_boards")
-@pytest.mark.parametrize("how", ["stop", "silence", "cable"])
-def test_a_stop_a_silent_host_and_a_cut_cable_end_in_zero(start, how):
+@pytest.mark.parametrize("how", ["stop", "silence"])
+def test_a_stop_and_a_silent_host_end_in_zero(start, how):
     """A packet within a millisecond, and else silence after the last one, by the board's clock."""
     machine, slots = start("st_kajimoto61"), 20
     limits = SafetyLimits(61, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
@@ -117,7 +119,7 @@ def test_a_stop_a_silent_host_and_a_cut_cable_end_in_zero(start, how):
             pass
         if how == "stop":
             talk.until(MessageKind.STOPPED, MessageKind.STOP)
-        if how == "silence":
+        else:
             machine.until_zero()
     model = machine.until_zero()
     pulses, silent_us = model.zeros[-1]
@@ -126,6 +128,26 @@ def test_a_stop_a_silent_host_and_a_cut_cable_end_in_zero(start, how):
     least_us = 0 if how == "stop" else 1000 * build.silence_ms
     assert least_us <= silent_us <= least_us + 1000
     assert len(machine.registers().pulses) == pulses
+
+
+@pytest.mark.usefixtures("patient_boards")
+def test_a_killed_run_ends_in_zero(start, tmp_path):
+    """Within the time of silence after its last packet, by the board's clock."""
+    machine = start("st_kajimoto61")
+    Forked.changes["smarttouch.boards.link.packet_line.ANSWER_S"] = 30
+    command = [PROGRAM, "live", "--board", f"link:socket://127.0.0.1:{machine.port}", "--profile",
+               "kajimoto-61", "--force", "fixed:0.9", "--intensity", "0.3"]  # fmt: skip
+    run = Forked(command, cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    while not machine.registers().pulses:
+        assert run.poll() is None
+        time.sleep(0.1)
+    run.kill()
+    run.wait()
+    model = machine.until_zero(1000 * build.silence_ms)
+    pulses, silent_us = model.zeros[-1]
+    assert model.wrong == []
+    assert silent_us <= 1000 * build.silence_ms + 1000
+    assert pulses == len(machine.registers().pulses)
 
 
 def test_the_library_links_from_cpp():
