@@ -4,7 +4,6 @@ import contextlib
 import json
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -418,24 +417,6 @@ def test_progress_that_is_none(tmp_path, begun, content):
     path.write_bytes(content.encode("utf-8", "surrogatepass"))
     with raises(CalibrationError, about="file", value=path):
         begun(path, {})
-
-
-def test_progress_of_version_0_1_goes_on(procedure, tmp_path):
-    """As its file was written, electrode 5 of two done."""
-    settings = {
-        "profile": "electric-mouse", "electrodes": 64, "board": "memory", "pulse_us": 200,
-        "adaptive": False, "repeats": 3, "simulate": True,
-    }  # fmt: skip
-    before = {
-        "threshold_ma": 1.1, "comfort_ma": 1.9, "spread": 0.05, "runs": 3, "false_presses": 0
-    }  # fmt: skip
-    path = tmp_path / "mine.thresholds.json"
-    path.write_text(json.dumps({"settings": settings, "found": {"5": before}}))
-    going_on = replace(procedure(simulate=True), sites=[5, 6])
-    said, found = measured(going_on)
-    assert [each.partition(":")[0] for each in said] == ["electrode 6"]
-    assert found[5] == Thresholds(**before)
-    assert found[6].usable
 
 
 def test_a_simulated_finger_stays_below_the_ceiling(profile):
