@@ -81,24 +81,14 @@ class SessionLimits:
 
 @dataclass(eq=False)
 class Load:
-    """What one pass of a sequence brings to each electrode, (E,) int64.
+    """What one pass of a sequence brings to each electrode, (E,) int64."""
 
-    Attributes
-    ----------
-    felt : ndarray
-        Pulses that count as felt.
-    charge_pc, net_pc : ndarray, pC
-        Of either sign, and signed, positive cathodic; the recharge phase included.
-    peak_pc : int, pC
-        Largest charge of one pulse; 0 if no current flows.
-    busy_us, pulses_us : int, µs
-        Time of its slots and recharge phase, and of their current.
-    """
-
-    felt: NDArray[np.int64]
+    felt: NDArray[np.int64]  # pulses that count as felt
+    # charge_pc, net_pc: of either sign, and signed, positive cathodic; with the recharge phase
     charge_pc: NDArray[np.int64]
     net_pc: NDArray[np.int64]
-    peak_pc: int = 0
+    peak_pc: int = 0  # largest charge of one pulse; 0 if no current flows
+    # busy_us, pulses_us: time of its slots and recharge phase, and of their current
     busy_us: int = 0
     pulses_us: int = 0
 

@@ -48,13 +48,8 @@ def complaint(
 ) -> tuple[BrokenRule | None, Load]:
     """Fill in what kernels make; return the first rule that is broken, if any, and the load.
 
-    Parameters
-    ----------
-    carried_pc : ndarray, (E,) int64, pC
-        Net charge of the session so far, positive cathodic.
-    before : Load
-        Of the parts of the same scan before this one.
-    most_slots : int
+    ``carried_pc``, (E,) int64, is the net charge of the session so far, positive cathodic;
+    ``before`` the load of the parts of the same scan before this one.
     """
     sequence = lists.sequence
     load = Load.none(sequence.electrodes)

@@ -89,13 +89,8 @@ class LastSecond:
     def complaint(
         self, start_us: int, lists: ReceivedSequence, load: Load | None, limits: SessionLimits
     ) -> BrokenRule | None:
-        """Return the first rule that a sequence breaks with what was before it, if any.
-
-        Parameters
-        ----------
-        start_us : int
-            When its first pass begins.
-        """
+        """Return the first rule that a sequence whose first pass begins at ``start_us`` breaks with
+        what was before it, if any."""
         period_us, times = lists.sequence.period_us, lists.sequence.times
         passes = range(min(times, -(-SECOND_US // period_us)))
         if load is not None and (found := self._second(start_us, period_us, passes, load)):
@@ -158,10 +153,7 @@ def _largest_net(before: NDArray[np.int64], load: Load, own: int) -> NDArray[np.
 class Ramp:
     """Rise of intensity by delivered current, and no higher than its strength.
 
-    Parameters
-    ----------
-    ramp_ms : int
-        Least time from zero to full; 0 for tests whose time is what they claim.
+    ``ramp_ms`` is the least time from zero to full; 0 for tests whose time is what they claim.
     """
 
     def __init__(self, ramp_ms: int = RAMP_MS) -> None:

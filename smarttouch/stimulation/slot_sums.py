@@ -39,24 +39,12 @@ Sums = NDArray[np.float64]
 
 
 class PassLoad(NamedTuple):
-    """Load of one pass of a sequence on each electrode.
+    """Load of one pass of a sequence on each electrode."""
 
-    Attributes
-    ----------
-    sums : ndarray, (3, E)
-        Load and net charge, with its recharge phase.
-    recharge_pc : ndarray, (E,) pC
-        Charge of its recharge phase if it has one, positive cathodic.
-    busy_us : int, µs
-        Time of its slots and its recharge phase.
-    peak_pc : int, pC
-        Largest charge of one pulse of its slots; 0 if none has current.
-    """
-
-    sums: Sums
-    recharge_pc: Charge | None
-    busy_us: int
-    peak_pc: int
+    sums: Sums  # (3, E): load and net charge, with its recharge phase
+    recharge_pc: Charge | None  # (E,), of its recharge phase if it has one, positive cathodic
+    busy_us: int  # time of its slots and its recharge phase
+    peak_pc: int  # largest charge of one pulse of its slots; 0 if none has current
 
 
 def shortest_period_us(load: Load) -> int:

@@ -52,16 +52,8 @@ class StreamedBoard(Board):
 
     The caller's thread proves and encodes; a thread of the driver sends. There
     is one place between them: a newer sequence replaces one that still waits,
-    so that there never is a backlog.
-
-    Parameters
-    ----------
-    port : str
-        Device, or any URL that pyserial knows.
-    limits : SafetyLimits
-        Of the finger's profile.
-    output : Output, optional
-        Output section of the profile.
+    so that there never is a backlog. The port is a device, or any URL that pyserial knows; limits
+    and output are of the finger's profile.
     """
 
     kind: str
@@ -239,15 +231,8 @@ class StreamedBoard(Board):
         return False
 
     def _recognize(self) -> None:
-        """Query a restored line whether it is the same board.
-
-        Only where USB gives no identity.
-
-        Raises
-        ------
-        OtherDeviceError
-            If it is not.
-        """
+        """Query a restored line whether it is the same board, where USB gives no identity; raises
+        OtherDeviceError if it is not."""
 
     def _zero_first(self) -> None:
         """Write zero to a restored line of the same board, at any point of its byte stream."""

@@ -38,17 +38,8 @@ AFTER_ZERO_S = 0.02
 
 
 class LinkBoard(LinkHost):
-    """Board at the far end of a serial line: ``link:PORT``.
-
-    Parameters
-    ----------
-    port : str
-        Device, or any URL that pyserial knows.
-    limits : SafetyLimits
-        Of the finger's profile.
-    output : Output, optional
-        Output section of the profile.
-    """
+    """Board at the far end of a serial line: ``link:PORT``, a device or any URL that pyserial
+    knows. Limits and output are of the finger's profile."""
 
     drives_in_send = False
     _line: LinkLine
