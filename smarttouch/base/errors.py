@@ -20,7 +20,7 @@ class SmartTouchError(Exception):
         Name of what is wrong: a parameter, a key of a profile, a limit, or "file", "port",
         "board" and the like.
     remedy : str
-        The parameter, key or command that mends it, and what it is to be: "overwrite or output",
+        The parameter, key or command that fixes it, and its value: "overwrite or output",
         "profile line-8".
     slot, electrode : int or None
         Place of the problem, if it has one.

@@ -22,7 +22,7 @@ class TactileImage:
         Finger force at that time.
     period_us : int, µs, optional
         Given, every active class pulses once, now, and the next image comes after this time;
-        else the profile's rates say when each class pulses.
+        else the profile's rates determine when each class pulses.
     level : float, in [0, 1]
         Of the strongest comfortable current, on top of what the user wishes.
     """

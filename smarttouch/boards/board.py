@@ -296,7 +296,7 @@ class Board(TimedBoard, ABC):
     def start_of(self, number: int) -> SequenceStart | None:
         """Return when a sequence began, by the number that `send` returned.
 
-        None before the board has said so, some seconds later, and for boards that never say it.
+        None before the board has reported it, some seconds later, and for boards that never do.
         """
         return None
 
@@ -322,7 +322,7 @@ class Board(TimedBoard, ABC):
         BoardStoppedError
             If the board was stopped, before or meanwhile: all electrodes are at zero.
         BoardError
-            If the board is closed, cannot measure, or its answer makes no sense.
+            If the board is closed, cannot measure, or gives an invalid answer.
         """
         self._require_open("measuring")
         self._go_on_unless_stopped()
@@ -441,7 +441,7 @@ class Board(TimedBoard, ABC):
     def report(self) -> BoardReport:
         """Return the report of what was delivered.
 
-        This one reports what was sent; a board that knows more replaces it.
+        This one reports what was sent; a board that measures more overrides it.
         """
         return self._host_statistics.report()
 

@@ -24,7 +24,7 @@ class Finger(FingerAfferents):
     ProfileError
         If there is no such anatomy, or the seed is negative.
     DesignError
-        If the skin is layered, or the profile's pulse outside what is fitted.
+        If the skin is layered, or the profile's pulse width is outside the fitted range.
 
     Examples
     --------

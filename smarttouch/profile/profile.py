@@ -221,8 +221,8 @@ class Profile(Table):
     def design_total_ma(self) -> float | None:
         """Limit of total current in the design of kernels; None if none is needed.
 
-        A total at the project's ceiling, which holds for all, says nothing of the kernels
-        where points do not share slots.
+        A total at the project's ceiling, which holds for all, does not constrain kernels where
+        points do not share slots.
         """
         total = self.limits.total_ma or CEILING_TOTAL_MA
         return total if self.shares or total < CEILING_TOTAL_MA else None
@@ -251,7 +251,7 @@ class Profile(Table):
         Raises
         ------
         ProfileError
-            If the copy says something unknown or impossible: all of it.
+            If the copy has unknown keys or impossible values: all of them.
 
         Examples
         --------
@@ -288,9 +288,8 @@ class Profile(Table):
 
         Notes
         -----
-        What this profile says of each electrode, such as limits, becomes the least of all; masks,
-        the order of wiring and what was measured on its electrodes go, and so do its defaults of
-        commands.
+        Values of each electrode, such as limits, become the least of all. Masks, the order of
+        wiring, what was measured on the electrodes, and the defaults of commands are removed.
 
         Examples
         --------

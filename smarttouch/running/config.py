@@ -41,8 +41,8 @@ class RunConfig:
     mode : Mode or str
         Which afferents are driven: RA, SAI, PC or natural.
     scan : {"auto", "points", "frame"} or SlotPolicy
-        One point in each slot, as many as leave one another alone, or so where that needs no
-        search: RA, on boards that give every electrode its own current.
+        points: one point in each slot; frame: as many as do not disturb one another; auto: the same
+        where that needs no search (RA, on boards that give every electrode its own current).
     rate_hz : float, optional
         Sequences a second.
     seconds : float, optional
@@ -51,7 +51,7 @@ class RunConfig:
         Of the strongest comfortable current. On a board that a finger may be on it must be
         given, and is reached slowly; elsewhere it is 1 if not given.
     softness : float, in [0, 1], optional
-        How little the rate of SAI pulses follows force.
+        At 1 the rate of SAI pulses is constant, at 0 it follows force.
     light_on_dark : bool
         Print is lighter than paper.
     tone : Tone, optional

@@ -28,7 +28,7 @@ class Display(DisplayBoard):
         Board, for example ``emulator:`` or ``link:/dev/ttyACM0``, or a driver's class.
     profile : Profile
     vibrators_url : str, optional
-        Mechanical vibrators, which shake PC in place of current.
+        Mechanical vibrators, which drive PC instead of current.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ def open_display(
     profile : Profile or str, optional
         Device and finger; the board's usual one if not given.
     vibrators_url : str, optional
-        Mechanical vibrators, which shake PC in place of current.
+        Mechanical vibrators, which drive PC instead of current.
     **options
         Of the driver.
 

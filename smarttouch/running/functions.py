@@ -153,7 +153,7 @@ def replay(
         The recording.
     display : Display
         Its profile may be another than the recorded one. Where a finger may be on the board, the
-        recording lowers its limits, never raises them, and the recorded force presses nothing.
+        recording lowers its limits, never raises them, and the recorded force opens no current.
     listeners, force, stop
         See `run`.
     **settings
@@ -222,9 +222,10 @@ def design_kernel(
     site : int
         Electrode over the target.
     model : {"activating", "paper"}
-        "paper" is its own program (Eq. 16 to 18), for currents of each electrode's own: nothing
-        bounds what its own class gets elsewhere. A profile whose objective is the finger has its
-        own kernels, by driving functions: weights are then parts of the full current.
+        "paper" is the paper's program (Eq. 16 to 18), for boards with a current for each
+        electrode: it does not bound the activation of the target's class elsewhere. A profile
+        with the objective "finger" has kernels of its own, by driving functions: weights are
+        then parts of the full current.
 
     Raises
     ------

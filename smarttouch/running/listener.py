@@ -46,7 +46,7 @@ class Listener:
     Attributes
     ----------
     notes : list of str
-        Sentences that a user should know after the run.
+        Sentences for the user after the run.
 
     Examples
     --------

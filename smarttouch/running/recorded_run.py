@@ -201,7 +201,7 @@ class RecordedRun:
     ----------
     path : Path
     arrays : RunArrays
-        All numbers of the run; read when they are first asked for.
+        All numbers of the run; read at their first use.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -261,8 +261,8 @@ class RecordedRun:
     def compare(self, other: "RecordedRun") -> dict[str, float]:
         """Return the largest difference of each array that differs; empty if they are the same.
 
-        Infinite where shapes or words differ. Delays and what the board reported of them are of the
-        moment and not compared.
+        Infinite where shapes or words differ. Delays, and what the board reported of them, differ
+        from run to run and are not compared.
         """
         found = {}
         for each in fields(RunArrays):

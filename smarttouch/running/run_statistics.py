@@ -119,7 +119,7 @@ class RunStatistics:
     ended: str = ""
     """Reason for which the run has ended."""
     notes: list[str] = field(default_factory=list)
-    """Sentences that a user should know after the run."""
+    """Sentences for the user after the run."""
     figures: dict[str, Any] = field(default_factory=dict)
     """All figures of the run by name, complete after its end; for JSON."""
     _last_sent: int | None = None

@@ -91,8 +91,8 @@ class StepResult:
     acknowledged, refused : int
         Sequences that the board had begun to deliver, or declined, until then.
     first_pulse : FirstPulse or None
-        Of the newest sequence of which the board has said since the step before when it began:
-        one or two before this. None for boards that never say it.
+        Of the newest sequence whose start the board has reported since the step before: one or two
+        before this. None for boards that never report it.
 
     Examples
     --------

@@ -33,9 +33,9 @@ class Shown:
         When its first sequence was sent, since the start of the session.
     clock_ns : int
         When its first pulse began, by the machine's clock, `time.monotonic_ns`; when it was sent,
-        if the board does not say when it began.
+        if the board does not report when it began.
     board_us : int or None, µs
-        When its first pulse began, by the board's own clock; None if the board does not say.
+        When its first pulse began, by the board's own clock; None if the board does not report it.
     sequences, pulses : int
         Sequences sent, and the slots of all of them.
     intensity : float, in [0, 1]

@@ -81,7 +81,7 @@ class SafetyLimits:
     masked : tuple of int
         Electrodes that carry no current at all.
     width_us : float, optional
-        Of a full pulse, whose charge strength is a share of; ``pulse_us`` if not given.
+        Of a full pulse; strength is a share of its charge. ``pulse_us`` if not given.
 
     Raises
     ------

@@ -247,7 +247,7 @@ class ScanSequence:
 
     Slots follow one another without a gap; each is a pulse followed by a
     short circuit of all electrodes. After the last slot comes the recharge phase, if
-    there is one: a long weak pulse that brings charge back and that nobody feels.
+    there is one: a long pulse that brings charge back and is too weak to be felt.
     Then the electrodes stay shorted until ``period_us`` is over.
 
     Attributes
