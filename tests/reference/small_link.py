@@ -6,7 +6,7 @@ import zlib
 from cobs import cobs
 
 HELLO, SEQUENCE, HEARTBEAT, STOP, STATUS, BEGIN, LIMITS, KERNELS = range(1, 9)
-OFFER, ACK, NAK, ALIVE, REPORT, STOPPED, _, BEGUN, LIMITED, KEPT = range(0x81, 0x8B)
+OFFER, ACK, NAK, ALIVE, REPORT, STOPPED, VOLTAGES, BEGUN, LIMITED, KEPT = range(0x81, 0x8B)
 E, FULL = 4, 65_535
 
 
@@ -19,8 +19,13 @@ def unframe(data):
     """Return kind, number, session, heard, about and payload of each sound packet."""
     found = []
     for piece in filter(None, data.split(b"\0")):
-        body = cobs.decode(piece)
-        if zlib.crc32(body[:-4]) == int.from_bytes(body[-4:], "little"):
+        try:
+            body = cobs.decode(piece)
+        except cobs.DecodeError:
+            continue
+        if len(body) >= 10 and zlib.crc32(body[:-4]) == int.from_bytes(body[-4:], "little"):
+            if body[0] != 5 or len(body) < 27:
+                body = body[:6].ljust(27, b"\0")
             _, kind, number, _, *rest = struct.unpack_from("<BBIBQII", body)
             found.append((kind, number, *rest, body[23:-4]))
     return found
