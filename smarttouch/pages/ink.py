@@ -260,7 +260,8 @@ def _ink_below(flat: Grey, darkest: Grey, levels: _Levels) -> NDArray[np.bool_]:
     relative = np.where(part > 0, sums / np.maximum(part, 1e-3) / usual, 1)
     factor = np.clip(np.maximum(relative, 0.1) ** followed, *_LOCAL)
     limit = levels.middle - (levels.middle - levels.threshold) * factor
-    limit = np.minimum(np.rint(limit), max(levels.white, levels.threshold)).astype(np.uint8)
+    # Where all ink is black, the limit of the darkest would be negative.
+    limit = np.clip(np.rint(limit), 0, max(levels.white, levels.threshold)).astype(np.uint8)
     # The same for the rows of a cell.
     rows = cv2.resize(limit, (flat.shape[1], len(darkest)))
     ink = np.empty(flat.shape, np.bool_)

@@ -23,7 +23,12 @@ _LEAST_SPACE = 0.35  # narrowest space, in letter heights; a narrower gap is wit
 _NARROWEST = 0.75  # narrowest gutter between columns, in letter heights
 _WIDER = 1.9  # factor by which a gutter is wider than the usual space between words
 _WIDE = 2.2  # gap, in letter heights, that may be a gutter however wide the usual ones are
-_GUTTER_LINES = 2  # lines above or below, on either side, that a gutter must separate as well
+_GUTTER_LINES, _LONG, _LITTLE_WIDER = 2, 5, 1.25
+"""Lines above or below, on either side, that a gutter must separate as well, and the number from
+which it may be as narrow as a space."""
+_ALIGNED = 0.5
+"""Distance, in letter heights, from the edge of a gutter that is not wide to lines on its right:
+rivers of white through justified text end anywhere."""
 _OTHER_LINE = 0.8  # least distance of lines, in letter heights
 _BESIDE = 12.0  # largest distance of their letters from the gutter, in letter heights
 _FAR = 1 << 30
@@ -139,37 +144,55 @@ def _without_gutters(letters: Spots, links: Links, spots: Spots) -> Links:
     spaces = part[part > _LEAST_SPACE]
     usual = float(np.median(spaces)) if len(spaces) else 0.0
     narrowest = min(max(_NARROWEST, _WIDER * usual), _WIDE)
+    long_narrowest = max(_NARROWEST, _LITTLE_WIDER * usual)
     kept = np.ones(len(links.first), bool)
-    for k in np.flatnonzero(part > narrowest):
+    for k in np.flatnonzero(part > long_narrowest):
         first, second = links.first[k], links.second[k]
         y = float(letters.bottom[first] + letters.bottom[second]) / 2
         size = float(mean[k])
         white = widest_white(
             spots, int(letters.right[first]), int(letters.left[second]), y - size, y
         )
-        if white[1] - white[0] <= narrowest * size:
+        gap = (white[1] - white[0]) / size
+        if gap <= long_narrowest:
             continue
+        fewest = _GUTTER_LINES if gap > narrowest else _LONG
         # Columns are aligned at one side, so the lane lies at an edge of the gap.
         width = _NARROWEST * size
-        middle = (white[0] + white[1]) / 2
-        lanes = (white[1] - width, white[0], middle - width / 2)
-        kept[k] = not any(_parts_columns(letters, lane, lane + width, y, size) for lane in lanes)
+        lanes = [white[1] - width]
+        reach = _ALIGNED * size + width
+        if gap > _WIDE:
+            lanes += [white[0], (white[0] + white[1] - width) / 2]
+            reach = _BESIDE * size
+        kept[k] = not any(
+            _parts_columns(letters, (lane, lane + width), y, size, fewest, reach) for lane in lanes
+        )
     return Links(links.first[kept], links.second[kept], links.gap[kept])
 
 
-def _parts_columns(letters: Spots, left: float, right: float, y: float, size: float) -> bool:
-    """Return whether a lane is white over several lines with letters on both sides of it."""
+def _parts_columns(
+    letters: Spots,
+    lane: tuple[float, float],
+    y: float,
+    size: float,
+    fewest: int,
+    reach: float,
+) -> bool:
+    """Return whether a lane is white over several lines with letters on both sides of it.
+
+    Those on its right begin at most ``reach`` px from its left edge.
+    """
+    left, right = lane
     across = (letters.right > left) & (letters.left < right)
     above = letters.bottom[across & (letters.bottom < y - size / 2)].max(initial=-_FAR)
     below = letters.top[across & (letters.top > y - size / 2)].min(initial=_FAR)
     beside = (letters.top > above) & (letters.bottom < below)
     beside &= np.abs(letters.bottom - y) > _OTHER_LINE * size
-    reach = _BESIDE * size
-    lines = []
     for near in (
-        (letters.right <= left) & (letters.right > left - reach),
-        (letters.left >= right) & (letters.left < right + reach),
+        (letters.left >= right) & (letters.left < left + reach),
+        (letters.right <= left) & (letters.right > left - _BESIDE * size),
     ):
         bottoms = np.sort(letters.bottom[beside & near])
-        lines.append(np.count_nonzero(np.diff(bottoms, prepend=-_FAR) > _OTHER_LINE * size))
-    return bool(min(lines) >= _GUTTER_LINES)
+        if np.count_nonzero(np.diff(bottoms, prepend=-_FAR) > _OTHER_LINE * size) < fewest:
+            return False
+    return True

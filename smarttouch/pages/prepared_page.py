@@ -2,7 +2,8 @@
 
 import math
 import textwrap
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -100,7 +101,9 @@ class PreparedPage:
     light_on_dark: bool
     notes: tuple[str, ...]
     words: tuple[str, ...] = ()
-    """Words of each line, where they are known."""
+    """Words of each line, where the page brings them."""
+    known: Mapping[int, tuple[str, float]] = field(default_factory=dict)
+    """Text of lines that were recognized already, with a confidence in [0, 1]."""
 
     def strip(self, index: int, height_px: int) -> NDArray[np.uint8]:
         """Return a line straightened, (height_px, W) uint8, ascenders to descenders filling it."""

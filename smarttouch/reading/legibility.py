@@ -27,7 +27,7 @@ from smarttouch.reading.delivered_lines import (
     read_at_nerve,
 )
 from smarttouch.reading.letter_shapes import Shapes, Style, require_rows, shape_line
-from smarttouch.reading.material import LINE_PIXELS, ReadingMaterial, recognized_lines
+from smarttouch.reading.material import ReadingMaterial, recognized_lines
 from smarttouch.reading.ocr import Layout, recognize
 from smarttouch.running.delivered import LinePicture
 
@@ -148,6 +148,8 @@ def collect(lines: Iterable[_Item], before: int, total: int, progress: Progress)
     return found
 
 
+_LINE_PIXELS = 56
+"""Height of delivered lines for recognition: ascender to descender."""
 _GAP = 0.45  # gap between lines for recognition, relative to their height
 
 
@@ -259,13 +261,13 @@ def _read(pictures: Sequence[LinePicture], languages: str) -> str:
     Tesseract reads such soft lines with the help of those around them; it reads nothing from a
     single line without ascenders.
     """
-    strips = [picture.picture(LINE_PIXELS) for picture in pictures]
-    gap = round(_GAP * LINE_PIXELS)
+    strips = [picture.picture(_LINE_PIXELS) for picture in pictures]
+    gap = round(_GAP * _LINE_PIXELS)
     widest = max(strip.shape[1] for strip in strips)
-    sheet = np.full((len(strips) * (LINE_PIXELS + gap) + gap, widest + 2 * gap), 255, np.uint8)
+    sheet = np.full((len(strips) * (_LINE_PIXELS + gap) + gap, widest + 2 * gap), 255, np.uint8)
     for index, strip in enumerate(strips):
-        top = gap + index * (LINE_PIXELS + gap)
-        sheet[top : top + LINE_PIXELS, gap : gap + strip.shape[1]] = strip
+        top = gap + index * (_LINE_PIXELS + gap)
+        sheet[top : top + _LINE_PIXELS, gap : gap + strip.shape[1]] = strip
     return recognize(sheet, languages=languages, layout=Layout.BLOCK).text
 
 

@@ -1,7 +1,7 @@
 """Material to read: images, documents, texts and files of cells, page by page."""
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,7 +19,7 @@ from smarttouch.pages.straighten import QUARTER
 from smarttouch.pages.structured_text import read_structured_text
 from smarttouch.pages.text_layer import LayeredPage
 from smarttouch.pages.text_lines import TextLine
-from smarttouch.reading.ocr import recognize_lines, upright
+from smarttouch.reading.ocr import likely_turns, recognize_lines
 
 _GAP = 1.35  # lines farther apart than this part of the usual distance begin a paragraph
 _LARGER = 1.2
@@ -126,11 +126,10 @@ def _joined(before: str, after: str, words: set[str]) -> str:
     return (before if keeps else before[:-1]) + after
 
 
-LINE_PIXELS = 56
+_STRIP_PIXELS = 40
 """Height of lines for recognition: ascender to descender."""
 SURE = 0.6
 """Mean confidence below which a page is reported as poorly recognized."""
-_CHUNK = 16
 
 Note = Callable[[str], None]
 
@@ -179,23 +178,85 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
     if isinstance(page, LayeredPage):
         ink = separate_ink(page.grey, options.light_on_dark)
         return PreparedPage(page, ink.cleaned, page.lines, ink.light_on_dark, (), page.words)
-    prepared = prepare_page(page, options.light_on_dark)
+    prepared, turn_deg = _most_legible(prepare_page(page, options.light_on_dark), options)
     notes = list(prepared.notes)
-    turn_deg = _turn_deg(prepared, options)
     if turn_deg:
-        turned = np.ascontiguousarray(np.rot90(prepared.page.grey, -turn_deg // 90))
-        turned_page = replace(prepared.page, grey=turned)
-        prepared = prepare_page(turned_page, options.light_on_dark, quarter=False)
-        if QUARTER in notes:
-            # That turn was a guess, counterclockwise.
-            turn_deg = (turn_deg - 90) % 360
-        notes = [words for words in notes if words != QUARTER and not words.startswith(LEFT_OUT)]
-        if turn_deg:
-            notes.append(f"it was turned by {turn_deg}° to be upright")
-        notes += prepared.notes
+        notes.insert(0, f"it was turned by {turn_deg}° to be upright")
     for words in notes:
         note(f"page {number}: {words}")
     return prepared
+
+
+_FIRST, _LONGEST = 5, 3
+"""First lines, and longest ones, by which a page is known to be upright."""
+_UPRIGHT, _FEWEST_LETTERS = 0.7, 30
+"""Mean confidence of letters from which a page is upright, and the fewest that show it."""
+_MORE = 1.15  # factor by which more must be recognized after a turn for it to be kept
+
+
+def _most_legible(prepared: PreparedPage, options: RecognitionOptions) -> tuple[PreparedPage, int]:
+    """Return a page turned so that most of it is recognized, and that turn in degrees, clockwise.
+
+    A few of its lines are read, as part of the page. Only where they are hardly legible they are
+    read upside down, and other turns tried.
+    """
+    try:
+        best, most = _with_sample(prepared, options)
+        letters = sum(len(text) for text, _ in best.known.values())
+        if letters >= _FEWEST_LETTERS and most >= _UPRIGHT * letters:
+            return best, 0
+        best_turn_deg = 0
+        for turn_deg in _turns_to_try(prepared, list(best.known), most, options):
+            turned = np.ascontiguousarray(np.rot90(prepared.page.grey, -turn_deg // 90))
+            page = replace(prepared.page, grey=turned)
+            candidate = prepare_page(page, options.light_on_dark, quarter=False)
+            candidate, legible = _with_sample(candidate, options)
+            if legible > _MORE * most:
+                best, most, best_turn_deg = candidate, legible, turn_deg
+    except ReadingError:
+        # Without Tesseract a page stays as it is.
+        return prepared, 0
+    if not best_turn_deg:
+        return best, 0
+    notes = [words for words in prepared.notes if not words.startswith(LEFT_OUT)]
+    if QUARTER in notes:
+        # That turn was a guess, counterclockwise.
+        notes.remove(QUARTER)
+        best_turn_deg = (best_turn_deg - 90) % 360
+    return replace(best, notes=(*notes, *best.notes)), best_turn_deg
+
+
+def _turns_to_try(
+    prepared: PreparedPage, sample: list[int], legible: float, options: RecognitionOptions
+) -> list[int]:
+    """Return clockwise turns, in degrees, by which more of a page may be legible."""
+    strips = [prepared.strip(index, _STRIP_PIXELS)[::-1, ::-1] for index in sample]
+    read = list(recognize_lines(strips, options.languages))
+    upside_down, letters = _legible((each.text, each.confidence) for each in read)
+    turns = [180] if upside_down > _MORE * legible else []
+    if letters >= _FEWEST_LETTERS and upside_down > _UPRIGHT * letters and turns:
+        return turns
+    if QUARTER in prepared.notes:
+        turns.append(90)
+    others = likely_turns(prepared.cleaned, options.languages)
+    return turns + [each for each in others if each not in (180, *turns)]
+
+
+def _with_sample(prepared: PreparedPage, options: RecognitionOptions) -> tuple[PreparedPage, float]:
+    """Return a page with a few lines recognized, and the number of legible letters in them."""
+    lines = prepared.lines
+    longest = sorted(range(len(lines)), key=lambda k: lines[k].left_mm - lines[k].right_mm)
+    sample = sorted({*range(min(_FIRST, len(lines))), *longest[:_LONGEST]})
+    strips = [prepared.strip(index, _STRIP_PIXELS) for index in sample]
+    read = [(each.text, each.confidence) for each in recognize_lines(strips, options.languages)]
+    known = dict(zip(sample, read, strict=True))
+    return replace(prepared, known=known), _legible(read)[0]
+
+
+def _legible(read: Iterable[tuple[str, float]]) -> tuple[float, int]:
+    """Return the number of letters, each counted by its confidence, and their number."""
+    found = [(len(text) * confidence, len(text)) for text, confidence in read]
+    return sum(sure for sure, _ in found), sum(letters for _, letters in found)
 
 
 class EmptyPages:
@@ -244,16 +305,18 @@ def recognized_lines(
     if prepared.words:
         yield from enumerate(prepared.words)
         return
-    count, start, size = len(prepared.lines), 0, 1
+    waiting = [index for index in range(len(prepared.lines)) if index not in prepared.known]
+    strips = [prepared.strip(index, _STRIP_PIXELS) for index in waiting]
+    found = recognize_lines(strips, options.languages)
     confidences: list[tuple[int, float]] = []
-    while start < count:
-        # Long pieces are faster in all, but reading starts after the first one.
-        indices = range(start, min(count, start + size))
-        strips = [prepared.strip(index, LINE_PIXELS) for index in indices]
-        for index, line in zip(indices, recognize_lines(strips, options.languages), strict=True):
-            confidences.append((len(line.text), line.confidence))
-            yield index, line.text
-        start, size = indices.stop, min(_CHUNK, 4 * size)
+    for index in range(len(prepared.lines)):
+        if index in prepared.known:
+            text, confidence = prepared.known[index]
+        else:
+            line = next(found)
+            text, confidence = line.text, line.confidence
+        confidences.append((len(text), confidence))
+        yield index, text
     characters = sum(length for length, _ in confidences)
     sure = sum(length * each for length, each in confidences) / max(1, characters)
     if sure < SURE:
@@ -267,14 +330,6 @@ def recognized_text(prepared: PreparedPage, options: RecognitionOptions, note: N
     """Return the text of a page, a line for each paragraph, see `paragraphs`."""
     texts = [text for _, text in recognized_lines(prepared, options, note)]
     return "\n".join(paragraphs(prepared.lines, texts, options.keep_headers))
-
-
-def _turn_deg(prepared: PreparedPage, options: RecognitionOptions) -> int:
-    """Return the clockwise rotation of a page in degrees, if Tesseract is installed."""
-    try:
-        return upright(prepared.cleaned, options.languages) if prepared.lines else 0
-    except ReadingError:
-        return 0
 
 
 _PRINTED_AT_ONCE = 20  # lines of a text on one printed page

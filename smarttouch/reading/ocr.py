@@ -7,8 +7,10 @@ import os
 import re
 import shutil
 import subprocess
+import tempfile
+import threading
 import unicodedata
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -22,9 +24,6 @@ from smarttouch.base.errors import ReadingError
 
 LARGEST_SIDE = 32_000
 """Largest side in pixels; Tesseract refuses images with a side above 32,767."""
-SURE = 2.0
-"""Least confidence by Tesseract of an orientation. It was at most 1.1 where the answer was wrong
-(of photographs without text), and at least 3 on pages of five lines and more, however noisy."""
 _WORD = "5"
 """Level of a word's row in Tesseract's table; others are pages, blocks, paragraphs and lines."""
 _COLUMNS = 12
@@ -43,6 +42,10 @@ class Layout(Enum):
 
 class TooSlowError(ReadingError):
     """Tesseract was stopped after its time limit."""
+
+
+class OcrFailedError(ReadingError):
+    """Tesseract ended with an error."""
 
 
 @dataclass(frozen=True)
@@ -73,10 +76,11 @@ def read_words(
     layout: Layout,
     timeout_s: float,
     dpi: float | None = None,
-) -> list[Word]:
-    """Return the words of images, (H_i, W_i) uint8, dark on bright, in reading order, by one call.
+) -> Iterator[Word]:
+    """Yield the words of images, (H_i, W_i) uint8, dark on bright, in reading order, by one call.
 
-    Blank and empty images have no words; ``languages`` are codes joined by plus signs.
+    They come while later images are being recognized. Blank and empty images have no words;
+    ``languages`` are codes joined by plus signs.
     """
     if not re.fullmatch(r"\w+(\+\w+)*", languages, re.ASCII):
         raise ReadingError(
@@ -85,39 +89,34 @@ def read_words(
     find_tesseract()
     shown = [index for index, image in enumerate(images) if not _is_blank(image)]
     if not shown:
-        return []
+        return
     options = ["-l", languages, "--psm", str(layout.value)]
     if dpi is not None:
         options += ["--dpi", f"{dpi:.0f}"]
-    file = _one_file([_fitting(images[index]) for index in shown])
-    done = _run(["stdin", "stdout", *options, "tsv"], file, timeout_s)
-    _require_success(done)
-    words = []
-    for row in done.stdout.split("\n"):
-        cells = row.split("\t", _COLUMNS - 1)
+    for row in _run([*options, "tsv"], [images[index] for index in shown], timeout_s):
+        cells = row.rstrip("\n").split("\t", _COLUMNS - 1)
         if cells[0] != _WORD or not cells[-1].strip():
             continue
         page, block, paragraph, line = (int(each) for each in cells[1:5])
         confidence = min(max(float(cells[10]) / 100, 0.0), 1.0)
-        words.append(Word(cells[-1].strip(), shown[page - 1], (block, paragraph, line), confidence))
-    return words
+        yield Word(cells[-1].strip(), shown[page - 1], (block, paragraph, line), confidence)
 
 
 def read_orientation(image: NDArray[np.uint8], timeout_s: float) -> int | None:
-    """Return the clockwise rotation of an image in degrees; None if Tesseract is not sure.
+    """Return the clockwise rotation of an image in degrees that Tesseract finds likely, if any.
 
-    It is never sure of fewer than 50 letters, nor where its data for orientations (osd) are
-    missing.
+    It finds none for fewer than 50 letters, nor where its data for orientations (osd) are missing.
+    It may be wrong where it is sure: a table of figures was turned by 180° with a confidence of
+    2.5.
     """
-    find_tesseract()
     if _is_blank(image):
         return None
-    output = _run(["stdin", "stdout", "--psm", "0"], _one_file([_fitting(image)]), timeout_s).stdout
-    turn = re.search(r"^Rotate: (\d+)", output, re.MULTILINE)
-    sure = re.search(r"^Orientation confidence: ([\d.]+)", output, re.MULTILINE)
-    if turn is None or sure is None or float(sure[1]) < SURE:
+    try:
+        rows = list(_run(["--psm", "0"], [image], timeout_s))
+    except OcrFailedError:
         return None
-    return int(turn[1])
+    turn = re.search(r"^Rotate: (\d+)", "".join(rows), re.MULTILINE)
+    return None if turn is None else int(turn[1])
 
 
 def _is_blank(image: NDArray[np.uint8]) -> bool:
@@ -142,35 +141,57 @@ def _one_file(images: Sequence[NDArray[np.uint8]]) -> bytes:
 
 
 def _run(
-    arguments: Sequence[str], data: bytes, timeout_s: float
-) -> "subprocess.CompletedProcess[str]":
+    options: Sequence[str], images: Sequence[NDArray[np.uint8]], timeout_s: float
+) -> Iterator[str]:
+    """Yield what Tesseract writes about images, line by line."""
     program = find_tesseract()
-    try:
-        done = subprocess.run(
-            [program, *arguments],
-            input=data,
-            capture_output=True,
-            timeout=timeout_s,
-            # With more threads, most of the time goes into waiting for each other.
-            env={**os.environ, "OMP_THREAD_LIMIT": "1"},
-            check=False,
-        )
-    except subprocess.TimeoutExpired:
-        raise TooSlowError(
-            f"Tesseract did not finish within {timeout_s:g} s: give it a smaller image",
-            about="tesseract",
-        ) from None
-    except OSError as error:
-        raise ReadingError(
-            f"{program} does not start: {error.strerror}", about="tesseract"
-        ) from None
-    out, errors = (each.decode("utf-8", "replace") for each in (done.stdout, done.stderr))
-    return subprocess.CompletedProcess(done.args, done.returncode, out, errors)
+    with tempfile.TemporaryFile() as given, tempfile.TemporaryFile() as said:
+        given.write(_one_file([_fitting(image) for image in images]))
+        given.seek(0)
+        try:
+            running = subprocess.Popen(
+                [program, "stdin", "stdout", *options],
+                stdin=given,
+                stdout=subprocess.PIPE,
+                stderr=said,
+                # With more threads, most of the time goes into waiting for each other.
+                env={**os.environ, "OMP_THREAD_LIMIT": "1"},
+                encoding="utf-8",
+                errors="replace",
+            )
+        except OSError as error:
+            raise ReadingError(
+                f"{program} does not start: {error.strerror}", about="tesseract"
+            ) from None
+        late = threading.Event()
+
+        def stop() -> None:
+            late.set()
+            running.kill()
+
+        limit = threading.Timer(timeout_s, stop)
+        limit.daemon = True
+        limit.start()
+        try:
+            assert running.stdout is not None
+            yield from running.stdout
+            status = running.wait()
+        finally:
+            limit.cancel()
+            running.kill()
+            running.communicate()
+        if late.is_set():
+            raise TooSlowError(
+                f"Tesseract did not finish within {timeout_s:g} s: give it a smaller image",
+                about="tesseract",
+            )
+        said.seek(0)
+        _require_success(status, said.read().decode("utf-8", "replace"))
 
 
-def _require_success(done: "subprocess.CompletedProcess[str]") -> None:
+def _require_success(status: int, said: str) -> None:
     # Missing ones of several languages do not change its exit status.
-    missing = re.search(r"Failed loading language '(.+)'", done.stderr)
+    missing = re.search(r"Failed loading language '(.+)'", said)
     if missing is not None:
         package = "tesseract-ocr-" + missing[1].lower().replace("_", "-")
         raise ReadingError(
@@ -178,11 +199,9 @@ def _require_success(done: "subprocess.CompletedProcess[str]") -> None:
             about="languages",
             remedy=f"apt install {package}",
         )
-    if done.returncode:
-        reason = done.stderr.strip().split("\n")[-1] or "no message"
-        raise ReadingError(
-            f"Tesseract failed with status {done.returncode}: {reason}", about="tesseract"
-        )
+    if status:
+        reason = said.strip().split("\n")[-1] or "no message"
+        raise OcrFailedError(f"Tesseract failed with status {status}: {reason}", about="tesseract")
 
 
 STRIP_MARGIN = 0.25
@@ -252,10 +271,11 @@ def recognize(
 def recognize_lines(
     strips: Sequence[NDArray[np.uint8]],
     languages: str = "eng",
-) -> list[RecognizedLine]:
+) -> Iterator[RecognizedLine]:
     """Recognize strips, (h, W_i) uint8, of one straight line each, by one call of Tesseract.
 
-    Strips are dark on white, from ascenders to descenders; a height of 24 pixels is enough.
+    Strips are dark on white, from ascenders to descenders; a height of 24 pixels is enough. Lines
+    come while later ones are being recognized.
     """
     framed = [
         np.pad(strip, math.ceil(STRIP_MARGIN * len(strip)), constant_values=255)
@@ -263,37 +283,35 @@ def recognize_lines(
         else strip
         for strip in strips
     ]
-    words: list[list[Word]] = [[] for _ in strips]
-    for word in read_words(framed, languages, Layout.LINE, _USUAL_TIMEOUT_S):
-        words[word.image].append(word)
-    return [_line(each) for each in words]
+    done = 0
+    found = read_words(framed, languages, Layout.LINE, _USUAL_TIMEOUT_S)
+    for index, words in itertools.groupby(found, key=lambda word: word.image):
+        yield from [_line(())] * (index - done)
+        yield _line(list(words))
+        done = index + 1
+    yield from [_line(())] * (len(strips) - done)
 
 
-def upright(
+def likely_turns(
     image: NDArray[np.uint8], languages: str = "eng", timeout_s: float = _USUAL_TIMEOUT_S
-) -> int:
-    """Return the clockwise rotation that makes a page upright, in degrees; 0 if unsure.
-
-    Tesseract's own judgment counts where it is sure. Where it is not, mostly on pages of a few
-    words, the page is read all four ways: the most legible one is right if it is legible enough,
-    and clearly more so than the page as it is.
-    """
+) -> list[int]:
+    """Return clockwise rotations, in degrees, that may make a page upright: Tesseract's opinion,
+    and the most legible way if that is clearly better than the page as it is."""
     probe = _busiest(image)
     try:
-        turn_deg = read_orientation(probe, timeout_s)
-        if turn_deg is not None:
-            return turn_deg
+        opinion = read_orientation(probe, timeout_s)
         ways = [np.rot90(probe, -turns) for turns in range(4)]
-        words = read_words(ways, languages, Layout.BLOCK, timeout_s)
+        words = list(read_words(ways, languages, Layout.BLOCK, timeout_s))
     except TooSlowError:
         # Only pictures and noise take that long.
-        return 0
+        return []
     legible = [
         _mean((word.confidence, word.text) for word in words if word.image == turns)
         for turns in range(4)
     ]
     best = int(np.argmax(legible))
-    return 90 * best if legible[best] >= max(LEGIBLE, legible[0] + CLEARER) else 0
+    clearest = 90 * best if legible[best] >= max(LEGIBLE, legible[0] + CLEARER) else 0
+    return sorted({opinion or 0, clearest} - {0})
 
 
 def _busiest(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -121,3 +121,11 @@ def test_a_large_headline_is_filled_and_a_dark_edge_is_not_ink():
     truth = grey < 128
     grey[:, :100] = 25
     assert overlap(separate_ink(grey).ink, truth) > 0.97
+
+
+def test_black_print_of_one_bit_leaves_its_paper_white():
+    page = print_page(some_lines(12, 60), size_pt=11, dpi=300).page
+    grey = np.where(page.grey < 128, 0, 255).astype(np.uint8)
+    cv2.rectangle(grey, (0, 0), (500, 60), 0, -1)
+    paper = separate_ink(grey)
+    assert not (paper.ink & (grey == 255)).any()
