@@ -49,10 +49,18 @@ class Baseline:
             self.baseline, np.asarray(x, np.float64) - self.left, self.right - self.left
         )
 
+    def y_at(self, x: float) -> float:
+        """Return the same at one place; numpy takes fifty times as long."""
+        distance, inside = x - self.left, min(max(x - self.left, 0.0), self.right - self.left)
+        y = slope = 0.0
+        for each in self.baseline[::-1].tolist():
+            y, slope = y * inside + each, slope * inside + y
+        return y + slope * (distance - inside)
+
     @property
     def middle_y(self) -> float:
         """Baseline's y halfway along the row, px."""
-        return float(self.at(np.array((self.left + self.right) / 2)))
+        return self.y_at((self.left + self.right) / 2)
 
     def slope_at(self, x: float) -> float:
         """Return the slope of the baseline at x, positive if it falls."""
@@ -152,7 +160,8 @@ def _fitted(x: Floats, y: Floats, weight: Floats, degree: int) -> tuple[Floats, 
         root = np.sqrt(weight * robust)
         found = np.linalg.lstsq(matrix * root[:, None], y * root, rcond=1e-9)[0]
         away = np.abs(y - matrix @ found)
-        usual = float(np.median(away))
+        # Half of the time goes into numpy's median.
+        usual = float(np.sort(away)[len(away) // 2])
         # Geman and McClure's weights.
         robust = 1 / (1 + (away / max(1.5 * usual, 0.25)) ** 2) ** 2
     return np.asarray(found / scale ** np.arange(degree + 1)), usual
@@ -299,9 +308,9 @@ def _continues(line: Baseline, other: Baseline, spots: Spots) -> bool:
         return False
     if max(line.x_height, other.x_height) > _ONE_SIZE * size:
         return False
-    meeting = np.array((other.left + min(line.right, other.right)) / 2)
-    base = float(line.at(meeting))
-    if abs(base - float(other.at(meeting))) > _ONE_BASELINE * size:
+    meeting = (other.left + min(line.right, other.right)) / 2
+    base = line.y_at(meeting)
+    if abs(base - other.y_at(meeting)) > _ONE_BASELINE * size:
         return False
     if other.left <= line.right:
         return True
@@ -327,8 +336,7 @@ def _belongs(line: Baseline, other: Baseline) -> bool:
     ):
         return False
     middle = (line.left + line.right) / 2
-    at = np.array(middle)
-    above = float(other.at(at) - line.at(at)) / size
+    above = (other.y_at(middle) - line.y_at(middle)) / size
     if line.strokes > _OF_TEXT and not 0 < above < 1:
         # Small print under a headline.
         return False

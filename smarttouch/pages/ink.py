@@ -59,6 +59,8 @@ class Paper:
     cleaned: Grey
     ink: NDArray[np.bool_]  # (H, W); empty on blank paper
     light_on_dark: bool  # as printed; inverted here
+    panels: tuple[list[int], ...] = ()
+    """Panels of the other polarity that were turned as well: left, top, right, bottom, px."""
 
 
 def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
@@ -305,6 +307,7 @@ _FEWEST_LIGHT = 4  # fewest light letters; two large touching letters have at mo
 _LETTER = (0.5, 9.0)
 """Range of their usual height, in usual heights of the letters of the page: halftones have less,
 and what is larger is a window in the panel."""
+_SIDES = ("left", "top", "right", "bottom")
 _BLACK = np.uint8(40)  # level below which a panel's grain is cut off
 
 
@@ -317,7 +320,7 @@ def turn_panels(paper: Paper) -> Paper:
     large = np.minimum(spots.width, spots.height) > _LEAST_SIDE * height
     large &= spots.width > 2 * _LEAST_SIDE * height
     large &= spots.area > _LEAST_DARK * spots.width * spots.height
-    ink, cleaned = paper.ink, paper.cleaned
+    ink, cleaned, panels = paper.ink, paper.cleaned, []
     for k in np.flatnonzero(large):
         box = np.s_[spots.top[k] : spots.bottom[k], spots.left[k] : spots.right[k]]
         panel = _panel(paper.ink[box], int(spots.area[k]), height)
@@ -325,6 +328,7 @@ def turn_panels(paper: Paper) -> Paper:
             continue
         if ink is paper.ink:
             ink, cleaned = ink.copy(), cleaned.copy()
+        panels.append([int(getattr(spots, side)[k]) for side in _SIDES])
         ink[box] ^= panel
         # Its blurred edge would become a frame.
         inside = cv2.erode(panel.view(np.uint8), np.ones((3, 3), np.uint8), borderValue=0) > 0
@@ -332,7 +336,7 @@ def turn_panels(paper: Paper) -> Paper:
         above = np.maximum(cleaned[box], _BLACK) - _BLACK
         negative = 255 - cv2.convertScaleAbs(above, alpha=255 / (255 - int(_BLACK)))
         cleaned[box] = np.where(panel, np.where(inside, negative, 255), cleaned[box])
-    return paper if ink is paper.ink else replace(paper, ink=ink, cleaned=cleaned)
+    return replace(paper, ink=ink, cleaned=cleaned, panels=tuple(panels)) if panels else paper
 
 
 def _panel(ink: NDArray[np.bool_], area: int, height: float) -> NDArray[np.bool_] | None:

@@ -88,6 +88,11 @@ def _without_neighbors(wide: NDArray[np.uint8], above: int, rows: int) -> NDArra
 LEFT_OUT = "left out: "
 """Beginning of the note on what is not among the lines."""
 
+DOUBTFUL = (
+    "the order is doubtful: lines side by side may be rows of a table or columns, and are read as "
+    "columns"
+)
+
 
 @dataclass(frozen=True, eq=False)
 class PreparedPage:
@@ -115,19 +120,23 @@ def prepare_page(
     light_on_dark: bool | None = None,
     straightened: bool = True,
     quarter: bool = True,
+    leftward: bool = False,
 ) -> PreparedPage:
     """Prepare a scan, photograph or picture of print for reading, detecting its polarity if not
     given.
 
-    ``quarter`` allows a turn by 90° where the text runs up or down the page.
+    ``quarter`` allows a turn by 90° where the text runs up or down the page; columns of
+    ``leftward`` scripts are read from the right.
     """
     notes: list[str] = []
     if straightened:
         page, notes = straighten(page, quarter)
     page, paper = ink_of_lines(page, light_on_dark)
-    lines, left_out = lines_in_ink(paper, page.mm_per_pixel)
+    lines, left_out, doubtful = lines_in_ink(paper, page.mm_per_pixel, leftward)
     if left_out:
         notes.append(f"{LEFT_OUT}{left_out}")
+    if doubtful:
+        notes.append(DOUBTFUL)
     return PreparedPage(page, paper.cleaned, tuple(lines), paper.light_on_dark, tuple(notes))
 
 

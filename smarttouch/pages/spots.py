@@ -90,8 +90,8 @@ def like_letters(spots: Spots, height: float) -> NDArray[np.bool_]:
     return np.asarray(right_size & (spots.width < _LONGEST * spots.height))
 
 
-def find_pictures(ink: NDArray[np.bool_], height: float) -> tuple[Spots, NDArray[np.bool_], int]:
-    """Return all spots of ink, the ink of pictures, (H, W) bool, and the number of these.
+def find_pictures(ink: NDArray[np.bool_], height: float) -> tuple[Spots, NDArray[np.bool_], Spots]:
+    """Return all spots of ink, the ink of pictures, (H, W) bool, and these as spots.
 
     Pictures are spots large both ways; those that overlap are one.
     """
@@ -105,7 +105,26 @@ def find_pictures(ink: NDArray[np.bool_], height: float) -> tuple[Spots, NDArray
         down = (boxes.top[apart] < boxes.bottom[k]) & (boxes.bottom[apart] > boxes.top[k])
         if not (across & down).any():
             apart.append(int(k))
-    return spots, np.isin(labels, label[large]), len(apart)
+    return spots, np.isin(labels, label[large]), boxes.of(np.array(apart, np.int_))
+
+
+_FRAME, _HOLLOW, _DRAWN = (6.0, 2.5), 0.3, 0.85
+"""Least width and height of a frame around text, in letter heights, most part of its box that its
+ink fills, and least part of each side that is drawn."""
+
+
+def find_frames(ink: NDArray[np.bool_], spots: Spots, height: float) -> NDArray[np.float64]:
+    """Return the boxes that are drawn around text, (N, 4) px: left, top, right, bottom."""
+    large = (spots.width > _FRAME[0] * height) & (spots.height > _FRAME[1] * height)
+    large &= spots.area < _HOLLOW * spots.width * spots.height
+    found = []
+    edge = max(2, round(_THIN * height))
+    for k in np.flatnonzero(large):
+        box = ink[spots.top[k] : spots.bottom[k], spots.left[k] : spots.right[k]]
+        sides = (box[:edge], box[-edge:], box[:, :edge].T, box[:, -edge:].T)
+        if min(side.any(axis=0).mean() for side in sides) > _DRAWN:
+            found.append((spots.left[k], spots.top[k], spots.right[k], spots.bottom[k]))
+    return np.array(found, np.float64).reshape(-1, 4)
 
 
 def letters_alone(ink: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Spots, float] | None:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from smarttouch.pages.page_image import Page
-from smarttouch.pages.text_lines import TextLine, reading_order
+from smarttouch.pages.reading_order import reading_order
+from smarttouch.pages.text_lines import TextLine
 
 if TYPE_CHECKING:
     import pypdfium2
@@ -65,7 +66,7 @@ def layered_page(sheet: "pypdfium2.PdfPage", page: Page, point_mm: float) -> Lay
         np.array([max(sign.right for sign in piece) for piece in pieces]),
         np.array([piece[0].y for piece in pieces]),
         (_ASCENT + _DESCENT) * size,
-    )
+    ).indices
     lines = tuple(_line(pieces[k], point_mm) for k in order)
     return LayeredPage(page.grey, page.mm_per_pixel, lines, tuple(_words(pieces[k]) for k in order))
 

@@ -12,9 +12,11 @@ from smarttouch.pages.baselines import Baseline, Floats, curve_at, follow_baseli
 from smarttouch.pages.ink import Paper, separate_ink, turn_panels
 from smarttouch.pages.letter_rows import find_rows
 from smarttouch.pages.page_image import Page
+from smarttouch.pages.reading_order import find_captions, reading_order
 from smarttouch.pages.spots import (
     Spots,
     find_dividers,
+    find_frames,
     find_pictures,
     find_rules,
     find_spots,
@@ -99,98 +101,11 @@ def _weighted_median(values: Floats, weight: Floats) -> float:
     return float(values[order][np.searchsorted(total, total[-1] / 2)])
 
 
-Flags = NDArray[np.bool_]
-
-_LEAST_SHARED = 0.2
-"""Least overlap of lines, one above the other, as a part of the shorter one's length."""
-_HEADLINE, _SAME_SIZE = 1.3, 0.15
-"""Least height of a headline, in usual ones of the page, and difference between its lines."""
-_LEVEL = 1.5  # distance, in line heights, within which two lines are side by side
-_SAME_LEVEL = 0.5  # difference of baselines, in line heights, of parts of one title or foot
-
-
-def reading_order(left: Floats, right: Floats, y: Floats, height: Floats) -> list[int]:
-    """Return the indices of lines in reading order, from their ends, baselines and heights, (N,).
-
-    Two rules give the order of two lines (after Breuel, High performance document layout analysis,
-    2003): the upper one comes first where one is above the other; the left one where they are in
-    columns side by side and no line between them spans both.
-    """
-    left, right = _of_headlines(left, right, y, height)
-    shared = np.minimum(right[:, None], right) - np.maximum(left[:, None], left)
-    shorter = np.minimum((right - left)[:, None], right - left)
-    over = shared > _LEAST_SHARED * shorter
-    first = over & (y[:, None] < y)
-    first |= _left_column(left, y, height, over)
-    _put_outermost(first, left, y, height)
-    return _sorted(first, np.lexsort((left, y)))
-
-
-def _put_outermost(first: Flags, left: Floats, y: Floats, height: Floats) -> None:
-    """Put a title far above all columns first, and numbers far below them last."""
-    above = _far_above(y, height)
-    first[above], first[:, above] = True, False
-    below = _far_above(-y, height)
-    first[:, below], first[below] = True, False
-    for far in (above, below):
-        first[np.ix_(far, far)] = left[far][:, None] < left[far]
-
-
-def _far_above(y: Floats, height: Floats) -> Flags:
-    """Return the uppermost line and those on its level, if they stand far above the others."""
-    top = int(y.argmin())
-    level = y < y[top] + _SAME_LEVEL * height[top]
-    if level.all():
-        return np.zeros(len(y), np.bool_)
-    others = np.where(level, np.inf, y)
-    far = float(others.min() - y[level].max()) > _LEVEL * height[int(others.argmin())]
-    return np.asarray(level & far)
-
-
-def _of_headlines(left: Floats, right: Floats, y: Floats, height: Floats) -> tuple[Floats, Floats]:
-    """Return the ends of lines; the lines of one headline all reach as far as those above."""
-    left, right = left.copy(), right.copy()
-    large = height > _HEADLINE * np.median(height)
-    for line in np.flatnonzero(large)[np.argsort(y[large])]:
-        above = large & (y < y[line]) & (y > y[line] - _LEVEL * height[line])
-        above &= (left < right[line]) & (right > left[line])
-        above &= np.abs(height / height[line] - 1) < _SAME_SIZE
-        if above.any():
-            left[line] = min(left[line], left[above].min())
-            right[line] = max(right[line], right[above].max())
-    return left, right
-
-
-def _left_column(left: Floats, y: Floats, height: Floats, over: Flags) -> Flags:
-    """Return for each pair, (N, N), whether one is read first because it is on the left."""
-    beside = ~over & (left[:, None] < left)
-    level = np.abs(y[:, None] - y) < _LEVEL * np.maximum(height[:, None], height)
-    # Each column must have lines beside the other one.
-    columns = (over.astype(np.uint8) @ level.astype(np.uint8)) > 0
-    columns |= columns.T
-    first = beside & columns
-    for line in np.flatnonzero(first.any(axis=1)):
-        between = (np.minimum(y[line], y)[:, None] < y) & (y < np.maximum(y[line], y)[:, None])
-        # Rows: the other line; columns: a line that may separate the two.
-        first[line] &= ~(between & over[line] & over).any(axis=1)
-    return first
-
-
-def _sorted(first: Flags, usual: NDArray[np.int_]) -> list[int]:
-    """Return an order that keeps the given precedence, and otherwise the usual one."""
-    waiting = list(map(int, usual))
-    order = []
-    while waiting:
-        blocked = first[np.ix_(waiting, waiting)].any(axis=0)
-        # Contradictory rules leave none free: the usual order decides.
-        order.append(waiting.pop(int(blocked.argmin())))
-    return order
-
-
 _HOPELESS, _MISSES = 60, 3
 """Failed rows, and additional ones per line of text, after which the rest is a picture's."""
 _SMALL_PX, _MOST_PIXELS = 9.0, 40_000_000
 """Usual height of spots below which a page is enlarged, and the largest it may become."""
+_PARTING = 12.0  # least length of a printed rule that parts a page, in letter heights
 _LONG_ROW = 10.0  # least length of a row, in letter heights, that determines its slope
 
 
@@ -204,6 +119,7 @@ class TextLine:
     x_height_mm: float
     ascent_mm: float  # of all lines of one print, whichever letters they have
     descent_mm: float
+    cell: int = 0  # its place in a row of a table, from 1; 0 elsewhere
 
     def baseline_mm(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the baseline's y at x, mm; straight beyond the line's ends."""
@@ -257,32 +173,44 @@ def ink_of_lines(page: Page, light_on_dark: bool | None) -> tuple[Page, Paper]:
     return page, turn_panels(paper)
 
 
-def lines_in_ink(paper: Paper, mm_per_pixel: float) -> tuple[list[TextLine], str]:
-    """Return the lines of text on a page with separated ink, and what is left out, in words."""
+def lines_in_ink(
+    paper: Paper, mm_per_pixel: float, leftward: bool = False
+) -> tuple[list[TextLine], str, bool]:
+    """Return the lines of text on a page with separated ink, what is left out, in words, and
+    whether their order is doubtful."""
     spots = find_spots(paper.ink)
     height = usual_height(spots, paper.ink.shape)
     if height is None:
-        return [], ""
+        return [], "", False
     rules = find_rules(paper.ink, height)
     dividers = find_dividers(paper.ink, height)
     parted = part_lines(paper.ink & ~rules & ~dividers, spots, height)
-    spots, pictures, count = find_pictures(parted, height)
+    frames = find_frames(paper.ink, spots, height)
+    spots, pictures, shown = find_pictures(parted, height)
     density = np.where(rules | dividers, np.uint8(0), 255 - paper.cleaned)
     found, small = _followed_rows(density, spots, height, dividers | pictures)
     baselines = with_marks(found, spots)
-    left_out = _left_out(small, count)
+    left_out = _left_out(small, len(shown.area))
     if not baselines:
-        return [], left_out
+        return [], left_out, False
     ascent, descent = reach_of_print(baselines)
     x_height = shared_x_heights(baselines, ascent)
-    order = reading_order(
-        np.array([baseline.left for baseline in baselines]),
-        np.array([baseline.right for baseline in baselines]),
-        np.array([baseline.middle_y for baseline in baselines]),
-        (ascent + descent) * x_height,
+    left, right, y = np.array([[each.left, each.right, each.middle_y] for each in baselines]).T
+    high = (ascent + descent) * x_height
+    boxes = np.concatenate(
+        [frames, np.array(paper.panels).reshape(-1, 4), find_captions(left, right, y, high, shown)]
     )
-    lines = [_line(baselines[k], float(x_height[k]), ascent, descent, mm_per_pixel) for k in order]
-    return lines, left_out
+    long = find_spots(rules)
+    long = long.of((long.width > _PARTING * height) & (long.height < height))
+    parting = np.column_stack([long.left, long.right, long.bottom]).astype(np.float64)
+    for _, top, _, bottom in frames:
+        parting = parting[np.abs(parting[:, 2:] - (top, bottom)).min(axis=1) > height]
+    order = reading_order(left, right, y, high, boxes, parting, leftward)
+    lines = [
+        _line(baselines[k], float(x_height[k]), ascent, descent, mm_per_pixel, int(order.cell[k]))
+        for k in order.indices
+    ]
+    return lines, left_out, order.doubtful
 
 
 def _left_out(small: int, pictures: int) -> str:
@@ -326,13 +254,18 @@ def _slope_around(row: Spots, guides: list[Baseline]) -> float:
     def away(guide: Baseline) -> float:
         beyond = max(guide.left - x, x - guide.right, 0.0)
         # Columns bend differently: lines above and below are more reliable.
-        return abs(float(guide.at(np.array(x))) - y) + 2 * beyond
+        return abs(guide.y_at(x) - y) + 2 * beyond
 
     return min(guides, key=away).slope_at(x) if guides else 0.0
 
 
 def _line(
-    baseline: Baseline, x_height: float, ascent: float, descent: float, mm_per_pixel: float
+    baseline: Baseline,
+    x_height: float,
+    ascent: float,
+    descent: float,
+    mm_per_pixel: float,
+    cell: int,
 ) -> TextLine:
     scales = mm_per_pixel ** (1.0 - np.arange(len(baseline.baseline)))
     return TextLine(
@@ -342,4 +275,5 @@ def _line(
         x_height_mm=x_height * mm_per_pixel,
         ascent_mm=ascent * x_height * mm_per_pixel,
         descent_mm=descent * x_height * mm_per_pixel,
+        cell=cell,
     )

@@ -7,6 +7,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from smarttouch.base.errors import ReadingError
 from smarttouch.braille.cell_pages import TEXT
@@ -14,7 +15,13 @@ from smarttouch.braille.cells import FileKind, file_kind, read_plain_text
 from smarttouch.pages.document import open_document, parse_pages
 from smarttouch.pages.ink import separate_ink
 from smarttouch.pages.page_image import Page
-from smarttouch.pages.prepared_page import LEFT_OUT, PreparedPage, prepare_page, prepare_text
+from smarttouch.pages.prepared_page import (
+    DOUBTFUL,
+    LEFT_OUT,
+    PreparedPage,
+    prepare_page,
+    prepare_text,
+)
 from smarttouch.pages.straighten import QUARTER
 from smarttouch.pages.structured_text import read_structured_text
 from smarttouch.pages.text_layer import LayeredPage
@@ -59,7 +66,15 @@ def paragraphs(
             continue
         if before is not None:
             right_mm = max(right_mm, lines[before].right_mm)
-        if before is None or _begins(lines[before], lines[k], step_mm, right_mm):
+        cell = lines[k].cell
+        if before is not None and cell > 1 and lines[before].cell == cell - 1:
+            found[-1] += f"; {text}"
+        elif (
+            before is None
+            or cell == 1
+            or lines[before].cell
+            or _begins(lines[before], lines[k], step_mm, right_mm)
+        ):
             found.append(text)
         else:
             found[-1] = _joined(found[-1], text, words)
@@ -82,6 +97,8 @@ def _usual_step_mm(lines: Sequence[TextLine]) -> float:
 
 def _begins(before: TextLine, line: TextLine, step_mm: float, right_mm: float) -> bool:
     """Return whether a line begins a paragraph; ``right_mm`` is how far lines above it reach."""
+    if before.cell or line.cell:
+        return True
     sizes = sorted((before.x_height_mm, line.x_height_mm))
     step = _middle_mm(line) - _middle_mm(before)
     if sizes[1] > _LARGER * sizes[0] or step >= _GAP * step_mm:
@@ -126,8 +143,8 @@ def _joined(before: str, after: str, words: set[str]) -> str:
     return (before if keeps else before[:-1]) + after
 
 
-_STRIP_PIXELS = 40
-"""Height of lines for recognition: ascender to descender."""
+_STRIP_PIXELS = (32, 56)
+"""Range of the height of lines for recognition: ascender to descender."""
 SURE = 0.6
 """Mean confidence below which a page is reported as poorly recognized."""
 
@@ -178,7 +195,7 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
     if isinstance(page, LayeredPage):
         ink = separate_ink(page.grey, options.light_on_dark)
         return PreparedPage(page, ink.cleaned, page.lines, ink.light_on_dark, (), page.words)
-    prepared, turn_deg = _most_legible(prepare_page(page, options.light_on_dark), options)
+    prepared, turn_deg = _most_legible(_prepared(page, options), options)
     notes = list(prepared.notes)
     if turn_deg:
         notes.insert(0, f"it was turned by {turn_deg}° to be upright")
@@ -187,6 +204,8 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
     return prepared
 
 
+_LEFTWARD = frozenset(["ara", "div", "fas", "heb", "kur", "pus", "snd", "syr", "uig", "urd", "yid"])
+"""Tesseract's codes of languages that are read from the right."""
 _FIRST, _LONGEST = 5, 3
 """First lines, and longest ones, by which a page is known to be upright."""
 _UPRIGHT, _FEWEST_LETTERS = 0.7, 30
@@ -209,7 +228,7 @@ def _most_legible(prepared: PreparedPage, options: RecognitionOptions) -> tuple[
         for turn_deg in _turns_to_try(prepared, list(best.known), most, options):
             turned = np.ascontiguousarray(np.rot90(prepared.page.grey, -turn_deg // 90))
             page = replace(prepared.page, grey=turned)
-            candidate = prepare_page(page, options.light_on_dark, quarter=False)
+            candidate = _prepared(page, options, quarter=False)
             candidate, legible = _with_sample(candidate, options)
             if legible > _MORE * most:
                 best, most, best_turn_deg = candidate, legible, turn_deg
@@ -218,7 +237,9 @@ def _most_legible(prepared: PreparedPage, options: RecognitionOptions) -> tuple[
         return prepared, 0
     if not best_turn_deg:
         return best, 0
-    notes = [words for words in prepared.notes if not words.startswith(LEFT_OUT)]
+    notes = [
+        words for words in prepared.notes if words != DOUBTFUL and not words.startswith(LEFT_OUT)
+    ]
     if QUARTER in notes:
         # That turn was a guess, counterclockwise.
         notes.remove(QUARTER)
@@ -226,11 +247,16 @@ def _most_legible(prepared: PreparedPage, options: RecognitionOptions) -> tuple[
     return replace(best, notes=(*notes, *best.notes)), best_turn_deg
 
 
+def _prepared(page: Page, options: RecognitionOptions, quarter: bool = True) -> PreparedPage:
+    leftward = options.languages.partition("+")[0] in _LEFTWARD
+    return prepare_page(page, options.light_on_dark, quarter=quarter, leftward=leftward)
+
+
 def _turns_to_try(
     prepared: PreparedPage, sample: list[int], legible: float, options: RecognitionOptions
 ) -> list[int]:
     """Return clockwise turns, in degrees, by which more of a page may be legible."""
-    strips = [prepared.strip(index, _STRIP_PIXELS)[::-1, ::-1] for index in sample]
+    strips = [_strip(prepared, index)[::-1, ::-1] for index in sample]
     read = list(recognize_lines(strips, options.languages))
     upside_down, letters = _legible((each.text, each.confidence) for each in read)
     turns = [180] if upside_down > _MORE * legible else []
@@ -247,10 +273,16 @@ def _with_sample(prepared: PreparedPage, options: RecognitionOptions) -> tuple[P
     lines = prepared.lines
     longest = sorted(range(len(lines)), key=lambda k: lines[k].left_mm - lines[k].right_mm)
     sample = sorted({*range(min(_FIRST, len(lines))), *longest[:_LONGEST]})
-    strips = [prepared.strip(index, _STRIP_PIXELS) for index in sample]
+    strips = [_strip(prepared, index) for index in sample]
     read = [(each.text, each.confidence) for each in recognize_lines(strips, options.languages)]
     known = dict(zip(sample, read, strict=True))
     return replace(prepared, known=known), _legible(read)[0]
+
+
+def _strip(prepared: PreparedPage, index: int) -> NDArray[np.uint8]:
+    """Return a line for recognition, as fine as the page if that is fine enough."""
+    line_px = round(prepared.lines[index].height_mm / prepared.page.mm_per_pixel)
+    return prepared.strip(index, min(max(line_px, _STRIP_PIXELS[0]), _STRIP_PIXELS[1]))
 
 
 def _legible(read: Iterable[tuple[str, float]]) -> tuple[float, int]:
@@ -306,7 +338,7 @@ def recognized_lines(
         yield from enumerate(prepared.words)
         return
     waiting = [index for index in range(len(prepared.lines)) if index not in prepared.known]
-    strips = [prepared.strip(index, _STRIP_PIXELS) for index in waiting]
+    strips = [_strip(prepared, index) for index in waiting]
     found = recognize_lines(strips, options.languages)
     confidences: list[tuple[int, float]] = []
     for index in range(len(prepared.lines)):

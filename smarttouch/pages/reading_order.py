@@ -1,0 +1,299 @@
+"""Reading order of lines: columns one after another, boxes after their column, tables by rows."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from smarttouch.pages.baselines import Floats
+from smarttouch.pages.spots import Spots
+
+Flags = NDArray[np.bool_]
+Boxes = NDArray[np.float64]
+NO_RULES: Floats = np.empty((0, 3))
+
+_LEAST_SHARED = 0.2
+"""Least overlap of lines, one above the other, as a part of the shorter one's length."""
+_PARTED = 0.6  # least overlap of a printed rule with a line that it parts, of the line's length
+_HEADLINE, _SAME_SIZE = 1.3, 0.15
+"""Least height of a headline, in usual ones of the page, and difference between its lines."""
+_LEVEL = 1.5  # distance, in line heights, within which two lines are side by side
+_SAME_LEVEL = 0.5  # difference of baselines, in line heights, of parts of one title or foot
+
+
+NO_BOXES: Boxes = np.empty((0, 4))
+_MOST_INSIDE = 0.6  # part of all lines in a box above which it is the frame of the page
+_UNDER, _OVER_BESIDE = 0.2, 0.5
+"""Least overlap of a line with a box for it to be of the same column, as a part of the shorter of
+them, and relative to the greatest overlap."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingOrder:
+    """Indices of lines in reading order; for each line its place in the row of a table, from 1, or
+    0; and whether some rows may be those of a table or of columns."""
+
+    indices: list[int]
+    cell: NDArray[np.int_]
+    doubtful: bool
+
+
+def reading_order(
+    left: Floats,
+    right: Floats,
+    y: Floats,
+    height: Floats,
+    boxes: Boxes = NO_BOXES,
+    rules: Floats = NO_RULES,
+    leftward: bool = False,
+) -> ReadingOrder:
+    """Return the reading order of lines from their ends, baselines and heights, (N,).
+
+    Lines in ``boxes``, (B, 4) left, top, right, bottom, come after the column in which they stand;
+    ``rules``, (R, 3) left, right, y, part what is above from what is below; ``leftward`` scripts
+    are read from the right.
+    """
+    if leftward:
+        left, right = -right, -left
+        boxes = boxes[:, [2, 1, 0, 3]] * (-1, 1, -1, 1)
+        rules = rules[:, [1, 0, 2]] * (-1, -1, 1)
+    rows, doubtful = _rows(left, right, y, height)
+    cell = np.zeros(len(left), np.int_)
+    for row in rows:
+        if len(row) > 1:
+            cell[row] = np.arange(1, len(row) + 1)
+    left = np.array([left[row].min() for row in rows])
+    right = np.array([right[row].max() for row in rows])
+    y, height = (np.array([each[row].mean() for row in rows]) for each in (y, height))
+    box_of = _boxes_of((left + right) / 2, y - height / 4, boxes)
+    found = _in_columns(left, right, y, height, np.flatnonzero(box_of < 0), rules)
+    for box in sorted(set(box_of.tolist()) - {-1}, key=lambda box: tuple(boxes[box, [1, 0]])):
+        inside = _in_columns(left, right, y, height, np.flatnonzero(box_of == box), rules)
+        at = _after_column(left, right, y, found, boxes[box])
+        found[at:at] = inside
+    return ReadingOrder([int(k) for item in found for k in rows[item]], cell, doubtful)
+
+
+def _boxes_of(x: Floats, y: Floats, boxes: Boxes) -> NDArray[np.int_]:
+    """Return the index of the smallest box around each line, (N,); -1 for none."""
+    box_of = np.full(len(x), -1)
+    area = (boxes[:, 2] - boxes[:, 0]) * (boxes[:, 3] - boxes[:, 1])
+    for k in np.argsort(-area):
+        left, top, right, bottom = boxes[k]
+        inside = (x > left) & (x < right) & (y > top) & (y < bottom)
+        if inside.sum() <= _MOST_INSIDE * len(x):
+            box_of[inside] = k
+    return box_of
+
+
+def _in_columns(
+    left: Floats, right: Floats, y: Floats, height: Floats, lines: NDArray[np.int_], rules: Floats
+) -> list[int]:
+    """Return some of the lines in order, columns one after another.
+
+    Two rules give the order of two lines (after Breuel, High performance document layout analysis,
+    2003): the upper one comes first where one is above the other; the left one where they are in
+    columns side by side and no line or printed rule between them spans both.
+    """
+    if not len(lines):
+        return []
+    count = len(lines)
+    usual = float(np.median(height[lines]))
+    height = np.concatenate([height[lines], np.full(len(rules), usual)])
+    left, right = (
+        np.concatenate([ends[lines], rules[:, k]]) for k, ends in enumerate((left, right))
+    )
+    y = np.concatenate([y[lines], rules[:, 2]])
+    is_line = np.arange(len(y)) < count
+    left, right = _of_headlines(left, right, y, height)
+    shared = np.minimum(right[:, None], right) - np.maximum(left[:, None], left)
+    length = right - left
+    over = shared > _LEAST_SHARED * np.minimum(length[:, None], length)
+    # A rule parts what it passes to its middle; frames and underlines part nothing.
+    over[count:] = shared[count:] > _PARTED * length
+    over[:, count:] = over[count:].T
+    first = over & (y[:, None] < y)
+    first |= _left_column(left, y, height, over, is_line)
+    lined = np.flatnonzero(is_line)
+    outermost = first[np.ix_(lined, lined)]
+    _put_outermost(outermost, left[:count], y[:count], height[:count])
+    first[np.ix_(lined, lined)] = outermost
+    found = _sorted(first, np.lexsort((left, y)))
+    return [int(lines[k]) for k in found if k < count]
+
+
+def _after_column(left: Floats, right: Floats, y: Floats, found: list[int], box: Floats) -> int:
+    """Return the place in an order at which the column ends in which a box stands."""
+    if not found:
+        return 0
+    order = np.array(found)
+    shared = np.minimum(right[order], box[2]) - np.maximum(left[order], box[0])
+    shorter = np.minimum(right[order] - left[order], box[2] - box[0])
+    beside = (shared > _UNDER * shorter) & (shared >= _OVER_BESIDE * shared.max())
+    if not beside.any():
+        later = np.flatnonzero(y[order] > box[3])
+        return int(later[0]) if len(later) else len(found)
+    away = np.maximum(np.maximum(y[order] - box[3], box[1] - y[order]), 0)
+    at = int(np.where(beside, away, np.inf).argmin())
+    for this, following in zip(order[at:-1], order[at + 1 :], strict=True):
+        apart = max(left[this], left[following]) >= min(right[this], right[following])
+        if apart or y[following] <= y[this]:
+            break
+        at += 1
+    return at + 1
+
+
+_BELOW_PICTURE, _CAPTION_STEP, _CAPTION_LINES = 3.0, 1.6, 8
+"""Farthest first line of a caption below its picture, and farthest next one, in heights; most
+lines."""
+
+
+def find_captions(left: Floats, right: Floats, y: Floats, height: Floats, pictures: Spots) -> Boxes:
+    """Return the boxes of the captions, (N, 4), right below pictures and apart from other text."""
+    found = []
+    for k in range(len(pictures.area)):
+        wide = np.minimum(right, pictures.right[k]) - np.maximum(left, pictures.left[k])
+        below = (wide > (right - left) / 2) & (y > pictures.bottom[k])
+        order = np.flatnonzero(below)[np.argsort(y[below])]
+        if not len(order) or y[order[0]] - pictures.bottom[k] > _BELOW_PICTURE * height[order[0]]:
+            continue
+        first = order[0]
+        step = np.diff(y[order]) / height[order[:-1]]
+        other = np.abs(height[order[1:]] / height[first] - 1) > _SAME_SIZE
+        ends = np.flatnonzero((step > _CAPTION_STEP) | other)
+        caption = order[: int(ends[0]) + 1] if len(ends) else order
+        if len(caption) <= _CAPTION_LINES:
+            high = height[first]
+            found.append(
+                (left[caption].min() - high, y[first] - high, right[caption].max() + high,
+                 y[caption[-1]] + high / 2)
+            )  # fmt: skip
+    return np.array(found).reshape(-1, 4)
+
+
+_LEVEL_CELLS, _ROWS = 0.35, 3
+"""Difference of baselines, in heights, of cells of a row; and fewest rows of a table."""
+_CELLS, _WIDE_CELLS, _MAYBE = 5.0, 7.0, 1.3
+"""Most mean width, in heights, of a table's cells after the first ones, in two columns and in more;
+and the factor to that of what may be cells."""
+_STEP = 3.0  # most distance of its rows, in heights
+_IN_LINE = 0.7  # offset of cells below each other, at one of their sides or their middles
+
+
+def _rows(
+    left: Floats, right: Floats, y: Floats, height: Floats
+) -> tuple[list[NDArray[np.int_]], bool]:
+    """Return rows of tables, and other lines alone; and whether some rows may be cells or not."""
+    rows = list(_levels(left, right, y, height))
+    found: list[NDArray[np.int_]] = []
+    doubtful = False
+    while rows:
+        group = [rows.pop(0)]
+        while rows and _goes_on(left, right, y, height, group[-1], rows[0]):
+            group.append(rows.pop(0))
+        widths = np.concatenate([(right - left)[row[1:]] / height[row[1:]] for row in group])
+        wide = _CELLS if max(map(len, group)) < 3 else _WIDE_CELLS
+        width = float(widths.mean()) if len(widths) else np.inf
+        if len(group) >= _ROWS and width <= wide:
+            found += group
+            continue
+        doubtful |= len(group) > _ROWS and width <= _MAYBE * wide
+        found += [np.array([k]) for row in group for k in row]
+    return found, doubtful
+
+
+def _levels(left: Floats, right: Floats, y: Floats, height: Floats) -> Iterator[NDArray[np.int_]]:
+    """Yield the lines on each level, from the top down, left to right."""
+    level: list[int] = []
+    for k in np.argsort(y, kind="stable").tolist():
+        if level and y[k] - y[level[0]] > _LEVEL_CELLS * min(height[k], height[level[0]]):
+            yield np.array(sorted(level, key=lambda each: left[each]))
+            level = []
+        level.append(k)
+    yield np.array(sorted(level, key=lambda each: left[each]))
+
+
+def _goes_on(
+    left: Floats,
+    right: Floats,
+    y: Floats,
+    height: Floats,
+    row: NDArray[np.int_],
+    following: NDArray[np.int_],
+) -> bool:
+    """Return whether the rows of a table may go on: most cells are below others."""
+    if min(len(row), len(following)) < 2:
+        return False
+    if y[following[0]] - y[row[0]] > _STEP * height[row[0]]:
+        return False
+    if (left[following[1:]] < right[following[:-1]]).any():
+        return False
+    sides = (left, right, (left + right) / 2)
+    aligned = sum(
+        any((np.abs(side[row] - side[k]) < _IN_LINE * height[k]).any() for side in sides)
+        for k in following[1:]
+    )
+    return 2 * aligned >= len(following) - 1
+
+
+def _put_outermost(first: Flags, left: Floats, y: Floats, height: Floats) -> None:
+    """Put a title far above all columns first, and numbers far below them last."""
+    above = _far_above(y, height)
+    first[above], first[:, above] = True, False
+    below = _far_above(-y, height)
+    first[:, below], first[below] = True, False
+    for far in (above, below):
+        first[np.ix_(far, far)] = left[far][:, None] < left[far]
+
+
+def _far_above(y: Floats, height: Floats) -> Flags:
+    """Return the uppermost line and those on its level, if they stand far above the others."""
+    top = int(y.argmin())
+    level = y < y[top] + _SAME_LEVEL * height[top]
+    if level.all():
+        return np.zeros(len(y), np.bool_)
+    others = np.where(level, np.inf, y)
+    far = float(others.min() - y[level].max()) > _LEVEL * height[int(others.argmin())]
+    return np.asarray(level & far)
+
+
+def _of_headlines(left: Floats, right: Floats, y: Floats, height: Floats) -> tuple[Floats, Floats]:
+    """Return the ends of lines; the lines of one headline all reach as far as those above."""
+    left, right = left.copy(), right.copy()
+    large = height > _HEADLINE * np.median(height)
+    for line in np.flatnonzero(large)[np.argsort(y[large])]:
+        above = large & (y < y[line]) & (y > y[line] - _LEVEL * height[line])
+        above &= (left < right[line]) & (right > left[line])
+        above &= np.abs(height / height[line] - 1) < _SAME_SIZE
+        if above.any():
+            left[line] = min(left[line], left[above].min())
+            right[line] = max(right[line], right[above].max())
+    return left, right
+
+
+def _left_column(left: Floats, y: Floats, height: Floats, over: Flags, is_line: Flags) -> Flags:
+    """Return for each pair, (N, N), whether one is read first because it is on the left."""
+    beside = ~over & (left[:, None] < left)
+    level = np.abs(y[:, None] - y) < _LEVEL * np.maximum(height[:, None], height)
+    # Each column must have lines beside the other one.
+    columns = ((over & is_line).astype(np.uint8) @ level.astype(np.uint8)) > 0
+    columns |= columns.T
+    columns &= is_line[:, None] & is_line
+    first = beside & columns
+    for line in np.flatnonzero(first.any(axis=1)):
+        between = (np.minimum(y[line], y)[:, None] < y) & (y < np.maximum(y[line], y)[:, None])
+        # Rows: the other line; columns: a line that may separate the two.
+        first[line] &= ~(between & over[line] & over).any(axis=1)
+    return first
+
+
+def _sorted(first: Flags, usual: NDArray[np.int_]) -> list[int]:
+    """Return an order that keeps the given precedence, and otherwise the usual one."""
+    waiting = list(map(int, usual))
+    order = []
+    while waiting:
+        blocked = first[np.ix_(waiting, waiting)].any(axis=0)
+        # Contradictory rules leave none free: the usual order decides.
+        order.append(waiting.pop(int(blocked.argmin())))
+    return order
