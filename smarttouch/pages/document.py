@@ -189,7 +189,7 @@ class PdfDocument(Document):
             # A copy, as the bitmap frees its memory.
             grey = np.array(bitmap.to_numpy(), np.uint8).reshape(bitmap.height, bitmap.width)
         page = Page(grey, mm_per_pixel)
-        return layered_page(sheet, page, mm) or page
+        return layered_page(sheet, page, mm)
 
 
 def _is_pdf(path: Path) -> bool:

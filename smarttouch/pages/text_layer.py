@@ -39,6 +39,13 @@ class LayeredPage(Page):
     words: tuple[str, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class PicturedPage(Page):
+    """Page whose text layer is not used, in words, so that its picture is recognized."""
+
+    reason: str
+
+
 @dataclass(frozen=True)
 class _Sign:
     text: str
@@ -48,17 +55,26 @@ class _Sign:
     size: float
 
 
-def layered_page(sheet: "pypdfium2.PdfPage", page: Page, point_mm: float) -> LayeredPage | None:
-    """Return a rendered page with its text layer; None if that is empty or makes no sense."""
+def layered_page(
+    sheet: "pypdfium2.PdfPage", page: Page, point_mm: float
+) -> LayeredPage | PicturedPage | Page:
+    """Return a rendered page with its text layer, or what is wrong with that; as it is without."""
     import pypdfium2
 
-    # The method of pypdfium2 has no answer for a damaged page, whose rotation is -1.
-    if pypdfium2.raw.FPDFPage_GetRotation(sheet):
-        return None
     rows = _rows(_signs(sheet))
     text = "".join(sign.text for row in rows for sign in row)
-    if not _makes_sense(text) or (len(text) < _FEWEST and _is_mostly_picture(sheet)):
-        return None
+    reason = ""
+    # The method of pypdfium2 has no answer for a damaged page, whose rotation is -1.
+    if pypdfium2.raw.FPDFPage_GetRotation(sheet):
+        reason = "its text is turned"
+    elif not _makes_sense(text):
+        reason = "its text makes no sense"
+    elif len(text) < _FEWEST and _is_mostly_picture(sheet):
+        reason = f"of its text there are {len(text)} characters beside a large picture"
+    if not text:
+        return page
+    if reason:
+        return PicturedPage(page.grey, page.mm_per_pixel, reason)
     pieces = [piece for row in _whole_tables(_cut(rows)) for piece in row]
     size = np.array([piece[0].size for piece in pieces])
     order = reading_order(

@@ -24,7 +24,7 @@ from smarttouch.pages.prepared_page import (
 )
 from smarttouch.pages.straighten import QUARTER
 from smarttouch.pages.structured_text import read_structured_text
-from smarttouch.pages.text_layer import LayeredPage
+from smarttouch.pages.text_layer import LayeredPage, PicturedPage
 from smarttouch.pages.text_lines import TextLine
 from smarttouch.reading.ocr import likely_turns, recognize_lines
 
@@ -195,6 +195,8 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
     if isinstance(page, LayeredPage):
         ink = separate_ink(page.grey, options.light_on_dark)
         return PreparedPage(page, ink.cleaned, page.lines, ink.light_on_dark, (), page.words)
+    if isinstance(page, PicturedPage):
+        note(f"page {number}: {page.reason}, so its picture is recognized instead")
     prepared, turn_deg = _most_legible(_prepared(page, options), options)
     notes = list(prepared.notes)
     if turn_deg:

@@ -5,8 +5,14 @@ import string
 import pytest
 
 from smarttouch.pages.document import open_document
-from smarttouch.pages.text_layer import LayeredPage
-from smarttouch.reading.material import ReadingMaterial, RecognitionOptions, recognized_text
+from smarttouch.pages.page_image import Page
+from smarttouch.pages.text_layer import PicturedPage
+from smarttouch.reading.material import (
+    ReadingMaterial,
+    RecognitionOptions,
+    recognized_text,
+    upright_page,
+)
 
 from .test_document import one_page, stream
 
@@ -72,8 +78,11 @@ def test_wrong_codes_are_not_believed(tmp_path):
     shifted = str.maketrans(letters, letters[3:] + letters[:3])
     page = layer(pdf(tmp_path / "a.pdf", *((x, y, text.translate(shifted))
                                            for x, y, text in columns())))  # fmt: skip
-    assert not isinstance(page, LayeredPage)
-    assert not isinstance(layer(pdf(tmp_path / "b.pdf")), LayeredPage)
+    assert isinstance(page, PicturedPage)
+    assert type(layer(pdf(tmp_path / "b.pdf"))) is Page
+    notes = []
+    upright_page(7, page, RecognitionOptions(), notes.append)
+    assert sum(note.startswith("page 7:") and page.reason in note for note in notes) == 1
 
 
 def test_a_scan_with_a_stamp_is_recognized(tmp_path):
@@ -82,4 +91,4 @@ def test_a_scan_with_a_stamp_is_recognized(tmp_path):
     font = FONT[: -len(b">>")] + b"/XObject<</I 5 0 R>>>>"
     shown = b"q 380 0 0 280 10 10 cm /I Do Q BT /F 10 Tf 40 20 Td (page 5) Tj ET"
     (tmp_path / "a.pdf").write_bytes(one_page(shown, (400, 300), font, more=[picture]))
-    assert not isinstance(layer(tmp_path / "a.pdf"), LayeredPage)
+    assert isinstance(layer(tmp_path / "a.pdf"), PicturedPage)
