@@ -152,8 +152,8 @@ def braille(
     require_folder(output)
     named = table_of(table, document.languages)
     code = open_table(named)
-    loaded = _seen(source, named, document)
-    loaded = loaded or load_cells(source, code, leave_out)
+    seen = _seen(source, named, document, output)
+    loaded = seen or load_cells(source, code, leave_out)
     for note in loaded.notes:
         typer.echo(note, err=True)
     if back:
@@ -165,6 +165,7 @@ def braille(
             message = f"cannot write a text as {output}: give a name that ends in .txt"
             raise BrailleError(message, about="file")
         write_bytes(output, text.encode(), BrailleError)
+        _forget_pages(seen, output)
         print(output)
         return
     pages = loaded.pages
@@ -180,14 +181,18 @@ def braille(
         print("\n".join(line for page in pages for line in page))
         return
     write_cells(output, pages, loaded.shaped.document if loaded.shaped else None)
+    _forget_pages(seen, output)
     print(f"{output}: pages {len(pages)}, lines {sum(map(len, pages))}")
 
 
-def _seen(source: str, table: str, document: DocumentOptions) -> "Loaded | None":
+def _seen(
+    source: str, table: str, document: DocumentOptions, output: Path | None
+) -> "Loaded | None":
     """Return the cells of an image or a PDF; None for anything else."""
     from smarttouch.braille.cell_pages import Loaded, file_of
     from smarttouch.braille.cells import FileKind, file_kind
     from smarttouch.reading.braille_lines import Braille
+    from smarttouch.reading.document_cells import document_cells
     from smarttouch.reading.material import ReadingMaterial
 
     place, options = document.recognition(source)
@@ -196,7 +201,16 @@ def _seen(source: str, table: str, document: DocumentOptions) -> "Loaded | None"
         return None
     notes: list[str] = []
     shown = ReadingMaterial(place, options, notes.append)
-    return Loaded(Braille(table).paragraphs(shown), None, notes)
+    found = document_cells(Braille(table), shown, lambda words: typer.echo(words, err=True), output)
+    return Loaded(found, None, notes)
+
+
+def _forget_pages(seen: "Loaded | None", output: Path) -> None:
+    """Remove the pages that were kept for an output, which has them now."""
+    if seen is not None:
+        from smarttouch.reading.document_cells import forget_pages
+
+        forget_pages(output)
 
 
 def _print_tables() -> None:

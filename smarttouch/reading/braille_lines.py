@@ -277,24 +277,15 @@ class Braille:
                 text = texts[index] if len(texts) == len(loaded.paragraphs) else ""
                 yield cells, text, _place_on_paper(index, cells)
 
-    def paragraphs(self, source: ReadingMaterial) -> list[str]:
-        """Return a document as cells, a line for each paragraph of print or line of embossed
-        Braille.
-        """
+    def page_paragraphs(self, source: ReadingMaterial, number: int, page: Page) -> list[str]:
+        """Return a page as cells, a line for each paragraph of print or line of raised dots."""
+        if self._shows_dots(page):
+            return self._decoded(source, number, page)
         table = open_table(self.table)
-        empty, paragraphs = EmptyPages(source.note), []
-        for number, page in source.pages():
-            if self._shows_dots(page):
-                found = self._decoded(source, number, page)
-            else:
-                prepared = upright_page(number, page, source.options, source.note)
-                text = recognized_text(prepared, source.options, source.note)
-                _note_missing(source, number, table, table.missing(text))
-                found = table.to_cells(text, leave_out=True).split("\n")
-            empty.add(number, any(each.strip(BLANK) for each in found))
-            paragraphs += found
-        empty.conclude()
-        return paragraphs
+        prepared = upright_page(number, page, source.options, source.note)
+        text = recognized_text(prepared, source.options, source.note)
+        _note_missing(source, number, table, table.missing(text))
+        return table.to_cells(text, leave_out=True).split("\n")
 
     def _seen(self, source: ReadingMaterial, number: int, page: Page) -> Iterator[Cells]:
         """Yield the cells of a page, whether it shows Braille or print."""

@@ -403,6 +403,14 @@ class ReadingMaterial:
             return read_structured_text(Path(self.name)).text
         return None
 
+    def numbers(self) -> list[int]:
+        """Return the numbers of the pages of a document that are asked for."""
+        with open_document(Path(self.name), password=self.options.password) as document:
+            count = len(document)
+        if not self.options.pages:
+            return list(range(1, count + 1))
+        return [index + 1 for index in parse_pages(self.options.pages, count)]
+
     def pages(self) -> Iterator[tuple[int, Page]]:
         """Yield numbers and pages of a document."""
         return document_pages(Path(self.name), self.options, self.note)

@@ -1,0 +1,91 @@
+"""A book goes on where it was interrupted, and each page is reported as it is done."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+
+import pytest
+from PIL import Image
+
+from smarttouch.base.errors import ReadingError
+from smarttouch.pages.prepared_page import print_text
+from smarttouch.reading.braille_lines import Braille
+from smarttouch.reading.document_cells import document_cells, forget_pages
+from smarttouch.reading.material import ReadingMaterial, RecognitionOptions
+
+pytestmark = pytest.mark.skipif(
+    shutil.which("tesseract") is None, reason="needs Tesseract: apt install tesseract-ocr"
+)
+WORDS = ("first", "second", "third", "fourth")
+LINE = "is a page of this book"
+
+
+@pytest.fixture(scope="module")
+def book(tmp_path_factory):
+    """Return the path of a book of four pages, as pictures."""
+    path = tmp_path_factory.mktemp("book") / "book.tif"
+    pages = [Image.fromarray(print_text(f"The {word}\n{LINE}").grey) for word in WORDS]
+    pages[0].save(path, save_all=True, append_images=pages[1:], dpi=(300, 300))
+    return path
+
+
+def cells(book, output=None, **options):
+    said = []
+    source = ReadingMaterial(str(book), RecognitionOptions(**options))
+    return document_cells(Braille("en-1"), source, said.append, output), said
+
+
+def test_pages_come_in_order_and_each_is_reported(book):
+    found, said = cells(book)
+    alone = [cells(book, pages=str(number))[0] for number in range(1, 5)]
+    assert found == [line for page in alone for line in page]
+    assert len({line for page in alone for line in page}) >= len(WORDS)
+    assert "page 1" in said[0]
+    assert sum("done" in words for words in said) == 4
+
+
+def test_a_killed_run_goes_on(book, tmp_path):
+    output = tmp_path / "book.brf"
+    command = [sys.executable, "-m", "smarttouch", "braille", str(book), "--table", "en-1",
+               "--output", str(output)]  # fmt: skip
+    with subprocess.Popen(
+        command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+    ) as run:
+        for words in run.stderr:
+            if "done" in words:
+                run.send_signal(signal.SIGKILL)
+                break
+    (folder,) = tmp_path.iterdir()
+    kept = {path.name for path in folder.glob("*.json")}
+    assert not output.exists()
+    assert 1 <= len(kept) <= 4
+    again = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert f"{len(kept)} of 4" in again.stderr
+    assert list(tmp_path.iterdir()) == [output]
+    whole = tmp_path / "whole.brf"
+    subprocess.run([*command[:-1], str(whole)], capture_output=True, check=True)
+    assert output.read_bytes() == whole.read_bytes()
+
+
+def test_kept_pages_are_those_of_the_same_options(book, tmp_path):
+    output = tmp_path / "book.brf"
+    first, _ = cells(book, output)
+    path = sorted((tmp_path / "book.brf.pages").iterdir())[0]
+    kept = json.loads(path.read_text())
+    path.write_text(json.dumps(kept | {"paragraphs": ["⠁"]}))
+    again, said = cells(book, output)
+    assert "⠁" in again
+    assert "4 of 4" in said[0]
+    assert cells(book, output, keep_headers=True)[0] != again
+    path.write_text('{"number": 1, "para')
+    assert cells(book, output)[0] == first
+    forget_pages(output)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_document_without_text_is_refused(tmp_path):
+    Image.new("L", (300, 200), 255).save(tmp_path / "blank.png")
+    with pytest.raises(ReadingError):
+        cells(tmp_path / "blank.png")
