@@ -261,6 +261,8 @@ def whole_programme():
     """
     from scipy.optimize import linprog
 
+    from smarttouch.kernels.design_problem import limits_ma
+
     def solve(problem, site, spill=0.2, method="highs", order=None):
         rows, far = problem.rows[0], problem.beyond_a_pitch(site)
         target, count = rows.target[0, site], problem.electrodes
@@ -271,7 +273,7 @@ def whole_programme():
             own = own[:0]
         if order is not None:
             others = others[order(len(others))]
-        total, _ = problem.limits_ma
+        total, _ = limits_ma(problem.profile)
         limited = np.isfinite(total)
         magnitudes = count if limited else 0
 

@@ -31,7 +31,7 @@ from smarttouch.base.files import (
     write_bytes,
 )
 from smarttouch.base.tables import read_arrays
-from smarttouch.profile import Profile, list_profiles
+from smarttouch.profile import Profile, list_profiles, load_profile
 from smarttouch.profile.device import Kernels
 
 if TYPE_CHECKING:
@@ -144,16 +144,30 @@ class KernelBank:
         return self.weights[afferent]
 
 
-def problem_hash(profile: Profile) -> str:
-    """Return the hash of everything that the kernels of a profile depend on."""
-    limits = profile.limits
-    problem = {
+def _array_problem(profile: Profile) -> dict[str, Any]:
+    """Return what the kernels of a profile depend on, but for masks, limits and fingers."""
+    return {
         "version": DESIGN_VERSION,
         # What is not given is left out, so that keys that came later change no hash.
         "array": profile.array.model_dump(exclude_none=True),
         "skin": profile.skin.model_dump(exclude={"spread"}),
-        "output": profile.output.model_dump(exclude={"masked", "wiring", "ua_per_count"}),
+        "output": _by_sources(profile).output.model_dump(
+            exclude={"masked", "wiring", "ua_per_count"}
+        ),
     }
+
+
+def _by_sources(profile: Profile) -> Profile:
+    """Return a profile without impedances where each electrode has a source of its own."""
+    if profile.output.kind != "weighted":
+        return profile
+    output = profile.output.model_copy(update={"impedance_kohm": 1.0})
+    return profile.model_copy(update={"output": output})
+
+
+def problem_hash(profile: Profile) -> str:
+    """Return the hash of everything that the kernels of a profile depend on."""
+    limits, problem = profile.limits, _array_problem(profile)
     if profile.output.kind == "three-state":
         problem["poles"] = "one is single"
     if profile.output.masked:
@@ -176,7 +190,9 @@ def load_bank(profile: Profile, progress: Progress | None = None) -> KernelBank:
     interrupted design resumes."""
     if (bank := find_bank(profile)) is not None:
         return bank
-    cached = _cached_bank(profile)
+    cached, known = _cached_bank(profile), _known(profile)
+    if known is not None and problem_hash(known[0]) == problem_hash(profile):
+        return known[1]
     # Without a cache the next run designs again; that is slow, not wrong.
     with contextlib.suppress(OSError):
         make_folder(cached.parent)
@@ -192,6 +208,21 @@ def find_bank(profile: Profile) -> KernelBank | None:
     shipped = [shipped_bank(profile.name)] if profile.name in list_profiles() else []
     banks = (_read(path, profile) for path in (*shipped, _cached_bank(profile)))
     return next((bank for bank in banks if bank is not None), None)
+
+
+def _known(profile: Profile) -> tuple[Profile, KernelBank] | None:
+    """Return a profile of the same array in the same skin, and its bank, if one is at hand: it may
+    differ in masks, limits and full currents."""
+    if profile.output.kind != "weighted" or profile.kernels.objective == "finger":
+        return None
+    whole = profile.output.model_copy(update={"masked": ()})
+    others = [load_profile(name) for name in list_profiles()]
+    others.append(profile.model_copy(update={"output": whole}))
+    wanted = _array_problem(profile)
+    for other in others:
+        if _array_problem(other) == wanted and (bank := find_bank(other)) is not None:
+            return other, bank
+    return None
 
 
 def kernels_at_nodes(profile: Profile) -> Callable[[Afferent], NDArray[np.float32]]:
@@ -234,16 +265,21 @@ def design_bank(
 ) -> KernelBank:
     """Design every mode that the board can make, for every site."""
     from smarttouch.kernels.batch_design import design_sites, part_of
-    from smarttouch.kernels.design_problem import Problem
+    from smarttouch.kernels.design_problem import Array, Problem
+    from smarttouch.kernels.kept_kernels import kept_or
     from smarttouch.kernels.switched_design import designer, possible_modes
 
     if profile.kernels.objective == "finger":
         return _design_on_fingers(profile, progress, keep)
-    modes = possible_modes(profile)
+    modes, profile, design = possible_modes(profile), _by_sources(profile), designer(profile)
+    known = _known(profile)
+    if known is not None and problem_hash(known[0]) != problem_hash(profile):
+        design = kept_or(design, *known)
     columns: dict[str, Any] = {name: {} for name in _IN_FILE}
+    made: dict[tuple[int, Afferent], Array] = {}
     for index, afferent in enumerate(modes):
-        problem, advance = Problem(profile, afferent), part_of(progress, index, len(modes))
-        timed = design_sites(problem, designer(profile), None, advance, keep)
+        problem = Problem(profile, afferent, made=made)
+        timed = design_sites(problem, design, None, part_of(progress, index, len(modes)), keep)
         _enter(columns, problem, timed)
     return KernelBank(**columns)
 

@@ -80,7 +80,7 @@ def _own(profile: Profile) -> list[NDArray[np.float64]]:
         own.append(np.array(limits.electrode_ma))
     if limits.electrode_ma is not None or profile.design_total_ma is not None:
         # Limits are multiples of a site's full current.
-        own.append(np.asarray(profile.threshold_ma, np.float64))
+        own.append(np.asarray(profile.full_ma, np.float64))
     return own
 
 
@@ -140,6 +140,15 @@ def _sublattice(grids: list[tuple[tuple[int, int], int]], apart: int) -> NDArray
     return np.concatenate(found)
 
 
+def limits_ma(profile: Profile) -> tuple[float, Array]:
+    """Return limits of all cathodes together and of each electrode, infinite if unlimited."""
+    limits, count = profile.limits, len(profile.electrodes)
+    # Sequences hold whole µA: leave every electrode room to be rounded up.
+    room = count / 1000
+    electrode = np.array(limits.electrode_ma or np.full(count, np.inf)) - room
+    return (profile.design_total_ma or np.inf) - room, electrode
+
+
 def masked_site(site: int) -> DesignError:
     """Return the error of a site that has no kernel."""
     return DesignError(
@@ -163,7 +172,10 @@ class Rows:
 
 class Problem:
     """Rows of one class against others, by default both (Eq. 10 has one, Eq. 16 two), shared by all
-    sites of a profile; with `spread` over the skins of ``skin.spread``."""
+    sites of a profile; with `spread` over the skins of ``skin.spread``.
+
+    `made` keeps the rows of each skin and class for further problems of the same profile.
+    """
 
     def __init__(
         self,
@@ -171,6 +183,7 @@ class Problem:
         afferent: Afferent,
         others: Collection[Afferent] | None = None,
         spread: bool = False,
+        made: dict[tuple[int, Afferent], Array] | None = None,
     ) -> None:
         self.profile: Profile = profile
         self.afferent: Afferent = afferent
@@ -185,15 +198,22 @@ class Problem:
             )
         sets = {each: self._might_be(everywhere(profile, each)) for each in Afferent}
         aims = self._might_be(targets(profile, afferent))
+        skins = list(skin_variants(profile.skin)) if spread else [profile.skin]
+        made = {} if made is None else made
+        for number, skin in enumerate(skins):
+            for each in {afferent, *others} - {known for which, known in made if which == number}:
+                made[number, each] = np.concatenate(
+                    [af_matrix(profile, one, skin) for one in sets[each]]
+                )
         self.rows: list[Rows] = [
             Rows(
                 np.concatenate([af_matrix(profile, aim, skin) for aim in aims]).reshape(
                     -1, self.electrodes, self.electrodes
                 ),
-                np.concatenate([af_matrix(profile, one, skin) for e in others for one in sets[e]]),
-                np.concatenate([af_matrix(profile, one, skin) for one in sets[afferent]]),
+                np.concatenate([made[number, each] for each in others]),
+                made[number, afferent],
             )
-            for skin in (skin_variants(profile.skin) if spread else [profile.skin])
+            for number, skin in enumerate(skins)
         ]
         self.other_class: NDArray[np.int8] = np.concatenate(
             [
@@ -255,15 +275,6 @@ class Problem:
         """Return the strongest comfortable current at a site, mA."""
         return float(self.profile.full_ma[site])
 
-    @cached_property
-    def limits_ma(self) -> tuple[float, Array]:
-        """Limits of all cathodes together and of each electrode, infinite if unlimited."""
-        limits = self.profile.limits
-        # Sequences hold whole µA: leave every electrode room to be rounded up.
-        room = self.electrodes / 1000
-        electrode = np.array(limits.electrode_ma or np.full(self.electrodes, np.inf)) - room
-        return (self.profile.design_total_ma or np.inf) - room, electrode
-
     def axon(self, site: int) -> Array:
         """Return the rows of the target's own axon, the node under the electrode first."""
         sets = along_axon(self.profile, self.afferent, site)
@@ -315,7 +326,7 @@ class Problem:
                 alike = others >= highest - _ALIKE * abs(highest)
                 whose = int(self.other_class[alike].min())
             if far.any():
-                spill = max(spill, float((rows.own[far] @ weights).max() / own_af))
+                spill = max(spill, float((rows.own @ weights)[far].max() / own_af))
             smallest = min(smallest, own_af)
         scaled = weights / smallest
         # The last bits of the solver: currents sum to zero.

@@ -1,9 +1,10 @@
 """A min–max linear program with few unknowns and very many rows.
 
 Only the rows that matter are ever given to the solver: it starts with a few,
-and the worst of those its answer breaks are added until none is broken. HiGHS
-goes on from its last basis, so each round costs a few pivots. The answer is
-verified on all rows, and its optimality by its dual.
+and the worst of those its answer breaks are added until none is broken: of the
+coarse ones first, then of those that were nearly broken when all were looked at
+last, then of all. HiGHS goes on from its last basis, so each round costs a few
+pivots. The answer is verified on all rows, and its optimality by its dual.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,6 +23,9 @@ _TOLERANCE = 1e-7
 _PRICE = 1e-10
 """Bound above which duals are not zero."""
 _ROWS_AT_ONCE = 60
+_NEAR = 0.02
+"""Distance from their bounds within which rows are looked at before all."""
+_MOST_NEAR = 8000
 _BOX = 1e3
 """Box of the unknowns, which keeps free directions finite in the first rounds."""
 _OPTIONS: Options = {
@@ -124,6 +128,8 @@ class LinearProgram:
         self._worst = worst or (lambda excess: np.flatnonzero(excess > _TOLERANCE))
         self._count = rows.orbits.shape[1]
         self._given = np.zeros(len(rows), bool)
+        self._near: NDArray[np.intp] = np.zeros(0, np.intp) if after is None else after._near
+        self._near_rows: Array = np.zeros((0, self._count)) if after is None else after._near_rows
         self._solver = _SilentHighs()
         for name, value in (_OPTIONS | (options or {})).items():
             self._solver.setOptionValue(name, value)
@@ -251,22 +257,31 @@ class LinearProgram:
 
     def _broken(self, weights: Array, worst: float) -> NDArray[np.intp]:
         """Return rows to add, of the coarse ones as long as one of them is broken."""
-        coarse = self._rows.coarse
-        excess = (
-            self._rows.coarse_rows @ weights - self._slope[coarse] * worst - self._bound[coarse]
-        )
-        excess[self._given[coarse]] = -np.inf
-        broken = np.flatnonzero(excess > _TOLERANCE)
-        if len(broken):
-            return coarse[self._worst_of(broken, excess)]
+        for some, values in (
+            (self._rows.coarse, self._rows.coarse_rows),
+            (self._near, self._near_rows),
+        ):
+            excess = values @ weights - self._slope[some] * worst - self._bound[some]
+            excess[self._given[some]] = -np.inf
+            broken = np.flatnonzero(excess > _TOLERANCE)
+            if len(broken):
+                return some[self._worst_of(broken, excess)]
         excess = self._rows.times(weights) - self._slope * worst - self._bound
         excess[self._given] = -np.inf
         if not (excess > _TOLERANCE).any():
             return broken
+        self._look_near(excess)
         chosen = self._worst(excess)
         if not len(chosen):
             chosen = np.flatnonzero(excess > _TOLERANCE)
         return self._worst_of(chosen, excess)
+
+    def _look_near(self, excess: Array) -> None:
+        """Keep the rows that are broken or nearly: they are looked at before all."""
+        near = np.flatnonzero(excess > -_NEAR)
+        if len(near) > _MOST_NEAR:
+            near = near[np.argpartition(excess[near], -_MOST_NEAR)[-_MOST_NEAR:]]
+        self._near, self._near_rows = near, self._rows.take(near)
 
     def _worst_of(self, chosen: NDArray[np.intp], excess: Array) -> NDArray[np.intp]:
         many = max(_ROWS_AT_ONCE, self._count // 5)

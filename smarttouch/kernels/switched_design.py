@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
-from smarttouch.kernels.design_problem import Array, Kernel, KernelKind, Problem
+from smarttouch.kernels.design_problem import Array, Kernel, KernelKind, Problem, limits_ma
 from smarttouch.kernels.weighted_design import SPILL, design_kernel
 from smarttouch.profile import Profile
 
@@ -83,7 +83,7 @@ class _Judge:
 
     def __init__(self, problem: Problem, site: int) -> None:
         driven = problem.driven
-        total, electrode = problem.limits_ma
+        total, electrode = limits_ma(problem.profile)
         self.full_ma, self.limits_ma = problem.full_ma(site), (total, electrode[driven])
         self.site = int(np.flatnonzero(driven == site)[0])
         self.admittance = problem.profile.admittance[driven]

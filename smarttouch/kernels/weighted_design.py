@@ -19,7 +19,7 @@ from scipy.ndimage import maximum_filter
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
-from smarttouch.kernels.design_problem import Array, Kernel, Problem
+from smarttouch.kernels.design_problem import Array, Kernel, Problem, limits_ma
 from smarttouch.kernels.linear_program import Chooser, LinearProgram, Options, ProgramRows
 
 SPILL = 0.2
@@ -206,7 +206,7 @@ class _Assembled:
 
     def _limits(self) -> tuple[Array, Array, float]:
         """Return the current of the site's own electrode, and the limits as multiples of it."""
-        total, electrode = self._problem.limits_ma
+        total, electrode = limits_ma(self._problem.profile)
         site, full = self._site, self._problem.full_ma(self._site)
         reference = np.sign(self._problem.target[site, site]) * self.orbits[site]
         factors = np.where(self.orbits > 0, electrode[:, None], np.inf).min(axis=0) / full

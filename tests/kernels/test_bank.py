@@ -6,6 +6,7 @@ import random
 import subprocess
 import sys
 import zipfile
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from smarttouch.kernels.bank import (
 )
 from smarttouch.kernels.batch_design import design_sites
 from smarttouch.kernels.design_problem import Problem
+from smarttouch.kernels.kept_kernels import kept_or
 from smarttouch.kernels.weighted_design import design_kernel
 from smarttouch.profile import list_profiles, load_profile
 
@@ -206,6 +208,50 @@ def test_a_bank_around_masked_electrodes(name, keys, changed):
         with raises(DesignError, about="site", **none):
             bank.kernel(afferent, 5, "weighted")
         assert bank.kernel(afferent, 2, "weighted").off_target > 0
+
+
+def test_a_kernel_without_current_at_a_masked_electrode_stays_the_best(profile, bank, changed):
+    problem = Problem(changed(profile, {"output.masked": [9]}), Afferent.PC)
+
+    def refuse(problem, site):
+        raise AssertionError(f"{problem.describe(site)} was designed")
+
+    keep = kept_or(refuse, profile, bank)
+    unused = [site for site in range(64) if site != 9 and abs(bank.weights[2][site][9]) < 1e-9]
+    assert len(unused) > 20
+    kept, designed = keep(problem, unused[0]), design_kernel(problem, unused[0])
+    assert kept.weights[9] == 0
+    assert abs(kept.weights.sum()) < 1e-12
+    assert kept.off_target == pytest.approx(designed.off_target, rel=1e-3)
+    assert kept.spill == pytest.approx(designed.spill, rel=1e-3)
+    assert kept.weights == pytest.approx(designed.weights, abs=1e-3 * np.abs(kept.weights).max())
+    used = next(site for site in range(64) if site != 9 and bank.weights[2][site][9])
+    with pytest.raises(AssertionError, match="was designed"):
+        keep(problem, used)
+
+
+def test_a_kernel_is_kept_only_within_the_limits_of_its_site(profile, bank, changed):
+    known, designed = bank.kernel(Afferent.RA, 27, "weighted"), []
+
+    def note(problem, site):
+        designed.append(site)
+        return known
+
+    own_ma = {"perception.comfort_ma": [1.9] * 64, "perception.threshold_ma": [1.2] * 64}
+    for total_ma, expected in ((10.0, []), (9.0, []), (2.0, [27])):
+        limited = changed(profile, own_ma | {"limits.total_ma": total_ma})
+        problem = SimpleNamespace(profile=limited, afferent=Afferent.RA, driven=limited.driven)
+        designed.clear()
+        assert kept_or(note, profile, bank)(problem, 27).off_target == known.off_target
+        assert designed == expected
+
+
+def test_a_weighted_board_s_kernels_do_not_depend_on_impedances(changed):
+    for name, alike in (("electric-mouse", True), ("smarttouch-4x4", False)):
+        own = load_profile(name)
+        kohm = np.linspace(30, 35, len(own.electrodes)).tolist()
+        measured = changed(own, {"output.impedance_kohm": kohm})
+        assert (problem_hash(measured) == problem_hash(own)) == alike
 
 
 def test_kernels_around_one_electrode_stay_selective(profile, bank, changed):
