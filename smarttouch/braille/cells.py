@@ -1,6 +1,7 @@
 """Cells of Braille, their dots, and files of them: BRF and PEF."""
 
 import codecs
+import re
 import uuid
 import xml.etree.ElementTree as ET
 from enum import StrEnum
@@ -188,6 +189,8 @@ def _cells(line: str, name: str, count: int) -> str:
 _PEF = "http://www.daisy.org/ns/2008/pef"
 _DC = "http://purl.org/dc/elements/1.1/"
 _FORMAT = "application/x-pef+xml"
+_NO_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+"""Characters that XML does not have; names of files may."""
 
 
 def read_pef(path: Path) -> Pages:
@@ -220,9 +223,8 @@ def format_pef(pages: Pages, title: str, author: str = "", language: str = "") -
         ("creator", author),
         ("language", language),
     ):
-        if not value:
-            continue
-        ET.SubElement(meta, f"{{{_DC}}}{key}").text = value
+        if written := _NO_XML.sub("", value):
+            ET.SubElement(meta, f"{{{_DC}}}{key}").text = written
     volume = _add(
         _add(root, "body"), "volume", rowgap="0", duplex="false",
         cols=str(max((len(line) for page in pages for line in page), default=1) or 1),
@@ -234,8 +236,8 @@ def format_pef(pages: Pages, title: str, author: str = "", language: str = "") -
         for line in page:
             _add(sheet, "row").text = line or None
     ET.indent(root, " ")
-    written: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
-    return written + b"\n"
+    made: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
+    return made + b"\n"
 
 
 def parse_pef(data: bytes, name: str = "PEF") -> Pages:

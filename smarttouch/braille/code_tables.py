@@ -21,6 +21,11 @@ _MARKED = re.compile(
     r"[\u0300-\u036f\u064b-\u065f\u0670\u093c\u09bc\u0a3c\u0b3c\u0cbc\u3099\u309a]+"
 )
 """A letter and its combining marks."""
+_PLAINER = {
+    **dict.fromkeys("“”„‟«»", '"'), **dict.fromkeys("‘’‚‛‹›", "'"), **dict.fromkeys("‐‑–—", "-"),
+    "…": "...",
+}  # fmt: skip
+"""Signs for those of print that a table does not have."""
 _TAG = re.compile(r"[a-z]{2,3}(-[A-Z]{2})?")  # tag of a language, with its country or without
 MISSING_NOTE = (
     f"liblouis is not installed: built-in English grade 1; for others and grade 2: {louis.INSTALL}"
@@ -201,8 +206,11 @@ def _tidy(text: str, code: BrailleCode) -> str:
         return letter if code.missing(one) else one
 
     tidy = _MARKED.sub(joined, visible)
-    lacking = {each for each in louis.JOINERS if each in tidy and code.missing(each)}
-    return tidy.translate(dict.fromkeys(map(ord, lacking)))
+    lacking = {each: "" for each in louis.JOINERS if each in tidy and code.missing(each)}
+    for each in set(tidy) & _PLAINER.keys():
+        if code.missing(each) and not code.missing(_PLAINER[each]):
+            lacking[each] = _PLAINER[each]
+    return tidy.translate({ord(each): plain for each, plain in lacking.items()})
 
 
 @cache

@@ -28,6 +28,13 @@ _UNDEFINED = "\uf8ff"
 """Private character that no table defines, to obtain the output of undefined ones."""
 _ESCAPE = re.compile(r"\\([0-9A-F]*)/")  # output for a cell that a table cannot read: its dots
 
+_TAG_OF = {
+    "zh": "cmn-Hans", "cmn": "cmn-Hans", "nb": "no", "nn": "no",
+}  # fmt: skip
+"""Tags under which liblouis has languages that others know by a wider or narrower one."""
+_PLAIN_ENDS = ("-g0.utb", "-g0.ctb", "-g1.utb", "-g1.ctb", ".utb", ".ctb", ".tbl")
+_ASKED_BACK = "abc"
+
 _lock = threading.Lock()
 """Lock of liblouis, which keeps its state in globals."""
 
@@ -120,16 +127,25 @@ def has_table(table: str) -> bool:
 def find_table(language: str) -> str | None:
     """Return the file name of the plainest table of a language tag, such as ``pt`` or ``pt-BR``.
 
-    Where there is no table of its region, that of the language itself is taken.
+    Where there is no table of its region, that of the language itself is taken; where none says
+    its language, one that is named for it.
     """
-    own = language.lower().partition("-")[0]
-    for tag in (language, own):
-        for kind in (" type:literary contraction:no", " type:literary", ""):
-            found = _query("lou_findTable", f"language:{tag}{kind}".encode())
+    named = (language.lower() + end for end in _PLAIN_ENDS if "-" in language)
+    if exact := next(filter(has_table, named), None):
+        return exact
+    tag = _TAG_OF.get(language) or _TAG_OF.get(language.partition("-")[0]) or language
+    own = tag.partition("-")[0].lower()
+    for each in (tag, own):
+        for kind in (*(f" type:literary contraction:no{dots}" for dots in (" dots:6", "")),
+                     " type:literary", ""):  # fmt: skip
+            found = _query("lou_findTable", f"language:{each}{kind}".encode())
             # It also finds tables of other languages.
-            if found and own == _query("lou_getTableInfo", found.encode(), b"language"):
+            if (
+                found
+                and own == _query("lou_getTableInfo", found.encode(), b"language").partition("-")[0]
+            ):
                 return found.rpartition("/")[2]
-    return None
+    return next((own + end for end in _PLAIN_ENDS if has_table(own + end)), None)
 
 
 def title_of(table: str) -> str:
@@ -191,7 +207,14 @@ def _library() -> ctypes.CDLL | None:
 
 
 def _goes_both_ways(table: str) -> bool:
-    return _query("lou_getTableInfo", table.encode(), b"direction") != "forward"
+    """Return whether a table says so, or does so: some are called forward and go back as well."""
+    if _query("lou_getTableInfo", table.encode(), b"direction") != "forward":
+        return True
+    code = LouisCode(table, goes_back=True)
+    try:
+        return code.decode(code.encode(_ASKED_BACK)) == _ASKED_BACK
+    except BrailleError:
+        return False
 
 
 @cache

@@ -12,6 +12,7 @@ from smarttouch.braille.grade1 import Grade1
 from ..raising import raises
 from .liblouis import needs_liblouis
 
+SIX_DOTS = set(map(chr, range(0x2800, 0x2840)))
 TABLES = ["en-1", "ja", *(["en-2", "de-1", "fr-1"] if louis.version() else [])]
 
 
@@ -129,3 +130,20 @@ def test_any_text_becomes_cells(name, text):
 @given(cells=st.text(st.characters(min_codepoint=0x2800, max_codepoint=0x28FF), max_size=40))
 def test_any_cells_become_text(name, cells):
     assert isinstance(open_table(name).to_text(cells), str)
+
+
+@needs_liblouis
+@pytest.mark.parametrize("tag", ["zh", "zh-CN", "zh-TW", "zh-HK", "nb", "nn", "da", "cs", "sv"])
+def test_tags_that_liblouis_names_otherwise(tag):
+    table = open_table(tag)
+    chinese = tag.startswith("zh")
+    assert set(table.to_cells("我" if chinese else "“abc” – ‘def’…")) <= SIX_DOTS
+    if not chinese:
+        assert table.to_text(table.to_cells("abc def")) == "abc def"
+
+
+@needs_liblouis
+@pytest.mark.parametrize("tag", ["tr", "fi", "ro", "el"])
+def test_typographic_signs_become_plain_ones(tag):
+    table = open_table(tag)
+    assert table.missing("“”‘’„–—…«»") == ""

@@ -82,3 +82,9 @@ def test_no_bytes_crash_the_reader(noise, place, length):
     for data in (noise, whole[:place] + noise + whole[place + length :]):
         with contextlib.suppress(BrailleError):
             parse_pef(data)
+
+
+@given(st.text(max_size=20), st.sampled_from(["\0", "\x1b", "\ud800", "\uffff", ""]))
+def test_any_title_is_xml(title, odd):
+    data = format_pef([["⠁"]], title + odd, odd + title, odd)
+    assert parse_pef(data) == [["⠁"]]
