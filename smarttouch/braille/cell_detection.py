@@ -3,6 +3,7 @@
 Its weights come from rendered pages alone; no photograph went into them.
 """
 
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -39,10 +40,20 @@ class FoundCells(NamedTuple):
 
 def find_cells(grey: NDArray[np.uint8]) -> FoundCells:
     """Return the cells of a picture whose dots are 8 to 13 pixels apart, lit from above."""
+    return cells_of(looked_at(grey)[1])
+
+
+def looked_at(grey: NDArray[np.uint8]) -> tuple[Image, Image]:
+    """Return a picture with normalized contrast, and the network's maps of it, (9, H, W)."""
     height, width = grey.shape
     edges = 0, -height % (2 * STRIDE), 0, -width % (2 * STRIDE)
     framed = cv2.copyMakeBorder(grey, *edges, borderType=cv2.BORDER_REFLECT)
-    maps = _run(_even(np.asarray(framed, np.uint8)))
+    even = _even(np.asarray(framed, np.uint8))
+    return even, _run(even)
+
+
+def cells_of(maps: Image) -> FoundCells:
+    """Return the cells at the peaks of the network's maps."""
     there = maps[0]
     peaks = (there >= cv2.dilate(there, np.ones((3, 3), np.uint8))) & (there > LEAST)
     rows, columns = np.nonzero(peaks)
@@ -152,21 +163,32 @@ def slope_of(px: Points, pitch_px: float) -> float:
     return float(np.median(steps[near, 1] / steps[near, 0])) if near.any() else 0.0
 
 
-def cell_lines(found: FoundCells) -> tuple[list[str], list[int]]:
-    """Return lines of cells, with blanks where there is room for them, and the indices of cells,
-    without print beside Braille and cells between its lines."""
+def level_rows(
+    found: FoundCells,
+) -> tuple[list[list[int]], Points, Callable[[Points], Points]]:
+    """Return the cells of each row from the left, rows from the top, without print beside Braille
+    and cells between its lines; the places of all cells with level rows, in distances of cells;
+    and the map of such places to pixels."""
     pitch_px = cell_pitch(found.px) or 1.0
     slope = slope_of(found.px, pitch_px)
-    x, y = found.px.T
-    level = np.column_stack([x + slope * y, y - slope * x]) / pitch_px
+    turn = np.array([[1, -slope], [slope, 1]]) / pitch_px
+    level = found.px @ turn
     rows = [
         row
         for row in _joined(_followed(level), level, found.certainty)
         if found.certainty[row].mean() > _LEAST_CERTAINTY
     ]
+    rows.sort(key=lambda row: float(np.median(level[row, 1])))
+    back = np.linalg.inv(turn)
+    return rows, level, lambda places: places @ back
+
+
+def cell_lines(found: FoundCells) -> tuple[list[str], list[int]]:
+    """Return lines of cells, with blanks where there is room for them, and the indices of cells,
+    without print beside Braille and cells between its lines."""
+    rows, level, _ = level_rows(found)
     if not rows:
         return [], []
-    rows.sort(key=lambda row: float(np.median(level[row, 1])))
     gaps = np.diff([np.median(level[row, 1]) for row in rows])
     usual = float(np.median(gaps)) if len(gaps) else 1.0
     starts = np.sort([level[row[0], 0] for row in rows])
@@ -176,7 +198,7 @@ def cell_lines(found: FoundCells) -> tuple[list[str], list[int]]:
     for index, row in enumerate(rows):
         if index:
             lines += [""] * max(0, round(gaps[index - 1] / usual) - 1)
-        places = _places(level[row, 0], left)
+        places = columns_of(level[row, 0], left)
         line = [BLANK] * (places[-1] + 1)
         for place, each in zip(places, row, strict=True):
             line[place] = chr(ord(BLANK) + int(found.patterns[each]))
@@ -228,8 +250,9 @@ def _apart(row: list[int], level: Points, certainty: Points) -> list[int]:
     return kept
 
 
-def _places(x: NDArray[np.float64], left: float) -> list[int]:
-    """Return the column of each cell of a row."""
+def columns_of(x: NDArray[np.float64], left: float | None = None) -> list[int]:
+    """Return the column of each cell of a row, from ``left`` or its first cell."""
+    left = float(x[0]) if left is None else left
     steps = np.diff(x)
     close = steps[steps < 1.5]
     own = float(np.median(close)) if len(close) > 2 else 1.0

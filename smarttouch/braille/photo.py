@@ -10,12 +10,15 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import PageError
 from smarttouch.braille.cell_detection import (
-    FoundCells,
     cell_lines,
     cell_pitch,
+    cells_of,
     find_cells,
+    looked_at,
     slope_of,
 )
+from smarttouch.braille.page_dots import SeenAgain, look_again
+from smarttouch.braille.sides import SURE, unmirrored_odds
 from smarttouch.pages.page_image import Page
 
 LEAST_CERTAINTY = 0.45
@@ -39,7 +42,9 @@ _TILE_PX = 224
 _TILES = ((0.5, 0.5), (0.28, 0.3), (0.72, 0.7))  # centers of the tiles by which a view is judged
 _LEVEL_DEG = 1.0  # slope of lines above which a page is turned
 _OTHER_SIDE = 0.2  # least lead in certainty by which dots lit from below count as the raised ones
-_BOTH_SIDES = 0.6
+_BOTH_SIDES = 0.3  # least score of the dots of one side beside the other's
+_TELLING = 0.2  # least log odds per cell by which a mirror image is known
+_BEHIND = 0.8  # above these, and with no other side to read, a page is refused
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +56,7 @@ class BraillePage:
     patterns: NDArray[np.int_]  # (N,), bit k is dot k + 1
     certainty: float  # mean over the cells
     notes: list[str]
+    light_from_deg: float = math.nan  # as its dots show it; not a number if they are few
 
 
 class _View(NamedTuple):
@@ -72,42 +78,69 @@ def read_braille(page: Page, light_from_deg: float | None = None) -> BraillePage
 
     The page's scale is not used: cells show their own. ``light_from_deg`` is the direction of the
     light, 0 the right and 90 the top of the picture, which separates dots of the front from those
-    of the back; from above if not given, unless only dots lit from below make cells.
+    of the back. If it is not given, the side whose cells are not mirrored is the front; a page
+    that shows its back only is refused, or noted where that is not sure.
     """
     if light_from_deg is not None and not math.isfinite(light_from_deg):
         raise PageError(
             f"light from {light_from_deg:g}°: give 0 for the right, 90 for the top",
             about="light_from_deg",
         )
-    below = light_from_deg is not None and light_from_deg % 360 > 180
-    grey = 255 - page.grey if below else page.grey
-    view, both = _best_view(grey, _TURNS_DEG), False
     if light_from_deg is None:
-        sure = view.certainty > CERTAIN
-        other = _glance(255 - grey, *view[:2]) if sure else _best_view(255 - grey)
-        below = other.certainty > view.certainty + _OTHER_SIDE
-        both = not below and other.score > _BOTH_SIDES * view.score
-        if below:
-            grey, view = 255 - grey, other
-    found, back = _read(grey, view)
-    lines, kept = cell_lines(found)
-    certainty = float(found.certainty[kept].mean()) if kept else 0.0
+        below, view, note = _front(page.grey)
+    else:
+        below, note = light_from_deg % 360 > 180, None
+        view = _best_view(255 - page.grey if below else page.grey, _TURNS_DEG)
+    seen, back = _read(255 - page.grey if below else page.grey, view)
+    lines, kept = cell_lines(seen.found)
+    agreed, patterns = seen.agreed[kept], seen.found.patterns[kept]
+    certainty = float(agreed.mean()) if kept else 0.0
     if len(kept) < FEWEST_CELLS or certainty < LEAST_CERTAINTY:
         raise PageError(
-            f"only {found.certainty[kept].sum():.0f} of {len(kept)} possible cells are certain: is "
+            f"only {agreed.sum():.0f} of {len(kept)} possible cells are certain: is "
             "it a page of Braille, upright, sharp and lit from one side?",
             about="page",
         )
-    notes = []
+    odds = unmirrored_odds(patterns)
+    if odds < -max(_BEHIND * len(kept), SURE) and light_from_deg is None:
+        raise PageError(
+            f"these {len(kept)} cells are mirrored: the page shows its back. Turn the sheet over, "
+            "or give the direction of the light",
+            about="page",
+        )
+    notes = [note] if note else []
     if certainty < DISTURBED:
         notes.append(f"cells are certain to {certainty:.0%} only: some are wrong")
-    if both:
-        notes.append(
-            "dots of both sides are visible; those read are raised if the light comes from above: "
-            "give its direction otherwise"
-        )
-    cells_px = found.px[kept] @ back[:, :2].T + back[:, 2]
-    return BraillePage(lines, cells_px, found.patterns[kept], certainty, notes)
+    if odds < -max(_TELLING * len(kept), SURE):
+        notes.append("cells read as if they were mirrored: this may be the back of the sheet")
+    cells_px = seen.found.px[kept] @ back[:, :2].T + back[:, 2]
+    lit = seen.light_from_deg + 180 * below
+    return BraillePage(lines, cells_px, patterns, certainty, notes, lit % 360)
+
+
+def _front(grey: NDArray[np.uint8]) -> tuple[bool, _View, str | None]:
+    """Return whether the dots of the front are lit from below, how they are best seen, and a note
+    where that is not sure."""
+    view, inverted = _best_view(grey, _TURNS_DEG), 255 - grey
+    sure = view.certainty > CERTAIN
+    other = _glance(inverted, *view[:2]) if sure else _best_view(inverted)
+    below = other.certainty > view.certainty + _OTHER_SIDE
+    note = None
+    if min(view.score, other.score) > _BOTH_SIDES * max(view.score, other.score):
+        both = [
+            find_cells(_scaled(each, *seen[:2])[0])
+            for each, seen in ((grey, view), (inverted, other))
+        ]
+        read = [each.patterns[cell_lines(each)[1]] for each in both]
+        lead = unmirrored_odds(read[0]) - unmirrored_odds(read[1])
+        if abs(lead) > max(_TELLING * sum(map(len, read)), SURE):
+            below = lead < 0
+        else:
+            note = (
+                "dots of both sides are visible; those read are raised if the light comes from "
+                f"{'below' if below else 'above'}: give its direction otherwise"
+            )
+    return below, other if below else view, note
 
 
 def looks_like_braille(page: Page) -> bool:
@@ -154,10 +187,11 @@ def _glance(grey: NDArray[np.uint8], scale: float, turn_deg: float) -> _View:
     return _View(scale * closer, level_deg, covered / len(_TILES), float(np.mean(sure)))
 
 
-def _read(grey: NDArray[np.uint8], view: _View) -> tuple[FoundCells, NDArray[np.float64]]:
+def _read(grey: NDArray[np.uint8], view: _View) -> tuple[SeenAgain, NDArray[np.float64]]:
     """Return the cells of a page in a view, and the map to the page's pixels, (2, 3)."""
     picture, back = _scaled(grey, view.scale, view.turn_deg)
-    return find_cells(picture), back
+    even, opinion = looked_at(picture)
+    return look_again(cells_of(opinion), even, opinion), back
 
 
 def _scaled(

@@ -7,13 +7,17 @@ import skimage.data
 from rapidfuzz.distance import Levenshtein
 
 from smarttouch.base.errors import PageError
-from smarttouch.braille import cell_detection
+from smarttouch.braille import cell_detection, louis
+from smarttouch.braille.grade1 import Grade1
 from smarttouch.braille.photo import LEAST_CERTAINTY, looks_like_braille, read_braille
+from smarttouch.braille.sides import DIGITS, FREQUENT
 from smarttouch.pages.page_image import Page
 
 from ..raising import raises
 from ..whole import WHOLE
 from .embossed import emboss, printed, random_lines
+from .mirror_odds import frequent
+from .sentences import make_sentences
 
 LINES = random_lines(7, 12, seed=6)
 BACK = random_lines(7, 12, seed=7)
@@ -82,6 +86,39 @@ def test_the_side_that_is_read_is_reported_if_unknown():
         for line in BACK
     ]
     assert characters_right(other.lines, [line.rstrip("\u2800") for line in mirrored]) > 0.8
+
+
+def english_lines(seed):
+    """Return lines of 24 cells of sentences, none of them with a blank end."""
+    cells = Grade1().encode(" ".join(make_sentences("english", 12, seed)))
+    lines = [cells[k : k + 24] for k in range(0, 240, 24)]
+    return [line.replace("\u2800", "⠿") for line in lines]
+
+
+@pytest.mark.parametrize("light_deg", [70, 110, 250])
+def test_the_front_is_what_is_not_mirrored(light_deg):
+    front, back = english_lines(1), english_lines(2)
+    right, read = scores(front, light_deg=light_deg, back_side=back)
+    assert right > 0.95
+    assert not read.notes
+    away = (read.light_from_deg - light_deg + 180) % 360 - 180
+    assert abs(away) < 30
+
+
+@pytest.mark.parametrize("light_deg", [80, 260])
+def test_a_sheet_from_behind_is_not_read(light_deg):
+    behind = emboss(english_lines(3), light_deg=180 - light_deg).page.grey[:, ::-1]
+    dents = Page(255 - np.ascontiguousarray(behind), 0.1)
+    with raises(PageError, about="page"):
+        read_braille(dents)
+
+
+def test_the_table_of_mirror_images_is_what_its_script_makes():
+    if louis.version() is None:
+        pytest.skip("liblouis is not installed")
+    own, made = ([list(map(DIGITS.index, row)) for row in each] for each in (FREQUENT, frequent()))
+    # Tables change with the version of liblouis, by a cell or two.
+    assert np.abs(np.subtract(own, made)).max() < 10
 
 
 @pytest.mark.parametrize("lines", [LABEL, WORDS, TEXT], ids=["label", "words", "text"])
