@@ -212,6 +212,9 @@ _FIRST, _LONGEST = 5, 3
 """First lines, and longest ones, by which a page is known to be upright."""
 _UPRIGHT, _FEWEST_LETTERS = 0.7, 30
 """Mean confidence of letters from which a page is upright, and the fewest that show it."""
+_MANY_LETTERS, _CLEARLY_MORE = 100, 1.5
+"""Letters of the sample, and factor by which it is more legible than upside down, from which no
+other turn is tried."""
 _MORE = 1.15  # factor by which more must be recognized after a turn for it to be kept
 
 
@@ -264,6 +267,9 @@ def _turns_to_try(
     turns = [180] if upside_down > _MORE * legible else []
     if letters >= _FEWEST_LETTERS and upside_down > _UPRIGHT * letters and turns:
         return turns
+    if letters >= _MANY_LETTERS and legible > _CLEARLY_MORE * upside_down:
+        # It is upright, and hard to read.
+        return []
     if QUARTER in prepared.notes:
         turns.append(90)
     others = likely_turns(prepared.cleaned, options.languages)
