@@ -55,7 +55,8 @@ typedef struct {
      * st_may_pulse right before the current is switched on; if not, leave all electrodes shorted
      * and return ST_NOT_BEGUN_US. */
     uint64_t (*pulse)(void *self, const st_pulse *pulse);
-    /* Short all electrodes, now; reason is a word for a log; also called from an interrupt if st_zero is. */
+    /* Short all electrodes, now; also called from an interrupt if st_zero is. The reason is a word
+     * for a log. */
     void (*shorted)(void *self, const char *reason);
     int16_t (*force_mn)(void *self); /* with ST_FORCE */
     /* With ST_VOLTAGE: the source's voltage at the end of the last pulse, in 10 mV. Asked for when
