@@ -18,7 +18,7 @@ from smarttouch.cli.options import MORE, OptionGroup
 if TYPE_CHECKING:
     from smarttouch.reading.braille_lines import Braille
     from smarttouch.reading.letter_shapes import Shapes
-    from smarttouch.reading.material import RecognitionOptions
+    from smarttouch.reading.recognition import RecognitionOptions
 
 _MOST_BYTES = 256_000_000
 _BEGINNINGS = {
@@ -97,7 +97,7 @@ class DocumentOptions(OptionGroup):
         """Return the document, and its options: these, and those that follow its name."""
         from smarttouch.base.errors import BrailleError, PageError
         from smarttouch.base.url_options import joined_options, read_options
-        from smarttouch.reading.material import RecognitionOptions
+        from smarttouch.reading.recognition import RecognitionOptions
 
         source = source.removeprefix("page:")
         place, in_name = source, dict[str, Any]()

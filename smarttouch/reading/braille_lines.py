@@ -28,13 +28,8 @@ from smarttouch.pages.text_lines import TextLine
 from smarttouch.profile import Profile
 from smarttouch.reading.line_feed import Place, TouchLine
 from smarttouch.reading.line_source import LineMotion
-from smarttouch.reading.material import (
-    EmptyPages,
-    ReadingMaterial,
-    recognized_lines,
-    recognized_text,
-    upright_page,
-)
+from smarttouch.reading.material import EmptyPages, ReadingMaterial, recognized_text
+from smarttouch.reading.recognition import recognized_lines, upright_page
 from smarttouch.running.delivered import LinePicture
 
 DOT_MM, CELL_MM, LINE_MM = 2.34, 6.2, 10.0

@@ -27,8 +27,9 @@ from smarttouch.reading.delivered_lines import (
     read_at_nerve,
 )
 from smarttouch.reading.letter_shapes import Shapes, Style, require_rows, shape_line
-from smarttouch.reading.material import ReadingMaterial, recognized_lines
+from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.ocr import Layout, recognize
+from smarttouch.reading.recognition import recognized_lines
 from smarttouch.running.delivered import LinePicture
 
 _SAME_SIGNS = str.maketrans(

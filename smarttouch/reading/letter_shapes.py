@@ -24,7 +24,8 @@ from smarttouch.pages.prepared_page import SIDES, PreparedPage
 from smarttouch.profile import Profile
 from smarttouch.reading.line_feed import Place, TouchLine
 from smarttouch.reading.line_source import LineMotion
-from smarttouch.reading.material import Note, ReadingMaterial, recognized_lines
+from smarttouch.reading.material import ReadingMaterial
+from smarttouch.reading.recognition import Note, recognized_lines
 
 ENOUGH_ROWS = 8
 """Sufficient rows: on 4 half of the characters are lost, on 8 hardly one in a hundred."""

@@ -10,8 +10,8 @@ from pathlib import Path
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.pages.document import open_document
 from smarttouch.reading.legibility import character_error_rate
-from smarttouch.reading.material import RecognitionOptions, recognized_lines, upright_page
 from smarttouch.reading.ocr import Layout, recognize
+from smarttouch.reading.recognition import RecognitionOptions, recognized_lines, upright_page
 
 
 def quiet(note: str) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.pages.document import open_document
-from smarttouch.reading.material import RecognitionOptions, upright_page
+from smarttouch.reading.recognition import RecognitionOptions, upright_page
 
 SIDE_PX = 1600
 

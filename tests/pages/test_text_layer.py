@@ -7,12 +7,8 @@ import pytest
 from smarttouch.pages.document import open_document
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.text_layer import PicturedPage
-from smarttouch.reading.material import (
-    ReadingMaterial,
-    RecognitionOptions,
-    recognized_text,
-    upright_page,
-)
+from smarttouch.reading.material import ReadingMaterial, recognized_text
+from smarttouch.reading.recognition import RecognitionOptions, upright_page
 
 from .test_document import one_page, stream
 

@@ -13,7 +13,8 @@ from smarttouch.base.errors import ReadingError
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.reading.braille_lines import Braille
 from smarttouch.reading.document_cells import document_cells, forget_pages
-from smarttouch.reading.material import ReadingMaterial, RecognitionOptions
+from smarttouch.reading.material import ReadingMaterial
+from smarttouch.reading.recognition import RecognitionOptions
 
 pytestmark = pytest.mark.skipif(
     shutil.which("tesseract") is None, reason="needs Tesseract: apt install tesseract-ocr"

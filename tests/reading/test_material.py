@@ -11,7 +11,8 @@ from smarttouch.pages.prepared_page import print_text
 from smarttouch.profile import load_profile
 from smarttouch.reading.braille_lines import Braille, Presentation
 from smarttouch.reading.letter_shapes import Shapes, Style, thin
-from smarttouch.reading.material import EmptyPages, ReadingMaterial, RecognitionOptions
+from smarttouch.reading.material import EmptyPages, ReadingMaterial
+from smarttouch.reading.recognition import RecognitionOptions
 
 from ..raising import raises
 

@@ -10,17 +10,11 @@ from PIL import Image
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.prepared_page import prepare_text, print_text
 from smarttouch.pages.text_lines import TextLine
-from smarttouch.reading import material
+from smarttouch.reading import recognition
 from smarttouch.reading.legibility import character_error_rate
-from smarttouch.reading.material import (
-    RecognitionOptions,
-    document_pages,
-    paragraphs,
-    recognized_lines,
-    recognized_text,
-    upright_page,
-)
+from smarttouch.reading.material import document_pages, paragraphs, recognized_text
 from smarttouch.reading.ocr import RecognizedLine
+from smarttouch.reading.recognition import RecognitionOptions, recognized_lines, upright_page
 
 TEXT = "Some words that are di-\nvided by a line, and\nmore of them\n\nanother paragraph"
 
@@ -47,7 +41,7 @@ def tesseract(monkeypatch):
 
     def reads(text, **more):
         stands = Reads([line for line in text.split("\n") if line], **more)
-        monkeypatch.setattr(material, "recognize_lines", stands)
+        monkeypatch.setattr(recognition, "recognize_lines", stands)
         return stands
 
     return reads
@@ -118,7 +112,7 @@ def test_a_page_is_turned_as_it_should_be(notes, turns):
 @needs_tesseract
 def test_a_turn_after_which_less_is_recognized_is_not_kept(monkeypatch, notes):
     """As Tesseract proposes for some tables of figures, with confidence."""
-    monkeypatch.setattr(material, "likely_turns", lambda *_: [90, 180])
+    monkeypatch.setattr(recognition, "likely_turns", lambda *_: [90, 180])
     figures = "\n".join(f"{k} 17 {k}{k} 20 {k}4" for k in range(1, 9))
     page = print_text(figures)
     prepared = upright_page(1, page, RecognitionOptions(), notes.append)
