@@ -274,7 +274,7 @@ def design_bank(
     modes, profile, design = possible_modes(profile), _by_sources(profile), designer(profile)
     known = _known(profile)
     if known is not None and problem_hash(known[0]) != problem_hash(profile):
-        design = kept_or(design, *known)
+        design = kept_or(design, known[0], known[1].kernel)
     columns: dict[str, Any] = {name: {} for name in _IN_FILE}
     made: dict[tuple[int, Afferent], Array] = {}
     for index, afferent in enumerate(modes):

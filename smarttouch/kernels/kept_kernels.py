@@ -3,13 +3,14 @@
 A kernel that is the best of many patterns is the best of fewer, as long as it is among them.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from smarttouch.kernels.bank import KernelBank
+from smarttouch.base.afferent import Afferent
 from smarttouch.kernels.batch_design import Design
-from smarttouch.kernels.design_problem import Array, Kernel, Problem, limits_ma
+from smarttouch.kernels.design_problem import Array, Kernel, KernelKind, Problem, limits_ma
 from smarttouch.profile import Profile
 
 _NOTHING = 1e-9
@@ -17,13 +18,15 @@ _NOTHING = 1e-9
 _CLEAR = 1 - 1e-6
 
 
-def kept_or(design: Design, before: Profile, bank: KernelBank) -> Design:
-    """Return a design that gives a site its kernel of another profile's bank where that stays the
-    best: without current at masked electrodes, and either its limits are the same, or the kernel
+def kept_or(
+    design: Design, before: Profile, known_kernel: Callable[[Afferent, int, KernelKind], Kernel]
+) -> Design:
+    """Return a design that gives a site its kernel of another profile where that stays the best:
+    without current at masked electrodes, and either its limits are the same, or the kernel
     is within the limits and was not held up by those before."""
 
     def keep_or_design(problem: Problem, site: int) -> Kernel:
-        known = bank.kernel(problem.afferent, site, "weighted")
+        known = known_kernel(problem.afferent, site, "weighted")
         weights, masked = known.weights.copy(), list(problem.profile.output.masked)
         peak = np.abs(weights).max()
         if (np.abs(weights[masked]) > _NOTHING * peak).any() or not (

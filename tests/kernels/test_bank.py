@@ -216,7 +216,7 @@ def test_a_kernel_without_current_at_a_masked_electrode_stays_the_best(profile, 
     def refuse(problem, site):
         raise AssertionError(f"{problem.describe(site)} was designed")
 
-    keep = kept_or(refuse, profile, bank)
+    keep = kept_or(refuse, profile, bank.kernel)
     unused = [site for site in range(64) if site != 9 and abs(bank.weights[2][site][9]) < 1e-9]
     assert len(unused) > 20
     kept, designed = keep(problem, unused[0]), design_kernel(problem, unused[0])
@@ -242,7 +242,7 @@ def test_a_kernel_is_kept_only_within_the_limits_of_its_site(profile, bank, chan
         limited = changed(profile, own_ma | {"limits.total_ma": total_ma})
         problem = SimpleNamespace(profile=limited, afferent=Afferent.RA, driven=limited.driven)
         designed.clear()
-        assert kept_or(note, profile, bank)(problem, 27).off_target == known.off_target
+        assert kept_or(note, profile, bank.kernel)(problem, 27).off_target == known.off_target
         assert designed == expected
 
 
