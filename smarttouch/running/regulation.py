@@ -43,7 +43,8 @@ class Regulator:
     def regulate(self, step: Step, board: Board) -> Step:
         """Return the step with its sequence as it is to be sent."""
         observed = board.take_volts()
-        require_returned(board, "take_volts", observed, list, _VOLTS, BoardError)
+        if not isinstance(observed, list):
+            require_returned(board, "take_volts", observed, list, _VOLTS, BoardError)
         if observed:
             step = replace(step, observed=tuple(observed))
         if self.adaptation is not None:
