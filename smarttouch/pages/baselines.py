@@ -1,11 +1,12 @@
 """Baselines of rows of letters, through skew and curvature, with the marks at their ends."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.polynomial import Polynomial, polynomial
+from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from smarttouch.pages.spots import Spots, widest_white
@@ -19,11 +20,13 @@ _PIECE = 5.0  # length of a piece that is shifted as one, in heights of its lett
 _SUPPORT = (2, 4, 8)  # fewest pieces for a slope, a bend, and a second bend of a line
 _SHIFT = 0.6  # largest shift of a piece from the first guess, in heights of its letters
 _RISE = 0.5  # weight of an edge at the top of letters, relative to one at the bottom
-_ROUNDS = 3
+_ROUNDS, _SETTLED = 3, 0.03
+"""Most rounds, and largest change, in heights of its letters, after which no other follows."""
+_ROBUST = 5  # rounds of weights against outliers
 _STROKE = 96  # density at which a stroke begins: thin strokes of small print are not black
-_TALL = 95
-"""Percentile of letter heights that is taken as that of tall letters; a few are accented or touch
-others."""
+_TALL = 0.95
+"""Part of the letters that is not higher than a tall one; a few are accented or touch others."""
+_LEVEL = 1e-10  # weight of a level line beside the points
 _GAP = 0.3  # white that separates two lines, in x-heights
 _CLOSE = 0.02  # distance of the pieces from a good curve, in heights of its letters
 _WORTH = 0.7  # factor by which a curve of higher degree must reduce most distances
@@ -65,9 +68,9 @@ class Baseline:
     def slope_at(self, x: float) -> float:
         """Return the slope of the baseline at x, positive if it falls."""
         inside = min(max(x - self.left, 0.0), self.right - self.left)
-        return float(polynomial.polyval(inside, polynomial.polyder(self.baseline)))
+        return float(_values(_derived(self.baseline), np.array(inside)))
 
-    @property
+    @cached_property
     def heights(self) -> Floats:
         """Height of each row of the profile over the baseline, (N,), in x-heights."""
         return np.asarray(self.profile_top - np.arange(len(self.profile)) * self.step)
@@ -89,8 +92,21 @@ class Baseline:
 def curve_at(coefficients: Floats, distance: Floats, length: float) -> Floats:
     """Return a curve at distances from its start; straight beyond its ends."""
     inside = np.clip(distance, 0, length)
-    slope = polynomial.polyval(inside, polynomial.polyder(coefficients))
-    return np.asarray(polynomial.polyval(inside, coefficients) + slope * (distance - inside))
+    return _values(coefficients, inside) + _values(_derived(coefficients), inside) * (
+        distance - inside
+    )
+
+
+def _values(coefficients: Floats, x: Floats) -> Floats:
+    """Return a polynomial's values; numpy's own way takes several times as long."""
+    value = np.zeros_like(x)
+    for each in coefficients[::-1].tolist():
+        value = value * x + each
+    return value
+
+
+def _derived(coefficients: Floats) -> Floats:
+    return coefficients[1:] * np.arange(1, len(coefficients))
 
 
 def follow_baseline(density: NDArray[np.uint8], row: Spots, slope: float | None = None) -> Baseline:
@@ -117,7 +133,10 @@ def follow_baseline(density: NDArray[np.uint8], row: Spots, slope: float | None 
         shift, weight = _shifts(pieces)
         away = shift * height / _STEPS
         more = _smooth(at, away, weight, degree, _CLOSE * height)
-        curve = np.asarray(polynomial.polyadd(curve, more), np.float64)
+        size = max(len(curve), len(more))
+        curve = np.pad(curve, (0, size - len(curve))) + np.pad(more, (0, size - len(more)))
+        if np.abs(_values(more, at)).max() < _SETTLED * height:
+            break
     pieces, _ = _pieces(density, left, right, curve, height)
     profile = pieces.mean(axis=0)
     top, base = _edges(profile)
@@ -125,9 +144,9 @@ def follow_baseline(density: NDArray[np.uint8], row: Spots, slope: float | None 
     x_height = (base - top) / _STEPS * height
     strokes = _strokes(density, left, right, curve, x_height)
     step = 1 / (base - top)
-    bottom = polynomial.polyval(center, curve)
+    bottom = _values(curve, center)
     tall, deep = (
-        float(np.percentile(edge, _TALL)) / x_height
+        float(np.sort(edge)[int(_TALL * (len(edge) - 1) + 0.5)]) / x_height
         for edge in (bottom - row.top, row.bottom - bottom)
     )
     return Baseline(left, right, curve, x_height, profile, base * step, step, strokes, (tall, deep))
@@ -154,12 +173,15 @@ def _smooth(x: Floats, y: Floats, weight: Floats, most: int, close: float) -> Fl
 def _fitted(x: Floats, y: Floats, weight: Floats, degree: int) -> tuple[Floats, float]:
     """Return a curve's coefficients, fitted with low weight on outliers, and the distance."""
     scale = max(1.0, float(np.abs(x).max(initial=0)))
-    matrix = polynomial.polyvander(x / scale, degree)
+    powers = np.power.outer(x / scale, np.arange(degree + 1))
     robust = np.ones_like(y)
-    for _ in range(5):
-        root = np.sqrt(weight * robust)
-        found = np.linalg.lstsq(matrix * root[:, None], y * root, rcond=1e-9)[0]
-        away = np.abs(y - matrix @ found)
+    for _ in range(_ROBUST):
+        weighted = powers.T * (weight * robust)
+        normal = weighted @ powers
+        # Points in one place determine no slope: it is the least one then.
+        normal.flat[:: degree + 2] += _LEVEL * normal[0, 0]
+        found = np.linalg.solve(normal, weighted @ y)
+        away = np.abs(y - powers @ found)
         # Half of the time goes into numpy's median.
         usual = float(np.sort(away)[len(away) // 2])
         # Geman and McClure's weights.
@@ -176,7 +198,7 @@ def _pieces(
     along = (np.arange(columns) + 0.5) * (right - left) / columns
     across = np.arange(round(2 * _BAND * _STEPS) + 1) * height / _STEPS - _BAND * height
     x = np.broadcast_to(along + left, (len(across), columns))
-    y = polynomial.polyval(along, curve) + across[:, None]
+    y = _values(curve, along) + across[:, None]
     # A pixel's middle is half a pixel from its edge.
     band = cv2.remap(
         density,
@@ -195,7 +217,7 @@ def _strokes(
 ) -> float:
     """Return the number of strokes crossed at half the x-height, per x-height."""
     distance = np.arange(0.0, right - left)
-    y = polynomial.polyval(distance, curve) - x_height / 2
+    y = _values(curve, distance) - x_height / 2
     inside = (y >= 0) & (y < len(density))
     met = density[y[inside].astype(int), (distance[inside] + left).astype(int)] > _STROKE
     return float(np.count_nonzero(np.diff(met.astype(np.int8)) == 1) / (right - left) * x_height)
@@ -297,8 +319,12 @@ def _reaching(baseline: Baseline, marks: Spots) -> Baseline:
     for k in np.argsort(-marks.right):
         if marks.right[k] > left - reach:
             left = min(left, float(marks.left[k]))
-    moved = Polynomial(baseline.baseline)(Polynomial([left - baseline.left, 1]))
-    return replace(baseline, left=left, right=right, baseline=np.asarray(moved.coef, np.float64))
+    moved, derived, factor = [], baseline.baseline, 1.0
+    for power in range(len(baseline.baseline)):
+        # Taylor's series around the new end.
+        moved.append(float(_values(derived, np.array(left - baseline.left))) / factor)
+        derived, factor = _derived(derived), factor * (power + 1)
+    return replace(baseline, left=left, right=right, baseline=np.array(moved))
 
 
 def _continues(line: Baseline, other: Baseline, spots: Spots) -> bool:

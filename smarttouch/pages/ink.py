@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.pages.spots import find_spots, usual_height
+from smarttouch.pages.spots import Spots, find_spots, usual_height
 
 Grey = NDArray[np.uint8]
 
@@ -61,6 +61,21 @@ class Paper:
     light_on_dark: bool  # as printed; inverted here
     panels: tuple[list[int], ...] = ()
     """Panels of the other polarity that were turned as well: left, top, right, bottom, px."""
+
+    @functools.cached_property
+    def spots(self) -> Spots:
+        """Connected spots of its ink."""
+        return find_spots(self.ink)
+
+    @functools.cached_property
+    def letter_height(self) -> float | None:
+        """Usual height of its letters, px; None if no spot may be one."""
+        return usual_height(self.spots, self.ink.shape)
+
+    def halved(self) -> "Paper":
+        """Return it at half the size; a line as thin as a pixel stays ink."""
+        part = _halved(self.ink.view(np.uint8) * np.uint8(255))
+        return Paper(_halved(self.cleaned), part >= _HALF, self.light_on_dark)
 
 
 def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
@@ -308,27 +323,36 @@ _LETTER = (0.5, 9.0)
 """Range of their usual height, in usual heights of the letters of the page: halftones have less,
 and what is larger is a window in the panel."""
 _SIDES = ("left", "top", "right", "bottom")
+_HALF = 127  # of four pixels two are ink
 _BLACK = np.uint8(40)  # level below which a panel's grain is cut off
 
 
 def turn_panels(paper: Paper) -> Paper:
     """Return a page with its panels made dark on light as well."""
-    spots = find_spots(paper.ink)
-    height = usual_height(spots, paper.ink.shape)
+    spots, height = paper.spots, paper.letter_height
     if height is None:
         return paper
     large = np.minimum(spots.width, spots.height) > _LEAST_SIDE * height
     large &= spots.width > 2 * _LEAST_SIDE * height
     large &= spots.area > _LEAST_DARK * spots.width * spots.height
+    chosen = spots.of(large)
+    boxes = np.column_stack([getattr(chosen, side) for side in _SIDES]).tolist()
+    return turn_boxes(paper, list(zip(boxes, chosen.area.tolist(), strict=True)), height)
+
+
+def turn_boxes(paper: Paper, boxes: list[tuple[list[int], int]], height: float) -> Paper:
+    """Return a page with the panels made dark on light that are in some boxes, each with its least
+    area, px; letters of the page are so high."""
     ink, cleaned, panels = paper.ink, paper.cleaned, []
-    for k in np.flatnonzero(large):
-        box = np.s_[spots.top[k] : spots.bottom[k], spots.left[k] : spots.right[k]]
-        panel = _panel(paper.ink[box], int(spots.area[k]), height)
+    for sides, area in boxes:
+        left, top, right, bottom = sides
+        box = np.s_[top:bottom, left:right]
+        panel = _panel(paper.ink[box], area, height)
         if panel is None:
             continue
         if ink is paper.ink:
             ink, cleaned = ink.copy(), cleaned.copy()
-        panels.append([int(getattr(spots, side)[k]) for side in _SIDES])
+        panels.append(sides)
         ink[box] ^= panel
         # Its blurred edge would become a frame.
         inside = cv2.erode(panel.view(np.uint8), np.ones((3, 3), np.uint8), borderValue=0) > 0

@@ -13,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 from smarttouch.base.errors import PageError
 from smarttouch.pages.page_image import INCH_MM, LARGEST_MM, Page
 from smarttouch.pages.straighten import straighten
-from smarttouch.pages.text_lines import TextLine, ink_of_lines, lines_in_ink
+from smarttouch.pages.text_lines import TextLine, page_lines
 
 _AROUND = 0.8  # extent of the page considered above and below a line, in heights of the line
 SIDES = 0.25
@@ -131,13 +131,12 @@ def prepare_page(
     notes: list[str] = []
     if straightened:
         page, notes = straighten(page, quarter)
-    page, paper = ink_of_lines(page, light_on_dark)
-    lines, left_out, doubtful = lines_in_ink(paper, page.mm_per_pixel, leftward)
-    if left_out:
-        notes.append(f"{LEFT_OUT}{left_out}")
-    if doubtful:
+    page, paper, found = page_lines(page, light_on_dark, leftward)
+    if found.left_out:
+        notes.append(f"{LEFT_OUT}{found.left_out}")
+    if found.doubtful:
         notes.append(DOUBTFUL)
-    return PreparedPage(page, paper.cleaned, tuple(lines), paper.light_on_dark, tuple(notes))
+    return PreparedPage(page, paper.cleaned, tuple(found.lines), paper.light_on_dark, tuple(notes))
 
 
 PRINT_DPI = 300

@@ -9,7 +9,7 @@ from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from smarttouch.pages.baselines import Baseline, Floats, curve_at, follow_baseline, with_marks
-from smarttouch.pages.ink import Paper, separate_ink, turn_panels
+from smarttouch.pages.ink import Paper, separate_ink, turn_boxes, turn_panels
 from smarttouch.pages.letter_rows import find_rows
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.reading_order import find_captions, reading_order
@@ -22,7 +22,6 @@ from smarttouch.pages.spots import (
     find_spots,
     like_letters,
     part_lines,
-    usual_height,
 )
 from smarttouch.pages.text_tests import credible_lines, is_text, is_too_small, outside_pictures
 
@@ -105,7 +104,11 @@ _HOPELESS, _MISSES = 60, 3
 """Failed rows, and additional ones per line of text, after which the rest is a picture's."""
 _SMALL_PX, _MOST_PIXELS = 9.0, 40_000_000
 """Usual height of spots below which a page is enlarged, and the largest it may become."""
+_ENOUGH_PX, _WORTH_HALVING, _MOST_HALVED = 10.0, 1_000_000, 3
+"""Usual height of letters at which lines are found as well as at a larger one, least pixels of a
+page that is halved for that, and most of its sizes."""
 _PARTING = 12.0  # least length of a printed rule that parts a page, in letter heights
+_TERMS = 4  # coefficients of a baseline at most
 _LONG_ROW = 10.0  # least length of a row, in letter heights, that determines its slope
 
 
@@ -154,34 +157,53 @@ class TextLine:
 
 def find_lines(page: Page, light_on_dark: bool | None = False) -> list[TextLine]:
     """Return the lines of text in reading order; find the polarity of the page if it is None."""
-    page, paper = ink_of_lines(page, light_on_dark)
-    return lines_in_ink(paper, page.mm_per_pixel)[0]
+    return page_lines(page, light_on_dark)[2].lines
 
 
-def ink_of_lines(page: Page, light_on_dark: bool | None) -> tuple[Page, Paper]:
-    """Return a page and its ink, dark panels turned light.
+@dataclass(frozen=True)
+class PageLines:
+    """Lines of a page in reading order, what was left out, in words, and whether the order is
+    doubtful."""
 
-    Small print is enlarged until its lines can be followed.
+    lines: list[TextLine]
+    left_out: str = ""
+    doubtful: bool = False
+
+
+def page_lines(
+    page: Page, light_on_dark: bool | None, leftward: bool = False
+) -> tuple[Page, Paper, PageLines]:
+    """Return a page, its ink, dark panels turned light, and its lines.
+
+    Small print is enlarged until its lines can be followed; those of large print are found in an
+    image of half or a quarter of its size.
     """
     paper = separate_ink(page.grey, light_on_dark)
-    height = usual_height(find_spots(paper.ink), paper.ink.shape)
+    coarser = [paper]
+    while len(coarser) < _MOST_HALVED and coarser[-1].ink.size > _WORTH_HALVING:
+        coarser.append(coarser[-1].halved())
+    while len(coarser) > 1 and (coarser[-1].letter_height or 0) < _ENOUGH_PX:
+        coarser.pop()
+    coarse, scale = coarser[-1], 1 << len(coarser) - 1
+    if scale > 1:
+        coarse = turn_panels(coarse)
+        boxes = [([scale * side for side in panel], 0) for panel in coarse.panels]
+        paper = turn_boxes(paper, boxes, scale * (coarse.letter_height or 0))
+        return page, paper, _lines_in_ink(coarse, scale * page.mm_per_pixel, leftward)
+    height = paper.letter_height
     factor = 1 if height is None else math.ceil(_SMALL_PX / height)
     if 1 < factor**2 <= _MOST_PIXELS / page.grey.size:
         grey = cv2.resize(page.grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
         page = Page(np.asarray(grey, np.uint8), page.mm_per_pixel / factor)
         paper = separate_ink(page.grey, paper.light_on_dark)
-    return page, turn_panels(paper)
+    paper = turn_panels(paper)
+    return page, paper, _lines_in_ink(paper, page.mm_per_pixel, leftward)
 
 
-def lines_in_ink(
-    paper: Paper, mm_per_pixel: float, leftward: bool = False
-) -> tuple[list[TextLine], str, bool]:
-    """Return the lines of text on a page with separated ink, what is left out, in words, and
-    whether their order is doubtful."""
-    spots = find_spots(paper.ink)
-    height = usual_height(spots, paper.ink.shape)
+def _lines_in_ink(paper: Paper, mm_per_pixel: float, leftward: bool) -> PageLines:
+    spots, height = paper.spots, paper.letter_height
     if height is None:
-        return [], "", False
+        return PageLines([])
     rules = find_rules(paper.ink, height)
     dividers = find_dividers(paper.ink, height)
     parted = part_lines(paper.ink & ~rules & ~dividers, spots, height)
@@ -192,7 +214,7 @@ def lines_in_ink(
     baselines = with_marks(found, spots)
     left_out = _left_out(small, len(shown.area))
     if not baselines:
-        return [], left_out, False
+        return PageLines([], left_out)
     ascent, descent = reach_of_print(baselines)
     x_height = shared_x_heights(baselines, ascent)
     left, right, y = np.array([[each.left, each.right, each.middle_y] for each in baselines]).T
@@ -210,7 +232,7 @@ def lines_in_ink(
         _line(baselines[k], float(x_height[k]), ascent, descent, mm_per_pixel, int(order.cell[k]))
         for k in order.indices
     ]
-    return lines, left_out, order.doubtful
+    return PageLines(lines, left_out, order.doubtful)
 
 
 def _left_out(small: int, pictures: int) -> str:
@@ -224,6 +246,7 @@ def _followed_rows(
 ) -> tuple[list[Baseline], int]:
     """Return the baselines of rows that are text, and the number of those too small to be read."""
     small = 0
+    table: Floats | None = None
     letters = spots.of(like_letters(spots, height))
     rows = [letters.of(row) for row in find_rows(letters, spots, dividers)]
     rows.sort(key=_length, reverse=True)
@@ -233,7 +256,11 @@ def _followed_rows(
         if tried > _HOPELESS + _MISSES * len(lines):
             break
         is_long = _length(row) > _LONG_ROW
-        baseline = follow_baseline(density, row, None if is_long else _slope_around(row, guides))
+        if not is_long and table is None:
+            # Rows come by their length: all guides are known.
+            table = _guide_table(guides)
+        slope = None if is_long or table is None else _slope_around(row, table)
+        baseline = follow_baseline(density, row, slope)
         small += is_too_small(baseline, row)
         if is_text(baseline, row):
             lines.append((baseline, row))
@@ -246,17 +273,30 @@ def _length(row: Spots) -> float:
     return float(row.right.max() - row.left.min()) / row.usual_height
 
 
-def _slope_around(row: Spots, guides: list[Baseline]) -> float:
+def _guide_table(guides: list[Baseline]) -> Floats:
+    """Return ends and coefficients of lines, (2 + _TERMS, N)."""
+    rows = [
+        [each.left, each.right, *each.baseline, *[0.0] * (_TERMS - len(each.baseline))]
+        for each in guides
+    ]
+    return np.array(rows).reshape(-1, 2 + _TERMS).T
+
+
+def _slope_around(row: Spots, guides: Floats) -> float:
     """Return the slope of the line nearest to a short row; level if there is none."""
+    if not guides.size:
+        return 0.0
+    left, right, *terms = guides
     x = float(row.left.min() + row.right.max()) / 2
     y = float((row.top + row.bottom).mean()) / 2
-
-    def away(guide: Baseline) -> float:
-        beyond = max(guide.left - x, x - guide.right, 0.0)
-        # Columns bend differently: lines above and below are more reliable.
-        return abs(guide.y_at(x) - y) + 2 * beyond
-
-    return min(guides, key=away).slope_at(x) if guides else 0.0
+    inside = np.clip(x - left, 0, right - left)
+    beyond = np.maximum(np.maximum(left - x, x - right), 0.0)
+    base, slope = np.zeros_like(left), np.zeros_like(left)
+    for each in reversed(terms):
+        base, slope = base * inside + each, slope * inside + base
+    # Columns bend differently: lines above and below are more reliable.
+    away = np.abs(base + slope * (x - left - inside) - y) + 2 * beyond
+    return float(slope[away.argmin()])
 
 
 def _line(
