@@ -22,7 +22,7 @@ from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
 
 _SERVE = "import sys; from smarttouch.views.live_finger import serve; serve(int(sys.argv[1]))"
-_POLITE = 5  # niceness of the process: the sending of packets goes first
+_POLITE = 5  # niceness during a run: the sending of packets goes first
 MOST_RECENT = 64  # steps that one response is to, at most
 _ENDS_WITHIN_S = 5.0
 
@@ -140,10 +140,10 @@ class LiveFinger(Listener):
 
 def serve(number: int) -> None:
     """Simulate responses to slots from a socket until it is closed."""
-    os.nice(_POLITE)
     with Connection(number) as line:
         finger = line.recv()
         model = SpikeModel(finger)
+        os.nice(_POLITE)  # the run waits until here
         line.send(None)
         while True:
             try:
