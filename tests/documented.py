@@ -57,7 +57,7 @@ SHORT = {
     "calibrate scale": "--volts 1.0",
 }
 """Options that are added to a command, where it has not got them."""
-NOT_WITH = {"replay": "--check", "read": "--frames", "live": "text:Hello"}
+NOT_WITH = {"replay": "--check", "live": "text:Hello"}
 """A word beside which none is added: such a command ends by itself."""
 
 STAND_INS = {

@@ -77,9 +77,7 @@ def live(
                 return
             url = window.asked.source
             # Files are of the first run.
-            run = replace(
-                run, board=window.asked.board, record=None, felt=None, frames=None, json_file=None
-            )
+            run = replace(run, board=window.asked.board, record=None, felt=None, json_file=None)
     finally:
         if window is not None:
             window.shut()
@@ -97,7 +95,9 @@ def _show(
 ) -> "Window | None":
     """Show a source; return the window if a page asks for another run."""
     chosen = run.load_profile()
-    ready = run.ready_display(chosen)
+    ready = run.display(chosen)
+    # It begins what takes long while the rest is imported.
+    ready.board.make_ready()
     from smarttouch.base.errors import SourceError
     from smarttouch.cli.options import parse_mode
     from smarttouch.sources import open_source, options_taken

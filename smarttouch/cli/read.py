@@ -69,7 +69,7 @@ def read(
     from smarttouch.sources import open_source
     from smarttouch.views.progress import first_line_awaited
 
-    run = replace(run, board=board or (None if run.frames is None else "simulated:"))
+    run = replace(run, board=board)
     own = run.load_profile()
     chosen = profile_for_reading(own)
     plain = own.defaults.plain if run.plain is None else run.plain

@@ -82,12 +82,6 @@ class RunOptionGroup(OptionGroup):
             panel=KEPT,
         ),
     ] = None
-    frames: Annotated[
-        Path | None,
-        option(
-            "Write what the electrodes do: a .gif, a .json or a folder of PNG.", "PATH", panel=KEPT
-        ),
-    ] = None
     record: Annotated[Path | None, option("Record the whole run.", "MCAP")] = None
     subject: Annotated[
         str, option("Name the participant in the recording.", "NAME", panel=KEPT)
@@ -136,7 +130,7 @@ class RunOptionGroup(OptionGroup):
     @property
     def is_watched(self) -> bool:
         """True if the run is only watched, on a screen or in a window, and kept in no file."""
-        kept = (self.felt, self.frames, self.record, self.json_file)
+        kept = (self.felt, self.record, self.json_file)
         screen = console()
         drawn = screen.is_terminal and not screen.is_dumb_terminal
         on_screen = drawn and not (self.quiet or self.plain)
@@ -160,12 +154,6 @@ class RunOptionGroup(OptionGroup):
         from smarttouch.running.display import Display
 
         return Display(self.board_url, profile, self.vibrators)
-
-    def ready_display(self, profile: "Profile") -> "Display":
-        """Return the display; its board begins what takes long while the rest is imported."""
-        display = self.display(profile)
-        display.board.make_ready()
-        return display
 
     def config(self, mode: str, **more: Any) -> "RunConfig":
         """Return the configuration of the run; what a command has as usual comes before --set."""

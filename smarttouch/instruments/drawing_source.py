@@ -3,7 +3,7 @@
 import base64
 import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.electrodes import ElectrodeArray
 from smarttouch.base.errors import SmartTouchError, SourceError
-from smarttouch.base.files import open_file, unreadable
+from smarttouch.base.files import open_file, unreadable, write_bytes
 from smarttouch.imaging.array_window import reading_force_n
 from smarttouch.profile import Profile
 from smarttouch.reading.letter_shapes import draw_letter
 from smarttouch.sources.source_contract import Stimulus, StimulusSource
-from smarttouch.views.pattern_files import PatternFile
 
 SHORTEST_MS, LONGEST_MS = 20, 60_000
 USUAL_MS = 500
@@ -82,7 +81,7 @@ _MOST_BYTES = 20_000_000
 
 
 def open_draw(rest: str, profile: Profile) -> "DrawSource":
-    """Open ``draw:``, or ``draw:FILE.json`` with patterns as `PatternFile` writes them."""
+    """Open ``draw:``, or ``draw:FILE.json`` with patterns as `write_patterns` writes them."""
     source = DrawSource(profile)
     if rest:
         source.patterns = read_patterns(Path(rest), profile)
@@ -215,15 +214,12 @@ class DrawSource(StimulusSource):
         with self._lock:
             self._halt()
 
-    def _do_save(self, kind: str) -> None:
-        """Write the list to a new file or folder in the working directory."""
-        if kind not in ("json", "png"):
-            raise ValueError(kind)
-        path = _free_name(".json" if kind == "json" else "")
-        file = PatternFile(path, self._profile)
-        for each in self.patterns or [Pattern(self._level)]:
-            file.add(each.level, 1000 * each.duration_ms)
-        file.save()
+    def _do_save(self, rest: str) -> None:
+        """Write the list to a new file in the working directory."""
+        if rest:
+            raise ValueError(rest)
+        path = _free_name()
+        write_patterns(path, self._profile, self.patterns or [Pattern(self._level)])
         self._notice = f"saved as {path}"
 
     def _add(self, *patterns: Pattern) -> None:
@@ -254,9 +250,25 @@ class DrawSource(StimulusSource):
         """Do nothing: nothing is open."""
 
 
+def write_patterns(path: Path, profile: Profile, patterns: Sequence[Pattern]) -> None:
+    """Write patterns one after another as JSON, activation from 0 to 1."""
+    starts_ms = np.cumsum([0, *(each.duration_ms for each in patterns)]).tolist()
+    document = {
+        "profile": profile.name,
+        "electrodes": [
+            {"x_mm": x, "y_mm": y} for x, y in profile.electrodes.position_mm.round(6).tolist()
+        ],
+        "steps": [
+            {"time_ms": start, "activation": (each.level / 255).round(3).tolist()}
+            for start, each in zip(starts_ms, patterns, strict=False)
+        ],
+    }
+    write_bytes(path, (json.dumps(document) + "\n").encode())
+
+
 def read_patterns(path: Path, profile: Profile) -> list[Pattern]:
-    """Return the patterns of a file as `PatternFile` writes it; the last lasts as long as the one
-    before."""
+    """Return the patterns of a file of `write_patterns`; the last lasts as long as the one before
+    it."""
     try:
         with open_file(path, SourceError, _MOST_BYTES) as file:
             document = json.loads(file.read())
@@ -279,13 +291,13 @@ def read_patterns(path: Path, profile: Profile) -> list[Pattern]:
     if not sound:
         raise SourceError(
             f"{path} has no patterns of electrodes, each of at most {LONGEST_MS} ms: give a file "
-            "that the frames of a run were written to",
+            "that the window saved",
             about="file",
         )
     if len(levels) > MOST_PATTERNS:
         raise SourceError(
-            f"{path} has {len(levels)} patterns, and a list at most {MOST_PATTERNS}: write the "
-            "frames of a shorter run",
+            f"{path} has {len(levels)} patterns, and a list at most {MOST_PATTERNS}: leave "
+            "some out",
             about="file",
         )
     own = profile.electrodes.position_mm
@@ -321,8 +333,8 @@ def _text(level: Levels) -> str:
     return base64.b64encode(level.tobytes()).decode("ascii")
 
 
-def _free_name(suffix: str) -> Path:
+def _free_name() -> Path:
     number = 1
-    while (path := Path(f"drawing-{number}{suffix}")).exists():
+    while (path := Path(f"drawing-{number}.json")).exists():
         number += 1
     return path

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from smarttouch.physiology.finger import Finger
     from smarttouch.profile import Profile
     from smarttouch.views.delivered_drawing import DeliveredDrawing
-    from smarttouch.views.pattern_files import PatternFile
 
 
 class DeliveredPicture(Listener):
@@ -100,28 +99,3 @@ class DeliveredPicture(Listener):
     def close(self) -> None:
         """Remove the log."""
         self._open.close()
-
-
-class Patterns(Listener):
-    """Writes the activation of each step as film, numbers or pictures; see `PatternFile`."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__()
-        self.path = path
-        self._file: PatternFile | None = None
-
-    def prepare(self, run: RunContext) -> None:
-        """Refuse what cannot be written, before the display is opened."""
-        from smarttouch.views.pattern_files import PatternFile
-
-        self._file = PatternFile(self.path, run.profile)
-
-    def step(self, result: StepResult) -> None:
-        """Keep the activation of a step."""
-        if self._file is not None:
-            self._file.watch(result)
-
-    def finish(self, run: RunContext) -> None:
-        """Write them."""
-        assert self._file is not None
-        self._file.save()

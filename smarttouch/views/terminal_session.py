@@ -28,7 +28,7 @@ from smarttouch.views.keys_and_signals import (
     keyboard_listener,
     opened,
 )
-from smarttouch.views.outputs import DeliveredPicture, Patterns
+from smarttouch.views.outputs import DeliveredPicture
 from smarttouch.views.progress import bank_progress
 from smarttouch.views.screen import BlindScreen, Screen
 
@@ -50,7 +50,6 @@ class Outputs:
     felt: Path | None = None
     finger: int = 1
     anatomy: str = "branched"
-    frames: Path | None = None
     record: Path | None = None
     markers: bool = False
     json_file: Path | None = None
@@ -61,14 +60,12 @@ class Outputs:
     @property
     def files(self) -> list[Path]:
         """Files that are written at the end."""
-        outputs = (self.felt, self.frames, self.record, self.json_file)
-        return [each for each in outputs if each is not None]
+        return [each for each in (self.felt, self.record, self.json_file) if each is not None]
 
     @property
     def patience_s(self) -> float:
         """Time that the end of a stopped run may take; drawing takes long."""
-        drawn = self.felt is not None or self.frames is not None
-        return DRAWN_WITHIN_S if drawn else ENDS_WITHIN_S
+        return ENDS_WITHIN_S if self.felt is None else DRAWN_WITHIN_S
 
     def listeners(self) -> Iterator[Listener]:
         """Yield a listener for each output that is wanted."""
@@ -78,8 +75,6 @@ class Outputs:
             yield Markers()
         if self.felt is not None:
             yield DeliveredPicture(self.felt, self.finger, self.anatomy)
-        if self.frames is not None:
-            yield Patterns(self.frames)
         if self.record is not None:
             from smarttouch.running.recorder import Recorder
 

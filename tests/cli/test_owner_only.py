@@ -8,13 +8,13 @@ import pytest
 LIVE = ("live", "text:oo", "--board", "simulated:", "--seconds", "0.3", "--quiet")
 COMMANDS = {
     "run": (
-        (*LIVE, "--record", "run.mcap", "--json", "run.json", "--frames", "pictures/in"),
+        (*LIVE, "--record", "run.mcap", "--json", "run.json"),
         ("recordings", "export", "run.mcap", "exports/out"),
         ("recordings", "repair", "run.mcap"),
         ("recordings", "view", "run.mcap", "--save", "view.svg"),
         ("report", "run.mcap"),
     ),
-    "felt": ((*LIVE, "--felt", "felt.png", "--frames", "film.gif"),),
+    "felt": ((*LIVE, "--felt", "felt.png"),),
     "vibrations": ((*LIVE, "--vibrators", "vibrators:out.wav"),),
     "experiment": (
         ("experiment", "run", "frequency?standards=30&train_s=0.15&repetitions=1&gap_s=0.1",

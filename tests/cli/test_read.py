@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+import smarttouch as st
 from smarttouch.base.errors import (
     BrailleError,
     PageError,
@@ -60,12 +61,10 @@ def test_shapes_to_the_emulator(program_here):
 
 def test_an_image_without_a_board(program_here, tmp_path):
     Image.fromarray(print_text("a\nbeam").grey).save(tmp_path / "small.png")
-    kept = "--frames f.gif --felt felt.png --finger paper --json f.json"
-    done = program_here(f"read small.png {kept}").fine()
+    kept = "--felt felt.png --finger paper --json f.json"
+    done = program_here(f"read small.png --board simulated: {kept}").fine()
     assert done.stderr.strip() == ""
     assert done.figures["ended"] == "end of the text"
-    with Image.open(tmp_path / "f.gif") as film:
-        assert film.n_frames > 100
     # Above what passed under the finger, then what was delivered, then what was felt: the same.
     above, delivered, felt = panels(tmp_path / "felt.png", 3)
     assert np.corrcoef(above.ravel(), delivered.ravel())[0, 1] > 0.7
@@ -81,14 +80,12 @@ def test_what_was_read_replays_to_the_bit_and_is_felt_once_more(program_here, fi
 
 @pytest.mark.parametrize("cells", ["line", "cell"])
 def test_a_text_as_braille_patterns(program_here, tmp_path, cells):
-    program_here(f"read text:b --as braille?cells={cells} --frames f.json").fine()
-    document = json.loads((tmp_path / "f.json").read_text())
-    rows = {
-        (round(each["x_mm"]), round(each["y_mm"]))
-        for step in document["steps"]
-        for each, level in zip(document["electrodes"], step["activation"], strict=True)
-        if level
-    }
+    program_here(
+        f"read text:b --as braille?cells={cells} --board simulated: --record run.mcap"
+    ).fine()
+    run = st.load_recording(tmp_path / "run.mcap")
+    active = run.arrays.activation.any(axis=(0, 1))
+    rows = {(round(x), round(y)) for x, y in run.profile.electrodes.position_mm[active].tolist()}
     # The point that marks the line's start is in the middle.
     rows -= {(1, 1)}
     # Dots 1 and 2, one above the other; one by one in one column, else in all of them.
@@ -101,7 +98,7 @@ def test_files_of_cells_and_texts(program_here, figures_of, tmp_path):
     (tmp_path / "note.brf").write_bytes(b"AB\r\nC\r\n")
     for name in ("note.txt", "note.brf"):
         assert figures_of(f"read {name} --as braille --board simulated:")["slots"] > 0
-    done = program_here("read note.brf --frames f.gif")
+    done = program_here("read note.brf")
     says(ReadingError, "note.brf", about="kind", allowed="Braille")(refused(done))
 
 
@@ -209,7 +206,6 @@ def test_a_finger_that_moves_by_itself(figures_of, tmp_path, page_file):
     ("text:hi --as braille?table=xx", says(BrailleError, "'xx'", "en-1, en-2")),
     ("text:hi --as shapes?speed_mm_s=0", says(ReadingError, " 2000", about="speed_mm_s", value=0)),
     ("text:hi --pause -1", says(ReadingError, about="pause_s", value=-1, allowed=(0, 3600))),
-    ("text:hi --frames f.bmp", says(SmartTouchError, "f.bmp", ".gif", ".json", "PNG")),
     ("page.png?pages=3", says(PageError, " 1 page", about="pages", value=3)),
     ("page.png?pages=x", says(PageError, "1,3-5", about="pages", value="x")),
     ("blank.png", says(ReadingError, "6 pixels")),
@@ -270,7 +266,7 @@ def test_at_a_terminal_keys_go_from_line_to_line(start_at_a_terminal, tmp_path):
 
 def test_what_waits_for_nothing_is_felt_at_once_also_from_a_terminal(start_at_a_terminal, tmp_path):
     process, _ = start_at_a_terminal(
-        "read", "text:i", "--frames", "f.json", "--json", "figures.json"
+        "read", "text:i", "--board", "simulated:", "--json", "figures.json"
     )
     _, err = process.communicate(timeout=60)
     assert (process.returncode, err) == (0, "")

@@ -27,7 +27,7 @@ from smarttouch.running.runner import Runner
 from smarttouch.sources import open_source
 from smarttouch.sources.force import open_force
 from smarttouch.sources.source_contract import Stimulus, StimulusSource
-from smarttouch.views.outputs import DeliveredPicture, Patterns
+from smarttouch.views.outputs import DeliveredPicture
 
 from ..raising import raises
 
@@ -220,17 +220,13 @@ def test_broken_electrodes_are_planned_around(monkeypatch):
 
 
 def test_outputs_are_listeners(profile, source, display, tmp_path):
-    paths = [tmp_path / name for name in ("felt.png", "run.gif", "run.mcap")]
-    listeners = [
-        DeliveredPicture(paths[0], anatomy="paper"),
-        Patterns(paths[1]),
-        Recorder(paths[2]),
-    ]
+    paths = [tmp_path / name for name in ("felt.png", "run.mcap")]
+    listeners = [DeliveredPicture(paths[0], anatomy="paper"), Recorder(paths[1])]
     Runner(source, display, RunConfig(mode=Mode.RA), listeners=listeners).run()
     assert all(path.stat().st_size > 1000 for path in paths)
-    with raises(SmartTouchError, about="file", value=paths[2]):
+    with raises(SmartTouchError, about="file", value=paths[1]):
         Runner(
-            open_source("text:a", profile), display, RunConfig(), listeners=[Recorder(paths[2])]
+            open_source("text:a", profile), display, RunConfig(), listeners=[Recorder(paths[1])]
         ).run()
 
 

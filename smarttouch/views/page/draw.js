@@ -53,8 +53,7 @@ export class Drawing {
     });
     find("play").addEventListener("click", () => this.say(this.drawn.playing === null ? "draw play once" : "draw halt"));
     find("loop").addEventListener("click", () => this.say(this.drawn.playing === null ? "draw play loop" : "draw halt"));
-    find("save-json").addEventListener("click", () => this.say("draw save json"));
-    find("save-png").addEventListener("click", () => this.say("draw save png"));
+    find("save-json").addEventListener("click", () => this.say("draw save"));
     sketch.addEventListener("pointerdown", (event) => this.begin(event));
     sketch.addEventListener("pointermove", (event) => this.move(event));
     for (const kind of ["pointerup", "pointercancel", "lostpointercapture"]) sketch.addEventListener(kind, () => this.end());
