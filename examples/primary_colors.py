@@ -7,9 +7,10 @@ answer, and each class is let fire as its afferents would have.
 """
 
 import matplotlib.pyplot as plt
+from studies.vibration_figures import draw_mixture, thresholds_figure
 
 import smarttouch as st
-from smarttouch.lab import draw_mixture, mix_answers, open_trace, split_trace, thresholds_figure
+from smarttouch.lab import mix_colors, open_trace
 
 # %%
 # The basis of it: the smallest vibration that each class answers, by frequency. RA is best at 30
@@ -19,13 +20,12 @@ thresholds_figure()
 # %%
 # Two vibrations and a press at once.
 trace = open_trace("tone:30Hz,9um+tone:250Hz,1.5um+press:0.45N")
-answers = split_trace(trace)
-for afferent, answer in answers.items():
+profile = st.load_profile("electric-mouse")
+mixture = mix_colors(trace, profile, st.load_kernels(profile))
+for afferent, answer in mixture.answers.items():
     print(f"{afferent.name}: drive {answer.drive.mean():.2f}")
 
 # %%
 # Pulses for each class, at its own rate, by its own kernels.
-profile = st.load_profile("electric-mouse")
-mixture = mix_answers(answers, trace.duration_s, profile, st.load_kernels(profile))
-draw_mixture(trace, answers, mixture)
+draw_mixture(trace, mixture)
 plt.show()

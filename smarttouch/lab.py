@@ -37,10 +37,8 @@ from smarttouch.experiments.study_run import study_sums as study_sums
 from smarttouch.experiments.study_run import study_table as study_table
 from smarttouch.imaging.array_window import profile_for_reading as profile_for_reading
 from smarttouch.imaging.array_window import reading_force_n as reading_force_n
-from smarttouch.instruments.color_mix import mix_answers as mix_answers
 from smarttouch.instruments.color_mix import mix_colors as mix_colors
 from smarttouch.instruments.color_source import ColorSource as ColorSource
-from smarttouch.instruments.color_source import draw_mixture as draw_mixture
 from smarttouch.instruments.electric_mouse import MouseSource as MouseSource
 from smarttouch.instruments.electric_mouse import open_motion_over as open_motion_over
 from smarttouch.instruments.receptor_responses import split_trace as split_trace
@@ -65,7 +63,6 @@ from smarttouch.reading.line_source import SweepingCursor as SweepingCursor
 from smarttouch.reading.material import ReadingMaterial as ReadingMaterial
 from smarttouch.running.check_recording import assert_replays as assert_replays
 from smarttouch.running.check_recording import check_recording as check_recording
-from smarttouch.views.class_figures import thresholds_figure as thresholds_figure
 from smarttouch.views.figure_style import ANODIC as ANODIC
 from smarttouch.views.figure_style import CATHODIC as CATHODIC
 from smarttouch.views.figure_style import GREY as GREY

@@ -90,8 +90,8 @@ def simulate_letters(
         )  # fmt: skip
         figures |= at_nerve
     if picture is not None:
-        from smarttouch.views.class_figures import letter_figure
         from smarttouch.views.figure_style import save
+        from smarttouch.views.letter_figure import letter_figure
 
         sequence, active = letter_responses.letter_sequence(drawn[0], chosen, bank, driven)
         save(letter_figure(Finger(chosen, 1, anatomy), sequence, active), picture)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.electrodes import parse_ranges
-from smarttouch.base.errors import ScheduleError, SmartTouchError
+from smarttouch.base.errors import ScheduleError
 from smarttouch.instruments.receptor_responses import ReceptorResponse, split_trace
 from smarttouch.instruments.skin_trace import Trace
 from smarttouch.kernels.bank import KernelBank
@@ -24,14 +24,13 @@ from smarttouch.stimulation.point_slots import perceived_at
 from smarttouch.stimulation.pulse_rates import ScanTiming
 
 
-def disc(profile: Profile, radius_mm: float | None = None) -> NDArray[np.intp]:
+def disc(profile: Profile) -> NDArray[np.intp]:
     """Return the driven electrodes in the middle of the array, (S,), ascending: the nearest, and
-    all within a radius, by default one pitch."""
+    all within one pitch."""
     electrodes = profile.electrodes
     off_mm = electrodes.position_mm[profile.driven] - electrodes.position_mm.mean(axis=0)
     away_mm = np.hypot(off_mm[:, 0], off_mm[:, 1])
-    radius = electrodes.pitch_mm if radius_mm is None else radius_mm
-    return np.asarray(profile.driven[away_mm <= max(radius, away_mm.min()) + 1e-9])
+    return np.asarray(profile.driven[away_mm <= max(electrodes.pitch_mm, away_mm.min()) + 1e-9])
 
 
 def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) -> NDArray[np.intp]:
@@ -63,18 +62,10 @@ def chosen(profile: Profile, sites: Collection[int]) -> NDArray[np.intp]:
     return np.unique(np.array(list(sites), np.intp))
 
 
-def parse_places(
-    profile: Profile, sites: str | None, radius_mm: float | None
-) -> NDArray[np.intp] | list[int]:
+def parse_places(profile: Profile, sites: str | None) -> NDArray[np.intp] | list[int]:
     """Return the electrodes that a list such as 27,28,35-36 names, or all, or a `disc`."""
-    if sites is not None and radius_mm is not None:
-        message = "sites and a radius both say what pulses: give one of them"
-        raise SmartTouchError(message, about="sites")
-    if radius_mm is not None and not radius_mm >= 0:
-        message = f"a radius of {radius_mm:g} mm is not possible: give 0 or more"
-        raise SmartTouchError(message, about="radius_mm")
     if sites is None:
-        return disc(profile, radius_mm)
+        return disc(profile)
     if sites == "all":
         return profile.driven
     named: list[int] = []
@@ -150,6 +141,7 @@ class Mixture:
     carried: dict[Afferent, NDArray[np.intp]]  # (K,): which stimulus carries it
     left_out: tuple[Afferent, ...]  # classes that answer, but the board cannot drive
     vibrated: bool  # whether the row of PC is for vibrators, held until the next stimulus
+    answers: Mapping[Afferent, ReceptorResponse]  # response of each class to the trace
 
     @property
     def mode(self) -> Mode:
@@ -210,25 +202,10 @@ def mix_colors(
     >>> mixture.stimuli[0].activation.shape
     (3, 64)
     """
+    duration_s = trace.duration_s
     answers = split_trace(
         trace, sai_full_n=profile.force.full_n, sai_rate_hz=profile.pulse.sai_rate_hz
     )
-    return mix_answers(
-        answers, trace.duration_s, profile, bank, sites, timing, vibrated, pc_rate_hz
-    )
-
-
-def mix_answers(
-    answers: Mapping[Afferent, ReceptorResponse],
-    duration_s: float,
-    profile: Profile,
-    bank: KernelBank,
-    sites: Collection[int] | None = None,
-    timing: ScanTiming | None = None,
-    vibrated: bool = False,
-    pc_rate_hz: float = PC_RATE_HZ,
-) -> Mixture:
-    """Return the pulses of given responses, such as those of `split_trace`; see `mix_colors`."""
     timing = ScanTiming() if timing is None else timing
     places = disc(profile) if sites is None else chosen(profile, sites)
     pulsing, left_out = _drivable(answers, profile, bank, places, vibrated)
@@ -260,18 +237,11 @@ def mix_answers(
     if shaking:
         drive[:, Afferent.PC] = _drive_at(answers[Afferent.PC], time_us, duration_s)
     over_us = int(time_us[-1]) + least_us if len(time_us) else 0
+    end_us = max(over_us, round(duration_s * 1e6))
     return Mixture(
-        time_us,
-        drive,
-        places,
-        len(profile.electrodes),
-        max(over_us, round(duration_s * 1e6)),
-        least_us,
-        ideal,
-        carried,
-        left_out,
-        shaking,
-    )
+        time_us, drive, places, len(profile.electrodes), end_us, least_us, ideal, carried, left_out,
+        shaking, answers,
+    )  # fmt: skip
 
 
 def _drivable(

@@ -5,29 +5,21 @@ the best kernels that there are do more to another class than to PC, `smarttouch
 """
 
 import math
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.imaging.array_window import reading_force_n
-from smarttouch.instruments.color_mix import Mixture, Times, mix_answers, parse_places, stimulated
-from smarttouch.instruments.receptor_responses import ReceptorResponse, split_trace
-from smarttouch.instruments.skin_trace import Trace, open_trace
+from smarttouch.instruments.color_mix import Mixture, Times, mix_colors, parse_places, stimulated
+from smarttouch.instruments.skin_trace import open_trace
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.profile import Profile
 from smarttouch.running.display import Display
-from smarttouch.running.listener import Listener
-from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Stimulus, StimulusSource
-from smarttouch.views.class_figures import ClassRow, color_figure
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +60,7 @@ LONGEST_US = 20_000
 """Longest time between stimuli without a pulse, so that a lifted finger is noticed."""
 
 
-class ColorSource(StimulusSource, Listener):
+class ColorSource(StimulusSource):
     """Source of the pulses of a mixture in the course of time.
 
     Pulses wait if sequences take longer than foreseen, and those of several stimuli go together.
@@ -88,7 +80,6 @@ class ColorSource(StimulusSource, Listener):
         self._mixture, self._force_n = mixture, force_n
         self._next = 0
         self._given_us = np.full(len(mixture.time_us), -1, np.int64)
-        self._count = Counter[Afferent]()
 
     def read(self, time_ns: int) -> Stimulus | None:
         """Return the stimulus that is due; None after the last one."""
@@ -111,16 +102,6 @@ class ColorSource(StimulusSource, Listener):
         activation, number = mixture.at_sites(drive), self.frames - 1
         return Stimulus(activation, time_ns, self._force_n, period_us, number=number)
 
-    def step(self, result: StepResult) -> None:
-        """Count the pulses sent in a step."""
-        if result.number is not None and result.step.sequence.intensity > 0:
-            active = np.flatnonzero(result.step.tactile.activation.any(axis=1))
-            self._count.update(Afferent(each) for each in active.tolist())
-
-    def sent(self, afferent: Afferent) -> int:
-        """Return the number of pulses of a class sent to each site so far."""
-        return self._count[afferent]
-
     def error_us(self, afferent: Afferent) -> Times:
         """Return the delay of each requested pulse of a class, (K,) µs."""
         mixture = self._mixture
@@ -128,38 +109,20 @@ class ColorSource(StimulusSource, Listener):
         return (given_us - mixture.ideal_us[afferent])[given_us >= 0]
 
 
-def notes(mixture: Mixture, answers: Mapping[Afferent, ReceptorResponse]) -> list[str]:
+def notes(mixture: Mixture) -> list[str]:
     """Return warnings about a mixture, a sentence each."""
     said = []
     if mixture.left_out:
         names = " and ".join(each.name for each in mixture.left_out)
         said.append(f"{names} would answer too, and this board cannot drive it here: left out")
     for afferent, ideal_us in mixture.ideal_us.items():
-        spikes = len(answers[afferent].spike_s)
+        spikes = len(mixture.answers[afferent].spike_s)
         if afferent is not Afferent.PC and len(ideal_us) < 0.9 * spikes:
             said.append(
                 f"{afferent.name} gets {len(ideal_us)} of {spikes} pulses: a sequence for "
                 f"{len(mixture.sites)} sites takes {mixture.least_us / 1000:.1f} ms, choose fewer"
             )
     return said
-
-
-def draw_mixture(
-    trace: Trace, answers: Mapping[Afferent, ReceptorResponse], mixture: Mixture | None = None
-) -> "Figure":
-    """Draw a vibration, the response of each class, and the pulses if there are any."""
-    rows = {}
-    for afferent, answer in answers.items():
-        which = np.empty(0, np.intp)
-        shaken = mixture is not None and mixture.vibrated and afferent is Afferent.PC
-        if mixture is not None:
-            everything = np.arange(len(mixture.time_us))
-            which = everything if shaken else mixture.carried.get(afferent, which)
-            pulse_s, drive = mixture.time_us[which] / 1e6, mixture.drive[which, afferent]
-        else:
-            pulse_s = drive = np.empty(0)
-        rows[afferent] = ClassRow(answer.drive, pulse_s, drive.astype(np.float64), shaken)
-    return color_figure(trace.time_s, trace.displacement_um, trace.force_n, rows, trace.title)
 
 
 def open_vibration(
@@ -177,15 +140,12 @@ def open_vibration(
     display's board and vibrators decide what can be mixed; without one, any board can.
     """
     trace = open_trace(rest, seconds, seed)
-    full_n, sai_rate_hz = profile.force.full_n, profile.pulse.sai_rate_hz
-    answers = split_trace(trace, sai_full_n=full_n, sai_rate_hz=sai_rate_hz)
-    bank, places = load_bank(profile), parse_places(profile, sites, None)
+    bank, places = load_bank(profile), parse_places(profile, sites)
     timing = None if display is None else display.board.timing
     shaken = display is not None and display.vibrators_url is not None
-    duration_s = trace.duration_s
-    mixture = mix_answers(answers, duration_s, profile, bank, places, timing, shaken)
+    mixture = mix_colors(trace, profile, bank, places, timing, shaken)
     source = ColorSource(trace.title, profile, mixture, reading_force_n(profile))
-    source.notes += notes(mixture, answers)
+    source.notes += notes(mixture)
     if mixture.pulses(Afferent.PC):
         source.notes.append(str(pacinian_crosstalk(profile, bank, mixture.sites)))
     return source

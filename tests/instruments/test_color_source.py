@@ -5,13 +5,7 @@ import pytest
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.instruments.color_mix import mix_colors
-from smarttouch.instruments.color_source import (
-    LONGEST_US,
-    ColorSource,
-    notes,
-    pacinian_crosstalk,
-)
-from smarttouch.instruments.receptor_responses import split_trace
+from smarttouch.instruments.color_source import LONGEST_US, ColorSource, notes, pacinian_crosstalk
 from smarttouch.instruments.skin_trace import open_trace
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
@@ -111,10 +105,9 @@ def test_where_pc_cannot_be_driven_it_has_no_price(profile, bank):
 
 def test_notes_count_what_was_sent(profile, bank, make_source):
     spec = "tone:30Hz,9um+press:0.45N"
-    answers = split_trace(open_trace(spec, 0.5), sai_full_n=profile.force.full_n)
     source, mixture = make_source(spec, sites=range(64))
     asked(source)
-    assert answers[Afferent.SAI].mean_rate_hz == pytest.approx(23, abs=3)
-    (first,) = notes(mixture, answers)
+    assert mixture.answers[Afferent.SAI].mean_rate_hz == pytest.approx(23, abs=3)
+    (first,) = notes(mixture)
     assert "RA" in first
     assert numbers_in(first)[:4] == [7, 14, 64, 38.4]
