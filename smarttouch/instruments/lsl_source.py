@@ -1,7 +1,6 @@
 """``lsl:``: images or activations from a stream of the Lab Streaming Layer."""
 
 import contextlib
-import threading
 import time
 from importlib import import_module
 from typing import Any
@@ -12,15 +11,13 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import SourceError, SourceLostError
 from smarttouch.base.wire.socket_owners import TCP_TABLES, lead_to_us, own_sockets
-from smarttouch.instruments.pushed_stimuli import PushedStimuli
+from smarttouch.instruments.pushed_stimuli import LOOK_S, PushedStimuli
 from smarttouch.profile import Profile
 from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
 from smarttouch.sources.source_contract import Source
 
 FIND_S = 3.0
 """Time to look for a stream."""
-_LOOK_S = 0.1
-_JOIN_S = 1.0
 _MOST_SAMPLES = 64
 
 
@@ -97,13 +94,17 @@ class LslInlet:
 
     def newest(self, timeout_s: float) -> tuple[NDArray[np.float64] | None, int]:
         """Return the newest sample, None at the time limit, and how many came before it."""
+        inlet = self._inlet
+        lost = SourceLostError(f"the stream {self.name!r} has ended", about="name")
+        if inlet is None:
+            raise lost
         try:
-            first, _ = self._inlet.pull_sample(timeout=timeout_s)
+            first, _ = inlet.pull_sample(timeout=timeout_s)
             if first is None:
                 return None, 0
-            more, _ = self._inlet.pull_chunk(timeout=0.0, max_samples=_MOST_SAMPLES)
+            more, _ = inlet.pull_chunk(timeout=0.0, max_samples=_MOST_SAMPLES)
         except self._util.LostError:
-            raise SourceLostError(f"the stream {self.name!r} has ended", about="name") from None
+            raise lost from None
         return np.asarray(more[-1] if more else first, np.float64), len(more)
 
     def close(self) -> None:
@@ -154,7 +155,6 @@ class LslStimuli(PushedStimuli):
 
     def __init__(self, name: str, profile: Profile, follow: bool) -> None:
         super().__init__(f"LSL stream {name}", profile, follow)
-        self.wrong: int = 0
         self._inlet = LslInlet(name)
         self._inlet.open()
         count = len(profile.electrodes)
@@ -166,30 +166,18 @@ class LslStimuli(PushedStimuli):
                 f"electrodes, so give {count} or {len(Afferent) * count}, or size for images",
                 about="channels",
             )
-        self._closing = False
-        self._thread = threading.Thread(target=self._take_all, name="lsl", daemon=True)
         self._thread.start()
 
-    def _take_all(self) -> None:
-        while not self._closing:
-            try:
-                self._take()
-            except SourceError:
-                if self._closing or not self._found_again():
-                    return
-
-    def _found_again(self) -> bool:
-        """Look for the stream until it is there again; False if the source closes."""
-        while not self._closing:
+    def receive(self) -> None:
+        try:
+            sample, before = self._inlet.newest(LOOK_S)
+        except SourceError:
+            # Until it is there again.
             self._inlet.close()
+            time.sleep(LOOK_S)
             with contextlib.suppress(SourceError):
                 self._inlet.open()
-                return True
-            time.sleep(_LOOK_S)
-        return False
-
-    def _take(self) -> None:
-        sample, before = self._inlet.newest(_LOOK_S)
+            return
         if sample is None:
             return
         self.frames += before
@@ -201,12 +189,9 @@ class LslStimuli(PushedStimuli):
             self.wrong += 1
 
     def close(self) -> None:
-        self._closing = True
-        self._thread.join(_JOIN_S)
+        super().close()
         self._inlet.close()
-        if self.wrong:
-            self.notes.append(f"{self.wrong} activations were not from 0 to 1 and were left out")
-            self.wrong = 0
+        self._note_wrong("activations were not from 0 to 1 and were left out")
 
 
 def _import_lsl() -> tuple[Any, Any]:

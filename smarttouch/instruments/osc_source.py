@@ -10,7 +10,6 @@ import re
 import select
 import socket
 import struct
-import threading
 import time
 from collections import defaultdict
 from collections.abc import Sequence
@@ -28,7 +27,7 @@ from smarttouch.base.files import open_file
 from smarttouch.base.lazy_names import import_extra
 from smarttouch.base.posix import user_number
 from smarttouch.base.wire.socket_owners import UDP_TABLES, read_sockets
-from smarttouch.instruments.pushed_stimuli import PushedStimuli
+from smarttouch.instruments.pushed_stimuli import LOOK_S, PushedStimuli
 from smarttouch.profile import Profile
 
 LEAST_KEY_BYTES = 16
@@ -143,8 +142,6 @@ def received(line: socket.socket) -> Sequence[Packet]:
 
 MOST_PIXELS = 1_000_000
 _SIGNED = "/smarttouch/signed"
-_LOOK_S = 0.1
-_JOIN_S = 1.0
 
 
 def open_osc(
@@ -184,32 +181,21 @@ class OscSource(PushedStimuli):
     """
 
     def __init__(
-        self,
-        profile: Profile,
-        host: str,
-        port: int,
-        key: Path | None = None,
-        follow: bool = False,
+        self, profile: Profile, host: str, port: int, key: Path | None = None, follow: bool = False
     ) -> None:
         self._parse = _import_parser()
         self._key = None if key is None else Key(key)
         self._programs = OwnPrograms() if key is None else None
         super().__init__(f"OSC at {host}:{port}", profile, follow)
-        self.wrong: int = 0
         self.refused: int = 0
         self._electrodes = profile.electrodes
         self._line = _bound(host, port, alone=key is None)
-        self._closing = False
-        self._thread = threading.Thread(target=self._listen, name="osc", daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        self._closing = True
-        self._thread.join(_JOIN_S)
+        super().close()
         self._line.close()
-        if self.wrong:
-            self.notes.append(f"{self.wrong} OSC packets were invalid")
-            self.wrong = 0
+        self._note_wrong("OSC packets were invalid")
         if self.refused:
             self.notes.append(
                 f"{self.refused} OSC packets were refused: they were of other users, of programs "
@@ -217,18 +203,17 @@ class OscSource(PushedStimuli):
             )
             self.refused = 0
 
-    def _listen(self) -> None:
-        while not self._closing:
-            waits = select.select([self._line], [], [], _LOOK_S)[0]
-            packets = received(self._line) if waits else ()
-            if self._programs is not None:
-                try:
-                    self._programs.look()
-                except OSError:
-                    self.refused += len(packets)
-                    continue
-            for each in packets:
-                self._admit(each)
+    def receive(self) -> None:
+        waits = select.select([self._line], [], [], LOOK_S)[0]
+        packets = received(self._line) if waits else ()
+        if self._programs is not None:
+            try:
+                self._programs.look()
+            except OSError:
+                self.refused += len(packets)
+                return
+        for each in packets:
+            self._admit(each)
 
     def _admit(self, packet: Packet) -> None:
         """Take a packet from a program that may send."""

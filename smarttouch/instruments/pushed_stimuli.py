@@ -1,5 +1,7 @@
 """Activations that other programs send: the newest wins, and wakes the loop."""
 
+import threading
+from abc import abstractmethod
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +14,9 @@ from smarttouch.sources.source_contract import Input, Stimulus
 
 SILENT_S = 0.5
 """Silence after which an activation is stale."""
+LOOK_S = 0.1
+"""Longest wait of the receiving thread, which then looks whether it is to end."""
+_JOIN_S = 1.0
 
 
 class PushedStimuli(SessionFeed):
@@ -32,9 +37,30 @@ class PushedStimuli(SessionFeed):
         super().__init__(profile, title)
         self.given: int = 0
         """Number of activations that came so far."""
-        self._follow = follow
+        self.wrong: int = 0
+        """Number of those that were left out, as they were invalid."""
+        self._follow, self._closing = follow, False
+        self._thread = threading.Thread(target=self._receive_all, name="received", daemon=True)
         self.put(np.zeros((len(Afferent), len(profile.electrodes)), np.float32), 0)
         self._put_sent_ns = 0
+
+    @abstractmethod
+    def receive(self) -> None:
+        """Wait for at most `LOOK_S`, and `push` what has come; called by a thread of its own."""
+
+    def _receive_all(self) -> None:
+        while not self._closing:
+            self.receive()
+
+    def close(self) -> None:
+        self._closing = True
+        self._thread.join(_JOIN_S)
+
+    def _note_wrong(self, words: str) -> None:
+        """Add a note on how many were left out, and why."""
+        if self.wrong:
+            self.notes.append(f"{self.wrong} {words}")
+            self.wrong = 0
 
     def push(self, activation: NDArray[np.float32]) -> None:
         """Take an activation, (3, E) in [0, 1], that is not written to again."""

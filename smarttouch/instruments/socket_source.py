@@ -13,7 +13,6 @@ import re
 import select
 import socket
 import stat
-import threading
 import time
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import SourceError
 from smarttouch.base.wire.socket_owners import TCP_TABLES, is_from_us
-from smarttouch.instruments.pushed_stimuli import PushedStimuli
+from smarttouch.instruments.pushed_stimuli import LOOK_S, PushedStimuli
 from smarttouch.profile import Profile
 from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
 from smarttouch.sources.source_contract import DeviceWarnings, Source
@@ -32,8 +31,6 @@ MOST_PIXELS = 4_000_000
 _HEAD = re.compile(rb"P5\s(?:#[^\n]*\n)*\s*(\d+)\s+(\d+)\s+(\d+)\s")
 _LONGEST_HEAD = 1000
 _PIECE = 1 << 16
-_LOOK_S = 0.1
-_JOIN_S = 1.0
 
 
 def open_socket(
@@ -190,38 +187,30 @@ class SocketStimuli(PushedStimuli):
     def __init__(self, device: SocketImages, profile: Profile, follow: bool) -> None:
         super().__init__(device.title, profile, follow)
         self.notes: list[str] = device.notes
-        self.wrong: int = 0
         self.device = device
         self._shapes = [(rows, len(profile.electrodes)) for rows in (1, len(Afferent))]
-        self._closing = False
         device.open()
-        self._thread = threading.Thread(target=self._take_all, name="socket", daemon=True)
         self._thread.start()
 
-    def _take_all(self) -> None:
-        while not self._closing:
-            shot = self.device.newest(_LOOK_S)
-            if shot is None:
-                continue
-            self.dropped_frames += shot.missed
-            self.frames += shot.missed
-            if shot.image.shape in self._shapes:
-                level = np.asarray(shot.image / np.float32(255), np.float32)
-                self.push(np.ascontiguousarray(np.broadcast_to(level, self._shapes[1])))
-            else:
-                self.wrong += 1
+    def receive(self) -> None:
+        shot = self.device.newest(LOOK_S)
+        if shot is None:
+            return
+        self.dropped_frames += shot.missed
+        self.frames += shot.missed
+        if shot.image.shape in self._shapes:
+            level = np.asarray(shot.image / np.float32(255), np.float32)
+            self.push(np.ascontiguousarray(np.broadcast_to(level, self._shapes[1])))
+        else:
+            self.wrong += 1
 
     def close(self) -> None:
-        self._closing = True
-        self._thread.join(_JOIN_S)
+        super().close()
         self.device.close()
-        if self.wrong:
-            wide = self._shapes[0][1]
-            self.notes.append(
-                f"{self.wrong} activations were not {wide} wide and 1 or 3 high, as this array "
-                "needs them"
-            )
-            self.wrong = 0
+        wide = self._shapes[0][1]
+        self._note_wrong(
+            f"activations were not {wide} wide and 1 or 3 high, as this array needs them"
+        )
 
 
 def _listening(place: str) -> socket.socket:
