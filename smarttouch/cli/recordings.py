@@ -36,12 +36,12 @@ def repair(
 ) -> None:
     """Write all that can be read to a valid file; the old file stays as it is."""
     from smarttouch.running.recording_files import is_sound
-    from smarttouch.running.recording_files import repair as write_anew
+    from smarttouch.running.recording_files import repair as write_whole
 
     if output is None and is_sound(file):
         print(f"{file} is whole: there is nothing to repair")
         return
-    done = write_anew(file, output)
+    done = write_whole(file, output)
     damaged = f"; {done.damaged_chunks} damaged pieces left out" if done.damaged_chunks else ""
     print(f"{done.path}: {done.steps:,} sequences, {done.seconds:.1f} s{damaged}")
 
@@ -165,7 +165,7 @@ def report(
         "smarttouch-report.json"
     ),
 ) -> None:
-    """Write a file for a bug report: versions, boards, settings and last events.
+    """Write a file for a bug report: versions, drivers and settings.
 
     It contains nothing about participants: no name, note, file name, threshold, current or answer.
     """

@@ -2,26 +2,14 @@
 
 import platform
 import re
-from importlib.metadata import PackageNotFoundError, entry_points, requires, version
+from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import Any
 
-from serial.tools import list_ports
-
-from smarttouch.base.afferent import Mode
-from smarttouch.base.events import (
-    FingerLifted,
-    InputLost,
-    InputRestored,
-    ModeChanged,
-    Paused,
-    Resumed,
-)
 from smarttouch.base.registry import known_names
 from smarttouch.base.version import __version__
 from smarttouch.running.recording_reader import Recording
 
-_GROUPS = ("boards", "sources", "forces")
 _URLS = {"sensor": "sources", "board": "boards", "vibrators": "boards", "force": "forces"}
 """Settings that are URLs, with the group in which the name of each is known."""
 _VERSIONS = ("smarttouch", "python", "numpy", "opencv", "scipy", "mcap")
@@ -33,17 +21,6 @@ _FIRMWARE = re.compile(
 _PULSE = ("width_us", "discharge_us", "rate_hz", "carrier", "ra_rate_hz", "sai_rate_hz")
 _LIMITS = ("total_ma", "pulse_us", "charge_uc", "rate_hz", "duty", "ramp_s", "density_uc_cm2")
 """Limits of a device; those of single electrodes and of the current are of a person, too."""
-_LAST = 50
-_EVENTS = frozenset(
-    str(each)
-    for each in (
-        Paused(0), Resumed(0), InputLost(0, True), InputLost(0, False), InputRestored(0),
-        FingerLifted(0), *(ModeChanged(0, mode) for mode in Mode),
-    )
-)  # fmt: skip
-"""Events in a report, by their words. All others have words of files, boards and people."""
-_OF_PEOPLE = "experiment:"
-"""Beginning of sources whose events are trials and answers."""
 
 
 def bug_report(recording: Path | None = None) -> dict[str, Any]:
@@ -57,9 +34,7 @@ def bug_report(recording: Path | None = None) -> dict[str, Any]:
         "python": platform.python_version(),
         "platform": platform.platform(),
         "packages": dict(_packages()),
-        "others": {group: _others(group) for group in _GROUPS},
         "drivers": list(known_names("smarttouch.boards")),
-        "usb_ports": _usb_ports(),
     }
     if recording is not None:
         report["run"] = _of_run(Recording(recording))
@@ -81,21 +56,6 @@ def _packages() -> list[tuple[str, str]]:
     return found
 
 
-def _others(group: str) -> list[str]:
-    """Return the plug-ins of other packages, with their versions."""
-    return sorted(
-        f"{each.name}: of {each.dist.name} {each.dist.version}" if each.dist else each.name
-        for each in entry_points(group=f"smarttouch.{group}")
-    )
-
-
-def _usb_ports() -> list[str]:
-    """Return vendor and product of each serial port on USB; descriptions may name their owner."""
-    return sorted(
-        f"{each.vid:04x}:{each.pid:04x}" for each in list_ports.comports() if each.vid is not None
-    )
-
-
 def _of_run(recording: Recording) -> dict[str, Any]:
     settings, profile = recording.settings, recording.profile
     kinds = {name: _kind(settings.get(name), group) for name, group in _URLS.items()}
@@ -113,7 +73,6 @@ def _of_run(recording: Recording) -> dict[str, Any]:
             "pulse": profile.pulse.model_dump(mode="json", include={*_PULSE}),
             "limits": profile.limits.model_dump(mode="json", include={*_LIMITS}),
         },
-        "events": _events(recording, kinds["sensor"]),
     }
 
 
@@ -121,7 +80,7 @@ def _kind(url: object, group: str) -> str | None:
     """Return the name that a URL begins with if it is one of a group, as no file's name is."""
     name, colon, _ = str(url or "").partition(":")
     known = known_names(f"smarttouch.{group}")
-    if colon and (name in known or f"{name}:" == _OF_PEOPLE):
+    if colon and (name in known or name == "experiment"):
         return f"{name}:"
     return "other" if url else None
 
@@ -129,11 +88,3 @@ def _kind(url: object, group: str) -> str | None:
 def _version(found: object) -> str | None:
     """Return a version as programs write it; None for any other words."""
     return found if isinstance(found, str) and _VERSION.fullmatch(found) else None
-
-
-def _events(recording: Recording, source: str | None) -> list[str]:
-    if source == _OF_PEOPLE:
-        return []
-    found = [f"{at_ns / 1e9:.3f} s  {words}" for at_ns, words in recording.events()
-             if words in _EVENTS]  # fmt: skip
-    return found[-_LAST:]
