@@ -139,10 +139,6 @@ class MouseSource(StimulusSource):
         profile: Profile,
         mode: Mode = Mode.RA,  # class that pulses: one of RA, SAI and PC
         rate_hz: float = USUAL_RATE_HZ,  # frames a second
-        # pulses a second of each electrode; as many as a finger can resolve, and at most half the
-        # frames, if not given
-        fastest_hz: float | None = None,
-        scale: float = 1.0,  # millimeters of the texture for one of the hand
         # force of a virtual finger, where the motion does not report it; boards that a finger may
         # be on need another source
         press_n: float | None = None,
@@ -151,9 +147,10 @@ class MouseSource(StimulusSource):
         if len(mode.afferents) != 1:
             message = f"mode {mode} is more than one class: choose RA, SAI or PC"
             raise SourceError(message, about="mode")
-        if not 0 < scale < math.inf:
-            raise SourceError(f"a scale of {scale:g} must be above 0", about="scale")
-        self.fastest_hz: float = _possible_hz(rate_hz, fastest_hz, profile.limits.rate_hz)
+        words, most_hz = f"a rate of {rate_hz:g} frames a second", profile.limits.rate_hz
+        require_within(SourceError, "rate_hz", rate_hz, SLOWEST_RATE_HZ, most_hz, words)
+        # As many as a finger can resolve, and at most half the frames.
+        self.fastest_hz: float = min(FASTEST_HZ, rate_hz / 2)
         self.duration_s: float | None = motion.duration_s
         self.knows_force: bool = motion.knows_force or press_n is not None
         self.measures_force: bool = motion.measures_force
@@ -166,7 +163,7 @@ class MouseSource(StimulusSource):
         self._limit = PulseLimit(self._electrodes, self.fastest_hz)
         self._afferent: Afferent = mode.afferents[0]
         self._period_us = round(1e6 / rate_hz)
-        self._scale, self._press_n = scale, press_n
+        self._press_n = press_n
         self._steady = Deadband(motion.resolution_mm)
         self._feeler = texture.feeler(profile.electrodes.position_mm)
         self._pixel_mm = pixel_pitch_mm(profile)
@@ -186,7 +183,7 @@ class MouseSource(StimulusSource):
         if self._origin is None:
             self._origin = self.motion.origin_mm or self.texture.middle_mm
         x, y = self._steady.follow(*moved)
-        place = (self._origin[0] + self._scale * x, self._origin[1] + self._scale * y)
+        place = (self._origin[0] + x, self._origin[1] + y)
         activation = np.zeros((len(Afferent), self._electrodes), np.float32)
         if place != self._place:
             activation[self._afferent] = self._pulses(place, time_ns)
@@ -253,22 +250,6 @@ class MouseSource(StimulusSource):
                 f"{self.merged} ridges passed an electrode together with another in one frame: "
                 "move more slowly",
             )
-
-
-def _possible_hz(rate_hz: float, fastest_hz: float | None, most_hz: float) -> float:
-    """Return the highest pulse rate, or raise if the rates are incompatible."""
-    words = f"a rate of {rate_hz:g} frames a second on this profile"
-    require_within(SourceError, "rate_hz", rate_hz, SLOWEST_RATE_HZ, most_hz, words)
-    if fastest_hz is None:
-        return min(FASTEST_HZ, rate_hz / 2)
-    if not 0 < fastest_hz <= rate_hz / 2:
-        raise SourceError(
-            f"{fastest_hz:g} pulses a second are not possible with {rate_hz:g} frames: give at "
-            f"most half of them, {rate_hz / 2:g}, or more frames",
-            about="fastest_hz",
-            remedy="rate_hz",
-        )
-    return fastest_hz
 
 
 def open_motion_over(texture: Texture, url: str, profile: Profile, **options: Any) -> HandMotion:

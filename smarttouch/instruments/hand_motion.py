@@ -164,10 +164,6 @@ REST_S = 0.3
 USUAL_ROUNDS = 1
 _MOST_ROUNDS = 10_000
 _MOST_STROKES = 100_000
-_TREMOR_HZ = (8.3, 9.7, 11.6)
-"""Physiological tremor of hands lies between 8 and 12 Hz (Elble and Randall, 1976)."""
-_TREMOR_MM = 0.05
-"""Root mean square along each axis; an estimate of ours for a hand that lies on a mouse."""
 
 
 def open_sweep(
@@ -177,7 +173,6 @@ def open_sweep(
     span_mm: tuple[float, float] = (60.0, 0.0),
     lane_mm: float = 16.0,
     origin_mm: tuple[float, float] | None = None,
-    seed: int | None = None,
 ) -> "SweepMotion":
     """Open ``sweep:`` or ``sweep:ROUNDS``; options are those of `SweepMotion`, and its origin."""
     if rest and not (rest.isdecimal() and 0 < int(rest) <= _MOST_ROUNDS):
@@ -185,7 +180,7 @@ def open_sweep(
             f"sweep:{rest} is no number of rounds: give 1 to {_MOST_ROUNDS}, as in sweep:3",
             about="rounds",
         )
-    motion = SweepMotion(speed_mm_s, span_mm, lane_mm, int(rest or USUAL_ROUNDS), seed)
+    motion = SweepMotion(speed_mm_s, span_mm, lane_mm, int(rest or USUAL_ROUNDS))
     motion.origin_mm = origin_mm
     return motion
 
@@ -209,7 +204,6 @@ class SweepMotion(HandMotion):
         span_mm: tuple[float, float] = (60.0, 0.0),  # width and height of the area
         lane_mm: float = 16.0,  # largest distance of lanes
         rounds: int = USUAL_ROUNDS,  # number of rounds, forth and back
-        seed: int | None = None,  # of tremor; none if not given
     ) -> None:
         require_within(SourceError, "speed_mm_s", speed_mm_s, SLOWEST_MM_S, FASTEST_MM_S)
         super().__init__(f"a virtual hand at {speed_mm_s:g} mm/s")
@@ -222,10 +216,6 @@ class SweepMotion(HandMotion):
             )
         self._table = _timed(np.vstack([points[:1], *[points[1:]] * rounds]), speed_mm_s)
         self.duration_s: float = float(self._table[-1, 0])
-        self._phases: NDArray[np.float64] | None = None
-        if seed is not None:
-            random = np.random.default_rng(seed)
-            self._phases = random.uniform(0, 2 * math.pi, (2, len(_TREMOR_HZ)))
 
     def read(self, time_ns: int) -> tuple[float, float] | None:
         """Return the position of the hand at a time; None after the last rest."""
@@ -233,15 +223,7 @@ class SweepMotion(HandMotion):
         if time_s > self._table[-1, 0]:
             return None
         x, y = (float(np.interp(time_s, self._table[:, 0], each)) for each in self._table.T[1:])
-        if self._phases is not None:
-            x, y = x + self._tremor(time_s, 0), y + self._tremor(time_s, 1)
         return x, y
-
-    def _tremor(self, time_s: float, axis: int) -> float:
-        assert self._phases is not None
-        turns = 2 * math.pi * time_s * np.array(_TREMOR_HZ)
-        swing = np.sin(turns + self._phases[axis]) - np.sin(self._phases[axis])
-        return _TREMOR_MM * math.sqrt(2 / len(_TREMOR_HZ)) * float(swing.sum())
 
 
 def _round_trip(span_mm: tuple[float, float], lane_mm: float) -> NDArray[np.float64]:

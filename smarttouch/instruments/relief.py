@@ -248,10 +248,7 @@ class ReliefFeeler:
         return RidgeCrossing(np.asarray(height * pulsed, np.float32), merged)
 
     def _crests(
-        self,
-        depth: NDArray[np.float32],
-        lowest: NDArray[np.float32],
-        step_mm: float,
+        self, depth: NDArray[np.float32], lowest: NDArray[np.float32], step_mm: float
     ) -> tuple[NDArray[np.bool_], NDArray[np.intp], int]:
         """Return which electrodes passed a crest, the sample of the last, and how many more."""
         middle = depth[1:-1]
@@ -328,23 +325,18 @@ def open_texture(
     in ``wood.png?dpi=300&tiled``.
     """
     place, in_url = read_options(open_texture, spec, PageError)
+    given = {
+        "dpi": dpi, "width_mm": width_mm, "grain_mm": grain_mm, "tiled": tiled or None,
+        "light_on_dark": light_on_dark or None,
+    }  # fmt: skip
+    given = {name: value for name, value in given.items() if value is not None}
     if in_url:
-        given = {
-            "dpi": dpi, "width_mm": width_mm, "grain_mm": grain_mm, "tiled": tiled or None,
-            "light_on_dark": light_on_dark or None,
-        }  # fmt: skip
-        given = {name: value for name, value in given.items() if value is not None}
         return open_texture(place, **joined_options(spec, given, in_url, PageError))
     kind, _, rest = spec.partition(":")
     if kind == "grating" and ":" in spec:
-        given = {
-            "dpi": dpi, "width_mm": width_mm, "grain_mm": grain_mm, "tiled": tiled,
-            "light_on_dark": light_on_dark,
-        }  # fmt: skip
-        for name, value in given.items():
-            if value:
-                message = f"{name} is for images, and {spec} is exact: leave it out"
-                raise PageError(message, about=name)
+        for name in given:
+            message = f"{name} is for images, and {spec} is exact: leave it out"
+            raise PageError(message, about=name)
         return _grating(spec, rest)
     if kind == "text" and ":" in spec:
         if dpi is not None:

@@ -41,10 +41,6 @@ class Pointer:
         # One tuple is replaced at once: no lock is needed.
         self.place_px: tuple[float, float] = (size_px[0] / 2, size_px[1] / 2)
 
-    def move_to(self, x_px: float, y_px: float) -> None:
-        """Set the position of the pointer."""
-        self.place_px = (x_px, y_px)
-
     @property
     def place_mm(self) -> tuple[float, float]:
         """Position from the top left corner of the picture."""
@@ -136,7 +132,7 @@ class WindowMotion(HandMotion):
         picture = tkinter.PhotoImage(master=root, data=_png(image))
         label = tkinter.Label(root, image=picture, borderwidth=0, cursor="crosshair")
         label.pack()
-        label.bind("<Motion>", lambda event: pointer.move_to(event.x, event.y))
+        label.bind("<Motion>", lambda event: setattr(pointer, "place_px", (event.x, event.y)))
         self.resolution_mm = mm_per_px
         self.title: str = f"the pointer over a window, {mm_per_px:.3f} mm a pixel"
         return pointer, picture

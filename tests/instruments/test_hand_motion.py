@@ -57,15 +57,8 @@ def test_strokes_pass_every_electrode_over_all_of_a_texture(wide, high, across, 
         assert lanes == pytest.approx([high / 2])
 
 
-def test_rounds_and_tremor():
+def test_rounds():
     assert open_motion("sweep:3").duration_s > 2.5 * open_motion("sweep:").duration_s
-    plain, shaken = places(SweepMotion(40.0)), places(SweepMotion(40.0, seed=1))
-    again, other = places(SweepMotion(40.0, seed=1)), places(SweepMotion(40.0, seed=2))
-    np.testing.assert_array_equal(shaken, again)
-    assert not np.array_equal(shaken, other)
-    assert shaken[0] == pytest.approx([0, 0])
-    apart = np.abs(shaken - plain)
-    assert 0.02 < apart.std() < 0.2
 
 
 def test_a_recorded_way(tmp_path):

@@ -24,7 +24,7 @@ def test_what_is_shown_is_as_large_as_it_is_or_smaller():
 def test_pixels_become_millimeters():
     pointer = Pointer((400, 200), 0.25)
     assert pointer.place_mm == (50, 25)
-    pointer.move_to(40, 100)
+    pointer.place_px = (40, 100)
     assert pointer.place_mm == (10, 25)
 
 
