@@ -15,8 +15,7 @@ from smarttouch.base.files import require_folder, write_bytes
 from smarttouch.base.wire.device_lines import PtyLine, TcpLine
 
 if TYPE_CHECKING:
-    from smarttouch.emulator.finger_events import EmulatedFinger
-    from smarttouch.emulator.firmware import DeliveryLog, Firmware
+    from smarttouch.emulator.firmware import Firmware
     from smarttouch.emulator.sensors import Look
     from smarttouch.emulator.server import LineStatistics
     from smarttouch.profile import Profile
@@ -69,19 +68,58 @@ def emulate_board(
     port_only: _PortOnly = False,
 ) -> None:
     """Emulate a board on skin, behind a port whose name is printed, until Ctrl-C."""
+    from smarttouch.boards.link.protocol import OUTPUTS
     from smarttouch.emulator.finger_events import EmulatedFinger
     from smarttouch.emulator.firmware import DeliveryLog
+    from smarttouch.emulator.kit_hardware import GENERATIONS
+    from smarttouch.emulator.sequence_at_hand import Room
     from smarttouch.emulator.skin import COMPLIANCE_V
 
     if name not in BOARDS:
         raise not_offered("emulator", name, BOARDS)
     electrodes = BOARDS[name] if electrodes is None else electrodes
     volts = COMPLIANCE_V if compliance is None else compliance
-    _require_board(name, electrodes, volts, output, firmware)
-    _require_places(tcp, discovery_port, books)
+    usual = Room()
+    room = replace(usual, slots=slots or usual.slots, packet_bytes=packet or usual.packet_bytes)
+    least = 61 if name == "kajimoto61" else 1
+    _require(
+        ("electrodes", electrodes, least, _MOST_ELECTRODES[name]),
+        ("compliance", volts, *_COMPLIANCES_V),
+        ("ramp_ms", ramp_ms, 0, 10_000),
+        ("slots", room.slots, 1, usual.slots),
+        ("packet", room.packet_bytes, 64 + 8 * electrodes, usual.packet_bytes),
+        ("discovery_port", 1 if discovery_port is None else discovery_port, 1, 65_535),
+    )
+    kind = next((each for each in OUTPUTS if each == output), None)
+    if kind is None:
+        raise not_offered("output", output, OUTPUTS)
+    if firmware is not None and name != "etactilekit":
+        message = f"firmware is for etactilekit, and a {name} has only one: leave it out"
+        raise SmartTouchError(message, about="firmware")
+    if firmware is not None and firmware not in GENERATIONS:
+        raise not_offered("firmware", firmware, GENERATIONS)
+    if discovery_port is not None and not tcp:
+        message = "discovery_port is for a board on the network: serve TCP"
+        raise SmartTouchError(message, about="discovery_port", remedy="tcp")
+    if books is not None and not books.is_dir():
+        raise SmartTouchError(f"{books} is no folder: make it first", about="books")
     kept, finger = DeliveryLog(electrodes, books), EmulatedFinger(electrodes, event or ())
+    if name == "link":
+        from smarttouch.emulator.link_firmware import LinkFirmware
+
+        device: Firmware = LinkFirmware(
+            electrodes, kind, kept, finger, volts, ramp_ms=ramp_ms, room=room
+        )
+    elif name == "kajimoto61":
+        from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
+
+        device = Kajimoto61Firmware(kept, finger, volts)
+    else:
+        from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
+
+        device = ETactileKitFirmware(kept, finger, volts, firmware or "71adee2")
     _serve(
-        _board(name, kept, finger, volts, output, firmware, ramp_ms, slots, packet),
+        device,
         lambda: TcpLine(discovery_port) if tcp else PtyLine(),
         str if port_only else partial(_board_advice, name),
         linger,
@@ -89,67 +127,10 @@ def emulate_board(
     )
 
 
-def _require_board(
-    name: str, electrodes: int, volts: float, output: str, firmware: str | None
-) -> None:
-    """Raise unless such a board can be emulated."""
-    from smarttouch.boards.link.protocol import OUTPUTS
-    from smarttouch.emulator.kit_hardware import GENERATIONS
-
-    least, most = 61 if name == "kajimoto61" else 1, _MOST_ELECTRODES[name]
-    require_within(SmartTouchError, "electrodes", electrodes, least, most)
-    require_within(SmartTouchError, "compliance", volts, *_COMPLIANCES_V)
-    if output not in OUTPUTS:
-        raise not_offered("output", output, OUTPUTS)
-    if firmware is not None:
-        if name != "etactilekit":
-            message = f"firmware is for etactilekit, and a {name} has only one: leave it out"
-            raise SmartTouchError(message, about="firmware")
-        if firmware not in GENERATIONS:
-            raise not_offered("firmware", firmware, GENERATIONS)
-
-
-def _require_places(tcp: bool, discovery_port: int | None, books: Path | None) -> None:
-    """Raise unless the options for discovery and books make sense."""
-    if discovery_port is not None:
-        require_within(SmartTouchError, "discovery_port", discovery_port, 1, 65_535)
-        if not tcp:
-            message = "discovery_port is for a board on the network: serve TCP"
-            raise SmartTouchError(message, about="discovery_port", remedy="tcp")
-    if books is not None and not books.is_dir():
-        raise SmartTouchError(f"{books} is no folder: make it first", about="books")
-
-
-def _board(
-    name: str,
-    books: "DeliveryLog",
-    finger: "EmulatedFinger",
-    volts: float,
-    output: str,
-    firmware: str | None,
-    ramp_ms: int,
-    slots: int | None,
-    packet: int | None,
-) -> "Firmware":
-    from smarttouch.boards.link.protocol import OUTPUTS, Output
-    from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
-    from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
-    from smarttouch.emulator.link_firmware import LinkFirmware
-    from smarttouch.emulator.sequence_at_hand import Room
-
-    if name == "kajimoto61":
-        return Kajimoto61Firmware(books, finger, volts)
-    if name == "etactilekit":
-        return ETactileKitFirmware(books, finger, volts, firmware or "71adee2")
-    kind: Output = next(each for each in OUTPUTS if each == output)
-    require_within(SmartTouchError, "ramp_ms", ramp_ms, 0, 10_000)
-    room = Room()
-    slots, packet = slots or room.slots, packet or room.packet_bytes
-    require_within(SmartTouchError, "slots", slots, 1, room.slots)
-    least = 64 + 8 * books.electrodes
-    require_within(SmartTouchError, "packet", packet, least, room.packet_bytes)
-    room = replace(room, slots=slots, packet_bytes=packet)
-    return LinkFirmware(books.electrodes, kind, books, finger, volts, ramp_ms=ramp_ms, room=room)
+def _require(*ranges: tuple[str, float, float, float]) -> None:
+    """Raise unless each option, with its value, least and most, is in its range."""
+    for about, value, least, most in ranges:
+        require_within(SmartTouchError, about, value, least, most)
 
 
 def _board_advice(name: str, port: str) -> str:
@@ -202,7 +183,7 @@ def emulate_sensor(
     if name not in SENSORS:
         raise not_offered("emulator", name, SENSORS)
     rate_hz = SENSORS[name] if rate is None else rate
-    for about, value, least, most in (
+    _require(
         ("rate", rate_hz, *_RATES_HZ),
         ("rows", rows, 2, MOST_PIXELS_A_SIDE),
         ("columns", columns, 2, MOST_PIXELS_A_SIDE),
@@ -211,8 +192,7 @@ def emulate_sensor(
         ("counts_per_n", abs(counts_per_n), 0.001, _LARGEST),
         ("noise", noise, 0, _LARGEST),
         ("seed", seed, 0, math.inf),
-    ):
-        require_within(SmartTouchError, about, value, least, most)
+    )
     require_folder(books)
     faults = [parse(text, FAULTS, SourceError) for text in event or ()]
     kinds = {fault.kind for fault in faults}

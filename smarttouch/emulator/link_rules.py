@@ -125,7 +125,7 @@ def _slot_by_slot(
                 assert sequence.current_ua is not None
                 sequence.current_ua[slot] = summed(keep.weights, kernel, amplitude)
                 sequence.site[slot] = keep.site[kernel[0]]
-            charged_ua: NDArray[np.int64] | int
+            charged_ua: NDArray[np.int64]
             if group.kind == 3:
                 assert sequence.source_ua is not None
                 assert sequence.state is not None
@@ -139,11 +139,8 @@ def _slot_by_slot(
                 charged_ua = np.abs(signed)
             if found:
                 return found, (0, 0)
-            charge = charged_ua * int(width[slot])
-            if len(over := np.flatnonzero(charge > limits.charge_pc)):
-                electrode = int(over[0])
-                value, most_pc = int(charge[electrode]), int(limits.charge_pc[electrode])
-                return BrokenRule(Rule.CHARGE, slot, electrode, value, most_pc), (0, 0)
+            if found := _above(Rule.CHARGE, slot, charged_ua * int(width[slot]), limits.charge_pc):
+                return found, (0, 0)
             most = int(np.abs(signed).max(initial=0))
             peak_ua, peak_pc = max(peak_ua, most), max(peak_pc, most * int(width[slot]))
             load.add(signed[None], width[slot : slot + 1], limits.felt_ua)
@@ -223,17 +220,11 @@ def _whole(
         load.charge_pc += np.abs(recharge_pc)
         load.net_pc += recharge_pc
     burst_us = min(sequence.period_us, BURST_US)
-    allowed = MAX_MEAN_UA * burst_us
     charge_pc, felt = before.charge_pc + load.charge_pc, before.felt + load.felt
-    over = np.flatnonzero(charge_pc > allowed)
-    if len(over):
-        electrode = int(over[0])
-        return BrokenRule(Rule.MEAN, NOTHING, electrode, _i32(int(charge_pc[electrode])), allowed)
-    over = np.flatnonzero(felt * 10**6 > MAX_PULSES_HZ * burst_us)
-    if len(over):
-        electrode = int(over[0])
-        allowed = MAX_PULSES_HZ * burst_us // 10**6
-        return BrokenRule(Rule.FELT, NOTHING, electrode, int(felt[electrode]), allowed)
+    if found := _above(Rule.MEAN, NOTHING, charge_pc, MAX_MEAN_UA * burst_us):
+        return found
+    if found := _above(Rule.FELT, NOTHING, felt, MAX_PULSES_HZ * burst_us // 10**6):
+        return found
     strongest_ua = limits.full_ua + limits.rounding_ua
     if limits.full_us:
         allowed = strongest_ua * limits.full_us * 1001 * lists.intensity // (1000 * FULL)
@@ -267,11 +258,8 @@ def _weighted(
     each = np.abs(signed)
     if net := int(current_ua.sum(dtype=np.int64)):
         return BrokenRule(Rule.BALANCE, slot, value=net), signed
-    over = np.flatnonzero(each > limits.current_ua)
-    if len(over):
-        electrode = int(over[0])
-        most = int(limits.current_ua[electrode])
-        return BrokenRule(Rule.CURRENT, slot, electrode, int(each[electrode]), most), signed
+    if found := _above(Rule.CURRENT, slot, each, limits.current_ua):
+        return found, signed
     if (total := int(each.sum()) // 2) > limits.total_ua:
         return BrokenRule(Rule.TOTAL, slot, value=total, allowed=limits.total_ua), signed
     return None, signed
@@ -290,11 +278,8 @@ def _switched(
         return BrokenRule(Rule.STATES, slot), each
     each[state == 1], each[state == -1] = -(-source_ua // cathodes), -(-source_ua // anodes)
     signed = np.where(state == -1, -each, each)
-    over = np.flatnonzero(each > limits.current_ua)
-    if len(over):
-        electrode = int(over[0])
-        most = int(limits.current_ua[electrode])
-        return BrokenRule(Rule.CURRENT, slot, electrode, int(each[electrode]), most), signed
+    if found := _above(Rule.CURRENT, slot, each, limits.current_ua):
+        return found, signed
     if source_ua > limits.total_ua:
         return BrokenRule(Rule.TOTAL, slot, value=source_ua, allowed=limits.total_ua), signed
     return None, signed
@@ -314,11 +299,8 @@ def _recharged(
     if net := int(signed.sum()):
         return BrokenRule(Rule.BALANCE, value=net)
     allowed = np.minimum(min(MAX_RECHARGE_UA, MAX_RECHARGE_PC // width_us), limits.current_ua)
-    over = np.flatnonzero(each > allowed)
-    if len(over):
-        electrode = int(over[0])
-        value, most = int(each[electrode]), int(allowed[electrode])
-        return BrokenRule(Rule.CURRENT, NOTHING, electrode, value, most)
+    if found := _above(Rule.CURRENT, NOTHING, each, allowed):
+        return found
     if (total := int(each.sum()) // 2) > limits.total_ua:
         return BrokenRule(Rule.TOTAL, value=total, allowed=limits.total_ua)
     phase_pc = signed * width_us
@@ -326,12 +308,22 @@ def _recharged(
         before_pc = carried_pc + passes * (load.net_pc + phase_pc) + load.net_pc
         after = np.abs(before_pc + phase_pc)
         most_pc = np.maximum(np.abs(before_pc), MAX_RECHARGE_PC)
-        over = np.flatnonzero(after > most_pc)
-        if len(over):
-            electrode = int(over[0])
-            value, most = _i32(int(after[electrode])), _i32(int(most_pc[electrode]))
-            return BrokenRule(Rule.RECHARGE, NOTHING, electrode, value, most)
+        if found := _above(Rule.RECHARGE, NOTHING, after, most_pc):
+            return found
     return None
+
+
+def _above(
+    rule: Rule, slot: int, value: NDArray[np.int64], allowed: NDArray[np.int64] | int
+) -> BrokenRule | None:
+    """Return a rule as broken at the first electrode whose value, (E,), is above the allowed."""
+    over = np.flatnonzero(value > allowed)
+    if not len(over):
+        return None
+    electrode, most = int(over[0]), np.broadcast_to(allowed, value.shape)
+    return BrokenRule(
+        rule, slot, electrode, _i32(int(value[electrode])), _i32(int(most[electrode]))
+    )
 
 
 def _i32(value: int) -> int:

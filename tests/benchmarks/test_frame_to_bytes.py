@@ -24,7 +24,7 @@ from skimage.transform import resize
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.wire.framing import LARGEST_PACKET
 from smarttouch.boards.link.protocol import HostSession, MessageKind
-from smarttouch.boards.link.sequence_encoding import KernelImage, encode_lists
+from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.physiology.activating_function import af_matrix, targets
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
@@ -32,6 +32,7 @@ from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.source_contract import Frame, Pose
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
+from tests.boards.payloads import encode_lists
 
 FULL_NS = 10**9
 SCANS = {

@@ -23,11 +23,11 @@ import pytest
 from smarttouch.base.errors import BoardRestartedError
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import encode
-from smarttouch.boards.link.sequence_encoding import encode_lists
 from smarttouch.emulator.emulated_boards import EmulatorBoard
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
+from tests.boards.payloads import encode_lists
 from tests.rising import open_level
 
 RAMP_S = 0.5

@@ -20,7 +20,7 @@ import pytest
 
 from smarttouch.boards.link.link_board import LinkBoard
 from smarttouch.boards.link.protocol import MessageKind, encode
-from smarttouch.boards.link.sequence_encoding import KernelImage, encode_lists
+from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.emulator.emulated_boards import EmulatorBoard
 from smarttouch.emulator.link_packets import summed
 from smarttouch.kernels.bank import load_bank
@@ -32,6 +32,7 @@ from smarttouch.sources.source_contract import Stimulus
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence, quantized
 from tests.benchmarks.test_link_latency import Bare, acknowledged_s, beside, limits_of, raised
+from tests.boards.payloads import encode_lists
 from tests.firmware.build import built, host, library
 from tests.firmware.rig import Core, Talk
 from tests.firmware.scenes import random_lists, random_table, sequence_of

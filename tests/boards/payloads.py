@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from smarttouch.boards.link.sequence_encoding import encode_limits, encode_lists
+from smarttouch.boards.link.sequence_encoding import encode_limits, encode_scan
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
@@ -10,6 +10,12 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 def limits_payload(electrodes):
     """Return LIMITS that allow as much as any board does."""
     return encode_limits(SafetyLimits(electrodes, 5.0, 200, 0.5, 200, 0.8, 0.5, 5.0))
+
+
+def encode_lists(sequence, times, measure, switched, image, most_bytes):
+    """Return the payload of a SEQUENCE that a board has room for at once."""
+    (part,) = encode_scan(sequence, times, measure, switched, image, most_bytes, 1 << 16)
+    return part.payload
 
 
 def sequence_payload(

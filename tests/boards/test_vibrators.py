@@ -182,13 +182,14 @@ class TestTheFile:
     @pytest.mark.parametrize(("rest", "about", "value", "allowed"), [
         ("", "board", "", (".wav", "audio")),
         ("out.mp3", "board", "out.mp3", (".wav", "audio")),
-        ("out.wav?volume=3", "option", "volume", ("grid", "hz", "rate")),
-        ("out.wav?grid", "option", "grid", None),
-        ("out.wav?grid=2", "grid", "2", None),
-        ("out.wav?grid=0x3", "grid", "0x3", None),
-        ("out.wav?grid=9x9", "grid", 81, 64),
+        ("out.wav?volume=3", "?volume", "volume", ("grid", "hz", "rate")),
+        ("out.wav?grid", "?grid", "grid", None),
+        ("out.wav?grid=2", "?grid", "2", None),
+        ("out.wav?grid=0x3", "?grid", "0x3", None),
+        ("out.wav?grid=9x9", "grid", None, 64),
         ("out.wav?hz=30", "hz", "30", (60, 800)),
-        ("out.wav?rate=fast", "rate", "fast", (1000, 192_000)),
+        ("out.wav?rate=fast", "?rate", "fast", None),
+        ("out.wav?rate=500", "rate", 500, (1000, 192_000)),
         ("out.wav?hz=800&rate=3000", "rate", 3000, 3200),
     ])  # fmt: skip
     def test_errors_of_a_url_are_reported(self, profile, rest, about, value, allowed):

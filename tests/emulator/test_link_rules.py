@@ -16,12 +16,12 @@ from smarttouch.boards.link.sequence_encoding import (
     KernelImage,
     digest_of,
     encode_limits,
-    encode_lists,
 )
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.sequence_at_hand import Room
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence
+from tests.boards.payloads import encode_lists
 
 from ..raising import raises
 from .rig import LinkRig

@@ -8,11 +8,12 @@ import numpy as np
 from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import OUTPUTS, HostSession, MessageKind, encode_volts
-from smarttouch.boards.link.sequence_encoding import KernelImage, encode_limits, encode_lists
+from smarttouch.boards.link.sequence_encoding import KernelImage, encode_limits
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.link_firmware import NAME, LinkFirmware
 from smarttouch.emulator.link_packets import BoardSession
 from smarttouch.emulator.skin import COMPLIANCE_V, SkinCircuit
+from tests.boards.payloads import encode_lists
 
 ROOM = 1 << 22
 _RECHARGE = 4

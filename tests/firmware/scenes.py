@@ -3,9 +3,10 @@
 import numpy as np
 
 from smarttouch.boards.link.protocol import MessageKind
-from smarttouch.boards.link.sequence_encoding import KernelImage, encode_lists
+from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence, quantized
+from tests.boards.payloads import encode_lists
 from tests.firmware.rig import Talk
 
 

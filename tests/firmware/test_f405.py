@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from smarttouch.boards.link.protocol import MessageKind, Refusal
-from smarttouch.boards.link.sequence_encoding import encode_limits, encode_lists
+from smarttouch.boards.link.sequence_encoding import encode_limits
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
+from tests.boards.payloads import encode_lists
 from tests.firmware import build
 from tests.firmware.build import built
 from tests.firmware.f405 import F405, LE, POL, states

@@ -93,7 +93,12 @@ def encode_scan(
     most_slots: int,
 ) -> list[ScanPart]:
     """Return a proved sequence as payloads of SEQUENCE, in parts where the board has no room for
-    all of it: see `encode_lists`."""
+    all of it.
+
+    Slots whose currents are just what the board makes of kernels that it keeps (``image``) become
+    lists of these; others are written as currents, or as states for a board with one source
+    (``switched``). ``measure`` requests voltages.
+    """
     slots = len(sequence.width_us)
     given = measure, switched, image
     if slots <= most_slots:
@@ -160,26 +165,6 @@ def _too_large(size: int, most_bytes: int) -> BoardError:
     )
 
 
-def encode_lists(
-    sequence: ScanSequence,
-    times: int,
-    measure: bool,
-    switched: bool,
-    image: KernelImage | None,
-    most_bytes: int,
-) -> bytes:
-    """Return the payload of a proved SEQUENCE, of at most ``most_bytes``.
-
-    Slots whose currents are just what the board makes of kernels that it keeps (``image``) become
-    lists of these; others are written as currents, or as states for a board with one source
-    (``switched``). ``measure`` requests voltages.
-    """
-    payload = _payload(sequence, times, measure, switched, image)
-    if len(payload) > most_bytes:
-        raise _too_large(len(payload), most_bytes)
-    return payload
-
-
 def _payload(
     sequence: ScanSequence,
     times: int,
@@ -206,10 +191,7 @@ def _payload(
     intensity = -(-parts_per_billion(sequence.intensity) * FULL // PPB)
     flags = part | MEASURE * measure | RECHARGE * (recharge is not None)
     # Bytes and arrays, copied only when they are joined.
-    parts: list[Any] = [
-        _HEAD.pack(sequence.period_us, times, intensity, flags, shapes),
-        table,
-    ]
+    parts: list[Any] = [_HEAD.pack(sequence.period_us, times, intensity, flags, shapes), table]
     if recharge is not None:
         parts += [sequence.recharge_us.to_bytes(2, "little"), recharge.astype("<i2").tobytes()]
     if len(sequence.width_us):

@@ -7,15 +7,15 @@ Beside electrodes it is the paper's hybrid method (Section V): current for RA an
 vibration for PC.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
-from urllib.parse import parse_qsl
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.electrodes import ElectrodeArray
 from smarttouch.base.errors import BoardError, BoardRestartedError, require_within
+from smarttouch.base.url_options import read_options
 from smarttouch.boards.board import Board, BoardReport, Capabilities
 from smarttouch.boards.reports import Impedance
 from smarttouch.boards.vibrators.vibrator_output import (
@@ -35,7 +35,17 @@ WAV_HZ, AUDIO_HZ = 8000, 48_000  # default sample rates
 FEWEST_SAMPLES = 4  # fewest samples in a cycle of the carrier
 CARRIERS_HZ = (60.0, 800.0)  # range of carriers that PC responds to (paper, Section III-C)
 MOST_VIBRATORS = 64
+RATES_HZ = (1000, 192_000)
 _EXAMPLE = "as in vibrators:out.wav?grid=2x2&hz=250&rate=8000"
+
+
+@dataclass(frozen=True)
+class _Options:
+    """Options after a question mark."""
+
+    grid: tuple[int, int] = (2, 2)
+    hz: float = PC_HZ
+    rate: int | None = None
 
 
 class VibratorBoard(Board):
@@ -59,12 +69,18 @@ class VibratorBoard(Board):
         **_: Any,
     ) -> None:
         super().__init__(limits)
-        target, _mark, query = rest.partition("?")
-        options = _read_options(query)
-        rows, columns = options["grid"]
-        device = _audio_device(target)
-        self._sample_hz = int(options.get("rate", WAV_HZ if device is None else AUDIO_HZ))
-        self._carrier_hz = options.get("hz", PC_HZ)
+        target, given = read_options(_Options, rest, BoardError)
+        options = _Options(**given)
+        rows, columns = options.grid
+        require_within(BoardError, "grid", rows * columns, 1, MOST_VIBRATORS, "vibrators: the grid")
+        require_within(BoardError, "hz", options.hz, *CARRIERS_HZ, f"vibrators: hz={options.hz:g}")
+        # The name of a sound device, empty for the default one; None if it is a file.
+        name, _, played = target.partition(":")
+        device = played if name == "audio" else None
+        self._sample_hz = options.rate or (WAV_HZ if device is None else AUDIO_HZ)
+        words = f"vibrators: rate={self._sample_hz}"
+        require_within(BoardError, "rate", self._sample_hz, *RATES_HZ, words)
+        self._carrier_hz = options.hz
         if not self._sample_hz >= FEWEST_SAMPLES * self._carrier_hz:
             raise BoardError(
                 f"vibrators: {self._sample_hz} samples a second are too few for "
@@ -142,59 +158,6 @@ class VibratorBoard(Board):
 def make_vibrators(url: str, limits: SafetyLimits, electrodes: ElectrodeArray) -> VibratorBoard:
     """Return the vibrators of a URL, with or without ``vibrators:`` before it."""
     return VibratorBoard(url.removeprefix("vibrators:"), limits, electrodes=electrodes)
-
-
-def _audio_device(target: str) -> str | None:
-    """Return the name of a sound device, empty for the default one; None if it is a file."""
-    name, _, device = target.partition(":")
-    return device if name == "audio" else None
-
-
-def _read_options(query: str) -> dict[str, Any]:
-    """Return the options of a query, and always the grid."""
-    read: dict[str, Any] = {"grid": (2, 2)}
-    try:
-        given = parse_qsl(query, strict_parsing=True) if query else []
-    except ValueError:
-        raise BoardError(
-            f"vibrators: cannot read the options {query!r}: {_EXAMPLE}", about="option"
-        ) from None
-    for name, text in given:
-        if name == "grid":
-            read[name] = _grid(text)
-        elif name == "hz":
-            read[name] = _number(name, text, *CARRIERS_HZ)
-        elif name == "rate":
-            read[name] = _number(name, text, 1000, 192_000)
-        else:
-            raise BoardError(
-                f"vibrators: takes the options grid, hz and rate, not {name}", about="option"
-            )
-    return read
-
-
-def _grid(text: str) -> tuple[int, int]:
-    rows, _, columns = text.partition("x")
-    if not (rows.isdecimal() and columns.isdecimal() and int(rows) * int(columns) > 0):
-        raise BoardError(
-            f"vibrators: grid={text} is no grid: give rows x columns, {_EXAMPLE}", about="grid"
-        )
-    if int(rows) * int(columns) > MOST_VIBRATORS:
-        raise BoardError(
-            f"vibrators: grid={text} has {int(rows) * int(columns)} vibrators: at most "
-            f"{MOST_VIBRATORS} are possible",
-            about="grid",
-        )
-    return int(rows), int(columns)
-
-
-def _number(name: str, text: str, least: float, most: float) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = float("nan")
-    require_within(BoardError, name, value, least, most, f"vibrators: {name}={text}")
-    return value
 
 
 def _electric(name: str) -> Any:
