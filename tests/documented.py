@@ -60,11 +60,7 @@ SHORT = {
 NOT_WITH = {"replay": "--check", "live": "text:Hello"}
 """A word beside which none is added: such a command ends by itself."""
 
-STAND_INS = {
-    "URL": "emulator:",
-    "PORT": "emulator:",
-    "camera:0": "video:clip.mp4",
-}
+STAND_INS = {"URL": "emulator:", "PORT": "emulator:", "camera:0": "video:clip.mp4"}
 EMULATED = {
     "/dev/ttyUSB0": ("devices", "emulate", "kajimoto61?port_only"),
     "/dev/ttyACM0": ("devices", "emulate", "etactilekit?port_only"),

@@ -10,11 +10,7 @@ ROOT = Path(__file__).parent.parent
 PAGES = ROOT / "docs" / "safety"
 HAZARDS = (PAGES / "hazards.md").read_text("utf-8")
 NAMED = sorted(set(re.findall(r"`(tests/[\w/]+\.py::\w+)`", HAZARDS)))
-PROMISED = {
-    "While it runs": "index.md",
-    "Ends in zero": "index.md",
-    "Definitions": "limits.md",
-}
+PROMISED = {"While it runs": "index.md", "Ends in zero": "index.md", "Definitions": "limits.md"}
 """Sections that promise something, point by point, and their pages."""
 
 

@@ -66,11 +66,7 @@ def plug_in_names(group: str) -> list[str]:
 
 
 def find_opener(
-    group: str,
-    url: str,
-    error: type[SmartTouchError],
-    base: type,
-    arguments: tuple[str, ...],
+    group: str, url: str, error: type[SmartTouchError], base: type, arguments: tuple[str, ...]
 ) -> tuple[Callable[..., Any], str]:
     """Return the opener of ``url`` and the part of the URL after the name.
 
@@ -129,10 +125,7 @@ def unknown(
 
 
 def given_options(
-    opener: Callable[..., Any],
-    url: str,
-    options: dict[str, Any],
-    error: type[SmartTouchError],
+    opener: Callable[..., Any], url: str, options: dict[str, Any], error: type[SmartTouchError]
 ) -> dict[str, Any]:
     """Return the options that are not None; raises if the opener does not take one by its name."""
     given = {name: value for name, value in options.items() if value is not None}

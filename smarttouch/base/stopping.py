@@ -23,10 +23,7 @@ RUNS_ON_S = 5.0
 """Additional time for a process that is not blocked, but slow or on a busy machine."""
 ZERO_WITHIN_S = 5.0
 """Time to wait at the end for a board that does not confirm zero."""
-SIGNALS = {
-    signal.SIGINT: "Ctrl-C",
-    signal.SIGTERM: "SIGTERM",
-}
+SIGNALS = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
 if hasattr(signal, "SIGHUP"):  # not on Windows
     SIGNALS[signal.SIGHUP] = "SIGHUP"
 

@@ -133,11 +133,7 @@ def read_csv(path: Path, error: type[SmartTouchError]) -> CsvTable:
 
 
 def parse_csv(
-    text: str,
-    path: Path,
-    error: type[SmartTouchError],
-    delimiter: str = ",",
-    strict: bool = False,
+    text: str, path: Path, error: type[SmartTouchError], delimiter: str = ",", strict: bool = False
 ) -> CsvTable:
     """Return the table in a text; if strict, open quotes are an error, too."""
     try:

@@ -109,10 +109,7 @@ def console(*, stderr: bool = False, highlight: bool = True) -> "Console":
     """Return a console for drawing, with stand-ins for control characters."""
     stream: Any = sys.stderr if stderr else sys.stdout
     return _console_class()(
-        file=getattr(stream, "direct", stream),
-        highlight=highlight,
-        markup=False,
-        emoji=False,
+        file=getattr(stream, "direct", stream), highlight=highlight, markup=False, emoji=False
     )
 
 

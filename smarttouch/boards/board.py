@@ -39,13 +39,7 @@ from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.safety_gate import NanosecondClock, SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelTable, ScanSequence
 
-__all__ = [
-    "BOTH",
-    "Board",
-    "BoardReport",
-    "Capabilities",
-    "Polarity",
-]
+__all__ = ["BOTH", "Board", "BoardReport", "Capabilities", "Polarity"]
 
 
 FARTHEST_NS = 10_000_000_000  # planned starts farther ahead than this are of another clock

@@ -12,12 +12,7 @@ from weakref import finalize
 import numpy as np
 
 from smarttouch.base.clock import LATE_NS, Clock, MonotonicClock
-from smarttouch.base.errors import (
-    BoardError,
-    BoardFaultError,
-    BoardStoppedError,
-    SequenceLateError,
-)
+from smarttouch.base.errors import BoardError, BoardFaultError, BoardStoppedError, SequenceLateError
 from smarttouch.base.registry import final_names, is_final
 from smarttouch.stimulation.safety_gate import NanosecondClock, SafetyGate, SafetyLimits
 

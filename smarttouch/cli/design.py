@@ -8,7 +8,7 @@ import typer
 
 from smarttouch.base.command_options import argument, option
 from smarttouch.base.terminal import print_table
-from smarttouch.cli.options import ArrayOption, ClusterOption
+from smarttouch.cli.options import ArrayOption, ClusterOption, JsonOption
 from smarttouch.cli.plain_help import Commands
 
 if TYPE_CHECKING:
@@ -42,9 +42,7 @@ def design(
             "Compare all kinds of kernels on the nominal and the worst finger.", None, "--compare"
         ),
     ] = False,
-    json_file: Annotated[
-        Path | None, option("Write the kernels as JSON.", "FILE", "--json")
-    ] = None,
+    json_file: JsonOption = None,
     plot_file: Annotated[
         Path | None, option("Draw the kernels of the site, or of the middle one.", "PNG", "--plot")
     ] = None,
@@ -148,8 +146,7 @@ def _print(table: "WordTable", marked: Sequence[Sequence[bool]] = ()) -> None:
 
 
 profiles: Commands = Commands(
-    help="List the shipped profiles, show one, and make your own.",
-    invoke_without_command=True,
+    help="List the shipped profiles, show one, and make your own.", invoke_without_command=True
 )
 
 _Name = Annotated[str, argument("A shipped profile, or a file.", "NAME|FILE")]

@@ -9,7 +9,7 @@ import typer
 from smarttouch.base.command_options import argument, option
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.terminal import print_table
-from smarttouch.cli.options import ForceOption, ProfileOption
+from smarttouch.cli.options import ForceOption, JsonOption, ProfileOption
 from smarttouch.cli.plain_help import Commands
 from smarttouch.emulator.commands import emulate_board, emulate_sensor
 from smarttouch.views.keys_and_signals import asks_a_board, command_stop, drives_a_board, opened
@@ -164,13 +164,7 @@ def clear(url: _Url, profile: ProfileOption = None) -> None:
 
 @devices.command()
 @drives_a_board
-def measure(
-    url: _Url,
-    profile: ProfileOption = None,
-    json_file: Annotated[
-        Path | None, option("Write the impedances as JSON.", "FILE", "--json")
-    ] = None,
-) -> None:
+def measure(url: _Url, profile: ProfileOption = None, json_file: JsonOption = None) -> None:
     """Measure the impedance of every electrode on the finger, with small currents."""
     from smarttouch.base.files import require_folder, write_json
     from smarttouch.running.display import open_display

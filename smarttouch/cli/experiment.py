@@ -20,93 +20,13 @@ from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.views.keys_and_signals import drives_a_board
 
 if TYPE_CHECKING:
-    from smarttouch.base.afferent import Afferent
     from smarttouch.experiments.fitting.answers import AnswerTable
     from smarttouch.experiments.fitting.findings import Finding
     from smarttouch.experiments.fitting.psychometric import Guess
     from smarttouch.experiments.psychophysics.experiment_session import ExperimentSession
-    from smarttouch.profile import Profile
     from smarttouch.running.config import RunConfig
 
 _ANATOMY = "paper"
-
-
-def sit(
-    sitting: "ExperimentSession", options: RunOptionGroup, config: "RunConfig", simulate: str | None
-) -> None:
-    """Run an experiment to its end or until a user ends it; print its progress."""
-    from smarttouch.views.screen import BlindScreen
-
-    def say(lines: Iterable[str]) -> None:
-        for line in () if options.quiet else lines:
-            typer.echo(line)
-
-    say(sitting.before(simulate == "model"))
-    if sitting.session.over:
-        say(sitting.after())
-        return
-    source = sitting.source()
-    try:
-        options.start(
-            source,
-            sitting.profile,
-            config,
-            screen=BlindScreen,
-            keys=source.keys,
-            listeners=()
-            if simulate is None
-            else [
-                sitting.subject(source, simulate, config.seed, *options.one_finger(_ANATOMY)[::-1])
-            ],
-        )
-    finally:
-        say(sitting.after())
-
-
-def free_run(
-    options: RunOptionGroup,
-    profile: "Profile",
-    afferent: "Afferent",
-    site: int | None,
-    rate_hz: float,
-    knob_url: str | None,
-    output: Path | None,
-) -> None:
-    """Let a user change amplitude, rate, mode and site until the end of the run."""
-    from smarttouch.base.afferent import Mode
-    from smarttouch.experiments.psychophysics.experiment_session import numbered
-    from smarttouch.experiments.psychophysics.free_stimulation import (
-        FreeLog,
-        FreeSource,
-        HandControls,
-        up_to_the_ceiling,
-    )
-    from smarttouch.imaging.array_window import reading_force_n
-    from smarttouch.instruments.hand_motion import open_motion
-    from smarttouch.kernels.bank import load_bank
-    from smarttouch.views.progress import bank_progress
-
-    if not sys.stdin.isatty() and options.seconds is None:
-        message = "there is no keyboard, by which this would end: use a terminal, or give seconds"
-        raise ExperimentError(message, about="keyboard", remedy="seconds")
-    raised = up_to_the_ceiling(profile)
-    with contextlib.ExitStack() as stack:
-        knob = None if knob_url is None else stack.enter_context(open_motion(knob_url))
-        with bank_progress(options.quiet) as progress:
-            offered = tuple(sorted(load_bank(raised, progress).weights))
-        log = stack.enter_context(FreeLog(output or numbered(Path("free.csv"))))
-        source = FreeSource(raised, offered, log, afferent, site, rate_hz, reading_force_n(raised))
-        source.url = "experiment:free"
-        options.start(
-            source,
-            raised,
-            options.config(Mode.COLOR, scan="points"),
-            keys=source.keys,
-            keys_help="← → rate    [ ] site    1 to 9 mark    ",
-            controls=partial(HandControls, knob=knob),
-        )
-        if not options.quiet:
-            typer.echo(f"every change is in {log.path}")
 
 
 def fit(
@@ -392,7 +312,34 @@ def run_listed(
     with open_experiment(made, chosen, timing, about, path, overwrite=overwrite) as sitting:
         if run.record is not None and sitting.session.resumed:
             run = replace(run, record=numbered(run.record))
-        sit(sitting, run, config, simulate)
+        _present(sitting, run, config, simulate)
+
+
+def _present(
+    sitting: "ExperimentSession", run: RunOptionGroup, config: "RunConfig", simulate: str | None
+) -> None:
+    """Run an experiment to its end or until a user ends it; print its progress."""
+    from smarttouch.views.screen import BlindScreen
+
+    def say(lines: Iterable[str]) -> None:
+        for line in () if run.quiet else lines:
+            typer.echo(line)
+
+    say(sitting.before(simulate == "model"))
+    if sitting.session.over:
+        say(sitting.after())
+        return
+    source, listeners = sitting.source(), []
+    if simulate is not None:
+        anatomy, finger = run.one_finger(_ANATOMY)
+        listeners = [sitting.subject(source, simulate, config.seed, finger, anatomy)]
+    try:
+        run.start(
+            source, sitting.profile, config, screen=BlindScreen, keys=source.keys,
+            listeners=listeners,
+        )  # fmt: skip
+    finally:
+        say(sitting.after())
 
 
 def _run_free(
@@ -401,11 +348,42 @@ def _run_free(
     """Let a user turn the current by hand, up to the device's own limit (paper, III-A)."""
     from dataclasses import replace
 
+    from smarttouch.base.afferent import Mode
     from smarttouch.cli.options import parse_afferent
+    from smarttouch.experiments.psychophysics.experiment_session import numbered
+    from smarttouch.experiments.psychophysics.free_stimulation import (
+        FreeLog,
+        FreeSource,
+        HandControls,
+        up_to_the_ceiling,
+    )
+    from smarttouch.imaging.array_window import reading_force_n
+    from smarttouch.instruments.hand_motion import open_motion
+    from smarttouch.kernels.bank import load_bank
+    from smarttouch.views.progress import bank_progress
 
+    if not sys.stdin.isatty() and run.seconds is None:
+        message = "there is no keyboard, by which this would end: use a terminal, or give seconds"
+        raise ExperimentError(message, about="keyboard", remedy="seconds")
     run = replace(run, profile=run.profile or "line-8")
     if run.intensity is None and not run.on_a_finger:
         # Adjusted by hand, from zero here too.
         run = replace(run, intensity=0.0)
-    rate = 50.0 if rate_hz is None else rate_hz
-    free_run(run, run.load_profile(), parse_afferent(mode), parts.site, rate, parts.knob, output)
+    raised = up_to_the_ceiling(run.load_profile())
+    with contextlib.ExitStack() as stack:
+        knob = None if parts.knob is None else stack.enter_context(open_motion(parts.knob))
+        with bank_progress(run.quiet) as progress:
+            offered = tuple(sorted(load_bank(raised, progress).weights))
+        log = stack.enter_context(FreeLog(output or numbered(Path("free.csv"))))
+        source = FreeSource(
+            raised, offered, log, parse_afferent(mode), parts.site,
+            50.0 if rate_hz is None else rate_hz, reading_force_n(raised),
+        )  # fmt: skip
+        source.url = "experiment:free"
+        run.start(
+            source, raised, run.config(Mode.COLOR, scan="points"), keys=source.keys,
+            keys_help="← → rate    [ ] site    1 to 9 mark    ",
+            controls=partial(HandControls, knob=knob),
+        )  # fmt: skip
+        if not run.quiet:
+            typer.echo(f"every change is in {log.path}")

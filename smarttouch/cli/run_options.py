@@ -88,8 +88,7 @@ class RunOptionGroup(OptionGroup):
     ] = ""
     note: Annotated[str, option("Add a note to the recording.", "TEXT", panel=KEPT)] = ""
     stream: Annotated[
-        str | None,
-        option("Send the live run to the Lab Streaming Layer.", "lsl:", panel=KEPT),
+        str | None, option("Send the live run to the Lab Streaming Layer.", "lsl:", panel=KEPT)
     ] = None
     json_file: JsonOption = None
     window: Annotated[

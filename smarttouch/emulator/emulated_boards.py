@@ -64,9 +64,9 @@ class _Line:
 
     name = "simulated:"
 
-    def __init__(self, firmware: LinkFirmware, hear: Callable[[Message], None]) -> None:
+    def __init__(self, firmware: LinkFirmware, receive: Callable[[Message], None]) -> None:
         self.session, self.now_ns, self._said_ns = HostSession(), 0, 0
-        self._firmware, self._hear, self._deframer = firmware, hear, Deframer()
+        self._firmware, self._receive, self._deframer = firmware, receive, Deframer()
         self._answers: dict[int, Message] = {}
 
     def ask(self, question: MessageKind, payload: bytes = b"") -> Message:
@@ -94,7 +94,7 @@ class _Line:
             if message is not None and message.kind in ANSWERS.values():
                 self._answers[message.kind] = message
             elif message is not None:
-                self._hear(message)
+                self._receive(message)
 
 
 class SimulatedBoard(LinkHost):
@@ -140,7 +140,7 @@ class SimulatedBoard(LinkHost):
             ramp_ms=rules_over_time.RAMP_MS,
             room=self.room,
         )
-        self._line = _Line(self._firmware, self._hear)
+        self._line = _Line(self._firmware, self._receive)
         self._number, self._suspicion = 0, ""
         self._stamp_ns = self._ahead_ns = 0
         """Time stamp of the last sequence, and by how much such stamps are ahead of time here."""
@@ -174,7 +174,7 @@ class SimulatedBoard(LinkHost):
         self._ahead_ns += max(0, gap_ns - _LONGEST_GAP_NS)
         return now_ns + min(max(0, gap_ns), _LONGEST_GAP_NS)
 
-    def _hear(self, message: Message) -> None:
+    def _receive(self, message: Message) -> None:
         match message.kind:
             case MessageKind.ACK:
                 self._note_start(message, self._line.now_ns, self._line.now_ns)
@@ -186,7 +186,7 @@ class SimulatedBoard(LinkHost):
                     f"the simulated board refused sequence {message.about}: {words}", about="board"
                 )
             case _:
-                super()._hear(message)
+                super()._receive(message)
 
     def _stop(self) -> None:
         # A stop from another thread waits for the end of the sequence.

@@ -79,7 +79,7 @@ class LinkFirmware(Firmware):
         self._last, self._last_start_ns = (-1, False), 0
         """Number of the last sequence accepted, whether it has begun, and when."""
         self._refusing: Refusal | None = Refusal.STOPPED
-        self._heard_ns = 0
+        self._received_ns = 0
         """Time of the last sign of life."""
         self._packet_ns = 0
         """Time of the first byte of the present packet."""
@@ -112,7 +112,7 @@ class LinkFirmware(Firmware):
             self._refuse(0, Refusal.GARBLED)
         head = self._deframer.head(WHOLE_HEAD_BYTES)
         if head is not None and self._session.promises(head, self._packet_ns, now_ns):
-            self._heard_ns = now_ns
+            self._received_ns = now_ns
         self.books.framing_errors = self._deframer.errors
         self.books.old_packets = self._session.old
         self.books.foreign_packets = self._session.foreign
@@ -140,7 +140,7 @@ class LinkFirmware(Firmware):
             self.zero("emergency", now_ns)
             self._refuse(0, Refusal.EMERGENCY)
             self._end(Refusal.EMERGENCY)
-        deadline_ns = self._heard_ns + SILENCE_MS * 1_000_000
+        deadline_ns = self._received_ns + SILENCE_MS * 1_000_000
         self._execute(min(now_ns, deadline_ns))
         if now_ns >= deadline_ns and self._refusing is None:
             dropped = self._waiting
@@ -174,7 +174,7 @@ class LinkFirmware(Firmware):
             self._second.end(min(now_ns, self._running.over_ns) // 1000)
         self._running = self._waiting = None
         self.books.state, self.books.reason = "shorted", reason
-        self.books.zero_after_ms = (now_ns - self._heard_ns) / 1e6
+        self.books.zero_after_ms = (now_ns - self._received_ns) / 1e6
 
     def _execute(self, until_ns: int) -> None:
         self._executed_ns = until_ns
@@ -287,7 +287,7 @@ class LinkFirmware(Firmware):
             self._second.begin_session()
         elif refusal := self._session.take(message, self._packet_ns):
             return self._turn_away(refusal)
-        self._heard_ns = now_ns
+        self._received_ns = now_ns
         if message.kind == MessageKind.BEGIN:
             if self._refusing is None:
                 self._say(MessageKind.BEGUN, message.number)

@@ -97,10 +97,7 @@ class Server:
         self._random = random.Random(0)
 
     def serve(
-        self,
-        linger_s: float = 2.0,
-        parent: int | None = None,
-        describe: Callable[[str], str] = str,
+        self, linger_s: float = 2.0, parent: int | None = None, describe: Callable[[str], str] = str
     ) -> None:
         """Print the port's name, as ``describe`` words it, and run until SIGTERM, ``linger_s``
         without a host, or the end of the process ``parent``.

@@ -135,11 +135,7 @@ class SkinCircuit:
         return self._delivered(charge * 1e12, ends_v, width_us, asked_ua)
 
     def switched_pulse(
-        self,
-        state: NDArray[np.int8],
-        source_ua: float,
-        width_us: float,
-        shunt_ohm: float = np.inf,
+        self, state: NDArray[np.int8], source_ua: float, width_us: float, shunt_ohm: float = np.inf
     ) -> Delivered:
         """Drive one source for a time; its current divides by the impedances of each pole.
         ``state`` is (E,): 1 cathode, −1 anode, 0 insulated; with one pole missing nothing flows. A

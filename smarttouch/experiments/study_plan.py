@@ -81,7 +81,7 @@ class Study(Table):
     def _possible(cls, intensities: tuple[float, ...]) -> tuple[float, ...]:
         for each in intensities:
             if not 0 < each <= 1:
-                raise UnfitError(f"intensity {each:g} must be above 0 and at most 1")  # fmt: skip
+                raise UnfitError(f"intensity {each:g} must be above 0 and at most 1")
         return intensities
 
     @field_validator("kernels")
@@ -194,13 +194,8 @@ class Grid:
                 choice.intensity,
             )  # fmt: skip
             slots = {
-                letter: (
-                    DeliveredSlots(
-                        each.current_ua, each.width_us, each.discharge_us, each.period_us
-                    ),
-                    active,
-                )
-                for letter, (each, active) in letters.items()
+                letter: (DeliveredSlots.of(sequence), active)
+                for letter, (sequence, active) in letters.items()
             }
             found.append(DeliveredLetters(choice, slots))
         return found
@@ -282,16 +277,10 @@ def rows_of_finger(
                 error = float(one.read_as != letter)
                 rows.append(
                     StudyRow.of(
-                        each.choice,
-                        name,
-                        seed,
-                        letter,
-                        one.quality,
-                        [current_ua],
-                        error,
+                        each.choice, name, seed, letter, one.quality, [current_ua], error,
                         one.read_as,
                     )
-                )
+                )  # fmt: skip
     return rows
 
 

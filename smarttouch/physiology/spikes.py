@@ -202,9 +202,9 @@ class SpikeModel:
         self._reference = strength(finger.profile.pulse.width_us, self._chronaxie_us)
         longest = strength(finger.profile.limits.pulse_us, self._chronaxie_us) / self._reference
         self._drives = DriveMemory(*finger.rows, _EXACT_FROM / max(1.0, longest.max()))
-        self.begin_anew()
+        self.reset()
 
-    def begin_anew(self) -> None:
+    def reset(self) -> None:
         """Reset all spikes and the noise; computed drives are kept."""
         self._random = np.random.default_rng(self._seed)
         self._last_us = np.full(len(self.finger.classes), -np.inf)

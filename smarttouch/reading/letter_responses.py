@@ -124,7 +124,7 @@ def letters_on_finger(
     model, places = SpikeModel(finger, finger.seed), finger.profile.electrodes.position_mm
     found = []
     for letter, (slots, active) in shown.items():
-        model.begin_anew()
+        model.reset()
         above = model.drive(slots.current_ua, slots.width_us)
         counts = np.sum([model.fire(slots, above).counts for _ in range(_PERIODS)], axis=0)
         read_as = _most_like(response_map(finger, counts, places).sum(axis=0), known)

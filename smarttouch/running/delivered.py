@@ -5,6 +5,7 @@ put back together into an image.
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Self
 
 import cv2
 import numpy as np
@@ -20,6 +21,7 @@ from smarttouch.profile import Profile
 from smarttouch.profile.device import Pulse
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Pose
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 Floats = NDArray[np.float32]
 
@@ -195,6 +197,13 @@ class DeliveredSlots:
     discharge_us: NDArray[np.uint16]
     period_us: int
 
+    @classmethod
+    def of(cls, sequence: ScanSequence) -> Self:
+        """Return the slots of a sequence, delivered as they were sent."""
+        return cls(
+            sequence.current_ua, sequence.width_us, sequence.discharge_us, sequence.period_us
+        )
+
 
 def delivered_spikes(
     finger: Finger,
@@ -222,7 +231,7 @@ def delivered_spikes(
     every = 1 if most_slots is None else 1 + len(numbers) // most_slots
     kept = dict(list(sequences.items())[::every])
     model = SpikeModel(finger) if model is None else model
-    model.begin_anew()
+    model.reset()
     spikes = fire_all(model, list(kept.values()))
     return {number: each.counts for number, each in zip(kept, spikes, strict=True)}
 

@@ -108,9 +108,7 @@ class OnEvent(Listener):
         self._function(event)
 
 
-def as_listeners(
-    given: Iterable[Listener | Callable[[StepResult], object]],
-) -> list[Listener]:
+def as_listeners(given: Iterable[Listener | Callable[[StepResult], object]]) -> list[Listener]:
     """Return listeners; plain functions are called with each step.
 
     Raises a SmartTouchError for what is neither.

@@ -134,33 +134,22 @@ class ArrayCollector:
         step, columns = recorded.step, self._columns
         sequence, given, sent = step.sequence, step.input, recorded.sent
         none = np.zeros(self._electrodes, np.int16)
-        for name, value in {
-            "step": recorded.index,
-            "time_ns": given.time_ns,
-            "number": given.number,
-            "mode": step.mode.value,
-            "level": step.level,
-            "intensity": sequence.intensity,
-            "restarted": step.restarted,
-            "asked_us": step.asked_us,
-            "period_us": sequence.period_us,
-            "force_n": given.force_n,
-            "x_mm": given.pose.x_mm,
-            "y_mm": given.pose.y_mm,
-            "angle_rad": given.pose.angle_rad,
-            "age_ns": given.age_ns,
-            "stale": given.stale,
-            "latency_us": sent.latency_us,
-            "work_us": sent.work_us,
+        pose = given.pose
+        row = {
+            "step": recorded.index, "time_ns": given.time_ns, "number": given.number,
+            "mode": step.mode.value, "level": step.level, "intensity": sequence.intensity,
+            "restarted": step.restarted, "asked_us": step.asked_us,
+            "period_us": sequence.period_us, "force_n": given.force_n, "x_mm": pose.x_mm,
+            "y_mm": pose.y_mm, "angle_rad": pose.angle_rad, "age_ns": given.age_ns,
+            "stale": given.stale, "latency_us": sent.latency_us, "work_us": sent.work_us,
             "sent": -1 if sent.number is None else sent.number,
-            "acknowledged": recorded.acknowledged,
-            "refused": recorded.refused,
-            "first_pulse_us": np.nan,
-            "activation": step.tactile.activation,
+            "acknowledged": recorded.acknowledged, "refused": recorded.refused,
+            "first_pulse_us": np.nan, "activation": step.tactile.activation,
             "first_slot": columns["first_slot"][-1] + sequence.slots,
             "recharge_us": sequence.recharge_us,
             "recharge_ua": none if sequence.recharge_ua is None else sequence.recharge_ua,
-        }.items():
+        }  # fmt: skip
+        for name, value in row.items():
             columns[name].append(value)
         for name in _SLOTS:
             columns[name].append(getattr(sequence, name))

@@ -32,14 +32,10 @@ _INTEGER = {"type": "integer"}
 _COUNTS = {"type": "array", "items": _INTEGER}
 _ROW = {"type": "array", "items": _NUMBER, "description": "of each electrode; [] is all zero"}
 _PROOF: dict[str, Any] = {"type": ["array", "null"], "items": _PERHAPS}
-_TIME = {
-    "type": "object",
-    "title": "time",
-    "properties": {
-        "sec": {"type": "integer", "minimum": 0},
-        "nsec": {"type": "integer", "minimum": 0, "maximum": 999_999_999},
-    },
-}
+_NANOSECONDS = {"type": "integer", "minimum": 0, "maximum": 999_999_999}
+_SECONDS = {"sec": {"type": "integer", "minimum": 0}, "nsec": _NANOSECONDS}
+_TIME = {"type": "object", "title": "time", "properties": _SECONDS}
+_LEVELS = ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
 
 
 def _base64(description: str) -> dict[str, Any]:
@@ -68,10 +64,7 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
             "stale": {"type": "boolean"},
         },
     ),
-    "/tactile": (
-        "smarttouch.TactileImage",
-        {"RA": _ROW, "SAI": _ROW, "PC": _ROW},
-    ),
+    "/tactile": ("smarttouch.TactileImage", {"RA": _ROW, "SAI": _ROW, "PC": _ROW}),
     "/tactile_image": ("foxglove.CompressedImage", _IMAGE),
     "/request": (
         "smarttouch.PulseRequest",
@@ -146,12 +139,7 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
             "timestamp": _TIME,
             "level": {
                 "title": "foxglove.LogLevel",
-                "oneOf": [
-                    {"title": title, "const": value}
-                    for value, title in enumerate(
-                        ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
-                    )
-                ],
+                "oneOf": [{"title": name, "const": at} for at, name in enumerate(_LEVELS)],
             },
             "message": {"type": "string"},
             "name": {"type": "string"},
@@ -166,12 +154,7 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
 def schema(topic: str) -> dict[str, Any]:
     """Return the JSON schema of a topic's messages."""
     name, properties = SCHEMAS[topic]
-    return {
-        "title": name,
-        "type": "object",
-        "properties": properties,
-        "required": list(properties),
-    }
+    return {"title": name, "type": "object", "properties": properties, "required": list(properties)}
 
 
 _Share = Annotated[float, Field(ge=0, le=1)]

@@ -178,11 +178,7 @@ class RunStatistics:
 
 
 def figures_of(
-    statistics: RunStatistics,
-    source: Source,
-    board: Board,
-    report: BoardReport | None,
-    ended: str,
+    statistics: RunStatistics, source: Source, board: Board, report: BoardReport | None, ended: str
 ) -> dict[str, Any]:
     """Return the figures of a run, ready for JSON; the board's own are None after a fault."""
     other, spill = statistics.selectivity or (None, None)

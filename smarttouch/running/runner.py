@@ -173,10 +173,7 @@ class Runner:
     def _run_on_board(self, context: RunContext, pipeline: Pipeline) -> BoardReport:
         """Open the board, run, and return its account; it is closed, at zero, after that."""
         board, profile = context.board, context.profile
-        with (
-            steady_environment(pipeline, board.simulated_time),
-            self._opened(self._stop),
-        ):
+        with steady_environment(pipeline, board.simulated_time), self._opened(self._stop):
             if pipeline.table is not None:
                 board.keep_kernels(pipeline.table)
             self._require_force()

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import SourceError, SourceLostError
+from smarttouch.base.errors import SourceError, SourceLostError, require_within
 from smarttouch.profile import Profile
 from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
 
@@ -110,15 +110,10 @@ class CameraDevice(ImageDevice):
                 "height, for example 640 x 480",
                 about="size",
             )
-        if fps is not None and not 0 < fps <= 1000:
-            raise SourceError(
-                f"{fps:g} images a second are not possible: give above 0, at most 1000", about="fps"
-            )
-        if exposure is not None and not abs(exposure) < 1e9:
-            raise SourceError(
-                f"an exposure of {exposure:g} is not possible: give one that the camera accepts",
-                about="exposure",
-            )
+        if fps is not None:
+            require_within(SourceError, "fps", fps, 0, 1000, above=True)
+        if exposure is not None:
+            require_within(SourceError, "exposure", exposure, -1e9, 1e9)
         self._size, self._exposure, self._fps = size, exposure, fps
         self._capture: cv2.VideoCapture | None = None
         self._failures = 0

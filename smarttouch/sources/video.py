@@ -19,13 +19,7 @@ from smarttouch.base.errors import SourceError, require_within
 from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file, require_file
 from smarttouch.profile import Profile
 from smarttouch.sources.camera import QUIET_OPENCV, to_grey
-from smarttouch.sources.live_capture import (
-    STALE_S,
-    ImageDevice,
-    LiveSource,
-    Shot,
-    SourceEndedError,
-)
+from smarttouch.sources.live_capture import STALE_S, ImageDevice, LiveSource, Shot, SourceEndedError
 from smarttouch.sources.preprocess import FramePreprocessor
 from smarttouch.sources.source_contract import Frame, OpticalSource
 

@@ -8,11 +8,7 @@ if TYPE_CHECKING:
     from smarttouch.base.wire.device_lines import PtyLine, TcpLine
     from smarttouch.testing.board_contract import BoardContract
     from smarttouch.testing.pulses import ZERO, SentPulse
-    from smarttouch.testing.source_contracts import (
-        ForceContract,
-        SourceContract,
-        StimulusContract,
-    )
+    from smarttouch.testing.source_contracts import ForceContract, SourceContract, StimulusContract
 
 __all__ = [
     "ZERO",

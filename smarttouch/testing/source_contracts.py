@@ -21,7 +21,28 @@ from smarttouch.sources.source_contract import Frame, Input, Source, Stimulus
 READS = 30  # of a source
 
 
-class SourceContract:
+class _Opened:
+    """Contract of whatever a URL opens."""
+
+    error: type[SmartTouchError] = SmartTouchError
+
+    def make_impossible(self, profile: Profile) -> None:
+        """Open a source that does not exist, as a file without a name; override it."""
+        pytest.skip("make_impossible is not given")
+
+    @pytest.fixture
+    def profile(self) -> Profile:
+        """Optics and force that it is made for."""
+        return load_profile(DEFAULT_PROFILE)
+
+    def test_one_that_is_not_there_is_an_error_with_a_sentence(self, profile: Profile) -> None:
+        with pytest.raises(self.error) as error:
+            self.make_impossible(profile)
+        assert str(error.value)
+        assert "\n" not in str(error.value)
+
+
+class SourceContract(_Opened):
     """Contract of every source of frames: subclass it as ``TestMine``, with `make`.
 
     Attributes
@@ -45,17 +66,8 @@ class SourceContract:
         # Not abstract: pytest could not make the class to run what needs no device.
         raise NotImplementedError("return your source")
 
-    def make_impossible(self, profile: Profile) -> None:
-        """Open a source that does not exist, as a file without a name; override it."""
-        pytest.skip("make_impossible is not given")
-
     def pause(self) -> None:
         """Called between two reads: does nothing; override it to wait for a device."""
-
-    @pytest.fixture
-    def profile(self) -> Profile:
-        """Optics and force that it is made for."""
-        return load_profile(DEFAULT_PROFILE)
 
     @pytest.fixture
     def source(self, profile: Profile) -> Iterator[Source]:
@@ -176,12 +188,6 @@ class SourceContract:
             time_ns += self.lasts_ns(given)
         assert min(took_s) < self.quickest_s
 
-    def test_one_that_is_not_there_is_an_error_with_a_sentence(self, profile: Profile) -> None:
-        with pytest.raises(SmartTouchError) as error:
-            self.make_impossible(profile)
-        assert str(error.value)
-        assert "\n" not in str(error.value)
-
 
 class StimulusContract(SourceContract):
     """Contract of every source of stimuli: subclass it as ``TestMine``, with `make`.
@@ -216,7 +222,7 @@ def _content(given: Input) -> NDArray[Any]:
     return given.image if isinstance(given, Frame) else given.activation
 
 
-class ForceContract:
+class ForceContract(_Opened):
     """Contract of every source of force: subclass it as ``TestMine``, with `make`.
 
     Attributes
@@ -229,20 +235,12 @@ class ForceContract:
 
     quickest_s: float = 0.005
     largest_n: float = 100.0
+    error = SourceError
 
     def make(self, profile: Profile) -> ForceSource:
         """Return a new source of force."""
         # Not abstract: pytest could not make the class to run what needs no device.
         raise NotImplementedError("return your source of force")
-
-    def make_impossible(self, profile: Profile) -> None:
-        """Open a source that does not exist, as a file without a name; override it."""
-        pytest.skip("make_impossible is not given")
-
-    @pytest.fixture
-    def profile(self) -> Profile:
-        """Profile of the finger."""
-        return load_profile(DEFAULT_PROFILE)
 
     @pytest.fixture
     def force(self, profile: Profile) -> Iterator[ForceSource]:
@@ -276,9 +274,3 @@ class ForceContract:
         force.close()
         force_n = force.read(10**8)
         assert math.isnan(force_n) or force_n >= 0
-
-    def test_one_that_is_not_there_is_an_error_with_a_sentence(self, profile: Profile) -> None:
-        with pytest.raises(SourceError) as error:
-            self.make_impossible(profile)
-        assert str(error.value)
-        assert "\n" not in str(error.value)

@@ -86,12 +86,8 @@ class LiveFinger(Listener):
         active = np.asarray(result.tactile.activation.any(axis=0))
         self._given = Feeling(self.finger, (), active, result.step.mode.afferents)
         self._begun = result
-        slots = [
-            DeliveredSlots(each.current_ua, each.width_us, each.discharge_us, each.period_us)
-            for each in recent
-        ]
         with self._alive() as line:
-            line.send(slots)
+            line.send([DeliveredSlots.of(each) for each in recent])
 
     def finish(self, run: RunContext) -> None:
         """Take the last response: the board is closed."""
@@ -150,5 +146,5 @@ def serve(number: int) -> None:
                 slots = line.recv()
             except (EOFError, OSError):
                 return
-            model.begin_anew()
+            model.reset()
             line.send(tuple(fire_all(model, slots)))

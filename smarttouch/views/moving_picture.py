@@ -10,11 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageColor, ImageDraw, ImageFont
 
 from smarttouch.base.afferent import CLASS_COLORS, Afferent
-from smarttouch.base.array_picture import (
-    ElectrodePicture,
-    current_colors,
-    disc_radius_mm,
-)
+from smarttouch.base.array_picture import ElectrodePicture, current_colors, disc_radius_mm
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.files import write_bytes
 from smarttouch.physiology.finger import Finger
@@ -127,10 +123,7 @@ class _Sheet:
             (left + skin[0] + _GAP, top, left + 2 * skin[0] + _GAP, top + skin[1]),
             (_GAP, top + high + _TITLE, _GAP + wide, top + 2 * high + _TITLE),
         ]
-        self.size = (
-            self._boxes[2][2] + _GAP,
-            max(self._boxes[3][3], self._boxes[1][3]) + _FOOT,
-        )
+        self.size = (self._boxes[2][2] + _GAP, max(self._boxes[3][3], self._boxes[1][3]) + _FOOT)
         self._picture = ElectrodePicture(self._electrodes, self._skin_scale * _SMOOTH)
         magnification = finger.profile.optics.magnification
         self._magnification = magnification

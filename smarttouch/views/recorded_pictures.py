@@ -100,7 +100,7 @@ class RecordingIndex(Closing):
         wanted = Mode(steps[-1]["mode"]).afferents
         with self._feeling:
             self._model = self._model or SpikeModel(self.finger)
-            self._model.begin_anew()
+            self._model.reset()
             spikes = tuple(fire_all(self._model, slots))
         x_mm, y_mm, angle_rad = steps[-1]["pose"]
         pose = Pose(x_mm, y_mm, angle_rad)
@@ -117,7 +117,7 @@ class RecordingIndex(Closing):
             "array": self.array,
             "started": recording.started.isoformat(timespec="seconds"),
             "duration_s": recording.duration_s,
-            "told": {key: each for key, each in settings.items() if each},
+            "facts": {key: each for key, each in settings.items() if each},
             "times_s": self.times_s[first:].tolist(),
             "series": self._series[first : len(self.times_s)],
             "sheet": self._sheet(),

@@ -5,7 +5,7 @@ import json
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from starlette.routing import BaseRoute
 
 MOST_RECORDINGS = 2
-_TYPES = {".png": "image/png", ".svg": "image/svg+xml", ".mp4": "video/mp4"}
+_TYPES = {
+    ".json": "application/json", ".png": "image/png", ".svg": "image/svg+xml", ".mp4": "video/mp4",
+}  # fmt: skip
 
 
 class RecordingsPage(Closing):
@@ -59,85 +61,69 @@ class RecordingsPage(Closing):
 
         return [
             Route("/recordings", self._about),
-            Route("/step/{tape:int}/{step:int}", self._step),
-            Route("/felt/{tape:int}/{step:int}", self._felt),
-            Route("/view/{tape:int}/{step:int}.{kind}", self._view),
-            Route("/film/{tape:int}/{first:int}-{last:int}.mp4", self._film),
+            Route("/step/{tape:int}/{first:int}", _answer(self._step, ".json")),
+            Route("/felt/{tape:int}/{first:int}", _answer(self._felt, ".json")),
+            *(
+                Route(f"/view/{{tape:int}}/{{first:int}}{kind}", _answer(self._view, kind))
+                for kind in (".png", ".svg")
+            ),
+            Route("/film/{tape:int}/{first:int}-{last:int}.mp4", _answer(self._film, ".mp4")),
         ]
 
     async def _about(self, request: "Request") -> "Response":
         from starlette.responses import Response
 
-        first = request.query_params.get("from", "0")
-        start = int(first) if first.isascii() and first.isdecimal() else 0
+        start = _number(request, "from") or 0
         messages = [each.message(start) for each in self.tapes]
         return Response(json.dumps(messages), media_type="application/json")
 
-    async def _step(self, request: "Request") -> "Response":
-        from starlette.responses import Response
+    def _step(self, request: "Request") -> bytes:
+        return self._tape(request).picture(request.path_params["first"])
 
-        try:
-            data = self._tape(request).picture(request.path_params["step"])
-        except IndexError:
-            return Response(status_code=404)
-        return Response(data, media_type="application/json")
+    def _felt(self, request: "Request") -> bytes:
+        return self._tape(request).response(request.path_params["first"])
 
-    async def _felt(self, request: "Request") -> "Response":
-        from starlette.responses import Response
+    def _view(self, request: "Request") -> bytes:
+        kind, first = Path(request.url.path).suffix, request.path_params["first"]
+        return export_view(self._tape(request), first, kind, _number(request, "slot"))
 
-        try:
-            tape = self._tape(request)
-            data = await asyncio.to_thread(tape.response, request.path_params["step"])
-        except IndexError:
-            return Response(status_code=404)
-        return Response(data, media_type="application/json")
-
-    async def _view(self, request: "Request") -> "Response":
-        from starlette.responses import Response
-
-        kind, step = f".{request.path_params['kind']}", request.path_params["step"]
-        text = request.query_params.get("slot", "")
-        slot = int(text) if text.isascii() and text.isdecimal() else None
-        try:
-            if kind not in (".png", ".svg"):
-                raise IndexError(kind)
-            tape = self._tape(request)
-            data = await asyncio.to_thread(export_view, tape, step, kind, slot)
-        except IndexError:
-            return Response(status_code=404)
-        return _file(data, kind, f"{tape.recording.path.stem}-{step}")
-
-    async def _film(self, request: "Request") -> "Response":
-        from starlette.responses import Response
-
-        first, last = request.path_params["first"], request.path_params["last"]
-        try:
-            tape = self._tape(request)
-            data = await asyncio.to_thread(_film_of, tape, first, last)
-        except IndexError:
-            return Response(status_code=404)
-        except RecordingError as error:
-            return Response(str(error), status_code=409, media_type="text/plain")
-        return _file(data, ".mp4", f"{tape.recording.path.stem}-{first}-{last}")
+    def _film(self, request: "Request") -> bytes:
+        with tempfile.TemporaryDirectory(prefix="smarttouch-") as folder:
+            path, place = Path(folder) / "film.mp4", request.path_params
+            export_film(self._tape(request), path, place["first"], place["last"])
+            return path.read_bytes()
 
     def _tape(self, request: "Request") -> RecordingIndex:
         number: int = request.path_params["tape"]
         return self.tapes[number]
 
 
-def _film_of(tape: RecordingIndex, first: int, last: int) -> bytes:
-    with tempfile.TemporaryDirectory(prefix="smarttouch-") as folder:
-        path = Path(folder) / "film.mp4"
-        export_film(tape, path, first, last)
-        return path.read_bytes()
+def _number(request: "Request", name: str) -> int | None:
+    text = request.query_params.get(name, "")
+    return int(text) if text.isascii() and text.isdecimal() else None
 
 
-def _file(data: bytes, kind: str, stem: str) -> "Response":
-    from starlette.responses import Response
+def _answer(
+    make: Callable[["Request"], bytes], kind: str
+) -> Callable[["Request"], Awaitable["Response"]]:
+    """Return the answer to requests for a file, which a thread makes; what is not there is 404."""
 
-    plain = "".join(each if each.isascii() and each.isalnum() else "-" for each in stem)
-    headers = {"content-disposition": f'attachment; filename="{plain}{kind}"'}
-    return Response(data, media_type=_TYPES[kind], headers=headers)
+    async def answer(request: "Request") -> "Response":
+        from starlette.responses import Response
+
+        try:
+            data = await asyncio.to_thread(make, request)
+        except IndexError:
+            return Response(status_code=404)
+        except RecordingError as error:
+            return Response(str(error), status_code=409, media_type="text/plain")
+        headers = {}
+        if kind != ".json":
+            numbers = "-".join(str(each) for each in request.path_params.values())
+            headers["content-disposition"] = f'attachment; filename="recording-{numbers}{kind}"'
+        return Response(data, media_type=_TYPES[kind], headers=headers)
+
+    return answer
 
 
 def show_recordings(paths: Sequence[Path], port: int = 0) -> None:

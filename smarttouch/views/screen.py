@@ -67,10 +67,7 @@ class Screen(Listener):
         self._interval = sys.getswitchinterval()
         sys.setswitchinterval(0.0005)
         self._live = Live(
-            console=self._console,
-            get_renderable=self._render,
-            auto_refresh=False,
-            transient=True,
+            console=self._console, get_renderable=self._render, auto_refresh=False, transient=True
         )
         self._live.start(refresh=True)
         self._over.clear()

@@ -13,14 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from smarttouch.base.clock import prioritized
 from smarttouch.base.errors import DesignError, SmartTouchError
-from smarttouch.base.events import (
-    Event,
-    IntensityChanged,
-    Marked,
-    ModeChanged,
-    RunEnded,
-    RunFailed,
-)
+from smarttouch.base.events import Event, IntensityChanged, Marked, ModeChanged, RunEnded, RunFailed
 from smarttouch.base.stopping import RunStopped, StopRequest
 from smarttouch.physiology.finger import Finger
 from smarttouch.running.listener import Listener, RunContext

@@ -13,7 +13,7 @@ from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from tests.boards.fresh import deliver
-from tests.boards.told import MS, ToldClock, ToldKit
+from tests.boards.manual_kit import MS, ManualClock, ManualKit
 
 from ..raising import raises
 
@@ -91,7 +91,7 @@ def make(monkeypatch):
     def make(output=None, option="", limits=LIMITS):
         url = "x?firmware=71adee2" + option
         board = ETactileKitBoard(url, limits, output)
-        board._clock, board._pause = ToldClock(late_us=0), lambda _: None
+        board._clock, board._pause = ManualClock(late_us=0), lambda _: None
         return board
 
     return make
@@ -131,7 +131,7 @@ def test_a_pattern_that_is_there_is_not_sent_again(script, make):
 @pytest.mark.parametrize(("event", "lifted"), [("0 lift", True), ("0 touch", False)])
 def test_a_finger_that_is_gone_is_known_by_the_load_beside_it(monkeypatch, event, lifted):
     limits = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
-    kit = ToldKit(monkeypatch, limits, finger=EmulatedFinger(8, [event]), dummy_ohm=66e3)
+    kit = ManualKit(monkeypatch, limits, finger=EmulatedFinger(8, [event]), dummy_ohm=66e3)
     sequence = one_each(
         limits, 2000, 100, 1.0, 0, cathodic=False, sites=[1], discharge_us=50, period_us=20_000
     )
@@ -230,7 +230,7 @@ def test_slow_writes_are_pieces_of_eight(script, make, monkeypatch):
 def test_the_account_is_of_what_was_scanned(monkeypatch):
     """A silent sequence is none of the board's, and what could not be shown is not counted."""
     limits = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
-    kit = ToldKit(monkeypatch, limits)
+    kit = ManualKit(monkeypatch, limits)
     pulse, silence = (
         one_each(
             limits, level, 100, 0.5, 0, cathodic=False, sites=[1], discharge_us=50,

@@ -15,7 +15,7 @@ from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.stimulation.safety_gate import SafetyLimits
-from tests.boards.told import ToldClock, ToldPort
+from tests.boards.manual_kit import ManualClock, ManualPort
 
 from ..raising import raises
 
@@ -36,12 +36,12 @@ class Meeting:
     """A driver that meets a board for the first time."""
 
     def __init__(self, patch, firmware, option="", board=None):
-        self.clock = ToldClock(late_us=0)
+        self.clock = ManualClock(late_us=0)
         patch.setattr(etactilekit_line.time, "sleep", self.clock.sleep)
         patch.setattr(etactilekit_line.time, "monotonic", self.clock.monotonic)
         self.books = DeliveryLog(8)
         self.board = board or ETactileKitFirmware(self.books, firmware=firmware)
-        self.port = ToldPort(self.board, self.clock)
+        self.port = ManualPort(self.board, self.clock)
         patch.setattr(etactilekit_line, "open_port", lambda _: self.port)
         patch.setattr("smarttouch.boards.kits.kept_line.KeptLine", lambda port: port)
         self.driver = ETactileKitBoard("told" + option, LIMITS)

@@ -15,7 +15,7 @@ from smarttouch.boards.probe_scans import one_each
 from smarttouch.emulator.firmware import read_slots
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.boards.fresh import until
-from tests.boards.told import MS, ToldKit
+from tests.boards.manual_kit import MS, ManualKit
 
 PATTERNS = int(os.environ.get("SMARTTOUCH_PATTERNS", "150"))
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
@@ -56,7 +56,7 @@ def wanted(sequence):
     ("phase_us", "drift"), [(0, 100e-6), (4_900, -100e-6), (11_300, 0.0), (19_500, 100e-6)]
 )
 def test_every_pattern_is_scanned_once(monkeypatch, firmware, phase_us, drift):
-    kit = ToldKit(monkeypatch, LIMITS, firmware, phase_ns=1000 * phase_us, drift=drift)
+    kit = ManualKit(monkeypatch, LIMITS, firmware, phase_ns=1000 * phase_us, drift=drift)
     sequences = patterns(PATTERNS)
     start = kit.clock.time_ns
     report = kit.run([(start + 20 * MS * i, each, 1) for i, each in enumerate(sequences)])
@@ -75,7 +75,7 @@ def test_every_pattern_is_scanned_once(monkeypatch, firmware, phase_us, drift):
 def test_long_scans_leave_enough_time_between_them(monkeypatch, firmware, width_us):
     """48 electrodes fill 39 % of the period, or 64 %."""
     limits = SafetyLimits(48, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
-    kit = ToldKit(monkeypatch, limits, firmware, phase_ns=3 * MS, drift=70e-6)
+    kit = ManualKit(monkeypatch, limits, firmware, phase_ns=3 * MS, drift=70e-6)
     rng, start = random.Random(1), kit.clock.time_ns
     sequences = [
         pulses(900, rng.sample(range(48), 2), step, limits, width_us) for step in range(60)
@@ -91,7 +91,7 @@ def test_long_scans_leave_enough_time_between_them(monkeypatch, firmware, width_
 @pytest.mark.parametrize("seed", range(4))
 def test_what_a_busy_host_cannot_determine_is_a_range(monkeypatch, firmware, seed):
     """Waits of milliseconds too long, and frames that come when they like: none unscanned."""
-    kit = ToldKit(
+    kit = ManualKit(
         monkeypatch, LIMITS, firmware, seed=seed, late_us=3000, phase_ns=7 * MS * seed, wire_us=2000
     )
     sequences = patterns(PATTERNS // 3, seed)
@@ -109,7 +109,7 @@ def test_what_a_busy_host_cannot_determine_is_a_range(monkeypatch, firmware, see
 @FIRMWARES
 @pytest.mark.parametrize("times", [1, 7])
 def test_the_same_pattern_again_is_scanned_again(monkeypatch, firmware, times):
-    kit = ToldKit(monkeypatch, LIMITS, firmware, phase_ns=3 * MS, drift=60e-6)
+    kit = ManualKit(monkeypatch, LIMITS, firmware, phase_ns=3 * MS, drift=60e-6)
     (sequence,) = patterns(1)
     start = kit.clock.time_ns
     report = kit.run([(start + i * times * 20 * MS, sequence, times) for i in range(60)])
@@ -119,7 +119,7 @@ def test_the_same_pattern_again_is_scanned_again(monkeypatch, firmware, times):
 
 @pytest.mark.parametrize("times", [1, 3])
 def test_each_height_has_a_scan_of_its_own_where_there_is_one_for_all(monkeypatch, times):
-    kit = ToldKit(monkeypatch, LIMITS, "936c6c0", phase_ns=3 * MS)
+    kit = ManualKit(monkeypatch, LIMITS, "936c6c0", phase_ns=3 * MS)
     sequence = pulses(1200, [1, 3, 4, 6])
     sequence.current_ua[1] //= 2
     sequence.current_ua[2] //= 3
@@ -133,7 +133,7 @@ def test_each_height_has_a_scan_of_its_own_where_there_is_one_for_all(monkeypatc
 
 
 def test_what_is_too_weak_to_measure_is_scanned_and_reported_as_a_range(monkeypatch):
-    kit = ToldKit(monkeypatch, LIMITS, phase_ns=3 * MS)
+    kit = ManualKit(monkeypatch, LIMITS, phase_ns=3 * MS)
     weak = [pulses(10, [step % 8], step, intensity=0.1) for step in range(60)]
     start = kit.clock.time_ns
     report = kit.run([(start + i * 20 * MS, each, 1) for i, each in enumerate(weak)])
@@ -145,7 +145,7 @@ def test_what_is_too_weak_to_measure_is_scanned_and_reported_as_a_range(monkeypa
 
 @FIRMWARES
 def test_slow_writing_scans_each_pattern_once_too(monkeypatch, firmware):
-    kit = ToldKit(monkeypatch, LIMITS, firmware, phase_ns=5 * MS, drift=-80e-6)
+    kit = ManualKit(monkeypatch, LIMITS, firmware, phase_ns=5 * MS, drift=-80e-6)
     kit.driver._slow = True
     sequences = patterns(60)
     start = kit.clock.time_ns
@@ -157,7 +157,7 @@ def test_slow_writing_scans_each_pattern_once_too(monkeypatch, firmware):
 
 @FIRMWARES
 def test_another_polarity_and_rate_are_set_in_between(monkeypatch, firmware):
-    kit = ToldKit(monkeypatch, LIMITS, firmware, phase_ns=5 * MS)
+    kit = ManualKit(monkeypatch, LIMITS, firmware, phase_ns=5 * MS)
     sequences = [
         pulses(800 + 20 * step, [step % 8], step, cathodic=step % 4 > 1, period_us=period_us)
         for step, period_us in enumerate(([20_000] * 8 + [10_000] * 8) * 2 + [20_000] * 8)

@@ -14,12 +14,12 @@ from smarttouch.emulator.emulated_boards import EmulatorBoard
 from smarttouch.stimulation.safety_gate import Rise, SafetyLimits
 
 from .fresh import deliver
-from .told import ToldKit
+from .manual_kit import ManualKit
 
 HOUR_NS = 3600 * 10**9
 
 
-class ToldClock:
+class ManualClock:
     """Time that passes when it is set; waits are over at once."""
 
     def __init__(self, time_ns=10**12):
@@ -64,7 +64,7 @@ def pulses(electrodes, step, level_ua=1000):
 )  # fmt: skip
 def test_a_tenth_of_a_second_is_the_limit(kind, late_ns, sent):
     board = kind("", limits(8))
-    board._clock = ToldClock()
+    board._clock = ManualClock()
     with board:
         board.send(pulses(8, 0))
         due_ns = board.clock.time_ns
@@ -81,7 +81,7 @@ def test_a_tenth_of_a_second_is_the_limit(kind, late_ns, sent):
 def test_after_a_pause_it_begins_at_zero(pause_ns):
     """Also after an hour of sleep: the clock runs on while the machine is suspended."""
     board = Felt("", limits(8))
-    board._clock = ToldClock()
+    board._clock = ManualClock()
     with board:
         board.send(pulses(8, 0))
         board.send(pulses(8, 1))
@@ -101,7 +101,7 @@ KAJIMOTO_ZERO = bytes([0xFF]) + bytes(61)
 KAJIMOTO_OPEN = [(bytes(61), b""), (KAJIMOTO_ZERO, b"")]
 
 
-class PausesBeforeTheSecondPacket(ToldClock):
+class PausesBeforeTheSecondPacket(ManualClock):
     """The computer stands still while the sender waits for the second packet's time."""
 
     waits = 0
@@ -135,7 +135,7 @@ def test_a_packet_whose_time_has_passed_is_not_written(script, times):
 def test_a_job_that_waited_through_a_pause_is_not_sent(script):
     """The pause comes before the sender has even looked at it."""
     script(*KAJIMOTO_OPEN, *KAJIMOTO_OPEN)
-    clock = ToldClock()
+    clock = ManualClock()
     board = Kajimoto61Board("x", limits(61))
     board._clock = clock
     with board:
@@ -175,7 +175,7 @@ def test_the_rise_is_counted_from_what_was_written(script, rise_of_the_line, ahe
     """Though both were proved, and neither is late: the first one's delay adds nothing."""
     part = ahead_ms / 1000 / limits(61).ramp_s
     board = Kajimoto61Board("x", limits(61))
-    board._clock = ToldClock()
+    board._clock = ManualClock()
     rise_of_the_line(board, limits(61).ramp_ns)
     packets = [(board._encode(rising(61, part, 1)), b"")] * sent
     script(*KAJIMOTO_OPEN, (KAJIMOTO_ZERO, b""), *packets, *KAJIMOTO_OPEN)
@@ -187,7 +187,7 @@ def test_the_rise_is_counted_from_what_was_written(script, rise_of_the_line, ahe
 @pytest.mark.parametrize(("ahead_ms", "sent"), LATE_RISE)
 def test_a_link_board_rises_from_what_was_written(rise_of_the_line, ahead_ms, sent):
     with EmulatorBoard("", limits(8)) as board:
-        board._clock = ToldClock()
+        board._clock = ManualClock()
         rise_of_the_line(board, limits(8).ramp_ns)
         deliver(board, pulses(8, 0))
         # Nor does it matter how late the first went.
@@ -202,7 +202,7 @@ def test_a_link_board_rises_from_what_was_written(rise_of_the_line, ahead_ms, se
 
 @pytest.mark.parametrize(("late_ns", "scans"), [(0, 5), (LATE_NS, 5), (LATE_NS + 1, 0)])
 def test_a_pattern_whose_time_has_passed_is_not_let_through(monkeypatch, late_ns, scans):
-    kit = ToldKit(monkeypatch, limits(4))
+    kit = ManualKit(monkeypatch, limits(4))
     kit.late_ns = late_ns
     # A pause before each: what waits for its turn behind another is not late.
     begin_ns = kit.clock.time_ns
@@ -212,7 +212,7 @@ def test_a_pattern_whose_time_has_passed_is_not_let_through(monkeypatch, late_ns
     assert kit.driver.dropped_late == 5 * (scans == 0)
 
 
-class PausesAfter(ToldClock):
+class PausesAfter(ManualClock):
     """The computer stands still after so many looks at the clock."""
 
     def __init__(self, looks):
@@ -237,7 +237,7 @@ def test_a_link_board_gets_no_byte_of_what_is_late(looks):
         with pytest.raises(SequenceLateError):
             board.send(pulses(8, 1), due_ns=due_ns)
         assert board.dropped_late == 1
-        board._clock = ToldClock()
+        board._clock = ManualClock()
         deliver(board, one_each(limits(8), 0, 50, 0.0, 4 * 10**9, cathodic=False))
         report = board.report()
     assert (report.sequences, report.pulses) == (2, 0)
@@ -246,7 +246,7 @@ def test_a_link_board_gets_no_byte_of_what_is_late(looks):
 
 def test_what_got_lost_is_sent_again_only_while_there_is_time():
     with EmulatorBoard("", limits(8)) as board:
-        board._clock = ToldClock()
+        board._clock = ManualClock()
         written = []
 
         def send(_kind, number, payload, *, latest_ns, now_ns):

@@ -45,7 +45,7 @@ def test_a_restarted_model_fires_as_at_first(finger):
     model, near = SpikeModel(finger), slots(finger, current_ma=1.5)
     first = model.fire(near)
     model.fire(near)
-    model.begin_anew()
+    model.reset()
     again = model.fire(near)
     assert first.fired.any()
     assert np.array_equal(again.fired, first.fired)

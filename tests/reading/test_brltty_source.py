@@ -19,7 +19,7 @@ PROFILE = load_profile("electric-mouse")
 ARRAY = (8, 8)
 
 
-class Told:
+class ScriptedDisplay:
     """Stands in for a connection: shows what a test says, and keeps the commands."""
 
     address = "nowhere"
@@ -41,10 +41,10 @@ class Finger:
     """A source with its clock."""
 
     def __init__(self, presentation=Presentation.CELL, cells_a_s=1.0, **options):
-        self.told = Told()
-        plain = BrailleDisplaySource(self.told, PROFILE)
+        self.line = ScriptedDisplay()
+        plain = BrailleDisplaySource(self.line, PROFILE)
         speed_mm_s = cells_a_s * plain.layout.cell_mm
-        self.source = BrailleDisplaySource(self.told, PROFILE, presentation, speed_mm_s, **options)
+        self.source = BrailleDisplaySource(self.line, PROFILE, presentation, speed_mm_s, **options)
         self._time_ns = 0
 
     def after(self, seconds=0.0):
@@ -73,15 +73,15 @@ class Finger:
 def test_without_brltty_nothing_is_felt():
     finger = Finger()
     assert finger.after().stale
-    finger.told.show("⠓")
+    finger.line.show("⠓")
     assert not finger.after(0.02).stale
-    finger.told.shown = None
+    finger.line.shown = None
     assert finger.after(0.02).stale
 
 
 def test_cells_come_one_by_one_with_a_gap_before_each():
     finger = Finger()
-    finger.told.show("⠓⠓⣊⠀⠞⠀⠀")
+    finger.line.show("⠓⠓⣊⠀⠞⠀⠀")
     assert finger.cell() == "⠀"
     felt = [finger.cell(1.0 if index else 0.5) for index in range(6)]
     assert "".join(felt) == "⠓⠓⣊⠀⠞⠀"
@@ -91,7 +91,7 @@ def test_cells_come_one_by_one_with_a_gap_before_each():
 
 def test_a_line_moves_through_electrode_by_electrode():
     finger = Finger(Presentation.LINE)
-    finger.told.show("⠓⠊⠞")
+    finger.line.show("⠓⠊⠞")
     layout = finger.source.layout
     first = finger.window(finger.after())
     windows = [finger.window(finger.after(REST_S))]
@@ -106,10 +106,10 @@ def test_a_line_moves_through_electrode_by_electrode():
 
 def test_what_was_typed_is_felt_and_not_the_line_again():
     finger = Finger()
-    finger.told.show("⠓⠊⣀⠀")
+    finger.line.show("⠓⠊⣀⠀")
     finger.cell(0.5)
     finger.cell(9.0)
-    finger.told.show("⠓⠊⠞⣀")
+    finger.line.show("⠓⠊⠞⣀")
     finger.cell()
     assert finger.cell(0.5) == "⠞"
     assert finger.cell(1.0) == "⣀"
@@ -117,21 +117,21 @@ def test_what_was_typed_is_felt_and_not_the_line_again():
 
 def test_the_cursor_is_followed_but_not_its_blinking():
     finger = Finger()
-    finger.told.show("⠓⠊⠞⣀")
+    finger.line.show("⠓⠊⠞⣀")
     finger.cell(0.5)
-    finger.told.show("⣓⠊⠞⠀")
+    finger.line.show("⣓⠊⠞⠀")
     finger.cell()
     assert finger.cell(0.5) == "⣓"
     assert finger.cell(1.0) == "⠊"
     for cells in ("⠓⠊⠞⠀", "⣓⠊⠞⠀"):
-        finger.told.show(cells)
+        finger.line.show(cells)
         finger.cell()
     assert finger.cell(1.0) == "⠞"
 
 
 def test_keys_move_the_finger_and_command_brltty():
     finger = Finger()
-    finger.told.show("⠓⠊⠞⠎")
+    finger.line.show("⠓⠊⠞⠎")
     finger.cell(0.5)
     keys = finger.source.keys
     for key, place in (("]", "⠊"), ("]", "⠞"), ("[", "⠊"), ("r", "⠓"), ("[", "⠓")):
@@ -141,7 +141,7 @@ def test_keys_move_the_finger_and_command_brltty():
     finger.cell(2.0)
     for key in ("right", "left", "n", "p", "h", "\n", "\r"):
         keys[key]()
-    assert finger.told.sent == ["fwinrt", "fwinlt", "lndn", "lnup", "home", "route 2", "route 2"]
+    assert finger.line.sent == ["fwinrt", "fwinlt", "lndn", "lnup", "home", "route 2", "route 2"]
     keys[" "]()
     assert [finger.cell(5.0) for _ in range(2)] == ["⠞", "⠞"]
     keys[" "]()
@@ -151,32 +151,32 @@ def test_keys_move_the_finger_and_command_brltty():
 
 def test_the_window_moves_on_by_itself_once():
     finger = Finger(pan=True)
-    finger.told.show("⠓⠊")
+    finger.line.show("⠓⠊")
     finger.after()
     for _ in range(30):
         finger.after(0.1)
-    assert finger.told.sent == ["fwinrt"]
-    finger.told.show("⠞⠎")
+    assert finger.line.sent == ["fwinrt"]
+    finger.line.show("⠞⠎")
     for _ in range(30):
         finger.after(0.1)
-    assert finger.told.sent == ["fwinrt"] * 2
+    assert finger.line.sent == ["fwinrt"] * 2
 
 
 def test_a_lost_line_stays_where_it_was():
     finger = Finger()
-    finger.told.show("⠓⠊⠞")
+    finger.line.show("⠓⠊⠞")
     finger.cell()
     assert finger.cell(0.5) == "⠓"
-    shown, finger.told.shown = finger.told.shown, None
+    shown, finger.line.shown = finger.line.shown, None
     finger.after(60.0)
-    finger.told.shown = shown
+    finger.line.shown = shown
     assert finger.cell(1.0) == "⠊"
 
 
 def test_updates_that_were_never_read_are_counted():
     finger = Finger()
     for cells in ("⠓", "⠊", "⠞"):
-        finger.told.show(cells)
+        finger.line.show(cells)
     numbers = {finger.after(0.02).number for _ in range(50)}
     assert finger.source.dropped_frames == 2
     assert finger.source.frames == len(numbers) + 2
@@ -192,7 +192,7 @@ def test_what_cannot_be_opened(url):
 
 
 def test_an_array_too_small_for_cells():
-    BrailleDisplaySource(Told(), load_profile("smarttouch-4x4"))
+    BrailleDisplaySource(ScriptedDisplay(), load_profile("smarttouch-4x4"))
     with raises(ReadingError, about="profile"):
         open_brltty("listen:1", load_profile("line-7"))
 
@@ -200,4 +200,4 @@ def test_an_array_too_small_for_cells():
 @pytest.mark.parametrize("speed_mm_s", [0.0, 1e5, float("nan")])
 def test_impossible_speeds(speed_mm_s):
     with raises(SourceError, about="speed_mm_s"):
-        BrailleDisplaySource(Told(), PROFILE, speed_mm_s=speed_mm_s)
+        BrailleDisplaySource(ScriptedDisplay(), PROFILE, speed_mm_s=speed_mm_s)

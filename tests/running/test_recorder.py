@@ -145,7 +145,7 @@ def test_the_description_has_the_versions(profile):
     assert type(profile).model_validate_json(about["profile"]) == profile
 
 
-class ToldQueue:
+class ManualQueue:
     """A queue and a clock: what is handed over comes at its time, s, and waiting takes none."""
 
     def __init__(self, handed):
@@ -176,16 +176,16 @@ class ToldQueue:
 
 
 @contextlib.contextmanager
-def told_clock(handed):
-    """Patch the writer's queue and clock by those that the test sets; see `ToldQueue`."""
-    told = ToldQueue(handed)
+def manual_clock(handed):
+    """Patch the writer's queue and clock by those that the test sets; see `ManualQueue`."""
+    told = ManualQueue(handed)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(module.queue, "SimpleQueue", lambda: told)
         patch.setattr(module.time, "monotonic", told.monotonic)
         yield told, patch
 
 
-def recorded_by_told_clock(path, about, handed, takes_s=0.0):
+def recorded_by_manual_clock(path, about, handed, takes_s=0.0):
     """Record what comes at its times; return when the disk had how much, from the first on."""
     synced, fsync = [], os.fsync
 
@@ -195,7 +195,7 @@ def recorded_by_told_clock(path, about, handed, takes_s=0.0):
             told.now_s += takes_s
             synced.append((told.now_s, os.fstat(number).st_size))
 
-    with told_clock(handed) as (told, patch):
+    with manual_clock(handed) as (told, patch):
         patch.setattr(module.os, "fsync", waited_for)
         RecordingWriter(path, about, STARTED_NS).close()
     return synced
@@ -206,7 +206,7 @@ def test_nothing_waits_for_the_disk_longer_than_a_second(tmp_path, about, steps)
     at_s = [0.05 * index for index in range(60)] + [10.0, 3600.0]
     handed = [(due_s, sent) for due_s, sent in zip(at_s, itertools.cycle(steps), strict=False)]
     path = tmp_path / "run.mcap"
-    first, *synced = recorded_by_told_clock(path, about, handed)
+    first, *synced = recorded_by_manual_clock(path, about, handed)
     assert first[0] == 0.0, "the settings, before anything is recorded"
     times = [time_s for time_s, _ in synced]
     assert times[:3] == pytest.approx([1.0, 2.05, 3.1], abs=0.051)
@@ -228,7 +228,7 @@ def test_nothing_waits_for_the_system_longer_than_a_moment(tmp_path, about, step
         flush(recorder)
         given.append((told.now_s, recorder._index))
 
-    with told_clock([(due_s, steps[0]) for due_s in at_s]) as (told, patch):
+    with manual_clock([(due_s, steps[0]) for due_s in at_s]) as (told, patch):
         patch.setattr(RecordingWriter, "_flush", flush_and_tell)
         RecordingWriter(tmp_path / "run.mcap", about, STARTED_NS).close()
     assert len(given) < 20, "several steps share a chunk"
@@ -240,7 +240,7 @@ def test_nothing_waits_for_the_system_longer_than_a_moment(tmp_path, about, step
 
 def test_a_slow_disk_is_waited_for_once_a_second_at_most(tmp_path, about, steps):
     handed = [(0.05 * index, steps[index % 40]) for index in range(100)]
-    synced = recorded_by_told_clock(tmp_path / "run.mcap", about, handed, takes_s=0.4)
+    synced = recorded_by_manual_clock(tmp_path / "run.mcap", about, handed, takes_s=0.4)
     times = [time_s for time_s, _ in synced]
     assert all(after - before >= 1.3 for before, after in itertools.pairwise(times[1:-1]))
     assert len(times) in (5, 6)
@@ -251,7 +251,7 @@ def test_what_the_disk_had_is_readable_after_a_power_cut(tmp_path, about, steps)
     handed = [(0.07 * index, sent) for index, sent in enumerate(steps)]
     handed += [(3.0, (5_000_000, "paused"))]
     path = tmp_path / "run.mcap"
-    synced = recorded_by_told_clock(path, about, handed)
+    synced = recorded_by_manual_clock(path, about, handed)
     whole, found = path.read_bytes(), []
     for number, (time_s, size) in enumerate(synced[:-1]):
         cut = tmp_path / f"cut{number}.mcap"

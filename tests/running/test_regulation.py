@@ -16,7 +16,7 @@ from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 
-class Told:
+class MeasuredBoard:
     """A board that reports what a test sets."""
 
     def __init__(self, *measured):
@@ -40,15 +40,15 @@ def measured(step, volts):
 
 def test_what_was_measured_is_kept_with_the_step_it_came_before(step):
     first, second = measured(step, 80), measured(step, 90)
-    board = Told(first, second)
+    board = MeasuredBoard(first, second)
     assert Regulator().regulate(step, board).observed == (first, second)
     assert Regulator().regulate(step, board) is step
 
 
 def test_what_was_measured_changes_what_is_sent(profile, step):
     regulator = Regulator(Adaptation(profile, "energy", 300.0))
-    before = regulator.regulate(step, Told(measured(step, 50))).sequence
-    after = regulator.regulate(step, Told(measured(step, 100))).sequence
+    before = regulator.regulate(step, MeasuredBoard(measured(step, 50))).sequence
+    after = regulator.regulate(step, MeasuredBoard(measured(step, 100))).sequence
     # Twice the impedance: less by its square root.
     peaks = [np.abs(each.current_ua.astype(int)).max() for each in (before, after)]
     assert peaks[1] == pytest.approx(peaks[0] / np.sqrt(2), rel=0.01)
@@ -61,7 +61,7 @@ def rules_of(profile):
 def test_a_phase_that_does_not_fit_slows_the_scan_with_a_note(profile, step):
     hurried = replace(step, sequence=replace(step.sequence, period_us=step.asked_us // 2))
     regulator = Regulator(ledger=ChargeBalance(64), recharge=rules_of(profile))
-    sent = regulator.regulate(hurried, Told()).sequence
+    sent = regulator.regulate(hurried, MeasuredBoard()).sequence
     assert sent.period_us > hurried.sequence.period_us
     (note,) = regulator.notes()
     assert "1 of 1 scans" in note
@@ -71,14 +71,14 @@ def test_a_phase_that_does_not_fit_slows_the_scan_with_a_note(profile, step):
 def test_charge_that_cannot_be_taken_back_at_once_is_noted(profile, step):
     regulator = Regulator(ledger=ChargeBalance(64), recharge=rules_of(profile))
     regulator.ledger.charge_pc[:2] = [9_000_000, -9_000_000]
-    regulator.regulate(step, Told())
+    regulator.regulate(step, MeasuredBoard())
     assert any(f"{regulator.ledger.worst_uc:.2f} µC" in each for each in regulator.notes())
 
 
 def test_reversed_scans_are_noted_with_what_they_do(step):
     regulator = Regulator(ledger=ChargeBalance(64))
     for _ in range(4):
-        regulator.regulate(step, Told())
+        regulator.regulate(step, MeasuredBoard())
     (note,) = regulator.notes()
     assert "2 of 4 scans" in note
     assert all(name in note for name in ("SAI", "RA"))
@@ -86,7 +86,7 @@ def test_reversed_scans_are_noted_with_what_they_do(step):
 
 def test_without_balance_there_is_no_note(step):
     regulator = Regulator()
-    assert regulator.regulate(step, Told()) is step
+    assert regulator.regulate(step, MeasuredBoard()) is step
     assert regulator.notes() == []
 
 

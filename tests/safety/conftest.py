@@ -8,7 +8,7 @@ from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..rising import open_level
-from .gates import ToldClock
+from .gates import ManualClock
 
 
 @pytest.fixture
@@ -19,7 +19,7 @@ def limits():
 @pytest.fixture
 def opened(limits):
     """A gate at full intensity a second after its start, and its clock."""
-    clock = ToldClock()
+    clock = ManualClock()
     gate = SafetyGate(limits, clock)
     none = np.empty(0, np.uint16)
     silent = ScanSequence(np.empty((0, 64), np.int16), none, none, none, 20_000, 1.0, 0)

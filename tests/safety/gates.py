@@ -12,7 +12,7 @@ _FIELDS = ("current_ua", "width_us", "discharge_us", "site", "vibration", "recha
 
 
 @dataclass
-class ToldClock:
+class ManualClock:
     """A clock that stands where it is put."""
 
     time_ns: int = 0
@@ -35,7 +35,7 @@ class GateUnderTest:
     """A safety gate with a clock that the test sets."""
 
     def __init__(self, profile):
-        self.clock = ToldClock()
+        self.clock = ManualClock()
         limits = SafetyLimits.of(profile)
         self._gate = SafetyGate(limits, self.clock)
 

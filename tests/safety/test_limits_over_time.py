@@ -12,7 +12,7 @@ from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..rising import open_level
-from .gates import ToldClock
+from .gates import ManualClock
 
 SECOND = 10**9
 
@@ -114,7 +114,7 @@ def test_repetitions_count_before_they_are_let_through(opened):
 
 def test_full_in_one_scan_after_silence(limits):
     """Claimed intensity without current opens nothing."""
-    clock = ToldClock()
+    clock = ManualClock()
     gate = SafetyGate(limits, clock)
     for step in range(100):
         clock.time_ns = step * 20_000_000

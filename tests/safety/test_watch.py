@@ -14,14 +14,14 @@ from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 from . import watch
 from .bounds import Bounds
 from .by_hand import pair, sequence
-from .gates import ToldClock
+from .gates import ManualClock
 from .watch import HeardClock, Watch
 
 LIMITS = SafetyLimits(4, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.4)
 
 
 def gate(limits=LIMITS):
-    return SafetyGate(limits, ToldClock())
+    return SafetyGate(limits, ManualClock())
 
 
 @pytest.fixture
@@ -108,7 +108,7 @@ def test_a_simulated_board(blind, taken, monkeypatch):
 
 
 def test_a_clock_is_audible():
-    class Clock(ToldClock):
+    class Clock(ManualClock):
         spin_ns = 5
 
     heard = HeardClock(Clock(7))

@@ -15,11 +15,7 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.sources.source_contract import Stimulus
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
-from smarttouch.stimulation.scan_sequence import (
-    KernelLists,
-    KernelTable,
-    largest_amplitude,
-)
+from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, largest_amplitude
 
 
 def random_table(seed, kernels, electrodes):

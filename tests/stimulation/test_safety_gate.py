@@ -114,7 +114,7 @@ def test_a_refused_sequence_does_not_count_as_the_one_before():
     gate.prove(sequence(GOOD))
 
 
-class ToldClock:
+class ManualClock:
     """Time as a test sets it."""
 
     def __init__(self):
@@ -126,7 +126,7 @@ class ToldClock:
 
 def on_a_clock(limits=LIMITS):
     """A gate on a clock that a test sets, at full intensity a second after its start."""
-    clock = ToldClock()
+    clock = ManualClock()
     gate = SafetyGate(limits, clock)
     open_level(gate.prove, sequence(GOOD), gate.limits, clock=clock)
     return gate, clock

@@ -90,11 +90,7 @@ def test_only_this_page_of_this_machine_is_served(running):
             assert ask(run, "POST", path, **headers).status == 403
         answer = ask(run, "GET", "/SECRET/live.html")
         assert "default-src 'none'" in answer.headers["content-security-policy"]
-        for wrong in (
-            {"origin": "http://example.org"},
-            {"origin": ""},
-            {"token": "x" * 32},
-        ):
+        for wrong in ({"origin": "http://example.org"}, {"origin": ""}, {"token": "x" * 32}):
             with pytest.raises(InvalidStatus) as refused:
                 connect(run, **wrong)
             assert refused.value.response.status_code == 403

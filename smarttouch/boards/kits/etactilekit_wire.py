@@ -154,11 +154,7 @@ class Codec(ABC):
         self.outputs = outputs
 
     def payload(
-        self,
-        sequence: ScanSequence,
-        wiring: NDArray[np.intp],
-        scale: Scale,
-        limits: SafetyLimits,
+        self, sequence: ScanSequence, wiring: NDArray[np.intp], scale: Scale, limits: SafetyLimits
     ) -> bytes:
         """Return what a sequence asks of the outputs; raise BoardError if it is impossible."""
         electrode, counts = heights(sequence, scale, limits)

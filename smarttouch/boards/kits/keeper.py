@@ -117,10 +117,7 @@ class Keeper:
                 if len(self._unread) < max(length, ZERO_HEAD):
                     break
                 self._slow = bool(self._unread[1])
-                self._zero, self._unread = (
-                    self._unread[ZERO_HEAD:length],
-                    self._unread[length:],
-                )
+                self._zero, self._unread = (self._unread[ZERO_HEAD:length], self._unread[length:])
                 continue
             self._unread = self._unread[1:]
             if kind == FLUSH:

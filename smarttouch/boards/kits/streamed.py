@@ -84,7 +84,7 @@ class StreamedBoard(Board):
         self._number = 0
         self._waiting: Job | None = None
         self._busy = False
-        self._late_since_told = False
+        self._late_unreported = False
         self._opening = False
         self._over_s = 0.0
         self._last_begun = 0
@@ -113,7 +113,7 @@ class StreamedBoard(Board):
     def _start(self, port: Port, *, again: bool = False) -> None:
         self._serial = self._wrap(port)
         self._fault, self._waiting, self._busy = None, None, False
-        self._late_since_told = False
+        self._late_unreported = False
         self._rise.restart()
         self._closing.clear()
         # From here to the end of the greeting nothing flows, and the line is this thread's.
@@ -165,8 +165,8 @@ class StreamedBoard(Board):
             )
             if self._fault is not None:
                 raise self._fault
-            if self._late_since_told:
-                self._late_since_told = False
+            if self._late_unreported:
+                self._late_unreported = False
                 self.dropped_late += 1
                 raise self._late()
             self._number += 1
@@ -299,7 +299,7 @@ class StreamedBoard(Board):
         with self._news:
             self.dropped_late += 1 + (self._waiting is not None)
             self._waiting = None
-            self._late_since_told = True
+            self._late_unreported = True
             self._busy = False
             self._news.notify_all()
 

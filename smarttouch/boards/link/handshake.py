@@ -26,11 +26,7 @@ from smarttouch.stimulation.safety_limits import SafetyLimits
 
 
 def accepted(
-    answer: Message,
-    name: str,
-    electrodes: int,
-    wanted: Output | None,
-    known: Capabilities | None,
+    answer: Message, name: str, electrodes: int, wanted: Output | None, known: Capabilities | None
 ) -> tuple[protocol.Output, Capabilities]:
     """Return a board's outputs and capabilities, checked against the profile and, if known, those
     from before the line was lost. A wrong board has received no more than HELLO."""

@@ -46,7 +46,7 @@ class LinkBoard(LinkHost):
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         super().__init__(limits, output)
-        self._line = LinkLine(port, self._hear, self._aftermath, self._send_again)
+        self._line = LinkLine(port, self._receive, self._aftermath, self._send_again)
         self._in_flight: dict[int, tuple[bytes, int]] = {}
         """Payload, and when it was sent, of each sequence without an answer."""
         self._repeated: deque[int] = deque(maxlen=64)
@@ -246,7 +246,7 @@ class LinkBoard(LinkHost):
         self._set_up()
         self.notes += slow_line_notes(self._status)
 
-    def _hear(self, message: Message) -> None:
+    def _receive(self, message: Message) -> None:
         """Handle an unrequested packet."""
         if message.state & protocol.SWITCH_OPEN and self._has_switch:
             self._line.fail(self._emergency())
@@ -257,7 +257,7 @@ class LinkBoard(LinkHost):
             case MessageKind.NAK:
                 self._refused(message)
             case _:
-                super()._hear(message)
+                super()._receive(message)
 
     def _answered(self, message: Message) -> int | None:
         """Return when the sequence that this answers was sent; count it if it answers none."""

@@ -192,12 +192,7 @@ class LinkHost(Board):
         if saturated and not limits.masked:
             level_ua = int(np.abs(probe.current_ua).max())
             return measure_in_pairs(
-                self._probed,
-                limits,
-                level_ua,
-                probe.intensity,
-                probe.time_ns,
-                can.compliance_v,
+                self._probed, limits, level_ua, probe.intensity, probe.time_ns, can.compliance_v
             )
         # A masked electrode is not driven, and counts as open.
         every = np.full(limits.electrodes, can.compliance_v)
@@ -219,7 +214,7 @@ class LinkHost(Board):
             )
         return found[-1].astype(np.float64) if found else np.empty(0)
 
-    def _hear(self, message: Message) -> None:
+    def _receive(self, message: Message) -> None:
         """Handle a packet that answers neither a query nor a sequence."""
         match message.kind:
             case MessageKind.ALIVE:

@@ -29,8 +29,8 @@ PIECE = 4096  # bytes written at once: a stop waits for one piece, not for a who
 class LinkLine:
     """Packets to and from one board; a fault is raised at the next call.
 
-    Messages call its port ``name``. ``hear`` gets every packet that answers no query, with `news`
-    held; ``aftermath`` returns the end of messages on faults; ``tend`` is called every few
+    Messages call its port ``name``. ``receive`` gets every packet that answers no query, with
+    `news` held; ``aftermath`` returns the end of messages on faults; ``tend`` is called every few
     milliseconds to repeat lost packets; ``draw`` returns the host's half of a session, a new one
     each time.
     """
@@ -38,7 +38,7 @@ class LinkLine:
     def __init__(
         self,
         name: str,
-        hear: Callable[[Message], None],
+        receive: Callable[[Message], None],
         aftermath: Callable[[], str],
         tend: Callable[[], None] = lambda: None,
         draw: Callable[[], int] = draw_half,
@@ -52,7 +52,7 @@ class LinkLine:
         self.news: threading.Condition = threading.Condition()
         self.fault: BoardError | None = None
         self.overtaken: bool = False  # by a stop: without heartbeats the board stops itself
-        self._hear, self._aftermath, self._tend = hear, aftermath, tend
+        self._receive, self._aftermath, self._tend = receive, aftermath, tend
         self._closing = threading.Event()
         # Reentrant: a signal handler may stop while its own thread is writing.
         self.writing: threading.RLock = threading.RLock()
@@ -269,7 +269,7 @@ class LinkLine:
                 if message.kind in ANSWERS.values():
                     self._answers[message.kind] = message
                 else:
-                    self._hear(message)
+                    self._receive(message)
                 self.news.notify_all()
         return taken
 

@@ -166,11 +166,7 @@ def _lowest(judged: Finding) -> float:
 
 
 def _draw_bounded(
-    axes: Any,
-    points: list[tuple[float, Bounded | None, float]],
-    color: str,
-    style: str,
-    label: str,
+    axes: Any, points: list[tuple[float, Bounded | None, float]], color: str, style: str, label: str
 ) -> None:
     """Draw thresholds as parts of their standards; lines go only from neighbor to neighbor."""
     table = np.array([(x, *(bounded or (np.nan,) * 3), unit) for x, bounded, unit in points]).T

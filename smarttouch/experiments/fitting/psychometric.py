@@ -309,13 +309,7 @@ def _climb(
 
 
 def _step(
-    model: Model,
-    x: Array,
-    at: Array,
-    n: Array,
-    k: Array,
-    within: Bounds,
-    damping: Array,
+    model: Model, x: Array, at: Array, n: Array, k: Array, within: Bounds, damping: Array
 ) -> Array:
     """Return the step from each point, (B, 4); 0 for a parameter at its bound."""
     likely, slopes = model.slopes(x, _parameters(model, at))

@@ -232,9 +232,7 @@ def _frequency(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Desi
             )
         procedure: Procedure = _constant(pairs, wanted, True, REPETITIONS)
     else:
-        from smarttouch.experiments.psychophysics.adaptive_procedures import (
-            frequency_procedures,
-        )
+        from smarttouch.experiments.psychophysics.adaptive_procedures import frequency_procedures
 
         procedure = frequency_procedures(method, standards, highest_hz, wanted.trials, wanted.seed)
     return Design(FrequencyTask(stimuli, _site(stimuli, wanted)), procedure, method, notes=notes)
@@ -252,9 +250,7 @@ def _detection(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Desi
         pairs = [(0.0, each) for each in levels]
         procedure: Procedure = _constant(pairs, wanted, wanted.two_intervals, REPETITIONS)
     else:
-        from smarttouch.experiments.psychophysics.adaptive_procedures import (
-            detection_procedure,
-        )
+        from smarttouch.experiments.psychophysics.adaptive_procedures import detection_procedure
 
         procedure = detection_procedure(
             method, threshold_ma, full_ma, wanted.two_intervals, wanted.trials, wanted.seed

@@ -83,32 +83,17 @@ class TrialSession:
         condition = trial.condition
         success = answer.response == trial.success if answer.response else None
         about = self._file.about
-        self._file.append(
-            TrialRow(
-                repetition=condition.repetition,
-                trial=condition.trial,
-                number=self.done,
-                index=condition.index,
-                experiment=about.experiment,
-                procedure=about.procedure,
-                standard=condition.standard if trial.compares else None,
-                comparison=condition.comparison if answer.reached is None else answer.reached,
-                comparison_interval=condition.comparison_interval or None,
-                unit=trial.unit,
-                target=trial.target,
-                response=answer.response,
-                success=success,
-                rt=answer.rt_s,
-                time_s=round(answer.time_s, 6),
-                level=answer.level,
-                participant=about.participant,
-                session=about.session,
-                date=self._date,
-                seed=about.seed,
-                frame_rate_hz=None,
-                version=__version__,
-            )
-        )
+        self._file.append(TrialRow(
+            repetition=condition.repetition, trial=condition.trial, number=self.done,
+            index=condition.index, experiment=about.experiment, procedure=about.procedure,
+            standard=condition.standard if trial.compares else None,
+            comparison=condition.comparison if answer.reached is None else answer.reached,
+            comparison_interval=condition.comparison_interval or None, unit=trial.unit,
+            target=trial.target, response=answer.response, success=success, rt=answer.rt_s,
+            time_s=round(answer.time_s, 6), level=answer.level, participant=about.participant,
+            session=about.session, date=self._date, seed=about.seed, frame_rate_hz=None,
+            version=__version__,
+        ))  # fmt: skip
         self._procedure.answer(success)
 
 

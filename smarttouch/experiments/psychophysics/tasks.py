@@ -59,11 +59,8 @@ class FrequencyTask:
 
     def trial(self, condition: Condition) -> Trial:
         """Return the trial: two trains of the same length."""
-        standard, comparison, at = (
-            condition.standard,
-            condition.comparison,
-            condition.comparison_interval,
-        )
+        standard, comparison = condition.standard, condition.comparison
+        at = condition.comparison_interval
         own, other = (self.stimuli.train([self.site], each) for each in (comparison, standard))
         target = "" if comparison == standard else str(at if comparison > standard else 3 - at)
         words = f"standard {standard:g} Hz, comparison {comparison:g} Hz"
@@ -127,17 +124,9 @@ class DiscomfortTask:
         """Return the trial: a train that rises until it is enough."""
         train = replace(self.stimuli.train([self.site], self.rate_hz), rises=True)
         return Trial(
-            condition,
-            (train,),
-            task="enough",
-            question="press Enter when it is enough",
-            answers=ENOUGH,
-            target="",
-            success="y",
-            words="current rises",
-            unit="mA",
-            exact=True,
-        )
+            condition, (train,), "enough", "press Enter when it is enough", ENOUGH, target="",
+            success="y", words="current rises", unit="mA", exact=True,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,17 +161,12 @@ class LocalizationTask:
         right_mm = condition.comparison
         beside = self.stimuli.beside(self.site)
         other = beside[min(beside, key=lambda far_mm: abs(far_mm - right_mm))]
+        trains = tuple(self.stimuli.train([each], self.rate_hz) for each in (self.site, other))
+        side = "right" if right_mm > 0 else "left"
         return Trial(
-            condition,
-            tuple(self.stimuli.train([each], self.rate_hz) for each in (self.site, other)),
-            task="side",
-            question="was the second left or right? arrow keys",
-            answers=LEFT_OR_RIGHT,
-            target="r" if right_mm > 0 else "l",
-            success="r",
-            words=f"second {abs(right_mm):g} mm {'right' if right_mm > 0 else 'left'}",
-            unit="mm",
-        )
+            condition, trains, "side", "was the second left or right? arrow keys", LEFT_OR_RIGHT,
+            target=side[0], success="r", words=f"second {abs(right_mm):g} mm {side}", unit="mm",
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,14 +182,9 @@ class LetterTask:
         """Return the trial: one letter."""
         letter = list(self.drawn)[int(condition.comparison)]
         train: Train = self.stimuli.train(self.drawn[letter], self.rate_hz)
+        question = f"which letter? {''.join(self.drawn)}, in capitals"
+        answers = {each: each for each in self.drawn}
         return Trial(
-            condition,
-            (train,),
-            task="which",
-            question=f"which letter? {''.join(self.drawn)}, in capitals",
-            answers={each: each for each in self.drawn},
-            target=letter,
-            success=letter,
-            words=f"letter {letter}",
-            unit="letter",
-        )
+            condition, (train,), "which", question, answers, target=letter, success=letter,
+            words=f"letter {letter}", unit="letter",
+        )  # fmt: skip

@@ -21,8 +21,8 @@ class Side {
     this.fetched = Promise.resolve();
     const get = (name) => this.root.querySelector(`.${name}`);
     get("side-name").textContent = about.name;
-    const told = Object.entries(about.told).map(([key, value]) => `${key} ${value}`);
-    get("side-told").textContent = [about.array.profile, about.started.replace("T", " "), ...told].join(" · ");
+    const facts = Object.entries(about.facts).map(([key, value]) => `${key} ${value}`);
+    get("side-told").textContent = [about.array.profile, about.started.replace("T", " "), ...facts].join(" · ");
     this.electrodes = new ElectrodesView(get("electrodes"), about.array);
     this.sensor = new SensorView(get("sensor"));
     this.page = new PageView(get("page"), about.array);
@@ -210,7 +210,7 @@ function tick(now) {
 
 async function read() {
   const from = sides.length ? Math.min(...sides.map((each) => each.times.length)) : 0;
-  const told = await (await fetch(`recordings?from=${from}`)).json();
+  const facts = await (await fetch(`recordings?from=${from}`)).json();
   const first = !sides.length;
   if (first) {
     sides = told.map((about, number) => new Side(about, number));

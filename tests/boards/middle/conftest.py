@@ -254,7 +254,9 @@ class ToldLine(LinkLine):
     """The host's line: while it waits, the world goes on."""
 
     def __init__(self, world, board):
-        super().__init__("the middle", board._hear, board._aftermath, board._send_again, world.draw)
+        super().__init__(
+            "the middle", board._receive, board._aftermath, board._send_again, world.draw
+        )
         self._world = world
 
     def _listen(self):

@@ -321,12 +321,7 @@ def found(threshold=1.0, comfort=2.0):
 
 
 def test_what_was_not_measured_stays_as_it_was(profile, changed):
-    measured = {
-        0: found(),
-        1: found(np.nan, np.nan),
-        2: found(1.5, 1.5),
-        3: found(0.71234, 2.5),
-    }
+    measured = {0: found(), 1: found(np.nan, np.nan), 2: found(1.5, 1.5), 3: found(0.71234, 2.5)}
     threshold, comfort = filled(profile, measured)
     assert threshold == [1.0, 1.2, 1.2, 0.712] + [1.2] * 60
     assert comfort == [2.0, 2.4, 2.4, 2.5] + [2.4] * 60
@@ -341,8 +336,7 @@ def test_what_was_not_measured_stays_as_it_was(profile, changed):
 
 
 @pytest.mark.parametrize(
-    ("text", "expected"),
-    [("0-3,12", [0, 1, 2, 3, 12]), (" 5 , 5-6", [5, 6]), ("63", [63])],
+    ("text", "expected"), [("0-3,12", [0, 1, 2, 3, 12]), (" 5 , 5-6", [5, 6]), ("63", [63])]
 )
 def test_electrodes_by_number_and_range(profile, text, expected):
     assert parse_electrodes(text, profile) == expected

@@ -8,9 +8,7 @@ from hypothesis import strategies as st
 from smarttouch.base.errors import ExperimentError
 from smarttouch.boards.open import MemoryBoard
 from smarttouch.experiments.psychophysics.catalog import ExperimentOptions, new_experiment
-from smarttouch.experiments.psychophysics.observers import (
-    BlindObserver,
-)
+from smarttouch.experiments.psychophysics.observers import BlindObserver
 from smarttouch.experiments.psychophysics.simulated_subject import (
     Subject,
     TwoLooks,

@@ -15,7 +15,7 @@ from smarttouch.emulator.firmware import DeliveryLog
 US, MS = 1000, 1_000_000
 
 
-class ToldClock:
+class ManualClock:
     """Time that passes only by being waited for, and then a little more, as on a computer."""
 
     def __init__(self, seed=1, late_us=200):
@@ -37,7 +37,7 @@ class ToldClock:
         return self.time_ns / 1e9
 
 
-class ToldPort:
+class ManualPort:
     """A line to a firmware: bytes take 100 µs each way and ``wire_us`` more on average.
 
     The board's time is that of the host plus ``phase_ns``, times 1 plus ``drift``.
@@ -110,18 +110,18 @@ class ScanBooks(DeliveryLog):
         self.scans.setdefault(number, {})[site] = round(abs(delivered.current_ua[site]) / 9.99)
 
 
-class ToldKit:
+class ManualKit:
     """A driver and its board, in one thread."""
 
     def __init__(
         self, monkeypatch, limits, firmware="71adee2", seed=1, late_us=200, finger=None,
         dummy_ohm=np.inf, **line,
     ):  # fmt: skip
-        self.clock = ToldClock(seed, late_us)
+        self.clock = ManualClock(seed, late_us)
         monkeypatch.setattr(etactilekit_line.time, "sleep", self.clock.sleep)
         self.books = ScanBooks(limits.electrodes)
         self.board = ETactileKitFirmware(self.books, finger, firmware=firmware, dummy_ohm=dummy_ohm)
-        self.port = ToldPort(self.board, self.clock, **line)
+        self.port = ManualPort(self.board, self.clock, **line)
         self.driver = ETactileKitBoard(f"told?firmware={firmware}", limits)
         self.driver._clock, self.driver._pause = self.clock, self.clock.sleep
         self.driver._serial = self.port
