@@ -75,7 +75,7 @@ class VibratorBoard(Board):
         require_within(BoardError, "grid", rows * columns, 1, MOST_VIBRATORS, "vibrators: the grid")
         require_within(BoardError, "hz", options.hz, *CARRIERS_HZ, f"vibrators: hz={options.hz:g}")
         # The name of a sound device, empty for the default one; None if it is a file.
-        name, _, played = target.partition(":")
+        name, _colon, played = target.partition(":")
         device = played if name == "audio" else None
         self._sample_hz = options.rate or (WAV_HZ if device is None else AUDIO_HZ)
         words = f"vibrators: rate={self._sample_hz}"
