@@ -2,7 +2,7 @@
 
 import math
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import cv2
@@ -107,8 +107,10 @@ class PreparedPage:
     notes: tuple[str, ...]
     words: tuple[str, ...] = ()
     """Words of each line, where the page brings them."""
-    known: Mapping[int, tuple[str, float]] = field(default_factory=dict)
+    known: dict[int, tuple[str, float]] = field(default_factory=dict)
     """Text of lines that were recognized already, with a confidence in [0, 1]."""
+    others: Iterator[tuple[str, float]] | None = None
+    """The same of all other lines, where their recognition has begun."""
 
     def strip(self, index: int, height_px: int) -> NDArray[np.uint8]:
         """Return a line straightened, (height_px, W) uint8, ascenders to descenders filling it."""

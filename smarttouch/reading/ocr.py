@@ -4,16 +4,19 @@ import io
 import itertools
 import math
 import os
+import queue
 import re
 import shutil
 import subprocess
 import tempfile
 import threading
+import time
 import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
+from typing import IO
 
 import cv2
 import numpy as np
@@ -94,6 +97,9 @@ def read_words(
     if not shown:
         return
     options = ["-l", languages, "--psm", str(layout.value)]
+    if layout is Layout.LINE:
+        # They are dark on white: a poor line is not read again as light on dark.
+        options += ["-c", "tessedit_do_invert=0"]
     if dpi is not None:
         options += ["--dpi", f"{dpi:.0f}"]
     for row in _run([*options, "tsv"], [images[index] for index in shown], timeout_s):
@@ -168,30 +174,35 @@ def _run(
             raise ReadingError(
                 f"{program} does not start: {error.strerror}", about="tesseract"
             ) from None
-        late = threading.Event()
-
-        def stop() -> None:
-            late.set()
-            running.kill()
-
-        limit = threading.Timer(timeout_s, stop)
-        limit.daemon = True
-        limit.start()
+        assert running.stdout is not None
+        # It is never kept waiting by a slow reader, which would count as its own time.
+        rows: queue.SimpleQueue[str] = queue.SimpleQueue()
+        written = threading.Thread(target=_put_all, args=(running.stdout, rows), daemon=True)
+        end = time.monotonic() + timeout_s
         try:
-            assert running.stdout is not None
-            yield from running.stdout
+            written.start()
+            while row := rows.get(timeout=max(0.0, end - time.monotonic())):
+                yield row
             status = running.wait()
-        finally:
-            limit.cancel()
-            running.kill()
-            running.communicate()
-        if late.is_set():
+        except queue.Empty:
             raise TooSlowError(
                 f"Tesseract did not finish within {timeout_s:g} s: give it a smaller image",
                 about="tesseract",
-            )
+            ) from None
+        finally:
+            running.kill()
+            written.join()
+            running.stdout.close()
+            running.wait()
         said.seek(0)
         _require_success(status, said.read().decode("utf-8", "replace"))
+
+
+def _put_all(output: IO[str], rows: "queue.SimpleQueue[str]") -> None:
+    """Put all lines of an output into a queue, and an empty one at its end."""
+    for row in output:
+        rows.put(row)
+    rows.put("")
 
 
 def _require_success(status: int, said: str) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,14 +127,24 @@ def _turns_to_try(
 
 
 def _with_sample(prepared: PreparedPage, options: RecognitionOptions) -> tuple[PreparedPage, float]:
-    """Return a page with a few lines recognized, and the number of legible letters in them."""
+    """Return a page with a few lines recognized, the others being so by the same call, and the
+    number of legible letters in them."""
     lines = prepared.lines
     longest = sorted(range(len(lines)), key=lambda k: lines[k].left_mm - lines[k].right_mm)
     sample = sorted({*range(min(_FIRST, len(lines))), *longest[:_LONGEST]})
-    strips = [_strip(prepared, index) for index in sample]
-    read = [(each.text, each.confidence) for each in recognize_lines(strips, options.languages)]
-    known = dict(zip(sample, read, strict=True))
-    return replace(prepared, known=known), _legible(read)[0]
+    others = sorted(set(range(len(lines))) - set(sample))
+    found = _read(prepared, [*sample, *others], options)
+    known = dict(zip(sample, islice(found, len(sample)), strict=True))
+    return replace(prepared, known=known, others=found), _legible(known.values())[0]
+
+
+def _read(
+    prepared: PreparedPage, indices: list[int], options: RecognitionOptions
+) -> Iterator[tuple[str, float]]:
+    """Yield texts of lines of a page, with a confidence in [0, 1], as they are recognized."""
+    strips = [_strip(prepared, index) for index in indices]
+    for line in recognize_lines(strips, options.languages):
+        yield line.text, line.confidence
 
 
 def _strip(prepared: PreparedPage, index: int) -> NDArray[np.uint8]:
@@ -155,20 +166,15 @@ def recognized_lines(
     if prepared.words:
         yield from enumerate(prepared.words)
         return
-    waiting = [index for index in range(len(prepared.lines)) if index not in prepared.known]
-    strips = [_strip(prepared, index) for index in waiting]
-    found = recognize_lines(strips, options.languages)
-    confidences: list[tuple[int, float]] = []
+    known = prepared.known
+    waiting = [index for index in range(len(prepared.lines)) if index not in known]
+    found = prepared.others if prepared.others is not None else _read(prepared, waiting, options)
     for index in range(len(prepared.lines)):
-        if index in prepared.known:
-            text, confidence = prepared.known[index]
-        else:
-            line = next(found)
-            text, confidence = line.text, line.confidence
-        confidences.append((len(text), confidence))
-        yield index, text
-    characters = sum(length for length, _ in confidences)
-    sure = sum(length * each for length, each in confidences) / max(1, characters)
+        if index not in known:
+            known[index] = next(found)
+        yield index, known[index][0]
+    legible, letters = _legible(known.values())
+    sure = legible / max(1, letters)
     if sure < SURE:
         note(
             f"the text was recognized with a confidence of {sure:.0%} only: it may be handwriting, "
