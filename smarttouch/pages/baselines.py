@@ -319,6 +319,11 @@ def _reaching(baseline: Baseline, marks: Spots) -> Baseline:
     for k in np.argsort(-marks.right):
         if marks.right[k] > left - reach:
             left = min(left, float(marks.left[k]))
+    return between(baseline, left, right)
+
+
+def between(baseline: Baseline, left: float, right: float) -> Baseline:
+    """Return a line with other ends, px."""
     moved, derived, factor = [], baseline.baseline, 1.0
     for power in range(len(baseline.baseline)):
         # Taylor's series around the new end.

@@ -144,19 +144,27 @@ def _after_column(left: Floats, right: Floats, y: Floats, found: list[int], box:
     return at + 1
 
 
-_BELOW_PICTURE, _CAPTION_STEP, _CAPTION_LINES = 3.0, 1.6, 8
+_BELOW_PICTURE, _CAPTION_STEP, _CAPTION_LINES, _GAP = 3.0, 1.6, 8, 6.0
 """Farthest first line of a caption below its picture, and farthest next one, in heights; most
-lines."""
+lines; and least gap above smaller print that is a picture."""
 
 
 def find_captions(left: Floats, right: Floats, y: Floats, height: Floats, pictures: Spots) -> Boxes:
-    """Return the boxes of the captions, (N, 4), right below pictures and apart from other text."""
+    """Return the boxes of the captions, (N, 4), right below pictures and apart from other text.
+
+    A gap in a column above smaller print is a picture, too: soft grey ones have no ink.
+    """
     found = []
-    for k in range(len(pictures.area)):
-        wide = np.minimum(right, pictures.right[k]) - np.maximum(left, pictures.left[k])
-        below = (wide > (right - left) / 2) & (y > pictures.bottom[k])
+    above = [*zip(pictures.left, pictures.right, pictures.bottom, strict=True)]
+    for k in np.flatnonzero(height < (1 - _SAME_SIZE) * np.median(height)):
+        over = (y < y[k]) & (np.minimum(right, right[k]) > np.maximum(left, left[k]))
+        if over.any() and y[k] - y[over].max() > _GAP * height[k]:
+            above.append((left[k], right[k], y[k] - height[k]))
+    for start, end, bottom in above:
+        wide = np.minimum(right, end) - np.maximum(left, start)
+        below = (wide > (right - left) / 2) & (y > bottom)
         order = np.flatnonzero(below)[np.argsort(y[below])]
-        if not len(order) or y[order[0]] - pictures.bottom[k] > _BELOW_PICTURE * height[order[0]]:
+        if not len(order) or y[order[0]] - bottom > _BELOW_PICTURE * height[order[0]]:
             continue
         first = order[0]
         step = np.diff(y[order]) / height[order[:-1]]
@@ -177,6 +185,9 @@ _LEVEL_CELLS, _ROWS = 0.35, 3
 _CELLS, _WIDE_CELLS, _MAYBE = 5.0, 7.0, 1.3
 """Most mean width, in heights, of a table's cells after the first ones, in two columns and in more;
 and the factor to that of what may be cells."""
+_TEXT_STEP, _TEXT_WIDTH, _MOSTLY_WIDE, _GOES_ON = 1.9, 9.0, 0.6, 3
+"""Farthest next line of a column of text and its usual width, in heights; least part of such lines;
+and fewest of them that have no table beside them."""
 _STEP = 3.0  # most distance of its rows, in heights
 _IN_LINE = 0.7  # offset of cells below each other, at one of their sides or their middles
 
@@ -185,8 +196,11 @@ def _rows(
     left: Floats, right: Floats, y: Floats, height: Floats
 ) -> tuple[list[NDArray[np.int_]], bool]:
     """Return rows of tables, and other lines alone; and whether some rows may be cells or not."""
-    rows = list(_levels(left, right, y, height))
-    found: list[NDArray[np.int_]] = []
+    beside = _beside_a_table(left, right, y, height)
+    rows = [np.array([k]) for k in np.flatnonzero(beside)]
+    found: list[NDArray[np.int_]] = rows
+    rest = np.flatnonzero(~beside)
+    rows = [rest[row] for row in _levels(left[rest], right[rest], y[rest], height[rest])]
     doubtful = False
     while rows:
         group = [rows.pop(0)]
@@ -201,6 +215,41 @@ def _rows(
         doubtful |= len(group) > _ROWS and width <= _MAYBE * wide
         found += [np.array([k]) for row in group for k in row]
     return found, doubtful
+
+
+def _beside_a_table(left: Floats, right: Floats, y: Floats, height: Floats) -> Flags:
+    """Return the lines, (N,), of columns of text beside a table: several lines of them, one right
+    below the other and aligned on the left, go on where there are no cells at their side."""
+    near = np.maximum(height[:, None], height)
+    down = y - y[:, None]
+    follows = (down > near / 2) & (down < _TEXT_STEP * near)
+    follows &= np.abs(left - left[:, None]) < _IN_LINE * near
+    follows &= np.abs(height - height[:, None]) < _SAME_SIZE * near
+    narrow = right - left < _WIDE_CELLS * height
+    wide = right - left > _TEXT_WIDTH * height
+    apart = (left > right[:, None]) | (right < left[:, None])
+    cells = (apart & (np.abs(down) < near / 2) & narrow).sum(axis=1) >= 2
+    beside = np.zeros(len(y), np.bool_)
+    for column in _chains(follows, np.argsort(y, kind="stable")):
+        free = column[~cells[column]]
+        if len(free) >= _GOES_ON and len(free) < len(column) and wide[column].mean() > _MOSTLY_WIDE:
+            beside[column] = True
+    return beside
+
+
+def _chains(follows: Flags, order: NDArray[np.int_]) -> list[NDArray[np.int_]]:
+    """Return chains of lines, from the top down, each next one the first that follows."""
+    after = {int(k): int(order[follows[k][order].argmax()]) for k in order if follows[k].any()}
+    ends = set(after.values())
+    chains = []
+    for start in order.tolist():
+        if start in ends:
+            continue
+        chain = [start]
+        while chain[-1] in after:
+            chain.append(after[chain[-1]])
+        chains.append(np.array(chain))
+    return chains
 
 
 def _levels(left: Floats, right: Floats, y: Floats, height: Floats) -> Iterator[NDArray[np.int_]]:

@@ -1,7 +1,7 @@
 """Lines of text on a page: their size of print and reading order."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -9,6 +9,7 @@ from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from smarttouch.pages.baselines import Baseline, Floats, curve_at, follow_baseline, with_marks
+from smarttouch.pages.initials import part_initials
 from smarttouch.pages.ink import Paper, separate_ink, turn_boxes, turn_panels
 from smarttouch.pages.letter_rows import find_rows
 from smarttouch.pages.page_image import Page
@@ -123,6 +124,8 @@ class TextLine:
     ascent_mm: float  # of all lines of one print, whichever letters they have
     descent_mm: float
     cell: int = 0  # its place in a row of a table, from 1; 0 elsewhere
+    initial_mm: tuple[float, ...] = ()
+    """Left, top, right and bottom of a letter over several lines that begins its first word."""
 
     def baseline_mm(self, x_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the baseline's y at x, mm; straight beyond the line's ends."""
@@ -211,7 +214,7 @@ def _lines_in_ink(paper: Paper, mm_per_pixel: float, leftward: bool) -> PageLine
     spots, pictures, shown = find_pictures(parted, height)
     density = np.where(rules | dividers, np.uint8(0), 255 - paper.cleaned)
     found, small = _followed_rows(density, spots, height, dividers | pictures)
-    baselines = with_marks(found, spots)
+    baselines, initials = part_initials(with_marks(found, spots), spots)
     left_out = _left_out(small, len(shown.area))
     if not baselines:
         return PageLines([], left_out)
@@ -232,6 +235,12 @@ def _lines_in_ink(paper: Paper, mm_per_pixel: float, leftward: bool) -> PageLine
         _line(baselines[k], float(x_height[k]), ascent, descent, mm_per_pixel, int(order.cell[k]))
         for k in order.indices
     ]
+    for place, k in enumerate(order.indices):
+        if k in initials:
+            letter = spots.of(np.array([initials[k]]))
+            sides = (letter.left, letter.top, letter.right, letter.bottom)
+            box = tuple(float(side[0]) * mm_per_pixel for side in sides)
+            lines[place] = replace(lines[place], initial_mm=box)
     return PageLines(lines, left_out, order.doubtful)
 
 

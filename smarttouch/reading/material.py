@@ -95,7 +95,7 @@ def _usual_step_mm(lines: Sequence[TextLine]) -> float:
 
 def _begins(before: TextLine, line: TextLine, step_mm: float, right_mm: float) -> bool:
     """Return whether a line begins a paragraph; ``right_mm`` is how far lines above it reach."""
-    if before.cell or line.cell:
+    if before.cell or line.cell or line.initial_mm:
         return True
     sizes = sorted((before.x_height_mm, line.x_height_mm))
     step = _middle_mm(line) - _middle_mm(before)
