@@ -113,6 +113,12 @@ def console(*, stderr: bool = False, highlight: bool = True) -> "Console":
     )
 
 
+def draws(shown: "Console | None" = None) -> bool:
+    """Return whether a console, standard output by default, is a screen that can be drawn on."""
+    shown = shown or console()
+    return shown.is_terminal and not shown.is_dumb_terminal
+
+
 _LONGEST_NAME = 40
 """Longest text at the left of a table that stays in one line."""
 
@@ -134,7 +140,7 @@ def print_table(
     from rich.table import Table
 
     rows, shown = list(rows), console()
-    drawn = ruled and shown.is_terminal and not shown.is_dumb_terminal
+    drawn = ruled and draws(shown)
     names = all(len(str(row[0])) <= _LONGEST_NAME for row in rows if row)
     table = Table(
         title=title,

@@ -241,7 +241,8 @@ def new(
     title = table.stem if isinstance(table, Path) else str(table)
     made = load_profile(like).with_electrodes(table, f"{title}, else as {like}")
     write_bytes(file, as_toml(made).encode(), ProfileError)
-    typer.echo(f"written: {file}, {len(made.electrodes)} electrodes")
+    kind = made.output.kind
+    typer.echo(f"written: {file}, {len(made.electrodes)} electrodes, output.kind = {kind}")
 
 
 @profiles.command()

@@ -307,7 +307,9 @@ def run_listed(
     patience_s = None if simulate is None else 10.0
     timing = TrialTiming(parts.gap_s, parts.answer_s or None, made.again, patience_s)
     path = output or Path(f"{stem}.csv")
-    about = About(named, made.method, run.subject, session, order)
+    # A file of a person's answers is not continued by a simulated participant, nor the reverse.
+    participant = "-".join(filter(None, (run.subject, simulate and f"simulated-{simulate}")))
+    about = About(named, made.method, participant, session, order)
     config = run.config(afferent.name, scan="points", seed=order, note=run.note or session)
     with open_experiment(made, chosen, timing, about, path, overwrite=overwrite) as sitting:
         if run.record is not None and sitting.session.resumed:

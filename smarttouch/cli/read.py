@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from smarttouch.base import terminal
 from smarttouch.base.command_options import argument, option
 from smarttouch.cli.options import MORE, ModeOption, RateOption, takes_options
 from smarttouch.cli.run_options import RunOptionGroup
@@ -72,7 +73,8 @@ def read(
     run = replace(run, board=board)
     own = run.load_profile()
     chosen = profile_for_reading(own)
-    plain = own.defaults.plain if run.plain is None else run.plain
+    usual = own.defaults.plain or not (run.quiet or terminal.draws())
+    plain = usual if run.plain is None else run.plain
     presentation, speed_mm_s = feel.presentation(
         own.defaults.read_as, document.languages, named=plain
     )

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from smarttouch.base.command_options import option
 from smarttouch.base.errors import SmartTouchError, not_offered
 from smarttouch.base.files import require_folder
-from smarttouch.base.terminal import console
+from smarttouch.base.terminal import draws
 from smarttouch.cli.options import (
     BOARD,
     KEPT,
@@ -130,9 +130,7 @@ class RunOptionGroup(OptionGroup):
     def is_watched(self) -> bool:
         """True if the run is only watched, on a screen or in a window, and kept in no file."""
         kept = (self.felt, self.record, self.json_file)
-        screen = console()
-        drawn = screen.is_terminal and not screen.is_dumb_terminal
-        on_screen = drawn and not (self.quiet or self.plain)
+        on_screen = draws() and not (self.quiet or self.plain)
         return (on_screen or self.window is not None) and kept == (None,) * len(kept)
 
     @cached_property

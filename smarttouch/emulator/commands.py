@@ -134,9 +134,11 @@ def _require(*ranges: tuple[str, float, float, float]) -> None:
 
 
 def _board_advice(name: str, port: str) -> str:
+    # The kits do not measure force.
+    force = "" if name == "link" else " --force fixed:0.9"
     return (
         f"A {name} board on emulated skin. In another terminal:\n\n"
-        f"  smarttouch live --board {name}:{port}\n\nCtrl-C ends it."
+        f"  smarttouch live --board {name}:{port}{force}\n\nCtrl-C ends it."
     )
 
 

@@ -93,7 +93,7 @@ def _keeps(axons: NDArray[np.float64], matrix: NDArray[np.int_]) -> bool:
 
 
 Array = NDArray[np.float64]
-KernelKind = Literal["weighted", "three-state", "one-of-n"]
+KernelKind = Literal["weighted", "three-state", "one-against-all"]
 
 _ALIKE = 1e-6
 

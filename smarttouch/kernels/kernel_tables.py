@@ -16,7 +16,6 @@ from smarttouch.kernels.switched_design import (
     design_one_of_n,
     design_three_state,
     designer,
-    kind_of,
 )
 from smarttouch.kernels.weighted_design import design_any_node, design_kernel
 from smarttouch.profile import Profile
@@ -25,9 +24,9 @@ VARIANTS: dict[str, Design] = {
     "weighted": design_kernel,
     "robust": design_kernel,
     "three-state": design_three_state,
-    "one-of-n": design_one_of_n,
+    "one-against-all": design_one_of_n,
 }
-_SHARES = {"weighted": 1, "robust": 1, "three-state": 40, "one-of-n": 1}
+_SHARES = {"weighted": 1, "robust": 1, "three-state": 40, "one-against-all": 1}
 """Time that each variant takes, in parts of the sum; progress is counted by it."""
 
 
@@ -96,7 +95,7 @@ def kernels_of_bank(
     profile: Profile, bank: KernelBank, modes: Sequence[Afferent], sites: Sequence[int]
 ) -> list[SiteKernel]:
     """Return kernels as a bank has them."""
-    kind = kind_of(profile)
+    kind = profile.output.kind
     return [
         SiteKernel(mode, site, bank.kernel(mode, site, kind), float(bank.seconds[mode][site]))
         for mode in modes

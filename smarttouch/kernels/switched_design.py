@@ -252,20 +252,14 @@ def possible_modes(profile: Profile) -> list[Afferent]:
     return [each for each in Afferent if not offered or polarity(profile, each) in offered]
 
 
-def kind_of(profile: Profile) -> KernelKind:
-    """Return the kind of kernel of a profile's board."""
-    kind = profile.output.kind
-    return "one-of-n" if kind == "one-against-all" else kind
-
-
 def designer(profile: Profile) -> Callable[[Problem, int], Kernel]:
     """Return the function that designs kernels for a profile's kind of board."""
     designers: dict[KernelKind, Callable[[Problem, int], Kernel]] = {
         "weighted": design_kernel,
         "three-state": design_three_state,
-        "one-of-n": design_one_of_n,
+        "one-against-all": design_one_of_n,
     }
-    return designers[kind_of(profile)]
+    return designers[profile.output.kind]
 
 
 def design_three_state(problem: Problem, site: int) -> Kernel:
@@ -293,4 +287,4 @@ def design_one_of_n(problem: Problem, site: int) -> Kernel:
     weights = np.zeros(problem.electrodes)
     weights[others] = -pole * admittance[others] / admittance[others].sum()
     weights[site] = pole
-    return problem.judge(weights, site, kind="one-of-n")
+    return problem.judge(weights, site, kind="one-against-all")

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 
 from smarttouch.base.errors import ReadingError, require_within
+from smarttouch.base.events import Note
 from smarttouch.imaging.array_window import pixel_pitch_mm
 from smarttouch.pages.page_image import Page
 from smarttouch.profile import Profile
@@ -224,7 +225,7 @@ class ReadingSource(OpticalSource):
         self.index: int = -1
         """Index of the line under the finger."""
         self._feed, self._cursor = feed, cursor
-        self._titled = False
+        self._titled = self._marked = self._announced = False
         self._texts: dict[int, str] = {}
         self._pixel_mm = pixel_pitch_mm(profile)
         self._shape = (profile.optics.sensor_rows, profile.optics.sensor_columns)
@@ -279,6 +280,13 @@ class ReadingSource(OpticalSource):
                 of = "" if total is None else f" of {total}"
                 self.title: str = f"{self._name}, line {self.index + 1}{of}{text}"
                 self._texts[self.index] = line.text
+            self._announced = True
+        if spot.marked and not self._marked:
+            # A key has asked for the line again.
+            if not self._announced:
+                self.emit(Note(time_ns, self.title))
+            self._announced = False
+        self._marked = spot.marked
         image = np.full(self._shape, 255, np.uint8)
         if spot.line is not None:
             rows, columns = self._shape

@@ -60,6 +60,8 @@ def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iter
 
 HELD_UP_NS = 1_000_000
 """A send that takes longer than this has waited for the board."""
+_LATE_AGAIN_NS = 5_000_000_000
+"""Time without a delay after which the next one is reported."""
 _WAIT = "a whole number of nanoseconds"
 
 
@@ -137,6 +139,8 @@ class _Loop:
     clock: Clock
     phase: PhaseLock
     elapsed_ns: int = 0
+    _start_ns: int = 0
+    _tell_late_ns: int = 0
     _shift_ns: int = 0
     _expected_ns: int | None = None
     """When this step is expected, by the one before."""
@@ -148,7 +152,7 @@ class _Loop:
         source = self.inputs.source
         news = None if board.simulated_time else source.news
         own_time = not board.simulated_time and clock is not board.clock
-        start_ns = clock.now_ns()
+        self._start_ns = start_ns = clock.now_ns()
         while not stop.event.is_set():
             deadline_ns = start_ns + self.elapsed_ns + self._shift_ns
             clock.wait_until(deadline_ns, stop.event)
@@ -238,6 +242,7 @@ class _Loop:
             board.acknowledged,
             board.refused,
             self.phase.newest,
+            now_ns - self._start_ns,
         )
         waited_ns = sent_ns - sending_ns
         sent = Sent(
@@ -260,8 +265,13 @@ class _Loop:
         try:
             return self.inputs.board.send(step.sequence, due_ns=due_ns)
         except BoardRestartedError as lost:
-            self.inputs.statistics.restarts += not isinstance(lost, SequenceLateError)
-            self.inputs.emit(BoardRestarted(self.elapsed_ns, str(lost)))
+            late = isinstance(lost, SequenceLateError)
+            self.inputs.statistics.restarts += not late
+            # A busy computer is late again and again: what is dropped is counted.
+            if not late or self.elapsed_ns >= self._tell_late_ns:
+                self.inputs.emit(BoardRestarted(self.elapsed_ns, str(lost)))
+            if late:
+                self._tell_late_ns = self.elapsed_ns + _LATE_AGAIN_NS
             if self.regulator is not None:
                 self.regulator.lost(step.sequence)
             self.inputs.pipeline.restart_softly()

@@ -25,8 +25,8 @@ class RunArrays:
 
     Attributes
     ----------
-    step, time_ns : ndarray, (N,) int64
-        Number from 0, and start since that of the run.
+    step, time_ns, clock_ns : ndarray, (N,) int64
+        Number from 0, the sum of all periods before it, and the real time since the start.
     number : ndarray, (N,) int64
         Of the image or stimulus at its source: the same is the same again.
     mode : ndarray, (N,) str
@@ -63,6 +63,7 @@ class RunArrays:
 
     step: NDArray[np.int64]
     time_ns: NDArray[np.int64]
+    clock_ns: NDArray[np.int64]
     number: NDArray[np.int64]
     mode: NDArray[np.str_]
     level: NDArray[np.float64]
@@ -115,7 +116,7 @@ _REAL = (
     "first_pulse_us",
 )  # fmt: skip
 _TRUTHS = ("restarted", "stale")
-_OF_THE_MOMENT = ("latency_us", "work_us", "first_pulse_us", "acknowledged", "refused")
+_OF_THE_MOMENT = ("clock_ns", "latency_us", "work_us", "first_pulse_us", "acknowledged", "refused")
 """What differs between two runs that are the same."""
 
 
@@ -136,7 +137,8 @@ class ArrayCollector:
         none = np.zeros(self._electrodes, np.int16)
         pose = given.pose
         row = {
-            "step": recorded.index, "time_ns": given.time_ns, "number": given.number,
+            "step": recorded.index, "time_ns": given.time_ns,
+            "clock_ns": sent.clock_ns, "number": given.number,
             "mode": step.mode.value, "level": step.level, "intensity": sequence.intensity,
             "restarted": step.restarted, "asked_us": step.asked_us,
             "period_us": sequence.period_us, "force_n": given.force_n, "x_mm": pose.x_mm,

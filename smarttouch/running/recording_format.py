@@ -125,6 +125,7 @@ SCHEMAS: dict[str, tuple[str, dict[str, Any]]] = {
             "refused": _INTEGER,
             "latency_us": _NUMBER,
             "work_us": _NUMBER,
+            "clock_ns": {**_INTEGER, "description": "real time since the start; -1 if unknown"},
             "begun": {
                 "type": ["integer", "null"],
                 "description": "newest sequence that is known to have begun since the last step",

@@ -240,7 +240,7 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
     net = (
         f"all pulses add up to {net_uc:.2g} µC on one electrode"
         if figures["reported_by"] == "host"
-        else f"net charge left {1e6 * net_uc:.3g} pC at worst"
+        else f"charge left after a discharge {1e6 * net_uc:.3g} pC at worst"
     )
     lines = [
         f"Ended after {figures['seconds']:.1f} s ({figures['ended']}): all electrodes off.",
@@ -254,7 +254,7 @@ def summary_lines(figures: dict[str, Any], *, acknowledges: bool) -> list[str]:
         f"strongest pulse {figures['max_current_ma']:.2f} mA, "
         f"{figures['max_charge_uc']:.3f} µC; {net}",
         f"session: {figures['dose_s']:.1f} s of current, at most {figures['dose_mc']:.2f} mC "
-        f"through one electrode, net charge {figures['dose_net_uc']:.3g} µC",
+        f"through one electrode, the sum of its pulses {figures['dose_net_uc']:.3g} µC at most",
         f"{_pulses(figures)} pulses, counted by this program: the board reports none"
         if figures["reported_by"] == "host"
         else f"{figures['emulator_violations']} violations counted by the board",

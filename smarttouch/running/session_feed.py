@@ -90,17 +90,23 @@ class SessionFeed(Source, Listener):
         if isinstance(pattern, Frame):
             return replace(pattern, image=gray_image(pattern.image, "the program"))
         array = np.asarray(pattern)
-        if array.ndim == 1:
+        if array.shape == (electrodes,):
             if len(mode.afferents) != 1:
                 raise SourceError(
                     f"mode {mode} drives several classes: give activation (3, {electrodes})",
                     about="pattern",
                 )
-            made = np.zeros((len(Afferent), len(array)))
+            made = np.zeros(self._nothing.shape)
             made[mode.afferents[0]] = array
             array = made
-        if array.ndim == 2 and array.shape != self._nothing.shape and array.dtype.kind in "ub":
-            return Frame(gray_image(array, "the program"), 0)
+        elif array.shape != self._nothing.shape and array.dtype.kind in "fbiu":
+            if array.ndim == 2 and array.dtype.kind in "ub":
+                return Frame(gray_image(array, "the program"), 0)
+            raise SourceError(
+                f"{array.dtype} {array.shape} is no pattern for this array: give activation "
+                f"({electrodes},) or (3, {electrodes}), in [0, 1], or an image (H, W), uint8",
+                about="activation",
+            )
         # Nobody writes into it later.
         return checked_activation(array, "the program", electrodes).copy()
 

@@ -90,6 +90,9 @@ class StepResult:
         Processor time that it took the loop.
     acknowledged, refused : int
         Sequences that the board had begun to deliver, or declined, until then.
+    clock_ns : int
+        Real time since the start at which the loop began the step: later than that of its input by
+        all delays of the computer until then. -1 if unknown.
     first_pulse : FirstPulse or None
         Of the newest sequence whose start the board has reported since the step before: one or two
         before this. None for boards that never report it.
@@ -113,6 +116,7 @@ class StepResult:
     acknowledged: int = 0
     refused: int = 0
     first_pulse: FirstPulse | None = None
+    clock_ns: int = -1
 
     def _repr_html_(self) -> str:
         return self.step._repr_html_()

@@ -119,7 +119,8 @@ class StepDecoder:
         )
         number = None if board["sent"] is None else int(board["sent"])
         took = float(board["latency_us"]), float(board["work_us"])
-        sent = StepResult(step, number, *took, first_pulse=_begun(board))
+        clock_ns = int(board.get("clock_ns", -1))
+        sent = StepResult(step, number, *took, first_pulse=_begun(board), clock_ns=clock_ns)
         return RecordedStep(self._index, sent, int(board["acknowledged"]), int(board["refused"]))
 
     def _image_of(self, parts: dict[str, Message]) -> NDArray[np.uint8] | None:

@@ -89,6 +89,7 @@ class StepEncoder:
                 "refused": result.refused,
                 "latency_us": result.latency_us,
                 "work_us": result.work_us,
+                "clock_ns": result.clock_ns,
                 **_begun(result.first_pulse),
             },
         )

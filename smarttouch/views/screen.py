@@ -46,8 +46,7 @@ class Screen(Listener):
         super().__init__()
         self._url, self._quiet = url, quiet
         self._console = terminal.console()
-        drawn = self._console.is_terminal and not self._console.is_dumb_terminal
-        self._plain = not quiet and (plain or not drawn)
+        self._plain = not quiet and (plain or not terminal.draws())
         self._title = ""
         self._early: list[str] | None = []  # lines on what happened before the board was open
         self._latest: StepResult | None = None

@@ -86,7 +86,7 @@ def test_robust_and_any_node(designed):
 
 def test_kinds_compared(designed):
     printed, table = designed("--profile=line-7", "--compare", "3", "--mode=RA")
-    for variant in ("weighted", "robust", "three-state", "one-of-n"):
+    for variant in ("weighted", "robust", "three-state", "one-against-all"):
         assert variant in printed
     by_name = {kernel["variant"]: kernel for kernel in table["kernels"]}
     assert by_name["weighted"]["worst_other"] == pytest.approx(1.03 * 0.1175, abs=5e-5)

@@ -252,3 +252,10 @@ def test_a_participant_s_screen_does_not_show_the_answer(profile, make_frame):
     screen.event(FingerLifted(2 * 10**9))
     console.print(screen._render())
     assert "2.0 s: the finger is lifted" in console.file.getvalue()
+
+
+def test_no_other_participant_goes_on_with_a_file(program_here):
+    """Made answers and a person's do not end up in one file."""
+    program_here(f"{ONCE} --output a.csv")
+    other = program_here(f"{ONCE.replace('--simulate model', '--simulate random')} --output a.csv")
+    says(ExperimentError, about="participant")(refused(other))

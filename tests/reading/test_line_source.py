@@ -56,6 +56,17 @@ def test_a_point_marks_the_start_of_a_line(reading, feed_of, make_line):
     assert (image == 0).sum() == dark[0] * dark[1]
 
 
+def test_a_line_that_is_asked_for_again_is_announced_again(reading, feed_of, make_line):
+    """Each line once by the title; after the key, once more by a note."""
+    marks = [(0, True), (0, False), (1, False), (1, True), (1, False), (1, True), (1, False)]
+    stands = Stands(*(Spot(index, None, marked=marked) for index, marked in marks))
+    source, said = ReadingSource("a page", reading, feed_of(make_line(), make_line()), stands), []
+    source.emit = said.append
+    titles = [(source.read(number), source.title)[1] for number in range(len(marks))]
+    assert [(each.time_ns, each.text) for each in said] == [(5, titles[5])]
+    assert len({*titles}) == 2
+
+
 def test_lines_lie_one_below_the_other(reading, feed_of, make_line):
     line = make_line(text="what it says")
     stands = Stands(*(Spot(index, line, 5.0, 0.0, 1.0) for index in range(3)))
