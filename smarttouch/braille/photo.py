@@ -17,7 +17,7 @@ from smarttouch.braille.cell_detection import (
     looked_at,
     slope_of,
 )
-from smarttouch.braille.page_dots import SeenAgain, look_again
+from smarttouch.braille.page_dots import look_again
 from smarttouch.braille.sides import SURE, unmirrored_odds
 from smarttouch.pages.page_image import Page
 
@@ -87,11 +87,12 @@ def read_braille(page: Page, light_from_deg: float | None = None) -> BraillePage
             about="light_from_deg",
         )
     if light_from_deg is None:
-        below, view, note = _front(page.grey)
+        below, read, note = _front(page.grey)
     else:
         below, note = light_from_deg % 360 > 180, None
-        view = _best_view(255 - page.grey if below else page.grey, _TURNS_DEG)
-    seen, back = _read(255 - page.grey if below else page.grey, view)
+        grey = 255 - page.grey if below else page.grey
+        read = _looked_at(grey, _best_view(grey, _TURNS_DEG))
+    seen = look_again(cells_of(read.opinion), read.even, read.opinion)
     lines, kept = cell_lines(seen.found)
     agreed, patterns = seen.agreed[kept], seen.found.patterns[kept]
     certainty = float(agreed.mean()) if kept else 0.0
@@ -113,25 +114,32 @@ def read_braille(page: Page, light_from_deg: float | None = None) -> BraillePage
         notes.append(f"cells are certain to {certainty:.0%} only: some are wrong")
     if odds < -max(_TELLING * len(kept), SURE):
         notes.append("cells read as if they were mirrored: this may be the back of the sheet")
-    cells_px = seen.found.px[kept] @ back[:, :2].T + back[:, 2]
+    cells_px = seen.found.px[kept] @ read.back[:, :2].T + read.back[:, 2]
     lit = seen.light_from_deg + 180 * below
     return BraillePage(lines, cells_px, patterns, certainty, notes, lit % 360)
 
 
-def _front(grey: NDArray[np.uint8]) -> tuple[bool, _View, str | None]:
-    """Return whether the dots of the front are lit from below, how they are best seen, and a note
-    where that is not sure."""
+class _LookedAt(NamedTuple):
+    """A page in a view, by the network: the picture with normalized contrast, maps of cells, (9, H,
+    W), and the map to the page's pixels, (2, 3)."""
+
+    even: NDArray[np.float32]
+    opinion: NDArray[np.float32]
+    back: NDArray[np.float64]
+
+
+def _front(grey: NDArray[np.uint8]) -> tuple[bool, _LookedAt, str | None]:
+    """Return whether the dots of the front are lit from below, the page looked at for them, and a
+    note where that is not sure."""
     view, inverted = _best_view(grey, _TURNS_DEG), 255 - grey
     sure = view.certainty > CERTAIN
     other = _glance(inverted, *view[:2]) if sure else _best_view(inverted)
     below = other.certainty > view.certainty + _OTHER_SIDE
     note = None
     if min(view.score, other.score) > _BOTH_SIDES * max(view.score, other.score):
-        both = [
-            find_cells(_scaled(each, *seen[:2])[0])
-            for each, seen in ((grey, view), (inverted, other))
-        ]
-        read = [each.patterns[cell_lines(each)[1]] for each in both]
+        both = [_looked_at(grey, view), _looked_at(inverted, other)]
+        cells = [cells_of(each.opinion) for each in both]
+        read = [each.patterns[cell_lines(each)[1]] for each in cells]
         lead = unmirrored_odds(read[0]) - unmirrored_odds(read[1])
         if abs(lead) > max(_TELLING * sum(map(len, read)), SURE):
             below = lead < 0
@@ -140,7 +148,8 @@ def _front(grey: NDArray[np.uint8]) -> tuple[bool, _View, str | None]:
                 "dots of both sides are visible; those read are raised if the light comes from "
                 f"{'below' if below else 'above'}: give its direction otherwise"
             )
-    return below, other if below else view, note
+        return below, both[below], note
+    return below, _looked_at(inverted, other) if below else _looked_at(grey, view), note
 
 
 def looks_like_braille(page: Page) -> bool:
@@ -187,11 +196,9 @@ def _glance(grey: NDArray[np.uint8], scale: float, turn_deg: float) -> _View:
     return _View(scale * closer, level_deg, covered / len(_TILES), float(np.mean(sure)))
 
 
-def _read(grey: NDArray[np.uint8], view: _View) -> tuple[SeenAgain, NDArray[np.float64]]:
-    """Return the cells of a page in a view, and the map to the page's pixels, (2, 3)."""
+def _looked_at(grey: NDArray[np.uint8], view: _View) -> _LookedAt:
     picture, back = _scaled(grey, view.scale, view.turn_deg)
-    even, opinion = looked_at(picture)
-    return look_again(cells_of(opinion), even, opinion), back
+    return _LookedAt(*looked_at(picture), back)
 
 
 def _scaled(
