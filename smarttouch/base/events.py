@@ -131,14 +131,10 @@ class RunEnded(_Reasoned):
 
 
 @dataclass(frozen=True)
-class TrialEvent(Event):
+class TrialEvent(Note):
     """A trial of an experiment was presented, repeated or answered."""
 
-    text: str
     reveals: ClassVar[bool] = True
-
-    def __str__(self) -> str:
-        return self.text
 
 
 Emit = Callable[[Event], None]

@@ -62,7 +62,6 @@ def view(
     files: Annotated[
         list[Path], argument("One recording, or two to show side by side.", "FILE [OTHER]")
     ],
-    port: Annotated[int, option("Serve the page at this port; a free one otherwise.", "N")] = 0,
     save: Annotated[
         Path | None, option("Write .png, .svg or .mp4, and show nothing.", "FILE")
     ] = None,
@@ -74,7 +73,7 @@ def view(
     if save is None:
         from smarttouch.views.recordings_page import show_recordings
 
-        show_recordings(files, port)
+        show_recordings(files)
         return
     from smarttouch.base.errors import RecordingError
     from smarttouch.views.recordings_page import save_view

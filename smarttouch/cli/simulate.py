@@ -177,16 +177,12 @@ def study(
         Path, option("Write to this folder; a study that is there continues.", "DIR")
     ],
     cluster: ClusterOption = None,
-    plot: Annotated[
-        Path | None, option("Draw the figure to this file; DIR/study.png otherwise.", "PNG|PDF|SVG")
-    ] = None,
     quiet: QuietOption = False,
 ) -> None:
     """Run a grid of fingers, profiles, kernels, scans, letters and pages, or continue one."""
     from importlib.util import find_spec
 
     from smarttouch.base.cluster import on_cluster
-    from smarttouch.base.files import require_folder
     from smarttouch.base.terminal import print_table
     from smarttouch.experiments.study_plan import load_study
     from smarttouch.experiments.study_run import (
@@ -200,11 +196,6 @@ def study(
     from smarttouch.views.progress import bank_progress, lines_progress
 
     asked = load_study(plan)
-    require_folder(plot)
-    if plot is None and find_spec("matplotlib"):
-        plot = output / "study.png"
-    if plot is not None:
-        figure_style.require_drawable(plot)
     with (
         on_cluster(cluster),
         bank_progress(quiet) as designing,
@@ -225,9 +216,10 @@ def study(
             left=2,
         )
         print(output / ROWS_FILE)
-    if plot is not None:
+    if find_spec("matplotlib"):
         from smarttouch.experiments.study_run import study_figure
 
+        plot = output / "study.png"
         figure_style.save(study_figure(found, STUDY_NAMES, asked.title), plot)
         if not quiet:
             print(plot)

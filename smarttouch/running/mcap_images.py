@@ -19,7 +19,7 @@ from smarttouch.profile import Profile
 from smarttouch.running.mcap_file import McapFile, parse_message
 from smarttouch.sources.camera import to_grey
 from smarttouch.sources.source_contract import OpticalSource
-from smarttouch.sources.video import FASTEST_HZ, Clip, open_clip
+from smarttouch.sources.video import FASTEST_HZ, Clip, open_clip, require_frame_size
 
 RAW = ("sensor_msgs/msg/Image", "foxglove.RawImage", "foxglove_msgs/msg/RawImage")
 COMPRESSED = (
@@ -32,7 +32,6 @@ _CHANNELS = {
     "mono16": 1, "16UC1": 1,
 }  # fmt: skip
 """Channels of encodings (ROS's ``sensor_msgs/image_encodings.hpp``)."""
-_MOST_PIXELS = 80_000_000
 _AHEAD = 8
 """Messages that are read ahead, which say how far apart they are."""
 
@@ -212,13 +211,13 @@ def _of_json(data: bytes) -> _Table:
 
 def _compressed(message: Any) -> NDArray[np.uint8]:
     with Image.open(BytesIO(bytes(message.data))) as image:
-        _require_pixels(*image.size)
+        require_frame_size("an image", *image.size, "image")
         return np.array(image.convert("L"))
 
 
 def _raw(message: Any) -> NDArray[Any]:
     height, width, step = int(message.height), int(message.width), int(message.step)
-    _require_pixels(width, height)
+    require_frame_size("an image", width, height, "image")
     encoding = str(message.encoding)
     channels = _CHANNELS.get(encoding)
     if channels is None:
@@ -233,12 +232,3 @@ def _raw(message: Any) -> NDArray[Any]:
     row = np.ascontiguousarray(rows[:, : width * channels * kind.itemsize]).view(kind)
     image = row.reshape(height, width, channels).astype(kind.newbyteorder("="))
     return image[:, :, [2, 1, 0, 3][:channels]] if encoding.startswith("rgb") else image
-
-
-def _require_pixels(width: int, height: int) -> None:
-    if min(width, height) < 2 or width * height > _MOST_PIXELS:
-        raise SourceError(
-            f"an image of {width} x {height} pixels: a frame needs at least 2 x 2, and at most "
-            f"{_MOST_PIXELS // 10**6} megapixels",
-            about="image",
-        )

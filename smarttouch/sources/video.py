@@ -249,14 +249,18 @@ def _size(file: Path) -> tuple[int, int]:
         width, height = image.size
         if image.format in _TURNED and image.getexif().get(ExifTags.Base.Orientation, 1) >= 5:
             width, height = height, width
-    small = min(width, height) < _FEWEST_PIXELS
-    if small or width * height > _MOST_PIXELS:
-        message = (
-            f"{file} has {width} x {height} pixels: a frame needs at least {_FEWEST_PIXELS} x "
-            f"{_FEWEST_PIXELS}, and at most {_MOST_PIXELS // 10**6} megapixels"
-        )
-        raise SourceError(message, about="file")
+    require_frame_size(str(file), width, height, "file")
     return width, height
+
+
+def require_frame_size(what: str, width: int, height: int, about: str) -> None:
+    """Raise unless an image of some pixels can be a frame."""
+    if min(width, height) < _FEWEST_PIXELS or width * height > _MOST_PIXELS:
+        raise SourceError(
+            f"{what} has {width} x {height} pixels: a frame needs at least {_FEWEST_PIXELS} x "
+            f"{_FEWEST_PIXELS}, and at most {_MOST_PIXELS // 10**6} megapixels",
+            about=about,
+        )
 
 
 def _load(file: Path) -> NDArray[np.uint8]:

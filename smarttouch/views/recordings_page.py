@@ -30,7 +30,7 @@ _TYPES = {
 class RecordingsPage(Closing):
     """Serves a page that shows one recording, or two side by side, until it is closed."""
 
-    def __init__(self, paths: Sequence[Path], port: int = 0) -> None:
+    def __init__(self, paths: Sequence[Path]) -> None:
         if not 0 < len(paths) <= MOST_RECORDINGS:
             raise RecordingError(
                 f"{len(paths)} recordings cannot be shown at once: give one or {MOST_RECORDINGS}",
@@ -41,7 +41,7 @@ class RecordingsPage(Closing):
         try:
             for path in paths:
                 self.tapes.append(RecordingIndex(path))
-            self._server = PageServer(port, self._routes(), "view.html")
+            self._server = PageServer(0, self._routes(), "view.html")
         except BaseException:
             self._close_tapes()
             raise
@@ -126,9 +126,9 @@ def _answer(
     return answer
 
 
-def show_recordings(paths: Sequence[Path], port: int = 0) -> None:
+def show_recordings(paths: Sequence[Path]) -> None:
     """Serve the page of recordings until Ctrl-C."""
-    with RecordingsPage(paths, port) as page:
+    with RecordingsPage(paths) as page:
         try:
             print(f"window: {page.address} (Ctrl-C ends)", file=sys.stderr, flush=True)
             open_browser(page.address)

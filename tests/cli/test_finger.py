@@ -7,7 +7,7 @@ from PIL import Image
 from smarttouch.base.errors import ExperimentError, ProfileError, SmartTouchError
 from smarttouch.cli.simulate import study
 
-from ..raising import assert_says, raises
+from ..raising import assert_says
 from .conftest import refused
 
 
@@ -57,21 +57,6 @@ def test_a_table_and_a_plot(plan, tmp_path, capsys):
     with Image.open(tmp_path / "out" / "study.png") as picture:
         assert min(picture.size) > 200
     assert str(tmp_path / "out" / "rows.csv") in capsys.readouterr().out
-
-
-def test_a_figure_is_where_it_was_asked_for(plan, program_here, tmp_path):
-    done = program_here("simulate study plan.toml --output out --plot x.png").fine()
-    assert done.stdout.splitlines()[-1] == "x.png"
-    with Image.open(tmp_path / "x.png") as picture:
-        assert min(picture.size) > 200
-    assert not (tmp_path / "out" / "study.png").exists()
-
-
-def test_a_format_that_is_none_is_refused(plan, tmp_path):
-    with raises(SmartTouchError, about="file", value="study.bmp"):
-        study(plan, tmp_path / "out", plot=tmp_path / "study.bmp")
-    # Before the work, which would be in vain.
-    assert not (tmp_path / "out").exists()
 
 
 def test_it_ends_with_one_sentence(program_here, tmp_path):
