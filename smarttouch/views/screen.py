@@ -108,10 +108,6 @@ class Screen(Listener):
         elif self._plain:
             self._print(self._event)
 
-    def hides(self, event: Event) -> bool:
-        """Return whether an event is hidden from whoever sees the screen."""
-        return False
-
     def finish(self, run: RunContext) -> None:
         self.close()
 
@@ -335,11 +331,8 @@ class BlindScreen(Screen):
     """Shows question, amplitude and pressure; no electrodes, rates or currents."""
 
     def event(self, event: Event) -> None:
-        if not self.hides(event):
+        if not event.reveals:
             super().event(event)
-
-    def hides(self, event: Event) -> bool:
-        return event.reveals
 
     def _render(self) -> RenderableType:
         sent = self._latest

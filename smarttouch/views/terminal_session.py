@@ -4,6 +4,7 @@ import contextlib
 import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -123,10 +124,11 @@ def run_in_terminal(
             listeners=[
                 *([] if window is None else [window]),  # before the screen: it prints its address
                 shown,
-                _Keyboard(stop, keys or {}),
+                _Within(partial(_keyboard, stop, keys or {})),
                 *followers,
                 *listeners,
-                _Orderly(outputs.patience_s),
+                # Until here, with no board open, a signal ends the program anywhere.
+                _Within(lambda _run: ending_in_order(outputs.patience_s)),
             ],
             stop=stop,
             load_kernels=partial(_load_kernels, quiet=outputs.quiet),
@@ -183,49 +185,37 @@ def _load_kernels(profile: Profile, quiet: bool) -> KernelBank:
         return load_bank(profile, progress)
 
 
-class _Orderly(Listener):
-    """Lets a run end by itself on a signal, once its board may be open."""
+class _Within(Listener):
+    """Enters a context before a run, and leaves it at its end."""
 
-    def __init__(self, patience_s: float) -> None:
+    def __init__(self, entered: Callable[[RunContext], AbstractContextManager[None]]) -> None:
         super().__init__()
-        self._patience_s = patience_s
-        self._stack = contextlib.ExitStack()
+        self._entered, self._stack = entered, contextlib.ExitStack()
 
     def prepare(self, run: RunContext) -> None:
-        # Until here, with no board open, a signal ends the program anywhere.
-        self._stack.enter_context(ending_in_order(self._patience_s))
+        self._stack.enter_context(self._entered(run))
 
     def close(self) -> None:
         self._stack.close()
 
 
-class _Keyboard(Listener):
-    """Lets keys control a run."""
+def _keyboard(stop: StopRequest, keys: Keys, run: RunContext) -> AbstractContextManager[None]:
+    """Return a context in which keys control a run."""
+    controls = run.controls
+    does: dict[str, Callable[[], None]] = {
+        "+": lambda: controls.change_level(STEP),
+        "-": lambda: controls.change_level(-STEP),
+        "0": controls.silence,
+        " ": controls.toggle_pause,
+        "m": controls.next_mode,
+        "q": lambda: stop.ask("key q"),
+        "\x1b": lambda: stop.ask("key Esc"),
+        LOST: lambda: stop.ask("the terminal is gone"),
+    }
+    does |= {"=": does["+"], "up": does["+"], "down": does["-"], "_": does["-"]}
 
-    def __init__(self, stop: StopRequest, keys: Keys) -> None:
-        super().__init__()
-        self._run_stop, self._keys = stop, keys
-        self._stack = contextlib.ExitStack()
+    def on_key(key: str) -> None:
+        for each in (does, keys):
+            each.get(key, lambda: None)()
 
-    def prepare(self, run: RunContext) -> None:
-        controls, stop = run.controls, self._run_stop
-        does: dict[str, Callable[[], None]] = {
-            "+": lambda: controls.change_level(STEP),
-            "-": lambda: controls.change_level(-STEP),
-            "0": controls.silence,
-            " ": controls.toggle_pause,
-            "m": controls.next_mode,
-            "q": lambda: stop.ask("key q"),
-            "\x1b": lambda: stop.ask("key Esc"),
-            LOST: lambda: stop.ask("the terminal is gone"),
-        }
-        does |= {"=": does["+"], "up": does["+"], "down": does["-"], "_": does["-"]}
-
-        def on_key(key: str) -> None:
-            for each in (does, self._keys):
-                each.get(key, lambda: None)()
-
-        self._stack.enter_context(keyboard_listener(on_key))
-
-    def close(self) -> None:
-        self._stack.close()
+    return keyboard_listener(on_key)

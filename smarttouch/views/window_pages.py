@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Protocol
 
 from smarttouch.base.afferent import Mode
@@ -94,17 +95,9 @@ class Steering:
         if what in self._does:
             does = self._does[what]
         elif kind == "mode" and name in {str(each) for each in self.controls.modes}:
-            mode = Mode(name)
-
-            def does() -> None:
-                self.controls.choose_mode(mode)
-
+            does = partial(self.controls.choose_mode, Mode(name))
         elif kind == "level":
-            level = float(name)
-
-            def does() -> None:
-                self.controls.set_level(level)
-
+            does = partial(self.controls.set_level, float(name))
         elif kind == "key" and name in self._keys:
             does = self._keys[name]
         else:

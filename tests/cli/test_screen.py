@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.events import Advice, ModeChanged, Paused, Resumed, TrialEvent
+from smarttouch.base.events import Advice, ModeChanged, Paused, Resumed
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
@@ -23,7 +23,7 @@ from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Stimulus
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
 from smarttouch.views.character_pictures import ArrayPicture, image_text
-from smarttouch.views.screen import BlindScreen, Screen, _beside
+from smarttouch.views.screen import Screen, _beside
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 
@@ -221,14 +221,6 @@ def test_where_nothing_is_drawn(monkeypatch, terminal, dumb, asked, plain):
     quiet.start(run)
     quiet.event(Paused(0))
     assert console.file.getvalue().count("\n") == len(told) + plain * sys.stdin.isatty()
-
-
-def test_answers_are_not_shown():
-    class Answered(TrialEvent):
-        reveals = True
-
-    assert BlindScreen("emulator:", quiet=False).hides(Answered(0, "right"))
-    assert not Screen("emulator:", quiet=False).hides(Answered(0, "right"))
 
 
 @pytest.mark.parametrize("terminal", [True, False])
