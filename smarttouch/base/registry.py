@@ -28,10 +28,10 @@ _OWN = {
         "video": "smarttouch.sources.video:open_video",
     },
     "smarttouch.forces": {
-        "fixed": "smarttouch.sources.force:open_fixed",
+        "fixed": "smarttouch.sources.force:FixedForce",
         "hx711": "smarttouch.sources.load_cell:open_hx711",
         "loadcell": "smarttouch.sources.load_cell:open_load_cell",
-        "recorded": "smarttouch.sources.force:open_recorded",
+        "recorded": "smarttouch.sources.force:RecordedForce",
     },
     "smarttouch.boards": {
         "emulator": "smarttouch.emulator.emulated_boards:EmulatorBoard",

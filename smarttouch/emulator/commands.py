@@ -207,7 +207,7 @@ def emulate_sensor(
             _look(url, chosen, rows, columns), rate_hz
         )
     else:
-        pressed, framed = sensors.press(force, path, chosen), name == "loadcell"
+        pressed, framed = sensors.press(force, path), name == "loadcell"
         device = sensors.EmulatedLoadCell(
             pressed, counts_per_n, zero, noise, framed=framed, seed=seed, rate_hz=rate_hz
         )

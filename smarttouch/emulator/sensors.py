@@ -12,7 +12,7 @@ from smarttouch.base.errors import SourceError
 from smarttouch.emulator.firmware import Firmware, FirmwareClock
 from smarttouch.profile import Profile
 from smarttouch.sources import open_source
-from smarttouch.sources.force import open_recorded
+from smarttouch.sources.force import RecordedForce
 from smarttouch.sources.sensor_protocol import encode_force, encode_frame, encode_info
 from smarttouch.sources.source_contract import Frame
 
@@ -164,11 +164,11 @@ def look_at_page(url: str, profile: Profile, rows: int, columns: int) -> Look:
     return look
 
 
-def press(force_n: float, path: Path | None, profile: Profile) -> Callable[[float], float]:
+def press(force_n: float, path: Path | None) -> Callable[[float], float]:
     """Return the force function of a load cell: constant, or as recorded."""
     if path is None:
         return lambda _time_s: force_n
-    recorded = open_recorded(str(path), profile)
+    recorded = RecordedForce(path)
     return lambda time_s: recorded.read(round(time_s * 1e9))
 
 

@@ -44,20 +44,10 @@ def open_force(url: str, profile: Profile) -> ForceSource:
     return source
 
 
-def open_fixed(rest: str, profile: Profile) -> ForceSource:
-    """Open ``fixed:N``, a constant force in newtons, if there is no measurement."""
-    return FixedForce(rest)
-
-
-def open_recorded(rest: str, profile: Profile) -> ForceSource:
-    """Open ``recorded:FILE``, a CSV file with the columns time_s and force_n."""
-    return RecordedForce(Path(rest))
-
-
 class FixedForce(ForceSource):
-    """Constant force, 0 to 20 N, which a person states to be there."""
+    """Constant force, 0 to 20 N, which a person states to be there: ``fixed:N``."""
 
-    def __init__(self, text: str) -> None:
+    def __init__(self, text: str, profile: Profile | None = None) -> None:
         try:
             self._force_n = float(text)
         except ValueError:
@@ -76,7 +66,7 @@ class FixedForce(ForceSource):
 
 
 class RecordedForce(ForceSource):
-    """Force from a CSV table, linear between its rows; unknown before the first and after the last.
+    """Force from a CSV table, ``recorded:FILE``, linear between its rows, unknown outside of them.
 
     The columns ``time_s``, since the start of the run and rising, and ``force_n`` are used, others
     are not, so a recorded path will do.
@@ -84,7 +74,8 @@ class RecordedForce(ForceSource):
 
     is_live = False
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, rest: str | Path, profile: Profile | None = None) -> None:
+        path = Path(rest)
         super().__init__(f"force of {path.name}")
         table = read_csv(path, SourceError)
         self._time_s, self._force_n = table.numbers(_COLUMNS).T

@@ -102,13 +102,12 @@ _watches: list[tuple[StopRequest, SignalWatch]] = []
 def drives_a_board(command: Callable[_P, _T]) -> Callable[_P, _T]:
     """Let a command that may make current be stopped, by signals and by ``smarttouch stop``."""
 
-    @functools.wraps(command)
-    def surrounded(*arguments: _P.args, **options: _P.kwargs) -> _T:
-        with _stoppable(), announced():
+    def driving(*arguments: _P.args, **options: _P.kwargs) -> _T:
+        with announced():
             refuse_if_stopped()
             return command(*arguments, **options)
 
-    return surrounded
+    return asks_a_board(functools.wraps(command)(driving))
 
 
 def asks_a_board(command: Callable[_P, _T]) -> Callable[_P, _T]:
