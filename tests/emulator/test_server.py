@@ -307,10 +307,10 @@ def test_an_array_reads_a_page_again_and_again(profile):
 
 
 @pytest.mark.parametrize("framed", [False, True])
-def test_a_cell_follows_its_line(profile, tmp_path, framed):
+def test_a_cell_follows_its_line(tmp_path, framed):
     record = tmp_path / "force.csv"
     record.write_text("time_s,force_n\n0,0\n1,2\n")
-    force = press(9.0, record, profile)
+    force = press(9.0, record)
     device = EmulatedLoadCell(force, counts_per_n=1000, zero=-200, noise=0, framed=framed)
 
     def at(time_s, *wrong):
