@@ -138,7 +138,7 @@ def test_faults_of_the_line():
 
 
 def test_orders(capsys):
-    cell = EmulatedLoadCell(press(0.0, None, None), counts_per_n=1000, zero=0, noise=0)
+    cell = EmulatedLoadCell(press(0.0, None), counts_per_n=1000, zero=0, noise=0)
     orders = ("weight 100", "force x", "silent 0.02", "unplug", "dance")
     server, line = make_server(cell, orders=orders)
     step(server, *range(0, 60))
@@ -172,7 +172,7 @@ def test_what_is_no_event(text, words):
 
 
 def test_orders_that_cannot_be():
-    cell = EmulatedLoadCell(press(0.0, None, None))
+    cell = EmulatedLoadCell(press(0.0, None))
     with raises(SourceError, about="order", value="x"):
         cell.take_order(["force", "x"])
     server, _ = make_server()
@@ -190,7 +190,7 @@ def test_what_is_wrong_at_a_time():
 
 def test_garbage_is_nothing_and_ends_as_what_it_stands_for():
     array = SensorArray(sensors.look_at_pattern(8, 8), rate_hz=100.0)
-    cell = EmulatedLoadCell(press(1.0, None, None), framed=True, rate_hz=100.0)
+    cell = EmulatedLoadCell(press(1.0, None), framed=True, rate_hz=100.0)
     for device in (array, cell):
         server, line = make_server(device, faults=["0 garbage 0.05"])
         step(server, *range(0, 50))
@@ -201,7 +201,7 @@ def test_garbage_is_nothing_and_ends_as_what_it_stands_for():
         line.taken = b""
         step(server, 50)
         assert [each.number for each in stream.feed(line.taken)] == [5]
-    text, line = make_server(EmulatedLoadCell(press(1.0, None, None)), faults=["0 garbage"])
+    text, line = make_server(EmulatedLoadCell(press(1.0, None)), faults=["0 garbage"])
     step(text, 0)
     assert line.taken.endswith(b"\r\n")
     assert TextReadings().feed(b"\n" + line.taken) == []
@@ -330,7 +330,7 @@ def test_a_cell_follows_its_line(tmp_path, framed):
 
 
 def test_a_cells_noise():
-    device = EmulatedLoadCell(press(1.0, None, None), 1000, 0, noise=50, framed=True)
+    device = EmulatedLoadCell(press(1.0, None), 1000, 0, noise=50, framed=True)
     stream = MessageStream()
     readings = [stream.feed(packet(device, 0, 0))[0].reading for _ in range(2000)]
     assert np.mean(readings) == pytest.approx(1000, abs=5)

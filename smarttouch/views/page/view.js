@@ -210,20 +210,20 @@ function tick(now) {
 
 async function read() {
   const from = sides.length ? Math.min(...sides.map((each) => each.times.length)) : 0;
-  const facts = await (await fetch(`recordings?from=${from}`)).json();
+  const found = await (await fetch(`recordings?from=${from}`)).json();
   const first = !sides.length;
   if (first) {
-    sides = told.map((about, number) => new Side(about, number));
+    sides = found.map((about, number) => new Side(about, number));
     find("main").classList.toggle("two", sides.length > 1);
-    find("title").textContent = told.map((each) => each.name).join("  |  ");
+    find("title").textContent = found.map((each) => each.name).join("  |  ");
   }
-  told.forEach((about, number) => sides[number].take({ ...about, from }));
+  found.forEach((about, number) => sides[number].take({ ...about, from }));
   const steps = longest().times.length;
   find("time").max = Math.max(0, steps - 1);
-  const ended = told.every((each) => each.ended);
+  const ended = found.every((each) => each.ended);
   find("status").textContent = ended ? `${steps} steps` : `reading, ${steps} steps`;
   find("status").className = `status ${ended ? "runs" : "waits"}`;
-  const wrong = told.filter((each) => each.wrong).map((each) => `${each.name}: ${each.wrong}`).join("; ");
+  const wrong = found.filter((each) => each.wrong).map((each) => `${each.name}: ${each.wrong}`).join("; ");
   find("alert").hidden = !wrong;
   if (find("alert").textContent !== wrong) find("alert").textContent = wrong;
   if (steps && sides[0].step === null) goTo(0);
