@@ -1,5 +1,6 @@
-"""Progress bars."""
+"""Progress bars; where nothing can be drawn, a line every ten seconds."""
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 
@@ -8,6 +9,7 @@ from rich.text import Text
 
 from smarttouch.base import terminal
 
+_LINE_S = 10.0
 Advance = Callable[[int, int], None]  # function called with how many are done, of how many
 
 
@@ -44,10 +46,19 @@ def _bar(title: str, quiet: bool) -> Iterator[Advance | None]:
     bar = Progress(*columns, console=terminal.console(stderr=True), transient=True)
     task = bar.add_task(title, done_s=0.0)
 
+    begun_s = printed_s = time.monotonic()
+
     def advance(done: int, total: int) -> None:
-        # Most runs find a finished bank, and show nothing.
-        bar.start()
-        bar.update(task, completed=done, total=total, done_s=bar.tasks[task].elapsed or 0.0)
+        nonlocal printed_s
+        now_s = time.monotonic()
+        if terminal.draws(bar.console):
+            # Most runs find a finished bank, and show nothing.
+            bar.start()
+            bar.update(task, completed=done, total=total, done_s=bar.tasks[task].elapsed or 0.0)
+        elif done and now_s > printed_s + _LINE_S:
+            printed_s = now_s
+            left_s = (now_s - begun_s) * (total - done) / done
+            bar.console.print(f"{title}: {done / total:.0%}, about {left_s:.0f} s left")
 
     try:
         yield advance
