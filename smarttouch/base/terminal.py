@@ -119,6 +119,7 @@ def draws(shown: "Console | None" = None) -> bool:
     return shown.is_terminal and not shown.is_dumb_terminal
 
 
+_WIDEST = 200
 _LONGEST_NAME = 40
 """Longest text at the left of a table that stays in one line."""
 
@@ -134,13 +135,16 @@ def print_table(
 ) -> None:
     """Print a table of texts; its first ``left`` columns are aligned left, the others right.
 
-    Rules are drawn on a screen alone: in a pipe or a dumb terminal they would be read aloud.
+    In a pipe or a dumb terminal there are no rules, which would be read aloud, and a row of several
+    texts is a line.
     """
     from rich.box import HEAVY_HEAD
     from rich.table import Table
 
     rows, shown = list(rows), console()
     drawn = ruled and draws(shown)
+    if left > 1 and not draws(shown):
+        shown.width = _WIDEST
     names = all(len(str(row[0])) <= _LONGEST_NAME for row in rows if row)
     table = Table(
         title=title,

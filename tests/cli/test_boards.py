@@ -266,7 +266,7 @@ def test_an_emulator_is_played_until_it_is_ended(program_here, start_program, tm
     real = name == "link"
     playing = start_program("devices", "emulate", f"{name}?books={books}", real=real)
     lines = [playing.stdout.readline() for _ in range(3)]
-    url = lines[2].split()[-1]
+    url = lines[2].split()[3]
     assert url.startswith(f"{name}:/dev/")
     program_here("devices show", url).fine()
     playing.send_signal(how)
