@@ -123,7 +123,7 @@ def _show(
         return run.start(
             opened,
             chosen,
-            config,
+            run.at_level(config, chosen),
             ready,
             keys=opened.keys,
             keys_help=opened.keys_help,

@@ -94,6 +94,12 @@ def parse_mode(mode: str) -> Mode:
     return choice_of("mode", mode, [each for each in Mode if each is not Mode.COLOR])
 
 
+def parse_finger(text: str, usual: str) -> tuple[str, int]:
+    """Return anatomy and seed of ``[ANATOMY:]SEED``, with the usual anatomy where none is given."""
+    anatomy, _, seed = text.rpartition(":")
+    return (anatomy or usual, int(seed)) if seed.isdecimal() else (text, 1)
+
+
 def parse_afferent(mode: str) -> Afferent:
     """Return a class of afferents by its name."""
     return Afferent[choice_of("mode", mode, Afferent.__members__)]

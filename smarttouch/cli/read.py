@@ -100,7 +100,9 @@ def read(
         reading = ReadingSource(text.title, chosen, feed, cursor)
         reading.url, reading.notes = source, notes
         keys_help = "← → line    r again    "
-        run.start(reading, chosen, config, keys=reading.keys, keys_help=keys_help)
+        run.start(
+            reading, chosen, run.at_level(config, own), keys=reading.keys, keys_help=keys_help
+        )
 
 
 @takes_options()

@@ -69,8 +69,8 @@ class KernelBank:
     # Whether weights are fractions of full current, designed on fingers: off_target is then the
     # fraction of firing afferents of other classes, spill that of own ones beyond a pitch.
     absolute: bool = False
-    # Whether each kernel is one electrode against all others, by height and exact to the µA.
-    single: bool = False
+    # Classes whose kernels are one electrode against all others, by height and exact to the µA.
+    discs: tuple[Afferent, ...] = ()
 
     def _repr_html_(self) -> str:
         """Return the off-target activation of each class and site as cells for notebooks."""
@@ -177,7 +177,9 @@ def problem_hash(profile: Profile) -> str:
 
         anatomy = load_anatomy(profile.kernels.anatomy).model_dump(exclude={"name", "title"})
         problem["fingers"] = [profile.kernels.fingers, anatomy, profile.force.full_n]
-        problem["felt"] = profile.perception.model_dump(exclude={"comfort_ratio"})
+        problem["felt"] = profile.perception.model_dump(
+            exclude={"comfort_ratio", "level", "anatomy"}
+        )
         problem["most"] = [profile.full_ma.tolist(), profile.pulse.width_us]
     if profile.design_total_ma is not None or limits.electrode_ma is not None:
         problem["limits"] = [profile.design_total_ma, limits.electrode_ma]
@@ -379,10 +381,8 @@ def single_bank(profile: Profile) -> KernelBank:
     All are stored under `Afferent.RA`, whichever afferents they reach. The one electrode is anodic
     where the profile's board can, and the others share its return equally.
     """
-    count, driven = len(profile.electrodes), profile.driven
-    weights = np.zeros((count, count))
-    weights[np.ix_(driven, driven)] = -1 / max(1, len(driven) - 1)
-    weights[driven, driven] = 1
+    count = len(profile.electrodes)
+    weights = _cathodic_discs(profile)
     if "anodic" in profile.output.polarities:
         weights = -weights
     nothing, nowhere = np.zeros(count), np.zeros((count, count), np.float32)
@@ -395,5 +395,40 @@ def single_bank(profile: Profile) -> KernelBank:
         gap=each,
         seconds=each,
         receptor={Afferent.RA: nowhere},
-        single=True,
+        discs=(Afferent.RA,),
     )
+
+
+def lone_discs(profile: Profile, bank: KernelBank) -> KernelBank:
+    """Return a bank with single electrodes against all others in place of SAI, where they are
+    cathodic, and of PC, where they are anodic; for stimuli that name their class (mode color)."""
+    if len(profile.output.polarities) < 2:
+        raise DesignError(
+            f"{profile.name} drives its electrodes {profile.output.polarities[0]} only, and two "
+            "polarities are to be compared: choose another profile",
+            about="output.polarities",
+        )
+    cathodic = _cathodic_discs(profile)
+    discs = {Afferent.SAI: cathodic, Afferent.PC: -cathodic}
+    nothing = dict.fromkeys(discs, np.zeros(len(cathodic)))
+    nowhere = dict.fromkeys(discs, np.zeros(cathodic.shape, np.float32))
+    return KernelBank(
+        weights=bank.weights | discs,
+        off_target=bank.off_target | nothing,
+        worst_class=bank.worst_class | {each: nothing[each].astype(np.int8) for each in discs},
+        spill=bank.spill | nothing,
+        gap=bank.gap | nothing,
+        seconds=bank.seconds | nothing,
+        receptor=bank.receptor | nowhere,
+        absolute=bank.absolute,
+        discs=tuple(discs),
+    )
+
+
+def _cathodic_discs(profile: Profile) -> NDArray[np.float64]:
+    """Return each driven electrode, cathodic, against all others in equal parts, (E, E)."""
+    count, driven = len(profile.electrodes), profile.driven
+    weights = np.zeros((count, count))
+    weights[np.ix_(driven, driven)] = -1 / max(1, len(driven) - 1)
+    weights[driven, driven] = 1
+    return weights

@@ -121,19 +121,28 @@ def letters_on_finger(
     known: Mapping[str, Floats],  # see `letter_templates`
 ) -> list[LetterResponse]:
     """Return the response of a finger to letters, each for ten periods."""
-    model, places = SpikeModel(finger, finger.seed), finger.profile.electrodes.position_mm
-    found = []
+    model, found = SpikeModel(finger, finger.seed), []
     for letter, (slots, active) in shown.items():
-        model.reset()
         above = model.drive(slots.current_ua, slots.width_us)
-        counts = np.sum([model.fire(slots, above).counts for _ in range(_PERIODS)], axis=0)
-        read_as = _most_like(response_map(finger, counts, places).sum(axis=0), known)
-        found.append(
-            LetterResponse(
-                letter, finger.seed, response_quality(finger, counts, active, wanted), read_as
-            )
-        )
+        counts, read_as = spikes_and_letter(model, slots, above, known)
+        quality = response_quality(finger, counts, active, wanted)
+        found.append(LetterResponse(letter, finger.seed, quality, read_as))
     return found
+
+
+def spikes_and_letter(
+    model: SpikeModel,
+    slots: SlotCurrents,
+    above: Floats,
+    known: Mapping[str, Floats],
+    periods: int = _PERIODS,
+) -> tuple[NDArray[np.intp], str]:
+    """Return the spike counts, (A,), of periods of slots with these drives, (A, S), and the letter
+    that they resemble most; none without a spike."""
+    model.reset()
+    counts = np.sum([model.fire(slots, above).counts for _ in range(periods)], axis=0)
+    places = model.finger.profile.electrodes.position_mm
+    return counts, _most_like(response_map(model.finger, counts, places).sum(axis=0), known)
 
 
 def read_at_board(

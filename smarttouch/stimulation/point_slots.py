@@ -83,10 +83,10 @@ class PointSlots:
         self._ones = np.ones(count, np.float32)
         self._row_starts = count * np.arange(count)
         self._widths_all_us = constant_us(count, profile.pulse.width_us)
-        self._single = bank.single
-        self._perceived_at = None if bank.single else perceived_at(profile, afferent)
+        self._single = afferent in bank.discs
+        self._perceived_at = None if self._single else perceived_at(profile, afferent)
         self._pulse = profile.pulse
-        self._by_width = profile.pulse.carrier == "width" and not bank.single
+        self._by_width = profile.pulse.carrier == "width" and not self._single
         self._in_index_order = timing.in_index_order
 
     def _prove_totals(self, profile: Profile) -> None:

@@ -115,14 +115,15 @@ class ScanScheduler:
         self._adder = SlotAdder(self._limits.felt_ua)
         # Before anything is sent: the longest scan must be possible too.
         self._shortest_us(self._electrodes, self._electrodes * pulse.width_us)
-        self._one_width_us = pulse.width_us if bank.single or pulse.carrier != "width" else None
+        by_height = pulse.carrier != "width" or set(driven) <= set(bank.discs)
+        self._one_width_us = pulse.width_us if by_height else None
         self._shortest: dict[int, int] = {}
         """Shortest period by the number of slots, where all have one width."""
         self.net_slowed: int = 0
         self.net_emptied: int = 0
         self._net = common.net
         self._felt_us, self._charge_us, self._net_at_most_pc = (math.inf,) * 3
-        if not bank.single:
+        if not set(driven) <= set(bank.discs):
             self._bound_exposure(pulse.width_us)
 
     def restart(self) -> None:

@@ -27,7 +27,7 @@ from smarttouch.experiments.calibration.threshold_session import (
 from smarttouch.experiments.psychophysics.experiment_source import ExperimentSource
 from smarttouch.experiments.psychophysics.simulated_subject import Subject
 from smarttouch.experiments.psychophysics.trials import Trial, TrialTiming
-from smarttouch.kernels.bank import single_bank
+from smarttouch.kernels.bank import KernelBank, single_bank
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
@@ -36,6 +36,8 @@ from smarttouch.running.runner import Operation, Runner
 from smarttouch.running.step import StepResult
 
 Found = Mapping[int, Thresholds]
+Keys = Callable[[Callable[[str], None]], AbstractContextManager[None]]
+"""Hands every key to a function while a block runs; an empty one is a terminal that is gone."""
 
 
 def parse_electrodes(text: str | None, profile: Profile) -> list[int]:
@@ -144,8 +146,7 @@ class ThresholdProcedure:
     def measure(
         self,
         progress: Progress,  # keeps each once it is done
-        # hands every key to a function while a block runs; an empty one is a terminal that is gone
-        keys: Callable[[Callable[[str], None]], AbstractContextManager[None]],
+        keys: Keys,
         say: Callable[[str], None],  # shows a line
         stop: StopRequest,
         # opens a board for a block
@@ -171,30 +172,18 @@ class ThresholdProcedure:
                 most_spoiled=_MOST_SPOILED,
             ),
         )
-        listeners: list[Listener] = [_Prompts(source, say)]
+        listener: Listener = Prompts(
+            source,
+            say,
+            f"Current rises to {measuring.full_ma.max():.2f} mA at most. Press a key when you feel "
+            "it, and again when it is strong enough",
+        )
         if self.simulate:
             tops_ma = [float(each) for each in measuring.full_ma]
             finger = simulated_finger(profile, measuring, tops_ma, self.seed)
-            listeners = [Subject(source, finger, _LOOK_S, REACTION_S)]
-
-        def on_key(key: str) -> None:
-            if key in STOP_KEYS:
-                stop.ask(f"key {key!r}")
-            else:
-                source.press(key)
-
-        with keys(on_key):
-            Runner(
-                source,
-                display,
-                RunConfig(scan="points", seed=self.seed),
-                force=force,
-                listeners=listeners,
-                stop=stop,
-                load_kernels=single_bank,
-                # Current is what the procedure asks for.
-                operation=Operation(first_level=1.0, opened=partial(opened, display.board)),
-            ).run()
+            listener = Subject(source, finger, _LOOK_S, REACTION_S)
+        config = RunConfig(scan="points", seed=self.seed)
+        present(source, display, config, listener, keys, stop, opened, force)
         if not session.over:
             raise self.stopped(progress)
 
@@ -215,21 +204,53 @@ class ThresholdProcedure:
         return sentence(progress.found, adaptive=self.adaptive)
 
 
-class _Prompts(Listener):
+def present(
+    source: ExperimentSource,
+    display: Display,
+    config: RunConfig,
+    listener: Listener,
+    keys: Keys,
+    stop: StopRequest,
+    # opens a board for a block
+    opened: Callable[[Board, StopRequest], AbstractContextManager[Board]],
+    force: str | None = None,  # URL of the finger's force; see `Runner`
+    load_kernels: Callable[[Profile], KernelBank] = single_bank,
+) -> None:
+    """Present the trials of a calibration, whose currents are what it asks for; keys answer, and
+    some end it at once."""
+
+    def on_key(key: str) -> None:
+        asked = source.asking
+        if key in STOP_KEYS and (asked is None or key not in asked.answers):
+            stop.ask(f"key {key!r}")
+        else:
+            source.press(key)
+
+    with keys(on_key):
+        Runner(
+            source,
+            display,
+            config,
+            force=force,
+            listeners=[listener],
+            stop=stop,
+            load_kernels=load_kernels,
+            operation=Operation(first_level=1.0, opened=partial(opened, display.board)),
+        ).run()
+
+
+class Prompts(Listener):
     """Shows a person each question once, and what the board's user should know."""
 
-    def __init__(self, source: ExperimentSource, say: Callable[[str], None]) -> None:
+    def __init__(self, source: ExperimentSource, say: Callable[[str], None], task: str) -> None:
         super().__init__()
-        self._source, self._say = source, say
+        self._source, self._say, self._task = source, say, task
         self._shown: Trial | None = None
         self._presses, self._full_n = True, 0.0
 
     def start(self, run: RunContext) -> None:
         self._full_n = run.profile.force.full_n
-        self._say(
-            f"Current rises to {run.profile.full_ma.max():.2f} mA at most. Press a key when you "
-            "feel it, and again when it is strong enough; q or Esc stops at once."
-        )
+        self._say(f"{self._task}; q or Esc stops at once.")
 
     def step(self, result: StepResult) -> None:
         trial = self._source.rising or self._source.asking
