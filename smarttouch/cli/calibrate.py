@@ -326,8 +326,10 @@ def level(
         str, option("Choose the simulated finger, such as paper:2.", "[ANATOMY:]SEED", panel=MORE)
     ] = "branched:1",
 ) -> None:
-    """Find the level at which letters are read best, by some 30 to 60 answers: a lone disc felt or
-    not, with either polarity, which also says what anatomy the finger is like, and letters."""
+    """Find the level at which letters are read best, and which anatomy the finger is like.
+
+    By 32 to 60 answers: whether lone discs are felt, with either polarity, and which letter it was.
+    """
     from smarttouch.cli.options import parse_finger, require_answers
     from smarttouch.experiments.calibration.level_procedure import answers_of, measure_level
     from smarttouch.views.keys_and_signals import keyboard_listener

@@ -176,12 +176,22 @@ def list_profiles(context: typer.Context) -> None:
 
 
 @profiles.command()
-def show(name: _Name) -> None:
+def show(
+    name: _Name = "",
+    schema: Annotated[
+        bool, option("Print the JSON Schema of all profiles instead.", None, "--schema")
+    ] = False,
+) -> None:
     """Print all values of a profile, defaults included, and what calibrations measured."""
-    from smarttouch.profile import load_profile
+    import json
+
+    from smarttouch.profile import DEFAULT_PROFILE, Profile, load_profile
     from smarttouch.profile.toml_writer import as_toml
 
-    typer.echo(as_toml(load_profile(name)), nl=False)
+    if schema:
+        typer.echo(json.dumps(Profile.model_json_schema(), indent=1))
+        return
+    typer.echo(as_toml(load_profile(name or DEFAULT_PROFILE)), nl=False)
 
 
 @profiles.command()
@@ -243,13 +253,3 @@ def new(
     write_bytes(file, as_toml(made).encode(), ProfileError)
     kind = made.output.kind
     typer.echo(f"written: {file}, {len(made.electrodes)} electrodes, output.kind = {kind}")
-
-
-@profiles.command()
-def schema() -> None:
-    """Print the JSON Schema of a profile's file, for editors and other programs."""
-    import json
-
-    from smarttouch.profile import Profile
-
-    typer.echo(json.dumps(Profile.model_json_schema(), indent=1))

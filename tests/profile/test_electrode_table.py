@@ -99,7 +99,7 @@ def test_a_command_writes_a_profile_of_it(table, tmp_path):
 
 def test_a_command_prints_the_schema_of_profiles():
     """It says of each table and key what a profile may say."""
-    done = smarttouch("profiles", "schema")
+    done = smarttouch("profiles", "show", "--schema")
     schema = json.loads(done.stdout)
     assert schema == st.Profile.model_json_schema()
     assert set(schema["properties"]) == {*type(MOUSE).model_fields}

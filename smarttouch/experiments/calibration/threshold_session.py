@@ -257,7 +257,9 @@ class ThresholdSession:
                 about="blanks",
                 electrode=site,
             )
-        return replace(rising, threshold_ma=procedure.threshold_ma, spread=procedure.spread)
+        found = procedure.estimate
+        spread = found.spread / found.threshold
+        return replace(rising, threshold_ma=found.threshold, spread=spread)
 
     def _train(self, site: int, seconds: float) -> Train:
         pulse = self._measuring.pulse
