@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.errors import CalibrationError
 from smarttouch.experiments.calibration.level_procedure import LEVELS, LevelProcedure
+from smarttouch.experiments.psychophysics.adaptive_procedures import POLARITY_TRIALS
 from smarttouch.experiments.psychophysics.tasks import middle_discs
 from smarttouch.kernels.bank import load_bank, lone_discs
 from smarttouch.physiology.anatomy import load_anatomy
@@ -157,8 +159,13 @@ def level_rows(
     """Return what fingers lose after `calibrated` procedures, each with answers of its own."""
     rows = []
     for finger, repeat in itertools.product(fingers, range(repeats)):
-        found = calibrated(profile, finger, lapse, repeat).found
         lost = finger.errors - finger.errors.min()
+        try:
+            found = calibrated(profile, finger, lapse, repeat).found
+        except CalibrationError:
+            # No level: thresholds seemed beyond the range of the test.
+            rows.append(LevelRow(finger.anatomy, 1.0, float(lost[-1]), "", 2 * POLARITY_TRIALS))
+            continue
         at = int(np.argmin(np.abs(LEVELS - found.level)))
         rows.append(
             LevelRow(finger.anatomy, float(lost[at]), float(lost[-1]), found.anatomy, found.answers)
