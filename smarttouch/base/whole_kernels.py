@@ -8,19 +8,27 @@ from numpy.typing import NDArray
 
 PEAK = 32_767
 """Largest magnitude of a kernel's weights."""
+_ROWS = 256  # quantized at once
 _HEAD = struct.Struct("<HH")
 _SHORTEST_GAP = 3  # zeros from which a new run is shorter than to write them out
 
 
 def quantized(kernels: NDArray[np.float64]) -> NDArray[np.int16]:
     """Return kernels (K, E) as whole numbers, each row with sum zero; zero stays zero."""
+    whole = np.empty(kernels.shape, np.int16)
+    for first in range(0, len(kernels), _ROWS):
+        whole[first : first + _ROWS] = _quantized(kernels[first : first + _ROWS])
+    return whole
+
+
+def _quantized(kernels: NDArray[np.float64]) -> NDArray[np.float64]:
     peak = np.abs(kernels).max(axis=1, keepdims=True, initial=0)
     carried = np.cumsum(kernels * (PEAK / np.where(peak > 0, peak, 1)), axis=1)
     carried[:, -1:] = 0
     # Halves upward: to even, the peak of (-0.5, 1, -0.5) would be 32,768. Sums of doubles are
     # exact to far less than the sixth decimal.
     whole = np.floor(carried.round(6) + 0.5)
-    return np.asarray(np.diff(whole, axis=1, prepend=0), np.int16)
+    return np.diff(whole, axis=1, prepend=0)
 
 
 def kept_kernels(

@@ -189,9 +189,11 @@ class TimedBoard(Sealed):
     """Whether its time is simulated, without waiting."""
     dropped_late: int = 0
     """Number of sequences that were not sent because they were too late."""
+    _spins: ClassVar[bool] = True
+    """Whether waits for a deadline end spun: not where a board itself begins sequences in time."""
 
     def __init__(self) -> None:
-        self._clock: Clock = MonotonicClock()
+        self._clock: Clock = MonotonicClock(None if self._spins else 0)
         self._due_ns = 0
         """Planned start of the present sequence, by the clock."""
         self._stopped = threading.Event()

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
 
 BOARDS = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
 """Usual number of electrodes of each board."""
-_MOST_ELECTRODES = {"link": 1024, "kajimoto61": 61, "etactilekit": 255}
-"""That of a link board bounds the skin model, which takes the square of it."""
+_MOST_ELECTRODES = {"link": 4096, "kajimoto61": 61, "etactilekit": 255}
 SENSORS = {"serial-array": 200.0, "hx711": 80.0, "loadcell": 80.0}
 _RATES_HZ = (0.01, 2000.0)
 _COMPLIANCES_V = (1.0, 10_000.0)
@@ -68,18 +67,20 @@ def emulate_board(
     port_only: _PortOnly = False,
 ) -> None:
     """Emulate a board on skin, behind a port whose name is printed, until Ctrl-C."""
+    from smarttouch.base.afferent import Afferent
     from smarttouch.boards.link.protocol import OUTPUTS
     from smarttouch.emulator.finger_events import EmulatedFinger
     from smarttouch.emulator.firmware import DeliveryLog
     from smarttouch.emulator.kit_hardware import GENERATIONS
-    from smarttouch.emulator.sequence_at_hand import Room
+    from smarttouch.emulator.sequence_at_hand import MOST_KERNELS, Room
     from smarttouch.emulator.skin import COMPLIANCE_V
 
     if name not in BOARDS:
         raise not_offered("emulator", name, BOARDS)
     electrodes = BOARDS[name] if electrodes is None else electrodes
     volts = COMPLIANCE_V if compliance is None else compliance
-    usual = Room()
+    # Kernels of all classes, however many electrodes there are.
+    usual = Room(kernels=max(MOST_KERNELS, len(Afferent) * electrodes))
     room = replace(usual, slots=slots or usual.slots, packet_bytes=packet or usual.packet_bytes)
     least = 61 if name == "kajimoto61" else 1
     _require(

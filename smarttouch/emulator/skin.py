@@ -10,7 +10,7 @@ Currents and voltages are positive cathodic, each electrode against the tissue.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,12 @@ _SHARED = (6, 1.3, 0.6)
 _CAPPED = (24, 1.15, 1.0)
 """Steps of a pulse, their growth ratio, and the place in each at which its current fits: the
 coarsest within 3 % of a fine solution, and the end where no step may pass the compliance."""
+_SHORT_STEPS, _SHORT_GROWTH = 5, 3.0
+"""Steps of a short circuit of a large array: what is left is within .2 nC of the exact solution."""
+_LONGEST_SHORT_US = 2000.0
 _MOST_WIDTHS = 64
+_MOST_MODES = 1024
+"""Electrodes of which the circuit's modes are found, in a time that grows with their cube."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +96,9 @@ class SkinCircuit:
         self.parallel_ohm: NDArray[np.float64] = parallel * resistance
         self.capacitance_f: NDArray[np.float64] = capacity * capacitance
         self._steps: dict[tuple[float, int], _Steps] = {}
+        self._decay: tuple[float, Any, Any] = (-1.0, None, None)
+        """Of the last pulse: its width, and each electrode's decay and rise in it."""
+        self._shorts: dict[float, list[tuple[Any, ...]]] = {}
         self._modes: _Modes | None = None
 
     @property
@@ -108,8 +116,11 @@ class SkinCircuit:
         the compliance, less flows; poles that differ in total carry the smaller one."""
         asked_ua = _balance(np.asarray(current_ua, np.float64))
         amps = asked_ua * 1e-6
-        decay = np.exp(-width_us * 1e-6 / (self.parallel_ohm * self.capacitance_f))
-        end = self._volts * decay + amps * self.parallel_ohm * (1 - decay)
+        if self._decay[0] != width_us:
+            decay = np.exp(-width_us * 1e-6 / (self.parallel_ohm * self.capacitance_f))
+            self._decay = width_us, decay, self.parallel_ohm * (1 - decay)
+        _, decay, rise_ohm = self._decay
+        end = self._volts * decay + amps * rise_ohm
         drop = amps * self.series_ohm
         # Between its ends the voltage of a constant current is monotonic.
         need = max(np.abs(drop + self._volts).max(), np.abs(drop + end).max())
@@ -179,6 +190,10 @@ class SkinCircuit:
 
     def short(self, duration_us: float) -> None:
         """Short all electrodes: each capacitance discharges by R_p, and R_s to the common node."""
+        if self.electrodes > _MOST_MODES:
+            if duration_us:
+                self._short_in_steps(duration_us)
+            return
         if self._modes is None:
             self._modes = self._find_modes()
         rate, basis, root = self._modes
@@ -187,6 +202,40 @@ class SkinCircuit:
         change, integral = (np.array([lost, lost / rate]) @ basis.T) / root
         self.charge_uc += 1e6 * (self.capacitance_f * change + integral / self.parallel_ohm)
         self._volts = self._volts + change
+
+    def _short_in_steps(self, duration_us: float) -> None:
+        """Short all electrodes, the node's voltage held in each step such that no charge is lost or
+        made."""
+        charge, volts = np.zeros(self.electrodes), self._volts
+        for lost, lift, own, per_node, total in self._shorts_of(duration_us):
+            node_v = own.dot(volts) / total
+            charge += node_v * per_node
+            charge -= own * volts
+            volts = volts - lost * volts
+            volts += node_v * lift
+        self.charge_uc += 1e6 * charge
+        self._volts = volts
+
+    def _shorts_of(self, duration_us: float) -> list[tuple[Any, ...]]:
+        """Return each step's part of a voltage that is lost, and what the node's voltage adds to
+        it; the charge that goes by each of the two, and the sum of the latter."""
+        # What is left after many of the slowest time constants is nothing.
+        duration_us = min(duration_us, _LONGEST_SHORT_US)
+        if duration_us not in self._shorts:
+            if len(self._shorts) >= _MOST_WIDTHS:
+                self._shorts.clear()
+            series = 1 / self.series_ohm
+            rate = (series + 1 / self.parallel_ohm) / self.capacitance_f
+            level = series / (rate * self.capacitance_f)
+            share = _SHORT_GROWTH ** np.arange(_SHORT_STEPS, dtype=np.float64)
+            steps = []
+            for length in (share * (duration_us * 1e-6 / share.sum())).tolist():
+                lost = -np.expm1(-rate * length)
+                own = series * lost / rate
+                per_node = series * length * (1 - level) + level * own
+                steps.append((lost, lost * level, own, per_node, float(per_node.sum())))
+            self._shorts[duration_us] = steps
+        return self._shorts[duration_us]
 
     def _find_modes(self) -> _Modes:
         # C dv/dt = -(1/R_s + 1/R_p) v + (1/R_s) v_node, the node at the mean weighted by 1/R_s;

@@ -2,7 +2,7 @@
 
 import math
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -12,13 +12,17 @@ from smarttouch.base.electrodes import ElectrodeArray
 from smarttouch.base.errors import ProfileError
 from smarttouch.profile import Optics
 
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
-
 PIXELS_PER_CELL = 8
 """Working pixels across one electrode's cell; finer frames are averaged down first."""
 _SAMPLES = 6
 """Sub-pixel samples per axis when the overlap of cell and pixel is measured."""
+
+
+class Apertures(NamedTuple):
+    """Pixels under the electrodes of an array, up to P of each."""
+
+    pixel: NDArray[np.intp]  # (P, E)
+    share: NDArray[np.float32]  # (P, E) part of each pixel of 255 in the mean, or 0
 
 
 class Registration:
@@ -27,8 +31,7 @@ class Registration:
     A cell of the array, divided by the magnification, is a rectangle on the page, which a tilted
     camera sees as a quadrilateral. Each electrode gets the area-weighted mean over that; a bare
     warp would sample single pixels and alias. Frames are binarized at `working_shape`, never finer
-    than `PIXELS_PER_CELL` needs; `weights`, (E, pixels), is the part of each pixel of 255 in the
-    mean under each electrode. A homography that no camera over the page can have raises a
+    than `PIXELS_PER_CELL` needs. A homography that no camera over the page can have raises a
     ProfileError.
     """
 
@@ -48,9 +51,7 @@ class Registration:
             (np.empty(shape, np.uint8), kind)
             for shape, kind in _averages(frame_shape, self.working_shape)
         ]
-        self.weights: csr_array[np.float32] = _aperture_matrix(
-            electrodes, optics, self.working_shape
-        )
+        self._apertures = _apertures(electrodes, optics, self.working_shape)
 
     def reduce(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return a frame averaged to the working shape, overwritten by the next call."""
@@ -60,8 +61,11 @@ class Registration:
         return image
 
     def sample(self, ink: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Return the mean of ``ink`` (0 or 255) under each electrode, (E,) in [0, 1]."""
-        return np.asarray(self.weights @ ink.reshape(-1), np.float32)
+        """Return the mean of ``ink`` (0 to 255) under each electrode, (E,) in [0, 1]."""
+        pixel, share = self._apertures
+        # Row after row, so that the same frame has the same mean to the bit everywhere.
+        means = np.add.reduce(ink.reshape(-1).take(pixel) * share, axis=0)
+        return np.asarray(means, np.float32)
 
 
 def _whole(side: float) -> int:
@@ -93,12 +97,7 @@ def _averages(shape: tuple[int, int], to: tuple[int, int]) -> list[tuple[tuple[i
 
 
 @lru_cache(maxsize=8)
-def _aperture_matrix(
-    electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int]
-) -> "csr_array[np.float32]":
-    # Most commands import this module, and few see frames.
-    from scipy.sparse import coo_array
-
+def _apertures(electrodes: ElectrodeArray, optics: Optics, shape: tuple[int, int]) -> Apertures:
     rows, columns = shape
     width_mm, height_mm = (side / optics.magnification for side in electrodes.cell_mm)
     field_mm = _field_mm(electrodes, optics, finest=True)
@@ -117,9 +116,16 @@ def _aperture_matrix(
     seen = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     electrode = np.broadcast_to(np.arange(len(electrodes))[:, None], seen.shape)
     pixel = (row[seen] * columns + column[seen]).astype(np.int64)
-    share = np.full(int(seen.sum()), 1 / (255 * across * down), np.float32)
-    entries = coo_array((share, (electrode[seen], pixel)), shape=(len(electrodes), rows * columns))
-    return entries.tocsr()
+    place, samples = np.unique(electrode[seen] * rows * columns + pixel, return_counts=True)
+    electrode, pixel = np.divmod(place, rows * columns)
+    counts = np.bincount(electrode, minlength=len(electrodes))
+    nth = np.arange(len(place)) - (counts.cumsum() - counts)[electrode]
+    pixels = np.zeros((counts.max(initial=0), len(electrodes)), np.intp)
+    shares = np.zeros(pixels.shape, np.float32)
+    # One sample's share, added up in single precision.
+    each = np.full(samples.max(initial=1), 1 / (255 * across * down), np.float32)
+    pixels[nth, electrode], shares[nth, electrode] = pixel, each.cumsum()[samples - 1]
+    return Apertures(pixels, shares)
 
 
 def _on_frame(

@@ -254,7 +254,7 @@ class TactileMapper:
             inked = np.asarray(cv2.bitwise_not(reduced, dst=self._inverted), np.uint8)
         else:
             inked = self._binarizer.ink(reduced, frame.time_ns, touching)
-        ink = np.asarray(registration.weights @ inked.reshape(-1), np.float32)
+        ink = registration.sample(inked)
         activation = np.zeros((len(Afferent), len(ink)), np.float32)
         self._tone.apply(ink)
         if mode is Mode.NATURAL:

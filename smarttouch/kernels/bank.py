@@ -154,6 +154,7 @@ def _array_problem(profile: Profile) -> dict[str, Any]:
         "output": _by_sources(profile).output.model_dump(
             exclude={"masked", "wiring", "ua_per_count"}
         ),
+        **profile.kernels.model_dump(include={"neighbors"}, exclude_none=True),
     }
 
 
@@ -266,6 +267,8 @@ def design_bank(
     profile: Profile, progress: Progress | None = None, keep: Path | None = None
 ) -> KernelBank:
     """Design every mode that the board can make, for every site."""
+    if profile.kernels.neighbors is not None:
+        return design_confined(profile, profile.driven.tolist(), progress, keep)
     from smarttouch.kernels.batch_design import design_sites, part_of
     from smarttouch.kernels.design_problem import Array, Problem
     from smarttouch.kernels.kept_kernels import kept_or
@@ -283,6 +286,34 @@ def design_bank(
         problem = Problem(profile, afferent, made=made)
         timed = design_sites(problem, design, None, part_of(progress, index, len(modes)), keep)
         _enter(columns, problem, timed)
+    return KernelBank(**columns)
+
+
+def design_confined(
+    profile: Profile,
+    sites: Sequence[int],
+    progress: Progress | None = None,
+    keep: Path | None = None,
+) -> KernelBank:
+    """Design kernels of `Kernels.neighbors` electrodes at some sites; those of others are zero, as
+    is what electrodes farther away do to a target."""
+    from smarttouch.kernels.switched_design import designer, possible_modes
+    from smarttouch.kernels.tiled_design import design_tiles
+
+    profile, count = _by_sources(profile), len(profile.electrodes)
+    modes, columns = possible_modes(profile), dict[str, Any]()
+    kinds = {"worst_class": np.int8, "seconds": np.float32, "receptor": np.float32}
+    for name in _IN_FILE:
+        shape = (count,) * (2 if name in ("weights", "receptor") else 1)
+        columns[name] = {mode: np.zeros(shape, kinds.get(name, np.float64)) for mode in modes}
+    designed = design_tiles(profile, modes, designer(profile), sites, progress, keep)
+    for mode, site, members, kernel, seconds, target in designed:
+        columns["weights"][mode][site, members] = kernel.weights
+        columns["receptor"][mode][site, members] = target
+        for name in ("off_target", "spill", "gap"):
+            columns[name][mode][site] = getattr(kernel, name)
+        columns["worst_class"][mode][site] = kernel.off_target_class
+        columns["seconds"][mode][site] = seconds
     return KernelBank(**columns)
 
 

@@ -49,31 +49,43 @@ def symmetries(profile: Profile, afferent: Afferent) -> list[NDArray[np.intp]]:
     """Return permutations that keep the problem, identity first: e goes to ``permutation[e]``."""
     array = profile.electrodes
     kept = []
-    upright = any(shape == "rectangle" and size[0] != size[1] for shape, size in array.kinds)
-    kind = np.zeros(len(array))
-    for number, which in enumerate(array.kinds.values()):
-        kind[which] = number
-    for matrix in _SQUARE:
-        if upright and matrix[0, 0] == 0:
-            continue
+    kind = _kinds(profile)
+    for matrix in mirrors(profile, (afferent,)):
         moved = array.position_mm @ matrix.T
         gaps = np.linalg.norm(moved[:, None, :] - array.position_mm[None, :, :], axis=2)
         gaps[kind[:, None] != kind] = np.inf
-        if gaps.min(axis=1).max() > 1e-6:
-            continue
-        aims = targets(profile, afferent).direction
-        if _keeps(aims, matrix) and all(
-            _keeps(directions(profile.skin, each), matrix) for each in Afferent
-        ):
+        if gaps.min(axis=1).max() <= 1e-6:
             kept.append(np.asarray(gaps.argmin(axis=1), np.intp))
+    own = own_properties(profile)
+    return [move for move in kept if all(np.array_equal(each[move], each) for each in own)]
+
+
+def mirrors(profile: Profile, targets_of: Collection[Afferent]) -> list[NDArray[np.int_]]:
+    """Return the symmetries of a square, (2, 2) each, that keep the shapes of electrodes, the skin
+    and the targets of some classes, identity first."""
+    skin = profile.skin
+    kinds = profile.electrodes.kinds
+    upright = any(shape == "rectangle" and size[0] != size[1] for shape, size in kinds)
+    sets = [directions(skin, each) for each in Afferent]
+    sets += [directions(skin, each)[:1] for each in targets_of]
     return [
-        move for move in kept if all(np.array_equal(each[move], each) for each in _own(profile))
+        matrix
+        for matrix in _SQUARE
+        if not (upright and matrix[0, 0] == 0) and all(_keeps(each, matrix) for each in sets)
     ]
 
 
-def _own(profile: Profile) -> list[NDArray[np.float64]]:
-    """Return properties by which an electrode may differ from its mirror image, (E,) each."""
-    limits, own = profile.limits, [profile.admittance]
+def _kinds(profile: Profile) -> NDArray[np.float64]:
+    """Return a number for the shape and size of each electrode, (E,)."""
+    kind = np.zeros(len(profile.electrodes))
+    for number, which in enumerate(profile.electrodes.kinds.values()):
+        kind[which] = number
+    return kind
+
+
+def own_properties(profile: Profile) -> list[NDArray[np.float64]]:
+    """Return properties by which an electrode may differ from another, (E,) each."""
+    limits, own = profile.limits, [profile.admittance, _kinds(profile)]
     if profile.output.masked:
         own.append(np.isin(np.arange(len(profile.electrodes)), profile.driven).astype(np.float64))
     if limits.electrode_ma is not None:

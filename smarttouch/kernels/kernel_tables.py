@@ -8,7 +8,7 @@ import numpy as np
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
-from smarttouch.kernels.bank import KernelBank, kernels_at_nodes
+from smarttouch.kernels.bank import KernelBank, design_confined, kernels_at_nodes
 from smarttouch.kernels.batch_design import Design, Timed, design_sites, part_of
 from smarttouch.kernels.design_problem import Kernel, Problem
 from smarttouch.kernels.finger_kernels import FingerKernels
@@ -112,6 +112,8 @@ def kernels_designed(
     progress: Advance | None,
 ) -> list[SiteKernel]:
     """Return kernels designed now: one of `DESIGNS`, or as the board needs them."""
+    if kind is None and profile.kernels.neighbors is not None:
+        return kernels_of_bank(profile, design_confined(profile, sites, progress), modes, sites)
     design_one = DESIGNS[kind] if kind in DESIGNS else designer(profile)
     found = []
     if kind is None and profile.kernels.objective == "finger":

@@ -16,6 +16,7 @@ from smarttouch.base.errors import DesignError
 from smarttouch.kernels.frame_fields import FrameBounds
 from smarttouch.kernels.frame_judges import FrameJudge
 from smarttouch.kernels.frame_operator import AIM, FrameOperator
+from smarttouch.profile import Profile
 
 Array = NDArray[np.float64]
 
@@ -210,6 +211,11 @@ def color_classes(operator: FrameOperator[FrameJudge], step: int) -> list[Shared
     return [SharedKernels(operator, sites) for sites in sets if len(sites)]
 
 
+def provable(profile: Profile) -> bool:
+    """Return whether sets of an array may be proved: it is a grid, and not too large."""
+    return profile.array.layout == "grid" and len(profile.electrodes) <= MOST_PROVED
+
+
 def proved_sets(operator: FrameOperator[FrameJudge], bounds: FrameBounds) -> list[SharedKernels]:
     """Return few sets of sites whose subsets all keep the bounds with targets aimed at `AIM`.
 
@@ -217,7 +223,7 @@ def proved_sets(operator: FrameOperator[FrameJudge], bounds: FrameBounds) -> lis
     where the array is no grid or large, or nothing could be proved.
     """
     judge, aim = operator.judge, 1 - AIM * bounds.uneven
-    if judge.profile.array.layout != "grid" or len(judge.full_ma) > MOST_PROVED:
+    if not provable(judge.profile):
         return []
     for step in _STEPS:
         sets = color_classes(operator, step)

@@ -337,3 +337,6 @@ class Kernels(Table):
     """Anatomy of these fingers: a name or a file."""
     fingers: int = Field(default=20, ge=1, le=1000)
     """Number of fingers that kernels are designed on."""
+    neighbors: int | None = Field(default=None, ge=9, le=1024)
+    """Number of electrodes around a site, at most, that its kernel drives; all if not given. About
+    64 do on any array, and let one of thousands be designed in minutes."""

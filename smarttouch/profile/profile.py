@@ -75,6 +75,15 @@ def _misfits_of_array(profile: "Profile") -> Iterator[UnfitError]:
             about="kernels.objective",
             remedy="output.kind",
         )
+    if profile.kernels.neighbors is not None and (
+        profile.kernels.objective == "finger" or profile.output.kind != "weighted"
+        or profile.array.layout == "lines"
+    ):  # fmt: skip
+        yield UnfitError(
+            "kernels.neighbors is for kernels designed at nodes, where each electrode has a source "
+            "of its own and none is a line: leave it out",
+            about="kernels.neighbors",
+        )
     lowered = profile.limits.electrode_ma
     if lowered is not None and len(lowered) != count:
         yield _of_another_length("limits.electrode_ma", len(lowered), count, "leave it out")

@@ -113,7 +113,7 @@ class RunConfig:
 
         With scan auto RA alone, by kernels that are proved for all frames and only added up; SAI
         would need a new search for each frame, which takes longer than there is between two pulses.
-        None where voltage is held point by point, or the board cannot.
+        None where voltage is held point by point, nothing can be proved, or the board cannot.
         """
         if isinstance(self.scan, SlotPolicy):
             sharing = NO_SHARING if unsupported_reason(profile) else self.scan
@@ -122,7 +122,9 @@ class RunConfig:
         elif self.scan == "points" or self.hold or unsupported_reason(profile) is not None:
             sharing = NO_SHARING
         else:
-            sharing = SlotPolicy((Afferent.RA,), planned=False)
+            from smarttouch.kernels.proved_sets import provable
+
+            sharing = SlotPolicy((Afferent.RA,), planned=False) if provable(profile) else NO_SHARING
         if self.hold is not None and sharing.afferents:
             raise SmartTouchError(
                 "hold learns from the voltage of each point, and several share a slot: choose "

@@ -53,6 +53,8 @@ SHIFT = 17
 """A weight of 2^15 times an amplitude of 4 is one µA: 2^17."""
 MOST_KERNELS = 0xFFFF
 _BLOCK = 1 << 15
+_MOST_SUMMED_BYTES = 1 << 24
+"""Bytes of weights up to which their running sums are kept, which take four times as much."""
 _LIST_TYPES: tuple[np.dtype[Any], ...] = np.dtype(np.intp), np.dtype(np.uint16), np.dtype(np.uint16)
 """Of starts, kernels and amplitudes."""
 _ABOVE = 1 << 30
@@ -81,7 +83,7 @@ class KernelTable:
         """Return a bank's kernels, (E, E), and those that share slots, (A, E), and their sites
         (A,), of any scale, in whole numbers."""
         every = {each: (own, np.arange(len(own))) for each, own in weights.items()}
-        parts: list[NDArray[np.float64]] = []
+        parts: list[NDArray[np.int16]] = []
         sites: list[NDArray[np.intp]] = []
         points: dict[Afferent, int] = {}
         sharing: dict[Afferent, int] = {}
@@ -89,10 +91,10 @@ class KernelTable:
         for first, kernels in ((sharing, shared), (points, every)):
             for afferent in sorted(kernels):
                 first[afferent] = sum(map(len, parts))
-                parts.append(np.asarray(kernels[afferent][0], np.float64))
+                parts.append(quantized(np.asarray(kernels[afferent][0], np.float64)))
                 sites.append(kernels[afferent][1])
         site = np.concatenate(sites).astype(np.uint16)
-        return cls(quantized(np.concatenate(parts)), site, points, sharing)
+        return cls(np.concatenate(parts), site, points, sharing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,10 +120,10 @@ class KernelLists:
         twice of the same numbers is computed once.
         """
         weights, lists = self.table.weights, (self.first, self.kernel, self.amplitude)
-        kept, electrodes = _bytes_of(weights), weights.shape[1]
+        kept, electrodes = bytes_of(weights), weights.shape[1]
         if tuple(each.dtype for each in lists) != _LIST_TYPES:
             # Lists in types that no board takes are added up directly.
-            return _added_up(_ua_so_far(kept, electrodes), *lists)
+            return _added_up(kept, electrodes, *lists)
         return _currents(kept, electrodes, *(each.tobytes() for each in lists))
 
     def joined(self, other: "KernelLists") -> "KernelLists":
@@ -135,26 +137,35 @@ class KernelLists:
 
 
 def _backed(values: NDArray[Any], kind: type[np.generic]) -> NDArray[Any]:
-    """Return an array as one backed by bytes."""
-    return np.frombuffer(np.ascontiguousarray(values, kind).tobytes(), kind).reshape(values.shape)
+    """Return an array as one backed by bytes, those of one that is already."""
+    return np.frombuffer(bytes_of(np.asarray(values, kind)), kind).reshape(values.shape)
 
 
-def _bytes_of(values: NDArray[np.int16]) -> bytes:
+def bytes_of(values: NDArray[Any]) -> bytes:
     """Return the bytes of an array, of one that is backed by bytes without a copy."""
     base: object = values
     while type(base) is np.ndarray:
         base = base.base
     if type(base) is bytes and len(base) == values.nbytes and values.flags.c_contiguous:
         return base
-    return np.ascontiguousarray(values, np.int16).tobytes()
+    return values.tobytes()
+
+
+def _ua_so_far(weights: bytes, electrodes: int, kernel: NDArray[np.uint16]) -> NDArray[np.float64]:
+    """Return the current of kernels (N,) summed from electrode 0 to each, (N, E) µA, at amplitude
+    1."""
+    if len(weights) <= _MOST_SUMMED_BYTES:
+        return _all_so_far(weights, electrodes).take(kernel, axis=0)
+    return _summed(np.frombuffer(weights, np.int16).reshape(-1, electrodes).take(kernel, axis=0))
 
 
 @lru_cache(maxsize=16)
-def _ua_so_far(weights: bytes, electrodes: int) -> NDArray[np.float64]:
-    """Return each kernel's current summed from electrode 0 to each, (K, E) µA, at amplitude 1."""
-    summed = np.cumsum(
-        np.frombuffer(weights, np.int16).reshape(-1, electrodes), axis=1, dtype=np.float64
-    )
+def _all_so_far(weights: bytes, electrodes: int) -> NDArray[np.float64]:
+    return _summed(np.frombuffer(weights, np.int16).reshape(-1, electrodes))
+
+
+def _summed(weights: NDArray[np.int16]) -> NDArray[np.float64]:
+    summed = np.cumsum(weights, axis=1, dtype=np.float64)
     # By a power of two: exact.
     summed *= 2.0**-SHIFT
     return summed
@@ -166,25 +177,26 @@ def _currents(weights: bytes, electrodes: int, *lists: bytes) -> NDArray[np.int1
     arrays: list[Any] = [
         np.frombuffer(each, kind) for each, kind in zip(lists, _LIST_TYPES, strict=True)
     ]
-    return _backed(_added_up(_ua_so_far(weights, electrodes), *arrays), np.int16)
+    return _backed(_added_up(weights, electrodes, *arrays), np.int16)
 
 
 def _added_up(
-    so_far: NDArray[np.float64],
+    weights: bytes,
+    electrodes: int,
     first: NDArray[np.intp],
     kernel: NDArray[np.uint16],
     amplitude: NDArray[np.uint16],
 ) -> NDArray[np.int16]:
     slots = len(first) - 1
-    found = np.empty((slots, so_far.shape[1]), np.int16)
+    found = np.empty((slots, electrodes), np.int16)
     scale = amplitude.astype(np.float64)[:, None]
     # By as many slots as stay in the processor's cache.
-    step = max(1, _BLOCK // so_far.shape[1])
+    step = max(1, _BLOCK // electrodes)
     for start in range(0, slots, step):
         rows = slice(start, min(start + step, slots))
         pairs = slice(first[start], first[rows.stop])
         # In doubles all of it is exact: sums stay far below 2^36, in parts of 2^-17.
-        scaled = so_far.take(kernel[pairs], axis=0)
+        scaled = _ua_so_far(weights, electrodes, kernel[pairs])
         scaled *= scale[pairs]
         if len(scaled) > rows.stop - start:
             scaled = np.add.reduceat(scaled, first[rows] - first[start], axis=0)
@@ -200,8 +212,9 @@ def largest_amplitude(
     weights: NDArray[np.int16], most_ua: NDArray[np.float64]
 ) -> NDArray[np.uint16]:
     """Return the largest amplitude of each kernel (K, E) that keeps whole limits (E,) µA."""
-    room = np.floor(most_ua) * 2.0**SHIFT / np.maximum(np.abs(weights.astype(np.float64)), 1)
-    return np.asarray(np.minimum(np.floor(room.min(axis=1)), 0xFFFF), np.uint16)
+    most = np.floor(most_ua) * 2.0**SHIFT
+    room = [(most / np.maximum(np.abs(own.astype(np.float64)), 1)).min() for own in weights]
+    return np.minimum(np.floor(room), 0xFFFF).astype(np.uint16)
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,6 +51,8 @@ class SchedulerContext:
     sharing: SlotPolicy = NO_SHARING
     frames: dict[tuple[Afferent, ...], FrameSlots] = field(default_factory=dict)
     """Slots shared by classes, of all schedulers."""
+    points: dict[Afferent, PointSlots] = field(default_factory=dict)
+    """Slots of points of the other classes, of all schedulers."""
     table: KernelTable | None = None
     """Kernels whose sums slots are, in whole numbers, if given."""
     net: NetPlan | None = None
@@ -86,11 +88,10 @@ class ScanScheduler:
         rates_hz = rates_of(profile, afferents, rate_hz, timing)
         self._vibrated = vibrated
         self._driven = driven = tuple(e for e in afferents if not vibrated or e is not Afferent.PC)
-        self._points = {
-            each: PointSlots(profile, bank, each, timing, common.table)
-            for each in driven
-            if each not in common.sharing.afferents
-        }
+        points, shared = common.points, common.sharing.afferents
+        for each in set(driven) - {*shared, *points}:
+            points[each] = PointSlots(profile, bank, each, timing, common.table)
+        self._points = {each: points[each] for each in driven if each not in shared}
         self._frames = _shared_slots(profile, bank, driven, common)
         self.asked_us: int = 0
         self._first = driven[0]

@@ -75,18 +75,6 @@ def test_whole_bank_against_linprog(row, quick, square, whole_programme, changed
 
 
 @pytest.mark.timeout(1800)
-def test_growth(row, quick, square):
-    designed(square(2))
-    for side in (4, 5) if quick else (4, 6, 8, 12, 16):
-        profile = square(side)
-        _, seconds = designed(profile)
-        count = sum(len(distinct(Problem(profile, afferent))) for afferent in Afferent)
-        assert count
-        cells = {"array": f"{side} × {side}", "distinct sites": count, "s": f"{seconds:.2f}"}
-        row("Whole banks of larger arrays", cells)
-
-
-@pytest.mark.timeout(1800)
 def test_chosen_sites_of_a_large_array(row, quick, square):
     side = 6 if quick else 32
     profile = square(side)

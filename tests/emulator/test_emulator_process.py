@@ -138,7 +138,7 @@ def test_ctrl_c_ends_a_board_without_a_host(start_board, tmp_path, linger, progr
 
 
 @pytest.mark.parametrize(("arguments", "names"), [
-    ("board link --electrodes=0", "--electrodes 0 1 1024"),
+    ("board link --electrodes=0", "--electrodes 0 1 4096"),
     ("board link --output=bent", "--output 'bent' weighted"),
     ("board kajimoto61 --electrodes=60", "--electrodes 60 61"),
     ("board etactilekit --electrodes=256", "--electrodes 255 256"),

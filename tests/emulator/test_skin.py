@@ -206,3 +206,20 @@ def test_one_source_gives_no_more_than_asked(state, source_ua):
     delivered = skin.switched_pulse(state, source_ua, 100)
     assert delivered.current_ua[state > 0].sum() <= source_ua * (1 + 1e-9) + 1e-12
     assert delivered.source_v <= skin.compliance_v * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_large_arrays_are_shorted_in_steps(seed, monkeypatch):
+    """The charge on electrodes is nearly that of the circuit's modes, and none is lost or made."""
+    exact, stepped = SkinCircuit(20, seed=seed), SkinCircuit(20, seed=seed)
+    random = np.random.default_rng(seed)
+    for duration_us in random.choice([0, 20, 100, 5000], 40).tolist():
+        current_ua = random.normal(0, 1000, 20)
+        for skin, most in ((exact, 20), (stepped, 19)):
+            monkeypatch.setattr("smarttouch.emulator.skin._MOST_MODES", most)
+            skin.pulse(current_ua, 200)
+            before_uc = skin.residual_uc
+            skin.short(duration_us)
+        assert stepped.charge_uc.sum() == pytest.approx(0, abs=1e-9)
+        left_uc = np.abs(stepped.residual_uc - exact.residual_uc).max()
+        assert left_uc <= 0.02 * np.abs(before_uc).max()

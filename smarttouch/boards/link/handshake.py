@@ -176,7 +176,7 @@ def give_kernels(
     """Give a board its kernels, in packets of at most ``most_bytes``; what it keeps already is not
     sent again. ``go_on`` raises if the board is to be stopped; one that keeps nothing is lost."""
     piece = min(_PIECE, most_bytes - OVERHEAD - protocol.KERNELS.size)
-    at, data, idle = 0, b"", 0
+    at, most, data, idle = 0, 0, b"", 0
     while idle < _IDLE:
         go_on()
         head = protocol.KERNELS.pack(image.identity, len(image.data), at)
@@ -192,7 +192,8 @@ def give_kernels(
             )
         # The first query carries no kernels: its answer shows where to begin.
         kept = kept if identity == image.identity and kept < len(image.data) else 0
-        idle = 0 if kept > at else idle + 1
+        idle = 0 if kept > most else idle + 1
+        most = max(most, kept)
         at, data = kept, image.data[kept : kept + piece]
     # Its session may have ended, as after 100 ms in which the host was held up.
     raise LineLostError(

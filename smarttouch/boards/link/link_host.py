@@ -34,6 +34,8 @@ MOST_COMPLIANCES = 2.1
 OPEN_SHARE = 0.97
 """Part of the compliance: if every slot reaches it, nothing touches the electrodes."""
 
+_MOST_STARTS = 256
+
 Measured = tuple[ScanSequence, NDArray[np.float32]]
 
 
@@ -50,7 +52,8 @@ class BoardClock:
 
     def __init__(self) -> None:
         self._ahead_ns: deque[int] = deque(maxlen=16)
-        self.starts: deque[SequenceStart] = deque(maxlen=256)
+        self.starts: dict[int, SequenceStart] = {}
+        """Of the last `_MOST_STARTS` sequences, by their numbers."""
 
     def note(self, number: int, board_us: int, sent_ns: int, now_ns: int) -> None:
         """Take the start of a sequence that was sent at a time, and its answer now."""
@@ -59,7 +62,9 @@ class BoardClock:
             self._ahead_ns.clear()
         self._ahead_ns.append(now_ns - 1000 * board_us)
         time_ns = 1000 * board_us + min(self._ahead_ns)
-        self.starts.append(SequenceStart(number, time_ns, board_us))
+        self.starts[number] = SequenceStart(number, time_ns, board_us)
+        if len(self.starts) > _MOST_STARTS:
+            del self.starts[next(iter(self.starts))]
 
 
 class LinkHost(Board):
@@ -67,6 +72,7 @@ class LinkHost(Board):
     and a subclass numbers and sends sequences."""
 
     keeps_kernels = True
+    _spins = False
     _line: Line
 
     def __init__(self, limits: SafetyLimits, output: Output | None = None) -> None:
@@ -100,8 +106,7 @@ class LinkHost(Board):
         self._board_clock = BoardClock()
 
     def start_of(self, number: int) -> SequenceStart | None:
-        starts = list(self._board_clock.starts)
-        return next((each for each in reversed(starts) if each.number == number), None)
+        return self._board_clock.starts.get(number)
 
     def _note_start(self, message: Message, sent_ns: int, now_ns: int) -> None:
         self.acknowledged += any(

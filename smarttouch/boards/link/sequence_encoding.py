@@ -15,7 +15,7 @@ from smarttouch.base.whole_kernels import kept_kernels
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import IDENTITY_BYTES, pack_states, source_of
 from smarttouch.stimulation.safety_limits import PPB, SafetyLimits, parts_per_billion
-from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence
+from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence, bytes_of
 from smarttouch.stimulation.slot_sums import extent_us
 
 
@@ -32,7 +32,7 @@ class KernelImage:
     @classmethod
     def of(cls, table: KernelTable, room: int, most: int) -> Self:
         """Return as many kernels as there is room for, in bytes and in number."""
-        flat = np.frombuffer(table.weights.tobytes(), np.int16)
+        flat = np.frombuffer(bytes_of(table.weights), np.int16)
         site_of = np.frombuffer(table.site.tobytes(), np.uint16)
         own = KernelTable(flat.reshape(table.weights.shape), site_of, {}, {})
         data, count = kept_kernels(own.weights, own.site, room, most)
@@ -202,6 +202,8 @@ def _payload(
 def _shapes(sequence: ScanSequence) -> tuple[int, bytes, NDArray[np.intp] | None]:
     """Return the number of pulse shapes, all of them, and that of each slot; None if of one."""
     width_us, discharge_us = sequence.width_us, sequence.discharge_us
+    if not len(width_us):
+        return 0, b"", None
     table = _one_shape(width_us.tobytes(), discharge_us.tobytes())
     if table is not None:
         return 1, table, None

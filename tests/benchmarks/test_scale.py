@@ -1,0 +1,170 @@
+"""Large arrays, and several displays in one program: what grows, and what of it is there.
+
+Run with::
+
+    pytest tests/benchmarks/test_scale.py --benchmark-only -n0
+
+Banks are designed in processes of their own, whose largest memory is measured.
+"""
+
+import json
+import statistics
+import subprocess
+import sys
+import textwrap
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import smarttouch as st
+from smarttouch.kernels.bank import design_bank
+from smarttouch.running.config import RunConfig
+from smarttouch.running.runner import Runner
+from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
+
+PROGRAM = str(Path(sys.executable).with_name("smarttouch"))
+DESIGN = r"""
+    import json, re, sys, time
+    from pathlib import Path
+    import smarttouch as st
+    from smarttouch.kernels.bank import design_bank
+    mouse, (side, neighbors) = st.load_profile("electric-mouse"), json.loads(sys.argv[1])
+    of = lambda name, **keys: {name: getattr(mouse, name).model_copy(update=keys)}
+    profile = mouse.model_copy(update=of("array", rows=side, columns=side)
+        | of("skin", node_spacing_mm=.5) | of("kernels", neighbors=neighbors))
+    begun_s = time.perf_counter()
+    bank = design_bank(profile)
+    kilobytes = int(re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text())[1])
+    worst = {each.name: float(values.max()) for each, values in bank.off_target.items()}
+    print(json.dumps([time.perf_counter() - begun_s, kilobytes / 1024, worst]))
+"""
+
+
+def square(side, neighbors):
+    """Return an electric mouse of another size, which sees as many pixels as it has electrodes."""
+    mouse = st.load_profile("electric-mouse")
+    sees = {"sensor_rows": side, "sensor_columns": side, "magnification": 0.4 * side}
+    parts = {
+        "array": {"rows": side, "columns": side},
+        "skin": {"node_spacing_mm": 0.5},
+        "kernels": {"neighbors": neighbors},
+        "optics": sees,
+    }
+    return mouse.model_copy(
+        update={name: getattr(mouse, name).model_copy(update=keys) for name, keys in parts.items()}
+    )
+
+
+class Specks(OpticalSource):
+    """Frames in which one of 24 electrodes or so has a dark speck before it, without end."""
+
+    def __init__(self, side):
+        super().__init__("specks")
+        dark = np.random.default_rng(1).random((8, side, side)) < 1 / 24
+        self._images = np.where(dark, 20, 230).astype(np.uint8)
+        self._number = 0
+
+    def read(self, time_ns):
+        self._number += 1
+        image = self._images[self._number % len(self._images)]
+        return Frame(image, time_ns, Pose(0, 0), 0.9, number=self._number)
+
+
+@pytest.fixture(scope="module")
+def large(quick):
+    side = 34 if quick else 64
+    profile = square(side, 9 if quick else 64)
+    return side, profile, design_bank(profile)
+
+
+@pytest.mark.timeout(0)
+@pytest.mark.parametrize("board", ["memory:", "emulator:"])
+def test_a_large_array_runs(row, quick, large, board):
+    side, profile, bank = large
+    config = RunConfig(rate_hz=10.0, seconds=1.5 if quick else 20, intensity=0.8)
+    with st.open_display(board, profile) as display:
+        source = Specks(side)
+        run = Runner(source, display, config, force="fixed:0.9", load_kernels=lambda _: bank)
+        found = run.run().figures
+    row(
+        "Large arrays, RA, 10 sequences a second asked",
+        {
+            "electrodes": side * side,
+            "board": board,
+            "sequences a second": f"{found['rate_hz']:.1f}",
+            "points": f"{found['slots'] / max(1, found['sequences']):.0f}",
+            "own work, ms, p50 / p99": " / ".join(
+                f"{found['work_us'][key] / 1000:.1f}" for key in ("p50", "p99")
+            ),
+            "dropped as too late": found["dropped_late"],
+        },
+    )
+    assert found["slots"]
+    # Nothing but the emulator counts violations.
+    assert found["emulator_violations"] in (None, 0)
+
+
+@pytest.mark.timeout(0)
+def test_what_a_bank_of_a_large_array_takes(row, quick):
+    sizes = [(5, None), (5, 9)] if quick else [(8, None), (12, None), (16, None), (20, None)]
+    sizes += [] if quick else [(16, 64), (20, 64), (64, 64)]
+    for side, neighbors in sizes:
+        command = [sys.executable, "-c", textwrap.dedent(DESIGN), json.dumps([side, neighbors])]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        seconds, megabytes, worst = json.loads(done.stdout)
+        row(
+            "Design of a whole bank",
+            {
+                "array": f"{side} × {side}",
+                "kernels of": "all electrodes" if neighbors is None else f"{neighbors} at most",
+                "s": f"{seconds:.1f}",
+                "largest memory, MiB": f"{megabytes:.0f}",
+                "worst other: RA": f"{worst['RA']:.3f}",
+                "SAI": f"{worst['SAI']:.3f}",
+            },
+        )
+        assert 0 < worst["RA"] < 1
+
+
+def in_threads(count, seconds):
+    """Return the rate of each of some displays of 64 electrodes, a thread each."""
+    rates = [0.0] * count
+
+    def drive(index):
+        with st.open_display("memory:") as display:
+            source = st.open_source("text:Hello world", display.profile)
+            found = st.run(source, display, seconds=seconds, rate_hz=50.0, force="fixed:0.9")
+            rates[index] = found.figures["rate_hz"]
+
+    threads = [threading.Thread(target=drive, args=[index]) for index in range(count)]
+    for each in threads:
+        each.start()
+    for each in threads:
+        each.join()
+    return rates
+
+
+def in_processes(count, seconds, folder):
+    command = [PROGRAM, "live", "text:Hello world", "--board", "memory:", "--rate", "50"]
+    command += ["--quiet", "--seconds", f"{seconds:g}", "--json"]
+    files = [folder / f"{index}.json" for index in range(count)]
+    running = [subprocess.Popen([*command, str(each)]) for each in files]
+    assert [each.wait() for each in running] == [0] * count
+    return [json.loads(each.read_text())["rate_hz"] for each in files]
+
+
+@pytest.mark.timeout(0)
+def test_several_displays(row, quick, tmp_path):
+    for count in (2,) if quick else (1, 2, 5, 10):
+        seconds = 1.5 if quick else 10
+        cells = {"displays": count}
+        for way, rates in (
+            ("threads of one program", in_threads(count, seconds)),
+            ("a process each", in_processes(count, seconds, tmp_path)),
+        ):
+            cells[f"{way}: Hz, median"] = f"{statistics.median(rates):.1f}"
+            cells[f"{way}: least"] = f"{min(rates):.1f}"
+            assert min(rates) > 0
+        row("Displays of 64 electrodes, 50 sequences a second asked of each", cells)
