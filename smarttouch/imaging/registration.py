@@ -51,7 +51,7 @@ class Registration:
             (np.empty(shape, np.uint8), kind)
             for shape, kind in _averages(frame_shape, self.working_shape)
         ]
-        self._apertures = _apertures(electrodes, optics, self.working_shape)
+        self.apertures: Apertures = _apertures(electrodes, optics, self.working_shape)
 
     def reduce(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return a frame averaged to the working shape, overwritten by the next call."""
@@ -62,7 +62,7 @@ class Registration:
 
     def sample(self, ink: NDArray[np.uint8]) -> NDArray[np.float32]:
         """Return the mean of ``ink`` (0 to 255) under each electrode, (E,) in [0, 1]."""
-        pixel, share = self._apertures
+        pixel, share = self.apertures
         # Row after row, so that the same frame has the same mean to the bit everywhere.
         means = np.add.reduce(ink.reshape(-1).take(pixel) * share, axis=0)
         return np.asarray(means, np.float32)

@@ -254,7 +254,9 @@ class TactileMapper:
             inked = np.asarray(cv2.bitwise_not(reduced, dst=self._inverted), np.uint8)
         else:
             inked = self._binarizer.ink(reduced, frame.time_ns, touching)
-        ink = registration.sample(inked)
+        # As `Registration.sample`, without another call a frame.
+        pixel, share = registration.apertures
+        ink = np.asarray(np.add.reduce(inked.reshape(-1).take(pixel) * share, axis=0), np.float32)
         activation = np.zeros((len(Afferent), len(ink)), np.float32)
         self._tone.apply(ink)
         if mode is Mode.NATURAL:

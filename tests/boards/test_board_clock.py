@@ -23,7 +23,7 @@ def test_no_sequence_begins_before_it_was_sent_or_after_its_answer(sequences, fi
         began_ns = sent_ns + waits_ms * MS
         board_us = began_ns // 1000 + first_us - behind_us
         clock.note(number, board_us, sent_ns, began_ns + answers_ms * MS)
-        start = clock.starts[-1]
+        start = clock.starts[number]
         assert (start.number, start.board_us) == (number, board_us)
         assert sent_ns <= start.time_ns <= began_ns + answers_ms * MS
         sent_ns = began_ns + 20 * MS
