@@ -17,7 +17,7 @@ _LEAST_OVERLAP = 0.45
 _MOST_RATIO = 2.8
 """Largest ratio of heights in a row: a parenthesis has 2.5 times the height of an x."""
 _FEW = 2  # letters in a row that is accepted only if it is isolated
-_AROUND, _CROWD = 2.0, 5
+_AROUND, _CROWD = 2.0, 6
 """Radius, in heights, around such a letter, and the largest number of letters in it."""
 _LEAST_SPACE = 0.35  # narrowest space, in letter heights; a narrower gap is within a word
 _NARROWEST = 0.75  # narrowest gutter between columns, in letter heights
@@ -60,12 +60,14 @@ def find_rows(
     links = _without_gutters(letters, links, spots)
     row_of = least_linked(count, links.first, links.second)
     order = np.lexsort((letters.left, row_of))
-    edges = np.flatnonzero(np.diff(row_of[order])) + 1
-    rows = np.split(order, edges)
-    if min(map(len, rows)) > _FEW:
+    rows = np.split(order, np.flatnonzero(np.diff(row_of[order])) + 1)
+    # Letters of longer rows do not count: cells of a table have them above and below.
+    few = np.bincount(row_of)[row_of] <= _FEW
+    if not few.any():
         return rows
-    crowded = _are_crowded(letters)
-    return [row for row in rows if len(row) > _FEW or not crowded[row].any()]
+    crowded = np.zeros(count, np.bool_)
+    crowded[few] = _are_crowded(letters.of(few))
+    return [row for row in rows if not crowded[row].any()]
 
 
 def least_linked(count: int, first: Indices, second: Indices) -> Indices:

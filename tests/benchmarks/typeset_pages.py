@@ -5,6 +5,7 @@ Tesseract's own layout (``--psm 3``), then ten photographs by perspective, curl,
 JPEG of quality 30, beside Tesseract on the flat page.
 """
 
+import math
 import subprocess
 import tempfile
 from pathlib import Path
@@ -67,16 +68,18 @@ def main() -> None:
             sheet = typeset.typeset(layout, seed)
             page = Page(sheet.grey, typeset.MM_PER_PIXEL)
             if layout is typeset.leftward:
-                # Tesseract has data for Hebrew rarely: its lines count, not their text.
-                prepared, text = prepare_page(page, leftward=True), "not recognized"
+                # Data for Hebrew are rarely installed: lines count, not their text.
+                prepared, text = prepare_page(page, leftward=True), None
             else:
                 prepared, text = ours(page)
             lines, theirs = tesseract(sheet.grey)
+            errors = [
+                math.nan if text is None else character_error_rate(sheet.text, each or "")
+                for each in (text, theirs)
+            ]
             figures.append(
-                (*tau(typeset.prepared_order(sheet, prepared)),
-                 character_error_rate(sheet.text, text),
-                 *tau(typeset.found_order(sheet.pieces, lines)),
-                 character_error_rate(sheet.text, theirs))
+                (*tau(typeset.prepared_order(sheet, prepared)), errors[0],
+                 *tau(typeset.found_order(sheet.pieces, lines)), errors[1])
             )  # fmt: skip
         values = np.mean(figures, axis=0)
         print(
