@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smarttouch.base.command_options import argument, option
-from smarttouch.base.errors import CalibrationError
+from smarttouch.base.errors import BoardStoppedError, CalibrationError, not_offered, require_within
 from smarttouch.cli.options import MORE, ForceOption, OptionGroup, ProfileOption, takes_options
 from smarttouch.cli.plain_help import Commands
 from smarttouch.views.keys_and_signals import command_stop, drives_a_board, opened
@@ -108,7 +108,7 @@ calibrate: Commands = Commands(
     help="Measure one device on one finger, and write a profile of it.", no_args_is_help=True
 )
 
-
+_SIMULATED = ("emulator:", "simulated:", "memory:")
 _Yes = Annotated[bool, option("Ask no questions: everything is in place.", None, "--yes")]
 _Simulate = Annotated[
     bool, option("Run the whole calibration without hardware.", None, "--simulate")
@@ -137,15 +137,13 @@ def optics(
     simulate: _Simulate = False,
 ) -> None:
     """Measure dark level and gain of every pixel, covered and on blank white paper."""
+    from smarttouch.experiments.calibration import sensor_optics
     from smarttouch.experiments.calibration.contact import show_optics
-    from smarttouch.experiments.calibration.sensor_optics import images_of, measure_optics
 
     file = calibration.file("optics", simulate)
     if simulate:
-        from smarttouch.experiments.calibration.sensor_optics import SimulatedPatch
-
         of = file.profile.optics
-        patch = SimulatedPatch((of.sensor_rows, of.sensor_columns), dead=2, hot=1)
+        patch = sensor_optics.SimulatedPatch((of.sensor_rows, of.sensor_columns), dead=2, hot=1)
         seen = [patch.images(frames, light=light) for light in (False, True)]
     else:
         sources = (dark or source, white or source)
@@ -156,8 +154,9 @@ def optics(
         for url, question in zip(sources, asked, strict=True):
             assert url is not None
             ask(question, yes or url != source)
-            seen.append(images_of(url, file.profile, frames, corrected=False))
-    found = measure_optics(*seen)
+            images = sensor_optics.images_of(url, file.profile, frames, corrected=False)
+            seen.append(images)
+    found = sensor_optics.measure_optics(*seen)
     show_optics(found)
     field_file = file.beside("flat-field.npz")
     file.set("optics.flat_field", field_file.name)
@@ -184,7 +183,6 @@ def registration(
     simulate: _Simulate = False,
 ) -> None:
     """Find each electrode's position in the sensor's image with a printed target."""
-    from smarttouch.base.errors import CalibrationError, not_offered
     from smarttouch.experiments.calibration.contact import show_registration
     from smarttouch.experiments.calibration.dot_target import target_for
     from smarttouch.experiments.calibration.page_registration import register
@@ -238,7 +236,6 @@ def force(
     simulate: _Simulate = False,
 ) -> None:
     """Measure the load cell's curve with known weights; one given twice shows hysteresis."""
-    from smarttouch.base.errors import CalibrationError, require_within
     from smarttouch.experiments.calibration.contact import show_force
     from smarttouch.experiments.calibration.force_curve import fit_curve, parse_grams, weigh_on
     from smarttouch.experiments.calibration.sensor_optics import weigh_simulated
@@ -280,7 +277,6 @@ def thresholds(
     simulate: _Simulate = False,
 ) -> None:
     """Measure at each electrode the weakest current felt and the strongest comfortable one."""
-    from smarttouch.base.errors import BoardStoppedError, CalibrationError
     from smarttouch.cli.options import require_answers
     from smarttouch.experiments.calibration.thresholds import ThresholdProcedure, parse_electrodes
     from smarttouch.views.keys_and_signals import keyboard_listener
@@ -288,18 +284,11 @@ def thresholds(
     simulated = simulate or board.startswith("emulator:")
     file = calibration.file("thresholds", simulated, board)
     sites = parse_electrodes(electrodes, file.profile)
-    boards = ("emulator:", "simulated:", "memory:")
-    require_answers(simulate, board, boards, CalibrationError)
+    require_answers(simulate, board, _SIMULATED, CalibrationError)
     procedure = ThresholdProcedure(
-        start=calibration.start(board),
-        file=file,
-        board_url=board,
-        sites=sites,
-        adaptive=adaptive,
-        repeats=repeats,
-        seed=seed,
-        simulate=simulate,
-    )
+        start=calibration.start(board), file=file, board_url=board, sites=sites, adaptive=adaptive,
+        repeats=repeats, seed=seed, simulate=simulate,
+    )  # fmt: skip
     with procedure.progress() as progress:
         try:
             procedure.measure(
@@ -336,7 +325,7 @@ def level(
 
     simulated = simulate or board.startswith("emulator:")
     file = calibration.file("level", simulated, board)
-    require_answers(simulate, board, ("emulator:", "simulated:", "memory:"), CalibrationError)
+    require_answers(simulate, board, _SIMULATED, CalibrationError)
     found = measure_level(
         file, board, keys=keyboard_listener, say=typer.echo, stop=command_stop(), opened=opened,
         force=force, seed=seed, person=parse_finger(finger, "branched") if simulate else None,
@@ -399,7 +388,6 @@ def scale(
     profile: ProfileOption = None,
 ) -> None:
     """Check the scale of a board's current with a resistor in place of the finger."""
-    from smarttouch.base.errors import SmartTouchError
     from smarttouch.boards.kits.current_scale import check_reading, measured_scale
     from smarttouch.cli.options import require_site
     from smarttouch.running.display import open_display
@@ -432,7 +420,7 @@ def scale(
             volts = float(answer)
         except ValueError:
             message = f"{answer!r} is no voltage: give a number of volts"
-            raise SmartTouchError(message, about="volts") from None
+            raise CalibrationError(message, about="volts") from None
     ratio = check_reading(volts, ohm, current_ma)
     scale_ua = measured_scale(url.partition(":")[0], display.board.ua_per_count, ratio)
     typer.echo(
