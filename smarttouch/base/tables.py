@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import SmartTouchError
-from smarttouch.base.files import MOST_BANK_BYTES, read_text
+from smarttouch.base.files import MOST_ARRAY_BYTES, read_text
 
 _LONGEST_HEADER = 10_000
 _MOST_ARRAYS = 1000
 
 
-def read_array(file: BinaryIO, size: int) -> NDArray[Any]:
+def read_array(file: BinaryIO, size: int, most_bytes: int = MOST_ARRAY_BYTES) -> NDArray[Any]:
     """Return the array of a ``.npy`` file of ``size`` bytes, read from its beginning.
 
     Raises ValueError if it is no such file, is cut, would have to be unpickled or is too large.
@@ -37,7 +37,7 @@ def read_array(file: BinaryIO, size: int) -> NDArray[Any]:
     if kind.hasobject:
         raise ValueError("it holds Python objects, which are not read")
     claimed = math.prod(shape) * kind.itemsize
-    if min(shape, default=0) < 0 or claimed > min(size, MOST_BANK_BYTES):
+    if min(shape, default=0) < 0 or claimed > min(size, most_bytes):
         raise ValueError(f"it claims {claimed / 1e6:,.1f} MB")
     data = file.read(claimed)
     if len(data) != claimed:
@@ -46,15 +46,18 @@ def read_array(file: BinaryIO, size: int) -> NDArray[Any]:
     return np.ndarray(sides, kind, bytearray(data), order="F" if by_column else "C")
 
 
-def read_arrays(file: BinaryIO) -> dict[str, NDArray[Any]]:
+def read_arrays(file: BinaryIO, most_bytes: int = MOST_ARRAY_BYTES) -> dict[str, NDArray[Any]]:
     """Return the arrays of an ``.npz`` archive by name; ValueError if damaged or too large."""
     try:
         with zipfile.ZipFile(file) as archive:
             members = archive.infolist()
             size = sum(each.file_size for each in members)
-            if len(members) > _MOST_ARRAYS or size > MOST_BANK_BYTES:
+            if len(members) > _MOST_ARRAYS or size > most_bytes:
                 raise ValueError(f"it claims {len(members)} arrays of {size / 1e6:,.1f} MB")
-            return {each.filename.removesuffix(".npy"): _member(archive, each) for each in members}
+            return {
+                each.filename.removesuffix(".npy"): _member(archive, each, most_bytes)
+                for each in members
+            }
     except ValueError:
         raise
     except Exception as error:
@@ -62,13 +65,13 @@ def read_arrays(file: BinaryIO) -> dict[str, NDArray[Any]]:
         raise ValueError(f"it is damaged ({type(error).__name__})") from None
 
 
-def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> NDArray[Any]:
+def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo, most_bytes: int) -> NDArray[Any]:
     with archive.open(member) as packed:
         # All of it, and what should not follow it, so that its checksum is looked at.
         data = packed.read(member.file_size + 1)
     if len(data) != member.file_size:
         raise ValueError(f"{member.filename} does not have the size that it claims")
-    return read_array(io.BytesIO(data), len(data))
+    return read_array(io.BytesIO(data), len(data), most_bytes)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import ImageOps
 
 from smarttouch.base.errors import PageError, UnknownSizeError
-from smarttouch.base.files import MOST_BANK_BYTES, open_file
+from smarttouch.base.files import MOST_ARRAY_BYTES, open_file
 from smarttouch.base.tables import read_array
 from smarttouch.pages.page_image import (
     check_scale_options,
@@ -133,7 +133,7 @@ def print_heights(text: str, width_mm: float | None = None) -> Heights:
 def _load_array(
     path: Path, dpi: float | None, width_mm: float | None
 ) -> tuple[NDArray[np.float64], float]:
-    with open_file(path, PageError, MOST_BANK_BYTES) as file:
+    with open_file(path, PageError, MOST_ARRAY_BYTES) as file:
         try:
             heights = np.asarray(read_array(file, path.stat().st_size), np.float64)
         except (OSError, ValueError, TypeError) as error:

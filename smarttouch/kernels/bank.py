@@ -372,7 +372,7 @@ def _read(path: Path, profile: Profile) -> KernelBank | None:
     """Return the bank in a file if it is for this profile's problem, and complete."""
     try:
         with open_file(path, DesignError, MOST_BANK_BYTES) as file:
-            arrays = read_arrays(file)
+            arrays = read_arrays(file, MOST_BANK_BYTES)
         if str(arrays["key"]) != problem_hash(profile):
             return None
         columns: dict[str, Any] = {name: {} for name in _IN_FILE}

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import CalibrationError, SourceError
-from smarttouch.base.files import MOST_BANK_BYTES, open_file, write_bytes
+from smarttouch.base.files import MOST_ARRAY_BYTES, open_file, write_bytes
 from smarttouch.base.tables import read_arrays
 from smarttouch.profile import Optics, Profile
 from smarttouch.sources.image_match import Matcher, Shift
@@ -147,7 +147,7 @@ class FlatField:
                 f"no flat field {path}: put it beside the profile, or remove optics.flat_field"
             )
             raise _no_field(message)
-        with open_file(Path(path), SourceError, MOST_BANK_BYTES) as file:
+        with open_file(Path(path), SourceError, MOST_ARRAY_BYTES) as file:
             try:
                 stored = read_arrays(file)
                 dark, gain = (np.asarray(stored[name], np.float32) for name in ("dark", "gain"))

@@ -23,7 +23,9 @@ from smarttouch.boards.link.protocol import (
     encode,
     encode_volts,
 )
+from smarttouch.boards.link.sequence_encoding import encode_scan
 from smarttouch.emulator.link_packets import decode_lists
+from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..raising import raises
 from .payloads import sequence_payload
@@ -79,15 +81,16 @@ def test_a_source_beyond_the_wire_is_refused_and_never_wraps():
         sequence_payload("three-state", 9000, *columns(current), current)
 
 
-@pytest.mark.parametrize(("slots", "electrodes", "attributes"), [
-    (600, 1024, {"about": "packet", "allowed": 1 << 20}),
-    (70_000, 1, {"about": "slots", "value": 70_000, "allowed": 65_535}),
+@pytest.mark.parametrize(("slots", "electrodes", "room", "attributes"), [
+    (600, 1024, (2000, 1 << 16), {"about": "packet", "allowed": 2000}),
+    (70_000, 1, (1 << 20, 70_000), {"about": "slots", "value": 70_000, "allowed": 65_535}),
 ])  # fmt: skip
-def test_a_packet_beyond_the_limit_is_refused(slots, electrodes, attributes):
-    current = np.zeros((slots, electrodes), np.int16)
+def test_a_slot_beyond_the_room_of_a_packet_is_refused(slots, electrodes, room, attributes):
     column = np.full(slots, 100, np.uint16)
+    current = np.zeros((slots, electrodes), np.int16)
+    sequence = ScanSequence(current, column, column, 0 * column, 9000, 1.0, 0)
     with raises(BoardError, **attributes):
-        sequence_payload("weighted", 9000, column, column, 0 * column, current)
+        encode_scan(sequence, 1, False, False, None, *room)
 
 
 @given(pieces=st.lists(st.binary(max_size=60)))
