@@ -83,7 +83,7 @@ def errors_us(kajimoto, rate_hz, seconds, spin_ns, monkeypatch):
     monkeypatch.setattr("smarttouch.boards.kits.streamed.open_port", lambda name: port)
     monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 0.0)
     clock = MonotonicClock(spin_ns)
-    monkeypatch.setattr("smarttouch.boards.seal.MonotonicClock", lambda: clock)
+    monkeypatch.setattr("smarttouch.boards.seal.MonotonicClock", lambda _spin_ns: clock)
     pipeline = Pipeline(profile, bank, RunConfig(rate_hz=rate_hz, scan="points"))
     board = Kajimoto61Board("x", SafetyLimits.of(profile), profile.output)
     controls, tally = Controls(ControlState(pipeline.mode)), RunStatistics()
