@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import CalibrationError
 from smarttouch.experiments.calibration.level_procedure import LEVELS, LevelProcedure
-from smarttouch.experiments.psychophysics.adaptive_procedures import POLARITY_TRIALS
+from smarttouch.experiments.psychophysics.polarity import POLARITY_TRIALS
 from smarttouch.experiments.psychophysics.tasks import middle_discs
-from smarttouch.kernels.bank import load_bank, lone_discs
+from smarttouch.kernels.bank import load_bank
+from smarttouch.kernels.disc_banks import lone_discs
 from smarttouch.physiology.anatomy import load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import SpikeModel

@@ -256,7 +256,7 @@ class TactileMapper:
             inked = self._binarizer.ink(reduced, frame.time_ns, touching)
         # As `Registration.sample`, without another call a frame.
         pixel, share = registration.apertures
-        ink = np.asarray(np.add.reduce(inked.reshape(-1).take(pixel) * share, axis=0), np.float32)
+        ink: NDArray[np.float32] = np.add.reduce(inked.reshape(-1).take(pixel) * share, axis=0)
         activation = np.zeros((len(Afferent), len(ink)), np.float32)
         self._tone.apply(ink)
         if mode is Mode.NATURAL:

@@ -140,7 +140,7 @@ class _Loop:
     phase: PhaseLock
     elapsed_ns: int = 0
     _start_ns: int = 0
-    _tell_late_ns: int = 0
+    _report_late_ns: int = 0
     _shift_ns: int = 0
     _expected_ns: int | None = None
     """When this step is expected, by the one before."""
@@ -268,10 +268,10 @@ class _Loop:
             late = isinstance(lost, SequenceLateError)
             self.inputs.statistics.restarts += not late
             # A busy computer is late again and again: what is dropped is counted.
-            if not late or self.elapsed_ns >= self._tell_late_ns:
+            if not late or self.elapsed_ns >= self._report_late_ns:
                 self.inputs.emit(BoardRestarted(self.elapsed_ns, str(lost)))
             if late:
-                self._tell_late_ns = self.elapsed_ns + _LATE_AGAIN_NS
+                self._report_late_ns = self.elapsed_ns + _LATE_AGAIN_NS
             if self.regulator is not None:
                 self.regulator.lost(step.sequence)
             self.inputs.pipeline.restart_softly()

@@ -26,7 +26,7 @@ from smarttouch.experiments.calibration.page_registration import View
 from smarttouch.experiments.calibration.sensor_optics import SimulatedPatch
 from smarttouch.experiments.calibration.threshold_procedures import measuring_profile
 from smarttouch.experiments.calibration.threshold_session import Progress, simulated_finger
-from smarttouch.experiments.psychophysics import adaptive_procedures
+from smarttouch.experiments.psychophysics import polarity
 from smarttouch.experiments.psychophysics.trial_rows import RowFile, read_rows
 from smarttouch.profile import load_profile
 from smarttouch.sources.preprocess import FlatField
@@ -234,7 +234,7 @@ def test_a_simulated_subject_answers_trials_on_another_board(run, tmp_path):
 def test_level_of_a_simulated_person_goes_on_where_it_was_stopped(run, tmp_path, monkeypatch):
     for name, few in (("FEWEST_LETTERS", 2), ("ENOUGH_REGRET", 1.0)):
         monkeypatch.setattr(level_procedure, name, few)
-    monkeypatch.setattr(adaptive_procedures, "POLARITY_TRIALS", 3)
+    monkeypatch.setattr(polarity, "POLARITY_TRIALS", 3)
     stops, append, rows = [StopRequest(), StopRequest()], RowFile.append, []
 
     def stop_after_four(file, row):

@@ -17,7 +17,6 @@ from smarttouch.kernels import bank as banks
 from smarttouch.kernels.bank import (
     design_bank,
     load_bank,
-    lone_discs,
     make_bank,
     problem_hash,
     shipped_bank,
@@ -25,6 +24,7 @@ from smarttouch.kernels.bank import (
 )
 from smarttouch.kernels.batch_design import design_sites
 from smarttouch.kernels.design_problem import Problem
+from smarttouch.kernels.disc_banks import lone_discs
 from smarttouch.kernels.kept_kernels import kept_or
 from smarttouch.kernels.weighted_design import design_kernel
 from smarttouch.profile import list_profiles, load_profile

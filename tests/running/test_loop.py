@@ -23,7 +23,7 @@ from smarttouch.boards.probe_scans import one_each
 from smarttouch.emulator.emulated_boards import EmulatorBoard
 from smarttouch.running.config import RunConfig
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.listener import OnEvent, as_listeners
+from smarttouch.running.listener import OnEvent, OnStep, as_listeners
 from smarttouch.running.loop import run_loop
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.regulation import Regulator
@@ -136,10 +136,15 @@ def test_frames_are_asked_for_at_absolute_deadlines(pipeline, board):
 
 
 def test_a_late_loop_moves_its_schedule_and_never_hurries(pipeline, board):
-    clock, tally = FakeClock([0, 0, 65_000_000]), RunStatistics()
+    clock, tally, steps = FakeClock([0, 0, 65_000_000]), RunStatistics(), []
     with board:
-        loop(Bars(5), pipeline, board, statistics=tally, clock=clock)
+        loop(
+            Bars(5), pipeline, board, statistics=tally, clock=clock,
+            listeners=[OnStep(steps.append)],
+        )  # fmt: skip
     assert tally.late == 1
+    ahead_ns = [each.clock_ns - each.input.time_ns for each in steps]
+    assert ahead_ns == [0, 0, 65_000_000, 65_000_000, 65_000_000]
     assert np.diff(clock.deadlines).min() == 20_000_000
     assert clock.deadlines[3] - clock.deadlines[2] == 85_000_000
 
@@ -507,8 +512,10 @@ def test_the_age_of_an_image_counts(pipeline, board):
     assert 0 < tally.work_share < 1
 
 
-def test_what_was_computed_before_a_pause_is_not_sent(monkeypatch, pipeline, board):
-    """The computer stands still between the making of a sequence and its sending."""
+@pytest.mark.parametrize(("stalls", "before"), [((40,), 1), ((10, 20, 30), 0.36)])
+def test_what_was_computed_before_a_pause_is_not_sent(monkeypatch, pipeline, board, stalls, before):
+    """The computer stands still between the making of a sequence and its sending; what happens
+    again and again is reported once."""
     clock, tally, words = FakeClock(), RunStatistics(), []
     board._clock = clock
     # One without a time of its own is never late.
@@ -517,7 +524,7 @@ def test_what_was_computed_before_a_pause_is_not_sent(monkeypatch, pipeline, boa
 
     def stand_still(frame, level):
         step = process(frame, level)
-        if len(board.sequences) == 40 and not board.dropped_late:
+        if board.dropped_late < len(stalls) and len(board.sequences) == stalls[board.dropped_late]:
             clock.time_ns += 300_000_000
         return step
 
@@ -527,9 +534,15 @@ def test_what_was_computed_before_a_pause_is_not_sent(monkeypatch, pipeline, boa
             Bars(60), pipeline, board, statistics=tally, clock=clock,
             listeners=[OnEvent(words.append)],
         )  # fmt: skip
-    assert intensities(board)[39:42] == [1, 0, pytest.approx(0.04)]
-    assert (board.dropped_late, tally.restarts, tally.frames) == (1, 0, 59)
-    assert any(isinstance(event, BoardRestarted) for event in words)
+    last = stalls[-1]
+    assert intensities(board)[last - 1 : last + 2] == [
+        pytest.approx(before),
+        0,
+        pytest.approx(0.04),
+    ]
+    assert (board.dropped_late, tally.restarts) == (len(stalls), 0)
+    assert tally.frames == 60 - len(stalls)
+    assert sum(isinstance(event, BoardRestarted) for event in words) == 1
 
 
 def test_a_pause_before_a_frame_is_taken_drops_nothing(pipeline, board):

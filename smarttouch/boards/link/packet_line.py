@@ -79,7 +79,7 @@ class LinkLine:
         self._refused_before, self.session = self.refused, HostSession(self._draw)
         self._deframer = Deframer()
         self._answers.clear()
-        self._last_written = self._last_said = self.now_s()
+        self._last_written = self._last_packet = self.now_s()
         self._listen()
 
     def _listen(self) -> None:
@@ -205,7 +205,7 @@ class LinkLine:
                     return False
             self._last_written = self.now_s()
             if kind is not MessageKind.HEARTBEAT:
-                self._last_said = self._last_written
+                self._last_packet = self._last_written
         except LINE_ERRORS as error:
             self.fail(self.lost(f"cannot be written to ({reason(error)})"))
             self.raise_fault()
@@ -279,7 +279,7 @@ class LinkLine:
     def _keep_alive(self) -> None:
         # Nothing is due soon after a packet: a sequence is sent again after longer than that, too.
         while not self._closing.wait(
-            max(HEARTBEAT_S / 4, self._last_said + HEARTBEAT_S * 2 / 3 - self.now_s())
+            max(HEARTBEAT_S / 4, self._last_packet + HEARTBEAT_S * 2 / 3 - self.now_s())
         ):
             if self.fault is not None or self.overtaken:
                 return

@@ -22,21 +22,22 @@ from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board
 from smarttouch.experiments.calibration.profile_file import ProfileFile
 from smarttouch.experiments.calibration.thresholds import Keys, Prompts, present
-from smarttouch.experiments.psychophysics.adaptive_procedures import (
+from smarttouch.experiments.psychophysics.experiment_session import TrialSession
+from smarttouch.experiments.psychophysics.experiment_source import ExperimentSource
+from smarttouch.experiments.psychophysics.observers import SimulatedObserver
+from smarttouch.experiments.psychophysics.polarity import (
     PolarityRatio,
     polarity_procedure,
     polarity_range,
     polarity_ratio,
 )
-from smarttouch.experiments.psychophysics.experiment_session import TrialSession
-from smarttouch.experiments.psychophysics.experiment_source import ExperimentSource
-from smarttouch.experiments.psychophysics.observers import SimulatedObserver
 from smarttouch.experiments.psychophysics.procedures import Condition
 from smarttouch.experiments.psychophysics.simulated_subject import Subject
 from smarttouch.experiments.psychophysics.tasks import LetterTask, PolarityTask, middle_discs
 from smarttouch.experiments.psychophysics.trial_rows import About, RowFile
 from smarttouch.experiments.psychophysics.trials import Stimuli, Trial, TrialTiming
-from smarttouch.kernels.bank import KernelBank, load_bank, lone_discs
+from smarttouch.kernels.bank import KernelBank, load_bank
+from smarttouch.kernels.disc_banks import lone_discs
 from smarttouch.physiology.finger import Finger
 from smarttouch.profile import Profile
 from smarttouch.reading.letter_shapes import ALPHABET, draw_letter

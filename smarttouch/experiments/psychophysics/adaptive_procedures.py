@@ -15,7 +15,6 @@ from smarttouch.experiments.psychophysics.procedures import (
     IntervalOrder,
     Procedure,
 )
-from smarttouch.profile import Profile
 
 COARSE_FACTOR = 2.0
 """Factor of steps until the second reversal (our own choice)."""
@@ -319,7 +318,8 @@ def frequency_procedures(
     return Interleaved(procedures, seed)
 
 
-def _detection_range(threshold_ma: float, full_ma: float) -> tuple[float, float]:
+def detection_range(threshold_ma: float, full_ma: float) -> tuple[float, float]:
+    """Return the smallest and largest current of detection, mA."""
     return _DETECTION_RANGE[0] * threshold_ma, min(_DETECTION_RANGE[1] * threshold_ma, full_ma)
 
 
@@ -332,7 +332,7 @@ def detection_procedure(
     seed: int,
 ) -> Procedure:
     """Return a staircase or QUEST+ of current, up to the strongest comfortable one."""
-    low, high = _detection_range(threshold_ma, full_ma)
+    low, high = detection_range(threshold_ma, full_ma)
     if method == "staircase":
         start = min(1.5 * threshold_ma, high)
         return WeightedStaircase(
@@ -344,70 +344,3 @@ def detection_procedure(
         low, high, model, 0.0, trials or 60, fewest_trials=min(20, trials or 60),
         two_intervals=two_intervals, seed=seed,
     )  # fmt: skip
-
-
-POLARITY_TRIALS = 12
-"""Answers to each polarity of a lone disc."""
-_STEEP = 0.3
-"""Largest spread of *felt* from disc to disc, in spans of the stimuli (our own choice)."""
-
-
-def polarity_range(profile: Profile, sites: Sequence[int]) -> tuple[float, float]:
-    """Return the smallest and largest current of a polarity test, mA."""
-    return _detection_range(
-        float(np.median(profile.threshold_ma[sites])), float(profile.full_ma[sites].min())
-    )
-
-
-def polarity_procedure(
-    profile: Profile, sites: Sequence[int], trials: int | None, seed: int
-) -> Interleaved:
-    """Return QUEST+ of the current at which discs are felt: anodic, and cathodic, mixed."""
-    most = trials or POLARITY_TRIALS
-    low, high = polarity_range(profile, sites)
-    model = Model(guess="equal", at=0.5)
-    one, other = (
-        QuestPlus(
-            low, high, model, most_trials=most, fewest_trials=most, two_intervals=False,
-            widest=_STEEP,
-        )
-        for _ in range(2)
-    )  # fmt: skip
-    return Interleaved((one, other), seed)
-
-
-@dataclass(frozen=True)
-class PolarityRatio:
-    """Cathodic over anodic threshold of a disc, and how sure it is."""
-
-    anodic: Estimate
-    cathodic: Estimate
-
-    @property
-    def ratio(self) -> float:
-        return self.cathodic.threshold / self.anodic.threshold
-
-    @property
-    def log_spread(self) -> float:
-        """Standard deviation of its natural logarithm."""
-        parts = (each.spread / each.threshold for each in (self.anodic, self.cathodic))
-        return math.hypot(*parts)
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Its 95 % credible interval."""
-        far = math.exp(1.96 * self.log_spread)
-        return self.ratio / far, self.ratio * far
-
-    def __str__(self) -> str:
-        low, high = self.interval
-        return (
-            f"cathodic over anodic threshold {self.ratio:.2f} (95 % {low:.2f} to {high:.2f}): "
-            f"{self.cathodic.threshold:.2f} over {self.anodic.threshold:.2f} mA"
-        )
-
-
-def polarity_ratio(procedure: Interleaved) -> PolarityRatio | None:
-    """Return the ratio by the answers to `polarity_procedure` until now; None without any."""
-    anodic, cathodic = procedure.estimates()
-    return None if anodic is None or cathodic is None else PolarityRatio(anodic, cathodic)

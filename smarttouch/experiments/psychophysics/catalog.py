@@ -35,7 +35,8 @@ from smarttouch.experiments.psychophysics.tasks import (
     middle_discs,
 )
 from smarttouch.experiments.psychophysics.trials import Stimuli, Task, Trial, require_site
-from smarttouch.kernels.bank import KernelBank, lone_discs
+from smarttouch.kernels.bank import KernelBank
+from smarttouch.kernels.disc_banks import lone_discs
 from smarttouch.profile import Profile
 
 GROUP = "smarttouch.experiments"
@@ -266,7 +267,7 @@ def _detection(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Desi
 
 
 def _polarity(stimuli: Stimuli, wanted: ExperimentOptions, method: str) -> Design:
-    from smarttouch.experiments.psychophysics.adaptive_procedures import polarity_procedure
+    from smarttouch.experiments.psychophysics.polarity import polarity_procedure
 
     profile = stimuli.profile
     sites = middle_discs(profile) if wanted.site is None else [wanted.site]

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import ExperimentError, SmartTouchError
 from smarttouch.base.version import __version__
-from smarttouch.experiments.psychophysics.adaptive_procedures import polarity_ratio
 from smarttouch.experiments.psychophysics.catalog import LIMITS, Design
 from smarttouch.experiments.psychophysics.experiment_source import ExperimentSource
 from smarttouch.experiments.psychophysics.perceived_spikes import FITTED
+from smarttouch.experiments.psychophysics.polarity import polarity_ratio
 from smarttouch.experiments.psychophysics.procedures import (
     Condition,
     Interleaved,

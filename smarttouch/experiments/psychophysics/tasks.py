@@ -111,6 +111,10 @@ class DetectionTask:
         )  # fmt: skip
 
 
+_POLES, _DISCS = (Afferent.PC, Afferent.SAI), 16
+"""Classes that stand for anodic and cathodic discs, and most discs."""
+
+
 @dataclass(frozen=True, eq=False)
 class PolarityTask:
     """Lone disc: is anything felt? Conditions of index 0 are anodic, of 1 cathodic, see
@@ -127,18 +131,12 @@ class PolarityTask:
         return DetectionTask(of, site, self.rate_hz).trial(condition)
 
 
-_POLES = (Afferent.PC, Afferent.SAI)
-
-
 def middle_discs(profile: Profile) -> list[int]:
     """Return the driven sites nearest to the middle, at most sixteen, in an order that keeps
     successive ones apart."""
     away_mm = np.hypot(*profile.electrodes.position_mm[profile.driven].T).round(6)
     near = np.sort(profile.driven[away_mm.argsort(kind="stable")[:_DISCS]])
     return [int(each) for each in near[spread_order(len(near))]]
-
-
-_DISCS = 16
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,11 +7,8 @@ import pytest
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.psychophysics.adaptive_procedures import (
-    polarity_procedure,
-    polarity_ratio,
-)
 from smarttouch.experiments.psychophysics.catalog import CATALOG, ExperimentOptions, new_experiment
+from smarttouch.experiments.psychophysics.polarity import polarity_procedure, polarity_ratio
 from smarttouch.experiments.psychophysics.procedures import Condition
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
