@@ -41,7 +41,7 @@ _EVENTS = 200
 _LOOK_S = 0.02
 _SWITCH_S = 0.0005
 _GONE_S = 2.0  # time without a page after which the window is closed: a page may be loaded again
-_FINGER_WITHIN_S = 3.0  # a finger that takes longer appears while the run goes on
+_FINGER_WITHIN_S = 2.5  # a finger that takes longer appears while the run goes on
 
 
 class Window(Listener):
