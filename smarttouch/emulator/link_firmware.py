@@ -61,6 +61,8 @@ class LinkFirmware(Firmware):
         room: Room | None = None,
     ) -> None:
         self._electrodes, self._output, self.books = electrodes, output, books
+        # To judge a sequence takes time that grows with the electrodes, and is no delay.
+        self.longest_step_ns += 10_000 * electrodes
         self._room = room = room or Room()
         self._keep = KernelStore(electrodes, room.kernel_bytes, room.kernels)
         self._ramp, self._second = Ramp(ramp_ms), LastSecond(electrodes)

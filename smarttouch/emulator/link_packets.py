@@ -251,7 +251,10 @@ def summed(
 
 def rounded(every: NDArray[np.int64]) -> NDArray[np.int16]:
     """Return weights times amplitudes, (…, E), as currents in whole µA that sum to zero."""
-    whole = (np.cumsum(every, axis=-1) + 65_536) // 131_072
+    whole = np.cumsum(every, axis=-1)
+    whole += 65_536
+    # Rounded down, by 131,072.
+    whole >>= 17
     return np.diff(whole, axis=-1, prepend=0).astype(np.int16)
 
 

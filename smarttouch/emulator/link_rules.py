@@ -1,5 +1,6 @@
 """Rules of the ``link`` board for one sequence, in whole numbers and in the order of the page."""
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +26,9 @@ from smarttouch.emulator.link_packets import (
     rounded,
     summed,
 )
+
+_BLOCK = 1 << 13
+"""Currents judged at a time, which stay in a processor's own cache."""
 
 
 class BrokenRule(NamedTuple):
@@ -164,18 +168,28 @@ def _all_at_once(
         return None
     if not _filled_in(lists, keep, current_ua):
         return None
-    signed = current_ua.astype(np.int64)
-    each = np.abs(signed)
-    charge_pc = each * width_us[:, None]
-    if (
-        signed.sum(axis=1).any()
-        or (each > limits.current_ua).any()
-        or int(each.sum(axis=1).max(initial=0)) // 2 > limits.total_ua
-        or (charge_pc > limits.charge_pc).any()
-    ):
-        return None
-    load.add(signed, width_us, limits.felt_ua)
-    return int(each.max(initial=0)), int(charge_pc.max(initial=0))
+    peak_ua = peak_pc = 0
+    for rows in _blocks(*current_ua.shape):
+        signed, width = current_ua[rows].astype(np.int64), width_us[rows]
+        each = np.abs(signed)
+        charge_pc = each * width[:, None]
+        if (
+            signed.sum(axis=1).any()
+            or (each > limits.current_ua).any()
+            or int(each.sum(axis=1).max(initial=0)) // 2 > limits.total_ua
+            or (charge_pc > limits.charge_pc).any()
+        ):
+            return None
+        load.add(signed, width, limits.felt_ua)
+        peak_ua = max(peak_ua, int(each.max(initial=0)))
+        peak_pc = max(peak_pc, int(charge_pc.max(initial=0)))
+    return peak_ua, peak_pc
+
+
+def _blocks(rows: int, electrodes: int) -> Iterator[slice]:
+    """Yield slices of as many rows as stay in the processor's cache."""
+    step = max(1, _BLOCK // max(1, electrodes))
+    return (slice(start, min(start + step, rows)) for start in range(0, rows, step))
 
 
 def _filled_in(lists: ReceivedSequence, keep: KernelStore, current_ua: NDArray[np.int16]) -> bool:
@@ -192,13 +206,20 @@ def _filled_in(lists: ReceivedSequence, keep: KernelStore, current_ua: NDArray[n
             for group in of_kernels
         ]
     )
-    first = np.cumsum(size) - size
+    end = np.cumsum(size)
+    first = end - size
     if keep.weights is None or int(kernel.max()) >= len(keep.weights):
         return False
     if (np.add.reduceat(amplitude, first) > MOST_AMPLITUDE).any():
         return False
-    every = keep.weights[kernel].astype(np.int64) * amplitude[:, None]
-    current_ua[slot] = rounded(np.add.reduceat(every, first, axis=0))
+    places = slot.nonzero()[0]
+    for rows in _blocks(len(places), current_ua.shape[1]):
+        pairs = slice(first[rows.start], end[rows.stop - 1])
+        every = keep.weights[kernel[pairs]].astype(np.int64)
+        every *= amplitude[pairs, None]
+        current_ua[places[rows]] = rounded(
+            np.add.reduceat(every, first[rows] - pairs.start, axis=0)
+        )
     lists.sequence.site[slot] = keep.site[kernel[first]]
     return True
 

@@ -59,6 +59,16 @@ class _Steps(NamedTuple):
     admittance: NDArray[np.float64]
 
 
+class _Short(NamedTuple):
+    """A short circuit as K steps, in each of which the node has one voltage, (K, E) and (E,)."""
+
+    to_node: NDArray[np.float64]  # from voltages to those of the node
+    keep: NDArray[np.float64]  # part of an electrode's own voltage that is left
+    lift: NDArray[np.float64]  # what each of the node's adds to it
+    out: NDArray[np.float64]  # charge that leaves by its own voltage
+    back: NDArray[np.float64]  # charge that comes by each of the node's
+
+
 class _Modes(NamedTuple):
     """The shorted circuit as E independent exponentials."""
 
@@ -98,7 +108,7 @@ class SkinCircuit:
         self._steps: dict[tuple[float, int], _Steps] = {}
         self._decay: tuple[float, Any, Any] = (-1.0, None, None)
         """Of the last pulse: its width, and each electrode's decay and rise in it."""
-        self._shorts: dict[float, list[tuple[Any, ...]]] = {}
+        self._shorts: dict[float, _Short] = {}
         self._modes: _Modes | None = None
 
     @property
@@ -206,35 +216,37 @@ class SkinCircuit:
     def _short_in_steps(self, duration_us: float) -> None:
         """Short all electrodes, the node's voltage held in each step such that no charge is lost or
         made."""
-        charge, volts = np.zeros(self.electrodes), self._volts
-        for lost, lift, own, per_node, total in self._shorts_of(duration_us):
-            node_v = own.dot(volts) / total
-            charge += node_v * per_node
-            charge -= own * volts
-            volts = volts - lost * volts
-            volts += node_v * lift
-        self.charge_uc += 1e6 * charge
-        self._volts = volts
+        short = self._short_of(duration_us)
+        node_v = short.to_node @ self._volts
+        self.charge_uc += 1e6 * (node_v @ short.back - short.out * self._volts)
+        self._volts = short.keep * self._volts + node_v @ short.lift
 
-    def _shorts_of(self, duration_us: float) -> list[tuple[Any, ...]]:
-        """Return each step's part of a voltage that is lost, and what the node's voltage adds to
-        it; the charge that goes by each of the two, and the sum of the latter."""
+    def _short_of(self, duration_us: float) -> _Short:
+        """Return the steps of a short circuit, added up."""
         # What is left after many of the slowest time constants is nothing.
         duration_us = min(duration_us, _LONGEST_SHORT_US)
-        if duration_us not in self._shorts:
-            if len(self._shorts) >= _MOST_WIDTHS:
-                self._shorts.clear()
-            series = 1 / self.series_ohm
-            rate = (series + 1 / self.parallel_ohm) / self.capacitance_f
-            level = series / (rate * self.capacitance_f)
-            share = _SHORT_GROWTH ** np.arange(_SHORT_STEPS, dtype=np.float64)
-            steps = []
-            for length in (share * (duration_us * 1e-6 / share.sum())).tolist():
-                lost = -np.expm1(-rate * length)
-                own = series * lost / rate
-                per_node = series * length * (1 - level) + level * own
-                steps.append((lost, lost * level, own, per_node, float(per_node.sum())))
-            self._shorts[duration_us] = steps
+        if duration_us in self._shorts:
+            return self._shorts[duration_us]
+        if len(self._shorts) >= _MOST_WIDTHS:
+            self._shorts.clear()
+        series = 1 / self.series_ohm
+        rate = (series + 1 / self.parallel_ohm) / self.capacitance_f
+        level = series / (rate * self.capacitance_f)
+        share = _SHORT_GROWTH ** np.arange(_SHORT_STEPS, dtype=np.float64)
+        to_node, lift, back = np.zeros((3, _SHORT_STEPS, self.electrodes))
+        keep, out = np.ones(self.electrodes), np.zeros(self.electrodes)
+        for step, length in enumerate((share * (duration_us * 1e-6 / share.sum())).tolist()):
+            lost = -np.expm1(-rate * length)
+            own = series * lost / rate
+            per_node = series * length * (1 - level) + level * own
+            to_node[step] = (own * keep + (lift @ own) @ to_node) / per_node.sum()
+            out += own * keep
+            back -= own * lift
+            back[step] = per_node
+            keep -= lost * keep
+            lift -= lost * lift
+            lift[step] = lost * level
+        self._shorts[duration_us] = _Short(to_node, keep, lift, out, back)
         return self._shorts[duration_us]
 
     def _find_modes(self) -> _Modes:
@@ -279,6 +291,8 @@ class SkinCircuit:
 
 def _balance(current: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return currents that sum to zero: the stronger pole is lowered in proportion."""
+    if not current.sum():
+        return current
     cathodic, anodic = np.maximum(current, 0), np.maximum(-current, 0)
     out, back = float(cathodic.sum()), float(anodic.sum())
     if out == back:

@@ -59,7 +59,7 @@ def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iter
 
 
 HELD_UP_NS = 1_000_000
-"""A send that takes longer than this has waited for the board."""
+"""A send that takes longer than this, beside its own work, has waited for the board."""
 _LATE_AGAIN_NS = 5_000_000_000
 """Time without a delay after which the next one is reported."""
 _WAIT = "a whole number of nanoseconds"
@@ -225,7 +225,7 @@ class _Loop:
             held_ns = self._hold(inputs.source.send_at_ns)
             now_ns, in_hand_ns = now_ns + held_ns, in_hand_ns + held_ns
             board_ns, due_ns = board_ns + held_ns, due_ns + held_ns
-        sending_ns = clock.now_ns()
+        sending_ns, own_ns = clock.now_ns(), time.thread_time_ns()
         try:
             number = self._send(step, due_ns)
         except BoardStoppedError:
@@ -233,18 +233,19 @@ class _Loop:
                 raise
             return False
         sent_ns = clock.now_ns()
-        work_us = (time.thread_time_ns() - worked_ns) / 1000
+        over_ns = time.thread_time_ns()
         result = StepResult(
             step,
             number,
             (sent_ns - in_hand_ns) / 1000,
-            work_us,
+            (over_ns - worked_ns) / 1000,
             board.acknowledged,
             board.refused,
             self.phase.newest,
             now_ns - self._start_ns,
         )
-        waited_ns = sent_ns - sending_ns
+        # Proving and writing are the loop's own work, however long.
+        waited_ns = sent_ns - sending_ns - (over_ns - own_ns)
         sent = Sent(
             0 if number is None else number,
             in_hand_ns - step.input.age_ns,
