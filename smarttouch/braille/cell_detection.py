@@ -18,7 +18,7 @@ STRIDE = 4
 """Pixels of the picture per position of the network's map."""
 LEAST = 0.4
 """Least certainty of a position where a cell is found."""
-_DILATIONS = (1, 1, 2, 4, 8, 2, 1)
+DILATIONS = (1, 1, 2, 4, 8, 2, 1)
 _NEAR_PX, _AROUND_PX = (
     41,
     81,
@@ -48,7 +48,7 @@ def looked_at(grey: NDArray[np.uint8]) -> tuple[Image, Image]:
     height, width = grey.shape
     edges = 0, -height % (2 * STRIDE), 0, -width % (2 * STRIDE)
     framed = cv2.copyMakeBorder(grey, *edges, borderType=cv2.BORDER_REFLECT)
-    even = _even(np.asarray(framed, np.uint8))
+    even = evened(np.asarray(framed, np.uint8))
     return even, _run(even)
 
 
@@ -69,7 +69,7 @@ def cells_of(maps: Image) -> FoundCells:
     )
 
 
-def _even(grey: NDArray[np.uint8]) -> Image:
+def evened(grey: NDArray[np.uint8]) -> Image:
     """Return a picture with normalized background and contrast."""
     picture = grey.astype(np.float32)
     near = picture - cv2.blur(picture, (_NEAR_PX,) * 2, borderType=cv2.BORDER_REFLECT)
@@ -83,7 +83,7 @@ def _run(picture: Image) -> Image:
     image = picture[None]
     for (weights, bias), stride in zip(layers[:3], (1, 2, 2), strict=True):
         image = np.maximum(_convolved(image, weights, bias, stride), 0)
-    for (weights, bias), dilation in zip(layers[3:-1], _DILATIONS, strict=True):
+    for (weights, bias), dilation in zip(layers[3:-1], DILATIONS, strict=True):
         image = image + np.maximum(_convolved(image, weights, bias, dilation=dilation), 0)
     maps = _convolved(image, *layers[-1])
     for each in (0, *range(3, 9)):

@@ -1,10 +1,8 @@
 """Cells of Braille, their dots, and files of them: BRF and PEF."""
 
-import codecs
 import re
 import uuid
 import xml.etree.ElementTree as ET
-from enum import StrEnum
 from pathlib import Path
 from typing import Any, TypeAlias
 from xml.parsers import expat
@@ -13,14 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import BrailleError
-from smarttouch.base.files import (
-    MOST_DOCUMENT_BYTES,
-    decoded,
-    open_file,
-    read_bytes,
-    write_bytes,
-)
-from smarttouch.pages.structured_text import format_of
+from smarttouch.base.files import read_bytes, write_bytes
 
 Pages: TypeAlias = list[list[str]]
 """Pages of lines of cells."""
@@ -74,52 +65,6 @@ def dots_to_cells(dots: NDArray[Any]) -> str:
 
 MOST_BYTES = 50_000_000
 """Largest file; a book has a few million cells."""
-
-_BEGINNING_BYTES = 4096
-_NO_TEXT = bytes({*range(0x20), 0x7F} - {*b"\t\n\f\r\x1b"})
-
-
-class FileKind(StrEnum):
-    """Kind of material that a file holds."""
-
-    TEXT = "text"
-    BRF = "brf"
-    PEF = "pef"
-    STRUCTURED = "structured"
-    """HTML, Markdown, EPUB, DOCX or ODT."""
-    PAGES = "pages"
-    """Images or a PDF, or nothing that can be read."""
-
-
-def file_kind(path: Path) -> FileKind:
-    """Return the kind of a file by its first bytes; only .brf, .txt and .md, and HTML without its
-    beginning, are known by their names."""
-    suffix = path.suffix.lower()
-    with open_file(path, BrailleError, MOST_DOCUMENT_BYTES) as file:
-        data = file.read(_BEGINNING_BYTES)
-    if suffix == ".brf":
-        return FileKind.BRF
-    if b"<pef" in data or suffix == ".pef":
-        return FileKind.PEF
-    if suffix == ".txt":
-        return FileKind.TEXT
-    if format_of(path) is not None:
-        return FileKind.STRUCTURED
-    if b"%PDF-" in data or data.translate(None, _NO_TEXT) != data:
-        return FileKind.PAGES
-    try:
-        # The last character may be cut.
-        codecs.getincrementaldecoder("utf-8")().decode(data)
-    except UnicodeDecodeError:
-        return FileKind.PAGES
-    return FileKind.TEXT
-
-
-def read_plain_text(path: Path) -> str:
-    """Return a text file in UTF-8, with newlines only, and no byte-order mark."""
-    text = decoded(read_bytes(path, BrailleError, MOST_BYTES), path, BrailleError)
-    return text.replace("\r\n", "\n").replace("\r", "\n")
-
 
 # North American Braille ASCII, as printers take it; in the order of the patterns 0 to 63.
 _CODE = " A1B'K2L@CIF/MSP\"E3H9O6R^DJG>NTQ,*5<-U8V.%[$+X!&;:4\\0Z7(_?W]#Y)="
@@ -189,7 +134,7 @@ def _cells(line: str, name: str, count: int) -> str:
 _PEF = "http://www.daisy.org/ns/2008/pef"
 _DC = "http://purl.org/dc/elements/1.1/"
 _FORMAT = "application/x-pef+xml"
-_NO_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+NO_XML = re.compile("[^\t\n\r -\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 """Characters that XML does not have; names of files may."""
 
 
@@ -223,7 +168,7 @@ def format_pef(pages: Pages, title: str, author: str = "", language: str = "") -
         ("creator", author),
         ("language", language),
     ):
-        if written := _NO_XML.sub("", value):
+        if written := NO_XML.sub("", value):
             ET.SubElement(meta, f"{{{_DC}}}{key}").text = written
     volume = _add(
         _add(root, "body"), "volume", rowgap="0", duplex="false",

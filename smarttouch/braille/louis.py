@@ -33,7 +33,8 @@ _TAG_OF = {
 }  # fmt: skip
 """Tags under which liblouis has languages that others know by a wider or narrower one."""
 _PLAIN_ENDS = ("-g0.utb", "-g0.ctb", "-g1.utb", "-g1.ctb", ".utb", ".ctb", ".tbl")
-_ASKED_BACK = "abc"
+_ASKED_BACK = {"he": "אבג"}
+"""Letters of languages whose tables have Latin ones beside their own; of all others abc."""
 
 _lock = threading.Lock()
 """Lock of liblouis, which keeps its state in globals."""
@@ -153,6 +154,11 @@ def title_of(table: str) -> str:
     return _query("lou_getTableInfo", table.encode(), b"display-name") or f"liblouis table {table}"
 
 
+def language_of(table: str) -> str:
+    """Return the tag of the language that a table gives itself; empty if none."""
+    return _query("lou_getTableInfo", table.encode(), b"language")
+
+
 class TableFile(NamedTuple):
     """Table of liblouis, as it describes itself."""
 
@@ -210,9 +216,9 @@ def _goes_both_ways(table: str) -> bool:
     """Return whether a table says so, or does so: some are called forward and go back as well."""
     if _query("lou_getTableInfo", table.encode(), b"direction") != "forward":
         return True
-    code = LouisCode(table, goes_back=True)
+    code, asked = LouisCode(table, goes_back=True), _ASKED_BACK.get(language_of(table), "abc")
     try:
-        return code.decode(code.encode(_ASKED_BACK)) == _ASKED_BACK
+        return code.decode(code.encode(asked)) == asked
     except BrailleError:
         return False
 

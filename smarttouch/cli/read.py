@@ -2,7 +2,7 @@
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -18,9 +18,6 @@ from smarttouch.cli.source_options import (
     table_of,
 )
 from smarttouch.views.keys_and_signals import drives_a_board
-
-if TYPE_CHECKING:
-    from smarttouch.braille.cell_pages import Loaded
 
 
 @drives_a_board
@@ -120,8 +117,9 @@ def braille(
     table: TableOption = None,
     back: Annotated[bool, option("Translate cells back into text.", None, "--back")] = False,
     output: Annotated[
-        Path | None, option("Write a .brf, .pef or .txt file instead of printing.", "FILE")
+        Path | None, option("Write a .brf, .pef, .ebrl or .txt file, instead of printing.", "FILE")
     ] = None,
+    overwrite: Annotated[bool, option("Replace the file.", None, "--overwrite")] = False,
     columns: Annotated[
         int | None, option("Set the number of cells in a line, usually 40.", "N")
     ] = None,
@@ -136,16 +134,9 @@ def braille(
     """Translate text into Braille, or Braille into text."""
     from smarttouch.base.errors import BrailleError
     from smarttouch.base.files import require_folder, write_bytes
-    from smarttouch.braille.cell_pages import (
-        COLUMNS,
-        INDENT,
-        ROWS,
-        lay_out,
-        lay_out_blocks,
-        load_cells,
-        write_cells,
-    )
+    from smarttouch.braille.cell_pages import laid_out, write_cells
     from smarttouch.braille.code_tables import open_table
+    from smarttouch.reading.document_cells import forget_pages, load_material
 
     if tables:
         _print_tables()
@@ -154,12 +145,17 @@ def braille(
         message = "nothing to read is given: give a text or a file, or list the tables"
         raise BrailleError(message, about="text", remedy="tables")
     require_folder(output)
-    named = table_of(table, document.languages)
-    code = open_table(named)
-    seen = _seen(source, named, document, output)
-    loaded = seen or load_cells(source, code, leave_out)
+    if output is not None and output.is_file() and not overwrite:
+        message = f"{output} is there already: give another name, or let it be overwritten"
+        raise BrailleError(message, about="file", remedy="overwrite")
+    code = open_table(table_of(table, document.languages))
+    place, options = document.recognition(source)
+    loaded = load_material(
+        place, options, code, leave_out, lambda words: typer.echo(words, err=True), output
+    )
     for note in loaded.notes:
         typer.echo(note, err=True)
+    pages = laid_out(loaded, columns, rows, shown=output is None)
     if back:
         text = code.to_text("\n".join(loaded.paragraphs)) + "\n"
         if output is None:
@@ -169,52 +165,15 @@ def braille(
             message = f"cannot write a text as {output}: give a name that ends in .txt"
             raise BrailleError(message, about="file")
         write_bytes(output, text.encode(), BrailleError)
-        _forget_pages(seen, output)
         print(output)
-        return
-    pages = loaded.pages
-    if loaded.shaped is not None and output is not None:
-        wide = COLUMNS if columns is None else columns
-        pages = lay_out_blocks(loaded.shaped, wide, ROWS if rows is None else rows)
-    elif pages is None or columns is not None or rows is not None:
-        # What is shown is not printed: there, paragraphs need no indent.
-        indent = 0 if output is None else INDENT
-        wide = COLUMNS if columns is None else columns
-        pages = lay_out(loaded.paragraphs, wide, ROWS if rows is None else rows, indent)
-    if output is None:
+    elif output is None:
         print("\n".join(line for page in pages for line in page))
         return
-    write_cells(output, pages, loaded.shaped.document if loaded.shaped else None)
-    _forget_pages(seen, output)
-    print(f"{output}: pages {len(pages)}, lines {sum(map(len, pages))}")
-
-
-def _seen(
-    source: str, table: str, document: DocumentOptions, output: Path | None
-) -> "Loaded | None":
-    """Return the cells of an image or a PDF; None for anything else."""
-    from smarttouch.braille.cell_pages import Loaded, file_of
-    from smarttouch.braille.cells import FileKind, file_kind
-    from smarttouch.reading.braille_lines import Braille
-    from smarttouch.reading.document_cells import document_cells
-    from smarttouch.reading.material import ReadingMaterial
-
-    place, options = document.recognition(source)
-    file = file_of(place)
-    if file is None or file_kind(file) is not FileKind.PAGES:
-        return None
-    notes: list[str] = []
-    shown = ReadingMaterial(place, options, notes.append)
-    found = document_cells(Braille(table), shown, lambda words: typer.echo(words, err=True), output)
-    return Loaded(found, None, notes)
-
-
-def _forget_pages(seen: "Loaded | None", output: Path) -> None:
-    """Remove the pages that were kept for an output, which has them now."""
-    if seen is not None:
-        from smarttouch.reading.document_cells import forget_pages
-
-        forget_pages(output)
+    else:
+        for note in write_cells(output, pages, loaded.document(code), not options.pages):
+            typer.echo(note, err=True)
+        print(f"{output}: pages {len(pages)}, lines {sum(map(len, pages))}")
+    forget_pages(output)
 
 
 def _print_tables() -> None:

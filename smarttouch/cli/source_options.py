@@ -21,13 +21,6 @@ if TYPE_CHECKING:
     from smarttouch.reading.recognition import RecognitionOptions
 
 _MOST_BYTES = 256_000_000
-_BEGINNINGS = {
-    b"%PDF": ".pdf",
-    b"\x89PNG": ".png",
-    b"\xff\xd8\xff": ".jpg",
-    b"II*\0": ".tif",
-    b"MM\0*": ".tif",
-}
 
 
 def or_standard_input(ctx: typer.Context, given: str | None) -> str | None:
@@ -58,16 +51,9 @@ def _file_of_standard_input() -> Iterator[Path]:
             about="standard input",
         )
     with tempfile.TemporaryDirectory(prefix="smarttouch-") as folder:
-        path = Path(folder) / f"standard input{_ending(data)}"
+        path = Path(folder) / "standard input"
         path.write_bytes(data)
         yield path
-
-
-def _ending(data: bytes) -> str:
-    """Return the suffix of a file by its first bytes; that of a text if they are unknown."""
-    if b"<pef" in data[:1000]:
-        return ".pef"
-    return next((each for start, each in _BEGINNINGS.items() if data.startswith(start)), ".txt")
 
 
 _FORM = "Form of the text"

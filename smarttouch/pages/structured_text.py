@@ -5,12 +5,15 @@ import re
 import shutil
 import string
 import subprocess
+import xml.etree.ElementTree as ET
 import zipfile
+import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import IntFlag, StrEnum
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 from smarttouch.base.errors import PageError
 from smarttouch.base.files import open_file, parse_json, read_bytes
@@ -28,6 +31,20 @@ _HTML = re.compile(
     rb"(\xef\xbb\xbf)?\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)*<(!doctype\s+html|html)\b",
     re.IGNORECASE | re.DOTALL,
 )
+
+_XHTML = "{http://www.w3.org/1999/xhtml}"
+_LISTS_PAGES = {("{http://www.idpf.org/2007/ops}type", "page-list")}
+_MOST_LIST_BYTES = 5_000_000
+_DAMAGES = (
+    OSError,
+    ValueError,
+    RuntimeError,
+    EOFError,
+    zipfile.BadZipFile,
+    zlib.error,
+    ET.ParseError,
+)
+"""What zipfile raises for damaged, encrypted and unknown content, and XML."""
 
 
 class Emphasis(IntFlag):
@@ -48,23 +65,34 @@ class BlockKind(StrEnum):
     """Of a list."""
     ROW = "row"
     """Of a table; its cells are parted by semicolons."""
+    PAGE = "page"
+    """Where a page of print begins; its text is the page's number."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """Characters of one emphasis."""
+    """Characters of one emphasis, or the number of a page of print that begins there."""
 
     text: str
     emphasis: Emphasis = Emphasis.PLAIN
+    page: bool = False
+
+
+BETWEEN = Run("; ")
+"""What parts the cells of a row."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """Heading, paragraph, item or row; its level counts from 1 for headings, from 0 for items."""
+    """Heading, paragraph, item or row; its level counts from 1 for headings, from 0 for items.
+
+    ``continued`` if it goes on with the block before a page of print.
+    """
 
     kind: BlockKind
     level: int
     runs: tuple[Run, ...]
+    continued: bool = False
 
     @property
     def text(self) -> str:
@@ -80,11 +108,12 @@ class StructuredText:
     title: str = ""
     author: str = ""
     language: str = ""
+    date: str = ""
 
     @property
     def text(self) -> str:
-        """A line for each block."""
-        return "\n".join(block.text for block in self.blocks)
+        """A line for each block, without the numbers of pages of print."""
+        return _text_of(self.blocks, "\n")
 
 
 def format_of(path: Path) -> str | None:
@@ -110,9 +139,9 @@ def read_structured_text(path: Path) -> StructuredText:
     data = read_bytes(path, PageError, MOST_BYTES)
     if data.startswith(b"PK"):
         _require_modest(path, data)
-    if kind == "odt":
-        data = _with_table_heads(data)
     try:
+        if kind == "odt":
+            data = _with_table_heads(data)
         done = subprocess.run(
             [program, "+RTS", f"-M{_MEMORY}", "-RTS", "--sandbox", "-f", str(kind), "-t", "json"],
             input=data, capture_output=True, timeout=_TIMEOUT_S, check=False,
@@ -121,15 +150,22 @@ def read_structured_text(path: Path) -> StructuredText:
             lines = done.stderr.decode("utf-8", "replace").split("\n")
             raise PageError(f"{path} cannot be read: {lines[0] or 'pandoc failed'}", about="file")
         document = parse_json(done.stdout)
+        if kind == "epub":
+            _mark_pages(document["blocks"], _page_list(data))
         blocks = tuple(each for each in _blocks(document["blocks"]) if each.text.strip())
         about = document["meta"]
     except subprocess.TimeoutExpired:
         message = f"{path} was not read within {_TIMEOUT_S:g} s: give a smaller document"
         raise PageError(message, about="file") from None
-    except (OSError, ValueError, RecursionError) as error:
+    except (*_DAMAGES, RecursionError) as error:
         raise PageError(f"{path} cannot be read: {error}", about="file") from None
     title, author = _said(about.get("title")), _said(about.get("author") or about.get("creator"))
-    return StructuredText(blocks, title, author, _said(about.get("lang") or about.get("language")))
+    language = _said(about.get("lang") or about.get("language"))
+    return StructuredText(blocks, title, author, language, _said(about.get("date")))
+
+
+def _text_of(blocks: Iterable[Block], between: str) -> str:
+    return between.join(block.text for block in blocks if block.kind is not BlockKind.PAGE)
 
 
 def _require_modest(path: Path, data: bytes) -> None:
@@ -137,7 +173,7 @@ def _require_modest(path: Path, data: bytes) -> None:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as packed:
             size = sum(each.file_size for each in packed.infolist())
-    except (zipfile.BadZipFile, ValueError, OSError) as error:
+    except _DAMAGES as error:
         raise PageError(f"{path} is damaged: {error}", about="file") from None
     if size > MOST_UNPACKED_BYTES:
         raise PageError(
@@ -167,7 +203,7 @@ def _said(value: Any) -> str:
     if value["t"] == "MetaInlines":
         return "".join(run.text for run in _runs(content)).strip()
     if value["t"] == "MetaBlocks":
-        return " ".join(block.text for block in _blocks(content))
+        return _text_of(_blocks(content), " ")
     if value["t"] == "MetaList":
         return ", ".join(filter(None, map(_said, content)))
     if value["t"] == "MetaMap":
@@ -189,6 +225,8 @@ def _blocks(nodes: Iterable[Any], inside: Block | None = None) -> Iterator[Block
         elif kind == "LineBlock":
             for line in content:
                 yield from _lines(usual, _runs(line))
+        elif kind == "Div" and (number := _page_number(node)):
+            yield from _lines(usual, [Run(number, page=True)])
         elif kind in ("BlockQuote", "Div", "Figure"):
             yield from _blocks(content if kind == "BlockQuote" else content[-1], inside)
         elif kind in ("BulletList", "OrderedList"):
@@ -208,8 +246,10 @@ def _blocks(nodes: Iterable[Any], inside: Block | None = None) -> Iterator[Block
 def _item(nodes: Iterable[Any], level: int, number: str) -> Iterator[Block]:
     """Yield the blocks of an item, the first with its number."""
     for block in _blocks(nodes, Block(BlockKind.ITEM, level, ())):
-        yield replace(block, runs=(Run(number), *block.runs)) if number else block
-        number = ""
+        if number and block.kind is not BlockKind.PAGE:
+            block = replace(block, runs=(Run(number), *block.runs))
+            number = ""
+        yield block
 
 
 def _numbers(attributes: Any) -> Iterator[str]:
@@ -230,22 +270,93 @@ def _table(content: Any) -> Iterator[Block]:
     for row in rows:
         runs: list[Run] = []
         for cell in row[1]:
-            inside = [run for block in _blocks(cell[-1]) for run in (*block.runs, Run(" "))][:-1]
-            runs += ([Run("; ")] if runs else []) + (inside or [Run("-")])
+            blocks = list(_blocks(cell[-1]))
+            # No page begins within a row.
+            yield from (block for block in blocks if block.kind is BlockKind.PAGE)
+            kept = (block.runs for block in blocks if block.kind is not BlockKind.PAGE)
+            inside = [run for each in kept for run in (*each, Run(" "))][:-1]
+            runs += ([BETWEEN] if runs else []) + (inside or [Run("-")])
         if any(run.text.strip("-; ") for run in runs):
             yield Block(BlockKind.ROW, 0, tuple(runs))
 
 
 def _lines(like: Block, runs: Iterable[Run]) -> Iterator[Block]:
-    """Yield a block of this kind for each line of some runs."""
-    line: list[Run] = []
-    for run in runs:
-        first, *others = run.text.split("\n")
+    """Yield a block of this kind for each line of some runs, and one for each page of print that
+    begins there: after the word it divides, but before a heading."""
+    line, pages, every = list[Run](), list[Block](), list(runs)
+    if like.kind is BlockKind.HEADING:
+        every.sort(key=lambda run: not run.page)
+    continued = False
+
+    def block() -> Iterator[Block]:
+        nonlocal continued
+        if any(run.text.strip() for run in line):
+            yield replace(like, runs=tuple(line), continued=continued)
+            continued = True
+        yield from pages
+        line.clear()
+        pages.clear()
+
+    for run in every:
+        if run.page:
+            pages.append(Block(BlockKind.PAGE, 0, (run,)))
+            continue
+        text = run.text
+        if pages:
+            at_end = not line or line[-1].text[-1:].isspace()
+            gap = 0 if at_end else next((k for k, each in enumerate(text) if each.isspace()), -1)
+            if gap >= 0:
+                line.append(replace(run, text=text[:gap]))
+                yield from block()
+                text = text[gap:].lstrip(" ")
+        first, *others = text.split("\n")
         line.append(replace(run, text=first))
         for each in others:
-            yield replace(like, runs=tuple(line))
-            line = [replace(run, text=each)]
-    yield replace(like, runs=tuple(line))
+            yield from block()
+            continued = False
+            line.append(replace(run, text=each))
+    yield from block()
+
+
+def _page_list(data: bytes) -> dict[str, str]:
+    """Return the numbers of the pages of print that an EPUB lists, by pandoc's names of places."""
+    found = {}
+    with zipfile.ZipFile(io.BytesIO(data)) as packed:
+        for each in packed.infolist():
+            if not each.filename.endswith((".xhtml", ".html")) or each.file_size > _MOST_LIST_BYTES:
+                continue
+            content = packed.read(each)
+            if b"page-list" not in content:
+                continue
+            lists = ET.fromstring(content).iter(f"{_XHTML}nav")
+            pages = (nav for nav in lists if set(nav.items()) >= _LISTS_PAGES)
+            for link in (each for nav in pages for each in nav.iter(f"{_XHTML}a")):
+                file, _, part = unquote(link.get("href", "")).rpartition("#")
+                found[f"{file.rpartition('/')[2]}#{part}"] = "".join(link.itertext()).strip()
+    return found
+
+
+def _mark_pages(node: Any, numbers: dict[str, str]) -> None:
+    """Mark the places, in pandoc's nodes, where pages of print begin."""
+    for each in node.values() if isinstance(node, dict) else node:
+        if isinstance(each, dict | list):
+            _mark_pages(each, numbers)
+    if isinstance(node, dict) and node["t"] in ("Span", "Div") and node["c"][0][0] in numbers:
+        node["c"][0][2].append(["pagebreak", numbers[node["c"][0][0]]])
+
+
+def _page_number(node: Any) -> str:
+    """Return the number of the page of print that begins at a node; empty if none does."""
+    (_, classes, pairs), inside = node["c"][0], node["c"][-1]
+    if not {"pagebreak", "doc-pagebreak"} & {*classes, *(part for pair in pairs for part in pair)}:
+        return ""
+    about = dict(pairs)
+    words = about.get("pagebreak") or about.get("title") or about.get("aria-label")
+    if not words:
+        runs = (block.text for block in _blocks([{"t": "Plain", "c": inside}]))
+        words = " ".join(runs) if node["t"] == "Span" else _text_of(_blocks(inside), " ")
+    # "Page 12." is 12.
+    return (words.split() or [""])[-1].rstrip(".")
 
 
 _EMPHASIS = {"Emph": Emphasis.ITALIC, "Strong": Emphasis.BOLD, "Underline": Emphasis.UNDERLINE}
@@ -269,10 +380,12 @@ def _runs(nodes: Iterable[Any], emphasis: Emphasis = Emphasis.PLAIN) -> Iterator
             yield from _runs(content[1], emphasis)
             yield Run(quotes[1], emphasis)
         elif kind == "Note":
-            note = " ".join(block.text for block in _blocks(content))
+            note = _text_of(_blocks(content), " ")
             yield Run(f" ({note})", emphasis)
         elif kind == "Link" and "footnote-back" in content[0][1]:
             continue
+        elif kind == "Span" and (number := _page_number(node)):
+            yield Run(number, page=True)
         elif kind in ("Link", "Span", "Cite", "Image"):
             yield from _runs(content[1], emphasis)
         elif kind in ("Strikeout", "Superscript", "Subscript", "SmallCaps"):

@@ -274,13 +274,19 @@ class Braille:
 
     def page_paragraphs(self, source: ReadingMaterial, number: int, page: Page) -> list[str]:
         """Return a page as cells, a line for each paragraph of print or line of raised dots."""
+        return self.page_cells(source, number, page)[0]
+
+    def page_cells(
+        self, source: ReadingMaterial, number: int, page: Page
+    ) -> tuple[list[str], bool]:
+        """Return the same, and whether the page is print."""
         if self._shows_dots(page):
-            return self._decoded(source, number, page)
+            return self._decoded(source, number, page), False
         table = open_table(self.table)
         prepared = upright_page(number, page, source.options, source.note)
         text = recognized_text(prepared, source.options, source.note)
         _note_missing(source, number, table, table.missing(text))
-        return table.to_cells(text, leave_out=True).split("\n")
+        return table.to_cells(text, leave_out=True).split("\n"), True
 
     def _seen(self, source: ReadingMaterial, number: int, page: Page) -> Iterator[Cells]:
         """Yield the cells of a page, whether it shows Braille or print."""

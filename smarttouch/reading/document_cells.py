@@ -13,9 +13,14 @@ from pathlib import Path
 from smarttouch.base.errors import ReadingError
 from smarttouch.base.files import make_folder, unwritable, write_bytes
 from smarttouch.base.version import __version__
+from smarttouch.braille.block_layout import text_of_cells
+from smarttouch.braille.cell_pages import Loaded, file_of, load_cells
 from smarttouch.braille.cells import BLANK
+from smarttouch.braille.code_tables import BrailleTable, open_table
+from smarttouch.pages.file_kinds import FileKind, file_kind
 from smarttouch.reading.braille_lines import Braille
 from smarttouch.reading.material import EmptyPages, ReadingMaterial
+from smarttouch.reading.recognition import RecognitionOptions
 
 _SLOW_S = 0.5
 """Time of the first page from which the others are worth processes of their own."""
@@ -31,12 +36,32 @@ class PageCells:
     number: int
     paragraphs: list[str]
     notes: list[str]
+    printed: bool
+
+
+def load_material(
+    place: str,
+    options: RecognitionOptions,
+    table: BrailleTable,
+    leave_out: bool,
+    progress: Progress,
+    output: Path | None = None,
+) -> Loaded:
+    """Load cells from an image or a PDF as `document_cells`, from all else as `load_cells`."""
+    file = file_of(place)
+    if file is None or file_kind(file) is not FileKind.PAGES:
+        return load_cells(place, table, leave_out)
+    notes: list[str] = []
+    source = ReadingMaterial(place, options, notes.append)
+    return replace(document_cells(Braille(table.name), source, progress, output), notes=notes)
 
 
 def document_cells(
     braille: Braille, source: ReadingMaterial, progress: Progress, output: Path | None = None
-) -> list[str]:
-    """Return the paragraphs of a document as cells; ``progress`` is called as pages are done.
+) -> Loaded:
+    """Return a document as cells; ``progress`` is called as pages are done.
+
+    Several pages of print keep their numbers; pages of Braille keep their lines.
 
     With an ``output``, finished pages are kept in a folder beside it until `forget_pages`, and are
     used again by another run with the same document and options.
@@ -55,15 +80,21 @@ def document_cells(
         found[each.number] = each
         if len(numbers) > 1:
             progress(f"page {each.number} done, {len(found)} of {len(numbers)}")
-    empty, paragraphs = EmptyPages(source.note), []
-    for number in numbers:
-        page = found[number]
+    empty, pages = EmptyPages(source.note), [found[number] for number in numbers]
+    paragraphs, begins = list[str](), dict[int, str]()
+    about, printed = source.about()
+    for page in pages:
         for words in page.notes:
             source.note(words)
-        empty.add(number, any(each.strip(BLANK) for each in page.paragraphs))
+        empty.add(page.number, any(each.strip(BLANK) for each in page.paragraphs))
+        if page.printed and page.number in printed:
+            begins[len(paragraphs)] = printed[page.number]
         paragraphs += page.paragraphs
     empty.conclude()
-    return paragraphs
+    if not any(page.printed for page in pages):
+        return Loaded(paragraphs, [page.paragraphs for page in pages], [])
+    shaped = text_of_cells(paragraphs, open_table(braille.table), begins, about)
+    return Loaded(paragraphs, None, [], shaped)
 
 
 def forget_pages(output: Path) -> None:
@@ -113,7 +144,8 @@ def _page(braille: Braille, source: ReadingMaterial, number: int, alone: bool = 
     options = replace(source.options, pages=str(number))
     material = ReadingMaterial(source.name, options, notes.append)
     ((_, page),) = material.pages()
-    return PageCells(number, braille.page_paragraphs(material, number, page), notes)
+    paragraphs, printed = braille.page_cells(material, number, page)
+    return PageCells(number, paragraphs, notes, printed)
 
 
 def _files(
@@ -148,6 +180,6 @@ def _keep(page: PageCells, path: Path) -> None:
 def _kept(path: Path) -> PageCells | None:
     try:
         kept = json.loads(path.read_bytes())
-        return PageCells(kept["number"], kept["paragraphs"], kept["notes"])
+        return PageCells(kept["number"], kept["paragraphs"], kept["notes"], kept["printed"])
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -11,9 +11,9 @@ from joblib import Parallel, delayed
 
 from smarttouch.base.errors import ReadingError
 from smarttouch.base.lazy_names import import_extra
-from smarttouch.braille.cells import read_plain_text
 from smarttouch.braille.code_tables import open_table
 from smarttouch.imaging.array_window import rows_of
+from smarttouch.pages.file_kinds import read_plain_text
 from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.physiology.finger import Finger
 from smarttouch.reading.braille_lines import Braille

@@ -15,11 +15,12 @@ from smarttouch.base.errors import PageError, SourceError, UnknownSizeError, req
 from smarttouch.base.files import read_text
 from smarttouch.base.tables import read_csv
 from smarttouch.pages.document import open_document
+from smarttouch.pages.file_kinds import FileKind, file_kind
 from smarttouch.pages.ink import separate_ink
 from smarttouch.pages.page_image import Page, load_page
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened
-from smarttouch.pages.structured_text import format_of, read_structured_text
+from smarttouch.pages.structured_text import read_structured_text
 from smarttouch.pages.text_lines import TextLine, find_lines
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet
@@ -237,10 +238,11 @@ def _magnification(text: str, page: Page, profile: Profile, light_on_dark: bool)
 
 
 def load_or_guess(path: Path, dpi: float | None, width_mm: float | None) -> tuple[Page, str]:
-    """Return a page, and a sentence if its scale is guessed; a text in a .txt file is printed."""
-    if path.exists() and format_of(path) is not None:
+    """Return a page, and a sentence if its scale is guessed; a text is printed."""
+    kind = file_kind(path) if path.is_file() else None
+    if kind is FileKind.STRUCTURED:
         return print_text(read_structured_text(path).text), ""
-    if path.suffix.lower() == ".txt":
+    if kind is FileKind.TEXT:
         return print_text(read_text(path, PageError).strip()), ""
     try:
         return load_page(path, dpi=dpi, page_width_mm=width_mm), ""

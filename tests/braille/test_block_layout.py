@@ -4,7 +4,8 @@ import pytest
 
 from smarttouch.base.errors import BrailleError
 from smarttouch.braille import louis
-from smarttouch.braille.cell_pages import lay_out_blocks, shaped_text, write_cells
+from smarttouch.braille.block_layout import lay_out_blocks, shaped_text
+from smarttouch.braille.cell_pages import write_cells
 from smarttouch.braille.cells import BLANK, format_brf, parse_pef
 from smarttouch.braille.code_tables import open_table
 from smarttouch.pages.structured_text import Block, BlockKind, Emphasis, Run, StructuredText
@@ -65,7 +66,7 @@ def test_emphasis_is_marked():
 def test_a_pef_names_its_document(tmp_path):
     text = document(("paragraph", 0, "word"))
     pages = lay_out_blocks(shaped_text(text, open_table("en-1")))
-    write_cells(tmp_path / "a.pef", pages, text)
+    write_cells(tmp_path / "a.pef", pages, shaped_text(text, open_table("en-1")))
     data = (tmp_path / "a.pef").read_text()
     for name, value in (("title", "A title"), ("creator", "A. Writer"), ("language", "en")):
         assert f"<dc:{name}>{value}</dc:{name}>" in data
@@ -78,3 +79,20 @@ def test_too_small_a_page_for_blocks():
     shaped = shaped_text(document(("item", 3, "word")), open_table("en-1"))
     with raises(BrailleError, about="page"):
         lay_out_blocks(shaped, columns=9)
+
+
+def test_pages_of_print_are_marked_and_go_on_with_letters():
+    go_on = Block(BlockKind.PARAGRAPH, 0, (Run("and more words"),), continued=True)
+    text = document(
+        ("page", 0, "iv"), ("paragraph", 0, "one"), ("page", 0, "5"), ("paragraph", 0, "two"),
+    )  # fmt: skip
+    rest = document(
+        ("page", 0, "6"), ("page", 0, "7"), ("heading", 2, "next"), ("paragraph", 0, "word " * 12),
+    ).blocks  # fmt: skip
+    pages = printed(StructuredText((*text.blocks, *rest[:2], go_on, *rest[2:])), rows=9)
+    assert pages == [
+        ["                  IV", "  ONE", "------------------#E", "  TWO", "---------------#F-#G",
+         "AND MORE WORDS", "", "", "                  #A"],
+        ["              A#F-#G", "    NEXT", "  WORD WORD WORD", *["WORD WORD WORD WORD"] * 2,
+         "WORD", "", "", "                  #B"],
+    ]  # fmt: skip

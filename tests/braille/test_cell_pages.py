@@ -6,8 +6,8 @@ import pytest
 
 from smarttouch.base.errors import BrailleError
 from smarttouch.braille.cell_pages import load_cells, write_cells
-from smarttouch.braille.cells import FileKind, file_kind
 from smarttouch.braille.code_tables import open_table
+from smarttouch.pages.file_kinds import FileKind, file_kind
 
 from ..raising import raises
 
@@ -125,7 +125,7 @@ def test_nothing_to_read(load, text):
 
 
 def test_files_that_cannot_be_written(tmp_path):
-    with raises(BrailleError, about="file", allowed=(".brf", ".pef", ".txt")):
+    with raises(BrailleError, about="file", allowed=(".brf", ".pef", ".ebrl", ".txt")):
         write_cells(tmp_path / "a.doc", [["⠁"]])
     with raises(BrailleError, about="file"):
         write_cells(tmp_path / "none" / "a.brf", [["⠁"]])

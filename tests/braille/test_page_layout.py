@@ -7,7 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import BrailleError
-from smarttouch.braille.cell_pages import join, lay_out
+from smarttouch.braille.block_layout import join, lay_out
 
 from ..raising import raises
 

@@ -95,7 +95,7 @@ def test_without_liblouis(program_here, monkeypatch):
     ("a --columns=1", says(BrailleError, " 1 x 25 cells", "2 columns")),
     ("a --columns=0", says(BrailleError, " 0 x 25 cells", "2 columns")),
     ("a --rows=-1", says(BrailleError, " 40 x -1 cells", "1 row")),
-    ("a --output=a.doc", says(BrailleError, "a.doc", ".brf", ".pef", ".txt")),
+    ("a --output=a.doc", says(BrailleError, "a.doc", ".brf", ".pef", ".ebrl", ".txt")),
     ("a --output=none/a.brf", says(about="file", value=Path("none/a.brf"))),
     ("⡀ --output=a.brf", says(BrailleError, "⡀", "cell 3", "dots 7 or 8", ".pef")),
     ("⠁ --back --output=a.brf",

@@ -125,15 +125,12 @@ class Context:
         return resource.__enter__()
 
 
-@pytest.mark.parametrize(("data", "ending"), [
-    (b"%PDF-1.7", ".pdf"), (b"\x89PNG\r\n", ".png"), (b"\xff\xd8\xff\xe0", ".jpg"),
-    (b"II*\0", ".tif"), (b'<?xml version="1.0"?><pef>', ".pef"), ("Ünd".encode(), ".txt"),
-])  # fmt: skip
-def test_what_standard_input_holds_is_found_out(monkeypatch, data, ending):
+@pytest.mark.parametrize("data", [b"%PDF-1.7", "Ünd".encode(), b"<!DOCTYPE html><p>a</p>"])
+def test_standard_input_is_a_file(monkeypatch, data):
     monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(data)))
     context = Context()
     path = Path(or_standard_input(context, "page:-?dpi=300")[len("page:") : -len("?dpi=300")])
-    assert (path.suffix, path.read_bytes()) == (ending, data)
+    assert (path.name, path.read_bytes()) == ("standard input", data)
     context.resource.__exit__(None, None, None)
     assert not path.exists()
 
