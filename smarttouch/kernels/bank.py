@@ -174,6 +174,8 @@ def problem_hash(profile: Profile) -> str:
         from smarttouch.physiology.anatomy import load_anatomy
 
         anatomy = load_anatomy(profile.kernels.anatomy).model_dump(exclude={"name", "title"})
+        if not anatomy["layers"]:
+            del anatomy["layers"]
         problem["fingers"] = [profile.kernels.fingers, anatomy, profile.force.full_n]
         problem["felt"] = profile.perception.model_dump(
             exclude={"comfort_ratio", "level", "anatomy"}

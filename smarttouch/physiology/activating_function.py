@@ -174,29 +174,21 @@ def field_at(
         return potential.line_in_plane(x, depth_mm), 1 / (
             2 * np.pi * skin.conductivity * electrodes.cell_mm[1]
         )
+    _check_shapes(electrodes, skin)
     if shape == "rectangle":
-        if skin.layers:
-            raise DesignError(
-                "layered skin is offered for point, disc and annulus electrodes, not for "
-                "rectangles: use medium 'half-space'",
-                about="skin.medium",
-            )
         found = potential.rectangle(x, y, depth_mm, outer, inner)
     elif skin.layers or shape == "annulus":
         # scipy's interpolation is slow to import, and only these media need it.
         from smarttouch.physiology.layered_skin import round_electrode
 
-        layers = [(layer.thickness_mm, layer.conductivity_s_per_m) for layer in skin.layers]
         radii = (0.0, 0.0) if shape == "point" else (outer / 2, inner / 2)
         depth = np.asarray(depth_mm).item()
-        found = round_electrode(x, y, depth, *radii, layers or [(np.inf, 1.0)])
+        found = round_electrode(x, y, depth, *radii, _layers(skin))
     elif shape == "point":
         found = potential.point(x, y, depth_mm)
     else:
         found = potential.disc(x, y, depth_mm, outer / 2)
-    conductivity = 1.0 if skin.layers else skin.conductivity
-    half_spaces = 2 if skin.medium == "infinite" else 1
-    return found, 1 / (2 * np.pi * conductivity * half_spaces)
+    return found, _volts(skin)
 
 
 def _field_of_kinds(
@@ -247,39 +239,61 @@ def af_matrix(
 
 
 def potential_mv(
-    profile: Profile, points_mm: NDArray[np.float64], electrodes: ElectrodeArray | None = None
+    profile: Profile,
+    points_mm: NDArray[np.float64],
+    electrodes: ElectrodeArray | None = None,
+    skin: Skin | None = None,
 ) -> NDArray[np.float64]:
     """Return the potential (..., E), mV per mA of cathodic current, at points (..., 3) mm.
 
-    It is negative under a cathode. Skin must be homogeneous: layered fields have one depth each.
+    It is negative under a cathode. Electrodes and skin are the profile's unless given.
     """
-    electrodes, skin = electrodes or profile.electrodes, profile.skin
-    if skin.layers:
-        raise DesignError(
-            "a finger of layered skin is not offered: give the profile a homogeneous medium, "
-            "'half-space' or 'infinite'",
-            about="skin.medium",
-        )
+    electrodes, skin = electrodes or profile.electrodes, skin or profile.skin
     flat, depth = points_mm.reshape(-1, 3)[:, :2], points_mm.reshape(-1, 3)[:, 2:]
-    if skin.medium != "plane" and {shape for shape, _ in electrodes.kinds} <= {"disc", "annulus"}:
+    _check_shapes(electrodes, skin)
+    closed = {shape for shape, _ in electrodes.kinds} <= {"disc", "annulus"}
+    if skin.layers or (skin.medium != "plane" and closed):
         r2, across = (flat[:, k, None] - electrodes.position_mm[:, k] for k in (0, 1))
         r2 *= r2
         across *= across
         r2 += across
-        half_spaces = 2 if skin.medium == "infinite" else 1
-        scale = 1 / (2 * np.pi * skin.conductivity * half_spaces)
-        found = np.sqrt(r2, out=r2)
+        found, scale = np.sqrt(r2, out=r2), _volts(skin)
         alone = len(electrodes.kinds) == 1
         for (shape, (outer, inner)), those in electrodes.kinds.items():
             # All of them without a copy.
             which = slice(None) if alone else those
-            if shape == "disc":
-                found[:, which] = potential.disc_potential(found[:, which], depth, outer / 2)
+            r, radii = found[:, which], (outer / 2, inner / 2)
+            if shape == "disc" and not skin.layers:
+                found[:, which] = potential.disc_potential(r, depth, outer / 2)
             else:
-                r = found[:, which]
-                found[:, which] = potential.annulus_potential(r, depth, outer / 2, inner / 2)
+                # scipy's interpolation is slow to import, and only these media need it.
+                from smarttouch.physiology.layered_skin import layered_potential
+
+                radii = (0.0, 0.0) if shape == "point" else radii
+                found[:, which] = layered_potential(r, depth[:, 0], radii, _layers(skin))
         found *= -1000 * scale
     else:
         fields, scale = field_at(electrodes, skin, flat, depth)
         found = 1000 * scale * fields.potential
     return np.asarray(found.reshape(*points_mm.shape[:-1], len(electrodes)))
+
+
+def _check_shapes(electrodes: ElectrodeArray, skin: Skin) -> None:
+    if skin.layers and any(shape == "rectangle" for shape, _ in electrodes.kinds):
+        raise DesignError(
+            "layered skin is offered for point, disc and annulus electrodes, not for "
+            "rectangles: use medium 'half-space'",
+            about="skin.medium",
+        )
+
+
+def _layers(skin: Skin) -> list[tuple[float, float]]:
+    """Return thickness, mm, and conductivity, S/m, of each layer; homogeneous skin is one of 1."""
+    layers = [(layer.thickness_mm, layer.conductivity_s_per_m) for layer in skin.layers]
+    return layers or [(np.inf, 1.0)]
+
+
+def _volts(skin: Skin) -> float:
+    """Return the factor from fields per I/2π to V/mA."""
+    conductivity = 1.0 if skin.layers else skin.conductivity
+    return 1 / (2 * np.pi * conductivity * (2 if skin.medium == "infinite" else 1))

@@ -1,11 +1,12 @@
 """Anatomies of a finger: densities, courses and thresholds of its afferents, as TOML files."""
 
 import math
+from dataclasses import replace
 from enum import IntEnum
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ProfileError
@@ -15,9 +16,11 @@ from smarttouch.physiology.driving_function import (
     free_ending,
     load_driving,
 )
-from smarttouch.profile.toml_tables import Positive, Table, load_model
+from smarttouch.profile.device import FINGER_PAD, SkinLayer, layer_misfits
+from smarttouch.profile.toml_tables import Positive, Table, load_model, raise_all
 
 _SHIPPED = Path(__file__).with_name("anatomies")
+_LAYERED = "-layered"
 
 
 class Bystander(IntEnum):
@@ -40,6 +43,9 @@ class ClassAnatomy(Table):
     """Fiber whose driving function they have."""
     diameter_um: Positive = 0.5
     """Diameter of an unmyelinated fiber; the others have their own."""
+    diameter_factor: Positive = 1.0
+    """Diameter over that of the fiber; internodes grow with it, and of a fiber that keeps its
+    proportions nothing else changes."""
     threshold_mv: Positive = THRESHOLD_MV
     """Depolarization that fires an unmyelinated fiber."""
     ending: Literal["through", "active", "passive"] = "passive"
@@ -85,9 +91,11 @@ class ClassAnatomy(Table):
 
     def driving(self, width_us: float) -> DrivingFunction:
         """Return the driving function of the fibers for a pulse width."""
+        part = self.diameter_factor
         if self.fiber == "unmyelinated":
-            return free_ending(self.diameter_um, width_us, self.threshold_mv)
-        return load_driving(self.fiber, self.ending, width_us)
+            return free_ending(part * self.diameter_um, width_us, self.threshold_mv)
+        found = load_driving(self.fiber, self.ending, width_us)
+        return replace(found, internode_mm=part * found.internode_mm)
 
 
 class BystanderAnatomy(ClassAnatomy):
@@ -119,12 +127,20 @@ class Anatomy(Table):
     """Area of contact at 1 N; electrodes beyond it deliver nothing. All touch if none."""
     contact_exponent: float = Field(default=1 / 3, ge=0, le=1)
     """Power of the force with which the area grows. Ours."""
+    layers: tuple[SkinLayer, ...] = ()
+    """Layers of the skin from the surface down, as in a profile; the profile's medium if none, and
+    under line electrodes in a plane."""
     ra: ClassAnatomy
     sai: ClassAnatomy
     pc: ClassAnatomy
     saii: BystanderAnatomy | None = None
     a_delta: BystanderAnatomy | None = None
     c: BystanderAnatomy | None = None
+
+    @model_validator(mode="after")
+    def _layered(self) -> Self:
+        raise_all(layer_misfits(self.layers, "layers"))
+        return self
 
     def of(self, afferent: Afferent) -> ClassAnatomy:
         return (self.ra, self.sai, self.pc)[afferent]
@@ -143,14 +159,18 @@ class Anatomy(Table):
 
 
 def list_anatomies() -> list[str]:
-    """Return the names of the shipped anatomies."""
-    return sorted(path.stem for path in _SHIPPED.glob("*.toml"))
+    """Return the names of the shipped anatomies, each also with layers of skin."""
+    return sorted(path.stem + skin for path in _SHIPPED.glob("*.toml") for skin in ("", _LAYERED))
 
 
 def load_anatomy(name: str | Path) -> Anatomy:
     """Load a shipped anatomy by name, or any by its TOML file; ProfileError if it is not valid."""
     known = list_anatomies()
-    path = _SHIPPED / f"{name}.toml" if str(name) in known else Path(name)
+    if str(name) in known:
+        plain = str(name).removesuffix(_LAYERED)
+        skin = {} if plain == name else {"layers": FINGER_PAD}
+        return load_model(_SHIPPED / f"{plain}.toml", Anatomy, name=str(name), **skin)
+    path = Path(name)
     if not path.exists():
         raise ProfileError(
             f"no anatomy {str(name)!r}: give a TOML file or one of {', '.join(known)}",

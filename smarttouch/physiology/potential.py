@@ -124,23 +124,6 @@ def disc_potential(r: Array, depth: float | Array, radius: float) -> Array:
     return span
 
 
-def annulus_potential(r: Array, depth: float | Array, outer: float, inner: float) -> Array:
-    """Return the (anodic) potential of an annulus that passes current evenly.
-
-    The mean over its rings of the potential of one, 2 K(m) / π√((r + s)² + z²) with m = 4rs / ((r +
-    s)² + z²), by Gauss's rule.
-    """
-    # scipy's functions are slow to import, and only rings need this one.
-    from scipy.special import ellipk
-
-    total = np.zeros(np.broadcast(r, depth).shape)
-    for node, weight in zip(*np.polynomial.legendre.leggauss(16), strict=True):
-        s = (outer + inner) / 2 + node * (outer - inner) / 2
-        span = (r + s) ** 2 + depth * depth
-        total += weight * s * ellipk(4 * r * s / span) / np.sqrt(span)
-    return np.asarray(2 / np.pi / (outer + inner) * total)
-
-
 def rectangle(x: Array, y: Array, depth: float | Array, width: float, height: float) -> Field:
     """Return the field of a rectangle that passes current evenly, with sides along x and y.
 

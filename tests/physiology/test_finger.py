@@ -41,7 +41,8 @@ def patterns(profile, seed, slots=8):
 
 
 def test_the_shipped_anatomies():
-    assert list_anatomies() == sorted(ANATOMIES)
+    both = (*ANATOMIES, *(f"{each}-layered" for each in ANATOMIES))
+    assert list_anatomies() == sorted(both)
 
 
 @pytest.mark.parametrize("anatomy", ANATOMIES)
@@ -153,9 +154,43 @@ def test_what_is_wrong_with_an_anatomy(tmp_path, small):
         Finger(small, 1, path)
 
 
-def test_layered_skin_is_not_offered(small, layered):
-    with raises(DesignError, about="skin.medium", value="layered"):
-        _ = Finger(layered(small), 1, "paper").rows
+LAYERS = [{"conductivity_s_per_m": 0.43, "thickness_mm": each} for each in (0.3, 1.2)]
+
+
+@pytest.mark.parametrize("anatomy", ANATOMIES)
+def test_layers_of_one_conductivity_are_the_half_space(small, layered, anatomy):
+    layers = [*LAYERS, {"conductivity_s_per_m": 0.43}]
+    own = load_anatomy(anatomy).model_copy(update={"layers": layers})
+    plain, *same = (
+        Finger(profile, 1, course)
+        for profile, course in ((small, anatomy), (small, own), (layered(small, layers), anatomy))
+    )
+    scale = np.abs(plain.rows[0]).max()
+    for each in same:
+        assert_close(each.rows[0], plain.rows[0], rel=0, abs=1e-3 * scale)
+
+
+def test_layers_change_what_fires_and_the_anatomy_s_count_before_the_profile_s(small, layered):
+    plain, own = (Finger(small, 1, name) for name in ("paper", "paper-layered"))
+    assert [each.name for each in own.skin.layers][::3] == ["stratum corneum", "bone"]
+    both = Finger(layered(small, [*LAYERS, {"conductivity_s_per_m": 2.0}]), 1, "paper-layered")
+    assert np.array_equal(both.rows[0], own.rows[0])
+    assert np.array_equal(own.receptor_mm, plain.receptor_mm)
+    assert own.rows[0].max() > 1.2 * plain.rows[0].max()
+
+
+def test_what_layers_cannot_do(small, layered, changed, tmp_path):
+    rectangles = {"layout": "free", "positions_mm": [[0, 0], [3, 0]], "shape": "rectangle"}
+    array = changed(layered(small), {"array": rectangles | {"size_mm": [1, 2]}})
+    with raises(DesignError, about="skin.medium"):
+        _ = Finger(array, 1, "paper").rows
+    path = tmp_path / "mine.toml"
+    classes = "".join(f"[{each}]\ndensity_per_cm2 = 9\n" for each in ("ra", "sai", "pc"))
+    for layer in ("conductivity_s_per_m = 1\nthickness_mm = 1", "conductivity_s_per_m = 1"):
+        layers = f"[[layers]]\n{layer}\n"
+        path.write_text('title = "x"\n' + layers * (2 - ("thickness" in layer)) + classes)
+        with raises(ProfileError, about="layers"):
+            load_anatomy(path)
 
 
 def test_a_curved_pad_lies_deeper_off_the_axis(small):

@@ -2,11 +2,20 @@
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.special import j0, j1
 
-from smarttouch.physiology.layered_skin import round_electrode, spectrum, transfer
-from smarttouch.physiology.potential import disc, point
+from smarttouch.base.errors import DesignError
+from smarttouch.physiology.layered_skin import (
+    layered_potential,
+    round_electrode,
+    transfer,
+)
+from smarttouch.physiology.potential import disc, disc_potential, point
+
+from ..raising import raises
+from ..reference import layered_field as reference
 
 HOMOGENEOUS = [(np.inf, 1.0)]
 SKIN = [(0.3, 0.02), (1.2, 0.43), (np.inf, 0.025)]
@@ -28,37 +37,12 @@ def by_images(x, depth, thickness, upper, lower, count=400):
     return potential / upper
 
 
-def by_boundary_values(k, depth, layers):
-    """Solve continuity of potential and current at every interface, frequency by frequency."""
-    tops = np.concatenate([[0.0], np.cumsum([thickness for thickness, _ in layers[:-1]])])
-    count = len(layers)
-    system, right = np.zeros((2 * count - 1, 2 * count - 1)), np.zeros(2 * count - 1)
-    # Unknown 2i falls and 2i+1 rises in layer i, both 1 at its top; the last one only falls.
-    system[0, 0] = layers[0][1]
-    system[0, 1:2] = -layers[0][1]
-    right[0] = 1.0
-    for i in range(count - 1):
-        drop = np.exp(-k * layers[i][0])
-        own, below = layers[i][1], layers[i + 1][1]
-        system[2 * i + 1, 2 * i : 2 * i + 2] = [drop, 1 / drop]
-        system[2 * i + 2, 2 * i : 2 * i + 2] = [own * drop, -own / drop]
-        system[2 * i + 1, 2 * i + 2 : 2 * i + 4] = [-1, -1][: 2 * count - 3 - 2 * i]
-        system[2 * i + 2, 2 * i + 2 : 2 * i + 4] = [-below, below][: 2 * count - 3 - 2 * i]
-    answer = np.append(np.linalg.solve(system, right), 0.0)
-    layer = int(np.searchsorted(tops, depth, side="right")) - 1
-    falling, rising = answer[2 * layer : 2 * layer + 2]
-    into = k * (depth - tops[layer])
-    return falling * np.exp(-into) + rising * np.exp(into), (
-        falling * np.exp(-into) - rising * np.exp(into)
-    )
-
-
 @pytest.mark.parametrize("depth", [0.1, 0.7, 0.9, 2.0])
 @pytest.mark.parametrize("k", [0.01, 0.3, 1.0, 4.0, 9.0])
 def test_transfer_solves_the_boundary_values(depth, k):
     level, slope = transfer(np.array([k]), depth, SKIN)
-    expected = by_boundary_values(k, depth, SKIN)
-    assert (level[0], slope[0]) == pytest.approx(expected, rel=1e-8)
+    expected = reference.transfer(np.array([k]), depth, SKIN)
+    assert (level, slope) == (pytest.approx(expected[0]), pytest.approx(expected[1]))
 
 
 @pytest.mark.parametrize("depth", [0.5, 0.9, 2.0])
@@ -87,27 +71,17 @@ def test_two_layers_are_a_row_of_images(upper, lower):
 @pytest.mark.parametrize(("outer", "inner", "depth"), [
     (0.0, 0.0, 0.7), (0.5, 0.0, 0.2), (0.5, 0.0, 2.0), (0.8, 0.4, 0.2), (0.8, 0.4, 0.7),
 ])  # fmt: skip
-def test_three_layers_against_adaptive_quadrature(outer, inner, depth):
+def test_three_layers_against_an_integral_of_its_own(outer, inner, depth):
     x, y = axis(0.0, 0.5, 1.3, 4.0)
     found = round_electrode(x, y, depth, outer, inner, SKIN)
-    for index, r in enumerate(x):
-
-        def integral(weight, r=r):
-            def integrand(k):
-                level, slope = by_boundary_values(k, depth, SKIN)
-                current = float(spectrum(np.array([k]), outer, inner)[0])
-                return current * weight(k, level, slope, r)
-
-            # Growing exponentials spoil the naive solution beyond; nothing is left there.
-            return quad(integrand, 1e-9, 30 / depth, limit=400, epsabs=1e-8, epsrel=1e-8)[0]
-
-        potential = integral(lambda k, level, slope, r: level * j0(k * r))
-        zz = integral(lambda k, level, slope, r: level * k * k * j0(k * r))
-        assert -found.potential[index] == pytest.approx(potential, rel=1e-4)
-        assert -found.zz[index] == pytest.approx(zz, rel=1e-4, abs=1e-6 * abs(found.zz[0]))
-        if r:
-            slant = integral(lambda k, level, slope, r: slope * k * k * j1(k * r))
-            assert -found.xz[index] == pytest.approx(slant, rel=1e-4)
+    kinds = (
+        (found.potential, lambda k, level, _: level * j0(np.outer(x, k))),
+        (found.zz, lambda k, level, _: level * k * k * j0(np.outer(x, k))),
+        (found.xz, lambda k, _, slope: slope * k * k * j1(np.outer(x, k))),
+    )
+    for mine, weight in kinds:
+        expected = reference.integral(weight, 4.0, depth, SKIN, outer, inner)
+        assert -mine == pytest.approx(expected, rel=1e-4, abs=1e-6 * np.abs(expected).max())
 
 
 def test_laplace_in_every_layer():
@@ -141,3 +115,50 @@ def test_insulating_fat_holds_the_current_in_the_skin():
         for below in (0.43, 0.025)
     )
     assert np.all(np.abs(held.potential) > np.abs(open_.potential))
+
+
+def second_differences(potential, places, depth, step=0.079):
+    """Return what drives a fiber with nodes 79 µm apart: across and along the depth, (2, R)."""
+    here = potential(places, depth)
+    across = potential(np.abs(places - step), depth) + potential(places + step, depth) - 2 * here
+    down = potential(places, depth - step) + potential(places, depth + step) - 2 * here
+    return np.array([across, down])
+
+
+LAYER = st.tuples(st.floats(0.02, 4.0), st.floats(0.002, 2.0))
+
+
+@settings(max_examples=3)
+@given(
+    stack=st.lists(LAYER, max_size=3),
+    bottom=st.floats(0.002, 2.0),
+    radii=st.sampled_from([(0.0, 0.0), (0.25, 0.0), (0.5, 0.0), (1.5, 0.0), (0.8, 0.4)]),
+    depth=st.floats(0.4, 4.0),
+    away=st.floats(0.0, 20.0),
+)
+def test_a_table_is_the_integral(stack, bottom, radii, depth, away):
+    """Within 1e-3 of the peak, as are the second differences that drive fibers."""
+    layers = [*stack, (np.inf, bottom)]
+    places = np.array([0.0, 0.3, 0.5, away])
+
+    def table(r, z):
+        return layered_potential(r[None], np.array([z]), radii, layers)[0]
+
+    def integral(r, z):
+        return reference.potential(r, z, layers, *radii)
+
+    mine, theirs = table(places, depth), integral(places, depth)
+    assert np.abs(mine - theirs).max() <= 1e-5 * theirs.max()
+    found, expected = (second_differences(each, places, depth) for each in (table, integral))
+    assert np.abs(found - expected).max() <= 1e-3 * np.abs(expected).max()
+
+
+def test_a_table_of_one_layer_is_the_closed_form_to_the_far_side_of_a_large_array():
+    r, depth = np.meshgrid([0.0, 0.5, 7.0, 63.0, 120.0], [0.2, 0.9, 15.0, 30.0])
+    found = layered_potential(r, depth[:, 0], (0.5, 0.0), HOMOGENEOUS)
+    np.testing.assert_allclose(found, disc_potential(r, depth, 0.5), rtol=1e-5)
+
+
+def test_a_table_has_a_shallowest_depth():
+    with raises(DesignError, about="depth_mm", value=0.1):
+        layered_potential(np.zeros((1, 1)), np.array([0.1]), (0.5, 0.0), HOMOGENEOUS)
