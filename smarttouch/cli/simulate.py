@@ -183,15 +183,11 @@ def study(
     from importlib.util import find_spec
 
     from smarttouch.base.cluster import on_cluster
+    from smarttouch.base.files import write_bytes
     from smarttouch.base.terminal import print_table
     from smarttouch.experiments.study_plan import load_study
-    from smarttouch.experiments.study_run import (
-        ROWS_FILE,
-        STUDY_NAMES,
-        run_study,
-        study_sums,
-        study_table,
-    )
+    from smarttouch.experiments.study_run import ROWS_FILE, run_study
+    from smarttouch.experiments.uncertainty import study_report
     from smarttouch.views import figure_style
     from smarttouch.views.progress import bank_progress, lines_progress
 
@@ -202,24 +198,16 @@ def study(
         lines_progress(quiet, "Fingers") as progress,
     ):
         rows = run_study(asked, plan.parent, output, designing, progress)
-    found = study_sums(rows)
-    if not quiet:
-        heading, lines = study_table(found)
-        print_table(
-            lines,
-            heading,
-            title=asked.title,
-            note="Medians over fingers of means over patterns: read wrongly, silent points, spikes "
-            "of another class, misplaced ones. Best on: fingers on which no other choice is read "
-            "with fewer errors. mA: mean total current of a slot.",
-            ruled=True,
-            left=2,
-        )
-        print(output / ROWS_FILE)
+    found, made = study_report(asked, plan.parent, rows), [output / ROWS_FILE]
+    for name, text in found.files.items():
+        made.append(output / name)
+        write_bytes(made[-1], text.encode())
     if find_spec("matplotlib"):
-        from smarttouch.experiments.study_run import study_figure
-
-        plot = output / "study.png"
-        figure_style.save(study_figure(found, STUDY_NAMES, asked.title), plot)
-        if not quiet:
-            print(plot)
+        made.append(output / "study.png")
+        figure_style.save(found.figure(), made[-1])
+    if not quiet:
+        print_table(
+            found.lines, found.heading, title=asked.title, note=found.note, ruled=True,
+            left=found.left,
+        )  # fmt: skip
+        print(*made, sep="\n")

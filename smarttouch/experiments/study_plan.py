@@ -4,7 +4,7 @@ import csv
 import hashlib
 import io
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import astuple, dataclass, fields, replace
 from functools import cached_property
 from itertools import product
 from pathlib import Path
@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
 from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.experiments.study_priors import Prior, drawn_anatomy, hypercube, load_priors
 from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.kernels.bank import KernelBank, load_bank
-from smarttouch.physiology.anatomy import Anatomy
+from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.response import ResponseQuality
+from smarttouch.physiology.response import ResponseQuality, distinct_slots
+from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import Profile, load_profile
 from smarttouch.profile.device import Kernels
 from smarttouch.profile.toml_tables import Table, UnfitError, load_model
@@ -55,6 +57,13 @@ class Study(Table):
     """How points share slots."""
     intensities: tuple[float, ...] = Field(default=(1.0,), min_length=1, max_length=100)
     """Parts of the strongest comfortable current."""
+    levels: tuple[Literal["profile", "own"], ...] = Field(default=("profile",), min_length=1)
+    """Whose comfort: the profile's, or ``own``, for each finger the profile's multiple of the
+    current at which the first of its afferents fires, up to what the profile's limits allow."""
+    uncertain: int = Field(default=0, ge=0, le=100_000)
+    """Number of draws of what is not known of a finger, for each anatomy; none if 0."""
+    priors: str = ""
+    """File of priors that are drawn from; the shipped ones if empty."""
     letters: str = ALPHABET
     """Letters shown on the fingers; none if empty."""
     pages: tuple[str, ...] = Field(default=(), max_length=1000)
@@ -66,6 +75,12 @@ class Study(Table):
             raise UnfitError(
                 "letters is empty and there are no pages: give one of them", about="letters"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _own_letters(self) -> Self:
+        if self.pages and "own" in self.levels:
+            raise UnfitError("pages are felt at the profile's level: leave out own", about="levels")
         return self
 
     @field_validator("letters")
@@ -113,6 +128,7 @@ class Choice:
     mode: str
     scan: str
     intensity: float
+    level: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +155,9 @@ class DeliveredLetters:
 
 def choices(study: Study) -> Iterator[Choice]:
     """Yield all choices in the order of the table."""
-    for each in product(study.profiles, study.kernels, study.modes, study.scans, study.intensities):
+    for each in product(
+        study.profiles, study.kernels, study.modes, study.scans, study.intensities, study.levels
+    ):
         yield Choice(*each)
 
 
@@ -157,6 +175,22 @@ class Grid:
             each: load_profile(self.file(each)) for each in study.profiles
         }
         self._banks: dict[tuple[str, str], tuple[Profile, KernelBank]] = {}
+
+    def anatomies(self) -> Iterator[tuple[str, Anatomy]]:
+        """Yield each anatomy with its name, or each draw of each as NAME#NUMBER."""
+        for name in self.study.anatomies:
+            anatomy = load_anatomy(self.file(name))
+            if not self.study.uncertain:
+                yield name, anatomy
+                continue
+            for number, values in enumerate(self.drawn[1]):
+                yield f"{name}#{number + 1}", drawn_anatomy(anatomy, self.drawn[0], values)
+
+    @cached_property
+    def drawn(self) -> tuple[tuple[Prior, ...], NDArray[np.float64]]:
+        """Assumptions of an uncertain study, P of them, and their values in each draw, (N, P)."""
+        priors = load_priors(Path(self.file(self.study.priors)) if self.study.priors else None)
+        return priors, hypercube(priors, self.study.uncertain)
 
     def file(self, name: str) -> str | Path:
         """Return a file that lies beside the study, or the name as it is."""
@@ -205,8 +239,8 @@ class Grid:
 class StudyRow:
     """One finger and one pattern."""
 
-    # profile, anatomy, finger, kernels, mode, scan, intensity: what was chosen; the finger is its
-    # seed
+    # profile, anatomy, finger, kernels, mode, scan, intensity, level: what was chosen; the finger
+    # is its seed
     profile: str
     anatomy: str
     finger: int
@@ -214,6 +248,7 @@ class StudyRow:
     mode: str
     scan: str
     intensity: float
+    level: str
     pattern: str  # a letter, or the name of a page
     read_as: str  # letter that was read of the spikes; nothing for a page
     # 1 where a letter was read as another, else 0; of a page the error rate of characters
@@ -250,9 +285,9 @@ class StudyRow:
         total_ua = sum(int(np.abs(each.astype(np.int64)).sum()) for each in current_ua)
         return cls(
             choice.profile, anatomy, finger, choice.kernels, choice.mode, choice.scan,
-            choice.intensity, pattern, read_as, error, quality.silent_points, quality.wrong_class,
-            quality.misplaced, letter.spikes if letter else 0, ra, sai, pc, slots,
-            total_ua / 2000 / max(1, slots),
+            choice.intensity, choice.level, pattern, read_as, error, quality.silent_points,
+            quality.wrong_class, quality.misplaced, letter.spikes if letter else 0, ra, sai, pc,
+            slots, total_ua / 2000 / max(1, slots),
         )  # fmt: skip
 
 
@@ -272,8 +307,9 @@ def rows_of_finger(
     with threadpool_limits(limits=1, user_api="blas"):
         finger = Finger(profile, seed, anatomy)
         for each in shown:
-            for one in letters_on_finger(finger, each.letters, each.wanted, known):
-                current_ua, letter = each.letters[one.letter][0].current_ua, one.letter
+            letters = each.letters if each.choice.level == "profile" else at_own_level(finger, each)
+            for one in letters_on_finger(finger, letters, each.wanted, known):
+                current_ua, letter = letters[one.letter][0].current_ua, one.letter
                 error = float(one.read_as != letter)
                 rows.append(
                     StudyRow.of(
@@ -282,6 +318,28 @@ def rows_of_finger(
                     )
                 )  # fmt: skip
     return rows
+
+
+def at_own_level(
+    finger: Finger, shown: DeliveredLetters
+) -> dict[str, tuple[DeliveredSlots, NDArray[np.bool_]]]:
+    """Return letters with currents scaled to a finger's own comfort.
+
+    Its threshold is the median over slots of the current at which the first afferent fires.
+    """
+    profile = finger.profile
+    slots = [each for each, _ in shown.letters.values()]
+    current_ua = np.concatenate([each.current_ua for each in slots])
+    width_us = np.concatenate([each.width_us for each in slots])
+    first, _ = distinct_slots(current_ua, width_us)
+    highest = SpikeModel(finger).drive(current_ua[first], width_us[first]).max(axis=0)
+    threshold = float(np.median(1 / np.maximum(highest, 1e-3)))
+    most = 1000 * profile.limits.current_ma / max(1, int(np.abs(current_ua).max()))
+    gain = min(shown.choice.intensity * profile.perception.comfort_ratio * threshold, most)
+    return {
+        letter: (replace(each, current_ua=np.rint(gain * each.current_ua).astype(np.int16)), active)
+        for letter, (each, active) in shown.letters.items()
+    }
 
 
 def as_csv(rows: Iterable[StudyRow]) -> str:

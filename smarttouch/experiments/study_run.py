@@ -30,7 +30,7 @@ from smarttouch.experiments.study_plan import (
     row_of_page,
     rows_of_finger,
 )
-from smarttouch.physiology.anatomy import Anatomy, load_anatomy
+from smarttouch.physiology.anatomy import Anatomy
 from smarttouch.physiology.response import ignore_nan
 from smarttouch.profile import Profile
 from smarttouch.views.figure_style import GREY, SERIES_COLORS, new_figure, plain
@@ -38,7 +38,7 @@ from smarttouch.views.figure_style import GREY, SERIES_COLORS, new_figure, plain
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-VERSION = 1
+VERSION = 2
 """Version of the rows, raised when the same study would get others."""
 ROWS_FILE = "rows.csv"
 _PARTS = "parts"
@@ -132,8 +132,7 @@ def _same(rows: _Rows) -> _Rows:
 
 
 def _fingers(grid: Grid) -> Iterator[tuple[str, Anatomy, int]]:
-    for course in grid.study.anatomies:
-        anatomy = load_anatomy(grid.file(course))
+    for course, anatomy in grid.anatomies():
         for seed in range(1, grid.study.fingers + 1):
             yield course, anatomy, seed
 
@@ -188,7 +187,7 @@ STUDY_NAMES = {
     "wrong_class": "spikes of another class",
     "misplaced": "misplaced spikes",
 }
-_CHOSEN = ("profile", "kernels", "mode", "scan", "intensity")
+_CHOSEN = ("profile", "kernels", "mode", "scan", "intensity", "level")
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,10 @@ import pytest
 
 from smarttouch.base.errors import ProfileError, SmartTouchError
 from smarttouch.experiments import study_run
-from smarttouch.experiments.study_plan import Grid, Study, from_csv, load_study
+from smarttouch.experiments.study_plan import Grid, Study, from_csv, load_study, rows_of_finger
 from smarttouch.experiments.study_run import STUDY_NAMES, study_figure, study_sums, study_table
+from smarttouch.physiology.anatomy import load_anatomy
+from smarttouch.profile import load_profile
 
 from ..raising import raises
 
@@ -103,6 +105,23 @@ def test_a_page_is_read_on_fingers(tmp_path):
     assert 0 <= row.silent_points <= 1
 
 
+def test_at_its_own_level_a_finger_s_absolute_thresholds_do_not_matter(tmp_path):
+    rows = []
+    for factor in (0.8, 1.6):
+        anatomy = load_anatomy("paper")
+        hard = {
+            each: getattr(anatomy, each).model_copy(
+                update={"threshold_factor": factor * getattr(anatomy, each).threshold_factor}
+            )
+            for each in ("ra", "sai", "pc")
+        }
+        shown = Grid(SMALL.model_copy(update={"levels": ("own",)}), Path()).shown("smarttouch-4x4")
+        profile = load_profile("smarttouch-4x4")
+        rows.append(rows_of_finger(profile, anatomy.model_copy(update=hard), "paper", 1, shown[:1]))
+    assert [row.ra for row in rows[0]] == [row.ra for row in rows[1]]
+    assert rows[1][0].total_ma == pytest.approx(2 * rows[0][0].total_ma, rel=0.01)
+
+
 def test_a_long_text_is_a_page_and_no_file(tmp_path):
     text = "text:" + 300 * "it "
     assert Grid(SMALL, tmp_path).file(text) == text
@@ -115,6 +134,7 @@ def test_a_long_text_is_a_page_and_no_file(tmp_path):
     ('title = "x"\nkernels = ["best"]', "kernels"),
     ('title = "x"\nintensities = [2.0]', "intensities"),
     ("fingers = 2", "title"),
+    ('title = "x"\nlevels = ["own"]\npages = ["text:it"]', "levels"),
 ])  # fmt: skip
 def test_a_plan_that_makes_no_sense_is_refused(tmp_path, text, about):
     plan = tmp_path / "study.toml"

@@ -17,7 +17,12 @@ from ..raising import raises
 distributed = pytest.importorskip("distributed")
 
 STUDY = Study(
-    title="small", profiles=("smarttouch-4x4",), anatomies=("paper",), fingers=6, letters="LT"
+    title="small",
+    profiles=("smarttouch-4x4",),
+    anatomies=("paper-layered",),
+    fingers=3,
+    letters="LT",
+    uncertain=2,
 )
 
 
