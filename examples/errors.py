@@ -38,10 +38,11 @@ for kind, call in wrong.items():
 
 # %%
 # A kernel is asked for by a class and a site of the array.
-kernel = st.design_kernel(profile, "SAI", 27)
-print(f"site 27: {kernel.off_target:.3f} at {kernel.off_target_class.name}\n")
+line = st.load_profile("line-7")
+kernel = st.design_kernel(line, "SAI", 3)
+print(f"site 3: {kernel.off_target:.3f} at {kernel.off_target_class.name}\n")
 try:
-    st.design_kernel(profile, "SAI", 64)
+    st.design_kernel(line, "SAI", 7)
 except st.SmartTouchError as error:
     show(error)
 

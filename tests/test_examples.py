@@ -14,7 +14,8 @@ EXAMPLES = Path(__file__).parent.parent / "examples"
 SCRIPTS = sorted(EXAMPLES.glob("*.py"))
 LONG = (
     "activating_function", "array_study", "braille_page", "electric_mouse",
-    "frequency_discrimination", "own_kernels", "paper_effects", "read_a_page", "strength_duration",
+    "frequency_discrimination", "irregular_array", "own_kernels", "paper_effects", "read_a_page",
+    "strength_duration",
 )  # fmt: skip
 """Programs that the gallery alone runs, whenever the pages are built."""
 

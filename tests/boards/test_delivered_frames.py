@@ -13,7 +13,7 @@ from smarttouch.stimulation.scheduler import ScanScheduler, SchedulerContext
 
 
 @pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
-def test_delivered_currents_do_what_was_planned(profile, bank, afferent):
+def test_delivered_currents_do_what_was_planned(profile, changed, bank, afferent):
     rng = np.random.default_rng(8)
     scan = ScanScheduler(
         profile, bank, (afferent,), common=SchedulerContext(SlotPolicy((afferent,)))
@@ -38,7 +38,7 @@ def test_delivered_currents_do_what_was_planned(profile, bank, afferent):
     assert not current_ua.sum(axis=1, dtype=int).any()
     assert np.abs(current_ua).max() <= 1000 * limits.current_ma
     assert np.abs(current_ua.astype(int)).sum(axis=1).max() <= 2 * 1000 * limits.total_ma
-    rows = Problem(profile, afferent).rows[0]
+    rows = Problem(changed(profile, {"skin.node_spacing_mm": 0.25}), afferent).rows[0]
     alone_af = profile.full_ma * (rows.target[0] * bank.kernels(afferent)).sum(axis=1)
     faintest = profile.threshold_ma / profile.full_ma
     shared = 0

@@ -23,6 +23,7 @@ from tests.firmware.build import host
 from tests.firmware.scenes import random_table, sequence_of
 
 from ..raising import raises
+from ..whole import WHOLE
 
 PROFILES = {"line-7": 7, "line-8": 8, "smarttouch-4x4": 16, "electric-mouse": 64,
             "optacon-24x6": 144}  # fmt: skip
@@ -89,7 +90,7 @@ class TestSmallFirmware(SmallContract):
 
 @pytest.mark.wall_clock
 @pytest.mark.usefixtures("patient_boards")
-@pytest.mark.parametrize("name", PROFILES)
+@pytest.mark.parametrize("name", PROFILES if WHOLE else list(PROFILES)[2:])
 def test_shipped_profiles_run_on_boards_of_four_slots(start_firmware, tmp_path, name):
     profile, electrodes = load_profile(name), PROFILES[name]
     port = start_firmware(

@@ -12,17 +12,25 @@ from smarttouch.profile import load_profile
 from ..close import assert_close
 from ..raising import raises
 
+# Axons looked at in fewer places: symmetries, names and sums are the same.
+SPACING = "skin.node_spacing_mm"
 
-def test_distinct_sites(profile):
-    ra, sai = Problem(profile, Afferent.RA), Problem(profile, Afferent.SAI)
+
+@pytest.fixture(scope="module")
+def coarse(profile, changed):
+    return changed(profile, {SPACING: 0.5})
+
+
+def test_distinct_sites(coarse):
+    ra, sai = Problem(coarse, Afferent.RA), Problem(coarse, Afferent.SAI)
     assert len({ra.representative(site)[0] for site in range(64)}) == 10
     assert len({sai.representative(site)[0] for site in range(64)}) == 16
 
 
 @pytest.mark.parametrize("name", ["electric-mouse", "kajimoto-61", "line-7"])
 @pytest.mark.parametrize("afferent", list(Afferent))
-def test_symmetries_leave_the_targets_and_the_rows_alone(name, afferent):
-    problem = Problem(load_profile(name), afferent)
+def test_symmetries_leave_the_targets_and_the_rows_alone(changed, name, afferent):
+    problem = Problem(changed(load_profile(name), {SPACING: 0.25}), afferent)
     assert np.array_equal(problem.symmetries[0], np.arange(problem.electrodes))
     for move in problem.symmetries:
         moved = problem.target[np.ix_(move, move)]
@@ -38,7 +46,7 @@ def test_symmetries_leave_the_targets_and_the_rows_alone(name, afferent):
     {"limits.total_ma": 5.0, "perception.threshold_ma": [1.2] * 4 + [1.1] + [1.2] * 11},
 ], ids=lambda keys: next(iter(keys)))  # fmt: skip
 def test_an_electrode_of_its_own_kind_has_no_mirror_image(changed, keys):
-    profile = load_profile("smarttouch-4x4")
+    profile = changed(load_profile("smarttouch-4x4"), {SPACING: 0.5})
     assert len(Problem(profile, Afferent.RA).symmetries) == 8
     mine = changed(profile, keys)
     for move in Problem(mine, Afferent.RA).symmetries:
@@ -61,17 +69,18 @@ SQUARE = {"layout": "free", "positions_mm": [[0, 0], [2, 0], [0, 2], [2, 2]], "s
     ("smarttouch-4x4", {"perception.threshold_ma": [1.2] * 15 + [1.1]}, 8),
 ], ids=["free", "upright", "square", "masked", "thresholds"])  # fmt: skip
 def test_how_many_symmetries_there_are(changed, name, keys, count):
-    assert len(Problem(changed(load_profile(name), keys), Afferent.RA).symmetries) == count
+    mine = changed(load_profile(name), keys | {SPACING: 0.5})
+    assert len(Problem(mine, Afferent.RA).symmetries) == count
 
 
-def test_judging_gives_the_effects_of_weights(profile):
-    problem = Problem(profile, Afferent.SAI)
+def test_judging_gives_the_effects_of_weights(coarse):
+    problem = Problem(coarse, Afferent.SAI)
     weights = np.zeros(64)
     weights[27], weights[0] = 1.0, -1.0
     kernel = problem.judge(weights, 27, kind="three-state")
     assert problem.target[27] @ kernel.weights == pytest.approx(1)
     af = {
-        each: (af_matrix(profile, everywhere(profile, each)) @ kernel.weights).max()
+        each: (af_matrix(coarse, everywhere(coarse, each)) @ kernel.weights).max()
         for each in Afferent
     }
     assert kernel.off_target == pytest.approx(max(af[Afferent.RA], af[Afferent.PC]))
@@ -82,8 +91,8 @@ def test_judging_gives_the_effects_of_weights(profile):
         problem.judge(-weights, 27)
 
 
-def test_no_last_bit_chooses_between_classes_pressed_alike(profile):
-    problem = Problem(profile, Afferent.PC)
+def test_no_last_bit_chooses_between_classes_pressed_alike(coarse):
+    problem = Problem(coarse, Afferent.PC)
     weights = np.zeros(64)
     weights[27], weights[0] = 1.0, -1.0
     ra, sai = (
@@ -97,8 +106,9 @@ def test_no_last_bit_chooses_between_classes_pressed_alike(profile):
     assert problem.judge(weights, 27).off_target_class is Afferent.SAI
 
 
-def test_a_spread_has_rows_for_every_depth_and_direction(profile):
-    nominal, spread = Problem(profile, Afferent.RA), Problem(profile, Afferent.RA, spread=True)
+def test_a_spread_has_rows_for_every_depth_and_direction(profile, changed):
+    mine = changed(profile, {"array.rows": 3, "array.columns": 3, SPACING: 0.25})
+    nominal, spread = (Problem(mine, Afferent.RA, spread=each) for each in (False, True))
     # RA at 3 depths leaning 5 ways; SAI and PC at 3 depths with each direction turned 3 ways.
     assert spread.rows[0].target.shape[0] == 15
     assert len(spread.rows[0].other) == 9 * len(nominal.rows[0].other)
@@ -106,7 +116,7 @@ def test_a_spread_has_rows_for_every_depth_and_direction(profile):
 
 
 def test_a_spread_of_layers_has_rows_for_every_conductivity(profile, layered):
-    mine = layered(profile, **{"array.rows": 2, "array.columns": 2})
+    mine = layered(profile, **{"array.rows": 2, "array.columns": 2, SPACING: 0.5})
     assert len(Problem(mine, Afferent.RA, spread=True).rows) == 5
 
 

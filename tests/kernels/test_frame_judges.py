@@ -16,10 +16,10 @@ from ..raising import raises
 
 
 @pytest.fixture(scope="module", params=[Afferent.RA, Afferent.SAI], ids=lambda each: each.name)
-def judged(request, profile, bank):
-    afferent = request.param
+def judged(request, profile, changed, bank):
+    afferent, coarse = request.param, changed(profile, {"skin.node_spacing_mm": 0.25})
     wish = full_wish(profile, bank.kernels(afferent), bank.receptor[afferent])
-    return FrameJudge(profile, afferent, wish), Problem(profile, afferent)
+    return FrameJudge(coarse, afferent, wish), Problem(coarse, afferent)
 
 
 @settings(max_examples=25, deadline=None)
@@ -56,7 +56,8 @@ def test_every_class_counts(profile, changed, afferent, shallow):
     """Whichever lies highest answers most."""
     if afferent is shallow:
         shallow = Afferent.RA
-    mine = changed(profile, {f"skin.{shallow.name.lower()}_depth_mm": 0.45})
+    depth = {f"skin.{shallow.name.lower()}_depth_mm": 0.45}
+    mine = changed(profile, depth | {"skin.node_spacing_mm": 0.25})
     problem, judge = Problem(mine, afferent), FrameJudge(mine, afferent, np.ones(64))
     level = np.zeros(64)
     level[[9, 27, 50]] = 1.0

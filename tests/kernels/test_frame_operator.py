@@ -49,17 +49,19 @@ def test_targets_get_their_wish_and_currents_sum_to_zero(make_operator, afferent
     assert missed.std() < 0.1 * np.abs(missed).max() + 1e-6
 
 
-def test_no_other_currents_with_the_same_targets_cause_less(profile, make_operator):
+def test_no_other_currents_with_the_same_targets_cause_less(make_operator):
     operator = FrameOperator(make_operator(Afferent.SAI).judge, Weights(1.0, 0.3, 0.2))
     judge, level = operator.judge, scattered(4, 6)
     current, active = operator.currents(level), np.flatnonzero(level)
 
+    squares = []
+    for afferent, factor in ((Afferent.RA, 1.0), (Afferent.PC, 1.0), (Afferent.SAI, 0.3)):
+        rows = af_matrix(judge.profile, everywhere(judge.profile, afferent))
+        squares.append(factor * 64 * rows.T @ rows / (rows**2).sum())
+    squares = np.sum(squares, axis=0) + 0.2 * np.eye(64)
+
     def harm(each):
-        sums = 0.2 * each @ each
-        for afferent, factor in ((Afferent.RA, 1.0), (Afferent.PC, 1.0), (Afferent.SAI, 0.3)):
-            rows = af_matrix(profile, everywhere(profile, afferent))
-            sums += factor * 64 * ((rows @ each) ** 2).sum() / (rows**2).sum()
-        return sums
+        return each @ squares @ each
 
     kept = np.vstack([judge.target[active], np.ones(64)])
     free = np.linalg.svd(kept)[2][len(kept) :]

@@ -19,9 +19,14 @@ BOTH = (Afferent.RA, Afferent.SAI)
 
 
 @pytest.fixture(scope="module")
-def judges(profile, bank):
+def coarse(profile, changed):
+    return changed(profile, {"skin.node_spacing_mm": 0.25})
+
+
+@pytest.fixture(scope="module")
+def judges(coarse, bank):
     return [
-        FrameJudge(profile, each, full_wish(profile, bank.kernels(each), bank.receptor[each]))
+        FrameJudge(coarse, each, full_wish(coarse, bank.kernels(each), bank.receptor[each]))
         for each in BOTH
     ]
 
@@ -32,8 +37,8 @@ def operator(judges):
 
 
 @pytest.fixture(scope="module")
-def problems(profile):
-    return [Problem(profile, each) for each in (*BOTH, Afferent.PC)]
+def problems(coarse):
+    return [Problem(coarse, each) for each in (*BOTH, Afferent.PC)]
 
 
 def wished(seed, ra, sai):

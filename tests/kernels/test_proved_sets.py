@@ -116,7 +116,8 @@ def test_what_is_no_grid_or_large_has_no_sets(profile, bank, changed):
     hexagon = load_profile("kajimoto-61")
     wish = np.full(61, 2.0)
     assert proved_sets(FrameOperator(FrameJudge(hexagon, Afferent.RA, wish)), FrameBounds()) == []
-    wide = changed(profile, {"array.rows": 18, "array.columns": 18})
+    many = {"array.rows": 18, "array.columns": 18, "skin.node_spacing_mm": 1.0}
+    wide = changed(profile, many)
     judge = FrameJudge(wide, Afferent.RA, np.full(324, 2.2))
     assert proved_sets(FrameOperator(judge), FrameBounds()) == []
 

@@ -12,17 +12,17 @@ from .test_frame_operator import scattered
 
 @pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
 def test_a_single_kernel_is_as_bad_as_on_the_worst_finger_of_its_problem(
-    profile, bank, make_operator, afferent
+    bank, make_operator, afferent
 ):
-    judges = spread_judges(make_operator(afferent).judge)
+    judge = make_operator(afferent).judge
+    judges, profile = spread_judges(judge), judge.profile
     current, level = bank.kernels(afferent)[27] * profile.full_ma[27], np.eye(64)[27]
-    figures = [judge.judge(current, level) for judge in judges]
-    worst = Worst.of(figures)
+    worst = Worst.of([each.judge(current, level) for each in judges])
     # The problem takes its weakest target and its worst node of any finger: never less.
     whole = Problem(profile, afferent, spread=True).judge(np.asarray(current, np.float64), 27)
     assert worst.off_target <= whole.off_target * 1.01
     assert worst.off_target > 0.75 * whole.off_target
-    assert worst.off_target > make_operator(afferent).judge.judge(current, level).off_target
+    assert worst.off_target > judge.judge(current, level).off_target
     assert worst.weakest < 1 < worst.strongest
 
 

@@ -31,8 +31,8 @@ def small(changed):
 
     def make(impedance_kohm=1.0, **more):
         profile = load_profile("smarttouch-4x4")
-        keys = {"array.rows": 2, "array.columns": 3, "output.impedance_kohm": impedance_kohm}
-        return changed(profile, keys | more)
+        keys = {"array.rows": 2, "array.columns": 3, "skin.node_spacing_mm": 0.25}
+        return changed(profile, keys | {"output.impedance_kohm": impedance_kohm} | more)
 
     return make
 

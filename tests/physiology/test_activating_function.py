@@ -83,8 +83,10 @@ def test_every_shape_on_every_medium_it_goes_with(profile, changed, layered):
                 assert np.all(np.diag(af_matrix(mine, nodes)) > 0)
 
 
-def test_layers_of_one_conductivity_are_the_half_space(profile, layered):
-    same = layered(profile, [layer | {"conductivity_s_per_m": 0.43} for layer in LAYERS])
+def test_layers_of_one_conductivity_are_the_half_space(profile, changed, layered):
+    few = {"array.rows": 3, "array.columns": 4}
+    layers = [layer | {"conductivity_s_per_m": 0.43} for layer in LAYERS]
+    profile, same = changed(profile, few), layered(profile, layers, **few)
     for afferent in Afferent:
         nodes = everywhere(profile, afferent)
         one, other = af_matrix(profile, nodes), af_matrix(same, nodes)

@@ -112,7 +112,8 @@ def test_impossible_rates(profile, bank, rate):
 @pytest.fixture(scope="module", params=["line-7", "kajimoto-61"])
 def masked(request, changed):
     """A profile without electrodes 2 and 5, and its bank."""
-    profile = changed(load_profile(request.param), {"output.masked": [2, 5]})
+    keys = {"output.masked": [2, 5], "skin.node_spacing_mm": 0.5}
+    profile = changed(load_profile(request.param), keys)
     return profile, design_bank(profile)
 
 
