@@ -254,7 +254,8 @@ def test_a_board_that_was_lost_begins_again_at_zero(profile, tmp_path, begun, ad
     progress, display = begun(tmp_path / "p.json", {}), display_of(profile, Losing)
     # While it rises, twice, and in the trials.
     display.board.at = lost = [300, 700, 2600] if adaptive else [300, 700]
-    run(display, profile, subjects(profile), [0], progress, adaptive=adaptive, repeats=1)
+    repeats = 3 if adaptive else 1
+    run(display, profile, subjects(profile), [0], progress, adaptive=adaptive, repeats=repeats)
     sequences = display.board.sequences
     for each in lost:
         assert level_of(sequences[each - 1]) > 0
