@@ -129,8 +129,8 @@ FOUND = {
     "StopsNot": STOPS | CLOSES | {ANY_LINE}, "StopsLater": STOPS | {ANY_LINE},
     "MeasuresOn": {MEASURED}, "ClosesWithCurrent": CLOSES,
 }  # fmt: skip
-DRAWN = ("OnePolarity", "Hundredfold", "FiftiethMore", "Backwards", "Undischarged", "Twice",
-         "LooksTooEarly", "StopsLater", "MeasuresOn", "ClosesWithCurrent")  # fmt: skip
+DRAWN = ("FiftiethMore", "Backwards", "Undischarged", "Twice", "LooksTooEarly", "StopsLater",
+         "MeasuresOn", "ClosesWithCurrent")  # fmt: skip
 """One of each kind."""
 
 

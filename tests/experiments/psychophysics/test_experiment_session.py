@@ -13,6 +13,7 @@ from smarttouch.experiments.psychophysics.trials import Answer
 from smarttouch.profile import load_profile
 
 from ...raising import raises
+from ...whole import WHOLE
 from .sitting import DATE, Perfect, sit
 
 SHORT = ExperimentOptions(repetitions=1, standards=(30.0,), train_s=0.15)
@@ -76,7 +77,7 @@ def whole(profile, bank, tmp_path_factory):
     ).session.rows
 
 
-@pytest.mark.parametrize("stop_after", [0, 4, 9])
+@pytest.mark.parametrize("stop_after", [0, 4, 9] if WHOLE else [4])
 def test_a_run_that_is_stopped_in_the_middle_of_a_trial_goes_on(
     profile, bank, tmp_path, whole, stop_after
 ):

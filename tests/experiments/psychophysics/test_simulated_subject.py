@@ -19,6 +19,7 @@ from smarttouch.experiments.psychophysics.trial_rows import read_rows
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ...raising import raises
+from ...whole import WHOLE
 from .sitting import Perfect, sit
 
 
@@ -99,7 +100,10 @@ def test_two_looks_make_a_choice():
     assert 8 < tossed.count("1") < 32
 
 
-@pytest.mark.parametrize("name", ["detection", "two-point", "localization", "discomfort"])
+EXPERIMENTS = ["detection", "two-point", "localization", "discomfort"]
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS if WHOLE else EXPERIMENTS[2:])
 def test_the_model_sits_every_experiment(profile, bank, tmp_path, name):
     wanted = ExperimentOptions(repetitions=2, train_s=1.0 if name == "discomfort" else 0.1)
     made = new_experiment(name, profile, wanted)
