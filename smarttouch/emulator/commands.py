@@ -41,9 +41,7 @@ def emulate_board(
     output: Annotated[
         str, option("Of a link board: weighted, three-state, ...", "KIND")
     ] = "weighted",
-    firmware: Annotated[
-        str | None, option("Of an eTactileKit: v1.0, 936c6c0, 71adee2 or newest.", "NAME")
-    ] = None,
+    firmware: Annotated[str | None, option("Of an eTactileKit: 71adee2 or newest.", "NAME")] = None,
     tcp: Annotated[bool, option("Serve TCP instead of a serial port.", None, "--tcp")] = False,
     discovery_port: Annotated[
         int | None, option("With --tcp: UDP port to answer ETK? on.", "N")
@@ -69,9 +67,9 @@ def emulate_board(
     """Emulate a board on skin, behind a port whose name is printed, until Ctrl-C."""
     from smarttouch.base.afferent import Afferent
     from smarttouch.boards.link.protocol import OUTPUTS
+    from smarttouch.emulator.etactilekit_firmware import FIRMWARES
     from smarttouch.emulator.finger_events import EmulatedFinger
     from smarttouch.emulator.firmware import DeliveryLog
-    from smarttouch.emulator.kit_hardware import GENERATIONS
     from smarttouch.emulator.sequence_at_hand import MOST_KERNELS, Room
     from smarttouch.emulator.skin import COMPLIANCE_V
 
@@ -97,8 +95,8 @@ def emulate_board(
     if firmware is not None and name != "etactilekit":
         message = f"firmware is for etactilekit, and a {name} has only one: leave it out"
         raise SmartTouchError(message, about="firmware")
-    if firmware is not None and firmware not in GENERATIONS:
-        raise not_offered("firmware", firmware, GENERATIONS)
+    if firmware is not None and firmware not in FIRMWARES:
+        raise not_offered("firmware", firmware, FIRMWARES)
     if discovery_port is not None and not tcp:
         message = "discovery_port is for a board on the network: serve TCP"
         raise SmartTouchError(message, about="discovery_port", remedy="tcp")

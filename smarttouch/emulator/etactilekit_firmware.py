@@ -1,12 +1,12 @@
 """Emulated firmware of the eTactileKit, exact in bytes and scans, with its faults.
 
 It refuses nothing: a wrong byte is a wrong current. A scan is fixed when it starts; later commands
-count from the next one. All generations but the newest parse nothing while they scan, so a scan
-that takes longer than its period is followed by the next at once and ends their parser for good. A
-pulse without a width still takes the time of switching on and off. Voltages are those of the slots
-as they pass, not of a finished scan.
+count from the next one. A pulse without a width still takes the time of switching on and off.
+Voltages are those of the slots as they pass, not of a finished scan.
 
-All repeat their last pattern for ever but the newest, which puts every amplitude at zero half a
+The firmware of commit 71adee2 parses nothing while it scans, so a scan that takes longer than its
+period is followed by the next at once and ends its parser for good; and it repeats its last pattern
+for ever. The newest one parses on a second processor core, and puts every amplitude at zero half a
 second after the host fell silent. (On USB, silence is that the host's port is closed; here, on a
 pseudo-terminal, that no byte comes.)
 
@@ -17,25 +17,34 @@ discharge, else left unconnected; outputs beyond the electrode count are unconne
 import math
 from dataclasses import dataclass
 
-from smarttouch.emulator import kit_hardware as op
+import numpy as np
+
 from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.emulator.firmware import DeliveryLog, Firmware
-from smarttouch.emulator.kit_hardware import SingleSource
+from smarttouch.emulator.kit_hardware import LARGEST_READING, SingleSource
 from smarttouch.emulator.skin import COMPLIANCE_V
 
 UA_PER_COUNT = 9.99
 SWITCHING_NS = 10_000
-FORGETS_NS = 2_000_000_000
+FORGETS_NS, SILENCE_NS = 2_000_000_000, 500_000_000
 DUMMY_OHM = 66e3  # load fitted in parallel with the skin
 RATE_HZ = 100
 _MOST = 255
+FIRMWARES = ("71adee2", "newest")
+PATTERN, READINGS, COUNT, MODE, POLARITY, WIDTH = 0xFE, 0xFF, 0xFC, 0xFB, 0xFD, 0xFA
+SENSE_HEIGHT, SENSE_WIDTH, DISCHARGE, RATE, CHIPS, ECHO = 0xF9, 0xF8, 0xF7, 0xF6, 0xF5, 0xF4
+BIPHASIC, SENSE_ONLY = 1, 2
+SHORTEST_US = 6.6  # time to switch the source on and off
+_SIZES = dict.fromkeys(range(RATE, PATTERN), 1) | {WIDTH: 2, RATE: 2}
+"""Bytes after each op-code that sets a number."""
+_Pulse = tuple[int, float, tuple[int, ...]]  # height in counts, width µs, signs (+ cathodic)
 
 
 @dataclass
 class _Scan:
     """Settings of a scan, fixed at its start."""
 
-    pulses: list[op.Pulse]  # of each electrode
+    pulses: list[_Pulse]  # of each electrode
     starts_ns: list[int]  # of each slot; the last is the end
     discharge_us: int
     done: int = 0
@@ -44,7 +53,7 @@ class _Scan:
 
 class ETactileKitFirmware(Firmware):
     """The kit between its line and its electrodes, which are all the outputs of its log;
-    ``firmware`` is a key of `GENERATIONS`, and an infinite ``dummy_ohm`` is no load beside the
+    ``firmware`` is one of `FIRMWARES`, and an infinite ``dummy_ohm`` is no load beside the
     skin."""
 
     longest_step_ns = 400_000_000  # its scans go on by its own clock while its process waits
@@ -58,10 +67,10 @@ class ETactileKitFirmware(Firmware):
         firmware: str = "71adee2",
         dummy_ohm: float = DUMMY_OHM,
     ) -> None:
-        self.books, self._is = books, op.GENERATIONS[firmware]
+        self.books, self._newest = books, firmware == FIRMWARES[1]
         self._chips = math.ceil(books.electrodes / 8)
         self._source = SingleSource(books, finger, compliance_v, dummy_ohm)
-        self._set = dict.fromkeys(self._is.sizes, 0) | {op.POLARITY: 1, op.RATE: RATE_HZ}
+        self._set = dict.fromkeys(_SIZES, 0) | {POLARITY: 1, RATE: RATE_HZ}
         self._heights, self._readings = [0] * _MOST, [0] * _MOST
         self._received = bytearray()
         self._answers = b""
@@ -79,7 +88,7 @@ class ETactileKitFirmware(Firmware):
         if not self._received:
             self._begun_ns = now_ns
         self._received += data
-        if self._scan is None or not self._is.waits:
+        if self._scan is None or self._newest:
             self._parse(now_ns)
         return self._take_answers()
 
@@ -99,22 +108,19 @@ class ETactileKitFirmware(Firmware):
         return answers
 
     def _pass_time(self, now_ns: int) -> None:
-        silence_ns = self._is.silence_ns
-        if silence_ns is not None and not self._hushed and now_ns - self._fed_ns >= silence_ns:
-            self._scan_until(self._fed_ns + silence_ns)
+        if self._newest and not self._hushed and now_ns - self._fed_ns >= SILENCE_NS:
+            self._scan_until(self._fed_ns + SILENCE_NS)
             self._stop_all()
             self._received.clear()
             self._hushed = True
             self._settle("silence")
         self._scan_until(now_ns)
-        if self._received and self._is.forgets and now_ns - self._begun_ns >= FORGETS_NS:
+        if self._received and now_ns - self._begun_ns >= FORGETS_NS:
             self._received.clear()
 
     def _stop_all(self) -> None:
         self._heights = [0] * _MOST
-        self._set[op.SENSE_HEIGHT] = 0
-        if not self._is.has_modes:
-            self._set[op.MODE] = 0
+        self._set[SENSE_HEIGHT] = 0
 
     # -- commands ----------------------------------------------------------
 
@@ -126,16 +132,13 @@ class ETactileKitFirmware(Firmware):
     def _next_command(self, now_ns: int) -> bytes | None:
         received = self._received
         skipped = 0
-        while skipped < len(received) and not self._knows(received[skipped]):
+        while skipped < len(received) and received[skipped] < ECHO:
             skipped += 1
         del received[:skipped]
         if not received:
             return None
-        length = 1 + self._payload(received[0])
-        if length == 1 and received[0] == op.PATTERN and not self._is.forgets:
-            # It waits for ever for the last of zero bytes.
-            self._stuck = True
-            return None
+        size = 2 * self._set[COUNT] if received[0] == PATTERN else _SIZES.get(received[0], 0)
+        length = 1 + size
         if len(received) < length:
             return None
         command = bytes(received[:length])
@@ -143,48 +146,41 @@ class ETactileKitFirmware(Firmware):
         self._begun_ns = now_ns
         return command
 
-    def _knows(self, code: int) -> bool:
-        return code >= op.ECHO and (code > op.ECHO or self._is.echoes)
-
-    def _payload(self, code: int) -> int:
-        if code == op.PATTERN:
-            return self._is.height_bytes * self._set[op.COUNT]
-        return self._is.sizes.get(code, 0)
-
     def _obey(self, command: bytes, now_ns: int) -> bytes:
         code, value = command[0], int.from_bytes(command[1:], "little")
-        count = self._set[op.COUNT]
-        if code == op.PATTERN:
-            size = self._is.height_bytes
-            for electrode in range(count):
-                height = command[1 + size * electrode : 1 + size * (electrode + 1)]
-                self._heights[electrode] = min(int.from_bytes(height, "little"), op.LARGEST)
-        elif code == op.READINGS:
-            size = self._is.reading_bytes
-            # One byte holds the upper eight of twelve bits.
-            values = (each >> (4 if size == 1 else 0) for each in self._readings[:count])
-            return b"".join(each.to_bytes(size, "little") for each in values)
-        elif code in (op.CHIPS, op.ECHO):
-            return bytes([self._chips if code == op.CHIPS else count])
-        elif code == op.RATE:
-            self._set[op.RATE] = value or self._set[op.RATE]
-            if self._is.waits:
+        count = self._set[COUNT]
+        if code == PATTERN:
+            heights = np.frombuffer(command[1:], "<u2").tolist()
+            self._heights[:count] = [min(each, LARGEST_READING) for each in heights]
+        elif code == READINGS:
+            return np.array(self._readings[:count], "<u2").tobytes()
+        elif code in (CHIPS, ECHO):
+            return bytes([self._chips if code == CHIPS else count])
+        elif code == RATE:
+            self._set[RATE] = value or self._set[RATE]
+            if not self._newest:
                 self._next_ns = max(now_ns, self._started_ns + self._period_ns())
-        elif code == op.COUNT:
-            if self._is.silence_ns is not None:
+        elif code == COUNT:
+            if self._newest:
                 # In the newest, electrodes that join the scan begin at zero.
                 self._heights[count:value] = [0] * max(0, value - count)
-            self._set[op.COUNT] = value
-        elif code != op.WIDTH or value or self._is.has_modes:
+            self._set[COUNT] = value
+        else:
             self._set[code] = value
         return b""
 
     # -- scanning ----------------------------------------------------------
 
-    def _pulses(self) -> list[op.Pulse]:
+    def _pulses(self) -> list[_Pulse]:
         """Return the pulse of each electrode in a scan that starts now."""
-        heights = self._heights[: self._set[op.COUNT]]
-        return [self._is.pulse(self._set, height) for height in heights]
+        numbers, own = self._set, -1 if self._set[POLARITY] else 1
+        heights = self._heights[: numbers[COUNT]]
+        if numbers[MODE] == SENSE_ONLY:
+            sense_us = max(float(numbers[SENSE_WIDTH]), SHORTEST_US)
+            return [(numbers[SENSE_HEIGHT], sense_us, (own,))] * len(heights)
+        phases = (own, -own) if numbers[MODE] == BIPHASIC else (own,)
+        width_us = max(float(numbers[WIDTH]), SHORTEST_US)
+        return [(height, width_us, phases) for height in heights]
 
     def _silent(self) -> bool:
         """Return whether a scan that starts now has no pulse."""
@@ -195,9 +191,7 @@ class ETactileKitFirmware(Firmware):
             self.books.state, self.books.reason = "shorted", reason
 
     def _period_ns(self) -> int:
-        if self._is.sizes[op.RATE] == 1:
-            return round(1000 / self._set[op.RATE]) * 1_000_000
-        return 1_000_000 // self._set[op.RATE] * 1000
+        return 1_000_000 // self._set[RATE] * 1000
 
     def _scan_until(self, now_ns: int) -> None:
         while True:
@@ -211,10 +205,10 @@ class ETactileKitFirmware(Firmware):
 
     def _begin(self, now_ns: int) -> None:
         pulses = self._pulses()
-        discharge_us = self._set[op.DISCHARGE]
+        discharge_us = self._set[DISCHARGE]
         lengths_ns = [
             int(len(phases) * (1000 * width_us + SWITCHING_NS))
-            + 1000 * discharge_us + self._is.slot_ns - SWITCHING_NS
+            + 1000 * discharge_us
             for _, width_us, phases in pulses
         ]  # fmt: skip
         if not any(height for height, _, _ in pulses) and not any(self._readings):
@@ -240,7 +234,7 @@ class ETactileKitFirmware(Firmware):
         self._scan = None
         self.books.sequences += scan.pulsed
         self._next_ns = max(self._started_ns + self._period_ns(), end_ns)
-        if self._is.waits:
+        if not self._newest:
             self._stuck |= self._next_ns == end_ns
             self._parse(end_ns)
         self._settle("pattern")

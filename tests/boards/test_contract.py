@@ -213,10 +213,6 @@ class TestETactileKit(OneAgainstAll):
         assert set(slots["site"]) == set(range(4))
 
 
-class TestETactileKitOf936c6c0(TestETactileKit):
-    firmware, taken_for = "936c6c0", ("936c6c0",)
-
-
 class TestNewestETactileKitOverTcp(TestETactileKit):
     more = ("--tcp",)
     # On a busy computer it passes for the one before it.

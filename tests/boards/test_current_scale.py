@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from smarttouch.base.errors import BoardError
 from smarttouch.boards.kits.current_scale import BAND, NOMINAL_UA, check_reading, scale_of
-from smarttouch.boards.kits.etactilekit_wire import ModeCodec
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import one_each
 from smarttouch.profile.device import Output
@@ -27,11 +26,7 @@ def board_of(kind, ua_per_count, **changes):
     fields = {"current_ma": 3.0, "pulse_us": 200, "charge_uc": 0.5, "rate_hz": 100, "duty": 0.6}
     limits = SafetyLimits(count, **fields | {"ramp_s": 0.5, "full_ma": 2.8} | changes)
     output = Output(kind="one-against-all", ua_per_count=ua_per_count)
-    board = make_board(f"{kind}:/dev/nowhere", limits, output)
-    if kind == "etactilekit":
-        # As if it had been found out.
-        board._codec = ModeCodec(count)
-    return board, limits
+    return make_board(f"{kind}:/dev/nowhere", limits, output), limits
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -22,14 +22,59 @@ from ..raising import raises
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
 # Left by hosts before: pulses of a milliampere on all electrodes, sense pulses, half commands.
 PULSING = {
-    "v1.0": "FC08 FB19 FA64 F732 F632 FE 0101010101010101",
-    "936c6c0": "FC08 FB6400 FA6400 F732 F63200 FE 0101010101010101",
     "71adee2": "FC08 FA6400 F732 F63200 FE" + "6400" * 8,
     "newest": "FC08 FA6400 F732 F63200 FE" + "6400" * 8,
 }
 SENSE = "F919 F832"
 HALVES = ["", "FE", "FE 01", "FE 010101", "FB", "FA", "FA FF", "FD", "FC", "F9", "F6", "FB 64"]
 HALF = st.sampled_from(HALVES)
+OLD = {
+    "v1.0": (1, "FC08 FB19 FA64 F732 F632 FE 0101010101010101"),
+    "936c6c0": (2, "FC08 FB6400 FA6400 F732 F63200 FE 0101010101010101"),
+}
+"""Older firmwares: bytes of a height, a width and a rate, and what makes all electrodes pulse."""
+
+
+class OldKit:
+    """Parser of an older firmware, which knows no F4: half a command waits for ever, and an FE for
+    no electrodes ends it for good."""
+
+    def __init__(self, books, size):
+        self.books, self.sizes = books, dict.fromkeys(range(0xF6, 0xFE), 1)
+        self.sizes |= dict.fromkeys((0xFB, 0xFA, 0xF6), size)
+        self.set, self.codes, self.received = dict.fromkeys(self.sizes, 0), b"", bytearray()
+        self.scanned_ns = 0
+
+    def pulses(self):
+        sense, height = self.set[0xF9], self.set[0xFB]
+        return sum((height if each in (1, 2) else sense) > 0 for each in self.codes)
+
+    def advance(self, now_ns):
+        scans, self.scanned_ns = (now_ns - self.scanned_ns) // 20_000_000, now_ns
+        self.books.slots += scans * self.pulses()
+        return b""
+
+    def feed(self, data, now_ns):
+        self.advance(now_ns)
+        self.received += data
+        answers = b""
+        while self.received:
+            code, count = self.received[0], self.set[0xFC]
+            size = count if code == 0xFE else self.sizes.get(code, 0)
+            if len(self.received) <= size or (code, size) == (0xFE, 0):
+                break
+            value = bytes(self.received[1 : 1 + size])
+            del self.received[: 1 + size]
+            if code == 0xF5:
+                answers += b"\x01"
+            elif code == 0xFF:
+                answers += bytes(2 * count)
+            elif code == 0xFE:
+                self.codes = value
+            elif code in self.sizes:
+                self.set[code] = int.from_bytes(value, "little")
+            self.codes = self.codes[: self.set[0xFC]]
+        return answers
 
 
 class Meeting:
@@ -68,7 +113,7 @@ def meet(monkeypatch):
     return lambda *arguments, **more: Meeting(monkeypatch, *arguments, **more)
 
 
-@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+@pytest.mark.parametrize("firmware", ["71adee2", "newest"])
 def test_each_is_distinguished(meet, firmware):
     meeting = meet(firmware)
     meeting.driver._greet()
@@ -78,7 +123,7 @@ def test_each_is_distinguished(meet, firmware):
     assert meeting.books.slots == 0
 
 
-@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+@pytest.mark.parametrize("firmware", ["71adee2", "newest"])
 @pytest.mark.parametrize("half", HALVES)
 def test_a_board_that_pulses_is_at_zero_and_its_parser_found(meet, firmware, half):
     meeting = meet(firmware)
@@ -96,17 +141,21 @@ def test_a_board_that_pulses_is_at_zero_and_its_parser_found(meet, firmware, hal
 
 
 @pytest.mark.parametrize("half", HALVES)
-def test_the_first_firmware_is_put_at_zero_and_refused(meet, half):
-    meeting = meet("v1.0")
-    meeting.leave(PULSING["v1.0"] + SENSE + half)
-    with raises(BoardError, about="firmware", value="v1.0"):
+@pytest.mark.parametrize("firmware", OLD)
+def test_an_older_firmware_is_put_at_zero_and_refused(meet, firmware, half):
+    size, pulsing = OLD[firmware]
+    meeting = meet(None, board=OldKit(DeliveryLog(8), size))
+    meeting.leave(pulsing + SENSE + half)
+    assert meeting.board.books.slots > 0
+    with raises(BoardError, about="firmware", value="71adee2"):
         meeting.driver._greet()
-    meeting.slots_at_rest()
+    assert meeting.board.pulses() == 0
+    assert meeting.board.set[0xFC] == 0
 
 
 @settings(max_examples=100, deadline=None)
 @given(
-    firmware=st.sampled_from(sorted(PULSING)),
+    firmware=st.sampled_from([*PULSING, *OLD]),
     noise=st.binary(max_size=12),
     half=HALF,
     losses=st.lists(st.integers(0, 700), max_size=1),
@@ -114,11 +163,13 @@ def test_the_first_firmware_is_put_at_zero_and_refused(meet, half):
 def test_no_probe_ever_makes_a_board_pulse(firmware, noise, half, losses):
     """Not even one of whose bytes one is lost, or behind noise: a quiet board stays quiet."""
     with pytest.MonkeyPatch.context() as patch:
-        meeting = Meeting(patch, firmware)
+        old = OldKit(DeliveryLog(8), OLD[firmware][0]) if firmware in OLD else None
+        meeting = Meeting(patch, firmware if old is None else None, board=old)
         # Everything set but a height.
-        quiet = "FC08 FA6400 F732 F632" + "FB0000" * (firmware == "936c6c0")
+        quiet = "FC08 FA64 F732 F632" if firmware == "v1.0" else "FC08 FA6400 F732 F63200"
         meeting.leave(quiet + (half or bytes(min(each, 0xF3) for each in noise).hex()))
-        before = meeting.books.max_charge_uc, meeting.books.slots
+        books = meeting.books if old is None else old.books
+        before = books.max_charge_uc, books.slots
         write, count = meeting.port.write, [0]
 
         def lossy(data):
@@ -131,7 +182,7 @@ def test_no_probe_ever_makes_a_board_pulse(firmware, noise, half, losses):
         with contextlib.suppress(BoardError):
             meeting.driver._greet()
         meeting.board.advance(meeting.clock.time_ns + 100_000_000)
-        assert (meeting.books.max_charge_uc, meeting.books.slots) == before
+        assert (books.max_charge_uc, books.slots) == before
 
 
 @pytest.mark.parametrize("other", ["kajimoto61", "link", "silent"])
@@ -155,17 +206,11 @@ class Deaf(ETactileKitFirmware):
         return b""
 
 
-@pytest.mark.parametrize(("firmware", "option", "is_one"), [
-    ("71adee2", "?firmware=71adee2", True), ("newest", "?firmware=newest", True),
-    ("936c6c0", "?slow&firmware=936c6c0", True), ("71adee2", "?firmware=936c6c0", False),
-    ("936c6c0", "?firmware=newest", False),
+@pytest.mark.parametrize(("firmware", "option"), [
+    ("71adee2", "?firmware=71adee2"), ("newest", "?slow&firmware=newest"),
 ])  # fmt: skip
-def test_a_user_may_name_it(meet, firmware, option, is_one):
+def test_a_user_may_name_it(meet, firmware, option):
     meeting = meet(firmware, option)
-    if not is_one:
-        with raises(BoardError, about="?firmware", allowed=firmware):
-            meeting.driver._greet()
-        return
     meeting.driver._greet()
     assert firmware in meeting.driver.capabilities.firmware
     assert (meeting.driver.capabilities.time_to_zero_ms is None) == (firmware != "newest")

@@ -1,4 +1,4 @@
-"""To the byte: what goes to an eTactileKit of each generation, and what always means zero."""
+"""To the byte: what goes to an eTactileKit, and what always means zero."""
 
 from dataclasses import replace
 
@@ -9,9 +9,20 @@ from hypothesis import strategies as st
 
 from smarttouch.base.errors import BoardError
 from smarttouch.boards.kits.current_scale import scale_of
-from smarttouch.boards.kits.etactilekit_wire import HeightCodec, ModeCodec, Settings, settings_of
+from smarttouch.boards.kits.etactilekit_wire import (
+    GO,
+    LOAD,
+    PING,
+    QUIET,
+    READINGS,
+    Settings,
+    payload,
+    settings_commands,
+    settings_of,
+    zero_anywhere,
+)
 from smarttouch.boards.probe_scans import one_each
-from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
+from smarttouch.emulator.etactilekit_firmware import FIRMWARES, ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
@@ -35,79 +46,34 @@ def heights(*counts):
     return b"".join(count.to_bytes(2, "little") for count in counts)
 
 
-def test_modes_to_the_byte():
-    codec = ModeCodec(4)
+def test_a_pattern_to_the_byte():
     # 220 counts at 9.99 µA, as in the board's own example.
-    payload = codec.payload(anodic(2200), WIRING, SCALE, LIMITS)
-    assert payload == heights(0, 220, 0, 0)
-    assert codec.load(payload) == b"\xfb\x02\xfe" + payload
-    assert codec.go(payload) == b"\xfb\x00"
-    assert codec.quiet == b"\xfb\x02\xfb\x02"
-    assert codec.nothing == bytes(8)
-    assert (codec.question, codec.answer_bytes, codec.readings_bytes) == (b"\xf4", 1, 8)
-    assert codec.is_answer(b"\x04")
-    assert not any(codec.is_answer(each) for each in (b"", b"\x05", b"\x04\x04"))
+    assert payload(anodic(2200), WIRING, SCALE, LIMITS) == heights(0, 220, 0, 0)
+    assert (QUIET, LOAD, GO) == (b"\xfb\x02\xfb\x02", b"\xfb\x02\xfe", b"\xfb\0")
 
 
-def test_heights_to_the_byte():
-    codec = HeightCodec(4)
-    payload = codec.payload(anodic(2200, (1, 3)), WIRING, SCALE, LIMITS)
-    assert payload == b"\0\x01\0\x01\xdc\0"
-    quiet = (b"\xfb\0\0" + END) * 2
-    assert codec.quiet == quiet
-    assert codec.load(payload) == quiet + b"\xfe\0\x01\0\x01"
-    assert codec.go(payload) == b"\xfb\xdc\0" + END
-    assert codec.nothing == bytes(6)
-    assert (codec.lead, codec.question, codec.answer_bytes) == (END, b"\xff", 8)
-    assert codec.is_answer(bytes(8))
-    assert not codec.is_answer(bytes(7))
-
-
-@pytest.mark.parametrize("codec", [ModeCodec(4), HeightCodec(4)])
-def test_settings_come_twice_and_between_at_a_rate_that_fits_old_and_new(codec):
-    commands = codec.settings(Settings(100, 50, 100, True), 40)
+def test_settings_come_twice_and_between_at_a_rate_that_fits_old_and_new():
+    commands = settings_commands(Settings(100, 50, 100, True), 40)
     once = (
-        codec.quiet + END + b"\xf9\0" + END + b"\xf8\0" + END + b"\xf6\x28\0" + END
+        QUIET + END + b"\xf9\0" + END + b"\xf8\0" + END + b"\xf6\x28\0" + END
         + b"\xfd\x01" + END + b"\xfa\x64\0" + END + b"\xf7\x32" + END
     )  # fmt: skip
     assert commands == once * 2 + (b"\xf6\x64\0" + END) * 2
 
 
-@pytest.mark.parametrize("codec", [ModeCodec(6), HeightCodec(6)])
-def test_wiring_puts_each_electrode_on_its_output(codec):
-    payload = codec.payload(anodic(1000), np.array([5, 3, 0, 1]), SCALE, LIMITS)
-    assert (
-        payload
-        == {ModeCodec: heights(0, 0, 0, 100, 0, 0), HeightCodec: b"\0\0\0\x01\0\0\x64\0"}[
-            type(codec)
-        ]
-    )
-
-
-def test_several_heights_are_several_patterns_of_the_older_firmware():
-    codec = HeightCodec(4)
-    sequence = anodic(2000, (0, 1, 2))
-    sequence.current_ua[1] //= 2
-    payload = codec.payload(sequence, WIRING, SCALE, LIMITS)
-    low, high = codec.parts(payload)
-    assert low == b"\0\x01\0\0" + heights(100)
-    assert high == b"\x01\0\x01\0" + heights(200)
-    # What rounding makes of one current is not two.
-    sequence = anodic(2000, (1, 2))
-    sequence.current_ua[1] += np.array([-2, -2, 6, -2], np.int16)
-    assert codec.payload(sequence, WIRING, SCALE, LIMITS)[-2:] == heights(200)
-    assert ModeCodec(4).parts(bytes(8)) == [bytes(8)]
+def test_wiring_puts_each_electrode_on_its_output():
+    pattern = payload(anodic(1000), np.array([5, 3, 0, 1]), SCALE, LIMITS)
+    assert pattern == heights(0, 0, 0, 100, 0, 0)
 
 
 @given(levels=st.lists(st.integers(0, 5000), min_size=4, max_size=4))
 def test_no_byte_of_a_pattern_looks_like_a_command(levels):
     for site, level in enumerate(levels):
-        for codec in (ModeCodec(4), HeightCodec(4)):
-            data = codec.payload(anodic(level, sites=(site,)), WIRING, SCALE, LIMITS)
-            assert max(data) < 0xF4
-            counts = np.frombuffer(data[-2:] if isinstance(codec, HeightCodec) else data, "<u2")
-            assert counts.max() <= 500
-            assert level - 9.99 * counts.max() <= max(6, 12 * 9.99 + 6)
+        data = payload(anodic(level, sites=(site,)), WIRING, SCALE, LIMITS)
+        assert max(data) < 0xF4
+        counts = np.frombuffer(data, "<u2")
+        assert counts.max() <= 500
+        assert level - 9.99 * counts.max() <= max(6, 12 * 9.99 + 6)
 
 
 def test_settings_of_a_sequence():
@@ -139,23 +105,20 @@ def test_what_it_has_only_one_of_or_not_at_all_is_refused(wrong, attributes):
         settings_of(sequence)
 
 
-@pytest.mark.parametrize(
-    ("codec", "firmware"), [(ModeCodec(4), "71adee2"), (HeightCodec(4), "936c6c0")]
-)
 @given(data=st.data())
-def test_a_lost_byte_never_brings_more_current_than_was_asked_for(codec, firmware, data):
+def test_a_lost_byte_never_brings_more_current_than_was_asked_for(data):
     """Of any message, behind any whole one, and with the messages after it."""
-    payload = codec.payload(anodic(2200, (1, 3)), WIRING, SCALE, LIMITS)
+    pattern = payload(anodic(2200, (1, 3)), WIRING, SCALE, LIMITS)
     messages = [
-        codec.lead + codec.settings(Settings(100, 50, 50, True), 10) + codec.question,
-        codec.lead + codec.load(payload) + codec.question,
-        codec.lead + b"\xff" + codec.go(payload) + codec.question,
-        codec.lead + b"\xff" + codec.quiet + codec.question,
+        settings_commands(Settings(100, 50, 50, True), 10) + PING,
+        LOAD + pattern + PING,
+        READINGS + GO + PING,
+        READINGS + QUIET + PING,
     ]
     which = data.draw(st.integers(0, 3))
     where = data.draw(st.integers(0, len(messages[which]) - 1))
     books = DeliveryLog(4)
-    board = ETactileKitFirmware(books, firmware=firmware)
+    board = ETactileKitFirmware(books)
     board.feed(b"\xfc\x04", 1_000_000)
     now_ns = 2_000_000
     for number, message in enumerate(messages):
@@ -166,10 +129,10 @@ def test_a_lost_byte_never_brings_more_current_than_was_asked_for(codec, firmwar
         for _ in range(50):
             now_ns += 1_000_000
             answer += board.advance(now_ns)
-        if not codec.is_answer(answer[-codec.answer_bytes :] if answer else b""):
+        if answer[-1:] != b"\x04":
             # What the driver does then.
             board.feed(bytes(514), now_ns)
-            board.feed(codec.quiet + bytes(4) + codec.question, now_ns)
+            board.feed(QUIET + bytes(4) + PING, now_ns)
             break
     board.advance(now_ns + 500_000_000)
     assert books.max_current_ma <= 2.2
@@ -177,32 +140,23 @@ def test_a_lost_byte_never_brings_more_current_than_was_asked_for(codec, firmwar
 
 
 OUTPUTS = 4
-SETTINGS = Settings(100, 50, 100, anodic=True)
+HEIGHTS = bytes([200, 0] * OUTPUTS)
+COMMANDS = settings_commands(Settings(100, 50, 100, anodic=True), 10) + LOAD + HEIGHTS + GO
+RUNNING = bytes([0xFC, OUTPUTS]) + COMMANDS
+ZERO = zero_anywhere(OUTPUTS)
 
 
-class Kit:
-    """One generation, pulsing, and what means zero for it."""
+@pytest.fixture(params=FIRMWARES)
+def drives_after(request):
+    """Return a function that returns whether a kit pulses on after bytes that come a scan apart."""
 
-    def __init__(self, firmware, codec):
-        self.firmware, self.codec = firmware, codec(OUTPUTS)
-        if codec is HeightCodec:
-            payload = bytes([1] * OUTPUTS + [200, 0])
-        else:
-            payload = bytes([200, 0] * OUTPUTS)
-        self.zero = self.codec.zero_anywhere
-        self.commands = (
-            self.codec.settings(SETTINGS, 10) + self.codec.load(payload) + self.codec.go(payload)
-        )
-        self.running = bytes([0xFC, OUTPUTS]) + self.commands
-
-    def drives_after(self, *parts):
-        """Return whether it pulses on after bytes that come a scan apart."""
+    def drives_after(*parts):
         books = DeliveryLog(OUTPUTS)
-        board = ETactileKitFirmware(books, firmware=self.firmware)
+        board = ETactileKitFirmware(books, firmware=request.param)
         now_ns = 0
         for part in parts:
             board.feed(part, now_ns)
-            # Some parsers stand still while a scan goes on.
+            # One parser stands still while a scan goes on.
             now_ns += 10**8
             board.advance(now_ns)
         before = books.slots
@@ -210,26 +164,21 @@ class Kit:
         board.advance(now_ns + 25 * 10**7)
         return books.slots > before
 
-
-@pytest.fixture(params=[("71adee2", ModeCodec), ("newest", ModeCodec), ("936c6c0", HeightCodec)])
-def kit(request):
-    return Kit(*request.param)
+    return drives_after
 
 
-def test_zero_ends_every_half_command(kit):
-    assert kit.drives_after(kit.running)
-    for cut in range(len(kit.commands) + 1):
-        assert not kit.drives_after(kit.running, kit.commands[:cut] + kit.zero)
+def test_zero_ends_every_half_command(drives_after):
+    assert drives_after(RUNNING)
+    for cut in range(len(COMMANDS) + 1):
+        assert not drives_after(RUNNING, COMMANDS[:cut] + ZERO)
 
 
 @pytest.mark.parametrize("run", [1, 2, 3])
-def test_zero_written_twice_survives_a_loss_anywhere(kit, run):
-    zero = kit.zero
-    for first in range(len(zero)):
-        assert not kit.drives_after(kit.running, zero[:first] + zero[first + run :] + zero)
+def test_zero_written_twice_survives_a_loss_anywhere(drives_after, run):
+    for first in range(len(ZERO)):
+        assert not drives_after(RUNNING, ZERO[:first] + ZERO[first + run :] + ZERO)
 
 
-def test_one_byte_lost_of_a_single_zero_is_survived(kit):
-    zero = kit.zero
-    for lost in range(len(zero)):
-        assert not kit.drives_after(kit.running, zero[:lost] + zero[lost + 1 :])
+def test_one_byte_lost_of_a_single_zero_is_survived(drives_after):
+    for lost in range(len(ZERO)):
+        assert not drives_after(RUNNING, ZERO[:lost] + ZERO[lost + 1 :])

@@ -20,7 +20,7 @@ from tests.boards.manual_kit import MS, ManualKit
 PATTERNS = int(os.environ.get("SMARTTOUCH_PATTERNS", "150"))
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
 PERIOD_US = 20_000
-FIRMWARES = pytest.mark.parametrize("firmware", ["936c6c0", "71adee2", "newest"])
+FIRMWARES = pytest.mark.parametrize("firmware", ["71adee2", "newest"])
 
 
 def patterns(count, seed=1):
@@ -115,21 +115,6 @@ def test_the_same_pattern_again_is_scanned_again(monkeypatch, firmware, times):
     report = kit.run([(start + i * times * 20 * MS, sequence, times) for i in range(60)])
     assert kit.scans() == [wanted(sequence)] * 60 * times
     assert (report.pulses, report.most_pulses) == (kit.books.pulses, kit.books.pulses)
-
-
-@pytest.mark.parametrize("times", [1, 3])
-def test_each_height_has_a_scan_of_its_own_where_there_is_one_for_all(monkeypatch, times):
-    kit = ManualKit(monkeypatch, LIMITS, "936c6c0", phase_ns=3 * MS)
-    sequence = pulses(1200, [1, 3, 4, 6])
-    sequence.current_ua[1] //= 2
-    sequence.current_ua[2] //= 3
-    start = kit.clock.time_ns
-    report = kit.run([(start + 100 * i * MS, sequence, times) for i in range(5)])
-    low, middle, high = {(4, 40)}, {(3, 60)}, {(1, 120), (6, 120)}
-    assert kit.scans() == [low, middle, high] * 5 * times
-    assert (report.sequences, report.slots) == (5, 20 * times)
-    assert (report.pulses, report.most_pulses) == (kit.books.pulses, kit.books.pulses)
-    assert (kit.driver.acknowledged, kit.driver.refused) == (5, 0)
 
 
 def test_what_is_too_weak_to_measure_is_scanned_and_reported_as_a_range(monkeypatch):

@@ -88,9 +88,7 @@ def pulled_out_after(count, hosted):
 
 # Nothing on an eTactileKit's wire can tell a doubled byte, and USB and TCP make none.
 MISHAPS = [
-    *itertools.product(
-        ("link", "kajimoto61", "etactilekit", "etactilekit 936c6c0"), (drop_one, cut_short)
-    ),
+    *itertools.product(("link", "kajimoto61", "etactilekit"), (drop_one, cut_short)),
     ("link", double_one),
     ("kajimoto61", double_one),
     *(pytest.param(*kind.values, change, marks=kind.marks)
@@ -115,7 +113,7 @@ def test_bytes_lost_or_doubled_on_the_way_to_the_board(hosted, change):
 
 @pytest.mark.usefixtures("patient_boards")
 @pytest.mark.parametrize("hosted", [
-    "link", "link C", "etactilekit", "etactilekit 936c6c0", "etactilekit newest", FIRMWARES[1],
+    "link", "link C", "etactilekit", "etactilekit newest", FIRMWARES[1],
 ], indirect=True)  # fmt: skip
 @pytest.mark.parametrize("change", [double_one, cut_short])
 def test_a_reply_that_is_not_whole(hosted, change):
@@ -194,7 +192,7 @@ def test_a_board_that_is_back_gets_zero_first(hosted, known_by_usb, known):
         hosted.line.plug_in()
         with pytest.raises(BoardRestartedError):
             send_on(hosted, 30)
-        zero = board._codec.zero_anywhere
+        zero = board._zero_anywhere
         # Once before its keeper starts, which takes a while, and once by that.
         first = 2 * zero if known else b"\xf5" + zero
         assert b"".join(heard).startswith(first)

@@ -51,7 +51,7 @@ class Weather:
 
 
 @pytest.mark.parametrize("hosted", [
-    "link", "link C", "kajimoto61", "etactilekit", "etactilekit 936c6c0", FIRMWARES[1],
+    "link", "link C", "kajimoto61", "etactilekit", "etactilekit newest", FIRMWARES[1],
 ], indirect=True)  # fmt: skip
 def test_nothing_unsafe_flows(hosted):
     # USB and TCP lose bytes only by whole pieces or at their end; they never double one.

@@ -99,7 +99,7 @@ def no_place(name):
      says(about="firmware", value="link", allowed=("etactilekit",))),
     ("devices emulate etactilekit?firmware=3", says(about="firmware", value="3")),
     ("devices emulate link?electrodes=0", says(about="electrodes", value=0, allowed=(1, 4096))),
-    ("devices show etactilekit:/dev/x?firmware=3", says(BoardError, "firmware '3'", "936c6c0")),
+    ("devices show etactilekit:/dev/x?firmware=3", says(BoardError, "firmware '3'", "71adee2")),
     ("devices show kajimoto61:", says(BoardError, "kajimoto61:/dev/ttyUSB0")),
     ("devices show kajimoto61:/dev/nowhere", says(BoardError, "/dev/nowhere")),
     ("devices show etactilekit:/dev/x?fast", says(BoardError, "?fast", "?slow", "?firmware")),

@@ -23,7 +23,6 @@ KITS = {
     "kajimoto61": (61, "kajimoto61"),
     "etactilekit": (32, "etactilekit"),
     "etactilekit over TCP": (32, "etactilekit", "--tcp"),
-    "etactilekit 936c6c0": (32, "etactilekit", "--firmware=936c6c0"),
 }
 
 

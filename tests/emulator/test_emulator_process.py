@@ -98,13 +98,6 @@ def test_an_etactilekit_goes_on_without_its_host(start_board, tmp_path):
     assert lasted_us[-1] - lasted_us[0] > 400_000
 
 
-def test_another_firmware_answers_otherwise(start_board):
-    _, name = start_board("etactilekit", "--tcp", "--firmware=936c6c0")
-    with connect(name) as host:
-        host.sendall(b"\xf4\xf5")
-        assert host.recv(10) == b"\x04"
-
-
 def test_one_host_after_another_and_discovery(start_board):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))

@@ -164,12 +164,10 @@ def test_readings_change_while_a_scan_passes_where_the_parser_does_not_wait(make
     assert (readings > 0).tolist() == [True, True, False, False]
 
 
-@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2"])
-def test_nothing_is_parsed_during_a_scan(make_rig, firmware):
-    rig = make_rig(firmware=firmware)
-    rig.say(0, "FC04 FAC800 F7C8" + "FE 01010101" * (firmware == "936c6c0"))
+def test_nothing_is_parsed_during_a_scan(rig):
+    rig.say(0, "FC04 FAC800 F7C8")
     assert rig.say(10.1, "F5") == b""
-    # Four slots of 410 or 417 µs from 10 ms on.
+    # Four slots of 410 µs from 10 ms on.
     assert rig.board.advance(int(11.6 * MS)) == b""
     assert rig.board.advance(int(11.7 * MS)) == b"\x01"
 
@@ -227,53 +225,6 @@ def test_it_reports_chips_and_echoes_its_count(make_rig, outputs, chips):
     assert rig.say(1, "FC11 F4 FC12 F4") == b"\x11\x12"
 
 
-def test_version_1_takes_bytes_only(make_rig):
-    rig = make_rig(32, firmware="v1.0")
-    assert rig.say(0, "F4 F5 FC11 F4") == b"\x04"
-    assert rig.say(1, "FF") == bytes(17)
-    # One byte of height, times four, for all electrodes whose code is not zero.
-    rig.say(2, "FC04 FB19 FA64 F632 FE 00010002")
-    rig.advance(50)
-    slots = rig.slots
-    assert set(slots["site"]) == {1, 3}
-    assert (slots["current_ua"][:, [1, 3]].min(axis=1) == -999).all()
-
-
-def test_hardware_version_2_has_one_height_and_codes(make_rig):
-    rig = make_rig(firmware="936c6c0")
-    assert rig.say(0, "F4 F5 FC04 F4 FF") == b"\x01" + bytes(8)
-    rig.say(1, "FB6400 FA6400 F732 F90A F832 FE 00010203")
-    rig.advance(15)
-    slots = rig.slots
-    # Sense pulses of four counts to a unit, a monophasic one, both phases, and sense.
-    assert slots["site"].tolist() == [0, 1, 2, 2, 3]
-    own = slots["current_ua"][range(5), slots["site"]]
-    assert own.tolist() == [-400, -999, -999, 999, -400]
-
-
-def test_hardware_version_2_waits_for_ever_for_the_rest_of_a_command(make_rig):
-    rig = make_rig(firmware="936c6c0")
-    rig.say(0, "FC04 FE 01")
-    assert rig.say(60_000, "F5 F5") == b""
-    assert rig.say(60_001, "00 F5") == b"\x01"
-
-
-def test_hardware_version_2_is_lost_with_a_pattern_for_no_electrodes(make_rig):
-    rig = make_rig(firmware="936c6c0")
-    assert rig.say(0, "F5 FE F5") == b"\x01"
-    assert rig.feed(1000, bytes(600) + b"\xf5") == b""
-
-
-@pytest.mark.parametrize(("firmware", "text", "charge_uc"), [
-    # The shortest pulse has a length, and 936c6c0 keeps its width where zero is asked for.
-    ("71adee2", "FC04 FA0100" + ONE, 2.1978 * 6.6e-3),
-    ("936c6c0", "FC04 FA6400 FA0000 FB6400 FE 01000000", 0.0999),
-])  # fmt: skip
-def test_the_width_of_a_pulse(make_rig, firmware, text, charge_uc):
-    rig = make_rig(firmware=firmware).after(15, text)
-    assert rig.books.max_charge_uc == pytest.approx(charge_uc)
-
-
 def test_the_newest_stops_half_a_second_after_its_host(make_rig):
     rig = make_rig(firmware="newest")
     rig.say(0, EXAMPLE + ONE + "FA")
@@ -324,11 +275,8 @@ def test_heights_are_cut_at_4095(rig):
     assert rig.books.max_current_ma == pytest.approx(4095 * 9.99e-3)
 
 
-@pytest.mark.parametrize("firmware", ["936c6c0", "71adee2"])
-def test_too_much_for_the_period_stops_the_parser_for_good(make_rig, firmware):
-    rig = make_rig(firmware=firmware)
-    code = {"936c6c0": "FB0A00 FE 01010101", "71adee2": "FE" + "0A00" * 4}[firmware]
-    rig.after(1000, "FC04 FAC800 F7FF F6F401" + code)
+def test_too_much_for_the_period_stops_the_parser_for_good(rig):
+    rig.after(1000, "FC04 FAC800 F7FF F6F401 FE" + "0A00" * 4)
     # 4 slots of 465 µs are less than 2 ms; at 1 kHz they are not.
     assert rig.books.sequences == pytest.approx(499, abs=1)
     rig.say(1000, "F6E803")

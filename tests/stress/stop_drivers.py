@@ -32,7 +32,7 @@ from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.emulator.server import DeviceClock
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
-KITS = ("936c6c0", "71adee2", "newest")
+KITS = ("71adee2", "newest")
 KINDS = ("link", "kajimoto61", *(f"etactilekit {firmware}" for firmware in KITS))
 ACTIONS = ("measuring", "rising", "repeating")
 RISE_S, MOST, STEP_S, REPEATED = 0.6, 0.25, 0.02, 3

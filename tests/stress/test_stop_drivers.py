@@ -25,7 +25,7 @@ from ..forks import Forked
 ROUNDS = int(os.environ.get("SMARTTOUCH_STOP_ROUNDS", "2"))
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.8)
 LATEST_S = 0.15
-KITS = ("etactilekit 936c6c0", "etactilekit 71adee2", "etactilekit newest")
+KITS = ("etactilekit 71adee2", "etactilekit newest")
 WIRE_MS = {"kajimoto61": 13.0, "etactilekit newest": 8.0}
 """What a board still makes of what it has: a packet's scan, or that under way; else nothing."""
 pytestmark = pytest.mark.timeout(120 + 30 * ROUNDS)

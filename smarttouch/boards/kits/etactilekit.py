@@ -18,14 +18,19 @@ from smarttouch.boards.kits.etactilekit_step import MARGIN_NS, ShownPattern, Ste
 from smarttouch.boards.kits.etactilekit_wire import (
     COMPLIANCE_V,
     DUMMY_KOHM,
+    GO,
     LARGEST,
+    LOAD,
     NO_SENSE,
+    SENSE,
     SENSE_COUNTS,
     SENSE_US,
     VOLTS_PER_COUNT,
     Settings,
+    payload,
+    settings_commands,
     settings_of,
-    slots_of,
+    zero_anywhere,
 )
 from smarttouch.boards.kits.kept_line import KEPT_MS
 from smarttouch.boards.kits.scan_lock import ScanLock
@@ -48,9 +53,8 @@ class ETactileKitBoard(SteppedKit):
     """The eTactileKit: ``etactilekit:PORT`` or ``etactilekit:tcp://HOST:8080``.
 
     After the port, ``?slow`` writes 8 bytes every 3 ms from the start, for USB of older firmware
-    (the driver goes over to it by itself when frames get lost), and ``?firmware=936c6c0``,
-    ``71adee2`` or ``newest`` selects the firmware if a query cannot. Both:
-    ``?slow&firmware=936c6c0``.
+    (the driver goes over to it by itself when frames get lost), and ``?firmware=71adee2`` or
+    ``newest`` selects the firmware if a query cannot. Both: ``?slow&firmware=71adee2``.
     """
 
     default_profile: ClassVar[str] = "etactilekit-32"
@@ -63,6 +67,7 @@ class ETactileKitBoard(SteppedKit):
         super().__init__(port, limits, output)
         self._scale = scale_of(self.kind, None if output is None else output.ua_per_count)
         self.ua_per_count: float = self._scale.measured_ua
+        self._nothing = bytes(2 * self._outputs)
         self._on_board = b""
         self._volts: list[tuple[ScanSequence, NDArray[np.float32]]] = []
 
@@ -70,7 +75,7 @@ class ETactileKitBoard(SteppedKit):
 
     def _greet(self) -> None:
         firmware, capacity = self._find_out()
-        self._zero_anywhere = self._codec.zero_anywhere
+        self._zero_anywhere = zero_anywhere(self._outputs)
         self._promise_zero(self._zero_anywhere, self._slow)
         self._give_up()
         self._on_board, self._settings, self._before = b"", None, None
@@ -78,7 +83,6 @@ class ETactileKitBoard(SteppedKit):
         self._waits = firmware != "newest"
         self._zero()
         self.notes += slow_line_notes(lambda: self._exchange(b""))
-        one_height = ", a scan for each height" if firmware == "936c6c0" else ""
         self.capabilities: Capabilities = Capabilities(
             electrodes=self._gate.limits.electrodes,
             output="one-against-all",
@@ -86,7 +90,7 @@ class ETactileKitBoard(SteppedKit):
             max_slots=self._gate.limits.electrodes,
             time_to_zero_ms=NEWEST_ZERO_MS if firmware == "newest" else None,
             kept_ms=KEPT_MS,
-            firmware=f"eTactileKit {firmware}, {capacity} outputs{one_height}",
+            firmware=f"eTactileKit {firmware}, {capacity} outputs",
             polarities=BOTH,
             acknowledges=True,
             measures=True,
@@ -106,16 +110,14 @@ class ETactileKitBoard(SteppedKit):
         else:
             raise self._lost("does not confirm the end of its sense pulses")
         self._stop_pulses()
-        nothing = self._codec.nothing
-        if not (self._load(nothing) or self._load(nothing)):
+        if not (self._load(self._nothing) or self._load(self._nothing)):
             raise self._lost("does not confirm a pattern of zeros")
 
     # -- sequences ---------------------------------------------------------
 
     def _encode(self, sequence: ScanSequence) -> bytes:
         settings = settings_of(sequence)
-        codec = self._codec
-        busy_us = settings.scan_us(self._outputs, codec.slot_extra_us)
+        busy_us = settings.scan_us(self._outputs)
         if sequence.slots and 1000 * busy_us > 0.97 * settings.period_ns:
             # Its parser would never run again.
             raise BoardError(
@@ -124,7 +126,7 @@ class ETactileKitBoard(SteppedKit):
                 about="period_us",
                 remedy="pulse.discharge_us",
             )
-        return codec.payload(sequence, self._wiring, self._scale, self._gate.limits)
+        return payload(sequence, self._wiring, self._scale, self._gate.limits)
 
     def _serve(self) -> None:
         idle, free_ns = False, 0
@@ -145,50 +147,27 @@ class ETactileKitBoard(SteppedKit):
 
     def _perform(self, job: Job) -> None:
         """Scan a sequence as often as requested, or until a newer one waits."""
-        parts = self._parts(job)
-        if not parts:
+        if not job.sequence.slots or job.data == self._nothing:
             self._begun(job)
             for _ in range(job.times):
                 self._wait(self._clock.now_ns() + 1000 * job.sequence.period_us)
                 if self._waiting is not None or self._closing.is_set():
                     return
-        for turn in range(job.times if len(parts) > 1 else bool(parts)):
-            for part in parts:
-                if not self._scan(part, first=turn == 0 and part is parts[0]):
-                    return
-            if self._waiting is not None:
-                return
-
-    def _parts(self, job: Job) -> list[Job]:
-        """Return the successive patterns of a sequence; none if it has no pulse."""
-        sequence, nothing = job.sequence, self._codec.nothing
-        payloads = [each for each in self._codec.parts(job.data) if each != nothing]
-        if not sequence.slots or len(payloads) <= 1:
-            return [job] if sequence.slots and payloads else []
-        outputs = self._wiring[sequence.site]
-        chosen = [np.frombuffer(each, np.uint8)[outputs] == 1 for each in payloads]
-        return [
-            Job(job.number, slots_of(sequence, each), payload, 1, job.due_ns)
-            for each, payload in zip(chosen, payloads, strict=True)
-        ]
-
-    def _scan(self, job: Job, *, first: bool) -> bool:
-        """Scan one pattern; return False if it cannot continue."""
+            return
         for attempt in range(ATTEMPTS):
             with self._line:
                 if self._closing.is_set():
-                    return False
+                    return
                 if not self._show(job):
-                    self.refused += first and attempt == 0
-                    return False
-            if first and attempt == 0:
+                    self.refused += attempt == 0
+                    return
+            if attempt == 0:
                 self._begun(job)
             self._hold(job)
             with self._line:
                 if self._shown is None or self._stop_pulses():
                     self._listen()
-                    break
-        return not self._closing.is_set()
+                    return
 
     def _show(self, job: Job) -> bool:
         """Enable a sequence's pulses; return whether the board has done so."""
@@ -198,8 +177,7 @@ class ETactileKitBoard(SteppedKit):
         if job.data != self._on_board and not self._load(job.data):
             return False
         self._wait(self._free_of_scans(self._clock.now_ns()))
-        go = self._codec.go(job.data)
-        if self._closing.is_set() or (span := self._ask(go, drives=True)) is None:
+        if self._closing.is_set() or (span := self._ask(GO, drives=True)) is None:
             self._on_board = b""
             return False
         self._note_rise(job)
@@ -215,9 +193,8 @@ class ETactileKitBoard(SteppedKit):
         before_hz = 10 if self._settings is None else self._settings.rate_hz
         between_hz = max(1, min(settings.rate_hz, before_hz, 800_000 // longest))
         self._on_board, self._settings, self._before = b"", None, None
-        codec = self._codec
         self._lock = ScanLock(settings.period_ns)
-        for commands in (codec.load(codec.nothing), codec.settings(settings, between_hz)):
+        for commands in (LOAD + self._nothing, settings_commands(settings, between_hz)):
             if self._exchange(commands) is None:
                 self._resync()
                 return False
@@ -227,13 +204,13 @@ class ETactileKitBoard(SteppedKit):
         self._settings = settings
         return True
 
-    def _load(self, payload: bytes) -> bool:
+    def _load(self, pattern: bytes) -> bool:
         """Load a pattern while nothing flows; return whether the board has it."""
         self._on_board = b""
-        if self._exchange(self._codec.load(payload)) is None:
+        if self._exchange(LOAD + pattern) is None:
             self._resync()
             return False
-        self._on_board = payload
+        self._on_board = pattern
         return True
 
     def _note_volts(
@@ -283,13 +260,12 @@ class ETactileKitBoard(SteppedKit):
 
     def _sense(self, scan: ScanSequence) -> NDArray[np.uint16] | None:
         """Sense for `SENSE_S`; return the reading of each output, counts, if the board sent all."""
-        codec = self._codec
         with self._line:
             self._zero()
             try:
                 with self._measuring(scan, SENSE_SCANS):
                     self._senses = True
-                    self._write_out(codec.lead + codec.sense)
+                    self._write_out(SENSE)
                 # Ten scans a second; two of them are over when the readings are queried.
                 self._pause(SENSE_S)
                 found = self._exchange(NO_SENSE, ask=True)

@@ -14,11 +14,9 @@ from smarttouch.boards.kits.etactilekit_wire import (
     CHIPS,
     NO_SENSE,
     PING,
+    QUIET,
     READINGS,
     ZEROS,
-    Codec,
-    HeightCodec,
-    ModeCodec,
 )
 from smarttouch.boards.kits.keeper import PAUSE_S, PIECE
 from smarttouch.boards.kits.kept_line import KeptBoard
@@ -26,10 +24,10 @@ from smarttouch.boards.kits.scan_lock import Span
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
-FIRMWARES = ("936c6c0", "71adee2", "newest")  # by their first commits in the repository
+FIRMWARES = ("71adee2", "newest")  # by their first commits in the repository
 ECHO_S = 0.1
 CHIPS_S = 0.5  # longest time to an answer
-FORGETS_S = 2.15  # silence after which a partial command is dropped, except by 936c6c0
+FORGETS_S = 2.15  # silence after which a partial command is dropped
 LOSSES_UNTIL_SLOW = 2
 TRIES = 3
 LOOKS = 5  # answers in a row without an echo after which the firmware has none
@@ -44,7 +42,6 @@ class ETactileKitLine(KeptBoard):
     kind = "etactilekit"
     takes_wiring: ClassVar[bool] = True
     can_be_asked: ClassVar[bool] = True
-    _codec: Codec
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         port, _, options = port.partition("?")
@@ -58,13 +55,14 @@ class ETactileKitLine(KeptBoard):
                 f"output {self._outputs - 1} is out of reach: an eTactileKit counts to 253 outputs",
                 about="output.wiring",
             )
+        self._echo = bytes([self._outputs])
         self._lost_frames = 0
         self._senses = False  # whether it may be making sense pulses
 
     # -- detection -----------------------------------------------------------
 
     def _find_out(self) -> tuple[str, int]:
-        """Put any firmware at zero, choose its codec; return its name and its number of outputs."""
+        """Put any firmware at zero; return its name and its number of outputs."""
         for _ in range(TRIES - 1):
             # Bytes may be lost here too.
             with contextlib.suppress(LineLostError):
@@ -80,14 +78,14 @@ class ETactileKitLine(KeptBoard):
                 f"{self._outputs}: use the profile of this board",
                 about="electrodes",
             )
-        firmware = self._meet_modes() if self._echoes(chips) else self._meet_heights()
-        if self._wanted not in (None, firmware) and {self._wanted, firmware} != set(FIRMWARES[1:]):
-            raise BoardError(
-                f"the board at {self._port_name} answers as firmware {firmware} does, not as "
-                f"{self._wanted}: leave ?firmware out",
-                about="?firmware",
-            )
-        return self._wanted or firmware, capacity
+        self._require_echo(chips)
+        # No sense pulses: the guard of every change relies on that.
+        self._write_out(QUIET + NO_SENSE + bytes([0xFC, self._outputs]) + PING)
+        if self._read(1, ECHO_S) != self._echo:
+            raise self._lost("does not echo its number of electrodes")
+        if self._wanted is not None:
+            return self._wanted, capacity
+        return FIRMWARES[self._forgets_hosts() and self._forgets_hosts()], capacity
 
     def _wake(self) -> int:
         """Put the board at zero and its parser at the start of a command; return its number of
@@ -109,50 +107,28 @@ class ETactileKitLine(KeptBoard):
             about="board",
         )
 
-    def _echoes(self, chips: int) -> bool:
-        """Return whether the firmware echoes; its number of electrodes is zero meanwhile."""
+    def _require_echo(self, chips: int) -> None:
+        """Raise unless the firmware echoes; its number of electrodes is zero meanwhile."""
         for _ in range(LOOKS):
             self._flush()
             # The answer to the second byte shows whether the first was a query.
             self._write(PING + CHIPS)
             answer = self._read(1, CHIPS_S)
             if answer == b"\0" and self._read(1, CHIPS_S) == bytes([chips]):
-                return True
+                return
             if answer != bytes([chips]):
                 raise self._lost(
                     "answers in a way that no known eTactileKit does "
                     f"({answer.hex() or 'not at all'}): switch it off and on, or update it"
                 )
-        return False
-
-    def _meet_modes(self) -> str:
-        codec = self._codec = ModeCodec(self._outputs)
-        # No sense pulses: the guard of every change relies on that.
-        self._write_out(codec.quiet + NO_SENSE + bytes([0xFC, self._outputs]) + PING)
-        if not codec.is_answer(self._read(1, ECHO_S)):
-            raise self._lost("does not echo its number of electrodes")
-        if self._wanted is None and self._forgets_hosts() and self._forgets_hosts():
-            return "newest"
-        return "71adee2"
-
-    def _meet_heights(self) -> str:
-        codec = self._codec = HeightCodec(self._outputs)
-        # Its electrodes come back with an old pattern: first the height must be zero.
-        self._write_out(codec.quiet + CHIPS)
-        if not self._read(1, CHIPS_S):
-            raise self._lost("does not confirm a height of zero")
-        self._write_out(bytes([0xFC, self._outputs]) + codec.question)
-        answer = self._read(codec.answer_bytes + 1, ECHO_S)
-        if codec.is_answer(answer):
-            return "936c6c0"
-        self._write_out(AT_REST[0])
-        if len(answer) == self._outputs:
-            raise BoardError(
-                f"the firmware of the board at {self._port_name} is eTactileKit v1.0, which is "
-                "not supported: update it",
-                about="firmware",
-            )
-        raise self._lost(f"sent {len(answer)} bytes of readings, not {codec.answer_bytes}")
+        for command in AT_REST:
+            self._write_out(command)
+        raise BoardError(
+            f"the firmware of the eTactileKit at {self._port_name} is older than commit 71adee2, "
+            "and not supported: flash the newest one of the kit's repository, "
+            "aid-lab-org/eTactileKit",
+            about="firmware",
+        )
 
     def _forgets_hosts(self) -> bool:
         """Return whether it drops a partial command when its host was away for a while."""
@@ -161,11 +137,11 @@ class ETactileKitLine(KeptBoard):
         self._pause(0.05)
         self._reconnect(AWAY_S)
         self._write(PING)
-        forgets = self._codec.is_answer(self._read(1, ECHO_S))
+        forgets = self._read(1, ECHO_S) == self._echo
         in_time = time.monotonic() - began < AWAY_MOST_S
         self._flush()
         self._write(bytes(3) + PING)
-        if not self._codec.is_answer(self._read(1, CHIPS_S)):
+        if self._read(1, CHIPS_S) != self._echo:
             self._resync()
         return forgets and in_time
 
@@ -186,9 +162,8 @@ class ETactileKitLine(KeptBoard):
         """Send commands and wait until they are executed; return the span in which that was and, if
         asked for, the readings (N,) before them in the board's order; None if the answer is wrong.
         Commands that make current are marked by ``drives``."""
-        codec = self._codec
-        data = codec.lead + READINGS * ask + body + codec.question
-        expected = codec.readings_bytes * ask + codec.answer_bytes
+        data = READINGS * ask + body + PING
+        expected = 2 * self._outputs * ask + 1
         # A late answer must not be taken for this one's.
         self._flush()
         begun_ns = self._clock.now_ns()
@@ -196,24 +171,21 @@ class ETactileKitLine(KeptBoard):
             self._write_out(data)
         answer = self._read(expected, ECHO_S + self._wire_s(data))
         span = Span(begun_ns, self._clock.now_ns())
-        if len(answer) != expected or not codec.is_answer(answer[expected - codec.answer_bytes :]):
+        if len(answer) != expected or answer[-1:] != self._echo:
             return None
-        readings = np.frombuffer(answer[: codec.readings_bytes], "<u2") if ask else None
-        return span, readings
+        return span, np.frombuffer(answer[:-1], "<u2") if ask else None
 
     def _resync(self) -> None:
         """Resynchronize the board's parser to the start of a command; nothing flows meanwhile."""
         self._note_loss()
-        codec = self._codec
         # Zeros complete any half pattern, and are no commands; if not, silence does.
-        second = (b"", FORGETS_S) if codec.forgets else (ZEROS, 0.1)
-        for zeros, pause_s in ((ZEROS, 0.01), second):
+        for zeros, pause_s in ((ZEROS, 0.01), (b"", FORGETS_S)):
             self._write_out(zeros)
             time.sleep(pause_s)
             self._flush()
-            self._write_out(codec.quiet + NO_SENSE * self._senses + bytes(4) + codec.question)
+            self._write_out(QUIET + NO_SENSE * self._senses + bytes(4) + PING)
             # The answer may only be late, and a silence would cost far more.
-            if codec.is_answer(self._read(codec.answer_bytes, CHIPS_S)):
+            if self._read(1, CHIPS_S) == self._echo:
                 return
         raise self._lost("does not answer any more")
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from smarttouch.boards.kits.current_scale import one_against_all
 from smarttouch.boards.kits.etactilekit_line import ETactileKitLine
-from smarttouch.boards.kits.etactilekit_wire import SHORTEST_US, Settings
+from smarttouch.boards.kits.etactilekit_wire import QUIET, SHORTEST_US, Settings
 from smarttouch.boards.kits.scan_lock import WIDEST, ScanLock, Span
 from smarttouch.boards.kits.streamed import Job
 from smarttouch.profile.device import Output
@@ -101,8 +101,7 @@ class SteppedKit(ETactileKitLine):
         rest_us = max(0, settings.discharge_us - SHORTEST_US)
         if self._waits:
             # A query during a scan is answered after it: the whole scan has passed.
-            pulsed = rises.any() and self._codec.even
-            slot_us = rest_us + (settings.width_us if pulsed else SHORTEST_US)
+            slot_us = rest_us + (settings.width_us if rises.any() else SHORTEST_US)
             self._lock.learn(Span(asked_ns, answered_ns - 1000 * self._outputs * slot_us))
             return
         # That slot passed between the two questions; its scan began so much earlier.
@@ -178,7 +177,7 @@ class SteppedKit(ETactileKitLine):
     def _scan_ns(self) -> int:
         """Return the duration of a scan."""
         assert self._settings is not None
-        return 1000 * self._settings.scan_us(self._outputs, self._codec.slot_extra_us)
+        return 1000 * self._settings.scan_us(self._outputs)
 
     def _listen(self) -> None:
         """Run a scan without pulses if its readings will show when it starts."""
@@ -207,7 +206,7 @@ class SteppedKit(ETactileKitLine):
         shown, self._shown = self._shown, None
         begun_ns, stopped = self._clock.now_ns(), None
         try:
-            stopped = self._ask(self._codec.quiet)
+            stopped = self._ask(QUIET)
         finally:
             self._stopped_ns = self._clock.now_ns()
             seen = self._account(shown, stopped, begun_ns) if shown is not None else True
