@@ -17,8 +17,7 @@ from typing import Final, Protocol
 
 from smarttouch.base.posix import resource, user_number
 
-LOOP: Final = 1
-"""Priority of the threads that pace and send: the lowest above all ordinary ones."""
+LOOP: Final = 1  # priority of the threads that pace and send: the lowest above all ordinary ones
 
 _LOCK_NOW, _LOCK_LATER, _LOCK_TOUCHED = 1, 2, 4
 _FIFO: int | None = getattr(os, "SCHED_FIFO", None)
@@ -132,8 +131,7 @@ def _may_lock_all() -> bool:
     return unlimited or user_number() == 0
 
 
-SPIN_NS = 300_000
-"""Spun end of each wait at real-time priority: a sleep alone wakes .1 ms late."""
+SPIN_NS = 300_000  # spun end of each wait at real-time priority: a sleep alone wakes .1 ms late
 LATE_NS = 100_000_000
 """Delay after which nothing is sent to a board any more, and intensity restarts at zero."""
 

@@ -14,8 +14,7 @@ from smarttouch.base.one_line import one_line
 
 Shape = Literal["point", "disc", "annulus", "rectangle"]
 
-COINCIDENT_MM = 1e-3
-"""Distance below which two electrodes count as one given twice."""
+COINCIDENT_MM = 1e-3  # distance below which two electrodes count as one given twice
 
 KAJIMOTO_61_ROWS = (5, 6, 7, 8, 9, 8, 7, 6, 5)
 

@@ -137,8 +137,7 @@ class TrialEvent(Note):
     reveals: ClassVar[bool] = True
 
 
-Emit = Callable[[Event], None]
-"""Sends an event to the listeners of a run."""
+Emit = Callable[[Event], None]  # sends an event to the listeners of a run
 
 
 def drop_event(_event: Event) -> None:

@@ -29,12 +29,10 @@ MOST_TABLE_BYTES = 16_000_000
 """Largest CSV or JSON file: a day of numbers, a hundred times a second, is smaller."""
 MOST_TOML_BYTES = 1_000_000
 """Largest profile; that of a thousand electrodes has a tenth. Parsing takes seconds a megabyte."""
-MOST_ARRAY_BYTES = 256_000_000
-"""Largest total of arrays in a file, and largest of its arrays."""
+MOST_ARRAY_BYTES = 256_000_000  # largest total of arrays in a file, and largest of its arrays
 MOST_BANK_BYTES = 700_000_000
 """The same of a bank of kernels: that of 4,096 electrodes has 605 million, nearly all zero."""
-MOST_DOCUMENT_BYTES = 2_000_000_000
-"""Largest image, PDF or video; only the needed parts are read."""
+MOST_DOCUMENT_BYTES = 2_000_000_000  # largest image, PDF or video; only the needed parts are read
 
 # Parsers take the square of a key's parts: 60 kB of "a.a.a" keep tomllib for 14 s.
 _DEEP_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}""")

@@ -17,12 +17,9 @@ from typing import Self
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.posix import set_nonblocking
 
-ENDS_WITHIN_S = 0.7
-"""Time limit from a signal to the end of the process."""
-RUNS_ON_S = 5.0
-"""Additional time for a process that is not blocked, but slow or on a busy machine."""
-ZERO_WITHIN_S = 5.0
-"""Time to wait at the end for a board that does not confirm zero."""
+ENDS_WITHIN_S = 0.7  # time limit from a signal to the end of the process
+RUNS_ON_S = 5.0  # additional time for a process that is not blocked, but slow or on a busy machine
+ZERO_WITHIN_S = 5.0  # time to wait at the end for a board that does not confirm zero
 SIGNALS = {signal.SIGINT: "Ctrl-C", signal.SIGTERM: "SIGTERM"}
 if hasattr(signal, "SIGHUP"):  # not on Windows
     SIGNALS[signal.SIGHUP] = "SIGHUP"

@@ -120,8 +120,7 @@ def draws(shown: "Console | None" = None) -> bool:
 
 
 _WIDEST = 200
-_LONGEST_NAME = 40
-"""Longest text at the left of a table that stays in one line."""
+_LONGEST_NAME = 40  # longest text at the left of a table that stays in one line
 
 
 def print_table(
@@ -219,10 +218,8 @@ def _fill_closed() -> None:
             setattr(sys, name, os.fdopen(nothing, "w" if number else "r", encoding="utf-8"))
 
 
-MOST_WAITING = 1 << 18
-"""Bytes that wait for a terminal; what comes beyond is dropped."""
-LAST_WORDS_S = 0.2
-"""Longest time that the end of a stopped run waits for a terminal."""
+MOST_WAITING = 1 << 18  # bytes that wait for a terminal; what comes beyond is dropped
+LAST_WORDS_S = 0.2  # longest time that the end of a stopped run waits for a terminal
 _STEP_S = 0.05
 
 

@@ -6,8 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-PEAK = 32_767
-"""Largest magnitude of a kernel's weights."""
+PEAK = 32_767  # largest magnitude of a kernel's weights
 _ROWS = 256  # quantized at once
 _HEAD = struct.Struct("<HH")
 _SHORTEST_GAP = 3  # zeros from which a new run is shorter than to write them out

@@ -80,14 +80,9 @@ class MemoryBoard(Board):
         self, rest: str, limits: SafetyLimits, output: Output | None = None, **_: Any
     ) -> None:
         super().__init__(
-            limits,
-            output,
-            max_current_ma=limits.current_ma,
-            max_slots=0xFFFF,
-            time_to_zero_ms=0.0,
-            firmware="memory",
-            recharges=output is None or output.kind == "weighted",
-        )
+            limits, output, max_current_ma=limits.current_ma, max_slots=0xFFFF, time_to_zero_ms=0.0,
+            firmware="memory", recharges=output is None or output.kind == "weighted",
+        )  # fmt: skip
         refuse_rest("memory:", rest, BoardError)
         self.sequences: list[ScanSequence] = []
 

@@ -174,16 +174,9 @@ class HostStatistics:
 
     def report(self) -> BoardReport:
         return BoardReport(
-            self._sequences,
-            self._slots,
-            self._pulses,
-            0,
-            self._current_ma,
-            self._charge_uc,
-            self._net_uc,
-            by="host",
-            most_pulses=self._most_pulses,
-        )
+            self._sequences, self._slots, self._pulses, 0, self._current_ma, self._charge_uc,
+            self._net_uc, by="host", most_pulses=self._most_pulses,
+        )  # fmt: skip
 
 
 SATURATED = 0.97  # part of the compliance at which a source counts as saturated

@@ -106,14 +106,9 @@ def make_gate(board: Any, limits: SafetyLimits, clock: NanosecondClock | None) -
     gate = SafetyGate(limits, clock)
     if id(board) not in _seals:
         _seals[id(board)] = _Seal(
-            gate,
-            len(vars(gate)),
-            limits,
-            tuple(vars(limits).values()),
-            gate._clock,
-            bool(board.on_a_finger),
-            is_foreign(board),
-        )
+            gate, len(vars(gate)), limits, tuple(vars(limits).values()), gate._clock,
+            bool(board.on_a_finger), is_foreign(board),
+        )  # fmt: skip
         finalize(board, _seals.pop, id(board)).atexit = False
     return gate
 
@@ -194,19 +189,15 @@ class TimedBoard(Sealed):
 
     def __init__(self) -> None:
         self._clock: Clock = MonotonicClock(None if self._spins else 0)
-        self._due_ns = 0
-        """Planned start of the present sequence, by the clock."""
+        self._due_ns = 0  # planned start of the present sequence, by the clock
         self._stopped = threading.Event()
         self._halted = False
-        self._fault_found: BoardFaultError | None = None
-        """Fault that latched the board."""
+        self._fault_found: BoardFaultError | None = None  # fault that latched the board
         # Reentrant: a signal handler may stop while its own thread is writing.
         self._writing = threading.RLock()
         self._writes = 0
-        self._overtaken = False
-        """Whether a stop did not wait for the write under way."""
-        self._zeroed = False
-        """Whether a stop has put the board at zero."""
+        self._overtaken = False  # whether a stop did not wait for the write under way
+        self._zeroed = False  # whether a stop has put the board at zero
 
     @property
     @final

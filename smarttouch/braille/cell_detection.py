@@ -163,9 +163,7 @@ def slope_of(px: Points, pitch_px: float) -> float:
     return float(np.median(steps[near, 1] / steps[near, 0])) if near.any() else 0.0
 
 
-def level_rows(
-    found: FoundCells,
-) -> tuple[list[list[int]], Points, Callable[[Points], Points]]:
+def level_rows(found: FoundCells) -> tuple[list[list[int]], Points, Callable[[Points], Points]]:
     """Return the cells of each row from the left, rows from the top, without print beside Braille
     and cells between its lines; the places of all cells with level rows, in distances of cells;
     and the map of such places to pixels."""

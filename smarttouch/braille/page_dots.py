@@ -10,13 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.braille.cell_detection import (
-    FoundCells,
-    Points,
-    cell_pitch,
-    columns_of,
-    level_rows,
-)
+from smarttouch.braille.cell_detection import FoundCells, Points, cell_pitch, columns_of, level_rows
 
 FEWEST = 40
 """Fewest cells from which the look of dots is learned."""

@@ -84,8 +84,7 @@ def emulate(
 _Url = Annotated[str, argument("kajimoto61:PORT, etactilekit:PORT, link:PORT", "URL")]
 
 _WALK_MA = 0.5
-_ENDS = ("q", "\x03", "\x04", "")
-"""Keys that end a walk; the empty one is a terminal that is gone."""
+_ENDS = ("q", "\x03", "\x04", "")  # keys that end a walk; the empty one is a terminal that is gone
 
 
 @devices.command()

@@ -103,8 +103,7 @@ class SimulatedBoard(LinkHost):
     says, or at the end of the one before, and is over as soon as it has been computed."""
 
     simulated_time = True
-    room = Room()
-    """What the board has room for."""
+    room = Room()  # what the board has room for
     on_a_finger = False
     _line: _Line
 
@@ -196,8 +195,7 @@ class SimulatedBoard(LinkHost):
 
 _STARTS_WITHIN_S = 30.0  # time limit of the start, long enough for a busy computer
 _ENDS_WITHIN_S = 3.0
-_READY_FOR_S = 5.0
-"""Time for which a process that has been started waits surely for its host."""
+_READY_FOR_S = 5.0  # time for which a process that has been started waits surely for its host
 _SPEAKS_WITHIN_S = 5.0  # longest silence: it may wait for a processor
 
 

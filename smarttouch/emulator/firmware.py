@@ -183,16 +183,11 @@ def _record(electrodes: int) -> np.dtype[np.void]:
     each = (electrodes,)
     return np.dtype(
         [
-            ("number", "<u4"),
-            ("slot", "<u2"),
-            ("site", "<u2"),
-            ("time_us", "<i8"),
-            ("current_ua", "<i4", each),
-            ("charge_uc", "<f4", each),
-            ("volts", "<f2", each),
+            ("number", "<u4"), ("slot", "<u2"), ("site", "<u2"), ("time_us", "<i8"),
+            ("current_ua", "<i4", each), ("charge_uc", "<f4", each), ("volts", "<f2", each),
             ("residual_uc", "<f2", each),
         ]
-    )
+    )  # fmt: skip
 
 
 class FirmwareClock(Protocol):

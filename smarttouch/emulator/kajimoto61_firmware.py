@@ -156,15 +156,10 @@ class Kajimoto61Firmware(Firmware):
                 start_ns += self._connect_early(scan, electrode, start_ns)
             self._loaded_ua = 0.0
             reading = self._source.pulse(
-                scan.number,
-                electrode,
-                current_ua,
-                MEASURE_US if scan.measures else WIDTH_US,
-                start_ns,
-                among=ELECTRODES,
-                rest_us=0 if scan.measures else GROUNDED_US + SWITCHING_US,
-                slot=done,
-            )
+                scan.number, electrode, current_ua, MEASURE_US if scan.measures else WIDTH_US,
+                start_ns, among=ELECTRODES,
+                rest_us=0 if scan.measures else GROUNDED_US + SWITCHING_US, slot=done,
+            )  # fmt: skip
             scan.readings.append(reading)
         if scan.end_ns > now_ns:
             return
@@ -182,14 +177,7 @@ class Kajimoto61Firmware(Firmware):
     def _connect_early(self, scan: _Scan, electrode: int, start_ns: int) -> int:
         """Deliver what the converter still holds; return its duration, ns."""
         self._source.pulse(
-            scan.number,
-            electrode,
-            -self._loaded_ua,
-            LOADING_US,
-            start_ns,
-            among=ELECTRODES,
-            rest_us=0,
-            grounded=False,
-            more=True,
-        )
+            scan.number, electrode, -self._loaded_ua, LOADING_US, start_ns, among=ELECTRODES,
+            rest_us=0, grounded=False, more=True,
+        )  # fmt: skip
         return 1000 * LOADING_US

@@ -65,15 +65,9 @@ class SingleSource:
             self._skin.short(rest_us)
         self._rested_ns = start_ns + round(1000 * (width_us + rest_us))
         self.books.enter(
-            number,
-            electrode if slot is None else slot,
-            electrode,
-            delivered,
-            width_us,
-            self._skin.residual_uc,
-            start_ns // 1000,
-            more=more,
-        )
+            number, electrode if slot is None else slot, electrode, delivered, width_us,
+            self._skin.residual_uc, start_ns // 1000, more=more,
+        )  # fmt: skip
         flowed = bool(delivered.current_ua.any())
         volts = delivered.source_v if flowed else self._skin.compliance_v
         return min(LARGEST_READING, int(volts / VOLTS_PER_COUNT))

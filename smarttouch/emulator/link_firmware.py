@@ -81,10 +81,8 @@ class LinkFirmware(Firmware):
         self._last, self._last_start_ns = (-1, False), 0
         """Number of the last sequence accepted, whether it has begun, and when."""
         self._refusing: Refusal | None = Refusal.STOPPED
-        self._received_ns = 0
-        """Time of the last sign of life."""
-        self._packet_ns = 0
-        """Time of the first byte of the present packet."""
+        self._received_ns = 0  # time of the last sign of life
+        self._packet_ns = 0  # time of the first byte of the present packet
         self._alive_ns = 0
         self._greeted = False
         self._shorted_since_ns = 0

@@ -26,8 +26,7 @@ MAX_RECHARGE_UA = 500
 MAX_RECHARGE_US = 20_000
 MAX_RECHARGE_PC = 2_000_000
 FULL = 0xFFFF
-STRENGTH = 4
-"""Multiple of a pulse's share of a full one that its strength is at most."""
+STRENGTH = 4  # multiple of a pulse's share of a full one that its strength is at most
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,19 +14,14 @@ from smarttouch.emulator.link_packets import ReceivedSequence
 from smarttouch.emulator.link_rules import BrokenRule
 
 BUCKET_US = 50_000
-BUCKETS = 20
-"""Whole buckets before the one at hand: a second, and up to a twentieth of one more."""
+BUCKETS = 20  # whole buckets before the one at hand: a second, and up to a twentieth of one more
 SECOND_US = 1_000_000
 MOST_CHARGE_PC = 500_000_000
 MOST_NET_PC = 50_000_000
-RAMP_MS = 500
-"""Least time from zero to full."""
-CATCH_UP_US = 150_000
-"""Time by which a rise may be ahead of that, as packets may be late."""
-KEPT_US = 15_000_000
-"""Time without current after which a level is closed."""
-_LEEWAY = 2
-"""Of an intensity in 1/65,535, for its rounding."""
+RAMP_MS = 500  # least time from zero to full
+CATCH_UP_US = 150_000  # time by which a rise may be ahead of that, as packets may be late
+KEPT_US = 15_000_000  # time without current after which a level is closed
+_LEEWAY = 2  # of an intensity in 1/65,535, for its rounding
 _I32_MAX = 2**31 - 1
 
 
@@ -38,8 +33,7 @@ class LastSecond:
     """
 
     def __init__(self, electrodes: int) -> None:
-        self._over: deque[tuple[int, Load]] = deque()
-        """Bucket and load of each pass that is over."""
+        self._over: deque[tuple[int, Load]] = deque()  # bucket and load of each pass that is over
         self._running: Load | None = None
         self._starts_us: deque[int] = deque()
         self._electrodes = electrodes

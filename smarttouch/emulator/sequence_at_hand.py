@@ -31,10 +31,8 @@ class ScanSoFar:
 
     period_us: int
     intensity: int
-    rise_us: int
-    """When it was to begin, on the skin."""
-    rise: Ramp
-    """As it was before the scan."""
+    rise_us: int  # when it was to begin, on the skin
+    rise: Ramp  # as it was before the scan
     load: Load
     more: bool = True
 
@@ -49,12 +47,9 @@ class SequenceAtHand:
 
     number: int
     sequence: WireSequence
-    load: Load | None
-    """Of a pass; None without slots."""
-    left: int
-    """Number of remaining scans, with the current one."""
-    more: bool = False
-    """Whether it is a part of a scan that goes on."""
+    load: Load | None  # of a pass; None without slots
+    left: int  # number of remaining scans, with the current one
+    more: bool = False  # whether it is a part of a scan that goes on
     goes_on: bool = False
     came_ns: int = 0
     start_ns: int = 0
@@ -62,8 +57,7 @@ class SequenceAtHand:
     end_ns: int = 0
     done: int = 0
     volts: list[float] = field(default_factory=list)
-    recharge_ns: int | None = None
-    """Start of its recharge phase, until that has been recorded."""
+    recharge_ns: int | None = None  # start of its recharge phase, until that has been recorded
 
     @property
     def over_ns(self) -> int:

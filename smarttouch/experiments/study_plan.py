@@ -292,8 +292,7 @@ class StudyRow:
 
 
 HEADING = tuple(each.name for each in fields(StudyRow))
-_KINDS = {"str": str, "int": int, "float": float}
-"""Kinds of the columns by their names."""
+_KINDS = {"str": str, "int": int, "float": float}  # kinds of the columns by their names
 
 
 def rows_of_finger(

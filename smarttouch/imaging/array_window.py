@@ -3,10 +3,8 @@
 from smarttouch.imaging.registration import PIXELS_PER_CELL
 from smarttouch.profile import Profile
 
-FEWEST_ROWS = 4
-"""Fewest rows on which letters can be distinguished."""
-SAMPLES_PER_PITCH = 4
-"""Pulses of an electrode while the text moves by one cell."""
+FEWEST_ROWS = 4  # fewest rows on which letters can be distinguished
+SAMPLES_PER_PITCH = 4  # pulses of an electrode while the text moves by one cell
 _PRESS = 1.1  # reading force of a virtual finger, relative to the profile's full force
 
 

@@ -14,8 +14,7 @@ from smarttouch.profile import Optics
 
 PIXELS_PER_CELL = 8
 """Working pixels across one electrode's cell; finer frames are averaged down first."""
-_SAMPLES = 6
-"""Sub-pixel samples per axis when the overlap of cell and pixel is measured."""
+_SAMPLES = 6  # sub-pixel samples per axis when the overlap of cell and pixel is measured
 
 
 class Apertures(NamedTuple):

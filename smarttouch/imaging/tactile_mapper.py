@@ -15,34 +15,25 @@ from smarttouch.imaging.registration import Registration
 from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Frame
 
-CONTRAST_GUARD = 45.0
-"""Least contrast of print: grey levels of its darkest part below the white."""
-GREY_GUARD = 0.41
-"""Largest part of intermediate grey levels in print; more of them are noise."""
-INK_LEVEL = 0.7
-"""Part of the white below which is ink."""
+CONTRAST_GUARD = 45.0  # least contrast of print: grey levels of its darkest part below the white
+GREY_GUARD = 0.41  # largest part of intermediate grey levels in print; more of them are noise
+INK_LEVEL = 0.7  # part of the white below which is ink
 WHITE_DECAY_PER_S = 0.8
 """Rate at which the tracked white may fall: slow enough to cross a black headline."""
 GREY_PRINT = 0.55
 """Part of the white above which the darkest is grey print, or a shadow, and no black."""
-FAINT_PART = 0.11
-"""Least contrast of faint print, of the white."""
-FAINT_GRAINS = 4.0
-"""Least contrast of faint print, in the usual depth of the paper's grain."""
+FAINT_PART = 0.11  # least contrast of faint print, of the white
+FAINT_GRAINS = 4.0  # least contrast of faint print, in the usual depth of the paper's grain
 _FAINT_RANKS = np.array([0.5, 0.97])
 """Parts of a patch of faint print that are no deeper than grain, and than its ink."""
-_WINDOW = 4
-"""Windows of paper across a patch: strokes of text are narrower."""
+_WINDOW = 4  # windows of paper across a patch: strokes of text are narrower
 AREA_PART = 0.5
 """Part of the patch across which an area is dark that is wider than any usual stroke."""
 BLACK_AREA = 0.2
 """Part of the white above which such an area is a table, a picture or a deep shadow, no ink."""
-_MUCH = 0.25
-"""Dark part of a patch from which it is searched for such areas."""
-_BESIDE = 2
-"""Samples around them that are blurred."""
-_SAMPLES = 32
-"""Rows and columns of the sample for the guards."""
+_MUCH = 0.25  # dark part of a patch from which it is searched for such areas
+_BESIDE = 2  # samples around them that are blurred
+_SAMPLES = 32  # rows and columns of the sample for the guards
 
 
 class Binarizer:
@@ -138,8 +129,7 @@ pulses of RA, and so short that a stroke at reading speed does not smear over th
 LEAVING = 0.4
 """Drive of leaving ink, relative to arriving: RA responds less to the end of a touch. (At full
 strength the stroke that has just left would be felt beside the one that is there.)"""
-FAINTEST_CHANGE = 0.15
-"""Least change above the sensor's noise."""
+FAINTEST_CHANGE = 0.15  # least change above the sensor's noise
 
 
 class NaturalDrive:
@@ -180,10 +170,8 @@ class NaturalDrive:
         np.minimum(change, 1, out=change)
 
 
-FAINTEST_INK = 0.15
-"""Fraction of ink in a cell below which its electrode is not active."""
-FULLEST_INK = 0.5
-"""Fraction of ink in a cell from which its electrode is fully active."""
+FAINTEST_INK = 0.15  # fraction of ink in a cell below which its electrode is not active
+FULLEST_INK = 0.5  # fraction of ink in a cell from which its electrode is fully active
 _NOTHING, _FULL = np.zeros((), np.float32), np.ones((), np.float32)
 
 

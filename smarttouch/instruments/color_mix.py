@@ -123,8 +123,7 @@ def merged(trains: list[Times], least_us: int) -> tuple[Times, list[NDArray[np.i
 PC_RATE_HZ = 150.0
 """Most pulses of PC a second, so one for every second cycle at its best frequency. Ours; faster
 ones were of little use to the paper's subjects in PC mode (Section III-C.1, above 100 Hz)."""
-VIBRATION_US = 20_000
-"""Interval of new amplitudes of vibrators. Ours."""
+VIBRATION_US = 20_000  # interval of new amplitudes of vibrators; our own choice
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,8 +28,7 @@ axes (2.8 counts from end to end), is then no motion back."""
 STICKS = 4.5
 """Counts by which a resting hand must move: the distance behind, and the same to and fro."""
 
-_ROUNDING = 1 + 1e-6
-"""Tolerance for rounding, as a slide ends at exactly this distance."""
+_ROUNDING = 1 + 1e-6  # tolerance for rounding, as a slide ends at exactly this distance
 
 
 class Deadband:
@@ -157,8 +156,7 @@ class MouseSource(StimulusSource):
         self.texture: Texture = texture
         self.motion: HandMotion = motion
         self.mode: Mode = mode
-        self.merged: int = 0
-        """Ridges that passed under an electrode in the same frame as another."""
+        self.merged: int = 0  # ridges that passed under an electrode in the same frame as another
         self._electrodes = len(profile.electrodes)
         self._limit = PulseLimit(self._electrodes, self.fastest_hz)
         self._afferent: Afferent = mode.afferents[0]
@@ -190,14 +188,9 @@ class MouseSource(StimulusSource):
             self._draw_image(place)
         force_n = self.motion.force_n if self.motion.knows_force else self._press_n
         return Stimulus(
-            activation,
-            time_ns,
-            math.nan if force_n is None else force_n,
-            self._period_us,
-            pose=Pose(*place),
-            number=self.frames - 1,
-            image=self._image,
-        )
+            activation, time_ns, math.nan if force_n is None else force_n, self._period_us,
+            pose=Pose(*place), number=self.frames - 1, image=self._image,
+        )  # fmt: skip
 
     def drawing(self, profile: Profile, bank: KernelBank) -> TexturePicture:
         """Return the drawing of a run's pulses, which are too few to average."""

@@ -14,8 +14,7 @@ from smarttouch.pages.page_image import INCH_MM
 if TYPE_CHECKING:
     from evdev import InputDevice
 
-USUAL_CPI = 800.0
-"""Default counts per inch of most mice."""
+USUAL_CPI = 800.0  # default counts per inch of most mice
 _FOLDER = Path("/dev/input")
 _WAIT_S = 0.1
 _GROUP = "join the group input (sudo usermod -aG input $USER) and log in again"

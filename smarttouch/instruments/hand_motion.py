@@ -37,8 +37,7 @@ class HandMotion(Device, ABC):
     `knows_force`.
     """
 
-    duration_s: float | None = None
-    """Duration of the motion; None if it never ends by itself."""
+    duration_s: float | None = None  # duration of the motion; None if it never ends by itself
     resolution_mm: float = 0.0
     """Resolution of the motion: at rest it may jump to and fro by so much."""
 
@@ -73,8 +72,7 @@ def open_motion(url: str, **options: Any) -> HandMotion:
     return motion
 
 
-_PATH_RESOLUTION_MM = 0.01
-"""Resolution of recorded paths; an estimate of ours."""
+_PATH_RESOLUTION_MM = 0.01  # resolution of recorded paths; an estimate of ours
 _NEEDED = ("time_s", "x_mm", "y_mm")
 
 
@@ -116,8 +114,7 @@ class PathMotion(HandMotion):
         return x - self.origin_mm[0], y - self.origin_mm[1]
 
 
-_IMAGE_RESOLUTION_MM = 0.02
-"""Jitter at rest of motion found in images; an estimate of ours."""
+_IMAGE_RESOLUTION_MM = 0.02  # jitter at rest of motion found in images; an estimate of ours
 
 
 def open_posed_source(url: str, *, profile: Profile | None = None) -> "SourceMotion":
@@ -157,10 +154,8 @@ class SourceMotion(HandMotion):
 
 USUAL_MM_S = 40.0
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 1000.0
-START_S = 0.75
-"""Time of rest before the first stroke: the hand is there before it moves."""
-REST_S = 0.3
-"""Time of rest between two strokes."""
+START_S = 0.75  # time of rest before the first stroke: the hand is there before it moves
+REST_S = 0.3  # time of rest between two strokes
 USUAL_ROUNDS = 1
 _MOST_ROUNDS = 10_000
 _MOST_STROKES = 100_000

@@ -16,8 +16,7 @@ from smarttouch.profile import Profile
 from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
 from smarttouch.sources.source_contract import Source
 
-FIND_S = 3.0
-"""Time to look for a stream."""
+FIND_S = 3.0  # time to look for a stream
 _MOST_SAMPLES = 64
 
 

@@ -12,10 +12,8 @@ from smarttouch.profile import Profile
 from smarttouch.running.session_feed import SessionFeed
 from smarttouch.sources.source_contract import Input, Stimulus
 
-SILENT_S = 0.5
-"""Silence after which an activation is stale."""
-LOOK_S = 0.1
-"""Longest wait of the receiving thread, which then looks whether it is to end."""
+SILENT_S = 0.5  # silence after which an activation is stale
+LOOK_S = 0.1  # longest wait of the receiving thread, which then looks whether it is to end
 _JOIN_S = 1.0
 
 
@@ -35,10 +33,8 @@ class PushedStimuli(SessionFeed):
 
     def __init__(self, title: str, profile: Profile, follow: bool = False) -> None:
         super().__init__(profile, title)
-        self.given: int = 0
-        """Number of activations that came so far."""
-        self.wrong: int = 0
-        """Number of those that were left out, as they were invalid."""
+        self.given: int = 0  # number of activations that came so far
+        self.wrong: int = 0  # number of those that were left out, as they were invalid
         self._follow, self._closing = follow, False
         self._thread = threading.Thread(target=self._receive_all, name="received", daemon=True)
         self.put(np.zeros((len(Afferent), len(profile.electrodes)), np.float32), 0)

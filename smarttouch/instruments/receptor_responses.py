@@ -35,8 +35,7 @@ fire does so in each cycle."""
 SAI_FORCE_N = 0.0013
 """Median force at which human SAI afferents begin to fire (Johansson, Vallbo and Westling, Brain
 Res. 184, 1980)."""
-SAI_FULL_N = 1.0
-"""Force at which SAI is driven in full, if no profile is given. Ours."""
+SAI_FULL_N = 1.0  # force at which SAI is driven in full, if no profile is given; our own choice
 SAI_FULL_UM = 1500.0
 """Indentation up to which SAI afferents fire faster (J. Neurophysiol. 101:1033, 2009, Table 1)."""
 SAI_RATE_HZ = 50.0
@@ -44,8 +43,7 @@ SAI_RATE_HZ = 50.0
 a fifth of it."""
 _PAD_S = 1.0
 """Padding that joins the trace's end to its beginning, as the Fourier transform is cyclic."""
-_GAP_S = 0.05
-"""Longest silence between two beats of one vibration."""
+_GAP_S = 0.05  # longest silence between two beats of one vibration
 
 
 @dataclass(frozen=True, eq=False)

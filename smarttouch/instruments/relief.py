@@ -34,22 +34,16 @@ from smarttouch.instruments.textures import (
     TextureSampler,
 )
 
-USUAL_GRAIN_MM = 2.0
-"""Default grain, where no pitch dominates: that of the paper's electrodes."""
-_PER_GRAIN = 20
-"""Pixels of the map per grain."""
+USUAL_GRAIN_MM = 2.0  # default grain, where no pitch dominates: that of the paper's electrodes
+_PER_GRAIN = 20  # pixels of the map per grain
 _FINEST_MM, _COARSEST_MM = 0.02, 0.1
 _MOST_PIXELS = 16_000_000
-_LONGEST_SIDE = 32_000
-"""Longest side of a map: OpenCV's sampling counts pixels in 16 bits."""
+_LONGEST_SIDE = 32_000  # longest side of a map: OpenCV's sampling counts pixels in 16 bits
 _LOWEST, _HIGHEST = 0.25, 0.75
 """Heights of shapes that are never and always high; between, the surroundings decide."""
-_FAINT = 0.03
-"""Least height of a ridge over its surroundings; the grain of an image is below it."""
-_AROUND = 2.5
-"""Width of the surroundings, in grains; their standard deviation is one grain."""
-_BLUR_MM = 0.2
-"""Blur against the noise of photographs of shapes; a line half as wide is still high."""
+_FAINT = 0.03  # least height of a ridge over its surroundings; the grain of an image is below it
+_AROUND = 2.5  # width of the surroundings, in grains; their standard deviation is one grain
+_BLUR_MM = 0.2  # blur against the noise of photographs of shapes; a line half as wide is still high
 
 
 class Relief(Texture):
@@ -155,10 +149,8 @@ class Relief(Texture):
         return np.asarray(depth[margin:-margin, margin:-margin].copy(), np.float32)
 
 
-_STROKE = 0.15
-"""Depth of the thinnest stroke that pulses along itself, in grains."""
-_STEP = 1.25
-"""Distance of samples along the way, in pixels of the map."""
+_STROKE = 0.15  # depth of the thinnest stroke that pulses along itself, in grains
+_STEP = 1.25  # distance of samples along the way, in pixels of the map
 _MOST_SAMPLES = 64
 _FULL = 0.96
 """Share of half a grain from which the depth counts as full: beyond rounding, and the blur."""
@@ -193,8 +185,7 @@ class ReliefFeeler:
         self._place = complex(x_mm, y_mm)
         x, y = self._on_map(np.array([self._place]))
         self._before = np.repeat(self._depth(x, y), 2, axis=0)
-        self._lowest = self._before[0].copy()
-        """Lowest depth of each electrode since its last pulse."""
+        self._lowest = self._before[0].copy()  # lowest depth of each electrode since its last pulse
         self._pulsed = np.full(len(self._all), self._place)
         """Place of the array at the last pulse of each electrode."""
         self._entered = self._pulsed.copy()

@@ -20,19 +20,15 @@ from smarttouch.pages.page_image import (
 )
 from smarttouch.pages.prepared_page import print_text
 
-_SIDE = 512
-"""Pixels of the image for the spectrum."""
+_SIDE = 512  # pixels of the image for the spectrum
 _FEWEST_CYCLES = 5.0
 """Fewest periods across the shorter side; with fewer it is a shape and no texture."""
 _PROMINENT = 0.25
 """Share of the variance, but for that of the light, that a single one must carry to dominate: three
 directions at one pitch, as of a honeycomb, have a third each. An estimate of ours."""
-_LIGHT_CYCLES = 2.5
-"""Cycles across the longer side below which changes are of the light."""
-_COARSEST_MM = 10.0
-"""Coarsest pitch of a texture; beyond, ridges are felt one by one."""
-_AROUND = 2
-"""Bins of a peak on each side: the main lobe of a Hann window."""
+_LIGHT_CYCLES = 2.5  # cycles across the longer side below which changes are of the light
+_COARSEST_MM = 10.0  # coarsest pitch of a texture; beyond, ridges are felt one by one
+_AROUND = 2  # bins of a peak on each side: the main lobe of a Hann window
 
 
 def dominant_pitch_mm(height: NDArray[np.float32], mm_per_pixel: float) -> float | None:
@@ -66,10 +62,8 @@ def dominant_pitch_mm(height: NDArray[np.float32], mm_per_pixel: float) -> float
     return pitch_mm if pitch_mm <= _COARSEST_MM else None
 
 
-LETTER_MM = 12.0
-"""Height of printed letters: wide enough strokes for electrodes 2 mm apart."""
-_PRINTED_MM = 4.2
-"""Height of the letters of `print_text`, ascender to descender."""
+LETTER_MM = 12.0  # height of printed letters: wide enough strokes for electrodes 2 mm apart
+_PRINTED_MM = 4.2  # height of the letters of `print_text`, ascender to descender
 _MARGIN_MM = 4.0
 _SCALE = "dpi or width_mm"
 _LEAST_RANGE = 0.03

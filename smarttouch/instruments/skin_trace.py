@@ -25,8 +25,7 @@ from smarttouch.base.tables import CsvTable, read_csv
 
 Array = NDArray[np.float64]
 
-SAMPLE_HZ = 4000.0
-"""Lowest sampling rate: four samples a cycle at 1 kHz, above PC's band."""
+SAMPLE_HZ = 4000.0  # lowest sampling rate: four samples a cycle at 1 kHz, above PC's band
 HIGHEST_SAMPLE_HZ = 20_000.0
 LONGEST_S = 600.0
 
@@ -160,8 +159,7 @@ def _from_spectrum(table: CsvTable, seconds: float, seed: int) -> Trace:
     return Trace(total, np.zeros_like(total), sample_hz, str(table.path))
 
 
-RAMP_S = 0.05
-"""Rise and fall of each part, half a period of a cosine. Ours."""
+RAMP_S = 0.05  # rise and fall of each part, half a period of a cosine; our own choice
 HIGHEST_HZ = 1000.0
 _NUMBER = r"(\d+(?:\.\d*)?|\.\d+)"
 _BAND = rf"{_NUMBER}-{_NUMBER}hz"

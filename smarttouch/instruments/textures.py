@@ -18,8 +18,7 @@ class RidgeCrossing(NamedTuple):
 
     height: NDArray[np.float32]
     """Height of the last ridge that passed each electrode, (E,) in [0, 1]; 0 where none did."""
-    merged: int
-    """Number of ridges that passed together with another one of the same electrode."""
+    merged: int  # number of ridges that passed together with another one of the same electrode
 
 
 class TextureSampler(Protocol):

@@ -18,10 +18,8 @@ from smarttouch.instruments.textures import Texture
 if TYPE_CHECKING:
     import tkinter
 
-PAD_MM = (150.0, 100.0)
-"""Size of a texture without bounds."""
-_SHARE = 0.8
-"""Largest part of the screen for the window."""
+PAD_MM = (150.0, 100.0)  # size of a texture without bounds
+_SHARE = 0.8  # largest part of the screen for the window
 _POLL_MS = 50
 _START_S = 10.0
 

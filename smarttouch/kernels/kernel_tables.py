@@ -12,11 +12,7 @@ from smarttouch.kernels.bank import KernelBank, design_confined, kernels_at_node
 from smarttouch.kernels.batch_design import Design, Timed, design_sites, part_of
 from smarttouch.kernels.design_problem import Kernel, Problem
 from smarttouch.kernels.finger_kernels import FingerKernels
-from smarttouch.kernels.switched_design import (
-    design_one_of_n,
-    design_three_state,
-    designer,
-)
+from smarttouch.kernels.switched_design import design_one_of_n, design_three_state, designer
 from smarttouch.kernels.weighted_design import design_any_node, design_kernel
 from smarttouch.profile import Profile
 
@@ -225,10 +221,7 @@ def site_table(profile: Profile, kernels: Sequence[SiteKernel]) -> WordTable:
             "which are of other classes; own spill the part of the own class beyond a pitch."
         )
     return WordTable(
-        f"{names} kernels of {profile.name}: {profile.title}",
-        heading,
-        list(rows.values()),
-        note,
+        f"{names} kernels of {profile.name}: {profile.title}", heading, list(rows.values()), note
     )
 
 

@@ -187,12 +187,7 @@ def _without_gutters(letters: Spots, links: Links, spots: Spots) -> Links:
 
 
 def _parts_columns(
-    letters: Spots,
-    lane: tuple[float, float],
-    y: float,
-    size: float,
-    fewest: int,
-    reach: float,
+    letters: Spots, lane: tuple[float, float], y: float, size: float, fewest: int, reach: float
 ) -> bool:
     """Return whether a lane is white over several lines with letters on both sides of it.
 

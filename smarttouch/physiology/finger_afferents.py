@@ -83,10 +83,7 @@ class FingerAfferents:
     """Population of afferents of one finger under the array of a profile; see `Finger`."""
 
     def __init__(
-        self,
-        profile: Profile | str,
-        seed: int = 1,
-        anatomy: str | Path | Anatomy = "branched",
+        self, profile: Profile | str, seed: int = 1, anatomy: str | Path | Anatomy = "branched"
     ) -> None:
         require_within(ProfileError, "seed", seed, 0, math.inf)
         self.profile: Profile = load_profile(profile)

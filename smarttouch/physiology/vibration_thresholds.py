@@ -86,10 +86,7 @@ def _valleys() -> dict[Afferent, _Valley]:
     pc_below = _Flank(PC_DB_PER_OCTAVE, 0.5)
     edge_db = float(pc_below.rise_db(np.log2(np.array(PC_BAND_HZ[0] / PC_BEST_HZ))))
     pc = _Valley(
-        PC_BEST_HZ,
-        PC_BEST_DB,
-        pc_below,
-        _flank_through(PC_BAND_HZ[1], PC_BEST_HZ, edge_db, 0.5),
+        PC_BEST_HZ, PC_BEST_DB, pc_below, _flank_through(PC_BAND_HZ[1], PC_BEST_HZ, edge_db, 0.5)
     )
     # 6.1 dB per octave far below, 8.7 far above.
     below, above = (

@@ -48,12 +48,7 @@ CEILINGS = (
         "Ours: what AS 60601.2.10 (201.7.9.2.101) lets an output carry without being stated. A "
         "full frame of every shipped profile needs at most 9.98 mA.",
     ),
-    Ceiling(
-        "pulse width",
-        CEILING_PULSE_US,
-        "µs",
-        "The paper's own pulses (Section III-A).",
-    ),
+    Ceiling("pulse width", CEILING_PULSE_US, "µs", "The paper's own pulses (Section III-A)."),
     Ceiling(
         "charge of a pulse",
         CEILING_CHARGE_UC,

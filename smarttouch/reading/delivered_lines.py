@@ -82,11 +82,7 @@ def deliver_pulses(line: TouchLine, reading: LineDelivery) -> DeliveredLine:
     )
     with Display("simulated:", profile) as display:
         Runner(
-            source,
-            display,
-            config,
-            listeners=[watch],
-            load_kernels=lambda _: reading.bank,
+            source, display, config, listeners=[watch], load_kernels=lambda _: reading.bank
         ).run()
         board = display.board
         assert isinstance(board, SimulatedBoard)

@@ -285,8 +285,7 @@ def recognize(
 
 
 def recognize_lines(
-    strips: Sequence[NDArray[np.uint8]],
-    languages: str = "eng",
+    strips: Sequence[NDArray[np.uint8]], languages: str = "eng"
 ) -> Iterator[RecognizedLine]:
     """Recognize strips, (h, W_i) uint8, of one straight line each, by one call of Tesseract.
 

@@ -19,8 +19,7 @@ from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
-KEPT = 20
-"""Differences listed in a report; all are counted."""
+KEPT = 20  # differences listed in a report; all are counted
 
 _SCALARS = (
     ("slots", ""), ("period_us", "µs"), ("intensity", ""), ("time_ns", "ns"), ("recharge_us", "µs"),
@@ -140,13 +139,9 @@ def rebuild_pipeline(
     """Return a pipeline and a regulator in their state at the start of a recording."""
     run = recording.run
     pipeline = Pipeline(
-        profile,
-        bank,
-        replace(run.config, balance=run.balance),
-        run.timing,
-        vibrated=run.vibrated,
+        profile, bank, replace(run.config, balance=run.balance), run.timing, vibrated=run.vibrated,
         in_sums=run.in_sums,
-    )
+    )  # fmt: skip
     adaptation = ledger = recharge = None
     if run.hold is not None:
         if run.compliance_v is None:

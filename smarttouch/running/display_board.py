@@ -51,8 +51,7 @@ class DisplayBoard(Closing):
         self.board: Board = board
         # Also without a run: a program may drive the board itself.
         self._stop.always_on_stop(board.halt)
-        self.notes_reported = 0
-        """Number of the board's notes that earlier runs have reported."""
+        self.notes_reported = 0  # number of the board's notes that earlier runs have reported
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.url!r}, {self.profile!r})"

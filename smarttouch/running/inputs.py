@@ -25,8 +25,7 @@ from smarttouch.sources.force import ForceSource
 from smarttouch.sources.given_sources import checked_input
 from smarttouch.sources.source_contract import Input, Source
 
-STEP = 0.05
-"""Change of level by one press of a key."""
+STEP = 0.05  # change of level by one press of a key
 
 
 @dataclass(frozen=True)
@@ -111,8 +110,7 @@ class Controls:
             self._state = replace(self._state, **changes)
 
 
-LIFT_NS = 300_000_000
-"""Time without current after a lifted finger; it then rises from zero again."""
+LIFT_NS = 300_000_000  # time without current after a lifted finger; it then rises from zero again
 
 
 @dataclass

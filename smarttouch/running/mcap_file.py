@@ -20,20 +20,16 @@ from mcap.writer import MCAP0_MAGIC
 from smarttouch.base.errors import RecordingError
 from smarttouch.base.files import open_file, parse_json, unreadable
 
-MOST_BYTES = 2**40
-"""Largest recording: a month."""
+MOST_BYTES = 2**40  # largest recording: a month
 MOST_CHUNK_BYTES = 128 * 2**20
 """Largest chunk and message. Ours have 1 MB and perhaps an image, of 80 megapixels."""
 BASE_BYTES, MOST_INFLATION = 2 * MOST_CHUNK_BYTES, 200
 """Limits of all chunks together, decompressed: bytes, and ratio to the file. Ours have 2 to 6."""
-BASE_MESSAGES = 100_000
-"""Messages allowed in any recording, in addition to one for each byte of it."""
-_MOST_VALUES = 2_000_000
-"""Largest number of values in one message; each takes some 60 bytes."""
+BASE_MESSAGES = 100_000  # messages allowed in any recording, in addition to one for each byte of it
+_MOST_VALUES = 2_000_000  # largest number of values in one message; each takes some 60 bytes
 _LARGE_BYTES = 2**20
 _HEAD = struct.Struct("<BQ")
-_INVALID = 0
-"""Opcode of no record: what follows is no part of a recording."""
+_INVALID = 0  # opcode of no record: what follows is no part of a recording
 
 
 def records_in(file: BinaryIO, at: int = 0) -> Iterator[tuple[int, int, int]]:
@@ -112,8 +108,7 @@ def _inflated(chunk: Chunk) -> bytes:
     return chunk.data
 
 
-_CHUNK = struct.Struct("<QQQ")
-"""Head of a chunk: first time, last time, decompressed bytes."""
+_CHUNK = struct.Struct("<QQQ")  # head of a chunk: first time, last time, decompressed bytes
 _LONGEST_ABOUT = 4 * 2**20
 
 
@@ -130,10 +125,8 @@ class McapFile:
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.metadata: dict[str, dict[str, str]] = {}
-        self.ended: bool = False
-        """Whether its end is there."""
-        self.claims: list[int] = []
-        """Bytes that each chunk claims to hold, decompressed."""
+        self.ended: bool = False  # whether its end is there
+        self.claims: list[int] = []  # bytes that each chunk claims to hold, decompressed
         self._bad_at: set[int] = set()
         self._last_ns = 0
         try:

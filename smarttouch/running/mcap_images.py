@@ -32,8 +32,7 @@ _CHANNELS = {
     "mono16": 1, "16UC1": 1,
 }  # fmt: skip
 """Channels of encodings (ROS's ``sensor_msgs/image_encodings.hpp``)."""
-_AHEAD = 8
-"""Messages that are read ahead, which say how far apart they are."""
+_AHEAD = 8  # messages that are read ahead, which say how far apart they are
 
 Decode = Callable[[bytes], Any]
 

@@ -7,14 +7,11 @@ from smarttouch.boards.board import Board
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.step import FirstPulse
 
-GUARD_NS = 500_000
-"""Time kept beside the usual delay of a sequence."""
+GUARD_NS = 500_000  # time kept beside the usual delay of a sequence
 _IDLE_NS = 1_000_000
 """Pause of the board from which a sequence counts as late; below, the board itself may be."""
-_OF_20 = 20
-"""One sequence in so many may come late."""
-_REMEMBERED = 250
-"""Sequences for which it is remembered what the line took."""
+_OF_20 = 20  # one sequence in so many may come late
+_REMEMBERED = 250  # sequences for which it is remembered what the line took
 
 
 @dataclass(frozen=True)

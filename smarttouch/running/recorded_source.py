@@ -34,8 +34,7 @@ class RecordingSource(Source):
     read returns the next step, whatever time it is.
     """
 
-    knows_force = True
-    """Only where no finger is: on a board with one the force is live."""
+    knows_force = True  # only where no finger is: on a board with one the force is live
 
     def __init__(self, recording: Recording, unpaced: bool = False) -> None:
         super().__init__(recording.path.name)

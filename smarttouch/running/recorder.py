@@ -31,8 +31,7 @@ from smarttouch.running.step_encoder import Message, StepEncoder
 
 FLUSH_S = 0.04
 """Longest time before data is passed to the system: the loss when a program is killed."""
-SYNC_S = 1.0
-"""Longest time before data is on the disk: the loss at a power failure."""
+SYNC_S = 1.0  # longest time before data is on the disk: the loss at a power failure
 MOST_WAITING = 1000
 
 

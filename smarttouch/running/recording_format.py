@@ -16,13 +16,11 @@ from smarttouch.running.config import RunConfig
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.scan_sequence import SlotPolicy
 
-FORMAT = "1"
-"""Version of the format, raised when older readers can no longer read it."""
+FORMAT = "1"  # version of the format, raised when older readers can no longer read it
 
 METADATA = "smarttouch"
 
-LAST = "/board"
-"""Topic of a step's last message: with it a step is complete."""
+LAST = "/board"  # topic of a step's last message: with it a step is complete
 
 INFO = 2
 

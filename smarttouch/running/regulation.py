@@ -13,8 +13,7 @@ from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules, add_re
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 _VOLTS = "a list of (sequence, volts at the end of each slot)"
-_WAITING_UC = 0.02
-"""Charge that whole µA of the longest recharge phase may leave."""
+_WAITING_UC = 0.02  # charge that whole µA of the longest recharge phase may leave
 
 
 @dataclass

@@ -14,10 +14,8 @@ from smarttouch.kernels.bank import KernelBank
 from smarttouch.running.step import FirstPulse, StepResult
 from smarttouch.sources.source_contract import Source
 
-_PER_E = 100
-"""Bins for each factor of e: a figure is true to half a percent."""
-_FACTORS = 17
-"""From 1 µs to 24 s."""
+_PER_E = 100  # bins for each factor of e: a figure is true to half a percent
+_FACTORS = 17  # from 1 µs to 24 s
 
 
 class LatencyHistogram:

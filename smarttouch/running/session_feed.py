@@ -23,8 +23,7 @@ from smarttouch.sources.given_sources import checked_activation, gray_image
 from smarttouch.sources.source_contract import IDLE_NS, Frame, Input, Source, Stimulus
 from smarttouch.stimulation.intensity import force_gate
 
-AHEAD_NS = 6_000_000
-"""Time before a planned start in which its first sequence is made."""
+AHEAD_NS = 6_000_000  # time before a planned start in which its first sequence is made
 Pattern = NDArray[Any] | Frame | TactileImage
 """Activation (E,) or (3, E), an image (H, W), a frame, or a tactile image."""
 
@@ -51,12 +50,9 @@ class SessionFeed(Source, Listener):
         self.began: threading.Event = threading.Event()
         self.is_over: bool = False
         self.controls: Controls = Controls(ControlState(Mode.RA))
-        self.gate: float = 0.0
-        """What force lets flow of a level, in [0, 1]."""
-        self.user_level: float = 0.0
-        """What the user lets flow of a level, in [0, 1]."""
-        self.now_ns: int = 0
-        """Time of the last read, since the start of the run."""
+        self.gate: float = 0.0  # what force lets flow of a level, in [0, 1]
+        self.user_level: float = 0.0  # what the user lets flow of a level, in [0, 1]
+        self.now_ns: int = 0  # time of the last read, since the start of the run
         self._read_at_ns = (0, 0)
         self._profile, self._simulated, self._stop = profile, False, stop or StopRequest()
         self._press_n = profile.force.full_n

@@ -13,12 +13,9 @@ from smarttouch.boards.board import Board
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Frame
 
-STEADY = 0.98
-"""Part of a level that counts as reached."""
-FAINT = 0.01
-"""Activation of pulses that open a level: those of threshold."""
-SILENT_US = 20_000
-"""Period of a silence that is asked for, and of pulses that open a level."""
+STEADY = 0.98  # part of a level that counts as reached
+FAINT = 0.01  # activation of pulses that open a level: those of threshold
+SILENT_US = 20_000  # period of a silence that is asked for, and of pulses that open a level
 
 
 Level = float | Callable[[float], float | None]
@@ -36,30 +33,25 @@ class Show:
     pattern: NDArray[np.float32] | Frame | None
     level: Level
     seconds: float | None
-    opens: float | None = None
-    """Level that must be open before it begins."""
+    opens: float | None = None  # level that must be open before it begins
     patience_s: float | None = None
     at_ns: int | None = None
     period_us: int | None = None
-    exact: bool = False
-    """Whether neither force nor the user's level may lower it."""
-    least: float = STEADY
-    """Part of what is asked below which its level is lost."""
+    exact: bool = False  # whether neither force nor the user's level may lower it
+    least: float = STEADY  # part of what is asked below which its level is lost
     over: threading.Event = field(default_factory=threading.Event)
     fault: str = ""
     began: bool = False
     asked_ns: int | None = None
     time_ns: int = 0
     clock_ns: int = 0
-    first: int | None = None
-    """Number of its first sequence."""
+    first: int | None = None  # number of its first sequence
     board_us: int | None = None
     ramped_ns: int = 0
     sequences: int = 0
     pulses: int = 0
     lowest: float | None = None
-    current_ma: float = 0.0
-    """Strongest of its last pulses."""
+    current_ma: float = 0.0  # strongest of its last pulses
     faint: float = FAINT
 
     def level_at(self, since_ns: int) -> float | None:

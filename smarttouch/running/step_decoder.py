@@ -27,11 +27,9 @@ _IMPOSSIBLE = (
 
 
 _PNG = struct.Struct(">16sII")
-_SIGNATURE = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
-"""First bytes of a PNG; width and height follow."""
+_SIGNATURE = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"  # first bytes of a PNG; width and height follow
 MOST_PIXELS = 100_000_000
-_LONGEST_US = 10_000_000
-"""Longest time between two stimuli: the period of the slowest rate."""
+_LONGEST_US = 10_000_000  # longest time between two stimuli: the period of the slowest rate
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,7 @@ from smarttouch.running.step import FirstPulse, Step, StepResult
 from smarttouch.sources.source_contract import Input, Stimulus
 from smarttouch.stimulation.scan_sequence import SelectivityReport
 
-REMEMBERED = 512
-"""Sequences kept for later measurements: a second or more."""
+REMEMBERED = 512  # sequences kept for later measurements: a second or more
 # Of all that OpenCV offers, this is fastest and smallest on frames with a sensor's noise.
 _PNG = (
     cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_HUFFMAN_ONLY,

@@ -93,13 +93,9 @@ class Walk(StimulusSource):
         activation = np.zeros((len(Afferent), len(profile.electrodes)), np.float32)
         activation[Afferent.RA, site] = 1
         return Stimulus(
-            activation,
-            self._now_ns,
-            profile.force.full_n,
-            round(1e6 / profile.pulse.rate_hz),
-            current_ma / float(profile.full_ma[site]),
-            number=number,
-        )
+            activation, self._now_ns, profile.force.full_n, round(1e6 / profile.pulse.rate_hz),
+            current_ma / float(profile.full_ma[site]), number=number,
+        )  # fmt: skip
 
     def _say(self, words: str) -> None:
         self.emit(ElectrodeReached(self._now_ns, words))

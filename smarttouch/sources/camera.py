@@ -15,10 +15,8 @@ from smarttouch.base.errors import SourceError, SourceLostError, require_within
 from smarttouch.profile import Profile
 from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
 
-BUFFERS = 1
-"""Images buffered by the driver: older ones are of no use."""
-FAILURES = 5
-"""Reads without an image in a row after which the camera is lost."""
+BUFFERS = 1  # images buffered by the driver: older ones are of no use
+FAILURES = 5  # reads without an image in a row after which the camera is lost
 _PAUSE_S = 0.02
 COMPRESSED = float(cv2.VideoWriter.fourcc(*"MJPG"))
 """Coding that fits more images a second through USB."""

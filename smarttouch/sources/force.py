@@ -14,8 +14,7 @@ from smarttouch.profile import Profile
 from smarttouch.sources.source_contract import Device
 
 LARGEST_FIXED_N = 20.0
-LARGEST_RECORDED_N = 100.0
-"""Largest plausible force of a finger; larger numbers are not newtons."""
+LARGEST_RECORDED_N = 100.0  # largest plausible force of a finger; larger numbers are not newtons
 _COLUMNS = ("time_s", "force_n")
 
 

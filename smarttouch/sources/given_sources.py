@@ -104,8 +104,7 @@ def checked_activation(activation: Any, who: object, electrodes: int) -> NDArray
     return activation if activation.dtype == np.float32 else activation.astype(np.float32)
 
 
-Given = Source | str | Path | NDArray[np.uint8] | Iterable[Any]
-"""What a source can be made of."""
+Given = Source | str | Path | NDArray[np.uint8] | Iterable[Any]  # what a source can be made of
 
 
 class Images(OpticalSource):

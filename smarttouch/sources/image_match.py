@@ -20,8 +20,7 @@ costs 16 x 16 sensors four fifths of the accuracy."""
 LEAST_SLOPE = 6.0
 """Mean square of the grey levels' slope, (levels/pixel)², below which a direction shows no print:
 noise of 2 levels and uneven light make some 1.5."""
-MOST_UNEXPLAINED = 0.25
-"""Share of the grey levels' variance that the shift may leave unexplained."""
+MOST_UNEXPLAINED = 0.25  # share of the grey levels' variance that the shift may leave unexplained
 _PROMISING = 0.5  # largest such share before the shift is refined
 _STEPS = 4
 _CLOSE = 0.02  # length of a step, in pixels, below which the iteration ends
@@ -37,8 +36,7 @@ _MOST_TURN_RAD = 0.1  # largest turn from image to image
 _COARSER = 2
 
 Image = NDArray[np.float32]
-Shift = tuple[float, float]
-"""Shift to the right and down."""
+Shift = tuple[float, float]  # shift to the right and down
 Correlation = Callable[[Image, Image], Shift]
 
 
@@ -48,8 +46,7 @@ class _Trial(NamedTuple):
     shift: Shift
     turn_rad: float
     common: tuple[slice, slice]
-    rest: Image
-    """Difference, (N,) levels, without its mean: light may change."""
+    rest: Image  # difference, (N,) levels, without its mean: light may change
     unexplained: float
 
 
@@ -73,10 +70,8 @@ class Matcher:
         self._middle = ((columns - 1) / 2, (rows - 1) / 2)
         self._beside = np.arange(columns, dtype=np.float32) - np.float32(self._middle[0])
         self._below = np.arange(rows, dtype=np.float32)[:, None] - np.float32(self._middle[1])
-        self.turns = True
-        """Whether turns are estimated."""
-        self._usual: Shift = (0.0, 0.0)
-        """The last accepted shift: fingers move steadily."""
+        self.turns = True  # whether turns are estimated
+        self._usual: Shift = (0.0, 0.0)  # the last accepted shift: fingers move steadily
 
     def match(self, image: NDArray[np.uint8], first: bool) -> tuple[float, float, float]:
         """Return shift and turn of the content; zeros if unknown, or for a first image."""
@@ -179,13 +174,9 @@ class Matcher:
         self._to[0] = cos, -sin, shift[0] + x - cos * x + sin * y
         self._to[1] = sin, cos, shift[1] + y - sin * x - cos * y
         cv2.warpAffine(
-            self._image,
-            self._to,
-            self.shape[::-1],
-            dst=self._laid_back,
-            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
+            self._image, self._to, self.shape[::-1], dst=self._laid_back,
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE,
+        )  # fmt: skip
         before, now = self._before[common], self._laid_back[common]
         rest = np.asarray(cv2.subtract(before, now), np.float32).ravel()
         rest -= np.float32(cv2.mean(rest)[0])

@@ -23,8 +23,7 @@ from smarttouch.sources.source_contract import (
     Pose,
 )
 
-STALE_S = 0.5
-"""Time without a new image after which the last one is stale."""
+STALE_S = 0.5  # time without a new image after which the last one is stale
 
 
 class SourceEndedError(Exception):
@@ -92,14 +91,10 @@ class ImageDevice(ABC):
         """Close the device. Never raises, in any state."""
 
 
-FIRST_IMAGE_S = 2.0
-"""Time limit of the first read, as devices start slowly."""
-GRAB_S = 0.1
-"""Longest wait for a device in one call, so that closing is prompt."""
-RETRY_S = 0.25
-"""Interval of attempts to reopen a lost device."""
-JOIN_S = 2.0
-"""Time to wait for a driver that hangs, before it is abandoned."""
+FIRST_IMAGE_S = 2.0  # time limit of the first read, as devices start slowly
+GRAB_S = 0.1  # longest wait for a device in one call, so that closing is prompt
+RETRY_S = 0.25  # interval of attempts to reopen a lost device
+JOIN_S = 2.0  # time to wait for a driver that hangs, before it is abandoned
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,8 +157,7 @@ class LiveSource(OpticalSource):
         self._intake = FramePreprocessor(profile)
         self._thread: threading.Thread | None = None
         self._stop = threading.Event()
-        self._changed = threading.Condition()
-        """Guards the counts and all attributes below."""
+        self._changed = threading.Condition()  # guards the counts and all attributes below
         self._newest: _Captured | None = None
         self._unread = False
         self._over = False
@@ -212,15 +206,9 @@ class LiveSource(OpticalSource):
             self._read_at_ns = time_ns
         age_ns = max(0, self._now_ns() - newest.taken_ns)
         return Frame(
-            newest.image,
-            time_ns,
-            newest.pose,
-            math.nan,
-            number=newest.number,
-            age_ns=age_ns,
-            stale=age_ns > self._stale_ns,
-            period_us=self._least_us if self._follows else None,
-        )
+            newest.image, time_ns, newest.pose, math.nan, number=newest.number, age_ns=age_ns,
+            stale=age_ns > self._stale_ns, period_us=self._least_us if self._follows else None,
+        )  # fmt: skip
 
     @property
     def _stale_ns(self) -> float:

@@ -24,11 +24,9 @@ from smarttouch.sources.force import ForceSource
 from smarttouch.sources.serial_input import PacketReadings, Readings, TextReadings, read_available
 from smarttouch.sources.source_contract import DeviceWarnings, OutageTracker
 
-FRESH_S = 0.35
-"""Age up to which a reading is fresh: enough for cells with ten conversions a second."""
+FRESH_S = 0.35  # age up to which a reading is fresh: enough for cells with ten conversions a second
 FROZEN_READINGS = 20
-FROZEN_S = 2.0
-"""Time of equal readings after which a cell is frozen: a converter always has noise."""
+FROZEN_S = 2.0  # time of equal readings after which a cell is frozen: a converter always has noise
 SATURATED = (float(-(2**23)), float(2**23 - 1))
 """Ends of the HX711's range: overloaded, or nothing is connected."""
 
@@ -131,14 +129,10 @@ class CellWatch:
 
 FIRST_READING_S = 5.0
 """Time limit of the first reading: some boards restart when the port opens, for two seconds."""
-MUTE_S = 2.0
-"""Least time without a reading after which a cell counts as silent."""
-RETRY_S = 0.25
-"""Interval of attempts to reopen a lost port."""
-JOIN_S = 2.0
-"""Time to wait for a driver that hangs, before it is abandoned."""
-LARGEST_N = 100.0
-"""Largest plausible force of a finger; with more, the curve is not this cell's."""
+MUTE_S = 2.0  # least time without a reading after which a cell counts as silent
+RETRY_S = 0.25  # interval of attempts to reopen a lost port
+JOIN_S = 2.0  # time to wait for a driver that hangs, before it is abandoned
+LARGEST_N = 100.0  # largest plausible force of a finger; with more, the curve is not this cell's
 _WAIT_S = 0.05
 _KINDS: dict[str, tuple[int, Callable[[], Readings]]] = {
     "hx711": (57_600, TextReadings),
@@ -175,8 +169,7 @@ class LoadCell(Closing):
         self.notes: list[str] = []
         self._readings = _KINDS[kind][1]()
         self._watch = CellWatch(self.title, self.notes, presses)
-        self._news = threading.Condition()
-        """Guards the watch and the collected readings."""
+        self._news = threading.Condition()  # guards the watch and the collected readings
         self._any = self._received = False
         self._collected: list[float] | None = None
         self._closing = threading.Event()

@@ -17,16 +17,12 @@ from smarttouch.profile import Optics, Profile
 from smarttouch.sources.image_match import Matcher, Shift
 from smarttouch.sources.source_contract import Pose
 
-DEAD_SHARE = 0.25
-"""Part of the median response to light below which a pixel is dead."""
-HOT_LEVELS = 24.0
-"""Grey levels above the median dark level from which a pixel is hot."""
-LEAST_SPAN = 40.0
-"""Least difference of white and dark, in grey levels."""
+DEAD_SHARE = 0.25  # part of the median response to light below which a pixel is dead
+HOT_LEVELS = 24.0  # grey levels above the median dark level from which a pixel is hot
+LEAST_SPAN = 40.0  # least difference of white and dark, in grey levels
 SATURATED = 254.0
 MOST_SATURATED = 0.01
-MOST_BROKEN = 0.02
-"""Largest part of broken pixels."""
+MOST_BROKEN = 0.02  # largest part of broken pixels
 
 
 class FlatField:

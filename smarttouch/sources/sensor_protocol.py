@@ -46,11 +46,9 @@ from smarttouch.base.wire.framing import Deframer, WirePacket, frame_packet
 
 VERSION = 1
 MOST_PIXELS_A_SIDE = 255
-LARGEST_NAME = 255
-"""Most bytes of the name in INFO."""
+LARGEST_NAME = 255  # most bytes of the name in INFO
 NO_READING = -(2**31)
-LARGEST_BODY = MOST_PIXELS_A_SIDE**2 + 16
-"""Most bytes of a packet, with head and CRC."""
+LARGEST_BODY = MOST_PIXELS_A_SIDE**2 + 16  # most bytes of a packet, with head and CRC
 NUMBERS = 2**32
 
 _FRAME = struct.Struct("<BBI")

@@ -16,8 +16,7 @@ from smarttouch.sources.sensor_protocol import ArrayFrame, Info, MessageStream, 
 from smarttouch.sources.serial_input import read_available
 from smarttouch.sources.source_contract import DeviceWarnings
 
-USUAL_BAUD = 921_600
-"""Default speed of lines that have one; over USB it has no effect."""
+USUAL_BAUD = 921_600  # default speed of lines that have one; over USB it has no effect
 _WAIT_S = 0.05  # longest single read
 _UNREADABLE_S = 1.5
 """Time without a valid frame from the start, after which the device is no sensor."""

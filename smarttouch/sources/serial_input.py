@@ -41,8 +41,7 @@ def read_available(port: Port, title: str) -> bytes:
 
 
 LONGEST_LINE = 240
-LARGEST_READING = 1e9
-"""Largest plausible reading; the converter itself ends at 8,388,607."""
+LARGEST_READING = 1e9  # largest plausible reading; the converter itself ends at 8,388,607
 _NUMBER = re.compile(rb"(?<![\w.+-])[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?(?![\d.])")
 _NOT_A_NUMBER = re.compile(rb"(?<!\w)[+-]?(?:nan|inf|ovf)(?!\w)", re.IGNORECASE)
 _TEXT = re.compile(rb"[\t\x20-\x7e]*")
@@ -51,10 +50,8 @@ _TEXT = re.compile(rb"[\t\x20-\x7e]*")
 class Readings(Protocol):
     """Parser of readings in a stream of bytes."""
 
-    garbled: int
-    """Number of lines or packets without a valid reading."""
-    last_garbled: str
-    """Text of the last invalid one."""
+    garbled: int  # number of lines or packets without a valid reading
+    last_garbled: str  # text of the last invalid one
 
     def feed(self, data: bytes) -> list[float]:
         """Return the readings completed by these bytes; NaN where the cell has none."""

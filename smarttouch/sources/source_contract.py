@@ -103,10 +103,8 @@ class Stimulus(TactileImage):
     image: NDArray[np.uint8] | None = None
 
 
-IDLE_NS = 45_000_000
-"""Longest time without a sequence while nothing is shown."""
-Input = Frame | Stimulus
-"""Input of a run, read once for each sequence."""
+IDLE_NS = 45_000_000  # longest time without a sequence while nothing is shown
+Input = Frame | Stimulus  # input of a run, read once for each sequence
 
 
 class Device(Closing):

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Input, Source
 
-READ_HZ = 100.0
-"""Rate at which a source is read."""
+READ_HZ = 100.0  # rate at which a source is read
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,8 +49,7 @@ class Clip(ABC):
         self.path = path
         self.title: str = path.name or str(path)
         self.rate_hz: float = USUAL_HZ
-        self.count = 0
-        """Number of images; 0 if not known. A video's count is often an estimate."""
+        self.count = 0  # number of images; 0 if not known. A video's count is often an estimate
         self.notes: list[str] = []
 
     @abstractmethod

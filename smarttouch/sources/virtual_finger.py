@@ -27,10 +27,8 @@ from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet
 
 Floats = NDArray[np.float64]
 
-RETURN_MM_S = 200.0
-"""Speed of the lifted finger on its way to the next line."""
-SETTLE_S = 0.6
-"""Time of rest at the start of a line."""
+RETURN_MM_S = 200.0  # speed of the lifted finger on its way to the next line
+SETTLE_S = 0.6  # time of rest at the start of a line
 LIFT_S = 0.15
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 500.0
 _PRESS = 1.1  # reading force, relative to the profile's full force
@@ -153,17 +151,13 @@ def _middle_path(line: TextLine, field_mm: float) -> tuple[Floats, Floats, Float
     return x, y, np.arctan(line.slope(x)), passed_mm
 
 
-OVERSAMPLING = 2
-"""Samples per pixel and axis; their mean is the pixel's aperture."""
-BLUR_MM = 0.06
-"""Standard deviation of the optics' blur."""
-NOISE_LEVELS = 2.0
-"""Standard deviation of the read noise, in grey levels."""
+OVERSAMPLING = 2  # samples per pixel and axis; their mean is the pixel's aperture
+BLUR_MM = 0.06  # standard deviation of the optics' blur
+NOISE_LEVELS = 2.0  # standard deviation of the read noise, in grey levels
 USUAL_MM_S = 40.0
 READER_MM_S = 7.0
 """Speed at which the sample page is read at some 30 words a minute: its 20 words take 39 s."""
-AGAIN_S = 1.0
-"""Time for which the lifted finger rests before it reads the page again."""
+AGAIN_S = 1.0  # time for which the lifted finger rests before it reads the page again
 MOST_PASSES = 10_000
 LEAST_MAGNIFIED, MOST_MAGNIFIED = 0.1, 10.0
 """Range of the magnification of a page beyond the profile's."""
@@ -295,8 +289,7 @@ class PageSource(OpticalSource):
     ) -> None:
         super().__init__(title)
         self.page = page
-        self.text: str = ""
-        """Text of the page, if it is known."""
+        self.text: str = ""  # text of the page, if it is known
         self.notes: list[str] = [notice] if notice else []
         self.path: Path2D = (
             ReadingPath(page, profile, speed_mm_s, seed, light_on_dark)
@@ -358,13 +351,9 @@ class PageSource(OpticalSource):
         )
         to_page[:, 2] -= to_page[:, :2] @ [(columns - 1) / 2, (rows - 1) / 2]
         cv2.warpAffine(
-            self._surface,
-            to_page,
-            (columns, rows),
-            dst=self._fine,
-            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-            borderMode=cv2.BORDER_REPLICATE,
-        )
+            self._surface, to_page, (columns, rows), dst=self._fine,
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP, borderMode=cv2.BORDER_REPLICATE,
+        )  # fmt: skip
         cv2.resize(self._fine, self._shape[::-1], dst=self._coarse, interpolation=cv2.INTER_AREA)
         random = np.random.default_rng((self._seed & 0xFFFFFFFF, time_ns))
         lit = random.standard_normal(self._shape, np.float32)

@@ -17,8 +17,7 @@ from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.scan_sequence import ScanSequence
 from smarttouch.stimulation.slot_sums import round_charge_balanced
 
-NEAR = 0.92
-"""Part of the compliance above which a source counts as saturated."""
+NEAR = 0.92  # part of the compliance above which a source counts as saturated
 FASTEST_FALL = 0.8
 FASTEST_RISE = 1.05
 """Largest ratio of a site's current between observations; at 50 Hz, 0.3 s from half to full."""
@@ -27,12 +26,10 @@ RESERVED = 0.5
 falls to a quarter, too: nothing may carry more than was asked for."""
 FAINTEST_ENERGY = RESERVED / 4
 """Least part of its current a site keeps to hold energy: 16 times the first impedance."""
-WORTHWHILE = 0.999
-"""Factor above which a current is left as it is."""
+WORTHWHILE = 0.999  # factor above which a current is left as it is
 
 Array = NDArray[np.float64]
-Hold = Literal["charge", "energy"]
-"""Quantity held constant against drifting impedance."""
+Hold = Literal["charge", "energy"]  # quantity held constant against drifting impedance
 
 
 class Adaptation:
@@ -45,11 +42,7 @@ class Adaptation:
     """
 
     def __init__(
-        self,
-        profile: Profile,
-        hold: Hold,
-        compliance_v: float,
-        timing: ScanTiming | None = None,
+        self, profile: Profile, hold: Hold, compliance_v: float, timing: ScanTiming | None = None
     ) -> None:
         self._timing = ScanTiming() if timing is None else timing
         if hold == "charge" and self._timing.width_us is not None:

@@ -62,8 +62,7 @@ class _Pass(NamedTuple):
     start_ns: int
     end_ns: int
     sums: Sums
-    most: float
-    """Largest load: no electrode has more net charge (× `PER_PC`) than this."""
+    most: float  # largest load: no electrode has more net charge (× `PER_PC`) than this
 
     def later(self, by_ns: int) -> "_Pass":
         """Return the same pass at a later time."""

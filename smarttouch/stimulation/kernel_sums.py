@@ -122,8 +122,7 @@ class KernelSums:
             [np.empty((0, self._electrodes)), *(each.kernels for _, each in every)]
         )
         """Kernels of all sets, (A, E) mA."""
-        self.sites: NDArray[np.intp] = self.points % self._electrodes
-        """Site of each, (A,)."""
+        self.sites: NDArray[np.intp] = self.points % self._electrodes  # site of each, (A,)
         self.peaks_ma: Array = np.abs(self.kernels_ma).max(axis=1, initial=0)
         """Largest magnitude of each, (A,)."""
         self._totals_ma = np.concatenate([np.empty(0), *(each.totals_ma for _, each in every)])

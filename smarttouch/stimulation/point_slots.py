@@ -21,8 +21,7 @@ from smarttouch.stimulation.scan_sequence import (
 )
 from smarttouch.stimulation.slot_sums import round_charge_balanced, rows_of_block
 
-SHORTEST_PULSE_US = 10
-"""Shortest pulse that is felt, where pulse width carries intensity."""
+SHORTEST_PULSE_US = 10  # shortest pulse that is felt, where pulse width carries intensity
 
 
 class Slots(NamedTuple):

@@ -73,8 +73,7 @@ class ScanTiming:
 SLOWEST = 0.2
 """Part of the full rate at the lightest touch of something hard: 10 of 50 Hz, the slowest pulses of
 the paper's experiments (Section III-B.2)."""
-_ON_TIME = 0.25
-"""Part of its interval: a class that is later than this starts a new grid."""
+_ON_TIME = 0.25  # part of its interval: a class that is later than this starts a new grid
 _SLOWEST_HZ = 0.1
 
 

@@ -75,10 +75,8 @@ def net_charge_pc(sequence: ScanSequence) -> NDArray[np.int64]:
     return np.asarray(net)
 
 
-MOST_US = 20_000
-"""Longest recharge phase. Ours: one period of the usual 50 scans a second."""
-MOST_PC = 2_000_000
-"""Largest charge of it through an electrode. Ours: four of the strongest pulses."""
+MOST_US = 20_000  # longest recharge phase. Ours: one period of the usual 50 scans a second
+MOST_PC = 2_000_000  # largest charge of it through an electrode. Ours: four of the strongest pulses
 _PLANNED_UA = round(1000 * PLANNED * CEILING_MEAN_MA)
 """Mean current up to which a recharge is planned."""
 

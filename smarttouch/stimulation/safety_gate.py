@@ -16,8 +16,7 @@ from smarttouch.stimulation.slot_sums import SlotAdder
 
 __all__ = ["SafetyGate", "SafetyLimits"]
 
-LEEWAY_PPB = 1000
-"""Tolerance for rounding in the ramp's sum."""
+LEEWAY_PPB = 1000  # tolerance for rounding in the ramp's sum
 
 LEVEL_KEPT_NS = 15_000_000_000
 """Time without current for which a level stays open: an experiment waits for an answer so long

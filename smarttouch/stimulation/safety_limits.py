@@ -30,8 +30,7 @@ from smarttouch.profile.ceilings import (
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
-PPB = 1_000_000_000
-"""Parts per billion in 1, the unit in which intensity is compared."""
+PPB = 1_000_000_000  # parts per billion in 1, the unit in which intensity is compared
 STRENGTH = 4
 """Intensity that a pulse counts for at most, in multiples of its share of a full pulse's charge.
 The faintest gray of the shipped kernels carries 0.39 of a full pulse: 3 would do for these, and 4
@@ -41,8 +40,7 @@ RECHARGE_UA = 500
 """Largest current of a recharge phase, whatever the threshold: a tenth of the 5 mA ceiling."""
 _DISC_MM2 = math.pi / 4
 
-Each = float | tuple[float, ...]
-"""One value for all electrodes, or one for each."""
+Each = float | tuple[float, ...]  # one value for all electrodes, or one for each
 
 
 @dataclass(frozen=True)
@@ -287,11 +285,7 @@ class SafetyLimits:
         """
         full, rounding = self.full_ua / PPB, self.rounding_ua
         below = full.denominator * rounding.denominator
-        return (
-            full.numerator * rounding.denominator,
-            rounding.numerator * full.denominator,
-            below,
-        )
+        return (full.numerator * rounding.denominator, rounding.numerator * full.denominator, below)
 
     @cached_property
     def width_whole_us(self) -> int:

@@ -47,18 +47,15 @@ def unsupported_reason(profile: Profile) -> tuple[str, str] | None:
     return None
 
 
-PER_UA = 4
-"""Amplitudes are in quarters of a µA."""
-SHIFT = 17
-"""A weight of 2^15 times an amplitude of 4 is one µA: 2^17."""
+PER_UA = 4  # amplitudes are in quarters of a µA
+SHIFT = 17  # a weight of 2^15 times an amplitude of 4 is one µA: 2^17
 MOST_KERNELS = 0xFFFF
 _BLOCK = 1 << 15
 _MOST_SUMMED_BYTES = 1 << 24
 """Bytes of weights up to which their running sums are kept, which take four times as much."""
 _LIST_TYPES: tuple[np.dtype[Any], ...] = np.dtype(np.intp), np.dtype(np.uint16), np.dtype(np.uint16)
 """Of starts, kernels and amplitudes."""
-_ABOVE = 1 << 30
-"""Above what any slot's electrodes carry together, µA; a multiple of 2^16."""
+_ABOVE = 1 << 30  # above what any slot's electrodes carry together, µA; a multiple of 2^16
 
 Shared = Mapping[Afferent, tuple[NDArray[np.float64], NDArray[np.intp]]]
 

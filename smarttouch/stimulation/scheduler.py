@@ -36,8 +36,7 @@ from smarttouch.stimulation.slot_sums import (
     shortest_period_us,
 )
 
-_PULSE_US = PER_PULSE / (PLANNED * MOST_PER_US)
-"""Period planned for each pulse of an electrode."""
+_PULSE_US = PER_PULSE / (PLANNED * MOST_PER_US)  # period planned for each pulse of an electrode
 _Maker = tuple[PointSlots, Afferent] | tuple[FrameSlots, list[Afferent]]
 """Maker of slots, and the rows of an activation that it takes."""
 _BOTH = (Afferent.RA, Afferent.SAI)
@@ -53,10 +52,8 @@ class SchedulerContext:
     """Slots shared by classes, of all schedulers."""
     points: dict[Afferent, PointSlots] = field(default_factory=dict)
     """Slots of points of the other classes, of all schedulers."""
-    table: KernelTable | None = None
-    """Kernels whose sums slots are, in whole numbers, if given."""
-    net: NetPlan | None = None
-    """Bound of periods by net charge, unless recharge phases return it."""
+    table: KernelTable | None = None  # kernels whose sums slots are, in whole numbers, if given
+    net: NetPlan | None = None  # bound of periods by net charge, unless recharge phases return it
 
 
 class ScanScheduler:
@@ -323,10 +320,7 @@ def _slots_of(makers: list[_Maker], activation: NDArray[np.float32], intensity: 
 
 
 def _shared_slots(
-    profile: Profile,
-    bank: KernelBank,
-    afferents: Sequence[Afferent],
-    common: SchedulerContext,
+    profile: Profile, bank: KernelBank, afferents: Sequence[Afferent], common: SchedulerContext
 ) -> dict[tuple[Afferent, ...], FrameSlots]:
     """Return the shared slots of classes, alone and together, from those in common or added."""
     sharing, frames = common.sharing, common.frames

@@ -223,11 +223,7 @@ def _magnitude(sequence: ScanSequence) -> NDArray[np.float64]:
 
 
 def _above(
-    limit: str,
-    each: Load,
-    allowed: NDArray[np.float64],
-    unit: int,
-    symbol: str,
+    limit: str, each: Load, allowed: NDArray[np.float64], unit: int, symbol: str
 ) -> SafetyError:
     slot, electrode = divmod(int((each - allowed).argmax()), each.shape[1])
     value, most = each[slot, electrode] / unit, allowed[electrode] / unit

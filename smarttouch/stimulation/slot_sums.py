@@ -8,12 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.profile.ceilings import (
-    BURST_S,
-    CEILING_MEAN_MA,
-    CEILING_NET_MA,
-    CEILING_PULSES_HZ,
-)
+from smarttouch.profile.ceilings import BURST_S, CEILING_MEAN_MA, CEILING_NET_MA, CEILING_PULSES_HZ
 
 WINDOW_NS = 1_000_000_000
 BURST_US = round(1e6 * BURST_S)
@@ -22,8 +17,7 @@ PER_PC = round(1000 * CEILING_PULSES_HZ / (1e6 * CEILING_MEAN_MA))
 """Weights that give felt pulses and charge one limit, in whole numbers: 3 of it for 1 pC, a
 million for a pulse, and `MOST_PER_US` of either for each microsecond."""
 MOST_PER_US = round(CEILING_PULSES_HZ)
-NET_PC = round(1e9 * CEILING_NET_MA)
-"""Largest net charge of an electrode in a second."""
+NET_PC = round(1e9 * CEILING_NET_MA)  # largest net charge of an electrode in a second
 PLANNED = 0.9
 """Part of the limit used by schedules, so that jittered steps keep the window of a second."""
 
@@ -34,8 +28,7 @@ Charge = NDArray[np.float64]
 """Signed charge of each electrode, positive cathodic, (E,) pC: whole numbers below 2^53."""
 
 
-Sums = NDArray[np.float64]
-"""Load and signed charge of each electrode, (3, E)."""
+Sums = NDArray[np.float64]  # load and signed charge of each electrode, (3, E)
 
 
 class PassLoad(NamedTuple):
@@ -58,8 +51,7 @@ def shortest_period_us(load: Load) -> int:
 BLOCK = 131_072
 """Currents per block: in single precision half a megabyte, which stays in a
 processor's own cache."""
-_EXACT_SINGLE = 2**24
-"""Bound below which whole numbers are exact in single precision."""
+_EXACT_SINGLE = 2**24  # bound below which whole numbers are exact in single precision
 
 _largest = np.maximum.reduce
 

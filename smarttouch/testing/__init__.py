@@ -11,15 +11,9 @@ if TYPE_CHECKING:
     from smarttouch.testing.source_contracts import ForceContract, SourceContract, StimulusContract
 
 __all__ = [
-    "ZERO",
-    "BoardContract",
-    "ForceContract",
-    "PtyLine",
-    "SentPulse",
-    "SourceContract",
-    "StimulusContract",
-    "TcpLine",
-]
+    "ZERO", "BoardContract", "ForceContract", "PtyLine", "SentPulse", "SourceContract",
+    "StimulusContract", "TcpLine",
+]  # fmt: skip
 
 if not TYPE_CHECKING:  # pytest loads a plug-in from here before it can rewrite what it asserts
     __getattr__ = lazy_names(

@@ -162,14 +162,10 @@ class BoardContract:
         current[np.arange(len(site)), site] = -current.sum(axis=1)
         column = np.ones(len(site), np.uint16)
         return ScanSequence(
-            current if self.cathodic else -current,
-            column * self.width_us,
-            column * self.discharge_us,
-            site,
-            self.period_us,
-            self.intensity if step else 0.0,
+            current if self.cathodic else -current, column * self.width_us,
+            column * self.discharge_us, site, self.period_us, self.intensity if step else 0.0,
             step * SECOND,
-        )
+        )  # fmt: skip
 
     def unsafe_sequence(self, how: str, limits: SafetyLimits) -> ScanSequence:
         """Return a sequence for step 1 that breaks a limit in one of the ways of `UNSAFE`."""

@@ -35,8 +35,7 @@ class SentPulse:
     period_us: float | None = None
 
 
-ZERO = SentPulse((), 0.0)
-"""All electrodes are shorted, and what was sent before is forgotten."""
+ZERO = SentPulse((), 0.0)  # all electrodes are shorted, and what was sent before is forgotten
 
 
 def planned_pulses(sequence: ScanSequence, times: int) -> list[SentPulse]:

@@ -158,8 +158,7 @@ class DeliveredDrawing(DeliveredResponses, ABC):
         self._finger: Finger | None = None
         self.slots = np.zeros(0, np.uint32), np.zeros((0, len(profile.electrodes)), np.int16)
         """Number of the sequence of each delivered slot, (N,), and its currents, (N, E) µA."""
-        self.spikes: Counts = {}
-        """Spikes of each afferent, (A,), by number of the sequence."""
+        self.spikes: Counts = {}  # spikes of each afferent, (A,), by number of the sequence
 
     @abstractmethod
     def under(self) -> Under:

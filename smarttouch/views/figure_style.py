@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CATHODIC, ANODIC = hex_color(_CATHODIC_RGB), hex_color(_ANODIC_RGB)
-SIGNED_MAP = "PuOr_r"
-"""Color map: orange for cathodic or depolarizing, purple for the other sign."""
+SIGNED_MAP = "PuOr_r"  # color map: orange for cathodic or depolarizing, purple for the other sign
 GREY = "#707070"
 SERIES_COLORS = ("#d55e00", "#009e73", "#0072b2", "#cc79a7", "#e69f00", "#56b4e9")
 """Colors of Okabe and Ito's set (2008); the first two are those of RA and PC elsewhere."""

@@ -44,8 +44,7 @@ class LiveFinger(Listener):
         self.finger: Finger = finger
         self._line: Connection | None = None
         self._process: subprocess.Popen[bytes] | None = None
-        self.felt: StepResult | None = None
-        """The newest step of the response."""
+        self.felt: StepResult | None = None  # the newest step of the response
         self._recent: deque[StepResult] = deque(maxlen=MOST_RECENT)
         self._over_ns = round(over_s * 1e9)
         self._begun: StepResult | None = None

@@ -28,11 +28,9 @@ PULSES = (
     ("period", "us"),
 )
 FRAMES = (("number", "count"), ("x", "mm"), ("y", "mm"), ("force", "N"))
-_LINGER_S = 0.1
-"""Time for the last sample to reach its listeners."""
+_LINGER_S = 0.1  # time for the last sample to reach its listeners
 _STEPS = 16
-_MOVED_S = 0.001
-"""Delay of successive steps after which the loop's schedule counts as moved."""
+_MOVED_S = 0.001  # delay of successive steps after which the loop's schedule counts as moved
 
 
 class Markers(Listener):
@@ -137,13 +135,9 @@ class Markers(Listener):
         lsl = self._lsl
         form = lsl.cf_string if kind == "Markers" else lsl.cf_double64
         info = lsl.StreamInfo(
-            f"smarttouch-{name}",
-            kind,
-            len(channels),
-            lsl.IRREGULAR_RATE,
-            form,
+            f"smarttouch-{name}", kind, len(channels), lsl.IRREGULAR_RATE, form,
             f"smarttouch-{name}-{source}",
-        )
+        )  # fmt: skip
         about = info.desc()
         about.append_child_value("manufacturer", "SmartTouch")
         about.append_child_value("profile", profile.name or profile.title)

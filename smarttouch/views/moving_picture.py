@@ -65,14 +65,9 @@ class MovingPicture(PageDrawing):
         few = [each.quantize(palette=palette, dither=Image.Dither.NONE) for each in frames]
         content = BytesIO()
         few[0].save(
-            content,
-            format="GIF",
-            save_all=True,
-            append_images=few[1:],
-            duration=round(1000 * FRAME_S),
-            loop=0,
-            optimize=True,
-        )
+            content, format="GIF", save_all=True, append_images=few[1:],
+            duration=round(1000 * FRAME_S), loop=0, optimize=True,
+        )  # fmt: skip
         write_bytes(path, content.getvalue())
 
     def _moments(

@@ -26,16 +26,14 @@ from smarttouch.running.step import FirstPulse, StepResult
 from smarttouch.views.character_pictures import MOST_ROWS, ArrayPicture, image_text
 
 _REFRESH_S = 0.2
-_LEAST_REST = 20
-"""Time between two redraws, at least so many times what the last one took."""
+_LEAST_REST = 20  # time between two redraws, at least so many times what the last one took
 _KEYS = "+ − intensity    0 none    space pause    m mode    q, Esc end"
 _ROOMY = 20  # rows of a terminal from which an event has two of them
 _LEAST_PICTURE = 9  # fewest rows of the pictures and their title beside the numbers
 _NAME = 9
 
 Rows = tuple[tuple[str, str], ...]
-_Row = list[tuple[str, str]]
-"""Pieces of a row of the terminal, and their styles."""
+_Row = list[tuple[str, str]]  # pieces of a row of the terminal, and their styles
 
 
 class Screen(Listener):

@@ -74,14 +74,10 @@ class Window(Listener):
         self.server: PageServer = PageServer(port, self._pages.routes())
         self.steering: Steering
         self.hello: str = ""
-        self.number: int = 0
-        """Number of the run, from 1; 0 before the first."""
-        self.ended: str = ""
-        """How the run ended, as a message to pages; empty while it is on."""
-        self.offered: RunChoices | None = None
-        """What pages may run next; None for nothing."""
-        self.asked: RunChoice | None = None
-        """The run that a page asked for."""
+        self.number: int = 0  # number of the run, from 1; 0 before the first
+        self.ended: str = ""  # how the run ended, as a message to pages; empty while it is on
+        self.offered: RunChoices | None = None  # what pages may run next; None for nothing
+        self.asked: RunChoice | None = None  # the run that a page asked for
         self._event_lock = threading.Lock()
         self._live: LiveFinger | None = None
         self._finger_ready = threading.Event()

@@ -72,20 +72,11 @@ class PageServer:
         self._headers = {"content-security-policy": policy, **_HEADERS}
         self._inner = Starlette(routes=[*routes, Mount("/", StaticFiles(directory=PAGE_FOLDER))])
         config = server.Config(
-            self._guarded,
-            interface="asgi3",
-            http="h11",
-            ws="websockets-sansio",
-            ws_max_size=MOST_MESSAGE_BYTES,
-            ws_per_message_deflate=False,
-            loop="asyncio",
-            lifespan="off",
-            log_config=None,
-            log_level="critical",
-            access_log=False,
-            server_header=False,
-            timeout_graceful_shutdown=1,
-        )
+            self._guarded, interface="asgi3", http="h11", ws="websockets-sansio",
+            ws_max_size=MOST_MESSAGE_BYTES, ws_per_message_deflate=False, loop="asyncio",
+            lifespan="off", log_config=None, log_level="critical", access_log=False,
+            server_header=False, timeout_graceful_shutdown=1,
+        )  # fmt: skip
         self._server: uvicorn.Server = server.Server(config)
         self._thread = threading.Thread(target=self._serve, name="window", daemon=True)
 

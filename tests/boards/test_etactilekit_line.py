@@ -166,7 +166,7 @@ def test_no_probe_ever_makes_a_board_pulse(firmware, noise, half, losses):
         old = OldKit(DeliveryLog(8), OLD[firmware][0]) if firmware in OLD else None
         meeting = Meeting(patch, firmware if old is None else None, board=old)
         # Everything set but a height.
-        quiet = "FC08 FA64 F732 F632" if firmware == "v1.0" else "FC08 FA6400 F732 F63200"
+        quiet = "FC08 FA6400 F732 F632" + "FB0000" * (firmware == "936c6c0")
         meeting.leave(quiet + (half or bytes(min(each, 0xF3) for each in noise).hex()))
         books = meeting.books if old is None else old.books
         before = books.max_charge_uc, books.slots

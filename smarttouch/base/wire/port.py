@@ -20,16 +20,9 @@ from smarttouch.base.errors import BoardError, OtherDeviceError, SmartTouchError
 from smarttouch.base.posix import termios
 
 __all__ = [
-    "LINE_ERRORS",
-    "Port",
-    "UsbIdentity",
-    "identity_of",
-    "open_port",
-    "read_some",
-    "reason",
-    "reopen_port",
-    "write_before",
-]
+    "LINE_ERRORS", "Port", "UsbIdentity", "identity_of", "open_port", "read_some", "reason",
+    "reopen_port", "write_before",
+]  # fmt: skip
 
 if termios is not None:
     # During the system's `write` no other Python thread can run, so nothing delays it.

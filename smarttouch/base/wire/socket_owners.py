@@ -21,11 +21,9 @@ _ENTRY = re.compile(
     re.MULTILINE,
 )
 
-_MAPPED = b"0000000000000000FFFF0000"
-"""Of addresses of IPv4 in the tables of IPv6."""
+_MAPPED = b"0000000000000000FFFF0000"  # of addresses of IPv4 in the tables of IPv6
 
-Address = tuple[bytes, int]
-"""Address as in the tables, and port."""
+Address = tuple[bytes, int]  # address as in the tables, and port
 
 
 class SocketEntry(NamedTuple):
@@ -34,8 +32,7 @@ class SocketEntry(NamedTuple):
     local: Address
     remote: Address
     user: int
-    number: int
-    """Unique while it is open; 0 for one that its program has closed."""
+    number: int  # unique while it is open; 0 for one that its program has closed
 
 
 def read_sockets(tables: Iterable[Path]) -> Iterator[SocketEntry]:

@@ -123,14 +123,11 @@ shortest pulses, ten scans a second. No other known board takes a byte of it for
 pattern."""
 
 
-QUIET = b"\xfb\x02\xfb\x02"
-"""Stops all pulses from the next scan on."""
+QUIET = b"\xfb\x02\xfb\x02"  # stops all pulses from the next scan on
 SENSE = QUIET + b"\xf6\x0a\0\xfd\x01\xf7\x64" + bytes([0xF8, SENSE_US, 0xF9, SENSE_COUNTS])
 """Ten anodic scans a second, `SENSE_COUNTS` by `SENSE_US`."""
-LOAD = b"\xfb\x02\xfe"
-"""Before a pattern, which is loaded while nothing flows."""
-GO = b"\xfb\0"
-"""Starts its pulses from the next scan on."""
+LOAD = b"\xfb\x02\xfe"  # before a pattern, which is loaded while nothing flows
+GO = b"\xfb\0"  # starts its pulses from the next scan on
 
 
 def zero_anywhere(outputs: int) -> bytes:

@@ -55,14 +55,9 @@ class Kajimoto61Board(StreamedBoard):
     kind = "kajimoto61"
     default_profile: ClassVar[str] = "kajimoto-61"
     timing: ScanTiming = ScanTiming(
-        width_us=WIDTH_US,
-        discharge_us=REST_US,
-        slot_extra_us=8,
-        scan_us=700,
-        in_index_order=True,
-        own_widths=False,
-        load=1 / 1.1,
-    )
+        width_us=WIDTH_US, discharge_us=REST_US, slot_extra_us=8, scan_us=700, in_index_order=True,
+        own_widths=False, load=1 / 1.1,
+    )  # fmt: skip
 
     def __init__(self, port: str, limits: SafetyLimits, output: Output | None = None) -> None:
         super().__init__(port, limits, output)

@@ -65,14 +65,9 @@ class KeptLine:
             its.enter_context(controlled)
             ends = (_descriptor(self._port), there.fileno(), controlled.fileno())
             self._process = subprocess.Popen(
-                [*COMMAND, *map(str, ends)],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                cwd="/",
-                pass_fds=ends,
-                start_new_session=True,
-            )
+                [*COMMAND, *map(str, ends)], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL, cwd="/", pass_fds=ends, start_new_session=True,
+            )  # fmt: skip
             # From here on `close` ends what has begun.
             ours.pop_all()
         self._data.settimeout(WRITE_S)

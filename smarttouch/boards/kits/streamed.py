@@ -41,10 +41,8 @@ class Job:
     due_ns: int = 0  # planned start, by the board's clock
 
 
-BOOT_S = 1.0
-"""Boot time of a board that resets when its port is opened."""
-RECOVER_S = 3.0
-"""Time to wait for a lost port."""
+BOOT_S = 1.0  # boot time of a board that resets when its port is opened
+RECOVER_S = 3.0  # time to wait for a lost port
 
 
 class StreamedBoard(Board):
@@ -56,13 +54,11 @@ class StreamedBoard(Board):
     and output are of the finger's profile.
     """
 
-    kind: str
-    """Name of the driver, for messages."""
+    kind: str  # name of the driver, for messages
     drives_in_send = False
     _zero_anywhere: bytes = b""
     """Puts a board that goes on by itself at zero, at any point of its byte stream."""
-    can_be_asked: ClassVar[bool] = False
-    """Whether a harmless query identifies such a board."""
+    can_be_asked: ClassVar[bool] = False  # whether a harmless query identifies such a board
     room_s: ClassVar[float] = 0.0
     """Time that a sequence waits for the one before it to be taken, beside a few of its periods,
     rather than replace it; 0 if it does not."""

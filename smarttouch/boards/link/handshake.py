@@ -60,22 +60,13 @@ def _offered(answer: Message, name: str) -> tuple[protocol.Output, Capabilities]
     if not features & Feature.KERNELS:
         room = kernels = 0
     found = Capabilities(
-        electrodes=outputs,
-        output=kind,
-        max_current_ma=current_ua / 1000,
-        max_slots=slots,
-        time_to_zero_ms=zero_ms,
-        firmware=answer.payload[head:].decode("utf-8", "replace"),
-        measures=bool(features & Feature.VOLTAGE),
-        force=bool(features & Feature.FORCE),
-        compliance_v=float(volts) or None,
-        recharges=bool(features & Feature.RECHARGE),
-        emergency_switch=bool(features & Feature.EMERGENCY),
-        protocol=f"link {protocol.VERSION}",
-        kernel_bytes=room,
-        most_kernels=kernels,
-        packet_bytes=packet,
-    )
+        electrodes=outputs, output=kind, max_current_ma=current_ua / 1000, max_slots=slots,
+        time_to_zero_ms=zero_ms, firmware=answer.payload[head:].decode("utf-8", "replace"),
+        measures=bool(features & Feature.VOLTAGE), force=bool(features & Feature.FORCE),
+        compliance_v=float(volts) or None, recharges=bool(features & Feature.RECHARGE),
+        emergency_switch=bool(features & Feature.EMERGENCY), protocol=f"link {protocol.VERSION}",
+        kernel_bytes=room, most_kernels=kernels, packet_bytes=packet,
+    )  # fmt: skip
     return kind, found
 
 

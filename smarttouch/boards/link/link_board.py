@@ -27,12 +27,10 @@ from smarttouch.stimulation.safety_gate import Rise, SafetyLimits
 from smarttouch.stimulation.safety_limits import parts_per_billion
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
-RECOVER_S = 3.0
-"""Time to wait for a lost port."""
+RECOVER_S = 3.0  # time to wait for a lost port
 AGAIN_S = 0.04
 """Time after which a sequence without an ACK is sent again, unless it is too late for it."""
-IN_FLIGHT = 1
-"""Sequences sent but not yet begun: the board has one place for them."""
+IN_FLIGHT = 1  # sequences sent but not yet begun: the board has one place for them
 AFTER_ZERO_S = 0.02
 """Time after a stop in which the board's count of slots must stand still: a period at 50 Hz."""
 

@@ -80,20 +80,16 @@ class LinkHost(Board):
         self._number = 0
         self._account_before: tuple[Any, ...] = ()
         """Account of the board when it was opened, or opened again after its line was lost."""
-        self._packets_before = 0
-        """Packets that it had refused when it was opened."""
-        self._slots_sent = 0
-        """Slots sent since then, repetitions included."""
+        self._packets_before = 0  # packets that it had refused when it was opened
+        self._slots_sent = 0  # slots sent since then, repetitions included
         self._unsafe_refused = 0
         """Sequences refused as unsafe since then, and those sent again: they may count twice."""
-        self._suspicion = ""
-        """Fault found in what the board says, until the board is latched."""
+        self._suspicion = ""  # fault found in what the board says, until the board is latched
         self._table: KernelTable | None = None
         self._image: KernelImage | None = None
         self._board_clock = BoardClock()
         self._sent: deque[SentPart] = deque(maxlen=4)
-        self._volts: list[NDArray[np.float32]] = []
-        """Voltages of the parts of a scan so far."""
+        self._volts: list[NDArray[np.float32]] = []  # voltages of the parts of a scan so far
         self._measured: deque[Measured] = deque(maxlen=64)
 
     def _set_up(self) -> None:

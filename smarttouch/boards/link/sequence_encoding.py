@@ -76,11 +76,9 @@ class ScanPart(NamedTuple):
     """Part of a scan, which is all of it where the board has room for that."""
 
     payload: bytes
-    first: int
-    """Slot of the scan with which it begins."""
+    first: int  # slot of the scan with which it begins
     slots: int
-    start_us: int
-    """Start of its slots within the scan."""
+    start_us: int  # start of its slots within the scan
 
 
 def encode_scan(

@@ -263,11 +263,7 @@ class HybridBoard(Board):
 
 def _only_vibration(sequence: ScanSequence) -> ScanSequence:
     return replace(
-        sequence,
-        current_ua=sequence.current_ua[:0],
-        width_us=sequence.width_us[:0],
-        discharge_us=sequence.discharge_us[:0],
-        site=sequence.site[:0],
-        recharge_ua=None,
+        sequence, current_ua=sequence.current_ua[:0], width_us=sequence.width_us[:0],
+        discharge_us=sequence.discharge_us[:0], site=sequence.site[:0], recharge_ua=None,
         recharge_us=0,
-    )
+    )  # fmt: skip

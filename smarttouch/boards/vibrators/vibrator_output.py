@@ -232,13 +232,9 @@ class SoundOutput(VibratorOutput):
         self._silenced, self._over_s = True, 0.0
         try:
             self._stream = self._sound.OutputStream(
-                samplerate=rate_hz,
-                device=self._device,
-                channels=waveform.channels,
-                dtype="float32",
-                latency="low",
-                callback=self._fill,
-            )
+                samplerate=rate_hz, device=self._device, channels=waveform.channels,
+                dtype="float32", latency="low", callback=self._fill,
+            )  # fmt: skip
             self._stream.start()
         except (self._sound.PortAudioError, ValueError) as error:
             self.close()

@@ -25,8 +25,7 @@ MOST_BROKEN = 0.5
 """Largest part of open or shorted electrodes; with more, the finger lies beside the array."""
 MOST_RESTLESS = 0.5
 """Largest spread of the median electrode over its median; with more, the finger moved."""
-MOST_LOSSES = 3
-"""Times that a board may be lost while it measures."""
+MOST_LOSSES = 3  # times that a board may be lost while it measures
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,8 +136,7 @@ def _most(conditions: Sequence[Condition]) -> Condition:
 
 
 _MARKS = {"open": "open", "short": "short", "unsure": "?"}
-_NEAR = 0.25
-"""Part of a pitch: electrodes whose heights differ by less stand in one row."""
+_NEAR = 0.25  # part of a pitch: electrodes whose heights differ by less stand in one row
 
 
 def show_optics(found: "OpticsFound") -> None:

@@ -20,12 +20,9 @@ from smarttouch.profile import Profile
 LARGE_DOTS = ((0, -1), (0, 0), (0, 1), (1, 1))
 """Columns and rows of the large dots: an L, whose orientation is unambiguous."""
 DOT_SHARE = 0.42
-LARGE_SHARE = 0.7
-"""Diameter of large dots, as a part of the pitch."""
-FEWEST_PIXELS = 6
-"""Fewest pixels across a pitch; with fewer, dots merge."""
-FEWEST_PITCHES = 4
-"""Fewest pitches across the field of view; with fewer, the L does not fit."""
+LARGE_SHARE = 0.7  # diameter of large dots, as a part of the pitch
+FEWEST_PIXELS = 6  # fewest pixels across a pitch; with fewer, dots merge
+FEWEST_PITCHES = 4  # fewest pitches across the field of view; with fewer, the L does not fit
 PRINT_DPI = 1270
 """Resolution of the print, 50 dots a millimeter: every usual pitch is a whole number of them."""
 _FINEST_MM = 0.01
@@ -131,15 +128,12 @@ Matrix = NDArray[np.floating[Any]]
 WORKING_SIDE = 480
 """Pixels of the shorter side at which dots are detected; coarser images are magnified."""
 FEWEST_SIDE = 16
-LEAST_INK = 0.15
-"""Least contrast of a dot against the paper around it."""
+LEAST_INK = 0.15  # least contrast of a dot against the paper around it
 LARGER = 1.6
 """Least area of a large dot, relative to its neighbors; it was printed 2.8 times as large."""
-NEAR = 0.28
-"""Part of the pitch: a dot this close to its expected place is that dot."""
+NEAR = 0.28  # part of the pitch: a dot this close to its expected place is that dot
 _MOST_LARGE = 8
-_MOST_SHEAR = 2.0
-"""Ratio of the axes of a view; the L seen as its own mirror image would have 2.4."""
+_MOST_SHEAR = 2.0  # ratio of the axes of a view; the L seen as its own mirror image would have 2.4
 
 
 @dataclass(frozen=True, eq=False)

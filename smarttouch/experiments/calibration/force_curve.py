@@ -13,8 +13,7 @@ from smarttouch.experiments.psychophysics.procedures import middle_and_spread
 from smarttouch.profile import ForceLaw
 from smarttouch.sources.load_cell import open_cell
 
-FEWEST_FOR_BEND = 4
-"""Fewest distinct weights for a quadratic."""
+FEWEST_FOR_BEND = 4  # fewest distinct weights for a quadratic
 
 
 def fit(
@@ -69,21 +68,15 @@ def hysteresis(grams: NDArray[np.float64], force: NDArray[np.float64]) -> float:
     return float(max(apart)) if apart else float("nan")
 
 
-STANDARD_GRAVITY = 9.80665
-"""m/s²"""
+STANDARD_GRAVITY = 9.80665  # m/s²
 FEWEST_READINGS = 5
-MOST_MISSING = 0.5
-"""Largest part of missing readings."""
+MOST_MISSING = 0.5  # largest part of missing readings
 BEND_WORTH = 0.7
 """Largest error of a quadratic, relative to a line's, at weights that it was not fitted to."""
-BEND_LEAST = 0.002
-"""Error, as a part of full force, below which a line is good enough."""
-MOST_RESIDUAL = 0.05
-"""Largest rms residual, as a part of full force."""
-MOST_DRIFT = 0.03
-"""Largest drift, as a part of full force, while one weight lies on the cell."""
-LEAST_REACH = 0.5
-"""Least heaviest weight, as a part of full force."""
+BEND_LEAST = 0.002  # error, as a part of full force, below which a line is good enough
+MOST_RESIDUAL = 0.05  # largest rms residual, as a part of full force
+MOST_DRIFT = 0.03  # largest drift, as a part of full force, while one weight lies on the cell
+LEAST_REACH = 0.5  # least heaviest weight, as a part of full force
 
 
 class Cell(Protocol):

@@ -50,10 +50,8 @@ Array = NDArray[np.float64]
 ANATOMIES = ("paper", "branched")
 LEVELS = np.array([0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0])
 """Levels that may be found, as parts of the strongest comfortable current."""
-SHOWN = np.array([0.3, 0.4, 0.5, 0.7, 1.0])
-"""Levels at which letters are shown."""
-_FIRST = 2
-"""Highest of these that is shown first; later ones are at most one step above all before."""
+SHOWN = np.array([0.3, 0.4, 0.5, 0.7, 1.0])  # levels at which letters are shown
+_FIRST = 2  # highest of these that is shown first; later ones are at most one step above all before
 MOST_ANSWERS = 60
 FEWEST_LETTERS = 8
 ENOUGH_REGRET = 0.003
@@ -73,8 +71,7 @@ _WRONG = np.array([
 """Share of letters read wrongly by the logarithm of level over that current."""
 _LAPSES = np.array([0.02, 0.1, 0.2, 0.4])
 """Shares of answers that have nothing to do with the letter, all alike beforehand. Ours."""
-_OFFSETS = np.linspace(-3.0, 3.0, 61)
-"""Crossings on the grid, in standard deviations."""
+_OFFSETS = np.linspace(-3.0, 3.0, 61)  # crossings on the grid, in standard deviations
 _AT_AN_END = 1.08
 """Factor from the ends of the range within which both thresholds mean that all answers were one."""
 
@@ -281,18 +278,13 @@ class LevelTask:
         trial = self._letter.trial(Condition(0.0, float(ALPHABET.index(letter)), 0, 0, 0))
         (train,) = trial.intervals
         return replace(
-            trial,
-            condition=condition,
-            intervals=(replace(train, level=condition.comparison),),
-            words=f"letter at {condition.comparison:g} of comfort",
-            unit="level",
-            exact=True,
-        )
+            trial, condition=condition, intervals=(replace(train, level=condition.comparison),),
+            words=f"letter at {condition.comparison:g} of comfort", unit="level", exact=True,
+        )  # fmt: skip
 
 
 _PATIENCE_S = 10.0
-_SPOILED = 10
-"""Times that current may be lost in one trial, by the board or a lifted finger."""
+_SPOILED = 10  # times that current may be lost in one trial, by the board or a lifted finger
 
 
 def answers_of(file: ProfileFile) -> Path:

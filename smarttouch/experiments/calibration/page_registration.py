@@ -13,12 +13,9 @@ from smarttouch.experiments.calibration.dot_target import Dots, DotTarget, Point
 from smarttouch.profile import Optics, Profile
 
 FEWEST_DOTS = 12
-MOST_RESIDUAL = 0.25
-"""Largest residual of a dot, as a part of an electrode's pitch on the page."""
-MOST_OUTSIDE = 0.25
-"""Largest part of the electrodes outside the image."""
-_OUTLIER = 5.0
-"""Factor of the median residual beyond which dots are dirt."""
+MOST_RESIDUAL = 0.25  # largest residual of a dot, as a part of an electrode's pitch on the page
+MOST_OUTSIDE = 0.25  # largest part of the electrodes outside the image
+_OUTLIER = 5.0  # factor of the median residual beyond which dots are dirt
 _ROUNDS = 4
 
 Center = Literal["target", "image"]
@@ -199,8 +196,7 @@ def _require_good(found: RegistrationFound) -> None:
 _SAMPLES, _FINE_SAMPLES = 4, 2
 """Rays per pixel and axis, of coarse images and of fine ones, whose pixels are blurred anyway."""
 _FINE = 256
-_INK_LEVEL = 0.15
-"""Reflectance of black print."""
+_INK_LEVEL = 0.15  # reflectance of black print
 
 
 @dataclass(frozen=True)

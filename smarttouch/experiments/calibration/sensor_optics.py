@@ -16,8 +16,7 @@ from smarttouch.sources.source_contract import Source
 
 Images = list[NDArray[np.uint8]]
 
-SILENCE_S = 5.0
-"""Longest time without a new image, after which the source has ended."""
+SILENCE_S = 5.0  # longest time without a new image, after which the source has ended
 _LOOK_S = 0.002
 
 
@@ -117,15 +116,9 @@ def measure_optics(dark: _Stack, white: _Stack) -> OpticsFound:
     span = mean_image(white) - mean_image(dark)
     dead = broken & (span < 0.5 * np.median(span))
     return OpticsFound(
-        field,
-        before,
-        after,
-        noise,
-        float(np.median(field.dark)),
-        int(dead.sum()),
-        int((hot & ~dead).sum()),
-        (len(dark), len(white)),
-    )
+        field, before, after, noise, float(np.median(field.dark)), int(dead.sum()),
+        int((hot & ~dead).sum()), (len(dark), len(white)),
+    )  # fmt: skip
 
 
 def _held_out(dark: _Stack, white: _Stack, field: FlatField) -> float:

@@ -64,29 +64,20 @@ def _whole_ua(current_ma: float) -> float:
     return math.floor(1000 * current_ma + 1e-6) / 1000
 
 
-TICK_S = STEP_S
-"""One step of the procedure."""
-RISE_S = 6.0
-"""Time of the first run from zero to the expected threshold."""
-REACTION_S = 0.35
-"""Reaction time from feeling to the key; the level so long before the key counts."""
+TICK_S = STEP_S  # one step of the procedure
+RISE_S = 6.0  # time of the first run from zero to the expected threshold
+REACTION_S = 0.35  # reaction time from feeling to the key; the level so long before the key counts
 PAUSE_S = (1.0, 2.0)
 """Pause at zero before a run, of random length, so that time does not reveal the level."""
-START_SHARE = (0.4, 0.7)
-"""Later runs rise fast to a random part of the threshold found before."""
-LEAP = 10
-"""Factor by which they rise faster there."""
-CEILING_S = 1.0
-"""Time at the ceiling before a run is given up."""
-MOST_APART = 1.4
-"""Largest over smallest threshold of the runs above which more runs are made."""
+START_SHARE = (0.4, 0.7)  # later runs rise fast to a random part of the threshold found before
+LEAP = 10  # factor by which they rise faster there
+CEILING_S = 1.0  # time at the ceiling before a run is given up
+MOST_APART = 1.4  # largest over smallest threshold of the runs above which more runs are made
 EXTRA_RUNS = 2
 HURRIED_S = 0.8
 """Time after the first key within which a second one is a held key, or a current that hurts."""
-MOST_HURRIED = 2
-"""Times that such runs are repeated before they are accepted."""
-LEAST_ROOM = 1.05
-"""Least ratio of comfort to threshold that leaves a usable range."""
+MOST_HURRIED = 2  # times that such runs are repeated before they are accepted
+LEAST_ROOM = 1.05  # least ratio of comfort to threshold that leaves a usable range
 
 
 @dataclass(frozen=True)
@@ -245,17 +236,12 @@ class AscendingLimits:
             self._begin()
 
 
-GRID_FACTOR = 2.0
-"""Factor by which thresholds are looked for below and above the expected one."""
-STEEP = 0.2
-"""Largest spread of *felt*, in spans of that."""
-BLANK_SHARE = 0.15
-"""Part of the trials without current."""
-ENOUGH_SPREAD = 0.05
-"""Spread of the posterior of the log threshold that ends the procedure."""
+GRID_FACTOR = 2.0  # factor by which thresholds are looked for below and above the expected one
+STEEP = 0.2  # largest spread of *felt*, in spans of that
+BLANK_SHARE = 0.15  # part of the trials without current
+ENOUGH_SPREAD = 0.05  # spread of the posterior of the log threshold that ends the procedure
 FEWEST_TRIALS = 10
-MOST_TRIALS = 26
-"""Fewest and most trials with current."""
+MOST_TRIALS = 26  # fewest and most trials with current
 MOST_GUESSED = 0.4
 """Part of the blank trials called felt above which the threshold is not determined."""
 

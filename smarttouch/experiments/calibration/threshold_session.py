@@ -124,10 +124,8 @@ def _thresholds(entry: Mapping[str, Any]) -> Thresholds:
     return found
 
 
-TRIAL_S = 0.8
-"""Time of a yes-no trial at its level."""
-_SLOWER = 0.98
-"""Part of the largest slope at which a current rises."""
+TRIAL_S = 0.8  # time of a yes-no trial at its level
+_SLOWER = 0.98  # part of the largest slope at which a current rises
 _ANY_KEY = {"\n": "y"}
 _FELT = {"y": "y", "n": "n", "Y": "y", "N": "n", " ": "y", "\n": "y", "\r": "y"}
 
@@ -279,10 +277,6 @@ def simulated_finger(
         threshold_ma.append(delivered_ma)
         enough_ma.append(min(delivered_ma * random.uniform(1.5, 2.2), 0.95 * top_ma))
     return KnownObserver(
-        measuring,
-        np.array(threshold_ma, np.float32),
-        np.array(enough_ma, np.float32),
-        seed,
-        guess=0.005,
-        lapse=0.03,
-    )
+        measuring, np.array(threshold_ma, np.float32), np.array(enough_ma, np.float32), seed,
+        guess=0.005, lapse=0.03,
+    )  # fmt: skip

@@ -112,8 +112,7 @@ STOP_KEYS = ("q", "Q", "\x1b", "\x03", "\x04", "")
 _PATIENCE_S = 10.0
 _MOST_SPOILED = 10
 """Times that current may be lost at one electrode, by the board or a lifted finger."""
-_LOOK_S = 0.5
-"""Between two decisions of the simulated subject."""
+_LOOK_S = 0.5  # between two decisions of the simulated subject
 
 
 @dataclass(frozen=True, kw_only=True)

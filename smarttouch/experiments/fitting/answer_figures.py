@@ -25,8 +25,7 @@ _FEWEST_FOR_INTERVAL = 3
 """Fewest answers at a comparison for which the interval of their share is drawn."""
 
 
-Series = tuple[AnswerTable, Sequence[Finding]]
-"""Results of one file."""
+Series = tuple[AnswerTable, Sequence[Finding]]  # results of one file
 
 
 def discrimination_figure(series: Sequence[Series]) -> "Figure":

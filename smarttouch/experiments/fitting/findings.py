@@ -24,15 +24,12 @@ MOST_UNANSWERED = 0.5
 """Share of trials without an answer above which the answered ones may be a biased choice."""
 SAME_INTERVAL = 0.95
 """Share of answers for the same interval above which answers do not depend on the stimulus."""
-FLAT = 0.02
-"""Significance level of the test against answers independent of the comparison."""
+FLAT = 0.02  # significance level of the test against answers independent of the comparison
 POOR = 0.01
 """Share of replicas that fit no better than the answers, below which the fit is called poor."""
-_FALLING = -2.58
-"""Trend, in standard deviations, of falling answers: one in two hundred by chance."""
+_FALLING = -2.58  # trend, in standard deviations, of falling answers: one in two hundred by chance
 _CURVE_POINTS = 301
-_SAMPLES = 200
-"""Replicas of a bootstrap that only estimates a standard deviation."""
+_SAMPLES = 200  # replicas of a bootstrap that only estimates a standard deviation
 
 
 @dataclass(frozen=True, eq=False)

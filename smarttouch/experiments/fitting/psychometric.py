@@ -177,8 +177,7 @@ class Estimate:
 
 _TINY = 1e-9
 """Least distance of probabilities from 0 and 1, which keeps the likelihood of any answer finite."""
-_FLATTEST, _STEEPEST = 10.0, 1 / 300
-"""Bounds of the spread, in spans of the stimuli."""
+_FLATTEST, _STEEPEST = 10.0, 1 / 300  # bounds of the spread, in spans of the stimuli
 _GRID_PLACES, _GRID_SPREADS = 41, 13
 _GRID_SHARES = (0.005, 0.03, 0.08)
 _GRID_GUESSES = (0.01, 0.1, 0.3)

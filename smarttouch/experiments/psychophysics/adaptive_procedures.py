@@ -16,11 +16,9 @@ from smarttouch.experiments.psychophysics.procedures import (
     Procedure,
 )
 
-COARSE_FACTOR = 2.0
-"""Factor of steps until the second reversal (our own choice)."""
+COARSE_FACTOR = 2.0  # factor of steps until the second reversal (our own choice)
 COARSE_REVERSALS = 2
-FEWEST_REVERSALS = 4
-"""Fewest reversals with fine steps, for an estimate."""
+FEWEST_REVERSALS = 4  # fewest reversals with fine steps, for an estimate
 PINNED_TRIALS = 4
 """Answers in a row toward the end of the range, after which the threshold lies beyond it."""
 
@@ -270,14 +268,12 @@ def _entropy(likely: Array) -> Array:
 
 
 NARROWEST_RATIO = 1.01
-_START_RATIO = 1.6
-"""First ratio of a staircase: clearly faster (our own choice)."""
+_START_RATIO = 1.6  # first ratio of a staircase: clearly faster (our own choice)
 _STEP = 0.03
 """Step of a staircase of frequencies: a quarter of the mechanical threshold of about 20 % is 5 %.
 """
 _DETECTION_STEP = 0.05
-_DETECTION_RANGE = (0.3, 3.0)
-"""Range of detection, as parts of the profile's threshold."""
+_DETECTION_RANGE = (0.3, 3.0)  # range of detection, as parts of the profile's threshold
 
 
 def frequency_procedures(
@@ -306,15 +302,10 @@ def frequency_procedures(
             most = trials or 60
             procedures.append(
                 QuestPlus(
-                    low,
-                    high,
-                    Model(guess=0.5),
-                    standard,
-                    most,
-                    fewest_trials=min(20, most),
+                    low, high, Model(guess=0.5), standard, most, fewest_trials=min(20, most),
                     seed=order,
                 )
-            )
+            )  # fmt: skip
     return Interleaved(procedures, seed)
 
 

@@ -39,8 +39,7 @@ from smarttouch.kernels.bank import KernelBank
 from smarttouch.kernels.disc_banks import lone_discs
 from smarttouch.profile import Profile
 
-GROUP = "smarttouch.experiments"
-"""Entry points of other packages: each names an `Experiment`."""
+GROUP = "smarttouch.experiments"  # entry points of other packages: each names an `Experiment`
 _MOST_BYTES = 10_000_000
 _T = TypeVar("_T")
 
@@ -114,8 +113,7 @@ PC_STANDARDS_HZ = (*STANDARDS_HZ, 90.0, 100.0)
 """Standards of PC: those of RA, and the two at which the paper's thresholds change (Fig. 18)."""
 LEVELS = tuple(np.geomspace(0.5, 1.6, 7))
 """Levels of the detection experiment, as parts of the profile's threshold (our own choice)."""
-_FARTHEST = 4
-"""Most steps of distance: to each side of a point, and between two points."""
+_FARTHEST = 4  # most steps of distance: to each side of a point, and between two points
 
 _IN_MA = ("detection", "discomfort", "polarity")
 _SLOWER = 2.0

@@ -30,8 +30,7 @@ from smarttouch.experiments.psychophysics.trial_rows import About, RowFile, Tria
 from smarttouch.experiments.psychophysics.trials import Answer, Task, Trial, TrialTiming
 from smarttouch.profile import Profile
 
-_SAME = 1e-6
-"""Relative difference by which a condition may change when written and read."""
+_SAME = 1e-6  # relative difference by which a condition may change when written and read
 
 
 class TrialSession:

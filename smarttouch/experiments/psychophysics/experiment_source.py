@@ -13,15 +13,12 @@ from smarttouch.running.step import StepResult
 from smarttouch.running.touch import ProgramSource, Touch
 from smarttouch.stimulation.intensity import FIRST_NS, MOST_STEP_NS
 
-PAUSE_S = 0.5
-"""Least time between an answer and the next trial."""
-STEP_S = 0.05
-"""One step of a current that follows the keys."""
+PAUSE_S = 0.5  # least time between an answer and the next trial
+STEP_S = 0.05  # one step of a current that follows the keys
 _SPOILED = 0.5
 """Part of the requested intensity below which current was lost within an interval. A key moves it
 by less; where milliamperes count, nothing may."""
-AGAIN = "r"
-"""Key that repeats a trial."""
+AGAIN = "r"  # key that repeats a trial
 _NUMBERS = ("first", "second")
 
 

@@ -25,11 +25,9 @@ from smarttouch.running.listener import Listener
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Stimulus, StimulusSource
 
-SLOWEST_HZ, FASTEST_HZ = 10.0, 200.0
-"""Range of the pulse rate (paper, Section III-B.1)."""
+SLOWEST_HZ, FASTEST_HZ = 10.0, 200.0  # range of the pulse rate (paper, Section III-B.1)
 _STEP_HZ = 5.0
-_STEP_MM = 50.0
-"""Travel of a knob from zero to the ceiling."""
+_STEP_MM = 50.0  # travel of a knob from zero to the ceiling
 COLUMNS = (
     "time_s", "what", "value", "amplitude_ma", "current_ma", "rate_hz", "mode", "site", "force_n",
 )  # fmt: skip

@@ -19,13 +19,8 @@ from smarttouch.profile import Profile
 from smarttouch.running.delivered import strength
 
 __all__ = [
-    "BlindObserver",
-    "Interval",
-    "KnownObserver",
-    "Observer",
-    "SimulatedObserver",
-    "chance_of_yes",
-]
+    "BlindObserver", "Interval", "KnownObserver", "Observer", "SimulatedObserver", "chance_of_yes",
+]  # fmt: skip
 
 
 @dataclass

@@ -104,8 +104,7 @@ class FrequencySense:
 
 Floats = NDArray[np.float32]
 
-_LONGEST_US = 60_000
-"""Longest pause that counts in full: refractory times are shorter."""
+_LONGEST_US = 60_000  # longest pause that counts in full: refractory times are shorter
 
 
 @dataclass(frozen=True, eq=False)

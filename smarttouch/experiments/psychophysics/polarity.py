@@ -11,10 +11,8 @@ from smarttouch.experiments.psychophysics.adaptive_procedures import QuestPlus, 
 from smarttouch.experiments.psychophysics.procedures import Interleaved
 from smarttouch.profile import Profile
 
-POLARITY_TRIALS = 12
-"""Answers to each polarity of a lone disc."""
-_STEEP = 0.3
-"""Largest spread of *felt* from disc to disc, in spans of the stimuli (our own choice)."""
+POLARITY_TRIALS = 12  # answers to each polarity of a lone disc
+_STEEP = 0.3  # largest spread of *felt* from disc to disc, in spans of the stimuli (our own choice)
 
 
 def polarity_range(profile: Profile, sites: Sequence[int]) -> tuple[float, float]:

@@ -13,8 +13,7 @@ from smarttouch.experiments.fitting.answers import Answers
 from smarttouch.experiments.fitting.findings import estimate
 from smarttouch.experiments.fitting.psychometric import Estimate
 
-PAIRS_IN_A_BLOCK = 4
-"""Trials, of every eight of an adaptive procedure, with the comparison first."""
+PAIRS_IN_A_BLOCK = 4  # trials, of every eight of an adaptive procedure, with the comparison first
 
 
 @dataclass(frozen=True)
@@ -170,13 +169,11 @@ def middle_and_spread(values: Sequence[float] | NDArray[np.float64]) -> tuple[fl
 
 STANDARDS_HZ = (15.0, 30.0, 45.0, 60.0, 75.0)
 """Standards of the paper's frequency discrimination (Section III.C)."""
-WIDEST_RATIO = 2.0
-"""Comparisons reach from a half to twice the standard (Section III.C)."""
+WIDEST_RATIO = 2.0  # comparisons reach from a half to twice the standard (Section III.C)
 RATIOS = tuple(WIDEST_RATIO ** (step / 9) for step in range(-9, 10, 2))
 """Ten steps alike in logarithms and symmetric. 1.0 is not among them: nobody can be right about
 two equal frequencies, and the curve at 1.0 follows from its neighbors on both sides."""
-REPETITIONS = 10
-"""Repetitions of each pair (Section III.C)."""
+REPETITIONS = 10  # repetitions of each pair (Section III.C)
 
 
 def ratio_pairs(

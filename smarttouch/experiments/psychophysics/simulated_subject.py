@@ -24,8 +24,7 @@ from smarttouch.profile import Profile
 from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
 
-_LOOK_S = 0.25
-"""Interval of an observer's decisions while a current rises (our own choice)."""
+_LOOK_S = 0.25  # interval of an observer's decisions while a current rises (our own choice)
 
 
 class Subject(Listener):
@@ -41,8 +40,7 @@ class Subject(Listener):
         super().__init__()
         self._source, self._observer = source, observer
         self._look_s, self._reaction_s = look_s, reaction_s
-        self._key: tuple[int, str] | None = None
-        """When the next key is pressed, ns, and which."""
+        self._key: tuple[int, str] | None = None  # when the next key is pressed, ns, and which
         self._board: SimulatedBoard | None = None
         self._starts: dict[tuple[int, int], dict[int, tuple[int, int]]] = {}
         """Time and discharge of each sequence by number, for each presentation and interval."""

@@ -41,16 +41,10 @@ def in_two_intervals(
     """
     at = condition.comparison_interval
     return Trial(
-        condition,
-        (own, other) if at == 1 else (other, own),
-        task=task,
-        question=f"{question} 1 or 2",
-        answers=FIRST_OR_SECOND,
-        success=str(at),
-        words=f"{words} {_WHERE[at]}",
-        unit=unit,
-        **{"target": str(at)} | more,
-    )
+        condition, (own, other) if at == 1 else (other, own), task=task,
+        question=f"{question} 1 or 2", answers=FIRST_OR_SECOND, success=str(at),
+        words=f"{words} {_WHERE[at]}", unit=unit, **{"target": str(at)} | more,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,7 @@ from smarttouch.base.errors import ExperimentError, require_within
 from smarttouch.experiments.psychophysics.procedures import Condition
 from smarttouch.profile import Profile
 
-FEWEST_PULSES = 2
-"""Fewest pulses that have a frequency."""
+FEWEST_PULSES = 2  # fewest pulses that have a frequency
 LONGEST_S = 60.0
 
 
