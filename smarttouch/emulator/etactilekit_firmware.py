@@ -20,8 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from smarttouch.emulator.finger_events import EmulatedFinger
-from smarttouch.emulator.firmware import DeliveryLog, Firmware
-from smarttouch.emulator.kit_hardware import LARGEST_READING, SingleSource
+from smarttouch.emulator.firmware import LARGEST_READING, DeliveryLog, Firmware, SingleSource
 from smarttouch.emulator.skin import COMPLIANCE_V
 
 UA_PER_COUNT = 9.99

@@ -11,8 +11,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 from smarttouch.emulator.finger_events import EmulatedFinger
-from smarttouch.emulator.firmware import DeliveryLog, Firmware
-from smarttouch.emulator.kit_hardware import SingleSource
+from smarttouch.emulator.firmware import DeliveryLog, Firmware, SingleSource
 from smarttouch.emulator.skin import COMPLIANCE_V
 
 ELECTRODES = 61
