@@ -38,8 +38,7 @@ from smarttouch.views.figure_style import GREY, SERIES_COLORS, new_figure, plain
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-VERSION = 2
-"""Version of the rows, raised when the same study would get others."""
+VERSION = 2  # version of the rows, raised when the same study would get others
 ROWS_FILE = "rows.csv"
 _PARTS = "parts"
 _MOST_PART_BYTES = 100_000_000

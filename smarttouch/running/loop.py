@@ -60,8 +60,7 @@ def steady_environment(pipeline: Pipeline, simulated_time: bool = False) -> Iter
 
 HELD_UP_NS = 1_000_000
 """A send that takes longer than this, beside its own work, has waited for the board."""
-_LATE_AGAIN_NS = 5_000_000_000
-"""Time without a delay after which the next one is reported."""
+_LATE_AGAIN_NS = 5_000_000_000  # time without a delay after which the next one is reported
 _WAIT = "a whole number of nanoseconds"
 
 
@@ -142,8 +141,7 @@ class _Loop:
     _start_ns: int = 0
     _report_late_ns: int = 0
     _shift_ns: int = 0
-    _expected_ns: int | None = None
-    """When this step is expected, by the one before."""
+    _expected_ns: int | None = None  # when this step is expected, by the one before
     _over_ns: int = 0
 
     def run(self, seconds: float | None) -> None:
