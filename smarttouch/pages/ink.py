@@ -2,6 +2,7 @@
 
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import cv2
@@ -48,19 +49,25 @@ _WINDOWS = 16  # windows across a page in which ink is tested to be darker or li
 _LEAST_SKEW = 0.8
 """Skewness above which print is light on dark: print has 1.5 and more, photographs have less."""
 _FEWEST = 4  # fewest dark pixels, in a quarter of the image, that are not there by chance
+_LEVEL = np.arange(256)
 _QUARTILES = 1.349  # between the quartiles of a normal distribution, in standard deviations
 _BRIGHT = 0.7  # part of the paper's level above which pixels are mostly paper
 
 
 @dataclass(frozen=True, eq=False)
 class Paper:
-    """Page as dark on light, (H, W): paper exactly 255, ink near 0; and the mask of its ink."""
+    """Page as dark on light, with the mask of its ink."""
 
-    cleaned: Grey
     ink: NDArray[np.bool_]  # (H, W); empty on blank paper
     light_on_dark: bool  # as printed; inverted here
+    clean: Callable[[], Grey]
     panels: tuple[list[int], ...] = ()
     """Panels of the other polarity that were turned as well: left, top, right, bottom, px."""
+
+    @functools.cached_property
+    def cleaned(self) -> Grey:
+        """Page, (H, W): paper exactly 255, ink near 0; made when it is asked for."""
+        return self.clean()
 
     @functools.cached_property
     def spots(self) -> Spots:
@@ -75,7 +82,7 @@ class Paper:
     def halved(self) -> "Paper":
         """Return it at half the size; a line as thin as a pixel stays ink."""
         part = _halved(self.ink.view(np.uint8) * np.uint8(255))
-        return Paper(_halved(self.cleaned), part >= _HALF, self.light_on_dark)
+        return Paper(part >= _HALF, self.light_on_dark, lambda: _halved(self.cleaned))
 
 
 def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
@@ -93,17 +100,19 @@ def separate_ink(grey: Grey, light_on_dark: bool | None = None) -> Paper:
         light_on_dark = is_light_on_dark(small)
     if light_on_dark:
         grey, small = np.asarray(cv2.bitwise_not(grey), np.uint8), 255 - small
-    flat = _divided(grey, small, _WINDOW_PX / factor)
-    levels = _levels(flat)
+    paper = _find_paper(small, _WINDOW_PX / factor)
+    height, width = (factor * side for side in small.shape)
+    levels = _levels(paper.divided(np.ascontiguousarray(grey[:height:factor, :width:factor])))
     if levels is None:
-        blank = np.full_like(grey, 255)
-        return Paper(blank, np.zeros(grey.shape, np.bool_), light_on_dark)
-    darkest = _without_faint_spots(flat, levels)
-    levels = _nearer_to_thin_strokes(flat, levels)
-    ink = _ink_below(flat, darkest, levels)
-    gain = 255 / (levels.white - levels.black)
-    cleaned = cv2.addWeighted(flat, gain, flat, 0, -gain * levels.black, dst=flat)
-    return Paper(np.asarray(cleaned, np.uint8), ink, light_on_dark)
+        blank = functools.partial(np.full_like, grey, 255)
+        return Paper(np.zeros(grey.shape, np.bool_), light_on_dark, blank)
+    darkest, faint = _parted_from_faint(paper.divided(_darkest(grey)), levels)
+    if levels.middle - levels.threshold <= _PALE * levels.middle:
+        levels = _nearer_to_thin_strokes(paper.divided(grey[:height:factor]), levels)
+    limit = _limits(darkest, levels)
+    ink = _ink_below(grey, paper.at(limit, faint))
+    clean = functools.partial(_cleaned, grey, paper, faint, levels)
+    return Paper(ink, light_on_dark, clean)
 
 
 def is_light_on_dark(grey: Grey) -> bool:
@@ -142,25 +151,58 @@ def _halved(grey: Grey) -> Grey:
     return np.asarray(cv2.resize(even, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def _divided(grey: Grey, small: Grey, side: float) -> Grey:
-    """Return the page divided by its paper; blank where it is too dark to be paper."""
+@dataclass(frozen=True)
+class _Paper:
+    """Level of the paper, (h, w) uint8, and the level below which an area is none."""
+
+    level: Grey
+    darkest: float
+
+    @functools.cached_property
+    def _whole(self) -> bool:
+        return bool(self.level.min() >= self.darkest)
+
+    def divided(self, grey: Grey) -> Grey:
+        """Return an image of the page, of any size, divided by its paper; 255 where is none."""
+        height, width = grey.shape
+        if height == len(self.level) and width // _POOL == self.level.shape[1]:
+            wide = _widened(self.level, width)
+        else:
+            wide = np.asarray(cv2.resize(self.level, (width, height)), np.uint8)
+        # New memory costs more than arithmetic.
+        if self._whole:
+            return np.asarray(cv2.divide(grey, wide, dst=wide, scale=_PAPER), np.uint8)
+        _, none = cv2.threshold(wide, self.darkest, 255, cv2.THRESH_BINARY_INV)
+        flat = cv2.divide(grey, wide, dst=wide, scale=_PAPER)
+        return np.asarray(cv2.max(flat, none, dst=flat), np.uint8)
+
+    def at(self, limit: NDArray[np.float32], faint: Grey | None) -> Grey:
+        """Return the levels of the page, (h, w) uint8, below which it is ink, from those of the
+        divided page up to which it is; 0 where is no paper, or faint ink."""
+        level = cv2.resize(self.level, limit.shape[::-1], interpolation=cv2.INTER_LINEAR)
+        # The nearest whole number of the divided page counts.
+        part = cv2.multiply(limit + 0.5, level, scale=1 / _PAPER, dtype=cv2.CV_32F)
+        below = cv2.convertScaleAbs(part, beta=0.5)
+        if not self._whole:
+            below[level < self.darkest] = 0
+        return np.asarray(below if faint is None else cv2.subtract(below, faint), np.uint8)
+
+
+def _find_paper(small: Grey, side: float) -> _Paper:
+    """Return the paper of a page, as it would look without ink."""
     side = min(side, math.sqrt(small.size) / _LEAST_WINDOWS)
-    near, far = _closed(small, side), _closed(_halved(small), _WIDER * side / 2)
+    near, far = _closed(small, side), _closed(_halved(_halved(small)), _WIDER * side / 4)
     far = np.asarray(cv2.resize(far, near.shape[::-1]), np.uint8)
     solid = near < cv2.convertScaleAbs(far, alpha=_SOLID)
     paper = np.where(_inside(solid), far, near) if solid.any() else near
     # Interpolation would extend the paper beyond the edge of a sheet.
     around = np.ones((5, 5), np.uint8)
     lowest, highest = cv2.erode(paper, around), cv2.dilate(paper, around)
-    paper = np.where(lowest < cv2.convertScaleAbs(highest, alpha=_STEP), lowest, paper)
-    counts = np.cumsum(_histogram(paper))
-    darkest = max(_DARKEST, _LEAST_LIGHT * float(np.searchsorted(counts, 0.95 * counts[-1])))
-    wide = cv2.resize(paper, grey.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    if paper.min() >= darkest:
-        # New memory costs more than arithmetic.
-        return np.asarray(cv2.divide(grey, wide, dst=wide, scale=_PAPER), np.uint8)
-    _, no_paper = cv2.threshold(wide, darkest, 255, cv2.THRESH_BINARY_INV)
-    return np.asarray(cv2.max(cv2.divide(grey, wide, dst=wide, scale=_PAPER), no_paper), np.uint8)
+    ends = cv2.compare(lowest, cv2.convertScaleAbs(highest, alpha=_STEP), cv2.CMP_LT)
+    paper = np.asarray(cv2.copyTo(lowest, ends, paper), np.uint8)
+    counts = _histogram(np.ascontiguousarray(paper[::2, ::2])).cumsum()
+    brightest = float(np.searchsorted(counts, 0.95 * counts[-1]))
+    return _Paper(paper, max(_DARKEST, _LEAST_LIGHT * brightest))
 
 
 def _inside(areas: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -196,54 +238,49 @@ class _Levels:
     grain: float
 
 
-def _levels(flat: Grey) -> _Levels | None:
-    """Return the levels of ink and paper; None without ink."""
-    counts = _histogram(flat[::_POOL])
+def _levels(pixels: Grey) -> _Levels | None:
+    """Return the levels of ink and paper in some pixels of a divided page; None without ink."""
+    counts = _histogram(pixels)
     # Level 255 marks areas without paper.
     counts[255] = 0
-    level = np.arange(256)
-    bright = np.where(level > _BRIGHT * _PAPER, counts, 0)
-    low, middle, high = np.searchsorted(np.cumsum(bright), np.array([1, 2, 3]) / 4 * bright.sum())
-    grain = max(float(high - low) / _QUARTILES, 1.0)
-    dark = level < middle - max(_LEAST_CONTRAST / 2 * _PAPER, _LEAST_GRAINS * grain)
-    if counts[dark].sum() < _FEWEST or not bright.any():
+    bright = np.where(_LEVEL > _BRIGHT * _PAPER, counts, 0).cumsum()
+    quarters = np.array([1, 2, 3]) / 4 * bright[-1]
+    low, middle, high = np.interp(quarters, bright, _LEVEL + 0.5).tolist()
+    grain = max((high - low) / _QUARTILES, 1.0)
+    grains = _LEAST_GRAINS * grain
+    darker = middle - max(_LEAST_CONTRAST / 2 * _PAPER, grains)
+    if counts[: max(0, math.ceil(darker))].sum() < _FEWEST or not bright[-1]:
         return None
     otsu = middle - _otsu(counts)
-    part = np.clip(otsu / middle / _EVEN_INK, _LEAST_PART, 1)
-    threshold = middle - np.clip(_GRAINS * grain, part * otsu, _MOST_PART * otsu)
-    ink = np.where(level <= threshold, counts, 0)
-    mean = float((ink * level).sum() / ink.sum())
-    if middle - mean < max(_LEAST_CONTRAST * _PAPER, _LEAST_GRAINS * grain):
+    part = min(max(otsu / middle / _EVEN_INK, _LEAST_PART), 1.0)
+    threshold = middle - min(max(_GRAINS * grain, part * otsu), _MOST_PART * otsu)
+    ink = counts[: int(threshold) + 1]
+    total = float(ink.sum())
+    contrast = middle - float(ink @ _LEVEL[: len(ink)]) / max(total, 1)
+    if not total or contrast < max(_LEAST_CONTRAST * _PAPER, grains):
         return None
-    black, darker = np.searchsorted(np.cumsum(ink), np.array([0.2, _DARKER_QUARTER]) * ink.sum())
+    black, dark = np.searchsorted(ink.cumsum(), np.array([0.2, _DARKER_QUARTER]) * total)
     white = middle - max(2.5 * grain, 0.03 * _PAPER)
-    seen = middle - _THROUGH * (middle - darker)
-    return _Levels(float(black), seen, threshold, white, float(middle), grain)
+    seen = middle - _THROUGH * (middle - dark)
+    return _Levels(float(black), seen, threshold, white, middle, grain)
 
 
 def _histogram(grey: Grey) -> NDArray[np.float64]:
     """Return the number of pixels of each level, (256,)."""
-    counts = cv2.calcHist([np.ascontiguousarray(grey)], [0], None, [256], [0, 256])
+    counts = cv2.calcHist([grey], [0], None, [256], [0, 256])
     return np.asarray(counts.ravel(), np.float64)
 
 
 def _otsu(counts: NDArray[np.float64]) -> int:
     """Return the last level of the darker class (Otsu 1979: most variance between classes)."""
-    level = np.arange(len(counts))
-    below = np.cumsum(counts)
-    moment = np.cumsum(counts * level)
-    above = below[-1] - below
-    both = below * above
+    below, moment = counts.cumsum(), (counts * _LEVEL).cumsum()
     between = (moment * below[-1] - below * moment[-1]) ** 2
-    return int(np.divide(between, both, out=np.zeros_like(both), where=both > 0).argmax())
+    return int((between / np.maximum(below * (below[-1] - below), 1)).argmax())
 
 
-def _nearer_to_thin_strokes(flat: Grey, levels: _Levels) -> _Levels:
+def _nearer_to_thin_strokes(rows: Grey, levels: _Levels) -> _Levels:
     """Return levels whose ink begins nearer to the paper if strokes are thin, pale and soft, but
     before strokes merge or appear from the paper's grain."""
-    if levels.middle - levels.threshold > _PALE * levels.middle:
-        return levels
-    rows = np.ascontiguousarray(flat[::_POOL])
     first, last = int(levels.threshold), int(levels.middle - _NEAREST_GRAINS * levels.grain)
     ink = rows <= first
     area, count = np.count_nonzero(ink), np.count_nonzero(ink[:, 1:] != ink[:, :-1])
@@ -259,59 +296,79 @@ def _nearer_to_thin_strokes(flat: Grey, levels: _Levels) -> _Levels:
     return replace(levels, threshold=max(levels.threshold, float(nearest)))
 
 
-def _ink_below(flat: Grey, darkest: Grey, levels: _Levels) -> NDArray[np.bool_]:
-    """Return the ink, (H, W) bool: below a threshold that follows the darkest pixels of the cells
-    around on calm paper."""
-    followed = float(np.clip((_GRAINY - levels.grain) / (_GRAINY - _CALM), _STAINED, 1))
+def _limits(darkest: Grey, levels: _Levels) -> NDArray[np.float32]:
+    """Return the levels up to which is ink, (h, w), in cells whose darkest pixels are given: on
+    calm paper they follow those of the cells around."""
+    followed = min(max((_GRAINY - levels.grain) / (_GRAINY - _CALM), _STAINED), 1.0)
     _, here = cv2.threshold(darkest, levels.threshold, 255, cv2.THRESH_BINARY_INV)
-    if not (followed and here.any()):
-        _, below = cv2.threshold(flat, levels.threshold, 1, cv2.THRESH_BINARY_INV)
-        return np.asarray(below, np.uint8).view(np.bool_)
+    count = cv2.countNonZero(here)
+    if not (followed and count):
+        return np.full(darkest.shape, levels.threshold, np.float32)
     contrast = cv2.min(here, cv2.subtract(np.full_like(darkest, levels.middle), darkest))
-    size = tuple(max(1, side // _POOL) for side in here.shape[::-1])
     part, sums = (
-        cv2.blur(cv2.resize(each, size, interpolation=cv2.INTER_AREA).astype(np.float32), _AROUND)
+        cv2.blur(_halved(_halved(np.asarray(each, np.uint8))).astype(np.float32), _AROUND)
         for each in (here, contrast)
     )
-    usual = cv2.mean(contrast, here)[0] / 255
+    usual = cv2.sumElems(contrast)[0] / (255 * count)
     relative = np.where(part > 0, sums / np.maximum(part, 1e-3) / usual, 1)
     factor = np.clip(np.maximum(relative, 0.1) ** followed, *_LOCAL)
     limit = levels.middle - (levels.middle - levels.threshold) * factor
     # Where all ink is black, the limit of the darkest would be negative.
-    limit = np.clip(np.rint(limit), 0, max(levels.white, levels.threshold)).astype(np.uint8)
-    # The same for the rows of a cell.
-    rows = cv2.resize(limit, (flat.shape[1], len(darkest)))
-    ink = np.empty(flat.shape, np.bool_)
-    for k in range(_POOL):
-        cells = flat[k::_POOL]
-        # The last rows are less than a cell.
-        np.less_equal(cells[: len(rows)], rows[: len(cells)], out=ink[k::_POOL][: len(rows)])
-        np.less_equal(cells[len(rows) :], rows[-1], out=ink[k::_POOL][len(rows) :])
+    limit = np.clip(limit, 0, max(levels.white, levels.threshold)).astype(np.float32)
+    return np.asarray(cv2.resize(limit, darkest.shape[::-1]), np.float32)
+
+
+def _ink_below(grey: Grey, below: Grey) -> NDArray[np.bool_]:
+    """Return the ink, (H, W) bool: what is darker than the levels of its cells."""
+    height, width = grey.shape
+    wide = _widened(below, width)[:, None]
+    ink = np.empty(grey.shape, np.bool_)
+    whole = min(height, _POOL * len(below))
+    cells = (len(below), whole // len(below), width)
+    np.less(grey[:whole].reshape(cells), wide, out=ink[:whole].reshape(cells))
+    np.less(grey[whole:], wide[-1], out=ink[whole:])
     return ink
 
 
-def _without_faint_spots(flat: Grey, levels: _Levels) -> Grey:
-    """Make spots of ink that are faint everywhere white, with their surroundings; return the
-    darkest pixel of each cell of 4 x 4 that is left."""
-    height, width = (max(1, side // _POOL) for side in flat.shape)
-    rows = [flat[k : _POOL * height : _POOL, : _POOL * width] for k in range(_POOL)]
+def _widened(cells: Grey, width: int) -> Grey:
+    """Return cells of 4 x 4 as rows of pixels: four equal bytes each, the last as far as needed."""
+    cells = np.hstack([cells, cells[:, -1:]])
+    return (cells * np.uint32(0x01010101)).view(np.uint8)[:, :width]
+
+
+def _darkest(grey: Grey) -> Grey:
+    """Return the darkest pixel of each cell of 4 x 4."""
+    height, width = (max(1, side // _POOL) for side in grey.shape)
     # Rows, then columns: faster than a window.
+    rows = [grey[k : _POOL * height : _POOL, : _POOL * width] for k in range(_POOL)]
     lowest = functools.reduce(np.minimum, [row for row in rows if len(row) == height])
     across = cv2.erode(lowest, np.ones((1, _POOL), np.uint8), anchor=(0, 0))
-    lowest = np.ascontiguousarray(across[:, ::_POOL][:, :width])
-    _, ink = cv2.threshold(lowest, levels.threshold, 255, cv2.THRESH_BINARY_INV)
-    count, labels = cv2.connectedComponents(ink, connectivity=8)
+    return np.ascontiguousarray(across[:, ::_POOL][:, :width])
+
+
+def _parted_from_faint(darkest: Grey, levels: _Levels) -> tuple[Grey, Grey | None]:
+    """Return the cells without spots of ink that are faint everywhere, and those, as 255."""
+    ink = darkest <= levels.threshold
+    count, labels = cv2.connectedComponents(ink.view(np.uint8), connectivity=8)
     faint = np.full(count, 255, np.uint8)
-    faint[labels[lowest <= levels.seen]] = 0
-    faint[0] = 0
-    if not faint.any():
-        return lowest
-    spots = np.take(faint, np.asarray(labels), mode="clip")
-    wide = cv2.resize(spots, (lowest.shape[1] * _POOL, height), interpolation=cv2.INTER_NEAREST)
-    for row in rows:
-        if row.shape == wide.shape:
-            cv2.max(row, wide, dst=row)
-    return np.asarray(cv2.max(lowest, spots), np.uint8)
+    cells = np.flatnonzero(ink)
+    label = labels.ravel()[cells]
+    faint[label[darkest.ravel()[cells] <= levels.seen]] = 0
+    if not faint[1:].any():
+        return darkest, None
+    spots = np.zeros(darkest.shape, np.uint8)
+    spots.ravel()[cells] = faint[label]
+    return np.asarray(cv2.max(darkest, spots), np.uint8), spots
+
+
+def _cleaned(grey: Grey, paper: _Paper, faint: Grey | None, levels: _Levels) -> Grey:
+    """Return a page with white paper and black ink, without spots that are faint."""
+    flat = paper.divided(grey)
+    if faint is not None:
+        wide = cv2.resize(faint, grey.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        cv2.max(flat, wide, dst=flat)
+    gain, black = 255 / (levels.white - levels.black), levels.black
+    return np.asarray(cv2.addWeighted(flat, gain, flat, 0, -gain * black, dst=flat), np.uint8)
 
 
 _LEAST_SIDE = 1.5  # least side of a panel, in usual heights of letters
@@ -343,15 +400,15 @@ def turn_panels(paper: Paper) -> Paper:
 def turn_boxes(paper: Paper, boxes: list[tuple[list[int], int]], height: float) -> Paper:
     """Return a page with the panels made dark on light that are in some boxes, each with its least
     area, px; letters of the page are so high."""
-    ink, cleaned, panels = paper.ink, paper.cleaned, []
+    panels: list[list[int]] = []
     for sides, area in boxes:
         left, top, right, bottom = sides
         box = np.s_[top:bottom, left:right]
         panel = _panel(paper.ink[box], area, height)
         if panel is None:
             continue
-        if ink is paper.ink:
-            ink, cleaned = ink.copy(), cleaned.copy()
+        if not panels:
+            ink, cleaned = paper.ink.copy(), paper.cleaned.copy()
         panels.append(sides)
         ink[box] ^= panel
         # Its blurred edge would become a frame.
@@ -360,7 +417,9 @@ def turn_boxes(paper: Paper, boxes: list[tuple[list[int], int]], height: float) 
         above = np.maximum(cleaned[box], _BLACK) - _BLACK
         negative = 255 - cv2.convertScaleAbs(above, alpha=255 / (255 - int(_BLACK)))
         cleaned[box] = np.where(panel, np.where(inside, negative, 255), cleaned[box])
-    return replace(paper, ink=ink, cleaned=cleaned, panels=tuple(panels)) if panels else paper
+    if not panels:
+        return paper
+    return replace(paper, ink=ink, clean=lambda: cleaned, panels=tuple(panels))
 
 
 def _panel(ink: NDArray[np.bool_], area: int, height: float) -> NDArray[np.bool_] | None:

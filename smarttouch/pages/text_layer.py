@@ -20,9 +20,10 @@ _EM = 1.15  # height of a character's box, in sizes of its font
 _ASCENT, _X_HEIGHT, _DESCENT = 0.74, 0.48, 0.22  # of most fonts, in their sizes
 _SAME_LINE = 0.3  # distance of baselines of one line, in sizes
 _SPACE, _APART = 0.17, 1.1  # least gap between words, and between columns, in sizes
-_NARROW, _ALIGNED, _NEAR, _ALIKE = 0.5, 0.25, 6, 2
-"""Least gap, in sizes, that ends where those of rows around do: how near, of how many, and how
-many of them."""
+_NARROW, _ALIGNED, _EXACT, _NEAR, _ALIKE = 0.5, 0.25, 0.1, 6, 2
+"""Least gap, in sizes, that ends where those of rows around do: how near, how near the ends of
+figures are, of how many rows, and how many of them."""
+_COLUMNS = 2  # fewest columns of figures in rows without a wide gap
 _CELL_WORDS, _TABLE_ROWS = 3.0, 2  # mean words of a table's cells at most, and rows at least
 _FEWEST = 40  # characters below which a page with a large picture is a scan with a stamp
 _PICTURE = 0.4  # part of the page that a large picture covers
@@ -46,7 +47,7 @@ class PicturedPage(Page):
     reason: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Sign:
     text: str
     left: float
@@ -122,21 +123,57 @@ def _rows(signs: list[_Sign]) -> list[list[_Sign]]:
 
 
 def _cut(rows: list[list[_Sign]]) -> list[list[list[_Sign]]]:
-    """Return rows cut where columns or cells of a table part: at wide gaps, and at narrower ones
-    that end where wide ones of two rows around do."""
-    wide = [[sign.left for sign, gap in _gaps(row) if gap > _APART] for row in rows]
+    """Return rows cut where columns or cells of a table part: at wide gaps, at narrower ones that
+    end where wide ones of two rows around do, and before figures that end below each other."""
+    gaps = [list(_gaps(row)) for row in rows]
+    wide = [[sign.left for sign, gap in row if gap > _APART] for row in gaps]
+    words = [
+        _split(row, {sign for sign, gap in of_row if gap > _SPACE})
+        for row, of_row in zip(rows, gaps, strict=True)
+    ]
+    ends = [[word[-1].right for word in row[1:] if _is_figure(word)] for row in words]
     found = []
     for number, row in enumerate(rows):
-        around = wide[max(0, number - _NEAR) : number] + wide[number + 1 : number + 1 + _NEAR]
-        pieces = [[row[0]]]
-        for sign, gap in _gaps(row):
-            near = _ALIGNED * sign.size
-            same = sum(any(abs(end - sign.left) < near for end in ends) for ends in around)
-            if gap > _APART or (gap > _NARROW and same >= _ALIKE):
-                pieces.append([])
-            pieces[-1].append(sign)
-        found.append(pieces)
+        near, ends_near = _around(wide, number), _around(ends, number)
+        cuts = {
+            sign
+            for sign, gap in gaps[number]
+            if gap > _APART or (gap > _NARROW and _aligned(sign.left, near, _ALIGNED * sign.size))
+        }
+        below = [
+            word
+            for word in words[number][1:]
+            if _aligned(word[-1].right, ends_near, _EXACT * word[0].size)
+        ]
+        if len(below) >= _COLUMNS or (wide[number] and all(map(_is_figure, below))):
+            cuts |= {word[0] for word in below}
+        found.append(_split(row, cuts))
     return found
+
+
+def _around(places: list[list[float]], number: int) -> list[list[float]]:
+    """Return the places in the rows above and below one."""
+    return places[max(0, number - _NEAR) : number] + places[number + 1 : number + 1 + _NEAR]
+
+
+def _aligned(place: float, others: list[list[float]], near: float) -> bool:
+    """Return whether a place is that of one in enough other rows."""
+    return sum(any(abs(each - place) < near for each in row) for row in others) >= _ALIKE
+
+
+def _split(row: list[_Sign], cuts: set[_Sign]) -> list[list[_Sign]]:
+    """Return a row in pieces that begin with some of its characters."""
+    pieces = [[row[0]]]
+    for sign in row[1:]:
+        if sign in cuts:
+            pieces.append([])
+        pieces[-1].append(sign)
+    return pieces
+
+
+def _is_figure(word: list[_Sign]) -> bool:
+    text = "".join(sign.text for sign in word)
+    return any(map(str.isdecimal, text)) and not any(map(str.isalpha, text))
 
 
 def _gaps(row: list[_Sign]) -> Iterator[tuple[_Sign, float]]:

@@ -16,8 +16,8 @@ from smarttouch.base.files import read_text
 from smarttouch.base.tables import read_csv
 from smarttouch.pages.document import open_document
 from smarttouch.pages.file_kinds import FileKind, file_kind
-from smarttouch.pages.ink import separate_ink
-from smarttouch.pages.page_image import Page, load_page
+from smarttouch.pages.ink import reduced, separate_ink
+from smarttouch.pages.page_image import LARGEST_MM, Page, load_page
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened
 from smarttouch.pages.structured_text import read_structured_text
@@ -163,6 +163,10 @@ LEAST_MAGNIFIED, MOST_MAGNIFIED = 0.1, 10.0
 """Range of the magnification of a page beyond the profile's."""
 _SHADE = 0.1  # relative loss of light at the corners of the patch
 _SLOPE = 0.03
+_PRINT_PIXELS = 2_000_000  # of the image in which the height of print is found
+_PRINT_MM, USUAL_PRINT_MM = (1.2, 15.0), 3.7
+"""Heights of print, ascenders to descenders, that a page of assumed size may have, and that of 11
+points, which it gets otherwise."""
 _MARGIN_MM = 4.0
 _MARGIN_BLUR_MM = 1.0  # blur of the paper beyond the page's edges, which removes the page's texture
 _MOST_PIXELS = 60_000_000
@@ -186,49 +190,62 @@ def open_page(
     Of a photograph the sheet is shown, laid flat and without its shadow. The page is magnified
     beyond the profile's scale; ``auto`` makes its usual lines fill the array.
     """
-    page, notice = load_or_guess(Path(rest), dpi, page_width_mm)
+    page, assumed = load_or_guess(Path(rest), dpi, page_width_mm)
+    notices = [assumed] if assumed else []
     corners = None if path is not None or light_on_dark else find_sheet(page.grey)
     if corners is not None:
         flat = separate_ink(flattened(page.grey, corners), False).cleaned
         # A width that was given or assumed is that of the sheet.
-        of_sheet = page_width_mm is not None or notice
+        of_sheet = page_width_mm is not None or assumed
         page = Page(flat, page.size_mm[0] / flat.shape[1] if of_sheet else page.mm_per_pixel)
-        notice = f"{notice + '; ' if notice else ''}{LAID_FLAT}"
-    factor = _magnification(magnify, page, profile, light_on_dark)
+        notices.append(LAID_FLAT)
+    print_mm = _print_mm(page, light_on_dark) if assumed or magnify == "auto" else None
+    if assumed and print_mm and not _PRINT_MM[0] < print_mm < _PRINT_MM[1]:
+        scale = page.mm_per_pixel * USUAL_PRINT_MM / print_mm
+        if scale * max(page.grey.shape) < LARGEST_MM:
+            page, print_mm = Page(page.grey, scale), USUAL_PRINT_MM
+            wide_mm = f"{page.size_mm[0]:.0f} mm wide"
+            notices.append(f"its print would then be too large or small: as 11 points, {wide_mm}")
+    factor = _magnification(magnify, print_mm, profile)
     if factor != 1:
         page = Page(page.grey, page.mm_per_pixel * factor)
-        notice = f"{notice + '; ' if notice else ''}it is magnified {factor:.3g} times"
-    title = Path(rest).name
+        notices.append(f"it is magnified {factor:.3g} times")
+    title, notice = Path(rest).name, "; ".join(notices)
     source = PageSource(page, profile, title, seed, speed_mm_s, path, light_on_dark, notice)
     source.repeat(passes)
     return source
 
 
-def _magnification(text: str, page: Page, profile: Profile, light_on_dark: bool) -> float:
-    """Return a factor as given, or the one by which the usual lines of a page fill the array."""
-    if text != "auto":
-        try:
-            factor = float(text)
-        except ValueError:
-            factor = math.nan
-        if not LEAST_MAGNIFIED <= factor <= MOST_MAGNIFIED:
-            raise PageError(
-                f"magnify {text} is not possible: give auto, or a number from "
-                f"{LEAST_MAGNIFIED:g} to {MOST_MAGNIFIED:g}",
-                about="magnify",
-            )
-        return factor
-    lines = find_lines(page, light_on_dark or None)
+def _magnification(text: str, print_mm: float | None, profile: Profile) -> float:
+    """Return a factor as given, or the one by which print of a height fills the array."""
+    if text == "auto":
+        seen_mm = profile.electrodes.extent_mm[1] / profile.optics.magnification
+        factor = seen_mm / print_mm if print_mm else 1.0
+        return min(max(factor, LEAST_MAGNIFIED), MOST_MAGNIFIED)
+    try:
+        factor = float(text)
+    except ValueError:
+        factor = math.nan
+    if not LEAST_MAGNIFIED <= factor <= MOST_MAGNIFIED:
+        raise PageError(
+            f"magnify {text} is not possible: give auto, or a number from "
+            f"{LEAST_MAGNIFIED:g} to {MOST_MAGNIFIED:g}",
+            about="magnify",
+        )
+    return factor
+
+
+def _print_mm(page: Page, light_on_dark: bool) -> float | None:
+    """Return the height of the usual lines of a page, ascenders to descenders; None without any."""
+    grey = reduced(page.grey, _PRINT_PIXELS)
+    scale = page.mm_per_pixel * math.sqrt(page.grey.size / grey.size)
+    lines = find_lines(Page(grey, scale), light_on_dark or None)
     if not lines:
-        return 1.0
+        return None
     # Long lines are the text; headings are larger.
-    length = [line.right_mm - line.left_mm for line in lines]
-    height = [line.height_mm for line in lines]
-    order = np.argsort(height)
-    total = np.cumsum(np.array(length)[order])
-    usual_mm = height[order[np.searchsorted(total, total[-1] / 2)]]
-    seen_mm = profile.electrodes.extent_mm[1] / profile.optics.magnification
-    return float(np.clip(seen_mm / usual_mm, LEAST_MAGNIFIED, MOST_MAGNIFIED))
+    lines.sort(key=lambda line: line.height_mm)
+    length = np.cumsum([line.right_mm - line.left_mm for line in lines])
+    return lines[int(np.searchsorted(length, length[-1] / 2))].height_mm
 
 
 def load_or_guess(path: Path, dpi: float | None, width_mm: float | None) -> tuple[Page, str]:

@@ -19,7 +19,7 @@ RIGHT = ["Here the page goes on, as", "it does in a newspaper or", "in a book of
 
 def pdf(path, *placed, size=(400, 300), **more):
     """Write a PDF with words at places in points from the bottom left; return its path."""
-    shown = b"".join(b"BT /F 10 Tf %d %d Td (%b) Tj ET\n" % (x, y, text.encode("latin-1"))
+    shown = b"".join(b"BT /F 10 Tf %.2f %d Td (%b) Tj ET\n" % (x, y, text.encode("latin-1"))
                      for x, y, text in placed)  # fmt: skip
     path.write_bytes(one_page(shown, size, FONT + more.pop("page", b""), **more))
     return path
@@ -59,6 +59,26 @@ def test_rows_of_a_table_are_whole(tmp_path):
     title = (40, 240, "What each of the fruits in the garden costs this year")
     page = layer(pdf(tmp_path / "a.pdf", title, *placed))
     assert page.words == (title[2], "Name; Price", "Apple; 3", "Pear tree; 12")
+
+
+def test_columns_of_figures_part_where_they_nearly_touch(tmp_path):
+    rows = [("Town", "1990", "1997"), ("Great Apple", "1,204", "12,345"), ("Pear", "9", "7"),
+            ("Long Plum", "88", "210")]  # fmt: skip
+    # A figure is as wide as a space and a comma: 5.56 and 2.78 of 10 points.
+    wide = [5.56 * (len(each) - each.count(",")) + 2.78 * each.count(",")
+            for row in rows for each in row]  # fmt: skip
+    placed = [(95 + 34 * k - wide[3 * row + k] if k else 40, 200 - 14 * row, cell)
+              for row, cells in enumerate(rows) for k, cell in enumerate(cells)]  # fmt: skip
+    prose = [
+        (40, 250, "In 1990 and 1997 there were 12"),
+        (40, 236, "in 1204 houses, 7 of them new."),
+    ]
+    listed = [(40, 130 - 14 * k, f"Chapter {k + 1}") for k in range(3)]
+    page = layer(pdf(tmp_path / "a.pdf", *prose, *placed, *listed))
+    assert page.words == (
+        *(text for *_, text in prose), *("; ".join(row) for row in rows),
+        *(text for *_, text in listed),
+    )  # fmt: skip
 
 
 def test_the_text_is_that_of_the_layer(tmp_path):
