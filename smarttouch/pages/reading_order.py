@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.pages.baselines import Floats
+from smarttouch.pages.letter_rows import least_linked
 from smarttouch.pages.spots import Spots
 
 Flags = NDArray[np.bool_]
@@ -58,6 +59,59 @@ def reading_order(
         left, right = -right, -left
         boxes = boxes[:, [2, 1, 0, 3]] * (-1, 1, -1, 1)
         rules = rules[:, [1, 0, 2]] * (-1, -1, 1)
+    slips = _slips(left, right, y, height)
+    orders = [
+        _order_of_one(left[slip], right[slip], y[slip], height[slip], boxes, rules)
+        for slip in slips
+    ]
+    cell = np.zeros(len(left), np.int_)
+    for slip, order in zip(slips, orders, strict=True):
+        cell[slip] = order.cell
+    indices = [
+        int(k) for slip, order in zip(slips, orders, strict=True) for k in slip[order.indices]
+    ]
+    return ReadingOrder(indices, cell, any(order.doubtful for order in orders))
+
+
+_APART, _FEWEST_SLIPS, _LINES, _MOSTLY_LEVEL = 3.0, 4, 3, 0.85
+"""Least white between slips of paper on one sheet, in usual heights of lines; fewest of them, side
+by side and below each other, and of their lines; and most part of lines level with others."""
+
+
+def _slips(left: Floats, right: Floats, y: Floats, height: Floats) -> list[NDArray[np.int_]]:
+    """Return the lines of each slip of paper on a sheet, from the top down and left to right; those
+    of a page are one."""
+    whole = [np.arange(len(left))]
+    if len(left) < _FEWEST_SLIPS * _LINES:
+        return whole
+    near = _APART * float(np.median(height))
+    across = np.maximum(left[:, None], left) - np.minimum(right[:, None], right)
+    down = np.abs(y[:, None] - y) - (height[:, None] + height) / 2
+    first, second = np.nonzero((across < near) & (down < near))
+    of = least_linked(len(left), first, second)
+    slips = [np.flatnonzero(of == k) for k in np.unique(of)]
+    many = sum(len(slip) >= _LINES for slip in slips)
+    if many < _FEWEST_SLIPS or 2 * many < len(slips):
+        return whole
+    # Rows of a table are level, lines on slips are so by chance.
+    other = (of[:, None] != of) & (np.abs(y[:, None] - y) < _LEVEL_CELLS / 2 * height)
+    if other.any(axis=1).mean() > _MOSTLY_LEVEL:
+        return whole
+    slips.sort(key=lambda slip: float(y[slip].min()))
+    rows: list[list[NDArray[np.int_]]] = []
+    for slip in slips:
+        if not rows or y[slip].min() > y[rows[-1][-1]].mean():
+            rows.append([])
+        rows[-1].append(slip)
+    if min(len(rows), max(map(len, rows))) < 2:
+        return whole
+    return [slip for row in rows for slip in sorted(row, key=lambda slip: float(left[slip].min()))]
+
+
+def _order_of_one(
+    left: Floats, right: Floats, y: Floats, height: Floats, boxes: Boxes, rules: Floats
+) -> ReadingOrder:
+    """Return the reading order of the lines of one page or slip of paper."""
     rows, doubtful = _rows(left, right, y, height)
     cell = np.zeros(len(left), np.int_)
     for row in rows:

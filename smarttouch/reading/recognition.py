@@ -117,11 +117,12 @@ def _turns_to_try(
     turns = [180] if upside_down > _MORE * legible else []
     if letters >= _FEWEST_LETTERS and upside_down > _UPRIGHT * letters and turns:
         return turns
-    if letters >= _MANY_LETTERS and legible > _CLEARLY_MORE * upside_down:
+    if QUARTER in prepared.notes:
+        # That turn was a guess.
+        turns.append(90)
+    elif letters >= _MANY_LETTERS and legible > _CLEARLY_MORE * upside_down:
         # It is upright, and hard to read.
         return []
-    if QUARTER in prepared.notes:
-        turns.append(90)
     others = likely_turns(prepared.cleaned, options.languages)
     return turns + [each for each in others if each not in (180, *turns)]
 

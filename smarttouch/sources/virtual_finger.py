@@ -164,7 +164,7 @@ LEAST_MAGNIFIED, MOST_MAGNIFIED = 0.1, 10.0
 _SHADE = 0.1  # relative loss of light at the corners of the patch
 _SLOPE = 0.03
 _PRINT_PIXELS = 2_000_000  # of the image in which the height of print is found
-_PRINT_MM, USUAL_PRINT_MM = (1.2, 15.0), 3.7
+_PRINT_MM, USUAL_PRINT_MM = (1.5, 9.0), 3.7
 """Heights of print, ascenders to descenders, that a page of assumed size may have, and that of 11
 points, which it gets otherwise."""
 _MARGIN_MM = 4.0

@@ -35,6 +35,15 @@ def test_a_heading_comes_first_and_one_between_parts_the_columns():
     assert order(*lines) == list(range(len(lines)))
 
 
+def test_slips_on_one_sheet_are_read_one_by_one():
+    side, other = (0, 30), (60, 90)
+    tops = [(side, 0), (other, 4), (side, 103), (other, 98)]
+    assert order(*columns(tops)) == list(range(16))
+    # Rows of a table go on across such gaps.
+    level = columns([(side, 0), (other, 0), (side, 100), (other, 100)])
+    assert order(*level) != list(range(16))
+
+
 def test_three_columns_under_a_heading():
     lines = columns([((0, 25), 10), ((30, 55), 10), ((60, 85), 10)])
     assert order(((0, 85), 0), *lines) == list(range(13))
