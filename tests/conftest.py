@@ -49,7 +49,7 @@ _STATES = itertools.count()
 # How long an example takes says how busy the machine is, and nothing of the code. In CI the
 # examples are the same each time: what fails there is a change, and can be seen again.
 settings.register_profile(
-    "smarttouch", deadline=None, max_examples=100 if WHOLE else 40, derandomize="CI" in os.environ
+    "smarttouch", deadline=None, max_examples=100 if WHOLE else 25, derandomize="CI" in os.environ
 )
 settings.load_profile("smarttouch")
 
