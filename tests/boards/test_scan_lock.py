@@ -3,7 +3,7 @@
 import random
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.boards.kits.scan_lock import ScanLock, Span
@@ -57,7 +57,6 @@ def test_what_is_not_renewed_is_forgotten(lock):
     assert not lock.locked
 
 
-@settings(max_examples=200, deadline=None)
 @given(
     phase=st.integers(0, T - 1),
     drift=st.floats(-200e-6, 200e-6),

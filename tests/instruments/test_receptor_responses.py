@@ -110,7 +110,6 @@ def test_who_answers_where_in_a_sweep():
     assert not len(bands[Afferent.SAI])
 
 
-@settings(max_examples=40)
 @given(
     st.lists(st.floats(-1e5, 1e5), min_size=2, max_size=60),
     st.lists(st.floats(-50, 50), min_size=2, max_size=60),

@@ -138,9 +138,9 @@ def test_masked_electrodes_carry_nothing(profile, changed):
         operator.currents(level)
 
 
-def test_arrays_that_are_no_grid_have_operators(make_operator):
-    mine = load_profile("kajimoto-61")
-    mine = type(mine).model_validate(mine.model_dump() | {"output": {"kind": "weighted"}})
+def test_arrays_that_are_no_grid_have_operators(changed):
+    keys = {"output": {"kind": "weighted"}, "skin.node_spacing_mm": 0.5}
+    mine = changed(load_profile("kajimoto-61"), keys)
     operator = FrameOperator(FrameJudge(mine, Afferent.RA, np.full(61, 1.0)))
     level = scattered(1, 4, 61)
     reached = operator.judge.target[level > 0] @ operator.currents(level)

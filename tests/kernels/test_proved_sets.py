@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
@@ -19,7 +19,6 @@ from smarttouch.stimulation.slot_sums import round_charge_balanced
 from ..raising import raises
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     st.sampled_from([Afferent.RA, Afferent.SAI]), st.integers(1, 4), st.integers(0, 2**32 - 1)
 )  # fmt: skip
@@ -78,9 +77,13 @@ def test_classes_are_all_driven_sites_once(profile, changed):
         assert apart.min() >= 2 * mine.electrodes.pitch_mm - 1e-9
 
 
-def test_a_hexagon_has_no_colors():
-    mine = load_profile("kajimoto-61")
-    operator = FrameOperator(FrameJudge(mine, Afferent.RA, np.ones(61)))
+@pytest.fixture
+def hexagon(changed):
+    return changed(load_profile("kajimoto-61"), {"skin.node_spacing_mm": 0.5})
+
+
+def test_a_hexagon_has_no_colors(hexagon):
+    operator = FrameOperator(FrameJudge(hexagon, Afferent.RA, np.ones(61)))
     with raises(DesignError, about="array"):
         color_classes(operator, 2)
     assert SharedKernels(operator, np.array([3, 40])).off_target > 0
@@ -112,8 +115,7 @@ def test_what_is_proved_holds_every_tenth_of_a_millimeter(make_operator, profile
         assert closer.spill == pytest.approx(one.spill, rel=0.05)
 
 
-def test_what_is_no_grid_or_large_has_no_sets(profile, bank, changed):
-    hexagon = load_profile("kajimoto-61")
+def test_what_is_no_grid_or_large_has_no_sets(profile, hexagon, changed):
     wish = np.full(61, 2.0)
     assert proved_sets(FrameOperator(FrameJudge(hexagon, Afferent.RA, wish)), FrameBounds()) == []
     many = {"array.rows": 18, "array.columns": 18, "skin.node_spacing_mm": 1.0}
@@ -122,7 +124,6 @@ def test_what_is_no_grid_or_large_has_no_sets(profile, bank, changed):
     assert proved_sets(FrameOperator(judge), FrameBounds()) == []
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     st.sampled_from([Afferent.RA, Afferent.SAI]),
     st.integers(2, 4),

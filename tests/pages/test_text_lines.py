@@ -6,7 +6,7 @@ from itertools import pairwise
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from skimage import data
 
@@ -181,7 +181,6 @@ def test_noise_has_no_line(part):
         assert find_lines(Page(grey, 0.2)) == []
 
 
-@settings(max_examples=40)
 @given(st.integers(0, 2**32 - 1), st.integers(8, 60), st.integers(8, 60))
 def test_no_picture_is_too_strange(seed, height, width):
     random = np.random.default_rng(seed)

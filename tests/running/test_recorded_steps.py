@@ -126,7 +126,6 @@ def same(one, other):
     return one == other
 
 
-@settings(max_examples=40, deadline=None)
 @given(runs())
 def test_a_step_comes_back_to_the_bit(steps):
     found = through(steps)

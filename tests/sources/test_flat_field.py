@@ -4,7 +4,7 @@ import contextlib
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import CalibrationError, SourceError
@@ -74,7 +74,6 @@ def test_another_shape(field):
         field.correct(np.zeros((64, 48), np.uint8))
 
 
-@settings(max_examples=40, deadline=None)
 @given(rows=st.integers(1, 12), columns=st.integers(1, 12), seed=st.integers(0, 2**32 - 1))
 def test_any_field_is_read_back_as_it_was_written(tmp_path_factory, rows, columns, seed):
     random = np.random.default_rng(seed)
@@ -87,7 +86,6 @@ def test_any_field_is_read_back_as_it_was_written(tmp_path_factory, rows, column
     assert (again.gain == gain).all()
 
 
-@settings(max_examples=60, deadline=None)
 @given(cut=st.integers(0, 400), at=st.integers(0, 10_000), value=st.integers(0, 255))
 def test_a_damaged_file_is_refused_or_still_a_field(tmp_path_factory, cut, at, value):
     random = np.random.default_rng(0)

@@ -9,7 +9,7 @@ from functools import partial
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import SourceError, SourceLostError
@@ -113,7 +113,6 @@ def read_to_the_end(sensor):
     return numbers
 
 
-@settings(deadline=None, max_examples=40)
 @given(
     st.lists(st.tuples(st.integers(0, 3), st.booleans()), max_size=60),
     st.lists(st.integers(0, 3), max_size=30),

@@ -5,7 +5,7 @@ import math
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -176,7 +176,6 @@ def test_a_line_of_print(profile, changed, tmp_path, side, speed_mm_s, most_px, 
     assert np.abs((motions - truth).sum(axis=0)).max() < most_drift * truth[:, 0].sum()
 
 
-@settings(deadline=None, max_examples=100)
 @given(
     st.lists(
         hnp.arrays(np.uint8, hnp.array_shapes(min_dims=2, max_dims=2, max_side=80)),

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import SourceError, SourceLostError
@@ -170,7 +170,6 @@ def test_bytes_that_are_no_frames_from_the_start_on(line, source, monkeypatch):
 
 
 @given(st.lists(st.one_of(st.none(), st.binary(max_size=40)), max_size=20), st.integers(1, 60))
-@settings(max_examples=60)
 def test_every_frame_that_came_is_counted_whatever_is_between(pieces, size):
     source = SerialArrayDevice("nowhere")
     sent = 0

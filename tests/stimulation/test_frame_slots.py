@@ -43,8 +43,9 @@ def slots(made):
 
 
 @pytest.fixture(scope="module")
-def problems(profile):
-    return {each: Problem(profile, each).rows[0] for each in (Afferent.RA, Afferent.SAI)}
+def problems(profile, changed):
+    coarse = changed(profile, {"skin.node_spacing_mm": 0.25})
+    return {each: Problem(coarse, each).rows[0] for each in (Afferent.RA, Afferent.SAI)}
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
@@ -46,7 +46,6 @@ def activations(count):
         yield drawn * (random.random((1, 64)) < random.choice([0.05, 0.2, 0.5, 1]))
 
 
-@settings(deadline=None, max_examples=150)
 @given(
     whole=st.booleans(),
     seed=st.integers(0, 2**32 - 1),

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
@@ -48,7 +48,6 @@ def started(profile, bank):
 
 @pytest.mark.parametrize("name", list_profiles())
 @given(data=st.data())
-@settings(max_examples=50)
 def test_every_sequence_of_every_profile_is_safe(name, data):
     profile, bank = shipped(name)
     afferent = data.draw(st.sampled_from(sorted(bank.weights)))
@@ -117,7 +116,6 @@ def masked(request, changed):
     return profile, design_bank(profile)
 
 
-@settings(max_examples=40)
 @given(data=st.data())
 def test_a_masked_electrode_is_never_driven(masked, data):
     profile, bank = masked

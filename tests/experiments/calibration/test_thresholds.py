@@ -154,7 +154,6 @@ def test_an_interrupted_run_begins_at_zero():
     assert procedure.runs == []
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     ceiling=st.floats(0.05, 5),
     expected=st.floats(0.05, 5),

@@ -51,7 +51,6 @@ def data(draw):
     return counts_of(stimulus, n, [draw(st.integers(0, each)) for each in n])
 
 
-@settings(max_examples=60, deadline=None)
 @given(data(), st.sampled_from(MODELS))
 def test_any_data_give_a_rising_function_between_0_and_1(counts, model):
     found = fit(counts, model)
@@ -63,7 +62,6 @@ def test_any_data_give_a_rising_function_between_0_and_1(counts, model):
     assert found.deviance >= -1e-6
 
 
-@settings(max_examples=40, deadline=None)
 @given(data(), st.sampled_from([1e-3, 0.3, 250.0]))
 def test_unit_is_of_no_account_on_a_logarithmic_axis(counts, factor):
     one = fit(counts, Model())
