@@ -20,7 +20,7 @@ from smarttouch.cli.design import design, profiles
 from smarttouch.cli.devices import devices
 from smarttouch.cli.experiment import experiment, fit
 from smarttouch.cli.live import live, stop
-from smarttouch.cli.plain_help import Commands
+from smarttouch.cli.options import Commands
 from smarttouch.cli.read import braille, braille_display, read
 from smarttouch.cli.recordings import recordings, replay, report
 from smarttouch.cli.simulate import simulate

@@ -10,8 +10,14 @@ import typer
 
 from smarttouch.base.command_options import argument, option
 from smarttouch.base.errors import BoardStoppedError, CalibrationError, not_offered, require_within
-from smarttouch.cli.options import MORE, ForceOption, OptionGroup, ProfileOption, takes_options
-from smarttouch.cli.plain_help import Commands
+from smarttouch.cli.options import (
+    MORE,
+    Commands,
+    ForceOption,
+    OptionGroup,
+    ProfileOption,
+    takes_options,
+)
 from smarttouch.views.keys_and_signals import command_stop, drives_a_board, opened
 
 if TYPE_CHECKING:

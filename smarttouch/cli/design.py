@@ -8,8 +8,7 @@ import typer
 
 from smarttouch.base.command_options import argument, option
 from smarttouch.base.terminal import print_table
-from smarttouch.cli.options import ArrayOption, ClusterOption, JsonOption
-from smarttouch.cli.plain_help import Commands
+from smarttouch.cli.options import ArrayOption, ClusterOption, Commands, JsonOption
 
 if TYPE_CHECKING:
     from smarttouch.base.afferent import Afferent

@@ -9,8 +9,7 @@ import typer
 from smarttouch.base.command_options import argument, option
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.terminal import print_table
-from smarttouch.cli.options import ForceOption, JsonOption, ProfileOption
-from smarttouch.cli.plain_help import Commands
+from smarttouch.cli.options import Commands, ForceOption, JsonOption, ProfileOption
 from smarttouch.emulator.commands import emulate_board, emulate_sensor
 from smarttouch.views.keys_and_signals import asks_a_board, command_stop, drives_a_board, opened
 

@@ -14,8 +14,14 @@ import typer
 from smarttouch.base import terminal
 from smarttouch.base.command_options import argument, option
 from smarttouch.base.errors import ExperimentError
-from smarttouch.cli.options import MORE, ClassOption, JsonOption, QuietOption, takes_options
-from smarttouch.cli.plain_help import Commands
+from smarttouch.cli.options import (
+    MORE,
+    ClassOption,
+    Commands,
+    JsonOption,
+    QuietOption,
+    takes_options,
+)
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.views.keys_and_signals import drives_a_board
 

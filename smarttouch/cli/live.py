@@ -16,7 +16,7 @@ from smarttouch.views.keys_and_signals import drives_a_board
 
 if TYPE_CHECKING:
     from smarttouch.views.window import Window
-    from smarttouch.views.window_choices import RunChoices
+    from smarttouch.views.window_messages import RunChoices
 
 
 @takes_options()
@@ -129,7 +129,7 @@ def _show(
 def _offered(run: RunOptionGroup, url: str) -> "RunChoices | None":
     if run.window is None:
         return None
-    from smarttouch.views.window_choices import RunChoice, RunChoices
+    from smarttouch.views.window_messages import RunChoice, RunChoices
 
     return RunChoices.beside(RunChoice(url, run.board_url), Path.cwd())
 

@@ -7,8 +7,7 @@ import typer
 
 from smarttouch.base.command_options import argument, option
 from smarttouch.base.terminal import print_table
-from smarttouch.cli.options import takes_options
-from smarttouch.cli.plain_help import Commands
+from smarttouch.cli.options import Commands, takes_options
 from smarttouch.cli.run_options import RunOptionGroup
 from smarttouch.views.keys_and_signals import drives_a_board
 

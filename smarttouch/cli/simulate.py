@@ -11,13 +11,13 @@ from smarttouch.cli.options import (
     ArrayOption,
     ClassOption,
     ClusterOption,
+    Commands,
     JsonOption,
     ModeOption,
     QuietOption,
     ScanOption,
     takes_options,
 )
-from smarttouch.cli.plain_help import Commands
 from smarttouch.cli.source_options import DocumentOptions, FormOptions, or_standard_input
 
 _NAMES = {

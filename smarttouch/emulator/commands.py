@@ -70,7 +70,7 @@ def emulate_board(
     from smarttouch.emulator.etactilekit_firmware import FIRMWARES
     from smarttouch.emulator.finger_events import EmulatedFinger
     from smarttouch.emulator.firmware import DeliveryLog
-    from smarttouch.emulator.sequence_at_hand import MOST_KERNELS, Room
+    from smarttouch.emulator.rules_over_time import MOST_KERNELS, Room
     from smarttouch.emulator.skin import COMPLIANCE_V
 
     if name not in BOARDS:

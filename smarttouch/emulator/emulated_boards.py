@@ -25,7 +25,7 @@ from smarttouch.boards.link.protocol import ANSWERS, HostSession, Message, Messa
 from smarttouch.emulator import rules_over_time
 from smarttouch.emulator.firmware import DeliveryLog
 from smarttouch.emulator.link_firmware import LinkFirmware
-from smarttouch.emulator.sequence_at_hand import Room
+from smarttouch.emulator.rules_over_time import Room
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import ScanSequence

@@ -33,8 +33,14 @@ from smarttouch.emulator.link_packets import (
     decode_lists,
 )
 from smarttouch.emulator.link_rules import BrokenRule, complaint
-from smarttouch.emulator.rules_over_time import RAMP_MS, LastSecond, Ramp
-from smarttouch.emulator.sequence_at_hand import Room, ScanSoFar, SequenceAtHand
+from smarttouch.emulator.rules_over_time import (
+    RAMP_MS,
+    LastSecond,
+    Ramp,
+    Room,
+    ScanSoFar,
+    SequenceAtHand,
+)
 from smarttouch.emulator.skin import COMPLIANCE_V, SkinCircuit
 
 NAME = "SmartTouch board emulator 1"

@@ -10,8 +10,13 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import SourceError, SourceLostError
-from smarttouch.base.wire.socket_owners import TCP_TABLES, lead_to_us, own_sockets
-from smarttouch.instruments.pushed_stimuli import LOOK_S, PushedStimuli
+from smarttouch.instruments.pushed_stimuli import (
+    LOOK_S,
+    TCP_TABLES,
+    PushedStimuli,
+    lead_to_us,
+    own_sockets,
+)
 from smarttouch.profile import Profile
 from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
 from smarttouch.sources.source_contract import Source

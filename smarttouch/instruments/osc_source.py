@@ -26,8 +26,7 @@ from smarttouch.base.errors import SourceError
 from smarttouch.base.files import open_file
 from smarttouch.base.lazy_names import import_extra
 from smarttouch.base.posix import user_number
-from smarttouch.base.wire.socket_owners import UDP_TABLES, read_sockets
-from smarttouch.instruments.pushed_stimuli import LOOK_S, PushedStimuli
+from smarttouch.instruments.pushed_stimuli import LOOK_S, UDP_TABLES, PushedStimuli, read_sockets
 from smarttouch.profile import Profile
 
 LEAST_KEY_BYTES = 16

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import SourceError
-from smarttouch.base.wire.socket_owners import TCP_TABLES, is_from_us
-from smarttouch.instruments.pushed_stimuli import LOOK_S, PushedStimuli
+from smarttouch.instruments.pushed_stimuli import LOOK_S, TCP_TABLES, PushedStimuli, is_from_us
 from smarttouch.profile import Profile
 from smarttouch.sources.live_capture import ImageDevice, LiveSource, Shot
 from smarttouch.sources.source_contract import DeviceWarnings, Source

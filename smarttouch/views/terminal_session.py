@@ -35,7 +35,7 @@ from smarttouch.views.screen import BlindScreen, Screen
 
 if TYPE_CHECKING:
     from smarttouch.views.window import Window
-    from smarttouch.views.window_choices import RunChoices
+    from smarttouch.views.window_messages import RunChoices
 
 OPENED_WITHIN_S = 60.0  # for a page without a browser here: somebody may copy its address
 _TIMED_S = 10.0  # longest wait for a page where a run has a limit of time

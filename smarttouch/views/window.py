@@ -20,8 +20,9 @@ from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Source
 from smarttouch.views.live_finger import MOST_RECENT, LiveFinger
-from smarttouch.views.window_choices import RunChoice, RunChoices
 from smarttouch.views.window_messages import (
+    RunChoice,
+    RunChoices,
     array_message,
     finger_message,
     picture_message,

@@ -14,7 +14,7 @@ from smarttouch.emulator.emulated_boards import SimulatedBoard
 from smarttouch.emulator.firmware import read_slots
 from smarttouch.emulator.link_packets import KernelStore, decode_lists
 from smarttouch.emulator.link_rules import _filled_in
-from smarttouch.emulator.sequence_at_hand import Room
+from smarttouch.emulator.rules_over_time import Room
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.scan_sequence import KernelLists, ScanSequence
 from tests.boards.fresh import deliver, fresh_state

@@ -18,7 +18,7 @@ from smarttouch.boards.link.sequence_encoding import (
     encode_limits,
 )
 from smarttouch.emulator.firmware import DeliveryLog
-from smarttouch.emulator.sequence_at_hand import Room
+from smarttouch.emulator.rules_over_time import Room
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from smarttouch.stimulation.scan_sequence import KernelLists, KernelTable, ScanSequence
 from tests.boards.payloads import encode_lists

@@ -10,7 +10,6 @@ import pytest
 
 import smarttouch as st
 from smarttouch.base.errors import SourceError
-from smarttouch.base.wire import socket_owners
 from smarttouch.instruments import pushed_stimuli
 from smarttouch.lab import check_recording
 from smarttouch.testing import SourceContract, StimulusContract
@@ -212,12 +211,12 @@ def test_images_that_are_followed_are_pulses_of_their_own_also_in_a_recording(pr
 
 def test_owners_of_both_ends_are_known():
     with socket.create_server(("127.0.0.1", 0)) as server:
-        before = socket_owners.own_sockets()
+        before = pushed_stimuli.own_sockets()
         with socket.create_connection(server.getsockname()) as line, server.accept()[0] as other:
-            assert socket_owners.is_from_us(other)
-            assert socket_owners.is_from_us(line)
-            assert socket_owners.lead_to_us(socket_owners.own_sockets() - before)
-    assert not socket_owners.lead_to_us(socket_owners.own_sockets() - before)
+            assert pushed_stimuli.is_from_us(other)
+            assert pushed_stimuli.is_from_us(line)
+            assert pushed_stimuli.lead_to_us(pushed_stimuli.own_sockets() - before)
+    assert not pushed_stimuli.lead_to_us(pushed_stimuli.own_sockets() - before)
 
 
 class TestImages(SourceContract):

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from smarttouch.emulator.link_firmware import LinkFirmware
-from smarttouch.emulator.sequence_at_hand import Room
+from smarttouch.emulator.rules_over_time import Room
 from tests.firmware.judge import Limits
 from tests.firmware.rig import Emulated, PulseBooks
 from tests.reference.small_board import Board
