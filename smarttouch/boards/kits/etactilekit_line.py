@@ -169,7 +169,7 @@ class ETactileKitLine(KeptBoard):
         begun_ns = self._clock.now_ns()
         with self._driving() if drives else contextlib.nullcontext():
             self._write_out(data)
-        answer = self._read(expected, ECHO_S + self._wire_s(data))
+        answer = self._read(expected, ECHO_S + (len(data) / PIECE * PAUSE_S if self._slow else 0.0))
         span = Span(begun_ns, self._clock.now_ns())
         if len(answer) != expected or answer[-1:] != self._echo:
             return None
@@ -207,9 +207,6 @@ class ETactileKitLine(KeptBoard):
         for start in range(0, len(data), PIECE):
             self._write(data[start : start + PIECE])
             time.sleep(PAUSE_S)
-
-    def _wire_s(self, data: bytes) -> float:
-        return len(data) / PIECE * PAUSE_S if self._slow else 0.0
 
 
 def _parse(options: str) -> tuple[bool, str | None]:

@@ -19,7 +19,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,17 +167,13 @@ class WireSequence:
 
 def encode_volts(volts: NDArray[np.float64]) -> bytes:
     """Return the payload of VOLTAGES: the source's voltage in each slot, (S,) V."""
-    return _u16(np.clip(np.rint(volts * _VOLT), 0, _U16_MAX))
+    return np.clip(np.rint(volts * _VOLT), 0, _U16_MAX).astype("<u2", copy=False).tobytes()
 
 
 def decode_volts(payload: bytes) -> NDArray[np.float32]:
     """Return the voltages in a payload of VOLTAGES, (S,) V; an odd byte is dropped."""
     whole = payload[: len(payload) // 2 * 2]
     return np.asarray(np.frombuffer(whole, "<u2") / np.float32(_VOLT), np.float32)
-
-
-def _u16(values: NDArray[Any]) -> bytes:
-    return values.astype("<u2", copy=False).tobytes()
 
 
 def source_of(current_ua: NDArray[np.int16]) -> NDArray[np.uint16]:
