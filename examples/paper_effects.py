@@ -6,7 +6,7 @@ Order of sensations, blur by polarity, the shift of PC, and the concentric elect
 and III-C). Blur and the concentric electrode follow from the anatomy alone. That PC joins between
 SAI and RA was put in, by PC's threshold factor of 2 (with 1 it comes first), and how far PC is felt
 aside follows from how long its axons are assumed to be. The numbers are printed by
-``examples/studies/finger_tables.py effects``.
+``examples/studies/finger_effects.py``.
 """
 
 import matplotlib.pyplot as plt

@@ -1,17 +1,20 @@
 """Qualitative effects of the paper, as simulated fingers show them (Section III-B).
 
+``python examples/studies/finger_effects.py paper 10`` prints them for 10 fingers of an anatomy.
 Two assumptions make two of them: PC's threshold factor of 2 was chosen by the order of sensations
 (III-B.1), with 1 PC comes first; and how far PC is felt aside follows from the assumed length of
 its axons. Every figure is a median over fingers unless it says otherwise.
 """
 
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent
+from smarttouch.base.terminal import print_table
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.physiology.finger import Finger
@@ -26,7 +29,7 @@ STAGES_MA = (0.2, 0.4, 0.6, 1.0)
 """Currents of the central line electrode at which sensations changed (Section III-B.1)."""
 CLEAR_MA = 2.4
 """Current that was clearly felt on a disc of 1.0 mm (Section III-C)."""
-_EASED = 20.0
+EASED = 20.0
 """Factor by which thresholds on lines are lowered before fingers leave out what no legal current
 fires, and currents with them."""
 
@@ -73,7 +76,7 @@ def stages(anatomy: str | Anatomy, seeds: Sequence[int]) -> dict[Afferent, Array
     is_like = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
     across = {
         each.name.lower(): is_like.of(each).model_copy(
-            update={"flat_deg": 0.0, "threshold_factor": is_like.of(each).threshold_factor / _EASED}
+            update={"flat_deg": 0.0, "threshold_factor": is_like.of(each).threshold_factor / EASED}
         )
         for each in Afferent
     }
@@ -87,7 +90,7 @@ def stages(anatomy: str | Anatomy, seeds: Sequence[int]) -> dict[Afferent, Array
         for each in Afferent:
             highest = np.sort(drive[finger.classes == each])[::-1][:10]
             with np.errstate(divide="ignore"):
-                current_ma = _EASED / np.maximum(highest, 0)
+                current_ma = EASED / np.maximum(highest, 0)
             found[each].append(np.pad(current_ma, (0, 10 - len(highest)), constant_values=np.inf))
     return {each: np.median(rows, axis=0) for each, rows in found.items()}
 
@@ -135,8 +138,6 @@ def reached(
 def effects(
     anatomy: str | Anatomy,  # of the fingers
     seeds: Sequence[int],  # of the fingers
-    # called with the number of finished parts and of all
-    progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> list[Row]:
     """Return the paper's effects and the fingers' figures, as rows of a table."""
     is_like = anatomy if isinstance(anatomy, Anatomy) else load_anatomy(anatomy)
@@ -145,9 +146,8 @@ def effects(
     parts = (_stage_rows, _blur_rows, _shift_rows, _selective_rows, _concentric_rows)
     rows: list[Row] = []
     fingers = [Finger(mouse, seed, is_like) for seed in seeds]
-    for done, part in enumerate(parts):
+    for part in parts:
         rows += part(is_like, fingers, bank, sites)
-        progress(done + 1, len(parts))
     return rows
 
 
@@ -255,3 +255,9 @@ def _concentric_rows(
             )
         )
     return rows
+
+
+if __name__ == "__main__":
+    print_table(
+        effects(sys.argv[1], range(1, int(sys.argv[2]) + 1)), ["effect", "paper", "fingers"], left=3
+    )

@@ -1,150 +1,297 @@
-"""Published measurements beside those of simulated fingers.
+"""Published measurements with people and nerves beside what simulated fingers give.
 
-Only figures of the literature that we are sure of are listed; a dash means that we have none.
+``python examples/studies/published.py 20`` prints the table of ``docs/validation/finger.md``, 20
+fingers of each anatomy. A source was read at least in its abstract; a dash is a number that we
+could not read in it. Nothing is tuned to these, but for the two rows that say so.
 """
 
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from statistics import fmean, median
-from typing import NamedTuple
+from types import SimpleNamespace
 
 import numpy as np
 from numpy.typing import NDArray
-from studies.finger_effects import CLEAR_MA, against_all, inner_sites, kernel_ma
-from studies.receptor_spikes import touchsim_rows
+from scipy.special import ndtr
+
+sys.path.append(str(Path(__file__).parents[1]))
+from studies.finger_effects import CLEAR_MA, EASED, against_all, inner_sites, kernel_ma
 
 from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.activating_function import potential_mv
-from smarttouch.physiology.anatomy import Anatomy, load_anatomy
+from smarttouch.physiology.anatomy import load_anatomy
 from smarttouch.physiology.driving_function import load_driving
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.membrane import weiss_fit
 from smarttouch.physiology.response import response_map
-from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.physiology.spikes import NOCICEPTORS, Bystanders, SpikeModel
 from smarttouch.profile import Profile, load_profile
-from smarttouch.reading.letter_responses import respond_to_letters
+from smarttouch.profile.device import FINGER_PAD, SkinLayer
+from smarttouch.reading.letter_responses import (
+    letter_sequences,
+    letter_templates,
+    spikes_and_letter,
+)
 from smarttouch.reading.letter_shapes import ALPHABET
 
 Array = NDArray[np.float64]
+Floats = NDArray[np.float32]
 
+ANATOMIES = ("paper", "branched")
 WIDTHS_US = (50.0, 100.0, 200.0, 500.0)
+SIZES_MM = (1.0, 4.0)
+PULSES, PULSE_HZ = 6, 350.0
+COMFORTABLE = 1.5
+"""Current over threshold at which patterns are recognized well (Kaczmarek)."""
 _DIP = 0.8
 """Level between two places, over the lower of both, below which they are resolved. Ours."""
 _BLUR_MM = 0.6
 """Standard deviation of a receptive field in that. Ours."""
 _ACROSS = 33
+_RESAMPLES = 2000
 
 
-class PublishedRow(NamedTuple):
-    """A measurement: what, what was published, by whom, and what the fingers say."""
+@dataclass(frozen=True)
+class Experiment:
+    """A published measurement."""
 
+    key: str  # of `measured`; empty where the model has no such part
     quantity: str
-    published: str
+    published: str  # a dash if we could not read the number
+    agrees: tuple[float, float] | None  # values that agree with it
     source: str
-    finger: str
+    why: str
 
 
-def published(
-    anatomy: str,
-    seeds: Sequence[int],
-    letters: str = ALPHABET,
-    progress: Callable[[int, int], None] = lambda _done, _all: None,
-) -> list[PublishedRow]:
-    """Return the table; parameters are those of `finger_effects.effects`, and letters to read."""
-    is_like = load_anatomy(anatomy)
-    mouse = load_profile("electric-mouse")
-    fingers = [Finger(mouse, seed, is_like) for seed in seeds]
-    rows: list[PublishedRow] = []
-    parts: tuple[Callable[[], list[PublishedRow]], ...] = (
-        lambda: threshold_rows(fingers),
-        lambda: [polarity_row(mouse, is_like), chronaxie_row(mouse, is_like)],
-        lambda: gap_rows(fingers),
-        lambda: [letters_row("electric-mouse", "8 × 8", anatomy, seeds, letters)],
-        lambda: [letters_row("optacon-24x6", "24 × 6", anatomy, seeds, letters)],
-        lambda: [PublishedRow(*row) for row in touchsim_rows(fingers)],
-    )
-    for done, part in enumerate(parts):
-        rows += part()
-        progress(done + 1, len(parts))
-    return rows
+_SOURCES = {
+    "tachi": "[Tachi 1977](http://repository.dl.itc.u-tokyo.ac.jp/dspace/handle/2261/6889), arm",
+    "rhesus": "[Kaczmarek 2000](https://doi.org/10.1109/86.847828), three RA of macaques",
+    "bursts": "[Kaczmarek 1992](https://doi.org/10.1109/10.142645)",
+    "geng": "[Geng 2011](https://doi.org/10.1186/1743-0003-8-9), forearm",
+    "zhu": "[Zhu 2017](https://doi.org/10.3389/fnins.2017.00250), forearm",
+    "tashiro": "Higashiyama and Tashiro, forearm",
+    "dölker": "[Dölker 2022](https://doi.org/10.1038/s41598-022-10708-9), upper arm",
+    "yem": "Yem and Kajimoto 2017, finger",
+    "kajimoto": "[Kajimoto 2012](https://doi.org/10.1109/TOH.2011.39), finger",
+    "solomonow": "[Solomonow 1977](https://doi.org/10.1007/BF02409338)",
+    "paper": "the paper, III-C",
+    "display": "[Kaczmarek](http://kaz.med.wisc.edu/projects_ethaptic.php), fingertip",
+}  # fmt: skip
+"""Where each was measured; references are in ``docs/references.md``."""
+EXPERIMENTS = (
+    Experiment("disc", "threshold of a 1 mm disc, anodic, 200 µs, mA", "2.4 clearly felt", (0, 2.4),
+               _SOURCES["paper"], "a bound only; cable thresholds, no person's"),
+    Experiment("width", "threshold at 1000 µs over that at 100 µs", ".32 (I²T constant)",
+               (0.28, 0.35), _SOURCES["tachi"],
+               "Weiss's law is put in with 151 µs: a power of −.34, not −.5"),
+    Experiment("chronaxie", "time constant of RA by its own cable, µs", "151", (136, 166),
+               _SOURCES["rhesus"], "nodes of rabbits at 37 °C are faster; 151 is put in"),
+    Experiment("polarity", "cathodic over anodic threshold of an RA ending", "1.3–1.5", (1.3, 1.5),
+               _SOURCES["rhesus"], "the terminal was fitted to it: no result"),
+    Experiment("size", "threshold of a 4 mm disc over that of 1 mm", "above 1", (1.02, np.inf),
+               _SOURCES["zhu"], "flatter fields; the three sources disagree, none is of a finger"),
+    Experiment("size", "the same", "below 1, up to 15 mm", (0, 0.98),
+               _SOURCES["tashiro"], "no sum over fibers: one spike is the threshold"),
+    Experiment("size", "the same", "1, no influence", (0.98, 1.02), _SOURCES["dölker"], ""),
+    Experiment("train", f"threshold of {PULSES} pulses over that of one", "below 1 (more pulses)",
+               (0, 0.999), _SOURCES["geng"], "by noise from pulse to pulse alone"),
+    Experiment("burst", f"spikes of {PULSES} pulses at {PULSE_HZ:g} Hz over those of one",
+               "2 (strength)", (1.8, 2.2), _SOURCES["bursts"],
+               "no such part: nothing turns spikes into strength"),
+    Experiment("pair", "threshold of two discs 4 mm apart, at once, over that of one", "below 1",
+               (0, 0.98), _SOURCES["geng"], "beside a disc its field has the other sign"),
+    Experiment("", "the same, one 0 to 500 µs after the other", "rises with the delay", None,
+               _SOURCES["geng"], "no such part: each pulse is judged by itself"),
+    Experiment("anodic", f"SAI of the afferents that {COMFORTABLE:g} × threshold fires, anodic",
+               "mainly vibration", (0, 0.3), _SOURCES["yem"],
+               "low: below .30, SAI's share of all afferents"),
+    Experiment("strong", "the same, 3 × threshold", "still low", (0, 0.3), _SOURCES["yem"], ""),
+    Experiment("cathodic", f"the same, cathodic, {COMFORTABLE:g} × threshold",
+               "vibration and pressure", (0.3, 0.9), _SOURCES["yem"], "SAI axons lie flat"),
+    Experiment("skin", "threshold under a stratum corneum of twice the resistance, over the usual",
+               "–", None, _SOURCES["kajimoto"], "in layers; its abstract has no number"),
+    Experiment("points_ra", "two points 4 mm apart resolved, RA mode", "–", None,
+               _SOURCES["solomonow"], "its abstract has no distance; the reader of spikes is ours"),
+    Experiment("points_sai", "the same, SAI mode", "–", None, _SOURCES["solomonow"], ""),
+    Experiment("range", "first free ending over first afferent, either polarity",
+               "3.9 (unbearable over felt)", (3.5, 4.3), _SOURCES["dölker"],
+               "places and thickness of free endings are guesses"),
+    Experiment("level", f"letters read at {COMFORTABLE:g} × a point's threshold, less those at 1 ×",
+               "better", (0.02, 1), _SOURCES["display"], "fewer points are silent"),
+)  # fmt: skip
 
 
-def threshold_rows(fingers: Sequence[Finger]) -> list[PublishedRow]:
-    """Return absolute thresholds of a disc against all others, and their spread over electrodes."""
-    profile = fingers[0].profile
-    sites = inner_sites(profile)
-    rows = []
-    for name, cathodic, said, by in (
-        ("anodic", False, f"{CLEAR_MA:g} clearly felt", "the paper, Section III-C"),
-        ("cathodic", True, "–", ""),
-    ):
-        current_ma = against_all(profile, cathodic)[sites]
-        width_us = np.full(len(sites), profile.pulse.width_us)
-        first = np.array(
-            [
-                1 / np.maximum(SpikeModel(one).drive(1000 * current_ma, width_us).max(axis=0), 1e-9)
-                for one in fingers
-            ]
-        )
-        low, middle, high = np.quantile(first, (0.1, 0.5, 0.9))
-        rows.append(
-            PublishedRow(f"threshold of a 1 mm disc, {name}, 200 µs, mA", said, by, f"{middle:.2f}")
-        )
-        rows.append(
-            PublishedRow(
-                f"its spread between electrodes, 90 % over 10 %, {name}",
-                "–",
-                "",
-                f"{high / low:.1f}",
+class Bench:
+    """What all fingers share: profiles, patterns and letters."""
+
+    def __init__(self, letters: str = ALPHABET) -> None:
+        self.mouse: Profile = load_profile("electric-mouse")
+        ring = load_profile("concentric")
+        self.sized: list[Profile] = [
+            ring.model_copy(
+                update={"array": ring.array.model_copy(update={"sizes_mm": ((mm, 0), (8, 6))})}
             )
-        )
-    return rows
+            for mm in SIZES_MM
+        ]
+        self.bank = load_bank(self.mouse)
+        self.sites: list[int] = inner_sites(self.mouse)
+        self.shown = letter_sequences(letters, self.mouse, self.bank, Mode.RA)
+        self.known = letter_templates(self.mouse)
 
 
-def ending_ma(profile: Profile, anatomy: Anatomy, width_us: float, cathodic: bool) -> float:
-    """Return the threshold of an upright RA ending under the middle of one disc, mA.
+def measured(bench: Bench, anatomy: str, seed: int) -> dict[str, float]:
+    """Return the figure of each experiment on one finger, by its key."""
+    finger = Finger(bench.mouse, seed, anatomy)
+    model = SpikeModel(finger, seed)
+    return {
+        **disc_figures(model),
+        **_free_endings(model),
+        **_by_skin(bench, anatomy, seed),
+        **_of_one_ending(finger),
+        **_points(bench, finger),
+        **_letters(bench, model),
+    }
 
-    The disc is one of a profile's, without return electrodes, at the profile's depth of RA.
+
+def disc_figures(model: SpikeModel) -> dict[str, float]:
+    """Return what single discs against all others, and pairs of them, give in one finger."""
+    profile, finger = model.finger.profile, model.finger
+    sites = inner_sites(profile)
+    poles = against_all(profile, cathodic=False)[sites]
+    anodic, cathodic = _drive(model, poles), _drive(model, -poles)
+    first_ma = 1 / anodic.max(axis=0)
+    wide, narrow = (_drive(model, poles, us).max(axis=0) for us in (1000.0, 100.0))
+    found = {
+        "disc": median(first_ma),
+        "width": median(narrow / wide),
+        "train": _train_threshold(model, anodic),
+        "burst": _burst_spikes(model, COMFORTABLE * first_ma[0] * poles[:1]),
+        "anodic": _sai_share(finger, COMFORTABLE * anodic / anodic.max(axis=0)),
+        "strong": _sai_share(finger, 2 * COMFORTABLE * anodic / anodic.max(axis=0)),
+        "cathodic": _sai_share(finger, COMFORTABLE * cathodic / cathodic.max(axis=0)),
+        "pair": _pair_ratio(model),
+    }
+    return {key: float(value) for key, value in found.items()}
+
+
+def _free_endings(model: SpikeModel) -> dict[str, float]:
+    """Return the current that fires the first free ending over that of the first afferent."""
+    finger = model.finger
+    others = Bystanders(finger.profile, finger.seed, finger.anatomy)
+    pain = np.isin(others.classes, [list(others.populations).index(one) for one in NOCICEPTORS])
+    poles = against_all(finger.profile, cathodic=False)[inner_sites(finger.profile)]
+    felt, hurts = (
+        np.maximum(*(_drive(one, sign * poles)[which].max(axis=0) for sign in (1, -1)))
+        for one, which in ((model, slice(None)), (others.model, pain))
+    )
+    return {"range": float(median(felt / hurts))}
+
+
+def _drive(model: SpikeModel, current_ma: Array, width_us: float = 200.0) -> Floats:
+    """Return drives (A, S) by currents (S, E) mA; 1 is an afferent's threshold."""
+    drive = model.drive(1000 * current_ma, np.full(len(current_ma), width_us))
+    return np.maximum(drive, 1e-9)
+
+
+def _sai_share(finger: Finger, drive: Floats) -> float:
+    fires = drive >= 1
+    return float(fires[finger.classes == Afferent.SAI].sum() / fires.sum())
+
+
+def _train_threshold(model: SpikeModel, drive: Floats) -> float:
+    """Return the current at which half of the trains give a spike, over that of single pulses."""
+    noise = np.array([one.anatomy.noise for one in model.finger.populations.values()])
+    noise = noise[model.finger.classes][:, None]
+    levels = np.linspace(0.9, 1.02, 241)
+    ratios = []
+    for column in (drive / drive.max(axis=0)).T:
+        near = column > 0.85
+        fires = ndtr((levels * column[near, None] - 1) / noise[near])
+        silent = np.prod(1 - fires, axis=0)
+        one, train = (levels[int((silent**count <= 0.5).argmax())] for count in (1, PULSES))
+        ratios.append(train / one)
+    return median(ratios)
+
+
+def _burst_spikes(model: SpikeModel, current_ma: Array) -> float:
+    """Return the spikes of a burst over those of one pulse."""
+    period_us = round(1e6 / PULSE_HZ)
+
+    def spikes(count: int) -> int:
+        model.reset()
+        width_us = np.full(count, 200)
+        slots = SimpleNamespace(
+            current_ua=np.repeat(1000 * current_ma, count, axis=0), width_us=width_us,
+            discharge_us=period_us - width_us, period_us=count * period_us,
+        )  # fmt: skip
+        return int(model.fire(slots).fired.sum())
+
+    return spikes(PULSES) / max(1, spikes(1))
+
+
+def _pair_ratio(model: SpikeModel) -> float:
+    """Return the threshold of two discs two pitches apart over the lower of both alone."""
+    profile = model.finger.profile
+    single, place = against_all(profile, cathodic=False), profile.electrodes.position_mm
+    sites, away = inner_sites(profile), profile.electrodes.pitch_mm * np.array([2.0, 0.0])
+    pairs = [(a, b) for a in sites for b in sites if np.allclose(place[b] - place[a], away)]
+    one, other = np.array(pairs).T
+    alone = np.maximum(*(_drive(model, single[each]).max(axis=0) for each in (one, other)))
+    return median(alone / _drive(model, single[one] + single[other]).max(axis=0))
+
+
+def _by_skin(bench: Bench, anatomy: str, seed: int) -> dict[str, float]:
+    """Return the threshold of a large disc over that of a small one, and that of a small one in
+    layers under twice the resistance over the usual, of whichever polarity fires first.
+
+    All thresholds are lowered, as fingers leave out what no legal current fires.
     """
-    is_like = anatomy.ra
-    driving = load_driving(is_like.fiber, is_like.ending, width_us)
-    depth = (is_like.depth_mm or profile.skin.ra_depth_mm) + driving.internode_mm * np.arange(120)
+    usual, (horny, *below) = load_anatomy(anatomy), FINGER_PAD
+    lowered = {
+        each.name.lower(): usual.of(each).model_copy(
+            update={"threshold_factor": usual.of(each).threshold_factor / EASED}
+        )
+        for each in Afferent
+    }
+    poles = np.array([[1.0, -1.0], [-1.0, 1.0]])
+
+    def most(profile: Profile, layers: Sequence[SkinLayer] = ()) -> float:
+        own = usual.model_copy(update={**lowered, "layers": tuple(layers)})
+        return float(_drive(SpikeModel(Finger(profile, seed, own)), poles).max())
+
+    small, large = (most(each) for each in bench.sized)
+    half = {"conductivity_s_per_m": horny.conductivity_s_per_m / 2}
+    dry = most(bench.sized[0], (horny.model_copy(update=half), *below))
+    return {"size": small / large, "skin": most(bench.sized[0], FINGER_PAD) / dry}
+
+
+def _of_one_ending(finger: Finger) -> dict[str, float]:
+    """Return polarity ratio and chronaxie of an upright RA ending below the middle of a disc, as
+    deep as the finger's nearest."""
+    profile, is_like = finger.profile, finger.anatomy.ra
     site = inner_sites(profile)[0]
-    place = np.broadcast_to(profile.electrodes.position_mm[site], (len(depth), 2))
-    potential = potential_mv(profile, np.column_stack([place, depth]))[:, site]
-    drive = driving.drive((1 if cathodic else -1) * potential[None, :, None])
-    return float(is_like.threshold_factor / drive.max())
+    ra = finger.populations[Afferent.RA]
+    depth_mm = ra.axon_path_mm[finger.receptor_away_mm[ra.owner, site].argmin(), 0, 2]
 
+    def threshold_ma(width_us: float, sign: int) -> float:
+        driving = load_driving(is_like.fiber, is_like.ending, width_us)
+        depth = depth_mm + driving.internode_mm * np.arange(120)
+        place = np.broadcast_to(profile.electrodes.position_mm[site], (len(depth), 2))
+        potential = potential_mv(profile, np.column_stack([place, depth]))[:, site]
+        return float(1 / driving.drive(sign * potential[None, :, None]).max())
 
-def polarity_row(profile: Profile, anatomy: Anatomy) -> PublishedRow:
-    """Return the ratio of cathodic to anodic thresholds of RA."""
-    width_us = profile.pulse.width_us
-    cathodic, anodic = (ending_ma(profile, anatomy, width_us, each) for each in (True, False))
-    return PublishedRow(
-        "cathodic over anodic threshold of RA (the terminal was fitted to it)",
-        "1.3–1.5",
-        "Kaczmarek 2000, macaque",
-        f"{cathodic / anodic:.2f}",
-    )
-
-
-def chronaxie_row(profile: Profile, anatomy: Anatomy) -> PublishedRow:
-    """Return the chronaxie of RA, by its fiber and as spikes have it."""
-    ma = [ending_ma(profile, anatomy, each, cathodic=False) for each in WIDTHS_US]
-    _, chronaxie_us = weiss_fit(WIDTHS_US, ma)
-    return PublishedRow(
-        "chronaxie of RA, µs",
-        "151",
-        "Kaczmarek 2000, macaque",
-        f"{chronaxie_us:.0f} by its fiber; {anatomy.ra.chronaxie_us:.0f} put in where widths vary",
-    )
+    anodic = [threshold_ma(each, -1) for each in WIDTHS_US]
+    ratio = threshold_ma(200.0, 1) / threshold_ma(200.0, -1)
+    return {"polarity": ratio, "chronaxie": weiss_fit(WIDTHS_US, anodic)[1]}
 
 
 def resolves_two_points(finger: Finger, current_ma: Array, places_mm: Array) -> bool:
     """Return whether the map of spikes from slots, (S, E) mA, dips between two places, (2, 2)
     mm."""
-    width_us = np.full(len(current_ma), finger.profile.pulse.width_us)
-    fires = SpikeModel(finger).drive(1000 * current_ma, width_us) >= 1
+    fires = _drive(SpikeModel(finger), current_ma) >= 1
     along = np.linspace(-0.25, 1.25, _ACROSS)[:, None]
     line = places_mm[0] + along * (places_mm[1] - places_mm[0])
     felt = response_map(finger, fires.sum(axis=1), line, _BLUR_MM).sum(axis=0)
@@ -154,59 +301,72 @@ def resolves_two_points(finger: Finger, current_ma: Array, places_mm: Array) -> 
     return bool(min(one, other) > 0 and between < _DIP * min(one, other))
 
 
-def gap_rows(fingers: Sequence[Finger]) -> list[PublishedRow]:
-    """Return the part of fingers that resolve two points, or a gap in a bar."""
-    profile = fingers[0].profile
-    bank = load_bank(profile)
-    position = profile.electrodes.position_mm
-    row = np.flatnonzero(np.isclose(position[:, 1], position[inner_sites(profile)[0], 1]))
-    row = row[position[row, 0].argsort()]
-    rows = []
+def _points(bench: Bench, finger: Finger) -> dict[str, float]:
+    """Return the share of pairs of points two pitches apart that are resolved."""
+    place = bench.mouse.electrodes.position_mm
+    row = np.flatnonzero(np.isclose(place[:, 1], place[bench.sites[0], 1]))
+    row = row[place[row, 0].argsort()]
+    found = {}
     for mode in (Afferent.RA, Afferent.SAI):
-        current_ma = CLEAR_MA * kernel_ma(profile, bank, mode)
-        parts = []
-        for apart in (1, 2, 3):
-            pairs = [(row[i], row[i + apart]) for i in range(len(row) - apart)]
-            share = fmean(
-                resolves_two_points(one, current_ma[list(pair)], position[list(pair)])
-                for one in fingers
-                for pair in pairs
-            )
-            parts.append(f"{apart * profile.electrodes.pitch_mm:g} mm {share:.0%}")
-        rows.append(
-            PublishedRow(
-                f"two points told apart, {mode.name} mode", "–", "electrotactile", ", ".join(parts)
-            )
+        current_ma = CLEAR_MA * kernel_ma(bench.mouse, bench.bank, mode)
+        found[f"points_{mode.name.lower()}"] = fmean(
+            resolves_two_points(finger, current_ma[list(pair)], place[list(pair)])
+            for pair in zip(row, row[2:], strict=False)
         )
-        gaps = range(2, len(row) - 2)
-        share = fmean(
-            resolves_two_points(one, current_ma[np.delete(row, i)], position[row[[i - 1, i + 1]]])
-            for one in fingers
-            for i in gaps
-        )
-        rows.append(
-            PublishedRow(
-                f"gap of one electrode in a bar, {mode.name} mode",
-                "0.87 mm at 75 %",
-                "mechanical, Johnson and Phillips 1981",
-                f"{2 * profile.electrodes.pitch_mm:g} mm {share:.0%}",
-            )
-        )
-    return rows
+    return found
 
 
-def letters_row(
-    name: str, size: str, anatomy: str, seeds: Sequence[int], letters: str = ALPHABET
-) -> PublishedRow:
-    """Return the part of letters that is read from the spikes in RA mode."""
-    profile = load_profile(name)
-    found = respond_to_letters(profile, load_bank(profile), Mode.RA, anatomy, seeds, letters)
-    right = 1 - median(
-        fmean(each.read_as != each.letter for each in found if each.seed == seed) for seed in seeds
-    )
-    return PublishedRow(
-        f"letters on {size} read from the spikes, RA mode (a correlation, no person)",
-        "–",
-        "",
-        f"{right:.0%}",
-    )
+def _letters(bench: Bench, model: SpikeModel) -> dict[str, float]:
+    """Return the share of letters that is read above a point's threshold only."""
+    point_ma = CLEAR_MA * kernel_ma(bench.mouse, bench.bank, Afferent.RA)[bench.sites]
+    level = median(1 / _drive(model, point_ma).max(axis=0))
+    right = np.zeros(2)
+    for letter, (slots, _) in bench.shown.items():
+        drive = model.drive(slots.current_ua, slots.width_us)
+        for index, over in enumerate((1.0, COMFORTABLE)):
+            scaled = np.float32(over * level) * drive
+            right[index] += spikes_and_letter(model, slots, scaled, bench.known, 3)[1] == letter
+    return {"level": (right[1] - right[0]) / len(bench.shown)}
+
+
+Measured = Mapping[str, Sequence[Mapping[str, float]]]
+"""Figures of each finger, by anatomy."""
+
+
+def interval(values: Sequence[float]) -> tuple[float, float, float]:
+    """Return the mean of values of fingers, and its 95 % interval by resampling them."""
+    given = np.asarray(values)
+    picks = np.random.default_rng(1).integers(len(given), size=(_RESAMPLES, len(given)))
+    low, high = np.quantile(given[picks].mean(axis=1), (0.025, 0.975))
+    return float(given.mean()), float(low), float(high)
+
+
+def table(found: Measured) -> Iterator[str]:
+    """Yield a line for each experiment, as in the documentation."""
+    yield "| measurement | published | source | paper's anatomy | branched | agree | why |"
+    yield "|---|---|---|---|---|---|---|"
+    for each in EXPERIMENTS:
+        ours, agree = ["–"] * 2, ["–"] * 2
+        for index, fingers in enumerate(found.values()):
+            if not each.key:
+                continue
+            mean, low, high = interval([one[each.key] for one in fingers])
+            ours[index] = f"{mean:.3g} ({low:.3g}–{high:.3g})"
+            if each.agrees is not None:
+                # What a mean is said to agree with: any value within its interval.
+                agree[index] = "yes" if low <= each.agrees[1] and high >= each.agrees[0] else "no"
+        both = agree[0] if agree[0] == agree[1] else ", ".join(agree)
+        yield f"| {each.quantity} | {each.published} | {each.source} | " + (
+            f"{ours[0]} | {ours[1]} | {both} | {each.why} |"
+        )
+
+
+def main(count: int) -> None:
+    """Print the table for fingers with seeds from 1 on."""
+    bench, seeds = Bench(), range(1, count + 1)
+    found = {each: [measured(bench, each, seed) for seed in seeds] for each in ANATOMIES}
+    print(*table(found), sep="\n")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))

@@ -1,4 +1,4 @@
-"""Spikes of a finger's afferents under a vibration or a press, and their rates beside TouchSim's.
+"""Spikes of a finger's afferents under a vibration or a press.
 
 The same population that currents drive (`smarttouch.physiology.finger`), each afferent with a
 threshold of its own. RA and PC follow the tuning of `smarttouch.physiology.vibration_thresholds`;
@@ -7,13 +7,8 @@ spike rises from none to all, and each spike keeps to the phase of its cycle (as
 do: Talbot, Darian-Smith, Kornhuber and Mountcastle, J. Neurophysiol. 31, 1968). SAI fires at a rate
 that follows pressure. Away from what touches it the skin follows as an elastic half space does
 beside a flat punch.
-
-TouchSim (Saal, Delhaye, Rayhaun and Bensmaia 2017) models afferents of the hand under mechanical
-stimuli, fitted to recordings from macaques. Its figures here are those of one run on the same
-stimuli; it is not needed to make this table.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,7 +22,7 @@ from smarttouch.instruments.receptor_responses import (
     pressed,
     turning,
 )
-from smarttouch.instruments.skin_trace import Array, Trace, open_trace
+from smarttouch.instruments.skin_trace import Array, Trace
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.vibration_thresholds import best_hz, threshold_um
 
@@ -107,52 +102,3 @@ def skin_spikes(
             found.append((mine[who], at_sample[which] / trace.sample_hz))
     numbers, times = (np.concatenate(each) for each in zip(*found, strict=True))
     return SkinSpikes(numbers, times, np.bincount(numbers, minlength=len(away)))
-
-
-_SECONDS = 1.0
-_NINE = 9
-_FORCE_N, _FULL_N = 0.45, 0.9
-_AMPLITUDES_UM = (15, 20, 25, 30, 35, 40, 45, 50, 60, 70, 80)
-
-
-def nearest_hz(finger: Finger, spec: str, afferent: Afferent, count: int) -> list[float]:
-    """Return the rates of the nearest afferents of a class under a stimulus in the middle, Hz."""
-    mine = np.flatnonzero(finger.classes == afferent)
-    mine = mine[np.linalg.norm(finger.receptor_mm[mine], axis=1).argsort()[:count]]
-    spikes = skin_spikes(finger, open_trace(spec, _SECONDS), sai_full_n=_FULL_N)
-    return [float(each) for each in spikes.counts[mine] / _SECONDS]
-
-
-def touchsim_rows(fingers: Sequence[Finger]) -> list[tuple[str, str, str, str]]:
-    """Return rows of stimulus, TouchSim's answer, source, and that of fingers, means over them."""
-
-    def answering(um: float) -> float:
-        spec = f"tone:30Hz,{um:g}um"
-        rates = [nearest_hz(one, spec, Afferent.RA, _NINE) for one in fingers]
-        return float((np.array(rates) > 0).sum(axis=1).mean())
-
-    needed = next((um for um in _AMPLITUDES_UM if answering(um) >= _NINE / 3), None)
-    pressed = [nearest_hz(one, f"press:{_FORCE_N:g}N", Afferent.SAI, 3) for one in fingers]
-    shaken = [nearest_hz(one, "tone:250Hz,1.5um", Afferent.PC, 1) for one in fingers]
-    locked = np.mean([rate > 0 for (rate,) in shaken])
-    return [
-        ("30 Hz, 8 µm: RA of the nine nearest that answer", "0", "TouchSim", f"{answering(8):.1f}"),
-        (
-            "30 Hz: amplitude at which a third of them answer, µm",
-            "some 45",
-            "TouchSim",
-            "above 80" if needed is None else f"{needed:g}",
-        ),
-        (
-            "250 Hz, 1.5 µm: the nearest PC answers, part of fingers",
-            "answers",
-            "TouchSim",
-            f"{locked:.0%}",
-        ),
-        (
-            f"press of {_FORCE_N:g} N: rate of the three nearest SAI, Hz",
-            "24",
-            "TouchSim",
-            f"{np.mean(pressed):.0f}, SD {np.mean(pressed, axis=1).std():.0f} between fingers",
-        ),
-    ]

@@ -14,12 +14,13 @@ from studies.finger_effects import (
     shift,
     stages,
 )
-from studies.published import resolves_two_points
+from studies.published import EXPERIMENTS, disc_figures, interval, resolves_two_points, table
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.kernels.bank import load_bank
 from smarttouch.physiology.anatomy import load_anatomy
 from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import load_profile
 
 SEEDS = range(1, 5)
@@ -109,3 +110,31 @@ def test_far_points_are_distinguished_and_one_is_not(mouse):
     once = [resolves_two_points(one, current_ma[[27]], places[[25, 29]]) for one in mouse.fingers]
     assert all(apart)
     assert not any(once)
+
+
+def test_lone_discs_give_the_figures_of_published_experiments(mouse):
+    found = disc_figures(SpikeModel(mouse.fingers[0]))
+    # Weiss's law with the anatomy's time constant, whichever afferent is first.
+    chronaxie_us = mouse.fingers[0].anatomy.ra.chronaxie_us
+    weiss = (1 + chronaxie_us / 1000) / (1 + chronaxie_us / 100)
+    assert found["width"] == pytest.approx(weiss, rel=1e-3)
+    assert 0.97 < found["train"] < 1
+    assert found["burst"] == 6
+    assert found["anodic"] < found["cathodic"]
+
+
+def test_the_table_of_published_experiments_says_what_agrees():
+    figures = {each.key: 0.3 for each in EXPERIMENTS}
+    lines = list(table({"paper": [figures] * 3, "branched": [figures | {"width": 0.5}] * 3}))
+    assert len(lines) == 2 + len(EXPERIMENTS)
+    assert {line.count("|") for line in lines} == {8}
+    width, delay = (next(line for line in lines if each in line) for each in ("1000 µs", "500 µs"))
+    assert "| yes, no |" in width
+    assert delay.count("| – ") == 3
+
+
+def test_the_interval_is_that_of_a_mean():
+    values = np.random.default_rng(3).normal(5, 2, 400)
+    mean, low, high = interval(values)
+    assert mean == pytest.approx(values.mean())
+    assert high - low == pytest.approx(2 * 1.96 * values.std() / 20, rel=0.1)
