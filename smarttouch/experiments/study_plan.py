@@ -50,7 +50,8 @@ class Study(Table):
     fingers: int = Field(default=10, ge=1, le=100_000)
     """Number of fingers of each anatomy, by seeds from 1 on."""
     kernels: tuple[str, ...] = Field(default=("node",), min_length=1, max_length=100)
-    """``node``, ``finger``, or ``finger:ANATOMY`` where that is not the anatomy of the profile."""
+    """``node``, ``finger``, or ``finger:ANATOMY`` where that is not the anatomy of the profile;
+    ``finger:paper+branched`` on both."""
     modes: tuple[Literal["RA", "SAI", "PC", "natural"], ...] = Field(default=("RA",), min_length=1)
     """Whose receptors."""
     scans: tuple[Literal["points", "auto", "frame"], ...] = Field(default=("points",), min_length=1)
@@ -208,9 +209,9 @@ class Grid:
             profile = self.profiles[choice.profile]
             objective, _, anatomy = choice.kernels.partition(":")
             own = profile.kernels
-            wanted = own.model_copy(
-                update={"objective": objective, "anatomy": str(self.file(anatomy or own.anatomy))}
-            )
+            named = anatomy.split("+") if anatomy else own.anatomy
+            anatomies = tuple(str(self.file(each)) for each in named)
+            wanted = own.model_copy(update={"objective": objective, "anatomy": anatomies})
             profile = profile.model_copy(
                 update={"kernels": Kernels() if objective == "node" else wanted}
             )

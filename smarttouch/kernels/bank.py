@@ -173,9 +173,10 @@ def problem_hash(profile: Profile) -> str:
     if profile.kernels.objective == "finger":
         from smarttouch.physiology.anatomy import load_anatomy
 
-        anatomy = load_anatomy(profile.kernels.anatomy).model_dump(exclude={"name", "title"})
-        if not anatomy["layers"]:
-            del anatomy["layers"]
+        given = [load_anatomy(each) for each in profile.kernels.anatomy]
+        left_out = ({"name", "title"} | (set() if each.layers else {"layers"}) for each in given)
+        own = [each.model_dump(exclude=out) for each, out in zip(given, left_out, strict=True)]
+        anatomy = own if len(own) > 1 else own[0]
         problem["fingers"] = [profile.kernels.fingers, anatomy, profile.force.full_n]
         problem["felt"] = profile.perception.model_dump(
             exclude={"comfort_ratio", "level", "anatomy"}

@@ -32,7 +32,7 @@ class FingerKernels:
     ) -> None:
         self.profile: Profile = profile
         self._at_nodes = at_nodes
-        self.anatomy: Anatomy = load_anatomy(profile.kernels.anatomy)
+        self.anatomies: list[Anatomy] = [load_anatomy(one) for one in profile.kernels.anatomy]
         self._problems: dict[Afferent, Problem] = {}
 
     def problem(self, afferent: Afferent) -> Problem:
@@ -84,7 +84,7 @@ class FingerKernels:
     @cached_property
     def _sample(self) -> FingerSample:
         fingers = [
-            Finger(self.profile, FIRST_SEED + index, self.anatomy)
+            Finger(self.profile, FIRST_SEED + index, self.anatomies[index % len(self.anatomies)])
             for index in range(self.profile.kernels.fingers)
         ]
         most_ma = max(np.abs(self._start_ma(each)).sum(axis=1).max() for each in Afferent) / 2
@@ -95,7 +95,7 @@ class FingerKernels:
 
     def _mirror(self, problem: Problem) -> NDArray[np.intp] | None:
         """Return the permutation that swaps left and right, or None without that symmetry."""
-        if any(self.anatomy.of(each).flat_deg % 180 != 90 for each in Afferent):
+        if any(one.of(each).flat_deg % 180 != 90 for one in self.anatomies for each in Afferent):
             return None
         place_mm = problem.profile.electrodes.position_mm
         for move in problem.symmetries:

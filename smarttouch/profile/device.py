@@ -2,10 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 from datetime import datetime
-from typing import Any, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
 from smarttouch.profile.ceilings import (
     CEILING_CHARGE_UC,
@@ -348,6 +348,10 @@ class Skin(Table):
                 )
 
 
+def _listed(given: Any) -> Any:
+    return (given,) if isinstance(given, str) else given
+
+
 class Kernels(Table):
     """Objective of the design of kernels."""
 
@@ -355,8 +359,10 @@ class Kernels(Table):
     """``node``: one node under each electrode, against those of other classes everywhere (the
     paper); ``finger``: the afferents of simulated fingers whose receptors are near the electrode,
     against all others."""
-    anatomy: str = "branched"
-    """Anatomy of these fingers: a name or a file."""
+    anatomy: Annotated[tuple[str, ...], BeforeValidator(_listed)] = Field(
+        default=("branched",), min_length=1, max_length=10
+    )
+    """Anatomy of these fingers, a name or a file; a list of several is gone through in turn."""
     fingers: int = Field(default=20, ge=1, le=1000)
     """Number of fingers that kernels are designed on."""
     neighbors: int | None = Field(default=None, ge=9, le=1024)

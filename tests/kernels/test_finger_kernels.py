@@ -120,11 +120,23 @@ def test_the_hash_is_of_all_that_they_depend_on(profile, on_fingers):
     for update in (
         {"kernels": {"objective": "finger", "anatomy": "branched", "fingers": 2}},
         {"kernels": {"objective": "finger", "anatomy": "paper", "fingers": 3}},
+        {"kernels": {"objective": "finger", "anatomy": ["paper", "branched"], "fingers": 2}},
         {"pulse": profile.pulse.model_copy(update={"width_us": 100})},
         {"perception": profile.perception.model_copy(update={"comfort_ratio": 1.5})},
     ):
         hashes.add(problem_hash(on_fingers.model_copy(update=update)))
-    assert len(hashes) == 6
+    assert len(hashes) == 7
+
+
+def test_several_anatomies_take_turns(on_fingers, bank):
+    both = on_fingers.kernels.model_copy(update={"anatomy": ("paper", "branched")})
+    profile = on_fingers.model_copy(update={"kernels": both})
+    sample = FingerKernels(profile, bank.kernels)._sample
+    fingers = [
+        Finger(profile, FIRST_SEED + n, each) for n, each in enumerate(("paper", "branched"))
+    ]
+    receptors = np.concatenate([each.receptor_mm for each in fingers])
+    assert np.array_equal(sample.receptor_mm, receptors)
 
 
 def test_a_board_with_one_source_is_refused():
