@@ -15,7 +15,7 @@ pytestmark = pytest.mark.usefixtures("patient_boards")
 @pytest.fixture
 def live(program_here):
     """Return a runner of ``live`` over a short word."""
-    touch = "live text:touch --json run.json --intensity 1"
+    touch = "live text:touch?speed_mm_s=80 --json run.json --intensity 1"
     return lambda options: program_here(f"{touch} {options}")
 
 

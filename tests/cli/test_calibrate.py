@@ -221,7 +221,7 @@ def test_a_second_session_for_the_same_profile_is_refused(run, tmp_path):
 
 def test_a_simulated_subject_answers_trials_on_another_board(run, tmp_path):
     """Over 48 electrodes of the mouse: bias 0 %, spread 4 %; comfort -1 and 4 %."""
-    trials = "thresholds --simulate --adaptive --electrodes 30 --board memory:"
+    trials = "thresholds --simulate --adaptive --electrodes 30 --board simulated:"
     shown = done(run(f"{trials} --profile kajimoto-61 --output mine.toml"))
     assert re.findall(r"electrode (\d+)", shown) == ["30"]
     found, usual = load_profile(tmp_path / "mine.toml").perception, load_profile("kajimoto-61")
