@@ -14,7 +14,7 @@ from smarttouch.braille.sides import DIGITS, FREQUENT
 from smarttouch.pages.page_image import Page
 
 from ..raising import raises
-from ..whole import WHOLE
+from ..whole import sample
 from .embossed import emboss, printed, random_lines
 from .mirror_odds import frequent
 from .sentences import make_sentences
@@ -63,7 +63,7 @@ CONDITIONS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("condition", CONDITIONS if WHOLE else list(CONDITIONS)[1::2])
+@pytest.mark.parametrize("condition", sample(CONDITIONS))
 def test_pages(condition):
     right, read = scores(LINES, **CONDITIONS[condition])
     # Measured: .92 and more, .98 in most.
@@ -95,7 +95,7 @@ def english_lines(seed):
     return [line.replace("\u2800", "⠿") for line in lines]
 
 
-@pytest.mark.parametrize("light_deg", [70, 110, 250] if WHOLE else [110, 250])
+@pytest.mark.parametrize("light_deg", sample([70, 110, 250]))
 def test_the_front_is_what_is_not_mirrored(light_deg):
     front, back = english_lines(1), english_lines(2)
     right, read = scores(front, light_deg=light_deg, back_side=back)
@@ -105,7 +105,7 @@ def test_the_front_is_what_is_not_mirrored(light_deg):
     assert abs(away) < 30
 
 
-@pytest.mark.parametrize("light_deg", [80, 260] if WHOLE else [80])
+@pytest.mark.parametrize("light_deg", sample([80, 260]))
 def test_a_sheet_from_behind_is_not_read(light_deg):
     behind = emboss(english_lines(3), light_deg=180 - light_deg).page.grey[:, ::-1]
     dents = Page(255 - np.ascontiguousarray(behind), 0.1)
@@ -195,7 +195,7 @@ OTHER = {
 }
 
 
-@pytest.mark.parametrize("name", OTHER if WHOLE else list(OTHER)[::4])
+@pytest.mark.parametrize("name", sample(OTHER, 4))
 def test_what_is_no_braille_is_one_sentence(name):
     page = Page(OTHER[name](), 0.1)
     with raises(PageError, about="page"):

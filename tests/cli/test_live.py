@@ -12,7 +12,7 @@ from skimage import data
 from smarttouch.base.files import data_folder
 from smarttouch.profile import list_profiles, load_profile
 
-from ..whole import WHOLE
+from ..whole import sample
 from .conftest import panels
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
@@ -96,7 +96,7 @@ def test_a_blank_page_is_silent(figures_of, tmp_path):
     assert figures["active_fraction"] <= 0.02
 
 
-@pytest.mark.parametrize("name", list_profiles() if WHOLE else list_profiles()[::3])
+@pytest.mark.parametrize("name", sample(list_profiles(), 3))
 def test_every_profile_runs(figures_of, tmp_path, name):
     # Axons that branch take seconds beneath a large array.
     anatomy = "branched" if len(load_profile(name).electrodes) <= 32 else "paper"

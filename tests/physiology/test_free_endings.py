@@ -12,6 +12,8 @@ from smarttouch.physiology.driving_function import STEP_MM, free_ending
 from smarttouch.physiology.spikes import Bystanders, margins, nociceptive_margin
 from smarttouch.profile import load_profile
 
+from ..whole import sample
+
 NODES, WIDTH_US, STEP_US = 100, 200, 5.0
 LASTS_US = 16_000  # long enough for 2.5 mm at the pace of thin fibers
 _FASTER = 3 ** ((20 - 6.3) / 10)  # gates at 20 °C
@@ -59,7 +61,7 @@ def fires(potential, diameter_um, current_ma):
     return fired
 
 
-@pytest.mark.parametrize("diameter_um", [0.5, 1.0])
+@pytest.mark.parametrize("diameter_um", sample([0.5, 1.0]))
 @pytest.mark.parametrize(("depth_mm", "aside_mm"), [(0.3, 0.0), (0.5, 0.5)])
 @pytest.mark.parametrize(("sign", "within"), [(1, (0.8, 1.3)), (-1, (0.6, 1.05))])
 def test_the_linear_cable_foretells_an_active_one(diameter_um, depth_mm, aside_mm, sign, within):

@@ -16,6 +16,7 @@ from smarttouch.physiology.potential import disc, disc_potential, point
 
 from ..raising import raises
 from ..reference import layered_field as reference
+from ..whole import sample
 
 HOMOGENEOUS = [(np.inf, 1.0)]
 SKIN = [(0.3, 0.02), (1.2, 0.43), (np.inf, 0.025)]
@@ -68,9 +69,9 @@ def test_two_layers_are_a_row_of_images(upper, lower):
     )
 
 
-@pytest.mark.parametrize(("outer", "inner", "depth"), [
+@pytest.mark.parametrize(("outer", "inner", "depth"), sample([
     (0.0, 0.0, 0.7), (0.5, 0.0, 0.2), (0.5, 0.0, 2.0), (0.8, 0.4, 0.2), (0.8, 0.4, 0.7),
-])  # fmt: skip
+]))  # fmt: skip
 def test_three_layers_against_an_integral_of_its_own(outer, inner, depth):
     x, y = axis(0.0, 0.5, 1.3, 4.0)
     found = round_electrode(x, y, depth, outer, inner, SKIN)

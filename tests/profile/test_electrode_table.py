@@ -2,7 +2,6 @@
 
 import json
 import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -11,6 +10,7 @@ import smarttouch as st
 from smarttouch.base.errors import ProfileError
 from smarttouch.profile.toml_writer import as_toml
 
+from ..forks import PROGRAM, Forked
 from ..raising import raises
 
 MOUSE = st.load_profile("electric-mouse")
@@ -81,8 +81,10 @@ def test_what_is_no_table_is_one_sentence(tmp_path, text, words):
 
 
 def smarttouch(*words):
-    command = [sys.executable, "-m", "smarttouch", *map(str, words)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    streams = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE)
+    with Forked([PROGRAM, *map(str, words)], text=True, **streams) as run:
+        told = run.communicate()
+    return subprocess.CompletedProcess(run.args, run.returncode, *told)
 
 
 def test_a_command_writes_a_profile_of_it(table, tmp_path):

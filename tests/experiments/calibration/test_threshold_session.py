@@ -42,7 +42,7 @@ from smarttouch.running.runner import Operation, Runner
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ...raising import raises
-from ...whole import WHOLE
+from ...whole import sample
 from .subject import SimulatedSubject
 
 
@@ -160,7 +160,7 @@ def test_runs_begin_at_zero_however_long_the_pause(profile, tmp_path, begun):
     assert starts.max() <= slew_ma_s(display.profile, 0) * 2 * TICK_S
 
 
-@pytest.mark.parametrize("name", list_profiles() if WHOLE else list_profiles()[::3])
+@pytest.mark.parametrize("name", sample(list_profiles(), 3))
 def test_the_ceiling_of_every_profile_is_one_that_its_board_sends(name, tmp_path, begun):
     """Nothing is ever felt: the current goes up to the ceiling, and every proof holds."""
     profile = load_profile(name)

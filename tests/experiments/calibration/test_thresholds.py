@@ -16,6 +16,7 @@ from smarttouch.experiments.calibration.threshold_procedures import (
     AscendingLimits,
 )
 
+from ...whole import sample
 from .subject import SimulatedSubject
 
 CEILING_MA = 5.0
@@ -44,7 +45,7 @@ KINDS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", sample(KINDS))
 def test_bias_and_spread_over_many_subjects(kind):
     """Thresholds from 0.6 to 2.4 mA where 1.2 mA are expected."""
     rising, comfort, asked, trials = [], [], [], []

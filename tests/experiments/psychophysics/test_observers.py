@@ -23,6 +23,7 @@ from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.vibration_thresholds import sensitivity
 
 from ...raising import raises
+from ...whole import sample
 from .weber import weber_fraction
 
 RA, SAI, PC = Afferent
@@ -222,7 +223,9 @@ class TestTheThresholdsOfThePaper:
         assert weber[90] == pytest.approx(0.46, abs=0.06)
         assert weber[110] == math.inf
 
-    @pytest.mark.parametrize(("afferent", "standard_hz"), [(RA, 30), (RA, 75), (PC, 75), (PC, 100)])
+    @pytest.mark.parametrize(
+        ("afferent", "standard_hz"), sample([(RA, 75), (RA, 30), (PC, 100), (PC, 75)])
+    )
     def test_trials_agree_with_the_closed_form(self, observer, train, afferent, standard_hz):
         subject = observer(seed=7, lapse=0.0)
         ratio = subject.ratio(afferent, MIDDLE)
