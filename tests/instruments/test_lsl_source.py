@@ -13,6 +13,7 @@ from smarttouch.instruments import lsl_source, pushed_stimuli
 from smarttouch.testing import SourceContract, StimulusContract
 
 from ..raising import raises
+from ..waiting import until
 
 pylsl = pytest.importorskip("pylsl")
 
@@ -37,23 +38,16 @@ def patience(monkeypatch):
     monkeypatch.setattr(lsl_source, "FIND_S", 20.0)
 
 
-def wait_for(holds):
-    over_s = time.monotonic() + 60
-    while not holds():
-        assert time.monotonic() < over_s
-        time.sleep(0.001)
-
-
 @pytest.mark.parametrize(("rows", "kind"), [(1, "float32"), (3, "float32"), (3, "double64")])
 def test_activations_of_all_classes_or_of_each(profile, outlet, rows, kind):
     name, stream = outlet(64 * rows, kind)
     own = np.random.default_rng(1).random((rows, 64)).astype(np.float32)
     with st.open_source(f"lsl:{name}", profile) as source:
         stream.push_sample(own.ravel().tolist())
-        wait_for(lambda: source.given)
+        until(lambda: source.given)
         np.testing.assert_array_equal(source.read(0).activation, np.broadcast_to(own, (3, 64)))
         stream.push_sample([2.0] * 64 * rows)
-        wait_for(lambda: source.wrong)
+        until(lambda: source.wrong)
         assert source.given == 1
     assert "1 activations" in source.notes[0]
 
@@ -64,7 +58,7 @@ def test_samples_come_out_of_the_board(profile, outlet):
     level[27] = 1
     with st.open_source(f"lsl:{name}", profile) as source:
         stream.push_sample(level.tolist())
-        wait_for(lambda: source.given)
+        until(lambda: source.given)
         results = []
         st.run(source, "simulated:", seconds=0.3, listeners=[results.append])
     assert {each for result in results for each in result.sequence.site.tolist()} == {27}

@@ -16,6 +16,7 @@ from smarttouch.instruments import osc_source, pushed_stimuli
 from smarttouch.testing import StimulusContract
 
 from ..raising import raises
+from ..waiting import until
 
 bundles = pytest.importorskip("pythonosc.osc_bundle_builder")
 messages = pytest.importorskip("pythonosc.osc_message_builder")
@@ -43,13 +44,6 @@ def free_port(address="127.0.0.1"):
         return free.getsockname()[1]
 
 
-def wait_for(holds):
-    over_s = time.monotonic() + 60
-    while not holds():
-        assert time.monotonic() < over_s
-        time.sleep(0.001)
-
-
 @pytest.fixture
 def port():
     return free_port()
@@ -66,7 +60,7 @@ def send(source, port):
     """Return a sender of a packet, from a socket that is known; it waits until that is taken."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as line:
         line.connect(("127.0.0.1", port))
-        wait_for(lambda: line.getsockname()[1] in source._programs._seen)
+        until(lambda: line.getsockname()[1] in source._programs._seen)
 
         def sent(data):
             before = source.given + source.wrong
@@ -264,19 +258,19 @@ def test_with_a_key_each_packet_is_signed_and_taken_once(profile, key, address):
         )  # fmt: skip
         for each in refused:
             line.sendto(each, place)
-        wait_for(lambda: source.refused == len(refused))
+        until(lambda: source.refused == len(refused))
         assert felt(source) == ([], True)
         line.sendto(first, place)
-        wait_for(lambda: source.given == 1)
+        until(lambda: source.given == 1)
         assert felt(source) == ([0], False)
         line.sendto(later, place)
-        wait_for(lambda: source.given == 2)
+        until(lambda: source.given == 2)
         for each in (first, later):
             line.sendto(each, place)
-        wait_for(lambda: source.refused == len(refused) + 2)
+        until(lambda: source.refused == len(refused) + 2)
         assert felt(source) == ([63], False)
         line.sendto(signed(b"nonsense"), place)
-        wait_for(lambda: source.wrong == 1)
+        until(lambda: source.wrong == 1)
     assert any(str(len(refused) + 2) in each for each in source.notes)
 
 
@@ -339,7 +333,7 @@ def test_another_user_is_refused(source, port, send, other_account, shares):
             for count in range(1, 6):
                 process.stdin.write(built("point", 0.0, 0.0).dgram.hex() + "\n")
                 process.stdin.flush()
-                wait_for(lambda count=count: source.refused == count)
+                until(lambda count=count: source.refused == count)
                 time.sleep(0.12)
     assert felt(source) == ([], True)
     send(built("point", 1.0, 1.0).dgram)
@@ -370,7 +364,7 @@ def test_a_port_that_another_user_leaves_to_us_brings_nothing(source, port, othe
             process.stdin.flush()
             assert process.stdout.readline() == "bound\n"
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
-                wait_for(lambda ours=ours, other=other: is_bound(ours, other))
+                until(lambda ours=ours, other=other: is_bound(ours, other))
                 while source.given == before:
                     ours.sendto(packets[1], here)
                     time.sleep(0.005)

@@ -15,13 +15,7 @@ from smarttouch.lab import check_recording
 from smarttouch.testing import SourceContract, StimulusContract
 
 from ..raising import raises
-
-
-def wait_for(holds):
-    over_s = time.monotonic() + 60
-    while not holds():
-        assert time.monotonic() < over_s
-        time.sleep(0.001)
+from ..waiting import until
 
 
 def pgm(image, most=255):
@@ -65,13 +59,13 @@ def test_images_arrive_in_whatever_pieces(images):
             data = pgm(image)
             for at in range(0, len(data), 500):
                 line.sendall(data[at : at + 500])
-            wait_for(lambda number=number: images.read(0).number == number)
+            until(lambda number=number: images.read(0).number == number)
             frame = images.read(0)
             np.testing.assert_array_equal(frame.image, image)
             assert not frame.stale
     with connect(images) as line:
         line.sendall(b"P5\n# a comment\n3\t2\n15\n" + bytes([0, 1, 15, 15, 15, 255]))
-        wait_for(lambda: images.read(0).number == 4)
+        until(lambda: images.read(0).number == 4)
     assert images.read(0).image.tolist() == [[0, 17, 255], [255, 255, 255]]
 
 
@@ -80,11 +74,11 @@ def test_activations_are_of_all_classes_or_of_each(stimuli):
     with connect(stimuli) as line:
         for number, image in enumerate((own, own[:1]), 1):
             line.sendall(pgm(image))
-            wait_for(lambda number=number: stimuli.given == number)
+            until(lambda number=number: stimuli.given == number)
             expected = np.broadcast_to(image / np.float32(255), (3, 64))
             np.testing.assert_allclose(stimuli.read(0).activation, expected)
         line.sendall(pgm(own[:2]))
-        wait_for(lambda: stimuli.wrong == 1)
+        until(lambda: stimuli.wrong == 1)
     stimuli.close()
     assert "1 activations" in stimuli.notes[0]
     assert (stimuli.frames, stimuli.dropped_frames) == (2, 0)
@@ -100,7 +94,7 @@ def test_who_sends_anything_else_is_closed_and_the_next_comes(stimuli, data):
         assert line.recv(1) == b""
     with connect(stimuli) as line:
         line.sendall(pgm(np.full((1, 64), 255)))
-        wait_for(lambda: stimuli.given == 1)
+        until(lambda: stimuli.given == 1)
     assert any("1 connections were closed" in each for each in stimuli.notes)
 
 
@@ -122,10 +116,10 @@ def test_another_user_is_refused(stimuli, other_account):
         assert other.stdout.readline() == "True\n"
     assert stimuli.given == 0
     if not isinstance(address, str):
-        wait_for(lambda: stimuli.device.refused == 1)
+        until(lambda: stimuli.device.refused == 1)
     with connect(stimuli) as line:
         line.sendall(pgm(np.full((1, 64), 255)))
-        wait_for(lambda: stimuli.given == 1)
+        until(lambda: stimuli.given == 1)
 
 
 def test_netcat_and_a_shell_are_a_client(stimuli):
@@ -135,7 +129,7 @@ def test_netcat_and_a_shell_are_a_client(stimuli):
     script = "{ printf 'P5\\n64 1\\n255\\n'; head -c 64 /dev/zero | tr '\\0' '\\377'; sleep 9; }"
     command = f"{script} > /dev/tcp/127.0.0.1/{address[1]}"
     with subprocess.Popen(["bash", "-c", command]) as client:
-        wait_for(lambda: stimuli.given == 1)
+        until(lambda: stimuli.given == 1)
         client.kill()
     assert (stimuli.read(0).activation == 1).all()
 
@@ -199,7 +193,7 @@ def test_images_that_are_followed_are_pulses_of_their_own_also_in_a_recording(pr
         images.read(0)
         line.sendall(pgm(checker))
         images._device.stale_s = 1000
-        wait_for(lambda: not images.read(0).stale)
+        until(lambda: not images.read(0).stale)
         recorder = st.Recorder(path)
         st.run(images, display, seconds=0.2, force="fixed:0.9", listeners=[recorder])
     assert {each.period_us for each in display.board.sequences} == {5_000}
@@ -237,7 +231,7 @@ class TestStimuli(StimulusContract):
         self.lines.append(connect(source))
         self.sent = 0
         self.pause()
-        wait_for(lambda: source.given)
+        until(lambda: source.given)
         return source
 
     @pytest.fixture(autouse=True)
