@@ -16,8 +16,7 @@ from smarttouch.braille.code_tables import BrailleTable
 from smarttouch.pages.structured_text import Block, BlockKind, Run, StructuredText
 
 COLUMNS = 40
-ROWS = 25
-"""Lines of a North American Braille page."""
+ROWS = 25  # lines of a North American Braille page
 INDENT = 2
 """Cells: a paragraph begins in the third and runs over in the first, as Braille is printed."""
 CONTINUED = "⠐"

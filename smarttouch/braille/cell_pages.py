@@ -32,8 +32,7 @@ from smarttouch.braille.ebraille import write_ebraille
 from smarttouch.pages.file_kinds import FileKind, file_kind, read_plain_text
 from smarttouch.pages.structured_text import StructuredText, read_structured_text
 
-TEXT = "text:"
-"""Prefix of words that are not a file name."""
+TEXT = "text:"  # prefix of words that are not a file name
 _MOST_NAMED = 12  # characters listed in a note on left-out ones
 
 

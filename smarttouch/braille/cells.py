@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from smarttouch.base.errors import BrailleError
 from smarttouch.base.files import read_bytes, write_bytes
 
-Pages: TypeAlias = list[list[str]]
-"""Pages of lines of cells."""
+Pages: TypeAlias = list[list[str]]  # pages of lines of cells
 
 BLANK = "\u2800"
 """The cell without a dot; the pattern of a cell is its distance from it, bit k is dot k + 1."""
@@ -63,8 +62,7 @@ def dots_to_cells(dots: NDArray[Any]) -> str:
     return "".join(chr(ord(BLANK) + int(each)) for each in patterns.ravel())
 
 
-MOST_BYTES = 50_000_000
-"""Largest file; a book has a few million cells."""
+MOST_BYTES = 50_000_000  # largest file; a book has a few million cells
 
 # North American Braille ASCII, as printers take it; in the order of the patterns 0 to 63.
 _CODE = " A1B'K2L@CIF/MSP\"E3H9O6R^DJG>NTQ,*5<-U8V.%[$+X!&;:4\\0Z7(_?W]#Y)="

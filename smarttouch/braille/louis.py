@@ -36,8 +36,7 @@ _PLAIN_ENDS = ("-g0.utb", "-g0.ctb", "-g1.utb", "-g1.ctb", ".utb", ".ctb", ".tbl
 _ASKED_BACK = {"he": "אבג"}
 """Letters of languages whose tables have Latin ones beside their own; of all others abc."""
 
-_lock = threading.Lock()
-"""Lock of liblouis, which keeps its state in globals."""
+_lock = threading.Lock()  # lock of liblouis, which keeps its state in globals
 
 
 class Translated(NamedTuple):

@@ -21,8 +21,7 @@ Design = Callable[[Problem, int], Kernel]
 Progress = Callable[[int, int], None]
 Timed = tuple[Kernel, float]
 
-_running: set[int] = set()
-"""Threads of this process with a design in progress."""
+_running: set[int] = set()  # threads of this process with a design in progress
 
 
 def part_of(progress: Progress | None, index: int, parts: int) -> Progress:
@@ -132,14 +131,10 @@ def kept_kernel(keep: Path | None, problem: Problem, site: int) -> Timed | None:
         fields = parse_json(read_bytes(_path(keep, problem, site), DesignError))
         seconds = float(fields["seconds"])
         kernel = Kernel(
-            weights=np.array(fields["weights"], np.float64),
-            off_target=fields["worst_other"],
-            off_target_class=Afferent[fields["worst_other_class"]],
-            spill=fields["own_spill"],
-            node=fields["node"],
-            kind=fields["kind"],
-            gap=fields["gap"],
-        )
+            weights=np.array(fields["weights"], np.float64), off_target=fields["worst_other"],
+            off_target_class=Afferent[fields["worst_other_class"]], spill=fields["own_spill"],
+            node=fields["node"], kind=fields["kind"], gap=fields["gap"],
+        )  # fmt: skip
         whole = kernel.weights.shape == (problem.electrodes,) and bool(
             np.isfinite([*kernel.weights, kernel.off_target, kernel.spill, kernel.gap]).all()
         )

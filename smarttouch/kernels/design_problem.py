@@ -138,8 +138,7 @@ class Kernel:
         return titled(title, cells_svg(self.weights))
 
 
-_FIRST_MM = 0.5
-"""Distance of the places at which a design looks first."""
+_FIRST_MM = 0.5  # distance of the places at which a design looks first
 
 
 def _sublattice(grids: list[tuple[tuple[int, int], int]], apart: int) -> NDArray[np.intp]:

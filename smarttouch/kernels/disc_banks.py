@@ -22,15 +22,10 @@ def single_bank(profile: Profile) -> KernelBank:
     nothing, nowhere = np.zeros(count), np.zeros((count, count), np.float32)
     each = {Afferent.RA: nothing}
     return KernelBank(
-        weights={Afferent.RA: weights},
-        off_target=each,
-        worst_class={Afferent.RA: nothing.astype(np.int8)},
-        spill=each,
-        gap=each,
-        seconds=each,
-        receptor={Afferent.RA: nowhere},
-        discs=(Afferent.RA,),
-    )
+        weights={Afferent.RA: weights}, off_target=each,
+        worst_class={Afferent.RA: nothing.astype(np.int8)}, spill=each, gap=each, seconds=each,
+        receptor={Afferent.RA: nowhere}, discs=(Afferent.RA,),
+    )  # fmt: skip
 
 
 def lone_discs(profile: Profile, bank: KernelBank) -> KernelBank:

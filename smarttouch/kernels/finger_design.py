@@ -31,8 +31,7 @@ Array = NDArray[np.float64]
 Floats = NDArray[np.float32]
 Indices = NDArray[np.intp]
 
-SEEN = 0.3
-"""Drive from which the node of an afferent that fires first is looked for."""
+SEEN = 0.3  # drive from which the node of an afferent that fires first is looked for
 _FIRES = 0.9
 _ROWS_AT_ONCE = 16_384
 
@@ -106,8 +105,7 @@ _MARGIN = 0.05
 _STEPS = (0.25, 0.25, 0.2, 0.2, 0.15, 0.15, 0.1, 0.1)
 """Largest change of an electrode's current in each round, of the full current: what a round does
 not know of is not far beyond what it does."""
-_CONSIDERED = 0.8
-"""Drive from which the node of an afferent that is not to fire becomes a row."""
+_CONSIDERED = 0.8  # drive from which the node of an afferent that is not to fire becomes a row
 
 
 class Costs(NamedTuple):
@@ -171,8 +169,7 @@ class FingerDesign:
         self._aim = Aim.of(profile, afferent, sample)
         self._mirror = np.arange(len(start_ma)) if mirror is None else mirror
         self._pool: dict[int, dict[tuple[int, int], set[int]]] = {}
-        self.rows: dict[int, int] = {}
-        """Number of rows of each site's last program."""
+        self.rows: dict[int, int] = {}  # number of rows of each site's last program
 
     def designed(self, sites: Indices, progress: Progress | None = None) -> Array:
         """Return kernels of sites at full comfort, (S, E) mA; DesignError if the solver fails."""

@@ -22,10 +22,8 @@ from smarttouch.profile.layouts import FreeLayout
 Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 
-TOLERANCE = 1e-4
-"""Error of a kernel approximated by products, as a part of its largest value."""
-_MOST_DISTINCT = 2500
-"""Displacements along an axis beyond which products are not used."""
+TOLERANCE = 1e-4  # error of a kernel approximated by products, as a part of its largest value
+_MOST_DISTINCT = 2500  # displacements along an axis beyond which products are not used
 _ROUND_MM = 6
 
 

@@ -45,15 +45,11 @@ _ROUNDS = 8
 _ROWS_AT_ONCE = 12
 _HOPELESS = 1.6
 """Ratio of the least-disturbing currents' total to the limit above which none keep it."""
-_PROGRESS = 0.9
-"""Remaining part of the excess after a round, above which the search ends."""
+_PROGRESS = 0.9  # remaining part of the excess after a round, above which the search ends
 _PATIENT_ROUNDS = 3
-AIM = 0.8
-"""Part of the allowed unevenness by which all targets are made weaker, to save current."""
-_CELL = 3
-"""Lattice steps within which one broken row represents its neighbors."""
-_INSIDE = 0.985
-"""Part of a bound that is the goal."""
+AIM = 0.8  # part of the allowed unevenness by which all targets are made weaker, to save current
+_CELL = 3  # lattice steps within which one broken row represents its neighbors
+_INSIDE = 0.985  # part of a bound that is the goal
 
 
 @dataclass(frozen=True)

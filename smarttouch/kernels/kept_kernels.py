@@ -13,8 +13,7 @@ from smarttouch.kernels.batch_design import Design
 from smarttouch.kernels.design_problem import Array, Kernel, KernelKind, Problem, limits_ma
 from smarttouch.profile import Profile
 
-_NOTHING = 1e-9
-"""Part of a kernel's strongest current that is a last bit of the solver's."""
+_NOTHING = 1e-9  # part of a kernel's strongest current that is a last bit of the solver's
 _CLEAR = 1 - 1e-6
 
 

@@ -67,8 +67,7 @@ def compare(
     return compared
 
 
-Advance = Callable[[int, int], None]
-"""Given how many sites are done, of how many."""
+Advance = Callable[[int, int], None]  # given how many sites are done, of how many
 DESIGNS: dict[str, Callable[[Problem, int], Kernel]] = {
     "robust": design_kernel,
     "three-state": design_three_state,

@@ -20,14 +20,11 @@ Chooser = Callable[[Array], NDArray[np.intp]]
 Options = dict[str, str | int | float | bool]
 
 _TOLERANCE = 1e-7
-_PRICE = 1e-10
-"""Bound above which duals are not zero."""
+_PRICE = 1e-10  # bound above which duals are not zero
 _ROWS_AT_ONCE = 60
-_NEAR = 0.02
-"""Distance from their bounds within which rows are looked at before all."""
+_NEAR = 0.02  # distance from their bounds within which rows are looked at before all
 _MOST_NEAR = 8000
-_BOX = 1e3
-"""Box of the unknowns, which keeps free directions finite in the first rounds."""
+_BOX = 1e3  # box of the unknowns, which keeps free directions finite in the first rounds
 _OPTIONS: Options = {
     "output_flag": False,
     "threads": 1,
@@ -36,8 +33,7 @@ _OPTIONS: Options = {
     "simplex_dual_edge_weight_strategy": 1,
 }
 
-_PATIENCE = 10
-"""Iterations per row and column after which a hot start is taken to cycle."""
+_PATIENCE = 10  # iterations per row and column after which a hot start is taken to cycle
 _RESCUES: tuple[Options, ...] = (
     {"simplex_dual_edge_weight_strategy": -1},
     {"solver": "ipm", "presolve": "on"},

@@ -20,17 +20,12 @@ from smarttouch.profile import Profile
 
 Array = NDArray[np.float64]
 
-MOST_PROVED = 300
-"""Largest number of electrodes for which sets are proved, in about a second."""
-_STEPS = (2, 3, 4)
-"""Distances, in rows and columns, between the points of a set to try."""
-_SINGLE = 1.0001
-"""Factor above the loss of single precision in a field."""
+MOST_PROVED = 300  # largest number of electrodes for which sets are proved, in about a second
+_STEPS = (2, 3, 4)  # distances, in rows and columns, between the points of a set to try
+_SINGLE = 1.0001  # factor above the loss of single precision in a field
 _HALF_UA_MA = 0.0005
-_HALF_AMPLITUDE_MA = 0.000125 * (1 + 1e-9)
-"""Half a step of an amplitude."""
-_HALF_WEIGHT = (0.5 + 1e-6) / 32_768
-"""Half a step of a weight, over what stands for a whole one."""
+_HALF_AMPLITUDE_MA = 0.000125 * (1 + 1e-9)  # half a step of an amplitude
+_HALF_WEIGHT = (0.5 + 1e-6) / 32_768  # half a step of a weight, over what stands for a whole one
 _WEIGHT_PEAK = 32_767 / 32_768
 
 

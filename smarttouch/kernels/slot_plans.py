@@ -12,10 +12,8 @@ from smarttouch.kernels.frame_operator import AnyJudge, FrameOperator, keeps
 
 Array = NDArray[np.float64]
 
-_TRIES = 5
-"""Slots to try for a point."""
-_ROOM = 0.8
-"""Part of the total current above which a slot is full."""
+_TRIES = 5  # slots to try for a point
+_ROOM = 0.8  # part of the total current above which a slot is full
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,13 +24,10 @@ from smarttouch.kernels.design_problem import Array, Kernel, KernelKind, Problem
 from smarttouch.kernels.weighted_design import SPILL, design_kernel
 from smarttouch.profile import Profile
 
-EXACT = 25
-"""Largest number of electrodes for which a proof of optimality is tried."""
-_BRANCHES = 60_000
-"""Number of open branches at which the proof is abandoned."""
+EXACT = 25  # largest number of electrodes for which a proof of optimality is tried
+_BRANCHES = 60_000  # number of open branches at which the proof is abandoned
 _BOUNDING_ROWS = 60
-_AT_ONCE = 4_000_000
-"""Largest number of activations in memory."""
+_AT_ONCE = 4_000_000  # largest number of activations in memory
 _SLACK = 1e-9
 
 

@@ -22,15 +22,12 @@ from smarttouch.base.errors import DesignError
 from smarttouch.kernels.design_problem import Array, Kernel, Problem, limits_ma
 from smarttouch.kernels.linear_program import Chooser, LinearProgram, Options, ProgramRows
 
-SPILL = 0.2
-"""Largest own-class activation beyond one pitch, as a part of the target's."""
+SPILL = 0.2  # largest own-class activation beyond one pitch, as a part of the target's
 GIVEN_UP = 0.03
 """Part by which the worst other may exceed its least value, so that less of the own class fires."""
 _WORTHWHILE = 1e-6
-_SEARCHED_MM = 0.5
-"""Distance of the nodes that are tried."""
-_LOOSE_ROWS = 40
-"""Broken rows off any lattice added per round."""
+_SEARCHED_MM = 0.5  # distance of the nodes that are tried
+_LOOSE_ROWS = 40  # broken rows off any lattice added per round
 
 
 def design_kernel(

@@ -201,13 +201,9 @@ def _pieces(
     y = _values(curve, along) + across[:, None]
     # A pixel's middle is half a pixel from its edge.
     band = cv2.remap(
-        density,
-        np.asarray(x - 0.5, np.float32),
-        np.asarray(y - 0.5, np.float32),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_CONSTANT,
-        borderValue=0,
-    )
+        density, np.asarray(x - 0.5, np.float32), np.asarray(y - 0.5, np.float32), cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_CONSTANT, borderValue=0,
+    )  # fmt: skip
     pieces = band.reshape(len(across), count, -1).mean(axis=2).T / 255
     return pieces, along.reshape(count, -1).mean(axis=1)
 

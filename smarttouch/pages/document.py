@@ -32,8 +32,7 @@ PDF_DPI = 300.0
 MOST_RENDERED_PIXELS = 36_000_000
 """Most pixels of a PDF's page, A2 at 300 dots per inch. Larger ones are rendered coarser: most are
 scans whose size in points is that in pixels, without finer detail."""
-GUESSED_WIDTH_MM = 210.0
-"""Width of an A4 page, for images without a stated size."""
+GUESSED_WIDTH_MM = 210.0  # width of an A4 page, for images without a stated size
 _POINT_MM = INCH_MM / 72
 _DOCUMENT = "a readable document: give a PDF, PNG, JPEG or TIFF"
 _SIGNATURE = b"%PDF-"

@@ -16,8 +16,7 @@ from smarttouch.base.errors import PageError, UnknownSizeError
 from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file
 
 MOST_PIXELS = 100_000_000
-FEWEST_PIXELS = 8
-"""Least side of a page."""
+FEWEST_PIXELS = 8  # least side of a page
 LARGEST_MM = 2000.0
 SMALLEST_MM = 2.0
 INCH_MM = 25.4

@@ -17,8 +17,7 @@ from smarttouch.pages.straighten import straighten
 from smarttouch.pages.text_lines import TextLine, page_lines
 
 _AROUND = 0.8  # extent of the page considered above and below a line, in heights of the line
-SIDES = 0.25
-"""Paper kept before and after a line, in heights of the line."""
+SIDES = 0.25  # paper kept before and after a line, in heights of the line
 _BEFORE = 0.05  # white between an initial and the other letters, in its height
 _INK = 128  # level below which is ink, when the spots of neighboring lines are located
 _FADED = 2  # samples by which the grey edge of a spot reaches beyond its ink
@@ -105,8 +104,7 @@ def _without_neighbors(wide: NDArray[np.uint8], above: int, rows: int) -> NDArra
     return np.where(faded, np.uint8(255), strip)
 
 
-LEFT_OUT = "left out: "
-"""Beginning of the note on what is not among the lines."""
+LEFT_OUT = "left out: "  # beginning of the note on what is not among the lines
 
 DOUBTFUL = (
     "the order is doubtful: lines side by side may be rows of a table or columns, and are read as "
@@ -125,8 +123,7 @@ class PreparedPage:
     lines: tuple[TextLine, ...]
     light_on_dark: bool
     notes: tuple[str, ...]
-    words: tuple[str, ...] = ()
-    """Words of each line, where the page brings them."""
+    words: tuple[str, ...] = ()  # words of each line, where the page brings them
     known: dict[int, tuple[str, float]] = field(default_factory=dict)
     """Text of lines that were recognized already, with a confidence in [0, 1]."""
     others: Iterator[tuple[str, float]] | None = None

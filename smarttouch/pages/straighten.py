@@ -158,8 +158,7 @@ LAID_FLAT = "the sheet of paper was cut out of the photograph and laid flat"
 MOST_SKEW_DEG = 15.0
 QUARTER = "the text ran up or down the page, which was turned by 90°"
 """Note of a turn by a quarter, counterclockwise."""
-LEAST_SKEW_DEG = 0.2
-"""Least skew worth correcting: lines are followed through less."""
+LEAST_SKEW_DEG = 0.2  # least skew worth correcting: lines are followed through less
 _REDUCED_PIXELS = 2_000_000
 """Size of the image in which skew is measured: letters of an A4 page are 10 pixels high."""
 _COARSE_DEG, _FINE_DEG = 0.5, 0.05

@@ -78,8 +78,7 @@ class Run:
     page: bool = False
 
 
-BETWEEN = Run("; ")
-"""What parts the cells of a row."""
+BETWEEN = Run("; ")  # what parts the cells of a row
 
 
 @dataclass(frozen=True)

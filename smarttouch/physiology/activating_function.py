@@ -80,13 +80,9 @@ def everywhere(profile: Profile, afferent: Afferent) -> Afferents:
     position, grid = _lattice(profile, spacing)
     skin = profile.skin
     return Afferents(
-        afferent,
-        position,
-        depth_mm(skin, afferent),
-        directions(skin, afferent),
-        _ending(skin, afferent),
-        grid,
-    )
+        afferent, position, depth_mm(skin, afferent), directions(skin, afferent),
+        _ending(skin, afferent), grid,
+    )  # fmt: skip
 
 
 def along_axon(profile: Profile, afferent: Afferent, site: int) -> tuple[Afferents, ...]:

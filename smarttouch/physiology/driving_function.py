@@ -142,10 +142,8 @@ def load_driving(fiber: str, end: End, width_us: float) -> DrivingFunction:
     return DrivingFunction(FIBERS[fiber].internode_mm, end, along, near_end, block)
 
 
-STEP_MM = 0.025
-"""Distance of the places at which the cable is looked at."""
-THRESHOLD_MV = 16.0
-"""Depolarization at the end of a pulse that fires: see above."""
+STEP_MM = 0.025  # distance of the places at which the cable is looked at
+THRESHOLD_MV = 16.0  # depolarization at the end of a pulse that fires: see above
 _AXOPLASM_OHM_CM, _UF_PER_CM2, _LEAK_MS_PER_CM2 = 100.0, 1.0, 0.3
 _REACH, _OWN_NODES, _OWN_REACH, _NODES = 16, 8, 24, 80
 

@@ -34,8 +34,7 @@ _SETTLED_US = 100.0  # once the m gates have followed (12 µs)
 _FLOOR_MA, _CEILING_MA = 1e-4, 1000.0
 _ROUNDS = (71, 17, 17)  # candidates, down to 0.1 %; many at first, as a cathode also blocks:
 # a fiber may fire only between its threshold and three times that
-_PRECISION = 0.005
-"""Relative precision of thresholds."""
+_PRECISION = 0.005  # relative precision of thresholds
 _RUNG, _MOST = 1.1, 1000.0  # of a search upward: its steps, and its end over the estimate
 _PATIENCE_US = 20_000.0  # after the pulse; an action potential passes a node in about 10
 

@@ -52,14 +52,9 @@ def around_axis(
     # ∂²Φ/∂r² follows from Laplace's equation; on the axis it equals (∂Φ/∂r)/r.
     stretch = np.divide(-zz - 2 * around, r2, out=np.zeros_like(r2), where=r2 > 1e-12)
     return Field(
-        -potential,
-        -(around + x * x * stretch),
-        -(around + y * y * stretch),
-        -zz,
-        -(x * y * stretch),
-        -(x * slanted),
-        -(y * slanted),
-    )
+        -potential, -(around + x * x * stretch), -(around + y * y * stretch), -zz,
+        -(x * y * stretch), -(x * slanted), -(y * slanted),
+    )  # fmt: skip
 
 
 def line_in_plane(x: Array, depth: float | Array) -> Field:
@@ -97,13 +92,9 @@ def disc(x: Array, y: Array, depth: float | Array, radius: float) -> Field:
     s = np.sqrt(r2 + zeta * zeta)
     cube = 1 / s**3
     return around_axis(
-        x,
-        y,
-        disc_potential(np.sqrt(r2), depth, radius),
-        -(zeta * cube).imag / radius,
-        (1 / (s * (zeta + s))).imag / radius,
-        -cube.imag / radius,
-    )
+        x, y, disc_potential(np.sqrt(r2), depth, radius), -(zeta * cube).imag / radius,
+        (1 / (s * (zeta + s))).imag / radius, -cube.imag / radius,
+    )  # fmt: skip
 
 
 def disc_potential(r: Array, depth: float | Array, radius: float) -> Array:

@@ -85,8 +85,7 @@ def in_color(spikes: NDArray[Any], most: float) -> NDArray[np.float32]:
     return np.clip(image, 0, 1)
 
 
-_AT_ONCE = 16
-"""Slots whose drives are computed together."""
+_AT_ONCE = 16  # slots whose drives are computed together
 _PX_PER_MM = 16
 
 

@@ -32,8 +32,7 @@ _TOLERANCE = 0.01
 """Largest effect on any drive of currents that are not in proportion: whole microamperes."""
 _FEWEST, _MOST = 0.5, 1.02
 """Amplitudes, of that at which a pattern was seen first, at which it is looked up."""
-_ALIKE = 2 * _TOLERANCE / _FEWEST
-"""Nodes whose drives differ by less may change places."""
+_ALIKE = 2 * _TOLERANCE / _FEWEST  # nodes whose drives differ by less may change places
 _PATTERNS = 256
 _ROWS_AT_ONCE = 8192
 

@@ -26,8 +26,7 @@ def list_profiles() -> list[str]:
     return sorted(path.stem for path in data_folder("calibration").glob("*.toml"))
 
 
-COARSEST_MM = 0.25
-"""Largest ``skin.node_spacing_mm`` of a file whose array is not large."""
+COARSEST_MM = 0.25  # largest ``skin.node_spacing_mm`` of a file whose array is not large
 MOST_FINE = 200
 """Largest number of electrodes of which that is asked: rows of more may not fit into memory."""
 

@@ -34,8 +34,7 @@ from smarttouch.running.delivered import LinePicture
 
 DOT_MM, CELL_MM, LINE_MM = 2.34, 6.2, 10.0
 """Distances from dot to dot, cell to cell and line to line (NLS Specification 800)."""
-TONE = Tone(0.5, 0.5, prepared=True)
-"""Tone curve of dots: one electrode each, on or off."""
+TONE = Tone(0.5, 0.5, prepared=True)  # tone curve of dots: one electrode each, on or off
 
 
 @dataclass(frozen=True)
@@ -176,8 +175,7 @@ def _grid_of(electrodes: ElectrodeArray, name: str) -> tuple[int, int]:
     return len(y), len(x)
 
 
-Cells = tuple[str, str, Place]
-"""A line of cells, its text if known, and its place."""
+Cells = tuple[str, str, Place]  # a line of cells, its text if known, and its place
 
 
 class Presentation(StrEnum):

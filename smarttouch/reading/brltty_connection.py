@@ -17,8 +17,7 @@ from typing import Self
 from smarttouch.base.errors import SourceError
 from smarttouch.braille.cells import BLANK
 
-LONGEST_LINE = 16_384
-"""Most bytes of a line; longer ones are dropped."""
+LONGEST_LINE = 16_384  # most bytes of a line; longer ones are dropped
 MOST_CELLS = 255
 _MESSAGE = re.compile(r'(Braille|Visual) "(.*)"')
 _DOTS = re.compile(r" ?|1?2?3?4?5?6?7?8?")
@@ -97,10 +96,8 @@ class BrlttyMessages:
         self.shown = replace(self.shown, cells=cells, number=self.shown.number + 1)
 
 
-USUAL_PORT = 35752
-"""Port to which BRLTTY's virtual driver connects by default."""
-AGAIN_S = 0.25
-"""Interval between attempts, and longest time until a close is noticed."""
+USUAL_PORT = 35752  # port to which BRLTTY's virtual driver connects by default
+AGAIN_S = 0.25  # interval between attempts, and longest time until a close is noticed
 JOIN_S = 1.0
 
 

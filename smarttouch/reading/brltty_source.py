@@ -18,8 +18,7 @@ from smarttouch.reading.line_source import FASTEST_MM_S, GAP, LINE_GAP_MM, SLOWE
 from smarttouch.sources.source_contract import Pose, Stimulus, StimulusSource
 
 USUAL_CELLS = 20
-REST_S = 0.3
-"""Time for which the first cell after a jump stays before the others follow."""
+REST_S = 0.3  # time for which the first cell after a jump stays before the others follow
 
 
 def open_brltty(
@@ -149,15 +148,9 @@ class BrailleDisplaySource(StimulusSource):
         activation = np.zeros((len(Afferent), window.size), np.float32)
         activation[:] = window.ravel()
         return Stimulus(
-            activation,
-            time_ns,
-            self._press_n,
-            pose=self._pose(step),
-            number=self.frames - 1,
-            age_ns=age_ns,
-            stale=shown is None,
-            image=self._image(window),
-        )
+            activation, time_ns, self._press_n, pose=self._pose(step), number=self.frames - 1,
+            age_ns=age_ns, stale=shown is None, image=self._image(window),
+        )  # fmt: skip
 
     def close(self) -> None:
         """Close the connection to BRLTTY."""

@@ -22,8 +22,7 @@ from smarttouch.reading.braille_lines import Braille
 from smarttouch.reading.material import EmptyPages, ReadingMaterial
 from smarttouch.reading.recognition import RecognitionOptions
 
-_SLOW_S = 0.5
-"""Time of the first page from which the others are worth processes of their own."""
+_SLOW_S = 0.5  # time of the first page from which the others are worth processes of their own
 _PARTS = ".pages"  # ending of the folder of finished pages, beside the output
 
 Progress = Callable[[str], None]
@@ -159,13 +158,8 @@ def _files(
     state = Path(source.name).stat()
     options = asdict(replace(source.options, pages=None))
     depends_on = [
-        __version__,
-        source.name,
-        state.st_size,
-        state.st_mtime_ns,
-        options,
-        asdict(braille),
-    ]
+        __version__, source.name, state.st_size, state.st_mtime_ns, options, asdict(braille),
+    ]  # fmt: skip
     key = hashlib.sha256(json.dumps(depends_on, sort_keys=True).encode()).hexdigest()[:24]
     return {number: folder / f"{key}-{number}.json" for number in numbers}
 

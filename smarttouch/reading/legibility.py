@@ -84,8 +84,7 @@ def _levenshtein() -> Any:
 
 
 _Item = TypeVar("_Item")
-Progress = Callable[[int, int], None]
-"""Callback with the number of finished lines and of all."""
+Progress = Callable[[int, int], None]  # callback with the number of finished lines and of all
 
 
 def no_progress(_done: int, _total: int) -> None:
@@ -131,13 +130,9 @@ def legibility_of_braille(
     table = open_table(braille.table)
     shown = "\n".join(delivered)
     return BrailleLegibility(
-        cell_error_rate=wrong / count,
-        cells=count,
-        lines=len(wanted),
-        wanted="\n".join(wanted),
-        delivered=shown,
-        text=table.to_text(shown) if table.code.goes_back else None,
-    )
+        cell_error_rate=wrong / count, cells=count, lines=len(wanted), wanted="\n".join(wanted),
+        delivered=shown, text=table.to_text(shown) if table.code.goes_back else None,
+    )  # fmt: skip
 
 
 def collect(lines: Iterable[_Item], before: int, total: int, progress: Progress) -> list[_Item]:
@@ -149,8 +144,7 @@ def collect(lines: Iterable[_Item], before: int, total: int, progress: Progress)
     return found
 
 
-_LINE_PIXELS = 56
-"""Height of delivered lines for recognition: ascender to descender."""
+_LINE_PIXELS = 56  # height of delivered lines for recognition: ascender to descender
 _GAP = 0.45  # gap between lines for recognition, relative to their height
 
 

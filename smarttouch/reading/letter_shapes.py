@@ -29,10 +29,8 @@ from smarttouch.reading.recognition import Note, recognized_lines
 
 ENOUGH_ROWS = 8
 """Sufficient rows: on 4 half of the characters are lost, on 8 hardly one in a hundred."""
-INK_LEVEL = 128
-"""Level of prepared paper below which is ink."""
-NIB_PIXELS = PIXELS_PER_CELL - 1
-"""Width of a thinned stroke."""
+INK_LEVEL = 128  # level of prepared paper below which is ink
+NIB_PIXELS = PIXELS_PER_CELL - 1  # width of a thinned stroke
 _PLAIN, _THINNED = 0.3, 0.35
 """Least ink of an active cell. Half of it, the obvious choice, loses thin strokes: of print in
 8 rows 8 to 20 % of the characters then cannot be read, here 1 to 3 %."""

@@ -32,12 +32,9 @@ class TouchLine:
     place: Place | None = None
 
 
-AHEAD = 30
-"""Lines prepared in advance."""
-BEHIND = 60
-"""Past lines kept for going back."""
-JOIN_S = 0.3
-"""Longest wait at the end for a page that is being recognized."""
+AHEAD = 30  # lines prepared in advance
+BEHIND = 60  # past lines kept for going back
+JOIN_S = 0.3  # longest wait at the end for a page that is being recognized
 
 
 class LineFeed:
@@ -47,8 +44,7 @@ class LineFeed:
     """
 
     def __init__(self, lines: Iterator[TouchLine]) -> None:
-        self.earliest: int = 0
-        """Index of the earliest line that is kept."""
+        self.earliest: int = 0  # index of the earliest line that is kept
         self._lines: dict[int, TouchLine] = {}
         self._count = 0
         self._reached = 0

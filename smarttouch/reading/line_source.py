@@ -17,8 +17,7 @@ from smarttouch.profile import Profile
 from smarttouch.reading.line_feed import LineFeed, Place, TouchLine
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet, Source
 
-LAND_S = 0.15
-"""Time of landing on a line, when intensity begins to rise."""
+LAND_S = 0.15  # time of landing on a line, when intensity begins to rise
 SETTLE_S = 0.75
 """Time of rest at the line's start while intensity rises; a point marks the start meanwhile."""
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 2000.0
@@ -89,8 +88,7 @@ class SweepingCursor:
         require_within(ReadingError, "pause_s", pause_s, 0, LONGEST_PAUSE_S)
         self._feed, self._motion = feed, motion
         self._press_n, self._pause_s, self._waits = press_n, pause_s, waits
-        self._index, self._line_s = 0, 0.0
-        """Index of the line, and the time spent on it."""
+        self._index, self._line_s = 0, 0.0  # index of the line, and the time spent on it
         self._before_ns: int | None = None
         self._paused = False
         self._asked: deque[int] = deque()
@@ -222,8 +220,7 @@ class ReadingSource(OpticalSource):
         self._name = title
         self.knows_force: bool = cursor.knows_force
         self.measures_force: bool = cursor.measures_force
-        self.index: int = -1
-        """Index of the line under the finger."""
+        self.index: int = -1  # index of the line under the finger
         self._feed, self._cursor = feed, cursor
         self._titled = self._marked = self._announced = False
         self._texts: dict[int, str] = {}
@@ -294,14 +291,10 @@ class ReadingSource(OpticalSource):
             left = spot.x_mm / self._pixel_mm - columns / 2
             top = spot.y_mm / self._pixel_mm + (spot.line.image.shape[0] - rows) / 2
             cv2.warpAffine(
-                spot.line.image,
-                np.array([[1.0, 0.0, left], [0.0, 1.0, top]]),
-                (columns, rows),
-                dst=image,
-                flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-                borderMode=cv2.BORDER_CONSTANT,
-                borderValue=255,
-            )
+                spot.line.image, np.array([[1.0, 0.0, left], [0.0, 1.0, top]]), (columns, rows),
+                dst=image, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+                borderMode=cv2.BORDER_CONSTANT, borderValue=255,
+            )  # fmt: skip
         if spot.marked:
             (top, left), (high, wide) = (each // 2 for each in self._shape), self._cell_px
             image[top : top + high, left : left + wide] = 0

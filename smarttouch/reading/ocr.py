@@ -25,8 +25,7 @@ from PIL import Image
 
 from smarttouch.base.errors import ReadingError
 
-LARGEST_SIDE = 32_000
-"""Largest side in pixels; Tesseract refuses images with a side above 32,767."""
+LARGEST_SIDE = 32_000  # largest side in pixels; Tesseract refuses images with a side above 32,767
 SURE = 2.0
 """Least confidence by Tesseract of an orientation. It was at most 1.1 where the answer was wrong
 (of photographs without text), and at least 3 on pages of five lines and more, however noisy."""

@@ -15,10 +15,8 @@ from smarttouch.pages.straighten import QUARTER
 from smarttouch.pages.text_layer import LayeredPage, PicturedPage
 from smarttouch.reading.ocr import likely_turns, recognize_lines
 
-_STRIP_PIXELS = (32, 56)
-"""Range of the height of lines for recognition: ascender to descender."""
-SURE = 0.6
-"""Mean confidence below which a page is reported as poorly recognized."""
+_STRIP_PIXELS = (32, 56)  # range of the height of lines for recognition: ascender to descender
+SURE = 0.6  # mean confidence below which a page is reported as poorly recognized
 
 Note = Callable[[str], None]
 
@@ -58,8 +56,7 @@ def upright_page(number: int, page: Page, options: RecognitionOptions, note: Not
 
 _LEFTWARD = frozenset(["ara", "div", "fas", "heb", "kur", "pus", "snd", "syr", "uig", "urd", "yid"])
 """Tesseract's codes of languages that are read from the right."""
-_FIRST, _LONGEST = 5, 3
-"""First lines, and longest ones, by which a page is known to be upright."""
+_FIRST, _LONGEST = 5, 3  # first lines, and longest ones, by which a page is known to be upright
 _UPRIGHT, _FEWEST_LETTERS = 0.7, 30
 """Mean confidence of letters from which a page is upright, and the fewest that show it."""
 _MANY_LETTERS, _CLEARLY_MORE = 100, 1.5

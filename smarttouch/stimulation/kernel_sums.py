@@ -83,14 +83,10 @@ class SummedSlots:
         kept = ~broken
         own, points = kept.repeat(self.points), self.points[kept]
         return replace(
-            self,
-            points=points,
-            owner=self.owner[kept],
-            first=np.concatenate([[0], points.cumsum()]),
-            kernel=self.kernel[own],
-            wanted=self.wanted[own],
-            share=self.share[own],
-        )
+            self, points=points, owner=self.owner[kept],
+            first=np.concatenate([[0], points.cumsum()]), kernel=self.kernel[own],
+            wanted=self.wanted[own], share=self.share[own],
+        )  # fmt: skip
 
 
 class KernelSums:
@@ -160,15 +156,9 @@ class KernelSums:
         first = np.zeros(len(parts) + 1, np.intp)
         size.cumsum(out=first[1:])
         return SummedSlots(
-            self,
-            size,
-            owner.take(index.take(first[:-1])),
-            most_ma,
-            first,
-            active.take(index),
-            wanted.take(index),
-            share.take(index),
-        )
+            self, size, owner.take(index.take(first[:-1])), most_ma, first, active.take(index),
+            wanted.take(index), share.take(index),
+        )  # fmt: skip
 
 
 def _parts(
