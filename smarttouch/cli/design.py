@@ -51,9 +51,9 @@ def design(
     cluster: ClusterOption = None,
 ) -> None:
     """Show the kernels of a profile: current patterns that reach one class of afferents."""
-    from smarttouch.base.cluster import on_cluster
     from smarttouch.base.errors import DesignError, SmartTouchError
     from smarttouch.base.files import require_folder, write_json
+    from smarttouch.base.lazy_names import on_cluster
     from smarttouch.cli.options import parse_afferent, require_site
     from smarttouch.kernels import kernel_tables
     from smarttouch.kernels.switched_design import possible_modes

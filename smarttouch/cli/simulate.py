@@ -91,7 +91,7 @@ def simulate_letters(
         figures |= at_nerve
     if picture is not None:
         from smarttouch.views.figure_style import save
-        from smarttouch.views.letter_figure import letter_figure
+        from smarttouch.views.kernel_figures import letter_figure
 
         sequence, active = letter_responses.letter_sequence(drawn[0], chosen, bank, driven)
         save(letter_figure(Finger(chosen, 1, anatomy), sequence, active), picture)
@@ -132,9 +132,9 @@ def simulate_page(
     quiet: QuietOption = False,
 ) -> None:
     """Run a page on a simulated board and read the result with Tesseract."""
-    from smarttouch.base.cluster import on_cluster
     from smarttouch.base.errors import choice_of
     from smarttouch.base.files import require_folder, write_json
+    from smarttouch.base.lazy_names import on_cluster
     from smarttouch.base.terminal import print_table
     from smarttouch.cli.options import parse_mode
     from smarttouch.imaging.array_window import profile_for_reading
@@ -182,8 +182,8 @@ def study(
     """Run a grid of fingers, profiles, kernels, scans, letters and pages, or continue one."""
     from importlib.util import find_spec
 
-    from smarttouch.base.cluster import on_cluster
     from smarttouch.base.files import write_bytes
+    from smarttouch.base.lazy_names import on_cluster
     from smarttouch.base.terminal import print_table
     from smarttouch.experiments.study_plan import load_study
     from smarttouch.experiments.study_run import ROWS_FILE, run_study
