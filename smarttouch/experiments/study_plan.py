@@ -177,15 +177,22 @@ class Grid:
         }
         self._banks: dict[tuple[str, str], tuple[Profile, KernelBank]] = {}
 
-    def anatomies(self) -> Iterator[tuple[str, Anatomy]]:
-        """Yield each anatomy with its name, or each draw of each as NAME#NUMBER."""
+    def fingers(self) -> Iterator[tuple[str, Anatomy, int]]:
+        """Yield the name, anatomy and seed of each finger; draws are NAME#NUMBER, with fingers of
+        their own."""
+        count = self.study.fingers
         for name in self.study.anatomies:
             anatomy = load_anatomy(self.file(name))
-            if not self.study.uncertain:
-                yield name, anatomy
-                continue
-            for number, values in enumerate(self.drawn[1]):
-                yield f"{name}#{number + 1}", drawn_anatomy(anatomy, self.drawn[0], values)
+            draws = [(name, anatomy)]
+            if self.study.uncertain:
+                priors, every = self.drawn
+                draws = [
+                    (f"{name}#{number + 1}", drawn_anatomy(anatomy, priors, values))
+                    for number, values in enumerate(every)
+                ]
+            for number, draw in enumerate(draws):
+                for seed in range(number * count + 1, (number + 1) * count + 1):
+                    yield *draw, seed
 
     @cached_property
     def drawn(self) -> tuple[tuple[Prior, ...], NDArray[np.float64]]:

@@ -103,7 +103,7 @@ def _letters(grid: Grid, parts: Path) -> Iterator[_Work]:
     for name, profile in grid.profiles.items():
         shown = grid.shown(name)
         digest = " ".join(each.digest() for each in shown)
-        for course, anatomy, seed in _fingers(grid):
+        for course, anatomy, seed in grid.fingers():
             rows = partial(rows_of_finger, profile, anatomy, course, seed, shown)
             # What is prepared here is ready.
             yield _Work(_file(parts, digest, profile, anatomy, course, seed), partial(_same, rows))
@@ -114,7 +114,7 @@ def _pages(grid: Grid, parts: Path) -> Iterator[_Work]:
         for choice in choices(grid.study):
             shown = ShownPage(grid, choice, page)
             digest, profile = shown.digest(), grid.profiles[choice.profile]
-            for course, anatomy, seed in _fingers(grid):
+            for course, anatomy, seed in grid.fingers():
                 yield _Work(
                     _file(parts, digest, profile, anatomy, course, seed),
                     partial(_page_rows, shown, anatomy, course, seed),
@@ -128,12 +128,6 @@ def _page_rows(shown: ShownPage, anatomy: Anatomy, course: str, seed: int) -> _R
 
 def _same(rows: _Rows) -> _Rows:
     return rows
-
-
-def _fingers(grid: Grid) -> Iterator[tuple[str, Anatomy, int]]:
-    for course, anatomy in grid.anatomies():
-        for seed in range(1, grid.study.fingers + 1):
-            yield course, anatomy, seed
 
 
 def _file(

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Array = NDArray[np.float64]
-_NAMED = 3
+_NAMED = 2
 """Assumptions that are named beside each figure."""
 
 
@@ -39,7 +39,7 @@ class Uncertain:
 
     anatomy: str
     label: str  # what the choice is, where choices of the study differ
-    priors: tuple[Prior, ...]  # assumptions that the anatomy has, P of them
+    priors: tuple[Prior, ...]  # assumptions, P of them
     values: Array  # (N, P) of each draw
     figures: dict[str, Array]  # (N,) of each draw: mean over its fingers; NaN where there is none
 
@@ -94,15 +94,12 @@ def uncertain_table(found: Sequence[Uncertain]) -> tuple[list[str], list[list[st
     for each in found:
         for figure, name in STUDY_NAMES.items():
             middle, low, high = each.interval(figure)
-            ranks, moved = each.rank_correlation(figure), each.moved(figure)
+            ranks = each.rank_correlation(figure)
             most = np.argsort(-np.abs(ranks), kind="stable")[:_NAMED]
-            hangs = [
-                f"{each.priors[k].name} {ranks[k]:+.2f} ({moved[k, 0]:.2f} to {moved[k, 1]:.2f})"
-                for k in most
-            ]
+            hangs = [f"{each.priors[k].name.split(',')[0]} {ranks[k]:+.2f}" for k in most]
             lines.append(
                 [each.anatomy, each.label, name, f"{middle:.3f}", f"{low:.3f} to {high:.3f}",
-                 "; ".join(hangs)]
+                 ", ".join(hangs)]
             )  # fmt: skip
     return ["anatomy", "choice", "figure", "median", "90 %", "hangs most on"], lines
 
@@ -149,6 +146,7 @@ def uncertain_figure(found: Sequence[Uncertain], title: str) -> "Figure":
             plain(axes, f"{each.anatomy}, {each.label}" if axes is line[0] else "", name)
         line[0].set_yticks(range(len(priors)), [prior.name for prior in priors])
     panels[0][0].invert_yaxis()
+    title += " (green: grows with the assumption, orange: falls)"
     figure.suptitle(title, x=0.01, ha="left", fontsize=10, color=GREY)
     return figure
 
@@ -182,7 +180,7 @@ def study_report(study: Study, beside: Path, rows: Sequence[StudyRow]) -> StudyR
     heading, lines = uncertain_table(found)
     note = (
         f"Medians and middle 90 % of {study.uncertain} draws, each a mean over fingers. Hangs on: "
-        "rank correlation, and the medians of the draws with the lowest and the highest third."
+        "rank correlations; all of them are in hangs_on.csv, and drawn in study.png."
     )
     return StudyReport(
         heading, lines, 6, note, lambda: uncertain_figure(found, study.title),

@@ -132,9 +132,9 @@ _SHALLOWEST_MM = 0.15
 """Least depth of a table: below the surface the field of a disc's edge has no end."""
 _FARTHEST_MM, _DEEPEST_MM = 64.0, 16.0
 """Least reach of a table; larger ones are made for arrays that need them."""
-_STEP = 0.04
+_STEP = 0.02
 """Spacing of a table's depths, relative to the depth, and of its distances, far away."""
-_NEAR_MM = 0.015
+_NEAR_MM = 0.008
 """Spacing of a table's distances under the electrode."""
 _PAD = 12
 """Places beyond the ends of a table: what its splines do at their ends has faded within."""

@@ -247,12 +247,14 @@ class SkinLayer(Table):
 FINGER_PAD = (
     SkinLayer(name="stratum corneum", thickness_mm=0.3, conductivity_s_per_m=0.008),
     SkinLayer(name="living epidermis and dermis", thickness_mm=1.2, conductivity_s_per_m=0.43),
-    SkinLayer(name="fat", thickness_mm=3.5, conductivity_s_per_m=0.022),
+    SkinLayer(name="subcutaneous tissue", thickness_mm=3.5, conductivity_s_per_m=0.2),
     SkinLayer(name="bone", conductivity_s_per_m=0.02),
 )
 """Layers of a finger pad. Stratum corneum: 0.3 mm by Adams et al. 2013; its conductivity is that of
 the emulated finger, 50 kΩ under a disc of 1 mm. Living skin: the shipped profiles' 0.43 S/m; that
-it ends at 1.5 mm is ours, and bone at 5 mm. Fat (not infiltrated) and cortical bone at 1 kHz:
+it ends at 1.5 mm is ours, and bone at 5 mm. What lies below is fat (0.022 S/m) between septa and
+vessels: ours, from 0.1 S/m on RA's cathodic over anodic threshold stays near that of macaques
+(Kaczmarek 2000), with fat alone cathodes would fire RA first. Cortical bone at 1 kHz, and fat:
 Gabriel, Lau and Gabriel 1996."""
 
 

@@ -83,6 +83,7 @@ def test_an_uncertain_study_has_intervals_and_what_they_hang_on(tmp_path):
         rows = run_study(study, Path(), tmp_path)
     assert len(rows) == 4 * 2 * 2 * 2
     assert list(dict.fromkeys(row.anatomy for row in rows)) == [f"paper#{k}" for k in (1, 2, 3, 4)]
+    assert {row.finger for row in rows} == {*range(1, 9)}
     found = study_report(study, Path(), rows)
     assert [line[1] for line in found.lines] == ["profile"] * 4 + ["own"] * 4
     assert len(found.files["hangs_on.csv"].splitlines()) == 1 + 2 * 4 * len(PRIORS)
