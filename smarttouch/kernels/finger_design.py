@@ -106,15 +106,9 @@ _STEPS = (0.25, 0.25, 0.2, 0.2, 0.15, 0.15, 0.1, 0.1)
 """Largest change of an electrode's current in each round, of the full current: what a round does
 not know of is not far beyond what it does."""
 _CONSIDERED = 0.8  # drive from which the node of an afferent that is not to fire becomes a row
-
-
-class Costs(NamedTuple):
-    """Cost of each afferent that fires or stays silent wrongly, and of each silent point."""
-
-    wrong: float = 1.0  # another class fires
-    elsewhere: float = 0.3  # the own class fires beyond a pitch
-    near: float = 0.3  # the own class does not fire within a pitch
-    silent: float = 30.0  # nothing of a finger fires within half a pitch
+_WRONG, _ELSEWHERE, _NEAR, _SILENT = 1.0, 0.3, 0.3, 30.0
+"""Cost of an afferent of another class that fires, of one of the own class that fires beyond a
+pitch, of one that does not within it, and of a finger in which none does within half a pitch."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,13 +148,11 @@ class FingerDesign:
         sample: FingerSample,
         start_ma: Array,
         mirror: Indices | None = None,
-        costs: Costs | None = None,
     ) -> None:
         self.profile: Profile = profile
         self.afferent: Afferent = afferent
         self.sample: FingerSample = sample
         self.current_ma: NDArray[np.float64] = np.array(start_ma, np.float64)
-        self.costs: Costs = costs or Costs()
         self._start_ma = np.asarray(start_ma, np.float64)
         self._driven = np.isin(np.arange(len(start_ma)), profile.driven)
         # Sequences hold whole µA: every electrode keeps room to be rounded up.
@@ -169,7 +161,6 @@ class FingerDesign:
         self._aim = Aim.of(profile, afferent, sample)
         self._mirror = np.arange(len(start_ma)) if mirror is None else mirror
         self._pool: dict[int, dict[tuple[int, int], set[int]]] = {}
-        self.rows: dict[int, int] = {}  # number of rows of each site's last program
 
     def designed(self, sites: Indices, progress: Progress | None = None) -> Array:
         """Return kernels of sites at full comfort, (S, E) mA; DesignError if the solver fails."""
@@ -218,15 +209,15 @@ class FingerDesign:
     def _loss(self, highest: Floats, sites: Indices) -> Array:
         """Return the cost at each site, summed over the whole sample, (S,)."""
         near, nearest = self._aim.near[:, sites], self._aim.nearest[:, sites]
-        price = np.where(self._aim.own, self.costs.elsewhere, self.costs.wrong)[:, None]
+        price = np.where(self._aim.own, _ELSEWHERE, _WRONG)[:, None]
         over = np.maximum(highest - (1 - _MARGIN), 0) * price
         short = np.clip(1 + _MARGIN - highest, 0, 1 + _MARGIN - SEEN)
-        loss = np.where(near, self.costs.near * short, over).sum(axis=0)
+        loss = np.where(near, _NEAR * short, over).sum(axis=0)
         for index in range(self.sample.fingers):
             mine = self.sample.finger == index
             there = nearest[mine]
             least = np.where(there, short[mine], np.inf).min(axis=0)
-            loss += self.costs.silent * np.where(there.any(axis=0), least, 0)
+            loss += _SILENT * np.where(there.any(axis=0), least, 0)
         return np.asarray(loss, np.float64)
 
     def _program(
@@ -252,15 +243,14 @@ class FingerDesign:
                 rows.append(self.sample.rows[sorted(nodes)][:, order])
                 limit += [1 - _MARGIN] * len(nodes)
                 slack += [len(price)] * len(nodes)
-                price.append(self.costs.elsewhere if self._aim.own[which] else self.costs.wrong)
+                price.append(_ELSEWHERE if self._aim.own[which] else _WRONG)
             wanted = np.flatnonzero(near & (high >= SEEN))
             nearest = self._nearest(high, aimed)
-            for found, cost in ((wanted, self.costs.near), (nearest, self.costs.silent)):
+            for found, cost in ((wanted, _NEAR), (nearest, _SILENT)):
                 rows.append(-self.sample.rows[at[found]][:, order])
                 limit += [-1 - _MARGIN] * len(found)
                 slack += range(len(price), len(price) + len(found))
                 price += [cost] * len(found)
-        self.rows[int(site)] = len(limit)
         full = np.abs(self._start_ma[site])
         most_ma = np.where(self._driven, np.minimum(full.max(), self._limit_ma), 0.0)
         return _Program(
