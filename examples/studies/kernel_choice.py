@@ -7,6 +7,8 @@ designed on fingers are kept in the file.
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,16 +20,21 @@ from studies.finger_effects import against_all, inner_sites
 from studies.published import ANATOMIES, interval
 from studies.reading_levels import placed
 
-from smarttouch.base.afferent import Afferent
-from smarttouch.kernels.bank import load_bank
+from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.kernels.bank import kernels_at_nodes, load_bank
 from smarttouch.kernels.design_problem import Problem
-from smarttouch.kernels.finger_design import FingerDesign, FingerSample
-from smarttouch.kernels.finger_kernels import FIRST_SEED
+from smarttouch.kernels.finger_kernels import FingerKernels
 from smarttouch.kernels.weighted_design import design_kernel
 from smarttouch.physiology.finger import Finger
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import Profile, load_profile
 from smarttouch.profile.device import FINGER_PAD
+from smarttouch.reading.letter_responses import (
+    letter_sequences,
+    letter_templates,
+    spikes_and_letter,
+)
+from smarttouch.reading.letter_shapes import ALPHABET
 
 Array = NDArray[np.float64]
 Kernels = dict[str, dict[Afferent, Array]]
@@ -39,6 +46,8 @@ MOVED_MM, OFF = 0.25, 0.1
 TRIES, FEW_LEVELS = 10, np.array([0.3, 0.45, 0.6, 0.8, 1.0])
 """Answers of a person at a site, and levels to pick from."""
 CLASSES = (Afferent.RA, Afferent.SAI)
+LETTER_LEVELS = (0.7, 1.0)
+_WHOLE = "both, all sites"
 DESIGNED_ON = {"on paper": ("paper",), "on branched": ("branched",), "on both": ANATOMIES}
 
 
@@ -46,33 +55,32 @@ def kernels_offered(profile: Profile, sites: Sequence[int], count: int) -> Kerne
     """Return all kinds of kernels that the package offers for a board of weighted sources;
     ``count`` fingers are designed on."""
     full_ma, bank, at = profile.full_ma, load_bank(profile), np.array(sites)
-    full = {each: np.array(bank.kernels(each) * full_ma[:, None], float) for each in Afferent}
-    discs = {each: against_all(profile, each is not Afferent.RA) * full_ma[:, None]
-             for each in Afferent}  # fmt: skip
-    offered = {
-        "nodes": {each: full[each][at] for each in Afferent},
-        "one against all": {each: discs[each][at] for each in Afferent},
-        "nodes in layers": {},
-    }
+    offered = {"nodes": {}, "one against all": {}, "nodes in layers": {}}
+    for each in Afferent:
+        disc = against_all(profile, each is not Afferent.RA)
+        offered["nodes"][each] = bank.kernels(each)[at] * full_ma[at, None]
+        offered["one against all"][each] = disc[at] * full_ma[at, None]
     layers = {"medium": "layered", "layers": FINGER_PAD, "conductivity_s_per_m": None}
     in_layers = profile.model_copy(update={"skin": profile.skin.model_copy(update=layers)})
     for each in CLASSES:
         problem = Problem(in_layers, each)
         own = np.array([design_kernel(problem, site).peak_normalized for site in sites])
         offered["nodes in layers"][each] = own * full_ma[at, None]
-    mirror = np.arange(len(profile.electrodes)).reshape(8, 8)[:, ::-1].ravel()
-    most_ma = max(np.abs(ma).sum(axis=1).max() for ma in full.values()) / 2
     for name, anatomies in DESIGNED_ON.items():
-        fingers = [
-            Finger(profile, FIRST_SEED + seed, anatomies[seed % len(anatomies)])
-            for seed in range(count)
-        ]
-        sample = FingerSample.of(fingers, float(full_ma.max()), float(most_ma))
+        design = on_fingers(profile, anatomies, count)
         offered[name] = {
-            each: FingerDesign(profile, each, sample, full[each], mirror).designed(at)
+            each: np.array([kernel.weights for kernel, _ in design.kernels(each, sites)])
+            * full_ma[at, None]
             for each in CLASSES
         }
     return offered
+
+
+def on_fingers(profile: Profile, anatomies: Sequence[str], count: int) -> FingerKernels:
+    """Return the designer of kernels on ``count`` fingers of some anatomies."""
+    aim = {"objective": "finger", "anatomy": anatomies, "fingers": count}
+    profile = profile.model_copy(update={"kernels": aim})
+    return FingerKernels(profile, kernels_at_nodes(profile))
 
 
 class Reached(NamedTuple):
@@ -223,12 +231,41 @@ def _shown(values: Sequence[float]) -> str:
     return "{:.2f} ({:.2f}–{:.2f})".format(*interval(values))
 
 
+def letter_rows(
+    profile: Profile, weights: Array, seeds: Sequence[int] = range(1, 7), letters: str = ALPHABET
+) -> Iterator[str]:
+    """Yield the share of letters that is read wrongly in SAI mode, from all spikes and from those
+    of SAI alone; weights are kernels on fingers, (E, E), parts of full current."""
+    bank, known, sai = load_bank(profile), letter_templates(profile), Afferent.SAI
+    others = replace(bank, weights=bank.weights | {sai: weights}, absolute=True)
+    banks = {"nodes": bank, "on both": others}
+    shown = {name: letter_sequences(letters, profile, one, Mode.SAI, "points")
+             for name, one in banks.items()}  # fmt: skip
+    yield "| kernels, level | paper: all spikes | SAI alone | branched: all spikes | SAI alone |"
+    yield "|" + "---|" * 5
+    wrong: dict[tuple[str, float], list[float]] = {}
+    for anatomy in ANATOMIES:
+        models = [SpikeModel(Finger(profile, seed, anatomy), seed) for seed in seeds]
+        for name, level in product(banks, LETTER_LEVELS):
+            misread = np.zeros((2, 0))
+            for model, (letter, (slots, _)) in product(models, shown[name].items()):
+                drive = np.float32(level) * model.drive(slots.current_ua, slots.width_us)
+                own = drive * (model.finger.classes == sai)[:, None]
+                read = [spikes_and_letter(model, slots, one, known, 2)[1] for one in (drive, own)]
+                misread = np.c_[misread, [one != letter for one in read]]
+            wrong.setdefault((name, level), []).extend(misread.mean(axis=1))
+    for (name, level), shares in wrong.items():
+        yield f"| {name}, {level:g} | {' | '.join(f'{one:.2f}' for one in shares)} |"
+
+
 def main(count: int, path: Path) -> None:
-    """Print both tables; kernels come from a file if it is there."""
+    """Print the tables; kernels come from a file if it is there."""
     profile = load_profile("electric-mouse")
     sites = inner_sites(profile)
     if not path.exists():
         made = kernels_offered(profile, sites, 10)
+        timed = on_fingers(profile, ANATOMIES, 10).kernels(Afferent.SAI, profile.driven.tolist())
+        made[_WHOLE] = {Afferent.SAI: np.array([kernel.weights for kernel, _ in timed])}
         np.savez(path, **{f"{name}/{each.name}": ma
                           for name, own in made.items() for each, ma in own.items()})  # fmt: skip
     kernels: Kernels = {}
@@ -236,8 +273,10 @@ def main(count: int, path: Path) -> None:
         for key in stored.files:
             name, _, afferent = key.partition("/")
             kernels.setdefault(name, {})[Afferent[afferent]] = stored[key]
+    whole = kernels.pop(_WHOLE)[Afferent.SAI]
     found = judged(profile, kernels, sites, count)
     print(*choice_rows(found, kernels), "", *picked_rows(found, kernels), sep="\n")
+    print("", *letter_rows(profile, whole), sep="\n")
 
 
 if __name__ == "__main__":
