@@ -190,6 +190,8 @@ class PdfDocument(Document):
 
     def _render(self, sheet: "pypdfium2.PdfPage", name: str) -> Page:
         width, height = sheet.get_size()
+        if not min(width, height) > 0:
+            raise PageError(f"{name} has no area: the file is damaged", about="page")
         mm = _POINT_MM if self._page_width_mm is None else self._page_width_mm / width
         require_size_mm(name, width * mm, height * mm, "page_width_mm")
         finest_dpi = INCH_MM * math.sqrt(MOST_RENDERED_PIXELS / (width * height)) / mm

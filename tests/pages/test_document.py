@@ -229,8 +229,9 @@ SIZES = {"about": "size_mm", "allowed": (2, 2000), "remedy": "page_width_mm"}
     (one_page(size=(14400, 14400)), None, SIZES | {"value": pytest.approx((5080, 5080))}),
     (one_page(size=(144, 1)), None, SIZES | {"value": pytest.approx((50.8, 0.35278))}),
     (one_page().replace(b"Kids[3 0 R]", b"Kids[9 0 R]"), None, {"about": "page", "value": 1}),
+    (one_page(page=b"/CropBox[200 300 400 500]"), None, {"about": "page", "value": 1}),
     (one_page(), 2, {"about": "pixels", "value": (4, 8), "allowed": (8, 8)}),
-], ids=["large", "flat", "damaged", "coarse"])  # fmt: skip
+], ids=["large", "flat", "damaged", "empty", "coarse"])  # fmt: skip
 def test_pages_that_cannot_be(put, content, dpi, attributes):
     path = put(content)
     with open_document(path, dpi=dpi) as document, raises(PageError, **attributes) as caught:
