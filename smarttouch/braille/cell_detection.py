@@ -3,6 +3,7 @@
 Its weights come from rendered pages alone; no photograph went into them.
 """
 
+import threading
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -18,14 +19,12 @@ STRIDE = 4
 """Pixels of the picture per position of the network's map."""
 LEAST = 0.4
 """Least certainty of a position where a cell is found."""
-DILATIONS = (1, 1, 2, 4, 8, 2, 1)
 _NEAR_PX, _AROUND_PX = (
     41,
     81,
 )  # sides of the squares over which brightness and contrast are normalized
 _APART_PX = 11, 14
 """Least distance of cells, across and down: those of the finest pages have 18 and 28."""
-_TOGETHER = 1024  # positions of a map computed at once: their input fits into a processor's cache
 
 Image = NDArray[np.float32]
 
@@ -79,49 +78,26 @@ def evened(grey: NDArray[np.uint8]) -> Image:
 
 def _run(picture: Image) -> Image:
     """Return maps, (9, H, W): certainty of a cell, its two offsets, and its six dots."""
-    layers = _layers()
-    image = picture[None]
-    for (weights, bias), stride in zip(layers[:3], (1, 2, 2), strict=True):
-        image = np.maximum(_convolved(image, weights, bias, stride), 0)
-    for (weights, bias), dilation in zip(layers[3:-1], DILATIONS, strict=True):
-        image = image + np.maximum(_convolved(image, weights, bias, dilation=dilation), 0)
-    maps = _convolved(image, *layers[-1])
+    with _lock:
+        network = _network()
+        network.setInput(picture[None, None])
+        maps = np.array(network.forward()[0], np.float32)
     for each in (0, *range(3, 9)):
         maps[each] = 1 / (1 + np.exp(-np.clip(maps[each], -30, 30)))
     return maps
 
 
-def _convolved(
-    image: Image, weights: Image, bias: Image, stride: int = 1, dilation: int = 1
-) -> Image:
-    """Return an image, (C, H, W), convolved by weights, (D, C, K, K), in bands of rows."""
-    count, channels, size, _ = weights.shape
-    edge = dilation * (size // 2)
-    framed = np.pad(image, ((0, 0), (edge, edge), (edge, edge)))
-    height, width = (-(-side // stride) for side in image.shape[1:])
-    matrix = weights.transpose(0, 2, 3, 1).reshape(count, -1)
-    made = np.empty((count, height, width), np.float32)
-    band = max(1, _TOGETHER // width)
-    for first in range(0, height, band):
-        rows = min(band, height - first)
-        taps = np.empty((size, size, channels, rows, width), np.float32)
-        for row, column in np.ndindex(size, size):
-            top, left = first * stride + row * dilation, column * dilation
-            taps[row, column] = framed[:, top::stride, left::stride][:, :rows, :width]
-        product = matrix @ taps.reshape(-1, rows * width) + bias[:, None]
-        made[:, first : first + rows] = product.reshape(count, rows, width)
-    return made
+_lock = threading.Lock()
+"""Lock of the network, which keeps the layers of its last picture."""
 
 
 @cache
-def _layers() -> list[tuple[Image, Image]]:
-    """Return weights and bias of each layer."""
-    with np.load(Path(__file__).with_name("network.npz")) as saved:
-        count = len(saved.files) // 2
-        return [
-            (saved[f"weights{n}"].astype(np.float32), saved[f"bias{n}"].astype(np.float32))
-            for n in range(count)
-        ]
+def _network() -> cv2.dnn.Net:
+    data = np.fromfile(Path(__file__).with_name("network.onnx"), np.uint8)
+    network = cv2.dnn.readNetFromONNX(data)
+    # Its product of rounded numbers would move cells of doubtful dots.
+    network.enableWinograd(False)
+    return network
 
 
 def _without_overlaps(px: NDArray[np.float64], strength: Image) -> NDArray[np.int_]:
@@ -225,15 +201,21 @@ def _followed(level: Points) -> list[list[int]]:
 def _joined(rows: list[list[int]], level: Points, certainty: Points) -> list[list[int]]:
     """Join rows that are too near each other for two lines; of cells that overlap, keep one."""
     joined: list[list[int]] = []
+    spans: list[tuple[float, float]] = []
     for row in sorted(rows, key=len, reverse=True):
-        for other in joined:
+        top, bottom = float(level[row, 1].min()), float(level[row, 1].max())
+        for k, other in enumerate(joined):
+            if top - spans[k][1] > _ONE_LINE or spans[k][0] - bottom > _ONE_LINE:
+                continue
             there = np.interp(level[row, 0], level[other, 0], level[other, 1])
             if abs(np.median(level[row, 1] - there)) < _ONE_LINE:
                 other += row
                 other.sort(key=lambda each: level[each, 0])
+                spans[k] = min(top, spans[k][0]), max(bottom, spans[k][1])
                 break
         else:
             joined.append(list(row))
+            spans.append((top, bottom))
     return [_apart(row, level, certainty) for row in joined]
 
 

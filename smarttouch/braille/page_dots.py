@@ -4,6 +4,7 @@ The network has never seen the page. What it finds for certain is enough to lear
 discriminant tells dots from the paper between them, and rows of cells have no holes without reason.
 """
 
+import itertools
 from typing import NamedTuple
 
 import cv2
@@ -19,6 +20,7 @@ _BEYOND = 2  # cells looked for beyond the ends of a row in each round
 _HALF = 5  # half the side of what is seen of a dot; the neighboring dot is as far away
 _SEEN = 1.15  # what is seen of a dot, in distances of dots
 _SPACINGS = np.arange(0.32, 0.47, 0.02)  # distances of dots that occur, in those of cells
+_ANY = (slice(None), slice(None))
 _DOTS = np.array([(-0.5, -1), (-0.5, 0), (-0.5, 1), (0.5, -1), (0.5, 0), (0.5, 1)])
 _REGULAR = 0.3  # share of the mean variance that is added to each
 _NETWORK = 0.7  # weight of the network's opinion beside the page's, where it found a cell
@@ -54,7 +56,7 @@ def look_again(found: FoundCells, even: Picture, opinion: Picture) -> SeenAgain:
 
     ``even`` is the picture with normalized contrast, ``opinion`` the network's maps, (9, H, W).
     """
-    light_deg, agreed = float("nan"), found.certainty
+    light_deg, agreed, within = float("nan"), found.certainty, _ANY
     for _ in range(_ROUNDS):
         places = _places(found)
         there = places.owner >= 0
@@ -63,7 +65,7 @@ def look_again(found: FoundCells, even: Picture, opinion: Picture) -> SeenAgain:
         if len(of) < FEWEST or min(dots.sum(), (~dots).sum()) < FEWEST:
             break
         pitch_px = cell_pitch(found.px)
-        half = _spacing(even, places.px[there], dots, pitch_px)
+        half, within = _spacing(even, places.px[there], dots, pitch_px, within)
         at = (places.px[:, None] + _DOTS * half).reshape(-1, 2)
         seen = _sampled(even, at[:, None] + _GRID * (half[0] * _SEEN / _HALF))
         seen = seen.reshape(len(places.px), 6, -1)
@@ -98,20 +100,25 @@ def _sampled(picture: Picture, px: Points) -> Dots:
     return np.asarray(made, float).reshape(x.shape)
 
 
-def _spacing(even: Picture, px: Points, dots: NDArray[np.bool_], pitch_px: float) -> Points:
-    """Return the distances of dots, across and down, px, at which they differ most from paper."""
+def _spacing(
+    even: Picture, px: Points, dots: NDArray[np.bool_], pitch_px: float, within: tuple[slice, slice]
+) -> tuple[Points, tuple[slice, slice]]:
+    """Return the distances of dots, across and down, px, at which they differ most from paper, of
+    those ``within`` parts of the usual ones; and the parts around them."""
     soft = np.asarray(cv2.GaussianBlur(even, (0, 0), 1.2), np.float32)
-    best, chosen = -1.0, np.zeros(2)
+    best, chosen = -1.0, (0, 0)
     heights = np.array([(0, -3), (0, -1), (0, 1), (0, 3)])
-    for across in _SPACINGS * pitch_px:
-        for down in _SPACINGS * pitch_px:
-            at = (px[:, None] + _DOTS * (across, down)).reshape(-1, 1, 2) + heights
-            seen = _sampled(soft, at)
-            step = seen[dots.ravel()].mean(axis=0) - seen[~dots.ravel()].mean(axis=0)
-            apart = step @ np.linalg.solve(np.cov(seen.T) + 0.01 * np.eye(4), step)
-            if apart > best:
-                best, chosen = apart, np.array([across, down])
-    return chosen
+    every = np.arange(len(_SPACINGS))
+    for across, down in itertools.product(every[within[0]], every[within[1]]):
+        half = _SPACINGS[[across, down]] * pitch_px
+        at = (px[:, None] + _DOTS * half).reshape(-1, 1, 2) + heights
+        seen = _sampled(soft, at)
+        step = seen[dots.ravel()].mean(axis=0) - seen[~dots.ravel()].mean(axis=0)
+        apart = step @ np.linalg.solve(np.cov(seen.T) + 0.01 * np.eye(4), step)
+        if apart > best:
+            best, chosen = apart, (int(across), int(down))
+    first, second = (slice(max(0, k - 1), k + 2) for k in chosen)
+    return _SPACINGS[list(chosen)] * pitch_px, (first, second)
 
 
 def _by_look(

@@ -44,6 +44,7 @@ _LEVEL_DEG = 1.0  # slope of lines above which a page is turned
 _OTHER_SIDE = 0.2  # least lead in certainty by which dots lit from below count as the raised ones
 _BOTH_SIDES = 0.3  # least score of the dots of one side beside the other's
 _TELLING = 0.2  # least log odds per cell by which a mirror image is known
+_SOME = 0.25  # part of a page's height by which the sides are told apart, if that is enough
 _BEHIND = 0.8  # above these, and with no other side to read, a page is refused
 
 
@@ -132,23 +133,25 @@ def _front(grey: NDArray[np.uint8]) -> tuple[bool, _LookedAt, str | None]:
     """Return whether the dots of the front are lit from below, the page looked at for them, and a
     note where that is not sure."""
     view, inverted = _best_view(grey, _TURNS_DEG), 255 - grey
-    sure = view.certainty > CERTAIN
+    sure = view.certainty > LEAST_CERTAINTY
     other = _glance(inverted, *view[:2]) if sure else _best_view(inverted)
     below = other.certainty > view.certainty + _OTHER_SIDE
     note = None
     if min(view.score, other.score) > _BOTH_SIDES * max(view.score, other.score):
-        both = [_looked_at(grey, view), _looked_at(inverted, other)]
-        cells = [cells_of(each.opinion) for each in both]
-        read = [each.patterns[cell_lines(each)[1]] for each in cells]
-        lead = unmirrored_odds(read[0]) - unmirrored_odds(read[1])
-        if abs(lead) > max(_TELLING * sum(map(len, read)), SURE):
-            below = lead < 0
+        # Some lines show which side is mirrored; where they do not, all of both do.
+        for part, telling in ((_SOME, 2), (1.0, 1)):
+            both = [_looked_at(grey, view, part), _looked_at(inverted, other, part)]
+            cells = [cells_of(each.opinion) for each in both]
+            read = [each.patterns[cell_lines(each)[1]] for each in cells]
+            lead = unmirrored_odds(read[0]) - unmirrored_odds(read[1])
+            if abs(lead) > telling * max(_TELLING * sum(map(len, read)), SURE):
+                below = lead < 0
+                break
         else:
             note = (
                 "dots of both sides are visible; those read are raised if the light comes from "
                 f"{'below' if below else 'above'}: give its direction otherwise"
             )
-        return below, both[below], note
     return below, _looked_at(inverted, other) if below else _looked_at(grey, view), note
 
 
@@ -168,6 +171,8 @@ def _best_view(grey: NDArray[np.uint8], turns_deg: tuple[float, ...] = ()) -> _V
             if views[-1].share > _ENOUGH and views[-1].certainty > CERTAIN:
                 return views[-1]
     views.sort(key=lambda each: each.score, reverse=True)
+    if views and views[0].certainty > LEAST_CERTAINTY:
+        return views[0]
     turned = [_glance(grey, each.scale, turn_deg) for turn_deg in turns_deg for each in views[:2]]
     return max([*views, *turned], key=lambda each: each.score, default=_View(1.0, 0.0, 0.0, 0.0))
 
@@ -196,9 +201,11 @@ def _glance(grey: NDArray[np.uint8], scale: float, turn_deg: float) -> _View:
     return _View(scale * closer, level_deg, covered / len(_TILES), float(np.mean(sure)))
 
 
-def _looked_at(grey: NDArray[np.uint8], view: _View) -> _LookedAt:
+def _looked_at(grey: NDArray[np.uint8], view: _View, part: float = 1.0) -> _LookedAt:
+    """Look at a page, or that part of its height in the middle."""
     picture, back = _scaled(grey, view.scale, view.turn_deg)
-    return _LookedAt(*looked_at(picture), back)
+    edge = round(len(picture) * (1 - part) / 2)
+    return _LookedAt(*looked_at(picture[edge : len(picture) - edge]), back)
 
 
 def _scaled(

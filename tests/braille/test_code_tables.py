@@ -60,6 +60,14 @@ def test_a_language_has_a_table(tag, name, cells):
     assert cells is None or table.to_cells("м" if tag == "ru" else "m") == cells
 
 
+@needs_liblouis
+def test_hebrew_goes_back_by_the_table_of_eight_dots_only():
+    table, eight = open_table("he"), open_table("he-IL-comp8.utb")
+    with raises(BrailleError, about="table", value="he-IL.utb"):
+        table.to_text(table.to_cells("שלום"))
+    assert eight.to_text(eight.to_cells("שלום עולם, מה? 12")) == "שלום עולם, מה? 12"
+
+
 def test_only_languages_of_our_own_without_liblouis(no_liblouis):
     assert open_table("en-GB").name == "en-1"
     with raises(BrailleError, about="table", value="pt"):
