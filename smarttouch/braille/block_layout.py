@@ -165,7 +165,8 @@ def lay_out_blocks(text: ShapedText, columns: int = COLUMNS, rows: int = ROWS) -
 
     for cells, shape in zip(text.cells, text.shapes, strict=True):
         if shape.kind is BlockKind.PAGE:
-            begun.append(cells)
+            # Numbers are short; what else a document calls them must leave room.
+            begun.append(cells[: columns // 3])
             continue
         lines = _shaped(cells, shape, columns)
         same = before is not None and (before.kind, before.over) == (shape.kind, shape.over)

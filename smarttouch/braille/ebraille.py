@@ -122,6 +122,7 @@ class _Book:
             widest = block.kind is BlockKind.HEADING and block.level == self._widest
             if widest and not goes_on and len(self._body):
                 self._chapters.append(ET.Element("body"))
+                self._kind = None
             for number, words in begun:
                 self._begin_page(number, words, goes_on)
             if goes_on and block.continued and begun:
