@@ -11,13 +11,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import PageError, SourceError, UnknownSizeError, require_within
+from smarttouch.base.errors import PageError, SourceError, require_within
 from smarttouch.base.files import read_text
 from smarttouch.base.tables import read_csv
-from smarttouch.pages.document import open_document
+from smarttouch.pages.document import PdfDocument, open_document
 from smarttouch.pages.file_kinds import FileKind, file_kind
 from smarttouch.pages.ink import reduced, separate_ink
-from smarttouch.pages.page_image import LARGEST_MM, Page, load_page
+from smarttouch.pages.page_image import LARGEST_MM, Page
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened
 from smarttouch.pages.structured_text import read_structured_text
@@ -249,18 +249,19 @@ def _print_mm(page: Page, light_on_dark: bool) -> float | None:
 
 
 def load_or_guess(path: Path, dpi: float | None, width_mm: float | None) -> tuple[Page, str]:
-    """Return a page, and a sentence if its scale is guessed; a text is printed."""
+    """Return a page, and a sentence if its scale is guessed; a text without a
+    scale is printed."""
     kind = file_kind(path) if path.is_file() else None
     if kind is FileKind.STRUCTURED:
         return print_text(read_structured_text(path).text), ""
-    if kind is FileKind.TEXT:
+    if kind is FileKind.TEXT and dpi is None and width_mm is None:
         return print_text(read_text(path, PageError).strip()), ""
-    try:
-        return load_page(path, dpi=dpi, page_width_mm=width_mm), ""
-    except UnknownSizeError:
-        pass
-    with open_document(path) as document:
-        return document.page(0), f"{document.notes[-1]}; give dpi or page_width_mm if you know it"
+    with open_document(path, dpi=dpi, page_width_mm=width_mm) as document:
+        page = document.page(0)
+        # The size of a PDF is known, whatever is said of it.
+        if not document.notes or isinstance(document, PdfDocument):
+            return page, ""
+        return page, f"{document.notes[-1]}; give dpi or page_width_mm if you know it"
 
 
 def open_text(

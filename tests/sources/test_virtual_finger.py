@@ -7,6 +7,7 @@ from PIL import Image
 from smarttouch.base.errors import PageError, SourceError
 from smarttouch.base.files import data_folder
 from smarttouch.pages.page_image import Page
+from smarttouch.pages.prepared_page import print_text
 from smarttouch.sources import open_source
 from smarttouch.sources.source_contract import Source
 from smarttouch.sources.virtual_finger import AGAIN_S, PageSource, open_page
@@ -142,6 +143,15 @@ def test_a_page_without_a_scale_gets_a_guessed_one_with_a_note(tmp_path, profile
     known = open_page(str(path), profile, page_width_mm=100)
     assert known.notes == []
     assert known.page.size_mm[0] == pytest.approx(100)
+
+
+def test_the_first_page_of_a_pdf_is_read(tmp_path, profile):
+    pytest.importorskip("pypdfium2")
+    first, second = (Image.fromarray(print_text(words).grey) for words in ("one", "and two"))
+    first.save(tmp_path / "a.pdf", resolution=300, save_all=True, append_images=[second])
+    source = open_page(str(tmp_path / "a.pdf"), profile)
+    assert source.page.size_mm == pytest.approx(print_text("one").size_mm, rel=0.02)
+    assert (len(source.path.lines), source.notes) == (1, [])
 
 
 def test_a_page_of_unknown_size_has_print_of_a_usual_one(tmp_path, profile):
