@@ -249,12 +249,12 @@ def _print_mm(page: Page, light_on_dark: bool) -> float | None:
 
 
 def load_or_guess(path: Path, dpi: float | None, width_mm: float | None) -> tuple[Page, str]:
-    """Return a page, and a sentence if its scale is guessed; a text without a
-    scale is printed."""
+    """Return a page, and a sentence if its scale is guessed; a .txt without a scale is printed."""
     kind = file_kind(path) if path.is_file() else None
     if kind is FileKind.STRUCTURED:
         return print_text(read_structured_text(path).text), ""
-    if kind is FileKind.TEXT and dpi is None and width_mm is None:
+    text = kind is FileKind.TEXT and path.suffix.lower() == ".txt"
+    if text and dpi is None and width_mm is None:
         return print_text(read_text(path, PageError).strip()), ""
     with open_document(path, dpi=dpi, page_width_mm=width_mm) as document:
         page = document.page(0)
