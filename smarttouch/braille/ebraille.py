@@ -102,6 +102,7 @@ class _Book:
 
     def __init__(self, text: ShapedText, title: str) -> None:
         self._text, self._title = text, title
+        self._title_cells = _spaced(text.table.to_cells(title, leave_out=True)) or "⠿"
         self._language = _language(text)
         blocks = text.document.blocks
         levels = [block.level for block in blocks if block.kind is BlockKind.HEADING]
@@ -187,8 +188,7 @@ class _Book:
         body = ET.Element("body")
         about = {"epub:type": "toc", "role": "doc-toc", "aria-label": "Contents"}
         holders = [(-1, ET.SubElement(body, "nav", about))]
-        title = _spaced(self._text.table.to_cells(self._title, leave_out=True)) or "⠿"
-        for level, place, words in self._headings or [(1, "ebraille/1.xhtml", title)]:
+        for level, place, words in self._headings or [(1, "ebraille/1.xhtml", self._title_cells)]:
             while holders[-1][0] >= level:
                 holders.pop()
             inner = holders[-1][1].find("ol")
@@ -214,8 +214,7 @@ class _Book:
         })  # fmt: skip
         head = ET.SubElement(root, "head")
         ET.SubElement(head, "meta", charset="utf-8")
-        title = _spaced(self._text.table.to_cells(self._title, leave_out=True))
-        ET.SubElement(head, "title").text = title or "⠿"
+        ET.SubElement(head, "title").text = self._title_cells
         ET.SubElement(head, "link", rel="stylesheet", type="text/css", href=style)
         root.append(body)
         made: bytes = ET.tostring(root, encoding="utf-8")

@@ -35,14 +35,11 @@ if TYPE_CHECKING:
     from smarttouch.kernels.batch_design import Timed
     from smarttouch.kernels.design_problem import Kernel, KernelKind, Problem
 
-DESIGN_VERSION = 3
-"""Version of the design, raised when the same problem would get other kernels."""
-
-_IN_FILE = {
+DESIGN_VERSION = 3  # raised when the same problem would get other kernels
+_IN_FILE = {  # name of each column in a file
     "weights": "weights", "off_target": "worst_other", "worst_class": "worst_class",
     "spill": "own_spill", "gap": "gap", "seconds": "seconds", "receptor": "receptor",
 }  # fmt: skip
-"""Name of each column in a file."""
 
 Column = dict[Afferent, NDArray[Any]]
 Progress = Callable[[int, int], None]

@@ -14,15 +14,12 @@ Flags = NDArray[np.bool_]
 Boxes = NDArray[np.float64]
 NO_RULES: Floats = np.empty((0, 3))
 
-_LEAST_SHARED = 0.2
-"""Least overlap of lines, one above the other, as a part of the shorter one's length."""
+_LEAST_SHARED = 0.2  # least overlap of lines, one above the other, of the shorter one's length
 _PARTED = 0.6  # least overlap of a printed rule with a line that it parts, of the line's length
 _HEADLINE, _SAME_SIZE = 1.3, 0.15
 """Least height of a headline, in usual ones of the page, and difference between its lines."""
 _LEVEL = 1.5  # distance, in line heights, within which two lines are side by side
 _SAME_LEVEL = 0.5  # difference of baselines, in line heights, of parts of one title or foot
-
-
 NO_BOXES: Boxes = np.empty((0, 4))
 _MOST_INSIDE = 0.6  # part of all lines in a box above which it is the frame of the page
 _UNDER, _OVER_BESIDE = 0.2, 0.5

@@ -12,7 +12,7 @@ over depth and distance from the axis, by cubic splines of each layer.
 """
 
 from collections.abc import Sequence
-from functools import cache
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -253,11 +253,11 @@ def _cubic(part: Array) -> tuple[Array, Array, Array, Array]:
     return first, 1 - first - third - last, third, last
 
 
-@cache
+@lru_cache(maxsize=8)
 def potential_table(
     radii_mm: tuple[float, float], layers: tuple[Layer, ...], farthest_mm: float, deepest_mm: float
 ) -> PotentialTable:
-    """Return the table of an electrode on layers that reaches as far as asked, kept in memory."""
+    """Return the table of an electrode on layers that reaches as far as asked; eight are kept."""
     # Threads would take three times the time, and might not give the same last digits.
     with threadpool_limits(limits=1, user_api="blas"):
         return PotentialTable(radii_mm, layers, farthest_mm, deepest_mm)

@@ -186,6 +186,20 @@ def test_a_board_whose_clock_is_behind_is_followed(pipeline, board, monkeypatch)
     assert tally.latency.total_us == tally.latency.largest_us > 0
 
 
+def test_own_work_in_a_send_is_no_wait_for_the_board(pipeline, board, monkeypatch):
+    clock, send = FakeClock(), board._send
+
+    def worked(sequence, times):
+        clock.time_ns += 5_000_000
+        return send(sequence, times)
+
+    monkeypatch.setattr(board, "_send", worked)
+    monkeypatch.setattr("time.thread_time_ns", lambda: clock.time_ns)
+    with board:
+        loop(Bars(20), pipeline, board, clock=clock)
+    assert np.diff(clock.deadlines).tolist() == [20_000_000] * 20
+
+
 def test_seconds_end_it(pipeline, board):
     stop, tally = StopRequest(), RunStatistics()
     with board:
