@@ -1,5 +1,6 @@
 """Text recognition of images by Tesseract, line by line."""
 
+import atexit
 import io
 import itertools
 import math
@@ -178,6 +179,13 @@ def _run(
         rows: queue.SimpleQueue[str] = queue.SimpleQueue()
         written = threading.Thread(target=_put_all, args=(running.stdout, rows), daemon=True)
         end = time.monotonic() + timeout_s
+
+        def end_it() -> None:
+            running.kill()
+            written.join()
+
+        # A program may end before its pages do, and no thread may be reading then.
+        atexit.register(end_it)
         try:
             written.start()
             while row := rows.get(timeout=max(0.0, end - time.monotonic())):
@@ -189,8 +197,8 @@ def _run(
                 about="tesseract",
             ) from None
         finally:
-            running.kill()
-            written.join()
+            atexit.unregister(end_it)
+            end_it()
             running.stdout.close()
             running.wait()
         said.seek(0)

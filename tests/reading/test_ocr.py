@@ -1,6 +1,8 @@
 """Text comes back from images, and each way that it can fail has its sentence."""
 
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import matplotlib
@@ -127,6 +129,19 @@ def test_lines_come_while_later_ones_are_recognized(program, spotted, tmp_path):
     assert next(lines).text == "first"
     (tmp_path / "arrived").touch()
     assert [line.text for line in lines] == ["second", "third"]
+
+
+def test_a_program_may_end_before_its_lines_do(program):
+    program("cat > /dev/null; head -3 TABLE; exec sleep 60", [row("one"), row("two", image=2)])
+    lines = [
+        "import numpy as np",
+        "from smarttouch.reading.ocr import recognize_lines",
+        "lines = recognize_lines([np.eye(40, 400, dtype=np.uint8)] * 3)",
+        "print(next(lines).text)",
+        "raise SystemExit(3)",
+    ]
+    done = subprocess.run([sys.executable, "-c", "\n".join(lines)], capture_output=True)
+    assert (done.returncode, done.stdout, done.stderr) == (3, b"one\n", b"")
 
 
 def test_an_image_too_wide_for_tesseract_is_shrunk(program, tmp_path):
