@@ -18,7 +18,6 @@ import matplotlib.pyplot as plt
 import smarttouch as st
 from smarttouch.lab import (
     About,
-    BootstrapOptions,
     ExperimentOptions,
     Shape,
     TrialTiming,
@@ -55,7 +54,7 @@ def sit(folder, standards_hz, repetitions):
 with tempfile.TemporaryDirectory() as folder:
     table = read_table(sit(folder, (30.0,), 8))
 model = usual_model(table.answers, Shape.NORMAL, None, None, None, 0.1)
-findings = [judge_answers(each, model, BootstrapOptions(100)) for each in table.answers]
+findings = [judge_answers(each, model) for each in table.answers]
 for found in findings:
     print(found.answers.standard, "Hz:", found.verdict or "has a threshold")
 

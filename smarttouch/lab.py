@@ -10,7 +10,6 @@ from smarttouch.experiments.fitting.answer_figures import (
 from smarttouch.experiments.fitting.answers import read_table as read_table
 from smarttouch.experiments.fitting.answers import usual_model as usual_model
 from smarttouch.experiments.fitting.findings import judge_answers as judge_answers
-from smarttouch.experiments.fitting.fit import BootstrapOptions as BootstrapOptions
 from smarttouch.experiments.fitting.psychometric import Shape as Shape
 from smarttouch.experiments.psychophysics.catalog import Design as Design
 from smarttouch.experiments.psychophysics.catalog import Experiment as Experiment

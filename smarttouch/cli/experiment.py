@@ -76,8 +76,6 @@ def fit(
             "0..1",
         ),
     ] = None,
-    samples: Annotated[int, option("Set the samples of the bootstrap.", "N", panel=MORE)] = 1000,
-    seed: Annotated[int, option("Set the seed of the bootstrap.", "N", panel=MORE)] = 0,
     plot: Annotated[Path | None, option("Draw shares and thresholds.", "PNG|PDF|SVG")] = None,
     json_file: JsonOption = None,
     quiet: QuietOption = False,
@@ -89,12 +87,11 @@ def fit(
     """
     from dataclasses import replace
 
-    from smarttouch.base.errors import ExperimentError, choice_of, require_within
+    from smarttouch.base.errors import choice_of
     from smarttouch.base.files import require_folder, write_json
     from smarttouch.experiments.fitting.answer_figures import discrimination_figure
     from smarttouch.experiments.fitting.answers import read_table, usual_model
     from smarttouch.experiments.fitting.findings import as_figures, judge_answers
-    from smarttouch.experiments.fitting.fit import BootstrapOptions
     from smarttouch.experiments.fitting.psychometric import Shape
     from smarttouch.views import figure_style
 
@@ -102,9 +99,6 @@ def fit(
     require_folder(plot)
     if plot is not None:
         figure_style.require_drawable(plot)
-    require_within(ExperimentError, "samples", samples, 100, 100_000)
-    require_within(ExperimentError, "seed", seed, 0, math.inf)
-    bootstrap = BootstrapOptions(samples, seed)
     shape, guessed = choice_of("function", function, Shape), _parse_guess(guess)
     found: list[tuple[AnswerTable, list[Finding]]] = []
     for path in files:
@@ -113,7 +107,7 @@ def fit(
             table = replace(table, name=str(path))
         axis = None if linear is None else not linear
         model = usual_model(table.answers, shape, guessed, axis, at, lapse)
-        found.append((table, [judge_answers(each, model, bootstrap) for each in table.answers]))
+        found.append((table, [judge_answers(each, model) for each in table.answers]))
     if not quiet:
         _print(found)
     if json_file is not None:

@@ -21,9 +21,7 @@ SUBJECTS = int(os.environ.get("SMARTTOUCH_SUBJECTS", "200"))
 def test_recovery(task, row, quick):
     subjects = 12 if quick else SUBJECTS
     for name in PROCEDURES:
-        found = recover(
-            task, name, subjects, covering=subjects // 2, samples=100 if quick else 1000
-        )
+        found = recover(task, name, subjects, covering=subjects // 2)
         row("Simulated subjects", {"task": task, "procedure": name} | found.cells)
         assert abs(found.fitted.mean()) < (0.2 if quick else 0.05)
         assert found.covered > (0.5 if quick else 0.85)

@@ -16,8 +16,6 @@ from smarttouch.experiments.psychophysics.procedures import ConstantStimuli, rat
 from ..experiments.psychophysics.simulated import Subject, answer_all
 from .conftest import says
 
-FAST = ("--samples", "100")
-
 
 @pytest.fixture
 def program(tmp_path, monkeypatch):
@@ -52,7 +50,7 @@ def session(path, thresholds, seed=0):
 def test_two_modes(program, tmp_path):
     session(tmp_path / "RA.csv", {30.0: 36.0, 75.0: None})
     session(tmp_path / "PC.csv", {30.0: 36.0, 75.0: 90.0})
-    said = program("RA.csv", "PC.csv", "--plot", "a.png", "--json", "a.json", *FAST)
+    said = program("RA.csv", "PC.csv", "--plot", "a.png", "--json", "a.json")
     lines = said.splitlines()
     assert lines[0] == "RA, Hz"
     assert lines[1].split() == [
@@ -76,13 +74,6 @@ def test_two_modes(program, tmp_path):
     assert float(row[2]) == pytest.approx(good["threshold"]["value"], rel=0.01)
 
 
-def test_the_same_again(program, tmp_path):
-    session(tmp_path / "RA.csv", {30.0: 36.0})
-    assert program("RA.csv", *FAST) == program("RA.csv", *FAST)
-    assert program("RA.csv", *FAST) != program("RA.csv", *FAST, "--seed", 5)
-    assert program("RA.csv", *FAST, "--quiet") == ""
-
-
 def test_others_answers(program, tmp_path):
     """Detection of somebody else's: no standard, columns with names of their own."""
     random = np.random.default_rng(2)
@@ -95,7 +86,7 @@ def test_others_answers(program, tmp_path):
     (tmp_path / "a.csv").write_text("\n".join(["mA;ok", *felt]))
 
     def fitted(options):
-        program(*f"a.csv --x mA --y ok --json a.json {options}".split(), *FAST)
+        program(*f"a.csv --x mA --y ok --json a.json {options}".split())
         (found,) = json.loads((tmp_path / "a.json").read_text())["a"]
         return found
 
@@ -122,8 +113,6 @@ def test_others_answers(program, tmp_path):
     ("a.csv --guess 1", says(ExperimentError, "guess", " 1 ")),
     ("a.csv --function cubic",
      says(about="function", value="cubic", allowed=("normal", "logistic", "weibull"))),
-    ("a.csv --samples 3", says(ExperimentError, about="samples", value=3, allowed=(100, 100_000))),
-    ("a.csv --seed -1", says(ExperimentError, about="seed", value=-1, allowed=0)),
     ("a.csv --function weibull --linear", says(ExperimentError, "Weibull", "normal", "logistic")),
     ("a.csv --plot a.doc", says(SmartTouchError, "a.doc", "*.png")),
     ("a.csv --plot none/a.png", says(about="file", value=Path("none/a.png"))),
@@ -139,7 +128,7 @@ def test_files_of_the_same_name(program, tmp_path):
     for folder in ("p1", "p2"):
         (tmp_path / folder).mkdir()
         session(tmp_path / folder / "RA.csv", {30.0: 36.0})
-    said = program("p1/RA.csv", "p2/RA.csv", "--json", "a.json", *FAST)
+    said = program("p1/RA.csv", "p2/RA.csv", "--json", "a.json")
     assert list(json.loads((tmp_path / "a.json").read_text())) == ["p1/RA.csv", "p2/RA.csv"]
     assert [line for line in said.splitlines() if "RA.csv" in line] == [
         "p1/RA.csv, Hz",

@@ -9,14 +9,7 @@ from typing import Any
 import numpy as np
 
 from smarttouch.experiments.fitting.answers import Answers, Array, Counts, usual_model
-from smarttouch.experiments.fitting.fit import (
-    BootstrapOptions,
-    Bounded,
-    Fit,
-    Uncertainty,
-    fit,
-    how_sure,
-)
+from smarttouch.experiments.fitting.fit import Bounded, Fit, fit
 from smarttouch.experiments.fitting.psychometric import Estimate, Model
 
 FEWEST_ANSWERS = 15
@@ -26,10 +19,9 @@ SAME_INTERVAL = 0.95
 """Share of answers for the same interval above which answers do not depend on the stimulus."""
 FLAT = 0.02  # significance level of the test against answers independent of the comparison
 POOR = 0.01
-"""Share of replicas that fit no better than the answers, below which the fit is called poor."""
+"""Goodness of fit below which it is called poor."""
 _FALLING = -2.58  # trend, in standard deviations, of falling answers: one in two hundred by chance
 _CURVE_POINTS = 301
-_SAMPLES = 200  # replicas of a bootstrap that only estimates a standard deviation
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +30,6 @@ class Finding:
 
     answers: Answers
     model: Model
-    how: BootstrapOptions
     fit: Fit | None  # none where there is no function to speak of
     verdict: str | None = None  # why no threshold can be reported, in one sentence; None if one can
     # the same for programs: "unanswered", "too few", "one interval", "always", "never", "one
@@ -70,11 +61,6 @@ class Finding:
         x = x[np.isfinite(x)]
         stimulus = self.model.stimulus(np.linspace(x[0], x[-1], _CURVE_POINTS))
         return np.stack([stimulus, self.fit(stimulus)])
-
-    @cached_property
-    def sureness(self) -> Uncertainty | None:
-        """Uncertainty of the fit; None without a fit."""
-        return None if self.fit is None else how_sure(self.fit, self.how)
 
     @cached_property
     def threshold(self) -> Bounded | None:
@@ -109,22 +95,18 @@ class Finding:
 
     @property
     def goodness(self) -> float | None:
-        """Share of replicas that fit no better, 0 to 1; None where it is not informative."""
-        return None if self.verdict or self.sureness is None else self.sureness.goodness
+        """Goodness of fit, 0 to 1, see `Fit`; None where it is not informative."""
+        return None if self.verdict or self.fit is None else self.fit.goodness
 
     @property
     def notes(self) -> list[str]:
         """Warnings about a threshold that is reported."""
-        if self.verdict or self.fit is None or self.sureness is None or self.threshold is None:
+        if self.verdict or self.fit is None or self.threshold is None:
             return []
         notes = []
-        if self.sureness.sudden:
-            notes.append(
-                f"answers change too suddenly around {self.fit.at(0.5):.4g} to determine the "
-                "slope: the interval is that of the posterior"
-            )
-        elif self.sureness.sparse:
-            notes.append("few answers at some comparisons: the interval is that of the posterior")
+        if self.fit.sudden:
+            around = self.fit.at(0.5)
+            notes.append(f"answers change too suddenly around {around:.4g} to determine the slope")
         lowest, highest = self.answers.comparison.min(), self.answers.comparison.max()
         if self.threshold.low < lowest or self.threshold.high > highest:
             notes.append(
@@ -138,7 +120,7 @@ class Finding:
         return notes
 
     def _at(self, part: float) -> Bounded | None:
-        return None if self.verdict or self.sureness is None else self.sureness.at(part)
+        return None if self.verdict or self.fit is None else self.fit.bounded(part)
 
     def _relative(self, found: Bounded | None) -> Bounded | None:
         standard = self.answers.standard
@@ -147,12 +129,11 @@ class Finding:
         return Bounded(*(each / standard - 1 for each in found))
 
 
-def judge_answers(answers: Answers, model: Model, how: BootstrapOptions | None = None) -> Finding:
+def judge_answers(answers: Answers, model: Model) -> Finding:
     """Fit the answers to one standard, or give the reason why not."""
-    how = how or BootstrapOptions()
 
     def none(reason: str, why: str, beyond: int = 0, found: Fit | None = None) -> Finding:
-        return Finding(answers, model, how, found, why, reason, beyond)
+        return Finding(answers, model, found, why, reason, beyond)
 
     unusable = _unusable(answers)
     if unusable:
@@ -191,12 +172,12 @@ def judge_answers(answers: Answers, model: Model, how: BootstrapOptions | None =
         end = f"above {high:.4g}" if beyond > 0 else f"below {low:.4g}"
         why = f"{model.share:.0%} is not within the range tested: the threshold lies {end}"
         return none("outside", why, beyond, found)
-    return Finding(answers, model, how, found)
+    return Finding(answers, model, found)
 
 
 def estimate(answers: Answers) -> Estimate | None:
     """Return threshold and spread of the answers to one standard; None if there is none."""
-    found = judge_answers(answers, usual_model([answers]), BootstrapOptions(samples=_SAMPLES))
+    found = judge_answers(answers, usual_model([answers]))
     if found.threshold is None:
         return None
     value, low, high = found.threshold
@@ -234,7 +215,7 @@ def _chance_of_flat(found: Fit, share: float) -> float:
     """
     n, k = found.counts.n, found.counts.k
     constant = float(k.sum() * math.log(share) + (n - k).sum() * math.log1p(-share))
-    return math.exp(min(0.0, constant - float(found.best.log_likelihood[0])))
+    return math.exp(min(0.0, constant - float(found.log_likelihood)))
 
 
 def _guessing(answers: Answers, model: Model) -> float:

@@ -1,8 +1,10 @@
-"""Fit of one psychometric function, with bootstrap or credible intervals.
+"""Fit of one psychometric function by maximum likelihood, with credible intervals.
 
-Resampling cannot know how steep a function is that changes between two comparisons, and finds what
-adaptive procedures leave behind steeper than it is. Weighing every function by its likelihood can
-(as Kuss, Jäkel and Wichmann, Journal of Vision 5(5):8, 2005, do with chains instead of a grid).
+A grid of functions serves both: climbs begin at its best points, and all of it, weighed by the
+likelihood, gives the intervals (as Kuss, Jäkel and Wichmann, Journal of Vision 5(5):8, 2005, do
+with chains). Resampling cannot know how steep a function is that changes between two comparisons,
+and finds what adaptive procedures leave behind steeper than it is. No randomness: the same data
+give the same fit.
 """
 
 from dataclasses import dataclass
@@ -14,119 +16,21 @@ from smarttouch.experiments.fitting.answers import Counts
 from smarttouch.experiments.fitting.psychometric import (
     MOST_GUESSES,
     Array,
-    Maximum,
     Model,
     Parameters,
-    bounds_of,
-    maximize,
+    log_likelihood,
     saturated,
 )
 
-SAMPLES = 1000
 CONFIDENCE = 0.95
-_REPLICA_STARTS = 2
-
-
-class Bounded(NamedTuple):
-    """A figure and its confidence interval; an end that is not determined is infinite."""
-
-    value: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True, eq=False)
-class Replicas:
-    """Fits of resampled answers."""
-
-    parameters: Parameters  # (S,) each
-    deviance: Array  # (S,)
-
-
-def resample(
-    model: Model, counts: Counts, best: Maximum, samples: int, seed: int, parametric: bool = True
-) -> Replicas:
-    """Fit answers resampled at the same comparisons, `best` being the fit of the answers
-    themselves.
-
-    Parametric answers are drawn from that fit, others are whole trials drawn from the trials (Efron
-    and Tibshirani, *An Introduction to the Bootstrap*, 1993, chapter 6).
-    """
-    random = np.random.default_rng([seed, samples])
-    x = model.axis(counts.stimulus)
-    if parametric:
-        likely = model.probability(x, best.parameters)[0]
-        n = np.tile(counts.n, (samples, 1))
-        k = random.binomial(counts.n.astype(int), likely, (samples, len(x))).astype(np.float64)
-    else:
-        cells = np.concatenate([counts.k, counts.n - counts.k])
-        total = int(cells.sum())
-        drawn = random.multinomial(total, cells / total, samples).astype(np.float64)
-        k, missed = drawn[:, : len(x)], drawn[:, len(x) :]
-        n = k + missed
-    found = maximize(model, x, n, k, starts=_REPLICA_STARTS)
-    return Replicas(found.parameters, 2 * (saturated(n, k) - found.log_likelihood))
-
-
-def percentiles(replicas: Array, confidence: float) -> tuple[float, float]:
-    """Return the percentile interval (Efron and Tibshirani 1993, Eq. 13.5)."""
-    low, high = np.quantile(replicas, [(1 - confidence) / 2, (1 + confidence) / 2])
-    return float(low), float(high)
-
-
 _PLACES, _SPREADS, _LAPSES, _GUESSES = 301, 16, 5, 6
 _NARROWEST, _WIDEST = 1 / 20, 2.0
 """Spreads, in spans of the comparisons; alike in logarithms, all equally likely (our own choice,
 by which intervals of simulated subjects hold 92 to 95 % of thresholds)."""
 _EDGE = 0.05
 """Part of a span: an interval that ends closer than this to the edge of the grid is unbounded."""
-
-
-def credible_interval(
-    model: Model, counts: Counts, level: float, confidence: float
-) -> tuple[float, float]:
-    """Return the credible interval of the place on the axis at which F reaches a level.
-
-    Beforehand all places up to a span beyond the comparisons (at least two), all logarithms of
-    spreads, all lapses and, if they are free, all guesses are equally likely. An end beyond the
-    grid is infinite.
-    """
-    x = model.axis(counts.stimulus)
-    within = bounds_of(model, x)
-    low, high = float(within.low[0]), float(within.high[0])
-    span = (high - low) / 3
-    places = np.linspace(low, high, _PLACES)
-    spreads = span * np.geomspace(_NARROWEST, _WIDEST, _SPREADS)
-    lapses = np.linspace(0, model.most_lapses, _LAPSES)
-    guesses = np.linspace(0, MOST_GUESSES, _GUESSES) if model.guess == "free" else np.zeros(1)
-    grid = np.meshgrid(places, np.log(spreads), lapses, guesses, indexing="ij")
-    place, log_spread, lapse, guess = (each.ravel() for each in grid)
-    if model.guess == "equal":
-        guess = lapse
-    elif not isinstance(model.guess, str):
-        guess = np.full_like(lapse, model.guess)
-    # The place is that of the level: the model's own threshold lies beside it.
-    aside = model.shape.inverse(model.level) - model.shape.inverse(level)
-    threshold = place + aside * np.exp(log_spread)
-    weight = _weigh(model, x, counts, Parameters(threshold, log_spread, lapse, guess))
-    share = np.cumsum(weight.reshape(_PLACES, -1).sum(axis=1))
-    ends = np.interp([(1 - confidence) / 2, (1 + confidence) / 2], share / share[-1], places)
-    return (
-        float(ends[0]) if ends[0] > low + _EDGE * span else -np.inf,
-        float(ends[1]) if ends[1] < high - _EDGE * span else np.inf,
-    )
-
-
-def _weigh(model: Model, x: Array, counts: Counts, parameters: Parameters) -> Array:
-    """Return the likelihood of each function, (G,), relative to the largest."""
-    likely = np.clip(model.probability(x, parameters), 1e-9, 1 - 1e-9)
-    value = np.log(likely) @ counts.k + np.log1p(-likely) @ (counts.n - counts.k)
-    return np.asarray(np.exp(value - value.max()))
-
-
-_STARTS = 20
-_SUDDEN_SHARE = 0.05
-"""Share of step-like replicas above which the replicas are too narrow for an interval."""
+_STEEPEST, _FLATTEST = 1 / 300, 10.0  # bounds of the fitted spread, in spans of the stimuli
+_STARTS, _COARSE = 4, 6  # climbs, and the part of the places where they may begin
 _CHANGING = (0.02, 0.98)
 _FEWEST_CHANGING = 2
 """Comparisons with F between its ends; with fewer, its steepness is not determined."""
@@ -135,15 +39,12 @@ _BY_LEVEL = 4
 deviance is uninformative (McCullagh and Nelder, *Generalized Linear Models*, 1989, sec. 4.4.5)."""
 
 
-@dataclass(frozen=True)
-class BootstrapOptions:
-    """Settings of the confidence intervals."""
+class Bounded(NamedTuple):
+    """A figure and its credible interval; an end that is not determined is infinite."""
 
-    # samples, seed: of the bootstrap
-    samples: int = SAMPLES
-    seed: int = 0
-    parametric: bool = True  # whether replicas are drawn from the fit, or from the trials
-    confidence: float = CONFIDENCE
+    value: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +53,8 @@ class Fit:
 
     model: Model
     counts: Counts  # answers it was fitted to
-    best: Maximum  # the one function, B = 1
+    parameters: Parameters  # of the one function, (1,) each
+    log_likelihood: float  # without the binomial coefficients
 
     @property
     def threshold(self) -> float:
@@ -162,7 +64,7 @@ class Fit:
     @property
     def spread(self) -> float:
         """Standard deviation of a normal F, on the model's axis."""
-        return float(np.exp(self.best.parameters.log_spread[0]))
+        return float(np.exp(self.parameters.log_spread[0]))
 
     @property
     def slope(self) -> float:
@@ -172,99 +74,137 @@ class Fit:
     @property
     def lapse(self) -> float:
         """Upper asymptote, from 1."""
-        return float(self.best.parameters.lapse[0])
+        return float(self.parameters.lapse[0])
 
     @property
     def guess(self) -> float:
         """Lower asymptote."""
-        return float(self.best.parameters.guess[0])
+        return float(self.parameters.guess[0])
 
     @property
     def deviance(self) -> float:
         """Deviance: twice the log likelihood lost against the observed shares."""
-        lost = saturated(self.counts.n, self.counts.k) - self.best.log_likelihood[0]
-        return float(2 * lost)
+        return float(2 * (saturated(self.counts.n, self.counts.k) - self.log_likelihood))
 
     @property
     def sudden(self) -> bool:
-        """Whether answers change too suddenly to determine the steepness."""
-        return _sudden(self.model, self.counts, self.best.parameters) > 0
+        """Whether it rises within about one step of the comparisons: no answer says how steeply."""
+        bare = self.parameters._replace(lapse=np.zeros(1), guess=np.zeros(1))
+        rise = self.model.probability(self.model.axis(self.counts.stimulus), bare)
+        return int(((rise > _CHANGING[0]) & (rise < _CHANGING[1])).sum()) < _FEWEST_CHANGING
+
+    @property
+    def goodness(self) -> float | None:
+        """Chance that answers of this very function fit no better; None where that says nothing.
+
+        The deviance is chi squared, with as many degrees of freedom as there are comparisons
+        beyond the parameters.
+        """
+        from scipy.special import chdtrc
+
+        free = len(self.counts.n) - (4 if self.model.guess == "free" else 3)
+        if free < 1 or self.counts.n.min() < _BY_LEVEL:
+            return None
+        return float(chdtrc(free, max(0.0, self.deviance)))
 
     def at(self, part: float) -> float:
         """Return the stimulus at which F equals the given part of 1."""
-        return float(self.model.stimulus(self.model.place(part, self.best.parameters)[0]))
+        return float(self.model.stimulus(self.model.place(part, self.parameters)[0]))
+
+    def bounded(self, part: float) -> Bounded:
+        """Return the stimulus at which F equals the given part of 1, and its interval."""
+        ends = credible_interval(self.model, self.counts, part)
+        return Bounded(self.at(part), *map(float, self.model.stimulus(ends)))
 
     def __call__(self, stimulus: Array) -> Array:
         """Return the predicted shares at stimuli, (K,)."""
-        x = self.model.axis(stimulus)
-        return np.asarray(self.model.probability(x, self.best.parameters)[0])
+        return np.asarray(self.model.probability(self.model.axis(stimulus), self.parameters)[0])
 
 
 def fit(counts: Counts, model: Model) -> Fit:
     """Fit one function by maximum likelihood to answers at two comparisons or more."""
+    from scipy.optimize import minimize
+
     x = model.axis(counts.stimulus)
-    return Fit(model, counts, maximize(model, x, counts.n, counts.k, starts=_STARTS))
+    places = _places(x)
+    low, high = float(places[0]), float(places[-1])
+    log_span = np.log((high - low) / 3)
+    bounds = [
+        (low, high),
+        (log_span + np.log(_STEEPEST), log_span + np.log(_FLATTEST)),
+        (0.0, model.most_lapses),
+        (0.0, MOST_GUESSES) if model.guess == "free" else (_known_guess(model),) * 2,
+    ]
+
+    def parameters(values: Array) -> Parameters:
+        threshold, log_spread, lapse, guess = values[:, None]
+        return Parameters(threshold, log_spread, lapse, lapse if model.guess == "equal" else guess)
+
+    def lost(values: Array) -> tuple[float, Array]:
+        likely, slopes = model.slopes(x, parameters(values))
+        likely = np.clip(likely[0], 1e-9, 1 - 1e-9)
+        steep = slopes[0] @ ((counts.k - counts.n * likely) / (likely * (1 - likely)))
+        return -float(log_likelihood(likely, counts.n, counts.k)), -steep
+
+    # Climbs from the best functions of the most likely spreads.
+    coarse = places[::_COARSE]
+    grid = _grid(model, coarse, model.level, _NARROWEST / 5)
+    value = log_likelihood(model.probability(x, grid), counts.n, counts.k)
+    by_spread = value.reshape(len(coarse), _SPREADS, -1).swapaxes(0, 1).reshape(_SPREADS, -1)
+    table = np.reshape(grid, (4, len(coarse), _SPREADS, -1)).swapaxes(1, 2)
+    likely = by_spread.max(axis=1).argsort()[-_STARTS:]
+    starts = table.reshape(4, _SPREADS, -1)[:, likely, by_spread[likely].argmax(axis=1)].T
+    exact = {"ftol": 1e-12, "gtol": 1e-7}
+    found = [
+        minimize(lost, start, jac=True, method="L-BFGS-B", bounds=bounds, options=exact)
+        for start in starts
+    ]
+    best = min(found, key=lambda each: float(each.fun))
+    return Fit(model, counts, parameters(best.x), -float(best.fun))
 
 
-@dataclass(frozen=True, eq=False)
-class Uncertainty:
-    """Uncertainty of a fit."""
+def credible_interval(
+    model: Model, counts: Counts, level: float, confidence: float = CONFIDENCE
+) -> tuple[float, float]:
+    """Return the credible interval of the place on the axis at which F reaches a level.
 
-    fit: Fit
-    how: BootstrapOptions
-    replicas: Replicas
-
-    @property
-    def sparse(self) -> bool:
-        """Whether some comparison has few answers, as in adaptive procedures.
-
-        Fits to such answers are too steep, and what is drawn from them varies too little: in
-        simulations 95 % intervals of the bootstrap held 70 % of thresholds.
-        """
-        return bool(self.fit.counts.n.min() < _BY_LEVEL)
-
-    @property
-    def sudden(self) -> bool:
-        """Whether fit or replicas change too suddenly to determine the steepness."""
-        share = _sudden(self.fit.model, self.fit.counts, self.replicas.parameters)
-        return self.fit.sudden or share > _SUDDEN_SHARE
-
-    @property
-    def by_posterior(self) -> bool:
-        """Whether intervals come from the posterior instead of from replicas."""
-        return self.sparse or self.sudden
-
-    @property
-    def goodness(self) -> float | None:
-        """Share of replicas that fit no better; None where the deviance is not informative.
-
-        Wichmann and Hill (2001), section on goodness of fit.
-        """
-        if not self.how.parametric or self.sparse:
-            return None
-        # Rounding must not make two that are the same differ.
-        return float((self.replicas.deviance >= self.fit.deviance - 1e-6).mean())
-
-    def at(self, part: float) -> Bounded:
-        """Return the stimulus at which F equals the given part of 1, and its interval."""
-        model = self.fit.model
-        if self.by_posterior:
-            low, high = credible_interval(model, self.fit.counts, part, self.how.confidence)
-        else:
-            places = model.place(part, self.replicas.parameters)
-            low, high = percentiles(places, self.how.confidence)
-        return Bounded(self.fit.at(part), *map(float, model.stimulus([low, high])))
+    Beforehand all places up to a span beyond the comparisons (at least two), all logarithms of
+    spreads, all lapses and, if they are free, all guesses are equally likely. An end beyond the
+    grid is infinite.
+    """
+    x = model.axis(counts.stimulus)
+    places = _places(x)
+    value = log_likelihood(model.probability(x, _grid(model, places, level)), counts.n, counts.k)
+    share = np.cumsum(np.exp(value - value.max()).reshape(_PLACES, -1).sum(axis=1))
+    ends = np.interp([(1 - confidence) / 2, (1 + confidence) / 2], share / share[-1], places)
+    edge = _EDGE * (places[-1] - places[0]) / 3
+    return (
+        float(ends[0]) if ends[0] > places[0] + edge else -np.inf,
+        float(ends[1]) if ends[1] < places[-1] - edge else np.inf,
+    )
 
 
-def how_sure(found: Fit, how: BootstrapOptions) -> Uncertainty:
-    """Compute the replicas of a fit."""
-    drawn = resample(found.model, found.counts, found.best, how.samples, how.seed, how.parametric)
-    return Uncertainty(found, how, drawn)
+def _places(x: Array) -> Array:
+    """Return the places of the grid: up to a span beyond the stimuli."""
+    finite = x[np.isfinite(x)]
+    low, high = float(finite.min()), float(finite.max())
+    span = (high - low) or 1.0
+    return np.linspace(low - span, high + span, _PLACES)
 
 
-def _sudden(model: Model, counts: Counts, parameters: Parameters) -> float:
-    """Return the share of functions that rise within about one step of the comparisons."""
-    bare = parameters._replace(lapse=np.zeros_like(parameters.lapse), guess=np.zeros(1))
-    rise = model.probability(model.axis(counts.stimulus), bare)
-    changing = (rise > _CHANGING[0]) & (rise < _CHANGING[1])
-    return float((changing.sum(axis=1) < _FEWEST_CHANGING).mean())
+def _grid(model: Model, places: Array, level: float, narrowest: float = _NARROWEST) -> Parameters:
+    """Return functions, (G,), that reach a level at places, with every spread, lapse and guess."""
+    spreads = (places[-1] - places[0]) / 3 * np.geomspace(narrowest, _WIDEST, _SPREADS)
+    lapses = np.linspace(0, model.most_lapses, _LAPSES)
+    free = model.guess == "free"
+    guesses = np.linspace(0, MOST_GUESSES, _GUESSES) if free else [_known_guess(model)]
+    grid = np.meshgrid(places, np.log(spreads), lapses, guesses, indexing="ij")
+    place, log_spread, lapse, guess = (each.ravel() for each in grid)
+    # The place is that of the level: the model's own threshold lies beside it.
+    aside = model.shape.inverse(model.level) - model.shape.inverse(level)
+    threshold = place + aside * np.exp(log_spread)
+    return Parameters(threshold, log_spread, lapse, lapse if model.guess == "equal" else guess)
+
+
+def _known_guess(model: Model) -> float:
+    return 0.0 if isinstance(model.guess, str) else model.guess

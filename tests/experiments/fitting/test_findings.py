@@ -9,13 +9,11 @@ from hypothesis import strategies as st
 
 from smarttouch.experiments.fitting.answers import Answers, usual_model
 from smarttouch.experiments.fitting.findings import POOR, estimate, judge_answers
-from smarttouch.experiments.fitting.fit import BootstrapOptions
 from smarttouch.experiments.fitting.psychometric import Model, Shape
 from smarttouch.experiments.psychophysics.procedures import ConstantStimuli, ratio_pairs
 
 from ..psychophysics.simulated import Subject, answer_all, as_answers, of_counts
 
-HOW = BootstrapOptions(samples=120)
 RATIO = 2 ** (np.arange(-9, 10, 2) / 9)
 
 
@@ -34,7 +32,7 @@ def numbers(sentence):
 
 
 def verdict(answers):
-    found = judge_answers(answers, usual_model([answers]), HOW)
+    found = judge_answers(answers, usual_model([answers]))
     assert found.verdict
     assert found.reason
     assert found.threshold is found.weber is found.middle is found.lower is None
@@ -45,7 +43,7 @@ def verdict(answers):
 def test_a_good_subject():
     subject = Subject(36.0, 0.25)
     answers = answer_all(ConstantStimuli(ratio_pairs([30.0]), 30), subject.probability, 3)
-    found = judge_answers(answers, usual_model([answers]), HOW)
+    found = judge_answers(answers, usual_model([answers]))
     assert (found.verdict, found.reason) == (None, "")
     assert found.threshold.low < 36 < found.threshold.high
     assert found.weber.value == pytest.approx(found.threshold.value / 30 - 1)
@@ -114,13 +112,13 @@ def test_beyond_the_range():
 
 def test_separated_answers_are_reported():
     sharp = session(lambda each, n: each.comparison > 30)
-    found = judge_answers(sharp, usual_model([sharp]), HOW)
+    found = judge_answers(sharp, usual_model([sharp]))
     assert found.verdict is None
     low, high = ratio_pairs([30.0])[4][1], ratio_pairs([30.0])[5][1]
     assert found.threshold.high - found.threshold.low > 0.6 * (high - low)
     # All curves with their middle between the two fit alike.
     assert low < found.fit.at(0.5) < high
-    assert found.sureness.sudden
+    assert found.fit.sudden
     assert f"{found.fit.at(0.5):.4g}" in found.notes[0]
 
 
@@ -128,25 +126,25 @@ def test_one_sided_and_of_two_intervals_are_tested_against_guessing():
     """Adaptive answers keep close to 75 %, and yet are no guesses."""
     stimulus = [32.0, 33, 34, 35, 36]
     share = of_counts(stimulus, [12] * 5, [8, 9, 9, 9, 10], standard=30.0)
-    assert judge_answers(share, usual_model([share]), HOW).verdict is None
+    assert judge_answers(share, usual_model([share])).verdict is None
     guessed = of_counts(stimulus, [12] * 5, [6, 5, 7, 6, 7], standard=30.0)
     assert verdict(guessed).reason == "flat"
     right = of_counts(stimulus, [12] * 5, [8, 9, 9, 9, 10], alternatives=2)
-    assert judge_answers(right, usual_model([right]), HOW).verdict is None
+    assert judge_answers(right, usual_model([right])).verdict is None
     felt = of_counts(stimulus, [12] * 5, [8, 9, 9, 9, 10])
     assert verdict(felt).reason == "flat"
 
 
 def test_an_interval_beyond_the_range_is_reported():
     answers = of_counts(30 * RATIO, [10] * 10, [2, 3, 2, 4, 3, 6, 5, 6, 7, 8], standard=30.0)
-    found = judge_answers(answers, usual_model([answers]), HOW)
+    found = judge_answers(answers, usual_model([answers]))
     assert found.threshold.high > 60
     assert any(numbers(each) == [15, 60] for each in found.notes)
 
 
 def test_a_poor_fit_is_reported():
     answers = of_counts(30 * RATIO, [20] * 10, [0, 9, 0, 9, 1, 19, 8, 20, 9, 20], standard=30.0)
-    found = judge_answers(answers, usual_model([answers]), HOW)
+    found = judge_answers(answers, usual_model([answers]))
     assert found.goodness < POOR
     assert any(f"{found.fit.deviance:.1f}" in each for each in found.notes)
 
@@ -170,9 +168,7 @@ def test_nothing_crashes_it(trials, standard, guess):
     answers = Answers(standard, comparison, success, interval.astype(np.int64))
     if not comparison.any():
         answers = Answers(standard, comparison + 1, success, interval.astype(np.int64))
-    found = judge_answers(
-        answers, usual_model([answers], guess=guess), BootstrapOptions(samples=20)
-    )
+    found = judge_answers(answers, usual_model([answers], guess=guess))
     assert (found.verdict is None) == (found.threshold is not None) == (not found.reason)
     if found.threshold is not None:
         assert found.threshold.low <= found.threshold.high

@@ -7,25 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import minimize
+from scipy.optimize import differential_evolution
+from scipy.stats import chi2
 
 from smarttouch.base.errors import ExperimentError
 from smarttouch.experiments.fitting.answers import Counts
-from smarttouch.experiments.fitting.fit import (
-    BootstrapOptions,
-    credible_interval,
-    fit,
-    how_sure,
-    percentiles,
-)
-from smarttouch.experiments.fitting.psychometric import (
-    Model,
-    Parameters,
-    Shape,
-    bounds_of,
-    log_likelihood,
-    maximize,
-)
+from smarttouch.experiments.fitting.fit import credible_interval, fit
+from smarttouch.experiments.fitting.psychometric import Model, Parameters, Shape, log_likelihood
 
 from ...raising import raises
 from ..psychophysics.simulated import Subject
@@ -66,7 +54,7 @@ def test_any_data_give_a_rising_function_between_0_and_1(counts, model):
 def test_unit_is_of_no_account_on_a_logarithmic_axis(counts, factor):
     one = fit(counts, Model())
     other = fit(counts._replace(stimulus=counts.stimulus * factor), Model())
-    assert other.best.log_likelihood == pytest.approx(one.best.log_likelihood, abs=1e-5)
+    assert other.log_likelihood == pytest.approx(one.log_likelihood, abs=1e-5)
     x = counts.stimulus
     assert other(x * factor) == pytest.approx(one(x), abs=2e-3)
 
@@ -87,12 +75,9 @@ def test_deviance_by_hand():
     """A curve that can only be flat at a half, against 8 of 10 twice: 4 (8 ln 1.6 + 2 ln 0.4)."""
     model = Model(guess=0.5, logarithmic=False, most_lapses=0.1)
     found = fit(counts_of([1, 2], [10, 10], [8, 2]), model)
-    n = np.array([10.0, 10.0])
-    k = np.array([8.0, 2.0])
-    best = log_likelihood(model, np.array([1.0, 2.0]), n, k, found.best.parameters)[0]
     whole = 2 * (8 * math.log(0.8) + 2 * math.log(0.2))
-    assert found.deviance == pytest.approx(2 * (whole - best))
-    assert best == pytest.approx(20 * math.log(0.5), abs=0.01)
+    assert found.deviance == pytest.approx(2 * (whole - found.log_likelihood))
+    assert found.log_likelihood == pytest.approx(20 * math.log(0.5), abs=0.01)
 
 
 @pytest.mark.parametrize("shape", Shape)
@@ -164,30 +149,21 @@ def test_nothing_at_all_is_guessed():
 
 
 @pytest.mark.parametrize("model", [Model(), Model(guess=0.5), Model(Shape.LOGISTIC, guess="free")])
-def test_no_general_optimizer_finds_better(model):
-    """scipy's L-BFGS-B from many starts, on the same likelihood."""
+def test_no_other_function_is_more_likely(model):
+    """Against scipy's search by differential evolution, which needs neither start nor slope."""
     random = np.random.default_rng(3)
-    x = np.log(30 * 2 ** (np.arange(-9, 10, 2) / 9))
-    n = np.full((4, 10), 10.0)
-    k = random.binomial(10, Subject(35.0, 0.3, lapse=0.02).probability(np.exp(x)), (4, 10))
-    found = maximize(model, x, n, k, starts=20)
-    bounds = bounds_of(model, x)
+    stimulus = 30 * 2 ** (np.arange(-9, 10, 2) / 9)
+    x, n = np.log(stimulus), np.full(10, 10.0)
+    k = random.binomial(10, Subject(35.0, 0.3, lapse=0.02).probability(stimulus)).astype(float)
 
-    def parameters(values):
+    def lost(values):
         guess = {"equal": values[2], "free": values[3]}.get(model.guess, model.guess)
-        return Parameters(*(np.atleast_1d(each) for each in (*values[:3], guess)))
+        shares = model.probability(x, Parameters(*np.reshape([*values[:3], guess], (4, 1))))
+        return -log_likelihood(shares[0], n, k)
 
-    def lost(values, row):
-        return -log_likelihood(model, x, n[row], k[row], parameters(values))[0]
-
-    limits = [*list(zip(bounds.low, bounds.high, strict=True))[:3], (0, 0.5)]
-    for row, best in enumerate(found.log_likelihood):
-        others = [
-            minimize(lost, [start, spread, 0.02, 0.1], (row,), "L-BFGS-B", bounds=limits).fun
-            for start in (x[3], x[6])
-            for spread in (-2.0, -1.0)
-        ]
-        assert best >= -min(others) - 1e-5
+    bounds = [(x[0], x[-1]), (-4, 2), (0, model.most_lapses), (0, 0.5)]
+    other = differential_evolution(lost, bounds, seed=1, tol=1e-8)
+    assert fit(Counts(stimulus, n, k), model).log_likelihood >= -other.fun - 1e-5
 
 
 @pytest.mark.parametrize("shape", Shape)
@@ -203,55 +179,38 @@ def test_large_samples_give_the_truth(shape):
     assert found.lapse == pytest.approx(0.03, abs=1e-4)
 
 
-def wide(counts, model=None, **how):
-    return how_sure(fit(counts, model or Model()), BootstrapOptions(**how))
-
-
-def test_intervals_are_the_seeds_and_shrink_with_trials():
+def test_intervals_shrink_with_trials():
     stimulus = 30 * 2 ** (np.arange(-9, 10, 2) / 9)
     share = Subject(36.0, 0.25).probability(stimulus)
-    few = counts_of(stimulus, np.full(10, 10), np.round(10 * share))
-    many = counts_of(stimulus, np.full(10, 160), np.round(160 * share))
-    for parametric in (True, False):
-        one = wide(few, samples=400, seed=1, parametric=parametric).at(0.75)
-        assert one == wide(few, samples=400, seed=1, parametric=parametric).at(0.75)
-        assert one != wide(few, samples=400, seed=2, parametric=parametric).at(0.75)
-        assert one.low < one.value < one.high
-        large = wide(many, samples=400, parametric=parametric).at(0.75)
-        # Sixteen times the trials, a quarter of the interval.
-        assert 3 < (one.high - one.low) / (large.high - large.low) < 5.5
+    few, many = (
+        fit(counts_of(stimulus, np.full(10, n), np.round(n * share)), Model()).bounded(0.75)
+        for n in (10, 160)
+    )
+    assert few.low < few.value < few.high
+    # Sixteen times the trials, a quarter of the interval.
+    assert 3 < (few.high - few.low) / (many.high - many.low) < 5.5
 
 
 def test_separated_answers_have_most_of_the_gap_for_an_interval():
-    counts = counts_of([20, 25, 30, 40, 50], [10] * 5, [0, 0, 0, 10, 10])
-    sure = wide(counts, samples=200)
-    assert sure.sudden
-    assert sure.by_posterior
+    found = fit(counts_of([20, 25, 30, 40, 50], [10] * 5, [0, 0, 0, 10, 10]), Model())
+    assert found.sudden
     for part in (0.75, 0.5):
-        found = sure.at(part)
-        assert 25 < found.low < 33
-        assert 37 < found.high < 45
+        at = found.bounded(part)
+        assert 25 < at.low < 33
+        assert 37 < at.high < 45
 
 
-@pytest.mark.parametrize(("model", "subject"), [
-    (Model(guess=0.0), Subject(30.0, 0.4, 0.5, guess=0.0)),
-    (Model(), Subject(30.0, 0.4)),
-    (Model(guess=0.5), Subject(30.0, 0.3, 0.5, guess=0.5)),
-])  # fmt: skip
-def test_posterior_against_bootstrap_where_both_are_good(model, subject):
-    stimulus = np.geomspace(10, 90, 9)
-    counts = counts_of(stimulus, np.full(9, 120), np.round(120 * subject.probability(stimulus)))
-    sure = wide(counts, model, samples=600)
-    assert not sure.by_posterior
-    for part in (model.level, 0.6):
-        found = sure.at(part)
-        low, high = np.exp(credible_interval(model, counts, part, 0.95))
-        assert (found.low, found.high) == pytest.approx((low, high), rel=0.05)
-        assert low < sure.fit.at(part) < high
-
-
-def test_percentiles_leave_half_of_the_rest_on_each_side():
-    assert percentiles(np.arange(1001.0), 0.95) == pytest.approx((25, 975))
+def test_posterior_against_bootstrap():
+    model, stimulus, random = Model(), np.geomspace(10, 90, 9), np.random.default_rng(1)
+    share = Subject(30.0, 0.4).probability(stimulus)
+    found = fit(counts_of(stimulus, np.full(9, 120), np.round(120 * share)), model)
+    drawn = [
+        fit(counts_of(stimulus, np.full(9, 120), random.binomial(120, share)), model).threshold
+        for _ in range(40)
+    ]
+    value, low, high = found.bounded(model.level)
+    assert high - low == pytest.approx(3.92 * np.std(drawn, ddof=1), rel=0.3)
+    assert low < value < high
 
 
 def test_an_interval_without_an_end():
@@ -265,17 +224,16 @@ def test_goodness():
     stimulus = np.geomspace(15, 60, 10)
     share = Subject(36.0, 0.25).probability(stimulus)
     good = counts_of(stimulus, np.full(10, 20), np.round(20 * share))
-    assert wide(good, samples=200).goodness > 0.2
+    assert fit(good, Model()).goodness > 0.2
     odd = np.where(np.arange(10) % 2, np.minimum(20, 20 * share + 9), np.maximum(0, 20 * share - 9))
-    assert wide(counts_of(stimulus, np.full(10, 20), np.round(odd)), samples=200).goodness < 0.01
+    poor = fit(counts_of(stimulus, np.full(10, 20), np.round(odd)), Model())
+    assert poor.goodness == pytest.approx(chi2.sf(poor.deviance, 7))
+    assert poor.goodness < 0.01
     each = np.geomspace(15, 60, 60)
     said = np.random.default_rng(1).random(60) < Subject(36.0, 0.5).probability(each)
-    single = counts_of(each, np.ones(60), said)
-    sure = wide(single, samples=100)
-    assert sure.goodness is None
-    assert sure.sparse
-    assert not sure.sudden
-    assert sure.by_posterior
+    single = fit(counts_of(each, np.ones(60), said), Model())
+    assert single.goodness is None
+    assert not single.sudden
 
 
 @pytest.mark.parametrize(("arguments", "about", "value"), [

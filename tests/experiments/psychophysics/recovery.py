@@ -6,7 +6,6 @@ import numpy as np
 
 from smarttouch.experiments.fitting.answers import usual_model
 from smarttouch.experiments.fitting.findings import judge_answers
-from smarttouch.experiments.fitting.fit import BootstrapOptions
 from smarttouch.experiments.fitting.psychometric import Model
 from smarttouch.experiments.psychophysics.adaptive_procedures import QuestPlus, WeightedStaircase
 from smarttouch.experiments.psychophysics.procedures import ConstantStimuli, Procedure, ratio_pairs
@@ -70,7 +69,7 @@ def draw_subject(task, random):
     return Subject(threshold, random.uniform(0.08, 0.3), 0.5, lapse, guess=0.0)
 
 
-def recover(task, name, subjects, covering=0, samples=1000, seed=0):
+def recover(task, name, subjects, covering=0, seed=0):
     """Let subjects go through a procedure; of so many, look at the interval, too."""
     random = np.random.default_rng(seed)
     fitted, own, held, trials = [], [], [], []
@@ -82,7 +81,7 @@ def recover(task, name, subjects, covering=0, samples=1000, seed=0):
         estimate = None if name == "constant" else procedure.estimate()
         if estimate is not None:
             own.append(np.log(estimate.threshold / subject.threshold))
-        found = judge_answers(answers, usual_model([answers]), BootstrapOptions(samples))
+        found = judge_answers(answers, usual_model([answers]))
         if found.verdict is not None:
             continue
         fitted.append(np.log(found.fit.threshold / subject.threshold))

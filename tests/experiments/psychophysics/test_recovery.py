@@ -20,6 +20,6 @@ def test_thresholds_come_back(task, name):
 
 
 def test_intervals_hold_the_truth():
-    found = recover("discrimination", "constant", subjects=12, covering=12, samples=200)
+    found = recover("discrimination", "constant", subjects=12, covering=12)
     assert found.covered >= 9 / 12
     assert np.isfinite(found.fitted).all()
