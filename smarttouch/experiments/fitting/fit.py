@@ -154,11 +154,13 @@ def fit(counts: Counts, model: Model) -> Fit:
     table = np.reshape(grid, (4, len(coarse), _SPREADS, -1)).swapaxes(1, 2)
     likely = by_spread.max(axis=1).argsort()[-_STARTS:]
     starts = table.reshape(4, _SPREADS, -1)[:, likely, by_spread[likely].argmax(axis=1)].T
-    exact = {"ftol": 1e-12, "gtol": 1e-7}
     found = [
-        minimize(lost, start, jac=True, method="L-BFGS-B", bounds=bounds, options=exact)
+        minimize(
+            lost, start, jac=True, method="L-BFGS-B", bounds=bounds,
+            options={"ftol": 1e-12, "gtol": 1e-7},
+        )
         for start in starts
-    ]
+    ]  # fmt: skip
     best = min(found, key=lambda each: float(each.fun))
     return Fit(model, counts, parameters(best.x), -float(best.fun))
 
