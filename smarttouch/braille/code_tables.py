@@ -104,6 +104,21 @@ class BrailleTable:
             require_cells(line)
         return "\n".join(self.code.decode(line) for line in lines)
 
+    def doubt(self, cells: str, text: str) -> str | None:
+        """Return a sentence on words of a text that is translated back from cells, and would make
+        others; None if there are none."""
+        given, again = (
+            re.split(f"[{BLANK}\n]+", each) for each in (cells, self.to_cells(text, leave_out=True))
+        )
+        wrong = [k for k, pair in enumerate(zip(given, again, strict=False)) if len(set(pair)) > 1]
+        if not wrong:
+            return None
+        example = "".join(re.split(r"\s+", text)[wrong[0] : wrong[0] + 1])
+        return (
+            f"{len(wrong)} of {len(given)} words may be wrong, the first {example!r}: table "
+            f"{self.name} makes other cells of them than these"
+        )
+
 
 class _EnglishLouis(LouisCode):
     """English, encoded by liblouis, which has more signs, and decoded by the built-in code.

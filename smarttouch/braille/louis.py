@@ -2,10 +2,11 @@
 
 import ctypes
 import ctypes.util
+import itertools
 import re
 import threading
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 from typing import NamedTuple
 
@@ -32,6 +33,7 @@ _TAG_OF = {
     "zh": "cmn-Hans", "cmn": "cmn-Hans", "nb": "no", "nn": "no",
 }  # fmt: skip
 """Tags under which liblouis has languages that others know by a wider or narrower one."""
+_PLAIN_KINDS = (" contraction:no dots:6", " contraction:no", " grade:1")
 _PLAIN_ENDS = ("-g0.utb", "-g0.ctb", "-g1.utb", "-g1.ctb", ".utb", ".ctb", ".tbl")
 _ASKED_BACK = {"he": "אבג"}
 """Letters of languages whose tables have Latin ones beside their own; of all others abc."""
@@ -135,17 +137,22 @@ def find_table(language: str) -> str | None:
         return exact
     tag = _TAG_OF.get(language) or _TAG_OF.get(language.partition("-")[0]) or language
     own = tag.partition("-")[0].lower()
-    for each in (tag, own):
-        for kind in (*(f" type:literary contraction:no{dots}" for dots in (" dots:6", "")),
-                     " type:literary", ""):  # fmt: skip
+
+    def described(*kinds: str) -> Iterator[str]:
+        for each, kind in itertools.product((tag, own), kinds):
             found = _query("lou_findTable", f"language:{each}{kind}".encode())
             # It also finds tables of other languages.
-            if (
-                found
-                and own == _query("lou_getTableInfo", found.encode(), b"language").partition("-")[0]
-            ):
-                return found.rpartition("/")[2]
-    return next((own + end for end in _PLAIN_ENDS if has_table(own + end)), None)
+            if found and own == language_of(found).partition("-")[0]:
+                yield found.rpartition("/")[2]
+
+    literary = " type:literary"
+    candidates = itertools.chain(
+        described(*(literary + kind for kind in _PLAIN_KINDS)),
+        filter(has_table, (own + end for end in _PLAIN_ENDS[:4])),
+        described(literary, ""),
+        filter(has_table, (own + end for end in _PLAIN_ENDS)),
+    )
+    return next(candidates, None)
 
 
 def title_of(table: str) -> str:

@@ -157,7 +157,10 @@ def braille(
         typer.echo(note, err=True)
     pages = laid_out(loaded, columns, rows, shown=output is None)
     if back:
-        text = code.to_text("\n".join(loaded.paragraphs)) + "\n"
+        cells = "\n".join(loaded.paragraphs)
+        text = code.to_text(cells) + "\n"
+        if doubt := code.doubt(cells, text):
+            typer.echo(doubt, err=True)
         if output is None:
             print(text, end="")
             return

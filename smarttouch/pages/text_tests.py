@@ -40,6 +40,9 @@ above, by which a line of another script is known, whose letters end at other le
 _LEAST_WHITE = 0.06
 """Least white between letters that do not touch, of the line's length; print has 0.1 and more, but
 what is left between light letters on dark has not."""
+_IN_BLACK_LETTER = 0.85
+"""Part of letters at their levels from which they need no white between them: those of old print
+nearly touch."""
 _FEWEST_CAPITALS, _IN_LINE, _MOSTLY, _WIDE = 5, 0.07, 0.7, (0.3, 1.35)
 """Capitals or figures of a line: their number, how even they are in their heights, which part of
 them at least, and their usual width in heights; bars of a code are narrower."""
@@ -120,6 +123,7 @@ def _are_letters(baseline: Baseline, letters: Spots, covered: float) -> bool:
     line_px = baseline.ink_between(0.05, 0.95) * baseline.x_height * length_px
     run_together = float(np.median(letters.width)) > _TOUCHING * baseline.x_height
     parted = covered < 1 - _LEAST_WHITE or run_together or len(letters.area) < _MANY
+    parted |= on_levels > _IN_BLACK_LETTER and _ends_sharply(baseline)
     return (
         parted
         and not (len(letters.area) >= _MANY and _are_solid(letters))

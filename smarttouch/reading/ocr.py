@@ -11,7 +11,6 @@ import shutil
 import subprocess
 import tempfile
 import threading
-import time
 import unicodedata
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -47,7 +46,7 @@ class Layout(Enum):
 
 
 class TooSlowError(ReadingError):
-    """Tesseract was stopped after its time limit."""
+    """Tesseract was stopped, as nothing came from it within its time limit."""
 
 
 class OcrFailedError(ReadingError):
@@ -178,7 +177,6 @@ def _run(
         # It is never kept waiting by a slow reader, which would count as its own time.
         rows: queue.SimpleQueue[str] = queue.SimpleQueue()
         written = threading.Thread(target=_put_all, args=(running.stdout, rows), daemon=True)
-        end = time.monotonic() + timeout_s
 
         def end_it() -> None:
             running.kill()
@@ -188,12 +186,13 @@ def _run(
         atexit.register(end_it)
         try:
             written.start()
-            while row := rows.get(timeout=max(0.0, end - time.monotonic())):
+            # Each image has that time: on a busy computer, a page of many lines takes minutes.
+            while row := rows.get(timeout=timeout_s):
                 yield row
             status = running.wait()
         except queue.Empty:
             raise TooSlowError(
-                f"Tesseract did not finish within {timeout_s:g} s: give it a smaller image",
+                f"Tesseract read nothing for {timeout_s:g} s: give it a smaller image",
                 about="tesseract",
             ) from None
         finally:

@@ -17,7 +17,7 @@ from smarttouch.base.tables import read_csv
 from smarttouch.pages.document import PdfDocument, open_document
 from smarttouch.pages.file_kinds import FileKind, file_kind
 from smarttouch.pages.ink import reduced, separate_ink
-from smarttouch.pages.page_image import LARGEST_MM, Page
+from smarttouch.pages.page_image import INCH_MM, LARGEST_MM, Page
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.pages.straighten import LAID_FLAT, find_sheet, flattened
 from smarttouch.pages.structured_text import read_structured_text
@@ -28,7 +28,7 @@ from smarttouch.sources.source_contract import Frame, OpticalSource, Pose, Sheet
 Floats = NDArray[np.float64]
 
 RETURN_MM_S = 200.0  # speed of the lifted finger on its way to the next line
-SETTLE_S = 0.6  # time of rest at the start of a line
+SETTLE_S = 0.75  # time of rest at the start of a line
 LIFT_S = 0.15
 SLOWEST_MM_S, FASTEST_MM_S = 0.1, 500.0
 _PRESS = 1.1  # reading force, relative to the profile's full force
@@ -78,7 +78,7 @@ class ReadingPath:
             rows.append((time_s + LIFT_S, x[0], y[0], angle[0], 1.0))
             sweep_at = time_s + SETTLE_S
             time_s = sweep_at + float(passed_mm[-1]) / speed_mm_s
-            lifting_at = max(sweep_at, time_s - LIFT_S / 3)
+            lifting_at = time_s - LIFT_S / 3
             passing = sweep_at + passed_mm / speed_mm_s
             times = np.sort(np.append(passing, lifting_at))
             places = (np.interp(times, passing, each) for each in (x, y, angle))
@@ -144,7 +144,8 @@ def _sweeps(line: TextLine, height_mm: float) -> list[TextLine]:
 
 def _middle_path(line: TextLine, field_mm: float) -> tuple[Floats, Floats, Floats, Floats]:
     """Return x, y, angle of a finger along the middle of a line, and the distance covered."""
-    start, end = line.left_mm - field_mm / 2, line.right_mm + field_mm / 2
+    # Its first letters are under the finger while it rests: intensity rises with their pulses.
+    start, end = line.left_mm, line.right_mm + field_mm / 2
     x = np.linspace(start, end, max(2, math.ceil((end - start) / _STEP_MM)))
     y = line.baseline_mm(x) + (line.descent_mm - line.ascent_mm) / 2
     passed_mm = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
@@ -163,6 +164,8 @@ LEAST_MAGNIFIED, MOST_MAGNIFIED = 0.1, 10.0
 """Range of the magnification of a page beyond the profile's."""
 _SHADE = 0.1  # relative loss of light at the corners of the patch
 _SLOPE = 0.03
+_CHOSEN_DPI = (97.0, 700.0)
+"""Range of resolutions that an image states because it has them; beyond, programs put their own."""
 _PRINT_PIXELS = 2_000_000  # of the image in which the height of print is found
 _PRINT_MM, USUAL_PRINT_MM = (1.5, 9.0), 3.7
 """Heights of print, ascenders to descenders, that a page of assumed size may have, and that of 11
@@ -249,7 +252,8 @@ def _print_mm(page: Page, light_on_dark: bool) -> float | None:
 
 
 def load_or_guess(path: Path, dpi: float | None, width_mm: float | None) -> tuple[Page, str]:
-    """Return a page, and a sentence if its scale is guessed; a .txt without a scale is printed."""
+    """Return a page, and a sentence if its scale is guessed or doubtful; a .txt without a scale is
+    printed."""
     kind = file_kind(path) if path.is_file() else None
     if kind is FileKind.STRUCTURED:
         return print_text(read_structured_text(path).text), ""
@@ -258,10 +262,13 @@ def load_or_guess(path: Path, dpi: float | None, width_mm: float | None) -> tupl
         return print_text(read_text(path, PageError).strip()), ""
     with open_document(path, dpi=dpi, page_width_mm=width_mm) as document:
         page = document.page(0)
-        # The size of a PDF is known, whatever is said of it.
-        if not document.notes or isinstance(document, PdfDocument):
-            return page, ""
-        return page, f"{document.notes[-1]}; give dpi or page_width_mm if you know it"
+    # The size of a PDF is known, whatever is said of it.
+    if dpi or width_mm or isinstance(document, PdfDocument):
+        return page, ""
+    notes, stated_dpi = document.notes, INCH_MM / page.mm_per_pixel
+    if not notes and not _CHOSEN_DPI[0] < stated_dpi < _CHOSEN_DPI[1]:
+        notes = [f"{path} states {stated_dpi:.0f} dots per inch"]
+    return page, f"{notes[-1]}; give dpi or page_width_mm if you know it" if notes else ""
 
 
 def open_text(

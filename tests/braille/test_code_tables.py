@@ -10,6 +10,7 @@ from smarttouch.braille.code_tables import MISSING_NOTE, known_tables, open_tabl
 from smarttouch.braille.grade1 import Grade1
 
 from ..raising import raises
+from ..said import numbers_in
 from .liblouis import needs_liblouis
 
 SIX_DOTS = set(map(chr, range(0x2800, 0x2840)))
@@ -49,9 +50,20 @@ def test_any_table_of_liblouis():
 
 
 @needs_liblouis
+@pytest.mark.parametrize(("name", "text", "wrong"), [
+    ("en-2", "Words that come back", 0), ("it", "Gli umani", 2), ("ru", "Слово", 0),
+])  # fmt: skip
+def test_a_text_is_doubted_whose_cells_are_others(name, text, wrong):
+    table = open_table(name)
+    cells = table.to_cells(text)
+    doubt = table.doubt(cells, table.to_text(cells))
+    assert (numbers_in(doubt)[0] if wrong else doubt) == (wrong or None)
+
+
+@needs_liblouis
 @pytest.mark.parametrize(("tag", "name", "cells"), [
     ("en", "en-1", "⠍"), ("fr-CA", "fr-1", "⠍"), ("pt-BR", "pt-pt-g1.utb", "⠍"),
-    ("ru", "ru-litbrl.ctb", "⠍"), ("ja", "ja", None),
+    ("ru", "ru-litbrl.ctb", "⠍"), ("ja", "ja", None), ("hu", "hu.tbl", None),
 ])  # fmt: skip
 def test_a_language_has_a_table(tag, name, cells):
     table = open_table(tag)

@@ -10,8 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from skimage import data
 
+from smarttouch.pages import text_lines
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.text_lines import TextLine, find_lines
+from smarttouch.pages.text_tests import _are_letters
 
 from .printed import Printed, degrade, print_page, some_lines
 
@@ -284,3 +286,16 @@ def test_underlined_words_stay_in_their_line(below_px):
         y = round(line.baseline_mm[0, 1] * per_mm) + below_px
         grey[y, round(start) : round(start + 0.25 * (last - first))] = 30
     assert_found(page, find_lines(Page(grey, page.page.mm_per_pixel)))
+
+
+def test_letters_on_their_levels_need_no_white_between_them(monkeypatch):
+    rows = []
+    monkeypatch.setattr(text_lines, "is_text", lambda *row: rows.append(row) or True)
+    find_lines(print_page(some_lines(3, 40), size_pt=11, dpi=200).page)
+    # As letters of old print do, whose boxes leave no white.
+    assert all(_are_letters(baseline, letters, covered=0.97) for baseline, letters in rows)
+    moved = [
+        (baseline, replace(letters, top=letters.top + np.arange(len(letters.top)) * 5 % 11))
+        for baseline, letters in rows
+    ]
+    assert not any(_are_letters(*row, covered=0.97) for row in moved)
