@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from smarttouch.base.afferent import Afferent
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.kernels.frame_fields import FieldMap, FrameBounds
-from smarttouch.kernels.frame_judges import FrameJudge, MixedJudge, full_wish
+from smarttouch.kernels.frame_judges import FrameJudge, SlotJudge, full_wish
 from smarttouch.kernels.frame_operator import FrameOperator
 from smarttouch.kernels.slot_plans import FrameSlot, plan_slots
 from smarttouch.physiology.activating_function import depth_mm, everywhere
@@ -166,12 +166,11 @@ def _share(
         FrameJudge(profile, each, full_wish(profile, own, bank.receptor[each]))
         for each, own in kernels.items()
     )
-    judge = judges[0] if len(judges) == 1 else MixedJudge(judges)
     level = np.concatenate(list(points.values())).astype(np.float64)
     alone = np.concatenate([own * profile.full_ma[:, None] for own in kernels.values()])
     frames = profile.frames
     bounds = FrameBounds(frames.other, frames.spill, frames.uneven)
-    slots = plan_slots(FrameOperator(judge), level, bounds, points_ma=alone)
+    slots = plan_slots(FrameOperator(SlotJudge(judges)), level, bounds, points_ma=alone)
     return SlotPlan(judges, slots)
 
 

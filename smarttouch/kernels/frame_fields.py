@@ -7,9 +7,7 @@ two small matrix products instead of one with every node's row, and neither
 memory nor time grows with nodes times electrodes. Other arrays keep all rows.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -181,55 +179,6 @@ class FrameBounds:
 
 Bounded = tuple[FieldMap, float, NDArray[np.bool_] | None]
 """A field, its bound in V/mm², and the places where it holds; None is everywhere."""
-
-
-class SlotJudge(Protocol):
-    """Evaluates the effects of a slot's currents on its P points, and on all else."""
-
-    @property
-    def profile(self) -> Profile: ...
-    @property
-    def target(self) -> Array:
-        """Activating function of each point's target, (P, E) V/mm² per mA."""
-
-    @property
-    def wish_af(self) -> Array:
-        """Activation requested by a level of 1 at each point, (P,) V/mm²."""
-
-    @property
-    def full_ma(self) -> Array: ...
-    @property
-    def wanted(self) -> list[FieldMap]:
-        """Classes that are to fire somewhere."""
-
-    @property
-    def unwanted(self) -> list[FieldMap]:
-        """Classes that are not to fire."""
-
-    def reached(self, current: Array) -> list[Single]: ...
-    def limits(
-        self, active: NDArray[np.intp], bounds: FrameBounds, aimed: float
-    ) -> list[Bounded]: ...
-    def judge(
-        self, current: Array, level: Array, reached: Sequence[Single] | None = None
-    ) -> FrameFigures: ...
-
-
-def judge_all(judge: SlotJudge, current: Array, level: Array) -> list[FrameFigures]:
-    """Return the figures of slots with currents (S, E) mA and levels (S, P), computed together."""
-    if not len(current):
-        return []
-    fields = judge.reached(current)
-    return [
-        judge.judge(current[slot], level[slot], [field[slot] for field in fields])
-        for slot in range(len(current))
-    ]
-
-
-def no_active_site() -> DesignError:
-    """Return the error of a frame without an active site."""
-    message = "a frame without an active site has no figures: leave its slot out"
-    return DesignError(message, about="slot")
 
 
 def masked_point(site: int) -> DesignError:

@@ -19,7 +19,6 @@ from smarttouch.kernels.frame_fields import (
     FrameBounds,
     FrameFigures,
     Single,
-    no_active_site,
 )
 from smarttouch.physiology.activating_function import Afferents, af_matrix, everywhere, targets
 from smarttouch.profile import Profile, Skin
@@ -29,7 +28,114 @@ Array = NDArray[np.float64]
 _SAME_MM = 1e-9
 
 
-class FrameJudge:
+class SlotJudge:
+    """Judge of currents that are to fire K different classes at once, from a judge of each.
+
+    A point is a site of a class: points 0 to E − 1 are the sites of the first judge's class, the
+    next E those of the second one's. For each class with active points, whatever other classes get
+    far from their own points is `FrameFigures.off_target`, relative to its own weakest target.
+    """
+
+    def __init__(self, judges: Sequence["FrameJudge"]) -> None:
+        classes = [each.afferent for each in judges]
+        if not classes or len(set(classes)) < len(classes):
+            message = "a mixed frame needs one judge for each of its classes"
+            raise DesignError(message, about="judges")
+        self.judges: tuple[FrameJudge, ...] = tuple(judges)
+        self.profile: Profile = judges[0].profile
+        self.target: NDArray[np.float64] = np.concatenate([each.target for each in judges])
+        """Activating function of each point's target, (P, E) V/mm² per mA."""
+        self.wish_af: NDArray[np.float64] = np.concatenate([each.wish_af for each in judges])
+        """Activation requested by a level of 1 at each point, (P,) V/mm²."""
+        self.wanted: list[FieldMap] = [each.own for each in judges]
+        others = (each for each in Afferent if each is not classes[0])
+        self.unwanted: list[FieldMap] = [
+            field
+            for afferent, field in zip(others, judges[0].others, strict=True)
+            if afferent not in classes
+        ]
+
+    @cached_property
+    def full_ma(self) -> Array:
+        """Largest current of each electrode at intensity 1, (E,) mA in whole µA, 0 where masked."""
+        limits = self.profile.limits
+        most = np.minimum(np.asarray(self.profile.full_ma, np.float64), limits.current_ma)
+        if limits.electrode_ma is not None:
+            most = np.minimum(most, np.asarray(limits.electrode_ma))
+        most = np.floor(1000 * most + 1e-6) / 1000
+        return np.where(np.isin(np.arange(len(most)), self.profile.driven), most, 0.0)
+
+    def reached(self, current: Array) -> list[Single]:
+        """Return the AF, V/mm², of each class that is not to fire, then of those that are, for
+        currents (E,) or (S, E) mA."""
+        current = np.asarray(current)
+        many = np.atleast_2d(current)
+        fields = [*self.unwanted, *self.wanted]
+        return [field(many).reshape(*current.shape[:-1], -1) for field in fields]
+
+    def limits(self, active: NDArray[np.intp], bounds: FrameBounds, aimed: float) -> list[Bounded]:
+        """Return the bound of each field of `reached` if points (A,) get `aimed` of a wish."""
+        owner, site = np.divmod(active, self.full_ma.size)
+        smallest = np.full(len(self.judges), np.inf)
+        np.minimum.at(smallest, owner, aimed * self.wish_af[active])
+        rest = bounds.other * float(smallest.min())
+        found: list[Bounded] = [(field, rest, None) for field in self.unwanted]
+        for index, judge in enumerate(self.judges):
+            beside = bounds.other * float(np.delete(smallest, index).min(initial=np.inf))
+            if np.isinf(smallest[index]):
+                found.append((judge.own, beside, None))
+            else:
+                most = min(beside, bounds.spill * float(smallest[index]))
+                found.append((judge.own, most, judge.far(site[owner == index])))
+        return found
+
+    def judge(
+        self, current: Array, level: Array, reached: Sequence[Single] | None = None
+    ) -> FrameFigures:
+        """Return the figures of currents (E,) mA that are to activate points with level (P,) > 0.
+
+        Ratios are infinite if a target is not activated at all. No active point is a DesignError.
+        What `reached` returned for the currents is used if given.
+        """
+        if not level.any():
+            message = "a frame without an active site has no figures: leave its slot out"
+            raise DesignError(message, about="slot")
+        fields = self.reached(current) if reached is None else reached
+        others, own = fields[: len(self.unwanted)], fields[len(self.unwanted) :]
+        rest = max((float(field.max()) for field in others), default=-np.inf)
+        far, found = np.empty(len(own)), []
+        for index, (judge, mine) in enumerate(
+            zip(self.judges, level.reshape(len(own), -1), strict=True)
+        ):
+            active = np.flatnonzero(mine)
+            far[index] = max(judge.strongest_far(own[index], active), 0.0)
+            if len(active):
+                found.append((index, *judge.reference(current, mine)))
+        other = spill = -np.inf
+        for index, smallest, _ in found:
+            if smallest <= 0:
+                other = spill = np.inf
+                break
+            beside = max(rest, np.delete(far, index).max(initial=-np.inf))
+            other = max(other, float(beside / smallest))
+            spill = max(spill, float(far[index] / smallest))
+        ratio = np.concatenate([each for *_, each in found])
+        total, most = float(np.abs(current).sum() / 2), float(np.abs(current).max())
+        return FrameFigures(other, spill, float(ratio.min()), float(ratio.max()), total, most)
+
+
+def judge_all(judge: SlotJudge, current: Array, level: Array) -> list[FrameFigures]:
+    """Return the figures of slots with currents (S, E) mA and levels (S, P), computed together."""
+    if not len(current):
+        return []
+    fields = judge.reached(current)
+    return [
+        judge.judge(current[slot], level[slot], [field[slot] for field in fields])
+        for slot in range(len(current))
+    ]
+
+
+class FrameJudge(SlotJudge):
     """Judge of currents that are to fire one class, on the nodes of one skin.
 
     A level of 1 requests activation `wish_af`, (E,) V/mm², at each target. `vary` replaces sets of
@@ -53,11 +159,10 @@ class FrameJudge:
                 "electrodes: give one for each",
                 about="wish_af",
             )
-        self.profile: Profile = profile
+        self.profile = profile
         self.afferent: Afferent = afferent
-        self.wish_af: NDArray[np.float64] = np.asarray(wish_af, np.float64)
-        self.target: NDArray[np.float64] = af_matrix(profile, vary(targets(profile, afferent)))
-        """Row s is the activating function of the target under electrode s, (E, E)."""
+        self.wish_af = np.asarray(wish_af, np.float64)
+        self.target = af_matrix(profile, vary(targets(profile, afferent)))
         self.others: list[FieldMap] = others or [
             FieldMap(profile, vary(everywhere(profile, each)))
             for each in Afferent
@@ -65,19 +170,8 @@ class FrameJudge:
         ]
         place = vary(everywhere(profile, afferent))
         self.own: FieldMap = FieldMap(profile, place)
-        self.wanted: list[FieldMap] = [self.own]
-        self.unwanted: list[FieldMap] = self.others
         self._near = _near(place.position_mm, profile)
-
-    @cached_property
-    def full_ma(self) -> Array:
-        """Largest current of each electrode at intensity 1, (E,) mA in whole µA, 0 where masked."""
-        limits = self.profile.limits
-        most = np.minimum(np.asarray(self.profile.full_ma, np.float64), limits.current_ma)
-        if limits.electrode_ma is not None:
-            most = np.minimum(most, np.asarray(limits.electrode_ma))
-        most = np.floor(1000 * most + 1e-6) / 1000
-        return np.where(np.isin(np.arange(len(most)), self.profile.driven), most, 0.0)
+        super().__init__([self])
 
     @cached_property
     def uneven_af(self) -> tuple[float, float]:
@@ -108,51 +202,6 @@ class FrameJudge:
         reached = self.target[active] @ current / level[active]
         return float(reached.min()), reached / self.wish_af[active]
 
-    @property
-    def by_class(self) -> dict[Afferent, FieldMap]:
-        """Fields of the other classes."""
-        names = (each for each in Afferent if each is not self.afferent)
-        return dict(zip(names, self.others, strict=True))
-
-    def reached(self, current: Array) -> list[Single]:
-        """Return the AF, V/mm², of each other class, then of the own, for currents ([S,] E) mA."""
-        return reached([*self.others, self.own], current)
-
-    def limits(self, active: NDArray[np.intp], bounds: FrameBounds, aimed: float) -> list[Bounded]:
-        """Return the bound of each field of `reached` if points (A,) get `aimed` of a wish."""
-        smallest = aimed * float(self.wish_af[active].min())
-        others: list[Bounded] = [(field, bounds.other * smallest, None) for field in self.others]
-        return [*others, (self.own, bounds.spill * smallest, self.far(active))]
-
-    def judge(
-        self, current: Array, level: Array, reached: Sequence[Single] | None = None
-    ) -> FrameFigures:
-        """Return the figures of currents (E,) mA that are to activate sites with level (E,) > 0.
-
-        Ratios are infinite if a target is not activated at all. No active site is a DesignError.
-        What `reached` returned for the currents is used if given.
-        """
-        active = np.flatnonzero(level)
-        if not len(active):
-            raise no_active_site()
-        smallest, ratio = self.reference(current, level)
-        *others, own = self.reached(current) if reached is None else reached
-        other = max(float(field.max()) for field in others)
-        spill = max(self.strongest_far(own, active), 0.0)
-        total, most = float(np.abs(current).sum() / 2), float(np.abs(current).max())
-        if smallest <= 0:
-            return FrameFigures(np.inf, np.inf, ratio.min(), ratio.max(), total, most)
-        return FrameFigures(
-            other / smallest, spill / smallest, float(ratio.min()), float(ratio.max()), total, most
-        )
-
-
-def reached(fields: Sequence[FieldMap], current: Array) -> list[Single]:
-    """Return the values of fields for currents (E,) or (S, E) mA."""
-    current = np.asarray(current)
-    many = np.atleast_2d(current)
-    return [field(many).reshape(*current.shape[:-1], -1) for field in fields]
-
 
 def full_wish(profile: Profile, kernels: Array, receptor: Array) -> Array:
     """Return the activation of single kernels at full comfortable current, (E,) V/mm², from
@@ -171,84 +220,3 @@ def _near(position_mm: Array, profile: Profile) -> NDArray[np.intp]:
     for row, places in zip(near, found, strict=True):
         row[: len(places)] = places
     return near
-
-
-class MixedJudge:
-    """Judge of currents that are to fire K different classes at once, from a judge of each.
-
-    A point is a site of a class: points 0 to E − 1 are the sites of the first judge's class, the
-    next E those of the second one's. For each class with active points, whatever other classes get
-    far from their own points is `FrameFigures.off_target`, relative to its own weakest target.
-    """
-
-    def __init__(self, judges: Sequence[FrameJudge]) -> None:
-        self.judges: tuple[FrameJudge, ...] = tuple(judges)
-        classes = [each.afferent for each in judges]
-        if not classes or len(set(classes)) < len(classes):
-            message = "a mixed frame needs one judge for each of its classes"
-            raise DesignError(message, about="judges")
-        self.target: NDArray[np.float64] = np.concatenate([each.target for each in judges])
-        self.wish_af: NDArray[np.float64] = np.concatenate([each.wish_af for each in judges])
-        self.wanted: list[FieldMap] = [each.own for each in judges]
-        self.unwanted: list[FieldMap] = [
-            field for afferent, field in judges[0].by_class.items() if afferent not in classes
-        ]
-
-    @property
-    def profile(self) -> Profile:
-        return self.judges[0].profile
-
-    @property
-    def full_ma(self) -> Array:
-        return self.judges[0].full_ma
-
-    def reached(self, current: Array) -> list[Single]:
-        """Return the activation of each wanted class, then of the others; see `FrameJudge`."""
-        return reached([*self.wanted, *self.unwanted], current)
-
-    def limits(self, active: NDArray[np.intp], bounds: FrameBounds, aimed: float) -> list[Bounded]:
-        """Return the bound of each field of `reached`; see `FrameJudge.limits`."""
-        count = len(self.judges)
-        owner, site = active // self.full_ma.size, active % self.full_ma.size
-        smallest = np.full(count, np.inf)
-        np.minimum.at(smallest, owner, aimed * self.wish_af[active])
-        found: list[Bounded] = []
-        for index, judge in enumerate(self.judges):
-            beside = bounds.other * float(np.delete(smallest, index).min(initial=np.inf))
-            if np.isinf(smallest[index]):
-                found.append((judge.own, beside, None))
-            else:
-                most = min(beside, bounds.spill * float(smallest[index]))
-                found.append((judge.own, most, judge.far(site[owner == index])))
-        return found + [
-            (field, bounds.other * float(smallest.min()), None) for field in self.unwanted
-        ]
-
-    def judge(
-        self, current: Array, level: Array, reached: Sequence[Single] | None = None
-    ) -> FrameFigures:
-        """Return the figures of currents (E,) mA for points with level (K·E,) > 0."""
-        if not level.any():
-            raise no_active_site()
-        count = len(self.judges)
-        fields = self.reached(current) if reached is None else reached
-        rest = max((float(field.max()) for field in fields[count:]), default=0.0)
-        smallest, ratios, far = np.full(count, np.nan), [], np.empty(count)
-        for index, judge in enumerate(self.judges):
-            mine = level.reshape(count, -1)[index]
-            active = np.flatnonzero(mine)
-            far[index] = max(judge.strongest_far(fields[index], active), 0.0)
-            if len(active):
-                smallest[index], ratio = judge.reference(current, mine)
-                ratios.append(ratio)
-        other = spill = 0.0
-        for index in np.flatnonzero(np.isfinite(smallest)).tolist():
-            if smallest[index] <= 0:
-                other = spill = np.inf
-                break
-            beside = max(rest, np.delete(far, index).max(initial=0.0))
-            other = max(other, beside / float(smallest[index]))
-            spill = max(spill, float(far[index] / smallest[index]))
-        ratio = np.concatenate(ratios)
-        total, most = float(np.abs(current).sum() / 2), float(np.abs(current).max())
-        return FrameFigures(other, spill, float(ratio.min()), float(ratio.max()), total, most)

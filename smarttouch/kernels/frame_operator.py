@@ -20,7 +20,6 @@ part.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,9 +30,9 @@ from smarttouch.kernels.frame_fields import (
     FrameBounds,
     FrameFigures,
     Single,
-    SlotJudge,
     masked_point,
 )
+from smarttouch.kernels.frame_judges import SlotJudge
 
 Array = NDArray[np.float64]
 
@@ -72,13 +71,10 @@ that is pushed down harms nobody. Their positive sides are bounded in `FrameOper
 """
 
 
-AnyJudge = TypeVar("AnyJudge", bound=SlotJudge)
-
-
-class FrameOperator(Generic[AnyJudge]):
+class FrameOperator:
     """Solver for the currents of one slot; its P points are the judge's sites, of each class."""
 
-    def __init__(self, judge: AnyJudge, weights: Weights = CHOSEN) -> None:
+    def __init__(self, judge: SlotJudge, weights: Weights = CHOSEN) -> None:
         self.judge = judge
         driven = judge.profile.driven
         count = len(judge.profile.electrodes)

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import DesignError
 from smarttouch.kernels.frame_fields import FrameBounds
-from smarttouch.kernels.frame_judges import FrameJudge
 from smarttouch.kernels.frame_operator import AIM, FrameOperator
 from smarttouch.profile import Profile
 
@@ -33,7 +32,7 @@ _WEIGHT_PEAK = 32_767 / 32_768
 class SharedKernels:
     """Kernels of sites that may be on together, in any combination."""
 
-    operator: FrameOperator[FrameJudge]
+    operator: FrameOperator
     sites: NDArray[np.intp]  # (A,)
 
     @cached_property
@@ -52,7 +51,7 @@ class SharedKernels:
         A node of the own class counts only if every active site is more than a pitch away: nearer
         ones add nothing.
         """
-        judge = self.operator.judge
+        (judge,) = self.operator.judge.judges
         others = np.concatenate([field(self.kernels) for field in judge.others], axis=1)
         own = np.maximum(judge.own(self.kernels), 0)
         for row, site in zip(own, self.sites, strict=True):
@@ -148,7 +147,7 @@ class Certainty:
     def _of_one(
         kernels: SharedKernels, aim: float, faintest: float, most_ma: float
     ) -> tuple[float, ...]:
-        judge = kernels.operator.judge
+        (judge,) = kernels.operator.judge.judges
         peaks_ma = np.abs(kernels.kernels).max(axis=1)
         error = _HALF_AMPLITUDE_MA / peaks_ma
         # A kernel's peak is no more than its total.
@@ -193,7 +192,7 @@ class Certainty:
         return float((needed / room).max(initial=0))
 
 
-def color_classes(operator: FrameOperator[FrameJudge], step: int) -> list[SharedKernels]:
+def color_classes(operator: FrameOperator, step: int) -> list[SharedKernels]:
     """Return a grid's sites by rows and columns modulo a step; DesignError if it is no grid."""
     array, driven = operator.judge.profile.electrodes, operator.judge.profile.driven
     x, column = np.unique(array.position_mm[:, 0].round(6), return_inverse=True)
@@ -211,7 +210,7 @@ def provable(profile: Profile) -> bool:
     return profile.array.layout == "grid" and len(profile.electrodes) <= MOST_PROVED
 
 
-def proved_sets(operator: FrameOperator[FrameJudge], bounds: FrameBounds) -> list[SharedKernels]:
+def proved_sets(operator: FrameOperator, bounds: FrameBounds) -> list[SharedKernels]:
     """Return few sets of sites whose subsets all keep the bounds with targets aimed at `AIM`.
 
     Limits of single electrodes are kept too, the total current is not checked. None are returned

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from smarttouch.base.errors import DesignError
 from smarttouch.kernels.frame_fields import FrameBounds, FrameFigures
-from smarttouch.kernels.frame_operator import AnyJudge, FrameOperator, keeps
+from smarttouch.kernels.frame_operator import FrameOperator, keeps
 
 Array = NDArray[np.float64]
 
@@ -20,7 +20,7 @@ _ROOM = 0.8  # part of the total current above which a slot is full
 class FrameSlot:
     """One slot and its figures."""
 
-    # (A,) points that it activates; of a `MixedJudge` E is added for the second class
+    # (A,) points that it activates; of two classes E is added for the second class
     sites: NDArray[np.intp]
     current: Array  # (E,) mA at intensity 1, positive cathodic
     figures: FrameFigures
@@ -28,7 +28,7 @@ class FrameSlot:
 
 
 def plan_slots(
-    operator: FrameOperator[AnyJudge],
+    operator: FrameOperator,
     level: Array,
     bounds: FrameBounds,
     total_ma: float | None = None,
@@ -96,7 +96,7 @@ def _join(
 
 
 def likely_slots(
-    operator: FrameOperator[AnyJudge], level: Array, bounds: FrameBounds, total_ma: float | None
+    operator: FrameOperator, level: Array, bounds: FrameBounds, total_ma: float | None
 ) -> int:
     """Return the approximate number of slots by total current, with which a plan begins.
 
@@ -115,7 +115,7 @@ def likely_slots(
 
 
 def _slot(
-    operator: FrameOperator[AnyJudge],
+    operator: FrameOperator,
     level: Array,
     sites: NDArray[np.intp],
     bounds: FrameBounds,

@@ -11,8 +11,8 @@ from threadpoolctl import ThreadpoolController
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ScheduleError
 from smarttouch.kernels.bank import KernelBank
-from smarttouch.kernels.frame_fields import FrameBounds, SlotJudge, judge_all
-from smarttouch.kernels.frame_judges import FrameJudge, MixedJudge, full_wish
+from smarttouch.kernels.frame_fields import FrameBounds
+from smarttouch.kernels.frame_judges import FrameJudge, SlotJudge, full_wish, judge_all
 from smarttouch.kernels.frame_operator import AIM, FrameOperator
 from smarttouch.kernels.proved_sets import proved_sets
 from smarttouch.kernels.slot_plans import plan_slots
@@ -88,8 +88,7 @@ class FrameSlots:
             FrameJudge(coarse, each, full_wish(profile, own, bank.receptor[each]))
             for each, own in zip(afferents, kernels, strict=True)
         ]
-        judge: SlotJudge = judges[0] if len(judges) == 1 else MixedJudge(judges)
-        self._judge = judge
+        self._judge = judge = SlotJudge(judges)
         self._operator = FrameOperator(judge) if planned else None
         if planned:
             # Not by the first frame that breaks a bound: that takes longer than ten frames.

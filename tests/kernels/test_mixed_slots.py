@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import DesignError
 from smarttouch.kernels.design_problem import Problem
-from smarttouch.kernels.frame_fields import FrameBounds, judge_all
-from smarttouch.kernels.frame_judges import FrameJudge, MixedJudge, full_wish
+from smarttouch.kernels.frame_fields import FrameBounds
+from smarttouch.kernels.frame_judges import FrameJudge, SlotJudge, full_wish, judge_all
 from smarttouch.kernels.frame_operator import FrameOperator, keeps
 from smarttouch.kernels.slot_plans import likely_slots, plan_slots
 
@@ -33,7 +33,7 @@ def judges(coarse, bank):
 
 @pytest.fixture(scope="module")
 def operator(judges):
-    return FrameOperator(MixedJudge(judges))
+    return FrameOperator(SlotJudge(judges))
 
 
 @pytest.fixture(scope="module")
@@ -154,4 +154,4 @@ def test_targets_that_nothing_reaches_have_endless_ratios(operator):
 def test_a_class_cannot_be_mixed_with_itself(judges):
     for judged in ([judges[0], judges[0]], []):
         with raises(DesignError, about="judges"):
-            MixedJudge(judged)
+            SlotJudge(judged)
