@@ -168,7 +168,7 @@ class TestTheFile:
         with opened(make()) as board:
             board.send(shaken(0.5))
             with monkeypatch.context() as patch:
-                patch.setattr("os.pwrite", refuse)
+                patch.setattr("wave.Wave_write.writeframes", refuse)
                 with raises(BoardError, about="file") as error:
                     board.send(shaken(0.5, 20 * MS))
                 assert os.strerror(errno.ENOSPC) in str(error.value)

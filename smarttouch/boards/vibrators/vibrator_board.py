@@ -21,7 +21,6 @@ from smarttouch.boards.reports import Impedance
 from smarttouch.boards.vibrators.vibrator_output import (
     PC_HZ,
     SoundOutput,
-    VibratorOutput,
     Waveform,
     WavOutput,
     vibrator_of,
@@ -94,7 +93,8 @@ class VibratorBoard(Board):
             )
         self._vibrators = rows * columns
         self._vibrator_of = None if electrodes is None else vibrator_of(electrodes, rows, columns)
-        self._shaking: VibratorOutput = WavOutput(target) if device is None else SoundOutput(device)
+        self._shaking: WavOutput | SoundOutput
+        self._shaking = WavOutput(target) if device is None else SoundOutput(device)
         self._shaking.notes = self.notes
         self._number = 0
         self.capabilities: Capabilities = Capabilities(

@@ -1,11 +1,9 @@
 """Waveforms of vibrators, and their output: a file or a sound device."""
 
 import contextlib
-import os
-import struct
 import threading
 import time
-from abc import ABC, abstractmethod
+import wave
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -85,38 +83,17 @@ _LARGEST_BYTES = 0xFFFF_0000  # largest WAV file
 GRACE_NS = 50_000_000  # most delay of a sequence without a gap; a period if shorter
 
 
-class VibratorOutput(ABC):
-    """Interface of waveform outputs, driven by amplitudes and times."""
+class WavOutput:
+    """WAV file on the time of the sequences, silent between them; readable at any time, even if the
+    program is killed.
+
+    `open` starts it without vibration, `shake` vibrates, (C,) in [0, 1], for a number of periods or
+    until the next call, `silence` stops from any thread, `drain` waits for the end of what was
+    asked for. A `SoundOutput` has the same methods.
+    """
 
     time_to_zero_ms: float = 0.0
-    notes: list[str]  # list of warnings for the user
-
-    @abstractmethod
-    def open(self, waveform: Waveform, rate_hz: int) -> None:
-        """Start without vibration."""
-
-    @abstractmethod
-    def shake(
-        self, amplitude: NDArray[np.float32], time_ns: int, period_ns: int, times: int
-    ) -> None:
-        """Vibrate, (C,) in [0, 1], for a number of periods or until the next call."""
-
-    @abstractmethod
-    def silence(self) -> None:
-        """Stop vibrating, from any thread."""
-
-    @abstractmethod
-    def close(self) -> None:
-        """Stop vibrating and close."""
-
-    @abstractmethod
-    def drain(self, timeout_s: float) -> None:
-        """Wait until all requested vibration is over, or the time is."""
-
-
-class WavOutput(VibratorOutput):
-    """WAV file on the time of the sequences, silent between them; readable at any time, even if the
-    program is killed."""
+    notes: list[str]  # warnings for the user
 
     def __init__(self, path: str) -> None:
         self._path = Path(path)
@@ -129,6 +106,8 @@ class WavOutput(VibratorOutput):
             self._stream = open(self._path, "wb", opener=owner_only)  # noqa: SIM115, until closing
         except OSError as error:
             raise self._unwritable(error) from None
+        self._file = wave.open(self._stream, "wb")  # noqa: SIM115, until closing
+        self._file.setparams((waveform.channels, 2, rate_hz, 0, "NONE", ""))
         self._waveform, self._rate_hz = waveform, rate_hz
         self._begin_ns: int | None = None
         self._written = self._once = self._end = 0
@@ -165,8 +144,9 @@ class WavOutput(VibratorOutput):
         with self._lock:
             stream, self._stream = self._stream, None
             if stream is not None:
-                with contextlib.suppress(OSError):
-                    stream.close()
+                for each in (self._file, stream):
+                    with contextlib.suppress(OSError):
+                        each.close()
 
     def drain(self, timeout_s: float) -> None:
         """Do nothing: its time is simulated."""
@@ -184,13 +164,15 @@ class WavOutput(VibratorOutput):
         assert self._stream is not None
         samples = np.rint(FULL_SCALE * self._waveform.render(count)).astype("<i2")
         self._written += count
-        header = _wav_header(self._waveform.channels, self._rate_hz, self._written)
+        if 2 * self._waveform.channels * self._written > _LARGEST_BYTES:
+            raise BoardError(
+                "the WAV file of the vibrators is full, it holds 4 GB: lower its rate",
+                about="file",
+                remedy="rate",
+            )
         try:
-            if count == 0:
-                self._stream.write(header)
-            self._stream.write(samples.tobytes())
+            self._file.writeframes(samples.tobytes())
             self._stream.flush()
-            os.pwrite(self._stream.fileno(), header, 0)
         except OSError as error:
             raise self._unwritable(error) from None
 
@@ -198,26 +180,12 @@ class WavOutput(VibratorOutput):
         return unwritable(BoardError, self._path, error)
 
 
-def _wav_header(channels: int, rate_hz: int, samples: int) -> bytes:
-    """Return the header of a WAV file of 16-bit samples."""
-    frame = 2 * channels
-    size = samples * frame
-    if size > _LARGEST_BYTES:
-        raise BoardError(
-            "the WAV file of the vibrators is full, it holds 4 GB: lower its rate",
-            about="file",
-            remedy="rate",
-        )
-    sound = struct.pack("<HHIIHH", 1, channels, rate_hz, rate_hz * frame, frame, 16)
-    whole = struct.pack("<4sI4s4sI", b"RIFF", 36 + size, b"WAVE", b"fmt ", len(sound))
-    return whole + sound + struct.pack("<4sI", b"data", size)
-
-
-class SoundOutput(VibratorOutput):
+class SoundOutput:
     """Output to a sound device, by number or part of its name (the default one if empty); silent
     once no sequence is left."""
 
     time_to_zero_ms: float = 2 * GRACE_NS / 1e6
+    notes: list[str]
 
     def __init__(self, device: str) -> None:
         self._device: int | str | None = int(device) if device.isdecimal() else device or None
