@@ -18,9 +18,10 @@ class Event:
     reveals: ClassVar[bool] = False
     """Whether it would give the answer of an experiment away to its participant."""
     words: ClassVar[str] = ""
+    """What it says, with its fields in braces."""
 
     def __str__(self) -> str:
-        return self.words or type(self).__name__
+        return self.words.format(**vars(self)) or type(self).__name__
 
 
 @dataclass(frozen=True)
@@ -28,9 +29,7 @@ class Note(Event):
     """A sentence that a user should know."""
 
     text: str
-
-    def __str__(self) -> str:
-        return self.text
+    words: ClassVar[str] = "{text}"
 
 
 @dataclass(frozen=True)
@@ -43,9 +42,7 @@ class Marked(Event):
     """Somebody marked this instant, with a few words."""
 
     text: str
-
-    def __str__(self) -> str:
-        return f"mark: {self.text}"
+    words: ClassVar[str] = "mark: {text}"
 
 
 @dataclass(frozen=True)
@@ -53,9 +50,7 @@ class IntensityChanged(Event):
     """The user asked for another intensity, in [0, 1]."""
 
     level: float
-
-    def __str__(self) -> str:
-        return f"intensity {self.level:.2f}"
+    words: ClassVar[str] = "intensity {level:.2f}"
 
 
 @dataclass(frozen=True)
@@ -77,9 +72,7 @@ class ModeChanged(Event):
     """The user chose other afferents."""
 
     mode: Mode
-
-    def __str__(self) -> str:
-        return f"mode {self.mode}"
+    words: ClassVar[str] = "mode {mode}"
 
 
 @dataclass(frozen=True)
@@ -110,9 +103,7 @@ class FingerLifted(Event):
 @dataclass(frozen=True)
 class _Reasoned(Event):
     reason: str
-
-    def __str__(self) -> str:
-        return self.reason
+    words: ClassVar[str] = "{reason}"
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ import unicodedata
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from smarttouch.base.errors import BrailleError
 from smarttouch.braille import louis
@@ -32,23 +32,8 @@ MISSING_NOTE = (
 )
 
 
-class BrailleCode(Protocol):
-    """Braille code that translates one line at a time."""
-
-    goes_back: bool  # translates cells back
-    remedy: str  # for characters without cells
-
-    def missing(self, line: str) -> str:
-        """Return the characters of a line that it has no cells for, each once."""
-        ...
-
-    def encode(self, line: str) -> str:
-        """Return a line of text, none of its characters missing, as cells."""
-        ...
-
-    def decode(self, cells: str) -> str:
-        """Return a line of cells as text."""
-        ...
+BrailleCode = Grade1 | Kana | LouisCode
+"""Code that translates one line at a time; `goes_back` if it translates cells back, too."""
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,12 @@
 
 import json
 import math
+import time
 from abc import ABC, abstractmethod
 from dataclasses import asdict, dataclass, field
 from functools import cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -192,12 +193,6 @@ def _record(electrodes: int) -> np.dtype[np.void]:
     )  # fmt: skip
 
 
-class FirmwareClock(Protocol):
-    """The device's time."""
-
-    def now_ns(self) -> int: ...
-
-
 class Firmware(ABC):
     """A device between its line and what it touches; it has no clock of its own."""
 
@@ -211,7 +206,7 @@ class Firmware(ABC):
         """Whether something is due soon."""
         return False
 
-    def wait_s(self, clock: FirmwareClock) -> float:
+    def wait_s(self, clock: "DeviceClock") -> float:
         """Return how long to wait for bytes from the host, s."""
         return 0.001 if self.busy else 0.004
 
@@ -238,6 +233,23 @@ class Firmware(ABC):
     def take_order(self, words: list[str]) -> bool:
         """Execute a line of input; return whether it was an order."""
         return False
+
+
+class DeviceClock:
+    """The device's time, from 0 on, which stands still while the machine runs other processes for
+    longer than ``longest_step_ns``: hardware never waits, so a delay of the emulator must not count
+    as the host's silence or as delivered pulses."""
+
+    def __init__(self, longest_step_ns: int = Firmware.longest_step_ns) -> None:
+        self._longest_step_ns = longest_step_ns
+        self._begun = self._last = time.monotonic_ns()
+        self.stood_still_ns: int = 0
+
+    def now_ns(self) -> int:
+        now = time.monotonic_ns()
+        self.stood_still_ns += max(0, now - self._last - self._longest_step_ns)
+        self._last = now
+        return now - self._begun - self.stood_still_ns
 
 
 VOLTS_PER_COUNT = 0.0893  # scale of the eTactileKit's converter; assumed for its relative's as well

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import SourceError
-from smarttouch.emulator.firmware import Firmware, FirmwareClock
+from smarttouch.emulator.firmware import DeviceClock, Firmware
 from smarttouch.profile import Profile
 from smarttouch.sources import open_source
 from smarttouch.sources.force import RecordedForce
@@ -41,7 +41,7 @@ class SensorFirmware(Firmware):
         self._next_ns = 0.0
         self._number = 0
 
-    def wait_s(self, clock: FirmwareClock) -> float:
+    def wait_s(self, clock: DeviceClock) -> float:
         left_s = (self._next_ns - clock.now_ns()) / 1e9
         return min(max(left_s, 0.0), _LONGEST_WAIT_S)
 

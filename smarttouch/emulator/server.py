@@ -17,7 +17,6 @@ import random
 import select
 import signal
 import sys
-import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -26,7 +25,7 @@ from types import FrameType
 from smarttouch.base.errors import SourceError
 from smarttouch.base.wire.device_lines import PtyLine, TcpLine
 from smarttouch.emulator.finger_events import DeviceEvent, parse
-from smarttouch.emulator.firmware import Firmware
+from smarttouch.emulator.firmware import DeviceClock, Firmware
 
 FAULTS = dict.fromkeys(("garbage", "nan", "freeze", "silent", "unplug"), "[SECONDS]")
 FIRST_HOST_S = 8.0  # time beyond its lingering that it waits for the first host
@@ -204,20 +203,3 @@ class Server:
     def _write_books(self) -> None:
         if self._firmware.books is not None:
             self._firmware.books.write()
-
-
-class DeviceClock:
-    """The device's time, from 0 on, which stands still while the machine runs other processes for
-    longer than ``longest_step_ns``: hardware never waits, so a delay of the emulator must not count
-    as the host's silence or as delivered pulses."""
-
-    def __init__(self, longest_step_ns: int = Firmware.longest_step_ns) -> None:
-        self._longest_step_ns = longest_step_ns
-        self._begun = self._last = time.monotonic_ns()
-        self.stood_still_ns: int = 0
-
-    def now_ns(self) -> int:
-        now = time.monotonic_ns()
-        self.stood_still_ns += max(0, now - self._last - self._longest_step_ns)
-        self._last = now
-        return now - self._begun - self.stood_still_ns

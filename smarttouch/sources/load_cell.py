@@ -21,7 +21,7 @@ from smarttouch.base.stopping import Closing
 from smarttouch.base.wire.port import LINE_ERRORS, Port, open_port
 from smarttouch.profile import Profile
 from smarttouch.sources.force import ForceSource
-from smarttouch.sources.serial_input import PacketReadings, Readings, TextReadings, read_available
+from smarttouch.sources.serial_input import PacketReadings, TextReadings, read_available
 from smarttouch.sources.source_contract import DeviceWarnings, OutageTracker
 
 FRESH_S = 0.35  # age up to which a reading is fresh: enough for cells with ten conversions a second
@@ -134,7 +134,7 @@ RETRY_S = 0.25  # interval of attempts to reopen a lost port
 JOIN_S = 2.0  # time to wait for a driver that hangs, before it is abandoned
 LARGEST_N = 100.0  # largest plausible force of a finger; with more, the curve is not this cell's
 _WAIT_S = 0.05
-_KINDS: dict[str, tuple[int, Callable[[], Readings]]] = {
+_KINDS: dict[str, tuple[int, type[TextReadings] | type[PacketReadings]]] = {
     "hx711": (57_600, TextReadings),
     "loadcell": (921_600, PacketReadings),
 }

@@ -16,7 +16,6 @@ lost digit passes for a smaller number. The framed form
 import contextlib
 import math
 import re
-from typing import Protocol
 
 from smarttouch.base.errors import SourceLostError
 from smarttouch.base.wire.port import LINE_ERRORS, Port, reason
@@ -45,19 +44,6 @@ LARGEST_READING = 1e9  # largest plausible reading; the converter itself ends at
 _NUMBER = re.compile(rb"(?<![\w.+-])[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?(?![\d.])")
 _NOT_A_NUMBER = re.compile(rb"(?<!\w)[+-]?(?:nan|inf|ovf)(?!\w)", re.IGNORECASE)
 _TEXT = re.compile(rb"[\t\x20-\x7e]*")
-
-
-class Readings(Protocol):
-    """Parser of readings in a stream of bytes."""
-
-    garbled: int  # number of lines or packets without a valid reading
-    last_garbled: str  # text of the last invalid one
-
-    def feed(self, data: bytes) -> list[float]:
-        """Return the readings completed by these bytes; NaN where the cell has none."""
-
-    def restart(self) -> None:
-        """Discard a partial reading: the line was interrupted."""
 
 
 def parse_line(line: bytes) -> float | None:

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -35,15 +34,6 @@ _PRESS = 1.1  # reading force, relative to the profile's full force
 _WAVER = 0.08  # slow variation of the reading force
 _STEP_MM = 2.0  # distance of the points of a path along a line: its bend between them is negligible
 _COLUMNS = ("time_s", "x_mm", "y_mm", "angle_deg", "force_n")
-
-
-class Path2D(Protocol):
-    """Pose and force of the finger at any time."""
-
-    duration_s: float
-
-    def at(self, time_s: float) -> tuple[Pose, float]:
-        """Return the pose and the force in newtons."""
 
 
 class ReadingPath:
@@ -316,7 +306,7 @@ class PageSource(OpticalSource):
         self.page = page
         self.text: str = ""  # text of the page, if it is known
         self.notes: list[str] = [notice] if notice else []
-        self.path: Path2D = (
+        self.path: ReadingPath | RecordedPath = (
             ReadingPath(page, profile, speed_mm_s, seed, light_on_dark)
             if path is None
             else RecordedPath(path)

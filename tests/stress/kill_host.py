@@ -25,10 +25,9 @@ from smarttouch.boards.kits import streamed
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import one_each
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
-from smarttouch.emulator.firmware import DeliveryLog
+from smarttouch.emulator.firmware import DeliveryLog, DeviceClock
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_firmware import LinkFirmware
-from smarttouch.emulator.server import DeviceClock
 from smarttouch.emulator.skin import COMPLIANCE_V
 from smarttouch.stimulation.safety_gate import SafetyLimits
 

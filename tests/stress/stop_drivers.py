@@ -27,9 +27,9 @@ from smarttouch.boards.kits import streamed
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import one_each
 from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
+from smarttouch.emulator.firmware import DeviceClock
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_firmware import LinkFirmware
-from smarttouch.emulator.server import DeviceClock
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 KITS = ("71adee2", "newest")
