@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,6 @@ from smarttouch.profile import Profile
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.recording_reader import Recording
 from smarttouch.running.regulation import Regulator
-from smarttouch.running.step import Measured
 from smarttouch.running.step_decoder import RecordedStep
 from smarttouch.stimulation.adaptation import Adaptation
 from smarttouch.stimulation.recharge import ChargeBalance, RechargeRules
@@ -167,16 +167,6 @@ def rebuild_pipeline(
     return pipeline, Regulator(adaptation, ledger, recharge)
 
 
-class _RecordedBoard:
-    """Stand-in for the board, with its recorded measurements."""
-
-    def __init__(self, observed: tuple[Measured, ...]) -> None:
-        self._observed = observed
-
-    def take_volts(self) -> list[Measured]:
-        return list(self._observed)
-
-
 def _again(recorded: RecordedStep, pipeline: Pipeline, regulator: Regulator) -> ScanSequence:
     """Return the sequence that the present pipeline makes of a recorded step's inputs."""
     step = recorded.step
@@ -184,7 +174,7 @@ def _again(recorded: RecordedStep, pipeline: Pipeline, regulator: Regulator) -> 
         pipeline.change_mode(step.mode)
     if step.restarted:
         pipeline.restart_softly()
-    board: Any = _RecordedBoard(step.observed)
+    board: Any = SimpleNamespace(take_volts=lambda: [*step.observed])
     made = regulator.regulate(pipeline.process(step.input, step.level), board).sequence
     if recorded.sent.number is None:
         regulator.lost(made)

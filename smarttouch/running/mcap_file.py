@@ -5,7 +5,7 @@ Records are decompressed and parsed within the limits of a recording."""
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -30,6 +30,13 @@ _MOST_VALUES = 2_000_000  # largest number of values in one message; each takes 
 _LARGE_BYTES = 2**20
 _HEAD = struct.Struct("<BQ")
 _INVALID = 0  # opcode of no record: what follows is no part of a recording
+Record = Schema | Channel | Message | Metadata
+_READ: dict[int, Callable[[ReadDataStream, int], Record]] = {
+    Opcode.SCHEMA: lambda stream, _: Schema.read(stream),
+    Opcode.CHANNEL: lambda stream, _: Channel.read(stream),
+    Opcode.METADATA: lambda stream, _: Metadata.read(stream),
+    Opcode.MESSAGE: Message.read,
+}
 
 
 def records_in(file: BinaryIO, at: int = 0) -> Iterator[tuple[int, int, int]]:
@@ -50,7 +57,7 @@ def records_in(file: BinaryIO, at: int = 0) -> Iterator[tuple[int, int, int]]:
         at += length
 
 
-def chunk_records(data: bytes) -> Iterator[Schema | Channel | Message]:
+def chunk_records(data: bytes) -> Iterator[Record]:
     """Yield the records of a chunk; ValueError if it is damaged, or holds more than it declares."""
     try:
         chunk = Chunk.read(ReadDataStream(BytesIO(data)))
@@ -63,24 +70,16 @@ def chunk_records(data: bytes) -> Iterator[Schema | Channel | Message]:
     if chunk.uncompressed_crc not in (0, zlib.crc32(content)):
         raise ValueError("a chunk's checksum does not hold")
     for opcode, at, length in records_in(BytesIO(content)):
-        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+        if opcode in _READ and opcode != Opcode.METADATA:
             yield read_record(opcode, content[at : at + length])
 
 
-def read_record(opcode: int, data: bytes) -> Schema | Channel | Message:
-    """Return a schema, a channel or a message; ValueError if it is invalid."""
-    stream = ReadDataStream(BytesIO(data))
-    record: Schema | Channel | Message
+def read_record(opcode: int, data: bytes) -> Record:
+    """Return a record of one of the kinds in `_READ`; ValueError if it is invalid."""
     try:
-        if opcode == Opcode.SCHEMA:
-            record = Schema.read(stream)
-        elif opcode == Opcode.CHANNEL:
-            record = Channel.read(stream)
-        else:
-            record = Message.read(stream, len(data))
+        return _READ[opcode](ReadDataStream(BytesIO(data)), len(data))
     except Exception:
         raise ValueError("a record is damaged") from None
-    return record
 
 
 def parse_message(data: str | bytes) -> Any:
@@ -159,22 +158,16 @@ class McapFile:
         records = (
             chunk_records(data) if opcode == Opcode.CHUNK else map(read_record, [opcode], [data])
         )
-        while True:
-            try:
-                record = next(records, None)
-            except ValueError:
-                self._bad_at.add(at)
-                return
-            if record is None:
-                return
-            if isinstance(record, Message):
-                channel = self.channels.get(record.channel_id)
-                if channel is not None:
+        try:
+            for record in records:
+                if not isinstance(record, Message):
+                    self._note(record)
+                elif (channel := self.channels.get(record.channel_id)) is not None:
                     yield channel, record
-            else:
-                self._note(record)
+        except ValueError:
+            self._bad_at.add(at)
 
-    def _note(self, record: object) -> None:
+    def _note(self, record: Record) -> None:
         if isinstance(record, Schema):
             self.schemas[record.id] = record
         elif isinstance(record, Channel):
@@ -189,11 +182,6 @@ class McapFile:
         file.seek(0)
         if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
             raise RecordingError(f"{self.path} is no MCAP file", about="file")
-        kinds: dict[int, Any] = {
-            Opcode.METADATA: Metadata,
-            Opcode.SCHEMA: Schema,
-            Opcode.CHANNEL: Channel,
-        }
         for opcode, at, length in records_in(file, len(MCAP0_MAGIC)):
             file.seek(at)
             if opcode == Opcode.CHUNK and length >= _CHUNK.size:
@@ -203,10 +191,8 @@ class McapFile:
             elif opcode == Opcode.FOOTER:
                 file.seek(at + length)
                 self.ended = file.read() == MCAP0_MAGIC
-            elif opcode in kinds and length <= _LONGEST_ABOUT:
+            elif opcode in _READ and opcode != Opcode.MESSAGE and length <= _LONGEST_ABOUT:
                 try:
-                    record = kinds[opcode].read(ReadDataStream(BytesIO(file.read(length))))
-                except Exception:
+                    self._note(read_record(opcode, file.read(length)))
+                except ValueError:
                     self._bad_at.add(at)
-                    continue
-                self._note(record)

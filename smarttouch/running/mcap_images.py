@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -196,16 +197,9 @@ def _from_package(module: str, encoding: str, schema: Schema) -> Decode:
     return decode
 
 
-class _Table:
-    """Object whose attributes are the values of a JSON object."""
-
-    def __init__(self, values: dict[str, Any]) -> None:
-        vars(self).update(values)
-
-
-def _of_json(data: bytes) -> _Table:
+def _of_json(data: bytes) -> SimpleNamespace:
     values = parse_message(data)
-    return _Table({**values, "data": base64.b64decode(values["data"], validate=True)})
+    return SimpleNamespace(**values | {"data": base64.b64decode(values["data"], validate=True)})
 
 
 def _compressed(message: Any) -> NDArray[np.uint8]:

@@ -4,12 +4,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import RecordingError
 from smarttouch.base.lazy_names import import_extra
 from smarttouch.profile import Profile
 from smarttouch.running.recording_reader import Recording
@@ -111,11 +110,6 @@ class RunArrays:
 
 _SLOTS = ("current_ua", "width_us", "discharge_us", "site")
 _NOT_OF_STEPS = (*_SLOTS, "first_slot", "volts", "volts_step")
-_REAL = (
-    "level", "intensity", "force_n", "x_mm", "y_mm", "angle_rad", "latency_us", "work_us",
-    "first_pulse_us",
-)  # fmt: skip
-_TRUTHS = ("restarted", "stale")
 _OF_THE_MOMENT = ("clock_ns", "latency_us", "work_us", "first_pulse_us", "acknowledged", "refused")
 """What differs between two runs that are the same."""
 
@@ -167,21 +161,14 @@ class ArrayCollector:
 
     def arrays(self) -> RunArrays:
         """Return what was collected."""
-        columns, count = self._columns, self._electrodes
-        one_by_one = np.empty(0, np.uint16)
-        joined = {
-            "current_ua": np.empty((0, count), np.int16), "width_us": one_by_one,
-            "discharge_us": one_by_one, "site": one_by_one, "volts": np.empty(0, np.float32),
-        }  # fmt: skip
-        made: dict[str, Any] = {
-            name: np.concatenate([none, *columns[name]]) for name, none in joined.items()
-        }
-        made["activation"] = np.array(columns["activation"], np.float32).reshape(-1, 3, count)
-        made["recharge_ua"] = np.array(columns["recharge_ua"], np.int16).reshape(-1, count)
-        for name in columns.keys() - made.keys():
-            kind: Any = np.float64 if name in _REAL else np.str_ if name == "mode" else np.int64
-            kind = np.bool_ if name in _TRUTHS else kind
-            made[name] = np.array(columns[name], kind)
+        count, made = self._electrodes, dict[str, Any]()
+        sides = {"current_ua": (count,), "activation": (3, count), "recharge_ua": (count,)}
+        for each in fields(RunArrays):
+            values: Any = self._columns[each.name]
+            kind: Any = get_args(get_args(each.type)[1])[0]
+            if each.name in (*_SLOTS, "volts"):
+                values = np.concatenate([np.empty(0, kind), *map(np.ravel, values)])
+            made[each.name] = np.array(values, kind).reshape(-1, *sides.get(each.name, ()))
         return RunArrays(**made)
 
 
@@ -292,7 +279,4 @@ def load_recording(path: Path | str) -> RecordedRun:
     >>> run.activation.shape, run.current_ua.shape[1]
     ((25, 3, 64), 64)
     """
-    try:
-        return RecordedRun(path)
-    except IsADirectoryError:
-        raise RecordingError(f"{path} is a folder: give a file", about="file") from None
+    return RecordedRun(path)

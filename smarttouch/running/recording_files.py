@@ -1,5 +1,6 @@
 """Summary, repair and export of recordings."""
 
+import contextlib
 import csv
 from collections import Counter
 from dataclasses import dataclass, field
@@ -37,29 +38,21 @@ class Account:
     acknowledged: int = 0
     refused: int = 0
 
-    def _sequence(self, data: bytes) -> None:
-        fields = parse_message(data)
-        self.slots += _count(fields["slots"])
-        self.lost += fields["number"] is None
-        self.modes[str(fields["mode"])] += 1
-        self.strongest_ma = max(self.strongest_ma, float(fields["strongest_ma"]))
-
-    def _board(self, data: bytes) -> None:
-        fields = parse_message(data)
-        self.acknowledged = _count(fields["acknowledged"])
-        self.refused = _count(fields["refused"])
-
     def add(self, topic: str, data: bytes) -> None:
         """Add one message; an invalid one counts only by its size."""
         self.messages[topic] += 1
         self.size[topic] += len(data)
-        try:
+        with contextlib.suppress(ValueError, TypeError, KeyError, OverflowError):
             if topic == "/sequence":
-                self._sequence(data)
+                fields = parse_message(data)
+                self.slots += _count(fields["slots"])
+                self.lost += fields["number"] is None
+                self.modes[str(fields["mode"])] += 1
+                self.strongest_ma = max(self.strongest_ma, float(fields["strongest_ma"]))
             elif topic == LAST:
-                self._board(data)
-        except (ValueError, TypeError, KeyError, OverflowError):
-            pass
+                fields = parse_message(data)
+                self.acknowledged = _count(fields["acknowledged"])
+                self.refused = _count(fields["refused"])
 
 
 def _count(value: float) -> int:
