@@ -65,11 +65,6 @@ class Baseline:
         """Baseline's y halfway along the row, px."""
         return self.y_at((self.left + self.right) / 2)
 
-    def slope_at(self, x: float) -> float:
-        """Return the slope of the baseline at x, positive if it falls."""
-        inside = min(max(x - self.left, 0.0), self.right - self.left)
-        return float(_values(_derived(self.baseline), np.array(inside)))
-
     @cached_property
     def heights(self) -> Floats:
         """Height of each row of the profile over the baseline, (N,), in x-heights."""

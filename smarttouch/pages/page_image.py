@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from smarttouch.base.errors import PageError, UnknownSizeError
+from smarttouch.base.errors import PageError
 from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file
 
 MOST_PIXELS = 100_000_000
@@ -44,19 +44,6 @@ class Page:
         """Width and height, mm."""
         height, width = self.grey.shape
         return width * self.mm_per_pixel, height * self.mm_per_pixel
-
-
-def load_page(path: Path, dpi: float | None = None, page_width_mm: float | None = None) -> Page:
-    """Load an image of a page, of any color mode, at the given or its own scale."""
-    check_scale_options(dpi, page_width_mm)
-    with open_image(path) as image:
-        grey, mm_per_pixel = read_grey(path, image, dpi, page_width_mm)
-    if mm_per_pixel is None:
-        message = f"{path} does not state its size: give {_SCALE}"
-        raise UnknownSizeError(message, about="size_mm", remedy=_SCALE)
-    height, width = grey.shape
-    require_size_mm(str(path), width * mm_per_pixel, height * mm_per_pixel)
-    return Page(grey, mm_per_pixel)
 
 
 def check_scale_options(

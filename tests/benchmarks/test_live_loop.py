@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 
 from smarttouch.base.files import data_folder
-from smarttouch.pages.page_image import load_page
+from smarttouch.pages.document import open_document
 from smarttouch.profile import load_profile
 from smarttouch.sources.virtual_finger import PageSource
 
@@ -35,7 +35,7 @@ def make_video(path, seconds, rate_hz):
     """A finger that reads the sample page, 640 x 480, as a camera takes it."""
     profile = load_profile("electric-mouse")
     optics = profile.optics.model_copy(update={"sensor_columns": 640, "sensor_rows": 480})
-    page = load_page(data_folder("sample_images") / "page.png")
+    page = open_document(data_folder("sample_images") / "page.png").page(0)
     sensor = PageSource(page, profile.model_copy(update={"optics": optics}), "a page")
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), rate_hz, (640, 480), False)
     images = [sensor.read(int(step / rate_hz * 1e9)).image for step in range(CYCLE)]
