@@ -1,6 +1,7 @@
 """Kernels, sequences and limits as payloads of ``link``: see ``docs/reference/link.md``."""
 
 import hashlib
+import itertools
 import math
 import struct
 from dataclasses import dataclass, replace
@@ -229,57 +230,39 @@ def _groups(
 ) -> list[Any]:
     """Return the groups of slots that have a kind and a shape in common, as bytes and arrays."""
     slots, usual = len(sequence.width_us), STATES if switched else CURRENTS
-    lists = None if switched or image is None else _kept(sequence, image)
-    if lists is not None and shape is None and lists[1].all():
-        return _lists(lists[0])
-    if lists is None and shape is None:
+    kept = None if switched or image is None else _kept(sequence, image)
+    if kept is None and shape is None:
         if slots > _U16_MAX:
             raise _too_many(slots)
         return [_GROUP.pack(usual, 0, slots), _rows(sequence, switched)]
-    shape = np.zeros(slots, np.intp) if shape is None else shape
-    kind = np.full(slots, usual)
-    if lists is not None:
-        sums, listed = lists
-        size = np.diff(sums.first)
-        kind = np.where(listed, np.where(size == 1, POINTS, SUM), kind)
-        pairs = np.column_stack([sums.kernel, sums.amplitude]).astype("<u2")
+    kinds, first, pairs = [usual] * slots, list[int](), b""
+    if kept is not None:
+        sums, listed = kept
+        pairs = np.array([sums.kernel, sums.amplitude], "<u2").T.tobytes()
         first = sums.first.tolist()
-    rows = _rows(sequence, switched) if kind.max() >= CURRENTS else None
-    new = np.ones(slots, np.bool_)
-    new[1:] = (kind[1:] == SUM) | (np.diff(kind) != 0) | (np.diff(shape) != 0)
-    starts = np.flatnonzero(new).tolist()
+        kinds = [
+            (POINTS if end - start == 1 else SUM) if by_list else usual
+            for start, end, by_list in zip(first, first[1:], listed.tolist(), strict=False)
+        ]
+    rows = _rows(sequence, switched) if usual in kinds else None
+    shapes = [0] * slots if shape is None else shape.tolist()
+    # Each sum stands alone.
+    keys = [
+        (kind, own, slot * (kind == SUM))
+        for slot, (kind, own) in enumerate(zip(kinds, shapes, strict=True))
+    ]
     parts: list[Any] = []
-    for start, end in zip(starts, [*starts[1:], slots], strict=True):
-        what, count = int(kind[start]), end - start
-        if what == SUM:
-            count = first[end] - first[start]
-        if count > _U16_MAX:
-            raise _too_many(count)
-        parts.append(_GROUP.pack(what, int(shape[start]), count))
+    for (what, own, _), group in itertools.groupby(range(slots), keys.__getitem__):
+        start, *others = group
+        end = start + 1 + len(others)
+        body: Any
         if rows is not None and what >= CURRENTS:
-            parts.append(rows[start:end])
+            count, body = end - start, rows[start:end]
         else:
-            parts.append(pairs[first[start] : first[end]])
-    return parts
-
-
-def _lists(sums: KernelLists) -> list[Any]:
-    """Return groups of slots of one shape that are all lists: points together, each sum alone."""
-    pairs = np.empty((len(sums.kernel), 2), "<u2")
-    pairs[:, 0], pairs[:, 1] = sums.kernel, sums.amplitude
-    data, first = pairs.tobytes(), sums.first.tolist()
-    parts: list[Any] = []
-    start, slots = 0, len(first) - 1
-    while start < slots:
-        end = start + 1
-        if (what := POINTS if first[end] - first[start] == 1 else SUM) == POINTS:
-            while end < slots and first[end + 1] - first[end] == 1:
-                end += 1
-        count = first[end] - first[start]
+            count, body = first[end] - first[start], pairs[4 * first[start] : 4 * first[end]]
         if count > _U16_MAX:
             raise _too_many(count)
-        parts += [_GROUP.pack(what, 0, count), data[4 * first[start] : 4 * first[end]]]
-        start = end
+        parts += [_GROUP.pack(what, own, count), body]
     return parts
 
 
