@@ -150,11 +150,6 @@ class FrameFigures:
     total_ma: float  # of all cathodes together
     electrode_ma: float  # of the strongest electrode
 
-    @property
-    def error(self) -> float:
-        """Spread of the targets, each relative to its requested activation; 0 is even."""
-        return self.strongest / self.weakest - 1 if self.weakest > 0 else np.inf
-
 
 @dataclass(frozen=True)
 class FrameBounds:

@@ -19,7 +19,6 @@ part.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,16 +91,6 @@ class FrameOperator:
         self._columns = self._inverse @ judge.target.T
         self._response = judge.target @ self._columns
         self._soft = _SOFT * float(np.trace(self._response)) / len(self._response)
-
-    @cached_property
-    def matrix(self) -> Array:
-        """Matrix that serves all frames, (E, E) mA per V/mm²: every site has a request.
-
-        An inactive site requests 0, which costs selectivity; w = matrix @ y is a single product.
-        """
-        count = len(self._response)
-        system = self._response + self._soft * np.eye(count)
-        return np.asarray(np.linalg.solve(system, self._columns.T).T)
 
     def currents(self, level: Array) -> Array:
         """Return the currents (E,) mA with the least side effects for levels (E,)."""

@@ -4,19 +4,20 @@ import math
 import os
 import re
 import time
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
+from PIL import ExifTags, Image, ImageOps
 
-from smarttouch.base.errors import SourceError, require_within
-from smarttouch.base.files import MOST_DOCUMENT_BYTES, open_file, require_file
+from smarttouch.base.errors import PageError, SourceError, require_within
+from smarttouch.base.files import MOST_DOCUMENT_BYTES, require_file
+from smarttouch.pages.page_image import open_image
 from smarttouch.profile import Profile
 from smarttouch.sources.camera import QUIET_OPENCV, to_grey
 from smarttouch.sources.live_capture import STALE_S, ImageDevice, LiveSource, Shot, SourceEndedError
@@ -110,36 +111,28 @@ class VideoFile(Clip):
         if self._first is not None:
             image, self._first = self._first, None
             return image
-        with QUIET_OPENCV:
-            try:
-                read, color = self._capture.read()
-            except cv2.error:
-                read, color = False, None
-        if not read or color is None:
-            self._end()
-            return None
-        self._read += 1
-        return to_grey(color)
+        color = self._captured(decoded=True)
+        return None if color is None else to_grey(color)
 
     def skip(self) -> bool:
         if self._first is not None:
             self._first = None
             return True
+        return self._captured(decoded=False) is not None
+
+    def _captured(self, decoded: bool) -> Any:
+        """Return the next frame in color, or True where none is decoded; None at the end."""
         with QUIET_OPENCV:
             try:
-                read = self._capture.grab()
+                found = self._capture.read()[1] if decoded else self._capture.grab() or None
             except cv2.error:
-                read = False
-        if not read:
-            self._end()
-            return False
-        self._read += 1
-        return True
-
-    def _end(self) -> None:
+                found = None
+        self._read += found is not None
         note = f"{self.title} breaks off: {self._read} of its {self.count} frames could be read"
-        if self.count - self._read > max(1, _MISSING * self.count) and note not in self.notes:
+        missing = self.count - self._read > max(1, _MISSING * self.count)
+        if found is None and missing and note not in self.notes:
             self.notes.append(note)
+        return found
 
     def close(self) -> None:
         self._capture.release()
@@ -157,10 +150,7 @@ class ImageFolder(Clip):
     def open(self) -> None:
         self._files = _images(self.path)
         self.count: int = len(self._files)
-        with warnings.catch_warnings():
-            # Sizes are checked below.
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            sizes = [_size(file) for file in self._files]
+        sizes = [_size(file) for file in self._files]
         for file, (width, height) in zip(self._files, sizes, strict=True):
             if (width, height) != sizes[0]:
                 raise SourceError(
@@ -231,15 +221,10 @@ def _natural(file: Path) -> list[tuple[int, int, str]]:
 @contextmanager
 def _reading(file: Path) -> Iterator[Image.Image]:
     try:
-        with (
-            open_file(file, SourceError, MOST_DOCUMENT_BYTES) as opened,
-            Image.open(opened) as image,
-        ):
+        with open_image(file) as image:
             yield image
-    except UnidentifiedImageError:
-        raise SourceError(f"{file} is not a readable image: remove it", about="file") from None
-    except (OSError, SyntaxError, ValueError, EOFError, Image.DecompressionBombError) as error:
-        raise SourceError(f"{file} cannot be read, remove it: {error}", about="file") from None
+    except PageError as error:
+        raise SourceError(f"{error}; remove it from the folder", about="file") from None
 
 
 def _size(file: Path) -> tuple[int, int]:

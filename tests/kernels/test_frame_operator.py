@@ -42,11 +42,6 @@ def test_targets_get_their_wish_and_currents_sum_to_zero(make_operator, afferent
     reached = operator.judge.target[active] @ current
     assert reached == pytest.approx((level * operator.judge.wish_af)[active], rel=1e-3)
     assert current.sum() == pytest.approx(0, abs=1e-9)
-    single = operator.matrix @ (level * operator.judge.wish_af)
-    assert single.sum() == pytest.approx(0, abs=1e-7)
-    # One unknown too few for 64 wishes: what is left is the same everywhere, as a mean.
-    missed = operator.judge.target @ single - level * operator.judge.wish_af
-    assert missed.std() < 0.1 * np.abs(missed).max() + 1e-6
 
 
 def test_no_other_currents_with_the_same_targets_cause_less(make_operator):
@@ -124,7 +119,6 @@ def test_masked_electrodes_carry_nothing(profile, changed):
     level[[10, 27, 52]] = 1
     current, _ = operator.bounded(level, FrameBounds())
     assert (current[[0, 28]] == 0).all()
-    assert (operator.matrix[[0, 28]] == 0).all()
     assert np.abs(current[27]) > 1
     assert not keeps(
         operator.judge,

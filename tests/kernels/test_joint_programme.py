@@ -66,7 +66,10 @@ def test_linprog_agrees(small, afferent, seed, points, total_ma):
     assert mine.figures.off_target <= optimum * 1.002
     assert mine.figures.spill <= bounds.spill * 1.002
     assert mine.figures.total_ma <= total_ma + 1e-6
-    assert mine.figures.error <= 2 * bounds.uneven / (1 - bounds.uneven) + 1e-6
+    assert (
+        mine.figures.strongest / mine.figures.weakest
+        <= (1 + bounds.uneven) / (1 - bounds.uneven) + 1e-6
+    )
     assert (np.abs(mine.current) <= judge.full_ma + 1e-6).all()
     assert mine.current.sum() == pytest.approx(0, abs=1e-6)
     free, _ = FrameOperator(judge).bounded(level, bounds, total_ma)
