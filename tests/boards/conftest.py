@@ -163,7 +163,7 @@ def script(monkeypatch):
         port = ScriptedPort(exchanges)
         ports.append(port)
         monkeypatch.setattr("smarttouch.boards.kits.streamed.open_port", lambda name: port)
-        monkeypatch.setattr("smarttouch.boards.kits.kept_line.KeptLine", lambda port: port)
+        monkeypatch.setattr("smarttouch.boards.kits.etactilekit_line.KeptLine", lambda port: port)
         monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 0.0)
         return port
 

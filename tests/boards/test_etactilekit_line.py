@@ -88,7 +88,7 @@ class Meeting:
         self.board = board or ETactileKitFirmware(self.books, firmware=firmware)
         self.port = ManualPort(self.board, self.clock)
         patch.setattr(etactilekit_line, "open_port", lambda _: self.port)
-        patch.setattr("smarttouch.boards.kits.kept_line.KeptLine", lambda port: port)
+        patch.setattr("smarttouch.boards.kits.etactilekit_line.KeptLine", lambda port: port)
         self.driver = ETactileKitBoard("told" + option, LIMITS)
         self.driver._clock, self.driver._pause = self.clock, self.clock.sleep
         self.driver._serial = self.port

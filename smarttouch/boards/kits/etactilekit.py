@@ -76,7 +76,7 @@ class ETactileKitBoard(SteppedKit):
     def _greet(self) -> None:
         firmware, capacity = self._find_out()
         self._zero_anywhere = zero_anywhere(self._outputs)
-        self._promise_zero(self._zero_anywhere, self._slow)
+        self._promise_zero(self._zero_anywhere)
         self._give_up()
         self._on_board, self._settings, self._before = b"", None, None
         self._senses = False
@@ -98,7 +98,7 @@ class ETactileKitBoard(SteppedKit):
         )
 
     def _zero_first(self) -> None:
-        self._promise_zero(self._zero_anywhere, self._slow)
+        self._promise_zero(self._zero_anywhere)
         self._write_out(self._zero_anywhere)
 
     def _zero(self) -> None:

@@ -7,8 +7,14 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.errors import BoardError, LineLostError, SilentBoardError, not_offered
-from smarttouch.base.wire.port import open_port
+from smarttouch.base.errors import (
+    BoardError,
+    LineLostError,
+    OtherDeviceError,
+    SilentBoardError,
+    not_offered,
+)
+from smarttouch.base.wire.port import Port, open_port
 from smarttouch.boards.kits.etactilekit_wire import (
     AT_REST,
     CHIPS,
@@ -19,14 +25,16 @@ from smarttouch.boards.kits.etactilekit_wire import (
     ZEROS,
 )
 from smarttouch.boards.kits.keeper import PAUSE_S, PIECE
-from smarttouch.boards.kits.kept_line import KeptBoard
+from smarttouch.boards.kits.kept_line import KeptLine
 from smarttouch.boards.kits.scan_lock import Span
+from smarttouch.boards.kits.streamed import StreamedBoard
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 FIRMWARES = ("71adee2", "newest")  # by their first commits in the repository
 ECHO_S = 0.1
 CHIPS_S = 0.5  # longest time to an answer
+MORE_S = 0.03  # wait for more than the answer: USB chips keep bytes for 16 ms
 FORGETS_S = 2.15  # silence after which a partial command is dropped
 LOSSES_UNTIL_SLOW = 2
 TRIES = 3
@@ -36,8 +44,12 @@ AWAY_S, AWAY_MOST_S = 0.6, 1.8
 may have."""
 
 
-class ETactileKitLine(KeptBoard):
-    """Line to an eTactileKit: detects its firmware, and exchanges bytes with it."""
+class ETactileKitLine(StreamedBoard):
+    """Line to an eTactileKit: detects its firmware, and exchanges bytes with it.
+
+    The board repeats its last pattern without a host: `_promise_zero` comes before anything that
+    can become a current.
+    """
 
     kind = "etactilekit"
     takes_wiring: ClassVar[bool] = True
@@ -58,6 +70,24 @@ class ETactileKitLine(KeptBoard):
         self._echo = bytes([self._outputs])
         self._lost_frames = 0
         self._senses = False  # whether it may be making sense pulses
+
+    # -- zero by the keeper ----------------------------------------------------
+
+    def _wrap(self, port: Port) -> Port:
+        return KeptLine(port)
+
+    def _promise_zero(self, zero: bytes) -> None:
+        """Set the keeper's zero command; see `KeptLine.promise_zero`."""
+        with self._open_port("has vanished") as port:
+            port.promise_zero(zero, self._slow)
+
+    def _at_zero(self) -> bool:
+        return self._serial is not None and bool(self._serial.at_zero)
+
+    def _aftermath(self) -> str:
+        if self._at_zero():
+            return ""
+        return "; the board goes on with its last pattern: lift the finger, then switch it off"
 
     # -- detection -----------------------------------------------------------
 
@@ -152,7 +182,21 @@ class ETactileKitLine(KeptBoard):
         self._serial = self._wrap(open_port(self._port_name))
 
     def _recognize(self) -> None:
-        self._ask_again(CHIPS, bytes([self._chips]), CHIPS_S, FORGETS_S)
+        # No zeros before the query: another device might act on them.
+        for pause_s in (0.0, FORGETS_S):
+            self._pause(pause_s)
+            self._flush()
+            self._write(CHIPS)
+            if received := self._read(1, CHIPS_S):
+                # A longer answer is another device's; zero waits only briefly for that.
+                received += self._read(1, MORE_S)
+                break
+        if received != bytes([self._chips]):
+            raise OtherDeviceError(
+                f"what is at {self._port_name} now does not answer as that board did: nothing but "
+                "this question was sent",
+                about="board",
+            )
 
     # -- queries -------------------------------------------------------------
 

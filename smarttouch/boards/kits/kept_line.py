@@ -1,4 +1,4 @@
-"""Line held by a keeper process, and the base class of drivers whose boards it puts at zero."""
+"""Line held by a keeper process, which puts the board at zero when its host is gone."""
 
 import contextlib
 import select
@@ -12,10 +12,9 @@ import serial
 from serial.urlhandler import protocol_socket
 
 from smarttouch.base.clock import prioritized
-from smarttouch.base.errors import BoardError, OtherDeviceError
+from smarttouch.base.errors import BoardError
 from smarttouch.base.wire.port import LINE_ERRORS, Port, reason
 from smarttouch.boards.kits import keeper
-from smarttouch.boards.kits.streamed import StreamedBoard
 
 BEAT_S = 0.02
 ANSWER_S = 2.0  # longest time of the keeper's start or answer
@@ -202,48 +201,3 @@ def _descriptor(port: Port) -> int:
 
 
 KEPT_MS = 100.0  # longest time from the end or hang of this program to the first byte of zero
-
-MORE_S = 0.03  # wait for more than the answer: USB chips keep bytes for 16 ms
-
-
-class KeptBoard(StreamedBoard):
-    """Streamed board that repeats its last pattern without a host. A driver calls `_promise_zero`
-    before anything that can become a current."""
-
-    def _wrap(self, port: Port) -> Port:
-        return KeptLine(port)
-
-    def _promise_zero(self, zero: bytes, slow: bool) -> None:
-        """Set the keeper's zero command; see `KeptLine.promise_zero`."""
-        assert self._serial is not None
-        try:
-            self._serial.promise_zero(zero, slow)
-        except LINE_ERRORS as error:
-            raise self._lost(f"has vanished ({reason(error)})") from None
-
-    def _at_zero(self) -> bool:
-        return self._serial is not None and bool(self._serial.at_zero)
-
-    def _ask_again(self, question: bytes, answer: bytes, within_s: float, silence_s: float) -> None:
-        """Query again, after a silence if need be, and raise OtherDeviceError unless the board
-        gives this answer."""
-        # No zeros before the query: another device might act on them.
-        for pause_s in (0.0, silence_s):
-            self._pause(pause_s)
-            self._flush()
-            self._write(question)
-            if received := self._read(len(answer), within_s):
-                # A longer answer is another device's; zero waits only briefly for that.
-                received += self._read(1, MORE_S)
-                break
-        if received != answer:
-            raise OtherDeviceError(
-                f"what is at {self._port_name} now does not answer as that board did: nothing but "
-                "this question was sent",
-                about="board",
-            )
-
-    def _aftermath(self) -> str:
-        if self._at_zero():
-            return ""
-        return "; the board goes on with its last pattern: lift the finger, then switch it off"
