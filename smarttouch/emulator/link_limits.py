@@ -1,6 +1,6 @@
 """Limits of a session with an emulated ``link`` board, those of its firmware, and loads."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,11 +94,6 @@ class Load:
     @classmethod
     def none(cls, electrodes: int) -> "Load":
         return cls(*np.zeros((3, electrodes), np.int64))
-
-    def restarted(self) -> "Load":
-        """Return its times alone."""
-        nothing = Load.none(len(self.felt))
-        return replace(nothing, busy_us=self.busy_us, pulses_us=self.pulses_us)
 
     def plus(self, other: "Load") -> "Load":
         """Return the load of both one after the other."""

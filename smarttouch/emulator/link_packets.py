@@ -242,13 +242,6 @@ def _u16(columns: NDArray[np.uint8]) -> NDArray[np.int64]:
     return np.ascontiguousarray(columns).view("<u2")[:, 0].astype(np.int64)
 
 
-def summed(
-    weights: NDArray[np.int16], kernel: NDArray[np.int64], amplitude: NDArray[np.int64]
-) -> NDArray[np.int16]:
-    """Return the current of every electrode in a slot, (E,) int16 µA: see the page of ``link``."""
-    return rounded((weights[kernel].astype(np.int64) * amplitude[:, None]).sum(axis=0))
-
-
 def rounded(every: NDArray[np.int64]) -> NDArray[np.int16]:
     """Return weights times amplitudes, (…, E), as currents in whole µA that sum to zero."""
     whole = np.cumsum(every, axis=-1)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.boards.link.protocol import NOTHING, Output, Rule
+from smarttouch.boards.link.protocol import NOTHING, Output, Rule, WireSequence
 from smarttouch.emulator.link_limits import (
     BURST_US,
     FULL,
@@ -24,7 +24,6 @@ from smarttouch.emulator.link_packets import (
     KernelStore,
     ReceivedSequence,
     rounded,
-    summed,
 )
 
 _BLOCK = 1 << 13
@@ -62,12 +61,9 @@ def complaint(
         return BrokenRule(Rule.SLOTS, value=lists.slots, allowed=most_slots), load
     if found := _times(lists, limits, width, load, before):
         return found, load
-    peaks = _all_at_once(lists, limits, keep, width, load) if output == "weighted" else None
-    if peaks is None:
-        load = load.restarted()
-        found, peaks = _slot_by_slot(lists, limits, keep, output, width, load)
-        if found:
-            return found, load
+    found, peaks = _slots(lists, limits, keep, output, width, load)
+    if found:
+        return found, load
     load.peak_pc = peaks[1]
     return _whole(lists, limits, load, peaks, carried_pc, before), load
 
@@ -105,7 +101,7 @@ def _times(
     return None
 
 
-def _slot_by_slot(
+def _slots(
     lists: ReceivedSequence,
     limits: SessionLimits,
     keep: KernelStore,
@@ -113,77 +109,46 @@ def _slot_by_slot(
     width: NDArray[np.int64],
     load: Load,
 ) -> tuple[BrokenRule | None, tuple[int, int]]:
-    """Return the first broken rule of a slot, and the strongest current and charge."""
-    sequence = lists.sequence
-    peak_ua = peak_pc = slot = 0
-    for group in lists.groups:
-        if (group.kind == 3) != (output != "weighted"):
-            return BrokenRule(Rule.KIND, slot, value=group.kind), (0, 0)
-        for index in range(group.slots):
-            if group.kind < 2:
-                every = slice(None) if group.kind else slice(index, index + 1)
-                kernel, amplitude = group.kernel[every], group.amplitude[every]
-                if found := _unkept(kernel, amplitude, keep, slot):
-                    return found, (0, 0)
-                assert keep.weights is not None
-                assert sequence.current_ua is not None
-                sequence.current_ua[slot] = summed(keep.weights, kernel, amplitude)
-                sequence.site[slot] = keep.site[kernel[0]]
-            charged_ua: NDArray[np.int64]
-            if group.kind == 3:
-                assert sequence.source_ua is not None
-                assert sequence.state is not None
-                state, source = sequence.state[slot], int(sequence.source_ua[slot])
-                found, signed = _switched(state, source, output, limits, slot)
-                # Any electrode may be the last that still touches the skin.
-                charged_ua = np.where(state == 0, 0, source)
-            else:
-                assert sequence.current_ua is not None
-                found, signed = _weighted(sequence.current_ua[slot], limits, slot)
-                charged_ua = np.abs(signed)
-            if found:
-                return found, (0, 0)
-            if found := _above(Rule.CHARGE, slot, charged_ua * int(width[slot]), limits.charge_pc):
-                return found, (0, 0)
-            most = int(np.abs(signed).max(initial=0))
-            peak_ua, peak_pc = max(peak_ua, most), max(peak_pc, most * int(width[slot]))
-            load.add(signed[None], width[slot : slot + 1], limits.felt_ua)
-            slot += 1
-    return None, (peak_ua, peak_pc)
-
-
-def _all_at_once(
-    lists: ReceivedSequence,
-    limits: SessionLimits,
-    keep: KernelStore,
-    width_us: NDArray[np.int64],
-    load: Load,
-) -> tuple[int, int] | None:
-    """Return the strongest current and charge; None if a slot may break a rule.
-
-    Which one, and which rule, is then found slot by slot.
-    """
-    current_ua = lists.sequence.current_ua
-    if current_ua is None or any(group.kind == 3 for group in lists.groups):
-        return None
-    if not _filled_in(lists, keep, current_ua):
-        return None
+    """Return the first broken rule of a slot, and the strongest current and charge; fill in what
+    kernels make, and enter the slots into the load."""
+    sequence, switched = lists.sequence, output != "weighted"
     peak_ua = peak_pc = 0
-    for rows in _blocks(*current_ua.shape):
-        signed, width = current_ua[rows].astype(np.int64), width_us[rows]
-        each = np.abs(signed)
-        charge_pc = each * width[:, None]
-        if (
-            signed.sum(axis=1).any()
-            or (each > limits.current_ua).any()
-            or int(each.sum(axis=1).max(initial=0)) // 2 > limits.total_ua
-            or (charge_pc > limits.charge_pc).any()
-        ):
-            return None
-        load.add(signed, width, limits.felt_ua)
-        peak_ua = max(peak_ua, int(each.max(initial=0)))
-        peak_pc = max(peak_pc, int(charge_pc.max(initial=0)))
-    return peak_ua, peak_pc
+    kind = np.repeat([group.kind for group in lists.groups], [g.slots for g in lists.groups])
+    other, unkept = (kind == 3) != switched, _filled_in(lists, keep, kind < 2)
+    for rows in _blocks(lists.slots, sequence.electrodes):
+        if switched:
+            odd, signed, each_ua, total_ua = _switched(sequence, rows, output)
+        else:
+            assert sequence.current_ua is not None
+            signed = sequence.current_ua[rows].astype(np.int64)
+            each_ua = np.abs(signed)
+            odd, total_ua = signed.sum(axis=1), each_ua.sum(axis=1) // 2
+        # Of one source any electrode may be the last that still touches the skin.
+        charge_pc = np.where(signed == 0, 0, total_ua[:, None]) if switched else each_ua
+        charge_pc = charge_pc * width[rows, None]
+        broken = other[rows] | unkept[rows] | (odd != 0) | (total_ua > limits.total_ua)
+        broken |= (each_ua > limits.current_ua).any(axis=1)
+        broken |= (charge_pc > limits.charge_pc).any(axis=1)
+        if broken.any():
+            row = int(broken.argmax())
+            slot, total = rows.start + row, int(total_ua[row])
+            if other[slot]:
+                return BrokenRule(Rule.KIND, slot, value=int(kind[slot])), (0, 0)
+            if unkept[slot]:
+                return _unkept(lists, keep, slot), (0, 0)
+            if odd[row] and switched:
+                return BrokenRule(Rule.STATES, slot), (0, 0)
+            if odd[row]:
+                return BrokenRule(Rule.BALANCE, slot, value=int(odd[row])), (0, 0)
+            found = _above(Rule.CURRENT, slot, each_ua[row], limits.current_ua)
+            if found is None and total > limits.total_ua:
+                found = BrokenRule(Rule.TOTAL, slot, value=total, allowed=limits.total_ua)
+            return found or _above(Rule.CHARGE, slot, charge_pc[row], limits.charge_pc), (0, 0)
+        load.add(signed, width[rows], limits.felt_ua)
+        strongest_ua = each_ua.max(axis=1, initial=0)
+        peak_ua = max(peak_ua, int(strongest_ua.max(initial=0)))
+        peak_pc = max(peak_pc, int((strongest_ua * width[rows]).max(initial=0)))
+    return None, (peak_ua, peak_pc)
 
 
 def _blocks(rows: int, electrodes: int) -> Iterator[slice]:
@@ -192,36 +157,37 @@ def _blocks(rows: int, electrodes: int) -> Iterator[slice]:
     return (slice(start, min(start + step, rows)) for start in range(0, rows, step))
 
 
-def _filled_in(lists: ReceivedSequence, keep: KernelStore, current_ua: NDArray[np.int16]) -> bool:
-    """Return whether all kernels are kept and no sum is too large, and fill in what they make."""
-    slot = np.repeat([group.kind < 2 for group in lists.groups], [g.slots for g in lists.groups])
-    if not slot.any():
-        return True
+def _filled_in(
+    lists: ReceivedSequence, keep: KernelStore, slot: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return the slots whose kernels are not kept or sum to too much, and fill in what the others
+    make; ``slot`` says which are of kernels, (S,)."""
+    unkept, current_ua = np.zeros(len(slot), np.bool_), lists.sequence.current_ua
+    if not slot.any() or current_ua is None:
+        return unkept
     of_kernels = [group for group in lists.groups if group.kind < 2]
     kernel = np.concatenate([group.kernel for group in of_kernels])
     amplitude = np.concatenate([group.amplitude for group in of_kernels])
-    size = np.concatenate(
-        [
-            [len(group.kernel)] if group.kind else np.ones(group.slots, np.int64)
-            for group in of_kernels
-        ]
-    )
-    end = np.cumsum(size)
-    first = end - size
-    if keep.weights is None or int(kernel.max()) >= len(keep.weights):
-        return False
-    if (np.add.reduceat(amplitude, first) > MOST_AMPLITUDE).any():
-        return False
-    places = slot.nonzero()[0]
+    size = [[len(group.kernel)] if group.kind else [1] * group.slots for group in of_kernels]
+    end = np.cumsum(np.concatenate(size))
+    first, places = np.append(0, end[:-1]), slot.nonzero()[0]
+    weights = np.zeros((0, current_ua.shape[1]), np.int16) if keep.weights is None else keep.weights
+    unkept[places] = np.maximum.reduceat(kernel, first) >= len(weights)
+    unkept[places] |= np.add.reduceat(amplitude, first) > MOST_AMPLITUDE
+    if unkept.any():
+        # Nothing of these is judged, and nothing after the first.
+        kernel = np.where(kernel < len(weights), kernel, 0)
+    if not len(weights):
+        return unkept
     for rows in _blocks(len(places), current_ua.shape[1]):
         pairs = slice(first[rows.start], end[rows.stop - 1])
-        every = keep.weights[kernel[pairs]].astype(np.int64)
+        every = weights[kernel[pairs]].astype(np.int64)
         every *= amplitude[pairs, None]
         current_ua[places[rows]] = rounded(
             np.add.reduceat(every, first[rows] - pairs.start, axis=0)
         )
     lists.sequence.site[slot] = keep.site[kernel[first]]
-    return True
+    return unkept
 
 
 def _whole(
@@ -259,51 +225,36 @@ def _whole(
     return None
 
 
-def _unkept(
-    kernel: NDArray[np.int64], amplitude: NDArray[np.int64], keep: KernelStore, slot: int
-) -> BrokenRule | None:
-    count = 0 if keep.weights is None else len(keep.weights)
+def _unkept(lists: ReceivedSequence, keep: KernelStore, slot: int) -> BrokenRule:
+    """Return the rule that a slot breaks by its kernels."""
+    at, count = 0, 0 if keep.weights is None else len(keep.weights)
+    for group in lists.groups:
+        if slot < at + group.slots:
+            break
+        at += group.slots
+    every = slice(None) if group.kind else slice(slot - at, slot - at + 1)
+    kernel, total = group.kernel[every], int(group.amplitude[every].sum())
     beyond = np.flatnonzero(kernel >= count)
     if len(beyond):
         return BrokenRule(Rule.KERNEL, slot, value=int(kernel[beyond[0]]), allowed=count)
-    if (total := int(amplitude.sum())) > MOST_AMPLITUDE:
-        return BrokenRule(Rule.SUM, slot, value=total, allowed=MOST_AMPLITUDE)
-    return None
-
-
-def _weighted(
-    current_ua: NDArray[np.int16], limits: SessionLimits, slot: int
-) -> tuple[BrokenRule | None, NDArray[np.int64]]:
-    """Return the first broken rule of a slot's currents, and the currents."""
-    signed = current_ua.astype(np.int64)
-    each = np.abs(signed)
-    if net := int(current_ua.sum(dtype=np.int64)):
-        return BrokenRule(Rule.BALANCE, slot, value=net), signed
-    if found := _above(Rule.CURRENT, slot, each, limits.current_ua):
-        return found, signed
-    if (total := int(each.sum()) // 2) > limits.total_ua:
-        return BrokenRule(Rule.TOTAL, slot, value=total, allowed=limits.total_ua), signed
-    return None, signed
+    return BrokenRule(Rule.SUM, slot, value=total, allowed=MOST_AMPLITUDE)
 
 
 def _switched(
-    state: NDArray[np.int8], source_ua: int, output: Output, limits: SessionLimits, slot: int
-) -> tuple[BrokenRule | None, NDArray[np.int64]]:
-    """Return the first broken rule of a slot's states, and its currents, rounded away from 0."""
-    cathodes, anodes = int((state == 1).sum()), int((state == -1).sum())
-    wrong = bool((state == 2).any()) or not cathodes or not anodes
+    sequence: WireSequence, rows: slice, output: Output
+) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return which slots make no circuit, the currents of some, (N, E), rounded away from 0, their
+    magnitudes and those of the source, (N,)."""
+    assert sequence.state is not None
+    assert sequence.source_ua is not None
+    state, source = sequence.state[rows], sequence.source_ua[rows].astype(np.int64)
+    cathodes, anodes = ((state == pole).sum(axis=1) for pole in (1, -1))
+    odd = (state == 2).any(axis=1) | (cathodes == 0) | (anodes == 0)
     if output == "one-against-all":
-        wrong |= bool((state == 0).any()) or min(cathodes, anodes) != 1
-    each = np.zeros(len(state), np.int64)
-    if wrong:
-        return BrokenRule(Rule.STATES, slot), each
-    each[state == 1], each[state == -1] = -(-source_ua // cathodes), -(-source_ua // anodes)
-    signed = np.where(state == -1, -each, each)
-    if found := _above(Rule.CURRENT, slot, each, limits.current_ua):
-        return found, signed
-    if source_ua > limits.total_ua:
-        return BrokenRule(Rule.TOTAL, slot, value=source_ua, allowed=limits.total_ua), signed
-    return None, signed
+        odd |= (state == 0).any(axis=1) | (np.minimum(cathodes, anodes) != 1)
+    shares = [-(-source // np.maximum(poles, 1))[:, None] for poles in (cathodes, anodes)]
+    each = np.where(state == 1, shares[0], np.where(state == -1, shares[1], 0))
+    return odd, np.where(state == -1, -each, each), each, source
 
 
 def _recharged(
