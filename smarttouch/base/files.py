@@ -228,19 +228,18 @@ def write_bytes(path: Path, data: bytes, error: type[SmartTouchError] = SmartTou
         raise unwritable(error, path, failure) from None
 
 
-def open_alone(path: Path, error: type[SmartTouchError], of: Path | None = None) -> BinaryIO:
+def open_alone(path: Path, error: type[SmartTouchError]) -> BinaryIO:
     """Open a file for reading and writing, created if missing, locked for this program.
 
     Another program that asks for the same is refused until this one closes the file or ends,
-    however it ends. File systems without locks let both in. An error names ``of`` where this file
-    only stands for it.
+    however it ends. File systems without locks let both in.
     """
     flags = os.O_RDWR | os.O_CREAT | O_NONBLOCK
     while True:
         try:
             file = os.fdopen(owner_only(os.fspath(path), flags), "r+b")
         except OSError as failure:
-            raise unwritable(error, of or path, failure) from None
+            raise unwritable(error, path, failure) from None
         if fcntl is None:
             return file
         try:
@@ -248,8 +247,7 @@ def open_alone(path: Path, error: type[SmartTouchError], of: Path | None = None)
         except BlockingIOError:
             file.close()
             message = (
-                f"{of or path} is in use by another run: wait until that has ended, or give "
-                "another file"
+                f"{path} is in use by another run: wait until that has ended, or give another file"
             )
             raise error(message, about="file") from None
         except OSError:

@@ -208,14 +208,14 @@ def test_thresholds_of_a_simulated_subject(run, tmp_path):
     assert all(threshold[each] != 1.2 for each in measured)
     assert {threshold[each] for each in set(range(64)) - set(measured)} == {1.2}
     assert {comfort[each] for each in set(range(64)) - set(measured)} == {2.4}
-    assert not (tmp_path / "mine.thresholds.json").exists()
+    assert not (tmp_path / "mine.thresholds.jsonl").exists()
 
 
 def test_a_second_session_for_the_same_profile_is_refused(run, tmp_path):
     alone = "thresholds --simulate --board memory: --electrodes 0 --output mine.toml"
-    with Progress(tmp_path / "mine.thresholds.json", {}):
+    with Progress(tmp_path / "mine.thresholds.jsonl", {}):
         error = run(alone).exception
-    wrong(about="file", value=Path("mine.thresholds.json"))(error)
+    wrong(about="file", value=Path("mine.thresholds.jsonl"))(error)
     assert not list(tmp_path.glob("*mine*"))
 
 

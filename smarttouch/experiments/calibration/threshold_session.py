@@ -1,13 +1,14 @@
 """Threshold session: the trials of many electrodes, each result saved at once."""
 
 import json
-import math
+import os
 from collections.abc import Callable, Generator, Mapping, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import CalibrationError
@@ -17,7 +18,6 @@ from smarttouch.base.files import (
     read_bytes,
     sync_folder,
     unwritable,
-    write_through,
 )
 from smarttouch.base.stopping import Closing
 from smarttouch.boards.board import Board
@@ -34,94 +34,78 @@ from smarttouch.experiments.psychophysics.procedures import Condition
 from smarttouch.experiments.psychophysics.trials import Answer, Stimuli, Train, Trial
 from smarttouch.profile import Profile
 
+_RESULT = TypeAdapter(tuple[int, Thresholds])
+
 
 class Progress(Closing):
-    """Results of a threshold session until now, by electrode, in a file beside the profile to be
-    written.
+    """Results of a threshold session until now, by electrode: lines of JSON beside the profile to
+    be written, each on disk before `keep` returns.
 
-    They count only where `settings` are the same. Until it is closed no other session can continue
-    the same file.
+    They count only where `settings`, the first line, are the same. Until it is closed no other
+    session can continue the same file.
     """
 
     def __init__(self, path: Path, settings: Mapping[str, Any]) -> None:
         self.path = path
-        # As JSON gives it back: a tuple becomes a list.
-        self._settings = json.loads(json.dumps(settings))
         self.found: dict[int, Thresholds] = {}
-        # The file itself is another one after each electrode: one beside it keeps others out.
-        self._lock_path = path.with_name(f".{path.name}-lock")
-        self._lock = open_alone(self._lock_path, CalibrationError, path)
+        self._file = open_alone(path, CalibrationError)
         try:
-            if path.exists():
-                self.found = self._read()
+            self._begin(settings)
         except BaseException:
-            self.close()
+            self._file.close()
             raise
 
     def close(self) -> None:
-        """Release the lock of the file."""
-        if not self._lock.closed:
-            self._lock_path.unlink(missing_ok=True)
-            self._lock.close()
+        """Close the file, and remove it if it has no results."""
+        if not self._file.closed and not self.found:
+            self.path.unlink(missing_ok=True)
+        self._file.close()
 
     def keep(self, site: int, found: Thresholds) -> None:
-        """Add the result of an electrode, and write the file."""
+        """Add the result of an electrode."""
         self.found[site] = found
-        entries = {str(each): _plain(found) for each, found in sorted(self.found.items())}
-        text = json.dumps({"settings": self._settings, "found": entries}, indent=1)
-        draft = self.path.with_name(f".{self.path.name}-draft")
-        try:
-            write_through(draft, (text + "\n").encode())
-            draft.replace(self.path)
-            sync_folder(self.path.absolute().parent)
-        except OSError as error:
-            raise unwritable(CalibrationError, self.path, error) from None
+        self._write([site, asdict(found)])
 
     def forget(self) -> None:
         """Remove the file once the profile has the results."""
         self.path.unlink(missing_ok=True)
 
-    def _read(self) -> dict[int, Thresholds]:
+    def _begin(self, settings: Mapping[str, Any]) -> None:
+        """Read existing lines, and drop one that was cut off."""
+        data = read_bytes(self.path, CalibrationError)
+        whole = data[: data.rfind(b"\n") + 1]
         try:
-            stored = parse_json(read_bytes(self.path, CalibrationError))
-            settings = stored["settings"]
-            found = {int(site): _thresholds(entry) for site, entry in stored["found"].items()}
-        except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
+            first, *lines = whole.splitlines() if data else [json.dumps(settings).encode()]
+            before = dict(parse_json(first))
+            self.found = dict(map(_RESULT.validate_json, lines))
+            felt = [each for each in self.found.values() if each.felt]
+            if any(not 0 < each.threshold_ma <= each.comfort_ma for each in felt):
+                raise ValueError("a threshold above comfort")
+        except (ValueError, TypeError):
             raise CalibrationError(
                 f"{self.path} is not the beginning of a threshold session: remove it to start over",
                 about="file",
             ) from None
-        for key, value in self._settings.items():
-            before = settings.get(key) if isinstance(settings, dict) else None
-            if before != value:
+        for key, value in settings.items():
+            if before.get(key) != value:
                 raise CalibrationError(
-                    f"{self.path} was begun with {key} {before}, not {value}: go on with the same, "
-                    "or remove it to start over",
+                    f"{self.path} was begun with {key} {before.get(key)}, not {value}: go on with "
+                    "the same, or remove it to start over",
                     about=key,
                 )
-        return found
+        self._file.truncate(len(whole))
+        self._file.seek(len(whole))
+        if not whole:
+            self._write(settings)
+            sync_folder(self.path.absolute().parent)
 
-
-def _plain(found: Thresholds) -> dict[str, Any]:
-    """Return JSON values, which have no NaN."""
-    return {
-        name: None if isinstance(value, float) and math.isnan(value) else value
-        for name, value in asdict(found).items()
-    }
-
-
-def _thresholds(entry: Mapping[str, Any]) -> Thresholds:
-    values: dict[str, Any] = {}
-    for each in fields(Thresholds):
-        value = entry[each.name]
-        if each.type is int:
-            values[each.name] = int(value)
-        else:
-            values[each.name] = math.nan if value is None else float(value)
-    found = Thresholds(**values)
-    if found.felt and not 0 < found.threshold_ma <= found.comfort_ma:
-        raise ValueError("a threshold above comfort")
-    return found
+    def _write(self, value: object) -> None:
+        try:
+            self._file.write(json.dumps(value).encode() + b"\n")
+            self._file.flush()
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise unwritable(CalibrationError, self.path, error) from None
 
 
 TRIAL_S = 0.8  # time of a yes-no trial at its level

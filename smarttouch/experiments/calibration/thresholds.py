@@ -134,7 +134,7 @@ class ThresholdProcedure:
         """Return the results of an earlier session with the same settings."""
         profile = self.file.profile
         return Progress(
-            self.file.beside("thresholds.json"),
+            self.file.beside("thresholds.jsonl"),
             {
                 "profile": self.start, "electrodes": len(profile.electrodes),
                 "board": self.board_url.partition(":")[0],
