@@ -22,7 +22,7 @@ from smarttouch.boards.link.link_board import LinkBoard
 from smarttouch.boards.link.protocol import MessageKind, encode
 from smarttouch.boards.link.sequence_encoding import KernelImage
 from smarttouch.emulator.emulated_boards import EmulatorBoard
-from smarttouch.emulator.link_packets import summed
+from smarttouch.emulator.link_packets import rounded
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.profile.device import Output
@@ -241,8 +241,8 @@ def test_the_same_currents_everywhere(row, quick):
         assert [each[5] for each in pulses] == wanted.tolist()
         for slot in range(slots):
             own = slice(lists.first[slot], lists.first[slot + 1])
-            kernel, amplitude = lists.kernel[own].astype(int), lists.amplitude[own].astype(int)
-            np.testing.assert_array_equal(summed(table.weights, kernel, amplitude), wanted[slot])
+            every = table.weights[lists.kernel[own]].astype(int) * lists.amplitude[own, None]
+            np.testing.assert_array_equal(rounded(every.sum(axis=0)), wanted[slot])
         compared += slots
         pairs += len(lists.kernel)
     books = core.books()

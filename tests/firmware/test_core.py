@@ -12,7 +12,7 @@ from smarttouch.base.wire.framing import Deframer
 from smarttouch.boards.link import protocol as protocol
 from smarttouch.boards.link.protocol import MessageKind, Refusal, Rule
 from smarttouch.boards.link.sequence_encoding import KernelImage
-from smarttouch.emulator.link_packets import summed
+from smarttouch.emulator.link_packets import rounded
 from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.firmware.build import WHOLE, library
 from tests.firmware.rig import Both, Core, Emulated, Talk, Unfelt, Worn
@@ -125,10 +125,9 @@ def test_host_board_and_core_compute_the_same_currents(make_core):
         wanted = lists.current_ua()
         for slot, (first, end) in enumerate(zip(lists.first, lists.first[1:], strict=False)):
             pairs = slice(first, end)
-            own = summed(
-                table.weights, lists.kernel[pairs].astype(int), lists.amplitude[pairs].astype(int)
-            )
-            np.testing.assert_array_equal(own, wanted[slot])
+            every = table.weights[lists.kernel[pairs]].astype(int)
+            every *= lists.amplitude[pairs, None]
+            np.testing.assert_array_equal(rounded(every.sum(axis=0)), wanted[slot])
         answers = talk.send(sequence_of(lists), number, image=image)
         pulses = talk.pulses
         talk.wait(10_500)
