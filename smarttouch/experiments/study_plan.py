@@ -20,7 +20,7 @@ from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.response import ResponseQuality, distinct_slots
+from smarttouch.physiology.response import ResponseQuality
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import Profile, load_profile
 from smarttouch.profile.device import Kernels
@@ -338,8 +338,8 @@ def at_own_level(
     slots = [each for each, _ in shown.letters.values()]
     current_ua = np.concatenate([each.current_ua for each in slots])
     width_us = np.concatenate([each.width_us for each in slots])
-    first, _ = distinct_slots(current_ua, width_us)
-    highest = SpikeModel(finger).drive(current_ua[first], width_us[first]).max(axis=0)
+    distinct = np.unique(np.column_stack([current_ua, width_us]), axis=0)
+    highest = SpikeModel(finger).drive(distinct[:, :-1], distinct[:, -1]).max(axis=0)
     threshold = float(np.median(1 / np.maximum(highest, 1e-3)))
     most = 1000 * profile.limits.current_ma / max(1, int(np.abs(current_ua).max()))
     gain = min(shown.choice.intensity * profile.perception.comfort_ratio * threshold, most)

@@ -39,19 +39,20 @@ def response_quality(
 ) -> ResponseQuality:
     """Return what spike counts (A,) mean for active electrodes (E,) and the classes wanted."""
     electrodes = finger.profile.electrodes
-    fired = counts > 0
-    right = np.isin(finger.classes, [int(each) for each in wanted])
-    away = finger.receptor_away_mm[:, active]
-    near = away <= electrodes.pitch_mm
-    reached = ((away <= electrodes.pitch_mm / 2) & (fired & right)[:, None]).any(axis=0)
-    total = int(counts.sum())
+    fired = np.flatnonzero(counts)
+    spikes, classes = counts[fired], finger.classes[fired]
+    right = np.isin(np.arange(len(Afferent)), [int(each) for each in wanted])[classes]
+    away = finger.receptor_away_mm[np.ix_(fired, active)]
+    beyond = (away > electrodes.pitch_mm).all(axis=1)
+    reached = (away[right] <= electrodes.pitch_mm / 2).any(axis=0)
+    total = int(spikes.sum())
     share = 1 / total if total else nan
     return ResponseQuality(
         total,
-        {each: int((fired & (finger.classes == each)).sum()) for each in Afferent},
+        dict(zip(Afferent, np.bincount(classes, minlength=len(Afferent)).tolist(), strict=True)),
         float(1 - reached.mean()) if active.any() else 0.0,
-        float(counts[~right].sum() * share),
-        float(counts[~near.any(axis=1)].sum() * share),
+        float(spikes[~right].sum() * share),
+        float(spikes[beyond].sum() * share),
     )
 
 
@@ -85,7 +86,6 @@ def in_color(spikes: NDArray[Any], most: float) -> NDArray[np.float32]:
     return np.clip(image, 0, 1)
 
 
-_AT_ONCE = 16  # slots whose drives are computed together
 _PX_PER_MM = 16
 
 
@@ -143,26 +143,12 @@ def fire_all(model: SpikeModel, sequences: Sequence[SlotCurrents]) -> Iterator[S
         return
     current_ua = np.concatenate([each.current_ua for each in sequences])
     width_us = np.concatenate([each.width_us for each in sequences])
-    first, which = distinct_slots(current_ua, width_us)
-    parts = np.split(first, range(_AT_ONCE, len(first), _AT_ONCE))
-    above = np.hstack([model.drive(current_ua[part], width_us[part]) for part in parts])
+    above = model.drive(current_ua, width_us, firing=True)
     begin = 0
     for each in sequences:
         end = begin + len(each.width_us)
-        yield model.fire(each, above[:, which[begin:end]])
+        yield model.fire(each, above[:, begin:end])
         begin = end
-
-
-def distinct_slots(
-    current_ua: NDArray[np.int16], width_us: NDArray[Any]
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the index of the first of each distinct slot, and each slot's number among these, as
-    trains repeat the same few pulses."""
-    width = np.ascontiguousarray(width_us, np.float32).view(np.int16).reshape(-1, 2)
-    rows = np.hstack([current_ua.astype(np.int16, copy=False), width])
-    whole = np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))
-    _, first, which = np.unique(rows.view(whole)[:, 0], return_index=True, return_inverse=True)
-    return first, which
 
 
 def finger_svg(

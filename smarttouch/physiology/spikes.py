@@ -1,9 +1,7 @@
 """Spikes of a finger's afferents, and margins of those that a display must not fire.
 
-A point's slot is its kernel times an amplitude, so a pattern seen before, scaled, is looked up:
-drives are linear in the currents. The lookup is exact where an afferent may fire. It keeps
-every node that may then have the largest drive, and multiplies those with the actual currents.
-Which nodes these are is found out when a pattern comes again, as most new ones never do.
+In any slot few afferents are near firing. So the drives of 16 successive nodes are bounded
+together, and computed only where the bound reaches what fires.
 
 Afferents that must not fire are SAII, and the free endings of Aδ and C fibers.
 
@@ -11,10 +9,9 @@ They are drawn as the others of a finger are, from the same anatomy and with see
 Free endings are a sample: each stands for the same number of its class.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -26,132 +23,54 @@ from smarttouch.physiology.finger_afferents import FingerAfferents, Population, 
 from smarttouch.profile import Profile
 
 Floats = NDArray[np.float32]
-Indices = NDArray[np.intp]
 
-_TOLERANCE = 0.01
-"""Largest effect on any drive of currents that are not in proportion: whole microamperes."""
-_FEWEST, _MOST = 0.5, 1.02
-"""Amplitudes, of that at which a pattern was seen first, at which it is looked up."""
-_ALIKE = 2 * _TOLERANCE / _FEWEST  # nodes whose drives differ by less may change places
-_PATTERNS = 256
-_ROWS_AT_ONCE = 8192
+_BLOCK = 16  # nodes that are bounded together
+_AT_ONCE = 2**20  # bounds that are computed together: more leave the processor's cache
+_ROUNDING = 1e-4  # more than a bound loses in float32
 
 
-@dataclass(frozen=True, eq=False)
-class _Known:
-    """Drives (A,) under a pattern, and the node rows (M, E) of the afferents that may fire.
-
-    Rows of afferent ``fires[i]`` begin at ``starts[i]``.
-    """
-
-    drive: Floats
-    fires: Indices
-    starts: Indices
-    rows: Floats
-
-
-class DriveMemory:
+class NodeDrives:
     """Largest drive of each afferent under any currents.
 
     Rows (N, E), 1/mA, are drives of nodes; `starts`, (A,), is the first node of each afferent.
-    Drives from `exact_from` on are exact but for float32; smaller ones may be off by 0.01.
     """
 
-    def __init__(self, rows: Floats, starts: Indices, exact_from: float) -> None:
-        self._rows, self._starts = rows, starts
-        # A pattern is known from up to twice the amplitude, and from a fiftieth less.
-        self._kept_from = exact_from / _MOST - _ALIKE
-        self._owner = np.repeat(np.arange(len(starts)), np.diff(np.r_[starts, len(rows)]))
-        cuts = np.searchsorted(starts, np.arange(0, len(rows), _ROWS_AT_ONCE))
-        parts = pairwise(np.unique(np.r_[cuts, len(starts)]).tolist())
-        ends = [*starts.tolist(), len(rows)]
-        # Runs of afferents, with their nodes, and where each begins among these.
-        self._parts = [(a, b, slice(ends[a], ends[b]), starts[a:b] - ends[a]) for a, b in parts]
-        self._steepest = np.zeros((len(starts), rows.shape[1]), np.float32)
-        for first, last, here, begins in self._parts:
-            self._steepest[first:last] = np.maximum.reduceat(np.abs(rows[here]), begins)
-        self._patterns = np.zeros((_PATTERNS, rows.shape[1]), np.float32)
-        self._square = np.full(_PATTERNS, np.inf, np.float32)
-        self._known: list[_Known | None] = [None] * _PATTERNS
-        self._next = 0
+    def __init__(self, rows: Floats, starts: NDArray[np.intp]) -> None:
+        self._afferents = np.split(rows, starts[1:]) if len(starts) else []
+        blocks = -(-np.diff(starts, append=len(rows)) // _BLOCK)
+        self._owner = np.repeat(np.arange(len(starts)), blocks)
+        within = np.arange(len(self._owner)) - np.repeat(np.cumsum(blocks) - blocks, blocks)
+        begins = starts[self._owner] + _BLOCK * within
+        self._blocks = np.split(rows, begins[1:]) if len(begins) else []
+        high, low = (
+            each.reduceat(rows, begins) if len(begins) else rows
+            for each in (np.maximum, np.minimum)
+        )
+        self._bounds = np.hstack([high, low])
 
-    def drive(self, current_ma: Floats) -> Floats:
+    def highest(self, current_ma: Floats) -> Floats:
         """Return the largest drive of each afferent, (A, S), for currents (S, E) in mA."""
-        highest = np.empty((len(self._starts), len(current_ma)), np.float32)
-        which, scale = self._find(current_ma)
-        again = np.unique(which[which >= 0])
-        self._learn(np.array([each for each in again if self._known[each] is None], np.intp))
-        for slot in np.flatnonzero(which >= 0):
-            known = self._known[which[slot]]
-            assert known is not None
-            highest[:, slot] = scale[slot] * known.drive
-            if len(known.fires):
-                exact = np.maximum.reduceat(known.rows @ current_ma[slot], known.starts)
-                highest[known.fires, slot] = exact
-        new = np.flatnonzero(which < 0)
-        if len(new):
-            found = np.empty((len(self._starts), len(new)), np.float32)
-            for first, last, _, _, most in self._drives(current_ma[new]):
-                found[first:last] = most
-            highest[:, new] = found
-            self._remember(current_ma[new][-_PATTERNS:])
-        return highest
+        found = np.empty((len(self._afferents), len(current_ma)), np.float32)
+        for drive, rows in zip(found, self._afferents, strict=True):
+            (rows @ current_ma.T).max(axis=0, out=drive)
+        return found
 
-    def _remember(self, current_ma: Floats) -> None:
-        """Store new patterns in place of the oldest."""
-        places = (self._next + np.arange(len(current_ma))) % _PATTERNS
-        self._next = (self._next + len(current_ma)) % _PATTERNS
-        self._patterns[places] = current_ma
-        square = (current_ma * current_ma).sum(axis=1)
-        self._square[places] = np.where(square > 0, square, np.inf)
-        for each in places:
-            self._known[each] = None
-
-    def _find(self, current_ma: Floats) -> tuple[Indices, Floats]:
-        """Return the known pattern of each slot, -1 if there is none, and its amplitude."""
-        along = current_ma @ self._patterns.T
-        scale = along / self._square
-        close = np.where((scale >= _FEWEST) & (scale <= _MOST), along * scale, -1.0)
-        which = np.asarray(close.argmax(axis=1), np.intp)
-        slots = np.arange(len(which))
-        scale = scale[slots, which]
-        rest = np.abs(current_ma - scale[:, None] * self._patterns[which])
-        off = (self._steepest @ rest.T).max(axis=0, initial=0)
-        which[(close[slots, which] < 0) | (off > _TOLERANCE)] = -1
-        return which, scale
-
-    def _learn(self, places: Indices) -> None:
-        """Compute the drives under patterns at all nodes."""
-        if not len(places):
-            return
-        highest = np.empty((len(self._starts), len(places)), np.float32)
-        nodes, slots = [np.zeros(0, np.intp)], [np.zeros(0, np.intp)]
-        for first, last, begin, drive, most in self._drives(self._patterns[places]):
-            highest[first:last] = most
-            high = np.flatnonzero(drive >= self._kept_from)
-            node, slot = np.divmod(high, len(places))
-            alike = drive.ravel()[high] >= highest[self._owner[begin + node], slot] - _ALIKE
-            nodes.append(begin + node[alike])
-            slots.append(slot[alike])
-        node, slot = np.concatenate(nodes), np.concatenate(slots)
-        for each, place in enumerate(places):
-            mine = node[slot == each]
-            fires, starts = np.unique(self._owner[mine], return_index=True)
-            drive = highest[:, each].copy()
-            self._known[place] = _Known(drive, fires, starts, self._rows[mine])
-
-    def _drives(self, current_ma: Floats) -> Iterator[tuple[int, int, int, Floats, Floats]]:
-        """Yield runs of afferents, first and after the last, with the first of their nodes.
-
-        With them come the drives of these nodes, (N, S), and each afferent's largest, (A, S).
-        """
-        columns = np.ascontiguousarray(current_ma.T)
-        for first, last, here, begins in self._parts:
-            drive = self._rows[here] @ columns
-            yield first, last, here.start, drive, np.maximum.reduceat(drive, begins)
+    def highest_from(self, least: float, current_ma: Floats) -> Floats:
+        """Return `highest` where it is at least so much; smaller drives may be minus infinity."""
+        found = np.full((len(self._afferents), len(current_ma)), -np.inf, np.float32)
+        either = np.vstack([np.maximum(current_ma.T, 0), np.minimum(current_ma.T, 0)])
+        size = max(1, _AT_ONCE // max(1, len(current_ma)))
+        for first in range(0, len(self._blocks), size):
+            may = self._bounds[first : first + size] @ either >= least - _ROUNDING
+            for block in np.flatnonzero(may.any(axis=1)):
+                owner, slots = self._owner[first + block], np.flatnonzero(may[block])
+                drive = (self._blocks[first + block] @ current_ma[slots].T).max(axis=0)
+                found[owner, slots] = np.maximum(found[owner, slots], drive)
+        return found
 
 
-_EXACT_FROM = 0.9
+_KNOWN = 1024  # slots whose drives are kept
+_FEW = 64  # slots of which all drives are computed sooner than bounds
 _FARTHEST = 6.0
 """Standard deviations of its noise below threshold from which an afferent is not tried."""
 
@@ -199,8 +118,8 @@ class SpikeModel:
         self._refractory_us = np.array([each.refractory_us for each in anatomy])[classes]
         self._seed = seed
         self._reference = strength(finger.profile.pulse.width_us, self._chronaxie_us)
-        longest = strength(finger.profile.limits.pulse_us, self._chronaxie_us) / self._reference
-        self._drives = DriveMemory(*finger.rows, _EXACT_FROM / max(1.0, longest.max()))
+        self._drives = NodeDrives(*finger.rows)
+        self._known: dict[tuple[bool, bytes], Floats] = {}
         self.reset()
 
     def reset(self) -> None:
@@ -209,25 +128,44 @@ class SpikeModel:
         self._last_us = np.full(len(self.finger.classes), -np.inf)
         self._now_us = 0
 
-    def drive(self, current_ua: NDArray[Any], width_us: NDArray[Any]) -> Floats:
+    def drive(
+        self, current_ua: NDArray[Any], width_us: NDArray[Any], firing: bool = False
+    ) -> Floats:
         """Return each afferent's largest drive by currents (S, E) µA, (A, S) float32.
 
-        1 is its threshold; currents are positive cathodic, pulse widths (S,). Drives from 0.9 on
-        are exact. A smaller one is at most 0.01 off where the slot's currents are those of an
-        earlier slot, scaled.
+        1 is its threshold; currents are positive cathodic, pulse widths (S,). If they
+        are only to be fired, afferents that stay silent may have minus infinity: less to compute.
+        Slots that come again are computed once.
         """
-        highest = self._drives.drive(np.asarray(current_ua, np.float32) / np.float32(1000))
-        width = np.asarray(width_us, np.float32)[:, None]
-        by_class = (strength(width, self._chronaxie_us) / self._reference).astype(np.float32)
-        highest *= by_class.T[self.finger.classes]
-        return np.asarray(highest)
+        slots = np.column_stack([current_ua, width_us]).astype(np.float32)
+        keys = [(firing, each.tobytes()) for each in slots]
+        new = {key: each for key, each in zip(keys, slots, strict=True) if key not in self._known}
+        known = self._known
+        if new:
+            found = self._computed(np.stack(list(new.values())), firing)
+            known = known | dict(zip(new, found.T, strict=True))
+            self._known = known if len(known) <= _KNOWN else {}
+        drives = [known[key] for key in keys]
+        return np.stack(drives, axis=1) if drives else self._computed(slots, firing)
+
+    def _computed(self, slots: Floats, firing: bool) -> Floats:
+        """Return drives by slots, (S, E + 1): currents in µA, and widths."""
+        current_ma = slots[:, :-1] / np.float32(1000)
+        by_class = strength(slots[:, -1:], self._chronaxie_us) / self._reference
+        if firing and len(slots) > _FEW:
+            least = (1 - _FARTHEST * self._noise.max(initial=0)) / by_class.max(initial=1e-9)
+            highest = self._drives.highest_from(least, current_ma)
+        else:
+            highest = self._drives.highest(current_ma)
+        highest *= by_class.astype(np.float32).T[self.finger.classes]
+        return highest
 
     def fire(self, slots: SlotCurrents, above: Floats | None = None) -> Spikes:
         """Return the spikes of one sequence, by its `drive` if given; the next one follows it."""
         lasts = slots.width_us.astype(np.int64) + slots.discharge_us
         time_us = self._now_us + np.cumsum(lasts) - lasts
         if above is None:
-            above = self.drive(slots.current_ua, slots.width_us)
+            above = self.drive(slots.current_ua, slots.width_us, firing=True)
         # The others stay silent: so large a noise comes once in a thousand million pulses.
         near = np.flatnonzero((above >= 1 - _FARTHEST * self._noise[:, None]).any(axis=1))
         spread = self._noise[near, None] * self._random.standard_normal(

@@ -123,7 +123,7 @@ def letters_on_finger(
     """Return the response of a finger to letters, each for ten periods."""
     model, found = SpikeModel(finger, finger.seed), []
     for letter, (slots, active) in shown.items():
-        above = model.drive(slots.current_ua, slots.width_us)
+        above = model.drive(slots.current_ua, slots.width_us, firing=True)
         counts, read_as = spikes_and_letter(model, slots, above, known)
         quality = response_quality(finger, counts, active, wanted)
         found.append(LetterResponse(letter, finger.seed, quality, read_as))

@@ -34,7 +34,7 @@ def test_a_finger_is_drawn(benchmark, quick, profile, anatomy, times):
 @pytest.mark.parametrize("times", TIMES)
 @pytest.mark.parametrize("anatomy", ["paper", "branched"])
 def test_drive_of_a_frame(benchmark, quick, bank, anatomy, times, slots, known):
-    """Points of an RA frame, each its kernel; or sums of two kernels never seen before."""
+    """Points of an RA frame, each its kernel, again; or sums of two kernels never seen before."""
     if quick and (times, slots) != (TIMES[1], SLOTS[1]):
         pytest.skip("one finger and one frame only")
     model = SpikeModel(a_finger(anatomy, times))
@@ -46,11 +46,11 @@ def test_drive_of_a_frame(benchmark, quick, bank, anatomy, times, slots, known):
 
     def frame():
         part = random.uniform(0.7, 1.0, (2, slots, 1))
-        other = 0 if known else part[1] * np.roll(kernels, random.integers(1, 63), axis=1)
-        return (np.rint(part[0] * kernels + other), width), {}
+        other = part[1] * np.roll(kernels, random.integers(1, 63), axis=1)
+        slots_ua = kernels if known else part[0] * kernels + other
+        return (np.rint(slots_ua), width, True), {}
 
-    for _ in range(2):
-        model.drive(np.rint(kernels), width)
+    model.drive(np.rint(kernels), width, firing=True)
     benchmark.pedantic(model.drive, setup=frame, rounds=20)
 
 

@@ -5,7 +5,7 @@ import pytest
 
 import smarttouch as st
 from smarttouch.base.afferent import CLASS_COLORS, Afferent
-from smarttouch.physiology.response import distinct_slots, fire_all
+from smarttouch.physiology.response import fire_all
 from smarttouch.physiology.spikes import SpikeModel
 
 
@@ -57,16 +57,6 @@ def test_nothing_is_felt_of_nothing(finger):
     assert feeling.spikes == ()
     assert feeling.quality.spikes == 0
     assert list(fire_all(SpikeModel(finger), [])) == []
-
-
-def test_distinct_slots_give_all_slots_back():
-    random = np.random.default_rng(1)
-    current = random.integers(-1, 2, (60, 2)).astype(np.int16)
-    width = random.choice([99.5, 100.0], 60)
-    first, which = distinct_slots(current, width)
-    np.testing.assert_array_equal(current[first][which], current)
-    np.testing.assert_array_equal(width[first][which], width)
-    assert len(first) == 18
 
 
 def test_it_shows_itself_in_notebooks(finger, steps):
