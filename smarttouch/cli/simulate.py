@@ -57,6 +57,7 @@ def simulate_letters(
     from smarttouch.cli.options import parse_afferent
     from smarttouch.kernels.bank import load_bank
     from smarttouch.physiology.finger import Finger
+    from smarttouch.physiology.response import middle_90
     from smarttouch.profile import load_profile
     from smarttouch.reading import letter_responses
     from smarttouch.reading.letter_responses import bystander_margins
@@ -75,6 +76,8 @@ def simulate_letters(
         )
     figures = letter_responses.summary(found)
     at_board = letter_responses.error_at_board(chosen, bank, driven, drawn)
+    by_finger = letter_responses.finger_means(found)
+    middle = {name: middle_90(each)[1:] for name, each in by_finger.items()}
     margin = bystander_margins(chosen, bank, driven, anatomy, range(1, fingers + 1), drawn)
     figures["nociceptive"] = margin["nociceptive"]
     if json_file is not None:
@@ -85,7 +88,7 @@ def simulate_letters(
                 "profile": chosen.name, "mode": driven.value, "anatomy": anatomy,
                 "fingers": fingers, "letters": drawn,
                 "fired": letter_responses.fired(found),
-                **figures, "at_board": at_board, "at_nerve": at_nerve,
+                **figures, "at_board": at_board, "at_nerve": at_nerve, "middle_90": middle,
             },
         )  # fmt: skip
         figures |= at_nerve
@@ -97,8 +100,10 @@ def simulate_letters(
         save(letter_figure(Finger(chosen, 1, anatomy), sequence, active), picture)
     if not quiet:
         rows = [("error rate at the board", f"{at_board:.3f}")]
-        rows += [(_NAMES[name], f"{value:.3f}") for name, value in figures.items()]
-        print_table(rows, left=1)
+        for name, value in figures.items():
+            spread = " ({:.3f} to {:.3f})".format(*middle[name]) if name in middle else ""
+            rows.append((_NAMES[name], f"{value:.3f}{spread}"))
+        print_table(rows, left=1, note="In brackets: middle 90 % of the fingers.")
 
 
 @simulate.command("page")

@@ -11,7 +11,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from statistics import fmean, median
+from statistics import fmean
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -31,7 +31,7 @@ from smarttouch.experiments.study_plan import (
     rows_of_finger,
 )
 from smarttouch.physiology.anatomy import Anatomy
-from smarttouch.physiology.response import ignore_nan
+from smarttouch.physiology.response import ignore_nan, middle_90
 from smarttouch.profile import Profile
 from smarttouch.views.figure_style import GREY, SERIES_COLORS, new_figure, plain
 
@@ -194,9 +194,9 @@ class Summed:
     best: float
     total_ma: float  # mean total current of a slot
 
-    def middle(self, measure: str) -> float:
-        """Return the median over fingers."""
-        return ignore_nan(median, self.fingers[measure])
+    def interval(self, measure: str) -> tuple[float, float, float]:
+        """Return the median over fingers, and the bounds of their middle 90 %."""
+        return middle_90(self.fingers[measure])
 
 
 def study_sums(rows: Sequence[StudyRow]) -> list[Summed]:
@@ -232,11 +232,12 @@ def study_sums(rows: Sequence[StudyRow]) -> list[Summed]:
 
 
 def study_table(found: Iterable[Summed]) -> tuple[list[str], list[list[str]]]:
-    """Return a heading, and the medians of each choice and anatomy in words."""
+    """Return a heading, and medians with the middle 90 % of each choice and anatomy in words."""
     heading = ["anatomy", "choice", "errors", "silent", "wrong", "misplaced", "best on", "mA"]
     rows = [
         [
-            each.anatomy, each.label, *(f"{each.middle(name):.3f}" for name in MEASURES),
+            each.anatomy, each.label,
+            *("{:.3f} ({:.2f}-{:.2f})".format(*each.interval(name)) for name in MEASURES),
             f"{each.best:.0%}", f"{each.total_ma:.2f}",
         ]
         for each in found

@@ -2,7 +2,6 @@
 
 import csv
 import io
-import math
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,7 +21,7 @@ from smarttouch.experiments.study_run import (
     study_sums,
     study_table,
 )
-from smarttouch.physiology.response import ignore_nan
+from smarttouch.physiology.response import ignore_nan, middle_90
 from smarttouch.views.figure_style import GREY, SERIES_COLORS, new_figure, plain
 
 if TYPE_CHECKING:
@@ -45,9 +44,7 @@ class Uncertain:
 
     def interval(self, figure: str) -> tuple[float, float, float]:
         """Return the median of the draws, and the bounds of their middle 90 %."""
-        known = self.figures[figure][np.isfinite(self.figures[figure])]
-        middle, low, high = np.quantile(known, (0.5, 0.05, 0.95)) if len(known) else [math.nan] * 3
-        return float(middle), float(low), float(high)
+        return middle_90(self.figures[figure])
 
     def rank_correlation(self, figure: str) -> Array:
         """Return Spearman's correlation of a figure with each assumption, (P,); 0 if it is
@@ -169,9 +166,9 @@ def study_report(study: Study, beside: Path, rows: Sequence[StudyRow]) -> StudyR
         sums = study_sums(rows)
         heading, lines = study_table(sums)
         note = (
-            "Medians over fingers of means over patterns: read wrongly, silent points, spikes of "
-            "another class, misplaced ones. Best on: fingers on which no other choice is read with "
-            "fewer errors. mA: mean total current of a slot."
+            "Medians and middle 90 % of fingers, of means over patterns: read wrongly, silent "
+            "points, spikes of another class, misplaced ones. Best on: fingers on which no other "
+            "choice is read with fewer errors. mA: mean total current of a slot."
         )
         return StudyReport(
             heading, lines, 2, note, lambda: study_figure(sums, STUDY_NAMES, study.title), {}

@@ -62,6 +62,14 @@ def ignore_nan(how: Callable[[list[float]], float], values: Iterable[float]) -> 
     return how(numbers) if numbers else nan
 
 
+def middle_90(values: Iterable[float]) -> tuple[float, float, float]:
+    """Return the median of the values that are numbers, and the bounds of their middle 90 %; NaN if
+    none is."""
+    known = [each for each in values if not isnan(each)]
+    middle, low, high = np.quantile(known, (0.5, 0.05, 0.95)) if known else (nan, nan, nan)
+    return float(middle), float(low), float(high)
+
+
 def response_map(
     finger: FingerAfferents,
     counts: NDArray[np.intp],

@@ -2,7 +2,8 @@
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
-from statistics import fmean, median
+from statistics import fmean
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,7 +18,7 @@ from smarttouch.imaging.registration import Registration
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.response import ignore_nan, response_quality
+from smarttouch.physiology.response import ignore_nan, middle_90, response_quality
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import Profile
 from smarttouch.reading.line_feed import LineFeed, TouchLine
@@ -138,6 +139,7 @@ class NerveReading:
     """
 
     pictures: list[LinePicture]
+    shown: list[list[NDArray[np.float32]]]  # (E,) in [0, 1] for each pose of each line
     silent_points: float
     wrong_class: float
     misplaced: float
@@ -156,40 +158,46 @@ def read_at_nerve(
     away = finger.receptor_mm[:, None] - places
     field = np.exp(-(away**2).sum(axis=2) / (2 * FIELD_MM**2)).astype(np.float32)
     silent = np.zeros(len(field), np.intp)
-    found, values, model = [], [], SpikeModel(finger)
+    found, model = [], SpikeModel(finger)
+    values: list[list[NDArray[np.float32]]] = []
     for line in lines:
         periods = dict.fromkeys(line.poses, round(1e6 / profile.pulse.rate_hz))
         slots = line.numbers, line.width_us, line.current_ua
         # Products are small: a second thread would only wait.
         with threadpool_limits(limits=1, user_api="blas"):
             spikes = delivered_spikes(finger, *slots, periods, model=model)
-        for number, pose in line.poses.items():
-            counts = spikes.get(number, silent)
-            values.append((line, pose.x_mm, counts @ field))
-            if number in line.answers:
-                found.append(response_quality(finger, counts, line.meant[number], wanted))
-    full = float(np.quantile([each.max() for _, _, each in values], _FULL_QUANTILE))
-    pictures = {id(line): LinePicture(profile.electrodes, line.length_mm) for line in lines}
-    for line, x_mm, each in values:
-        shown = np.clip(each / max(full, 1e-9), 0, 1).astype(np.float32)
-        pictures[id(line)].add(x_mm, shown)
+        counts = {number: spikes.get(number, silent) for number in line.poses}
+        values.append([each @ field for each in counts.values()])
+        found += [
+            response_quality(finger, counts[number], line.meant[number], wanted)
+            for number in line.poses
+            if number in line.answers
+        ]
+    full = float(np.quantile([each.max() for line in values for each in line], _FULL_QUANTILE))
+    pictures = [LinePicture(profile.electrodes, line.length_mm) for line in lines]
+    shown = [
+        [np.clip(each / max(full, 1e-9), 0, 1).astype(np.float32) for each in line]
+        for line in values
+    ]
+    for line, picture, those in zip(lines, pictures, shown, strict=True):
+        for pose, each in zip(line.poses.values(), those, strict=True):
+            picture.add(pose.x_mm, each)
     measures = (
         ignore_nan(fmean, (getattr(each, name) for each in found))
         for name in ("silent_points", "wrong_class", "misplaced")
     )
-    return NerveReading(list(pictures.values()), *measures)
+    return NerveReading(pictures, shown, *measures)
 
 
-def nerve_figures(
-    readings: Sequence[NerveReading], errors: Sequence[float]
-) -> dict[str, float | dict[str, float]]:
-    """Return medians over fingers, and error rates at the nerve, for a JSON file."""
-    ranked = sorted(errors)
-    worst = ranked[-max(1, len(ranked) // 10) :]
+def nerve_figures(readings: Sequence[NerveReading], errors: Sequence[float]) -> dict[str, Any]:
+    """Return medians over fingers with the middle 90 % of them, and error rates at the nerve, for a
+    JSON file."""
+    worst = fmean(sorted(errors)[-max(1, len(errors) // 10) :])
+    names = ("wrong_class", "misplaced", "silent_points")
+    every = {name: [getattr(each, name) for each in readings] for name in names}
+    found = {name: middle_90(each) for name, each in (every | {"median": list(errors)}).items()}
     return {
-        "at_nerve": {"median": median(ranked), "worst_tenth": fmean(worst)},
-        **{
-            name: ignore_nan(median, (getattr(each, name) for each in readings))
-            for name in ("wrong_class", "misplaced", "silent_points")
-        },
+        "at_nerve": {"median": found["median"][0], "worst_tenth": worst},
+        **{name: found[name][0] for name in names},
+        "middle_90": {name: each[1:] for name, each in found.items()},
     }

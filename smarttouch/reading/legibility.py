@@ -197,8 +197,8 @@ def legibility_of_shapes(
         graded = (shape_line(page, index, profile, Style.GRADED) for index in indices)
         ideal = [ideal_picture(line, profile, step_mm) for line in graded]
         delivered.append((shown, options.languages))
-        texts.append(_read([each.picture for each in shown], options.languages))
-        limit_texts.append(_read(ideal, options.languages))
+        texts.append(read_pictures([each.picture for each in shown], options.languages))
+        limit_texts.append(read_pictures(ideal, options.languages))
         total += len(indices)
     page_text, text, limit_text = ("\n".join(each) for each in (page_texts, texts, limit_texts))
     compared = page_text if truth is None else truth
@@ -225,8 +225,7 @@ def legibility_at_nerve(
 ) -> dict[str, Any]:
     """Return error rates at the board and at the nerves of simulated fingers, by seeds from 1 on.
 
-    They are ``at_board``, ``at_nerve`` with ``median`` and ``worst_tenth``, ``wrong_class``,
-    ``misplaced`` and ``silent_points``.
+    See `nerve_figures`, and ``at_board``.
     """
     work = Parallel(n_jobs=-1 if fingers > 1 else 1, return_as="generator", max_nbytes=None)
     seeds = range(1, fingers + 1)
@@ -245,12 +244,15 @@ def legibility_on_finger(
     response = read_at_nerve(lines, Finger(reading.profile, seed, anatomy), reading.mode.afferents)
     pictures = iter(response.pictures)
     texts = [
-        _read([next(pictures) for _ in page], languages) for page, languages in found.delivered
+        read_pictures([next(pictures) for _ in page], languages)
+        for page, languages in found.delivered
     ]
-    return replace(response, pictures=[]), character_error_rate(found.truth, "\n".join(texts))
+    return replace(response, pictures=[], shown=[]), character_error_rate(
+        found.truth, "\n".join(texts)
+    )
 
 
-def _read(pictures: Sequence[LinePicture], languages: str) -> str:
+def read_pictures(pictures: Sequence[LinePicture], languages: str) -> str:
     """Return the text of pictures placed below each other, as on a page.
 
     Tesseract reads such soft lines with the help of those around them; it reads nothing from a
@@ -316,8 +318,10 @@ def measure_legibility(
     if fingers:
         nerve = legibility_at_nerve(found, reading, fingers, paths, progress)
         figures |= {"fingers": fingers, "anatomy": anatomy, **nerve}
+        middle, worst = nerve["at_nerve"]["median"], nerve["at_nerve"]["worst_tenth"]
+        low, high = nerve["middle_90"]["median"]
         rows += [
-            (f"error rate, nerve, {name.replace('_', ' ')}", f"{rate:.3f}")
-            for name, rate in nerve["at_nerve"].items()
+            ("error rate, nerve, median", f"{middle:.3f} ({low:.3f} to {high:.3f} of 90 %)"),
+            ("error rate, nerve, worst tenth", f"{worst:.3f}"),
         ]
     return Measured({**shape, **speed, **figures}, rows, found.text)

@@ -162,22 +162,29 @@ def read_at_board(
 
 def summary(found: Sequence[LetterResponse]) -> dict[str, float]:
     """Return medians over fingers of the means over letters, and error rates at the nerve."""
+    by_finger = finger_means(found)
+    errors = sorted(by_finger.pop("median"))
+    figures = {name: ignore_nan(median, each) for name, each in by_finger.items()}
+    worst = fmean(errors[-max(1, len(errors) // 10) :])
+    return {**figures, "median": median(errors), "worst_tenth": worst}
+
+
+def finger_means(found: Sequence[LetterResponse]) -> dict[str, list[float]]:
+    """Return each finger's means over letters: the measures of `ResponseQuality` and, as
+    ``median``, its error rate."""
     by_finger: dict[int, list[LetterResponse]] = {}
     for each in found:
         by_finger.setdefault(each.seed, []).append(each)
-    errors = sorted(fmean(one.read_as != one.letter for one in them) for them in by_finger.values())
-    worst = errors[-max(1, len(errors) // 10) :]
-    figures = {
-        name: ignore_nan(
-            median,
-            (
-                ignore_nan(fmean, (getattr(one.quality, name) for one in them))
-                for them in by_finger.values()
-            ),
-        )
-        for name in ("silent_points", "wrong_class", "misplaced")
+    measures = ("silent_points", "wrong_class", "misplaced")
+    means = {
+        name: [
+            ignore_nan(fmean, (getattr(one.quality, name) for one in them))
+            for them in by_finger.values()
+        ]
+        for name in measures
     }
-    return {**figures, "median": median(errors), "worst_tenth": fmean(worst)}
+    wrong = [fmean(one.read_as != one.letter for one in them) for them in by_finger.values()]
+    return {**means, "median": wrong}
 
 
 def fired(found: Sequence[LetterResponse]) -> dict[str, float]:
