@@ -15,6 +15,7 @@ import signal
 import time
 import traceback
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -28,7 +29,6 @@ from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.firmware import DeliveryLog, DeviceClock
 from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
 from smarttouch.emulator.link_firmware import LinkFirmware
-from smarttouch.emulator.skin import COMPLIANCE_V
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 ELECTRODES = {"link": 64, "kajimoto61": 61, "etactilekit": 32}
@@ -70,12 +70,35 @@ class Outcome:
     """Processes that did not end."""
 
 
-def firmware_of(kind):
-    books = LastPulse(ELECTRODES[kind])
-    if kind == "link":
-        return LinkFirmware(books.electrodes, "weighted", books, None, COMPLIANCE_V)
-    kit = Kajimoto61Firmware if kind == "kajimoto61" else ETactileKitFirmware
-    return kit(books)
+class PlayedBoard:
+    """A board that this process plays, on a line of its own."""
+
+    def __init__(self, kind, firmware="71adee2"):
+        books = LastPulse(ELECTRODES[kind])
+        self.firmware = {
+            "link": lambda: LinkFirmware(books.electrodes, "weighted", books),
+            "kajimoto61": lambda: Kajimoto61Firmware(books),
+            "etactilekit": lambda: ETactileKitFirmware(books, firmware=firmware),
+        }[kind]()
+        self.books, self.line, self.clock, self._pending = books, PtyLine(), DeviceClock(), b""
+        self.url = f"{kind}:{self.line.name}"
+
+    def go_on(self):
+        """Take what has come, and answer."""
+        data = self.line.read(0.0005)
+        now = self.clock.now_ns()
+        self._pending += self.firmware.feed(data, now) if data else self.firmware.advance(now)
+        if self._pending and data is not None:
+            self._pending = self.line.write(self._pending)
+
+    def catch_up(self):
+        """Take what was written by now, however late this process comes to read it."""
+        while data := self.line.read(0):
+            self._pending += self.firmware.feed(data, self.clock.now_ns())
+
+    def pulses_after_ms(self, since_ns):
+        """Return for how long after a time there were pulses; 0 if none came."""
+        return max(0.0, (self.books.ended_us - since_ns / 1e3) / 1e3)
 
 
 def drive(url, electrodes):
@@ -103,13 +126,13 @@ def drive(url, electrodes):
                 start_ns = now_ns = time.monotonic_ns()
 
 
-def fork_host(line, url, electrodes):
+def fork_host(line, work):
     if child := os.fork():
         return child
     try:
         # The far end is the board's alone.
         os.close(line._master)
-        drive(url, electrodes)
+        work()
     except BaseException:
         traceback.print_exc()
     finally:
@@ -128,47 +151,45 @@ def reap(deadline):
 
 
 def one_run(kind, how, option, opening, at_s):
-    line, firmware, clock = PtyLine(), firmware_of(kind), DeviceClock()
-    host = fork_host(line, f"{kind}:{line.name}{option}", ELECTRODES[kind])
-    books, pending, gone_ns, drove = firmware.books, b"", None, False
+    board = PlayedBoard(kind)
+    line, books, gone_ns, drove = board.line, board.books, None, False
+    host = fork_host(line, partial(drive, board.url + option, ELECTRODES[kind]))
     begun = time.monotonic()
     go_s = begun + at_s if opening else None
-    while gone_ns is None or clock.now_ns() < gone_ns + WATCHED_NS:
-        data = line.read(0.0005)
-        now = clock.now_ns()
-        pending += firmware.feed(data, now) if data else firmware.advance(now)
-        if pending and data is not None:
-            pending = line.write(pending)
+    while gone_ns is None or board.clock.now_ns() < gone_ns + WATCHED_NS:
+        board.go_on()
         if go_s is None and books.ended_us > -np.inf:
             go_s = time.monotonic() + at_s
         assert go_s or time.monotonic() < begun + PULSES_WITHIN_S, "it never pulsed"
         if gone_ns is None and go_s and time.monotonic() > go_s:
-            gone_ns = clock.now_ns()
+            gone_ns = board.clock.now_ns()
             os.kill(host, signal.SIGKILL if how == "kill" else signal.SIGSTOP)
+            board.catch_up()
             drove = books.ended_us > gone_ns / 1e3 - 50_000
-            # What it had written before has arrived, however late this process comes to read it.
-            while data := line.read(0):
-                pending += firmware.feed(data, gone_ns)
     os.kill(host, signal.SIGKILL)
     left = reap(time.monotonic() + LEAVES_WITHIN_S)
     while line.read(0) == b"":
         pass
     released = line.read(0) is None
     os.close(line._master)
-    zero_ms = max(0.0, (books.ended_us - gone_ns / 1e3) / 1e3)
-    return Outcome(zero_ms, bool(drove), books.unsafe, released, left)
+    return Outcome(board.pulses_after_ms(gone_ns), bool(drove), books.unsafe, released, left)
+
+
+def repeat(one, count):
+    """Return what so many runs found, each given its number."""
+    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+    streamed.BOOT_S = 0.0
+    with threadpool_limits(1):
+        return [one(number) for number in range(count)]
 
 
 def run(kind, count, how="kill", option="", seed=0):
     """Return what so many runs found."""
-    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
-    streamed.BOOT_S = 0.0
     draw = random.Random(seed)
-    with threadpool_limits(1):
-        outcomes = [
-            one_run(kind, how, option, number % OPENING == 0, draw.uniform(0, LATEST_S))
-            for number in range(count)
-        ]
+    outcomes = repeat(
+        lambda number: one_run(kind, how, option, number % OPENING == 0, draw.uniform(0, LATEST_S)),
+        count,
+    )
     zero_ms = [each.zero_ms for each in outcomes if each.drove]
     return {
         "board": kind + option,

@@ -7,7 +7,6 @@ and its host tries to go on. What counts is the board's own account on its own c
 """
 
 import argparse
-import ctypes
 import json
 import os
 import random
@@ -18,18 +17,11 @@ import time
 from collections import Counter
 from functools import partial
 
-from kill_host import ELECTRODES, LEAVES_WITHIN_S, PR_SET_CHILD_SUBREAPER, LastPulse, reap
-from threadpoolctl import threadpool_limits
+from kill_host import ELECTRODES, LEAVES_WITHIN_S, PlayedBoard, fork_host, reap, repeat
 
 from smarttouch.base.errors import BoardRestartedError, SequenceLateError, SmartTouchError
-from smarttouch.base.wire.device_lines import PtyLine
-from smarttouch.boards.kits import streamed
 from smarttouch.boards.open import make_board
 from smarttouch.boards.probe_scans import one_each
-from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
-from smarttouch.emulator.firmware import DeviceClock
-from smarttouch.emulator.kajimoto61_firmware import Kajimoto61Firmware
-from smarttouch.emulator.link_firmware import LinkFirmware
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 KITS = ("71adee2", "newest")
@@ -41,15 +33,6 @@ LATEST_S = 0.6
 WATCHED_NS = 250_000_000
 """Longer than two periods of sense scans."""
 PATIENCE_S = 30.0
-
-
-def firmware_of(kind, firmware):
-    books = LastPulse(ELECTRODES[kind])
-    if kind == "link":
-        return LinkFirmware(books.electrodes, "weighted", books)
-    if kind == "kajimoto61":
-        return Kajimoto61Firmware(books)
-    return ETactileKitFirmware(books, firmware=firmware)
 
 
 def send(board, limits, step, times=1, most=MOST):
@@ -118,79 +101,58 @@ def drive(url, electrodes, action, from_thread, at_s, said):
     time.sleep(PATIENCE_S)
 
 
-def fork_host(line, said, *given):
-    if child := os.fork():
-        return child
-    try:
-        # The far end is the board's alone.
-        os.close(line._master)
-        drive(*given, said)
-    finally:
-        os._exit(1)
-
-
 def one_run(kind, action, from_thread, at_s):
     kind, _, option = kind.partition(" ")
-    line, firmware, clock = PtyLine(), firmware_of(kind, option), DeviceClock()
-    url = f"{kind}:{line.name}" + (f"?firmware={option}" if option else "")
-    ours, said = os.pipe()
-    host = fork_host(line, said, url, ELECTRODES[kind], action, from_thread, at_s)
-    books, pending, told, go_s, stopped_ns = firmware.books, b"", b"", None, None
+    board = PlayedBoard(kind, *option.split())
+    url = board.url + (f"?firmware={option}" if option else "")
+    (ours, said), electrodes = os.pipe(), ELECTRODES[kind]
+    host = fork_host(board.line, partial(drive, url, electrodes, action, from_thread, at_s, said))
+    books, told, go_s, stopped_ns = board.books, b"", None, None
     begun = time.monotonic()
-    while stopped_ns is None or told.count(b"\n") < 3 or clock.now_ns() < stopped_ns + WATCHED_NS:
+    while (
+        stopped_ns is None
+        or told.count(b"\n") < 3
+        or board.clock.now_ns() < stopped_ns + WATCHED_NS
+    ):
         assert time.monotonic() < begun + PATIENCE_S, (kind, action, from_thread, at_s, told)
         # First what it says, then what it had written before.
         if select.select([ours], [], [], 0)[0]:
             told += os.read(ours, 1000)
-        data = line.read(0.0005)
-        now = clock.now_ns()
-        pending += firmware.feed(data, now) if data else firmware.advance(now)
-        if pending and data is not None:
-            pending = line.write(pending)
+        board.go_on()
         if go_s is None and b"open" in told:
             go_s = time.monotonic() + at_s
         if go_s and not from_thread and time.monotonic() > go_s:
             os.kill(host, signal.SIGTERM)
             go_s = float("inf")
         if stopped_ns is None and b"stopped" in told:
-            while data := line.read(0):
-                pending += firmware.feed(data, clock.now_ns())
-            stopped_ns = clock.now_ns()
+            board.catch_up()
+            stopped_ns = board.clock.now_ns()
     os.kill(host, signal.SIGKILL)
     left = reap(time.monotonic() + LEAVES_WITHIN_S)
-    for end in (ours, said, line._master):
+    for end in (ours, said, board.line._master):
         os.close(end)
     return {
-        "pulsed": books.slots > 0,
-        "late_ms": max(0.0, (books.ended_us - stopped_ns / 1e3) / 1e3),
-        "wrong": books.unsafe + books.violations,
-        "driving": books.state == "driving",
-        "came": json.loads(told.splitlines()[-1]),
-        "left": left,
-    }
+        "pulsed": books.slots > 0, "late_ms": board.pulses_after_ms(stopped_ns),
+        "wrong": books.unsafe + books.violations, "driving": books.state == "driving",
+        "came": json.loads(told.splitlines()[-1]), "left": left,
+    }  # fmt: skip
 
 
 def run(kind, action, count, seed=0):
     """Return what so many runs found."""
-    ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
-    streamed.BOOT_S = 0.0
     draw = random.Random(f"{seed} {kind} {action}")
-    with threadpool_limits(1):
-        runs = [
-            one_run(kind, action, bool(number % 2), draw.uniform(0, LATEST_S))
-            for number in range(count)
-        ]
+    runs = repeat(
+        lambda number: one_run(kind, action, bool(number % 2), draw.uniform(0, LATEST_S)), count
+    )
     return {
-        "board": kind,
-        "action": action,
-        "runs": count,
+        "board": kind, "action": action, "runs": count,
         "pulsed": sum(each["pulsed"] for each in runs),
         "worst_ms": round(max(each["late_ms"] for each in runs), 2),
         "wrong": sum(each["wrong"] for each in runs),
         "driving": sum(each["driving"] for each in runs),
         "came": Counter(name for each in runs for name in each["came"]),
         "processes_left": sum(each["left"] for each in runs),
-    }
+    }  # fmt: skip
 
 
 if __name__ == "__main__":
