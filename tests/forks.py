@@ -146,6 +146,8 @@ def _serve(channel):
     for module in _IMPORTED:
         import_module(module)
     import_module("smarttouch.cli")._built()
+    # Whoever looks into the books of a board waits until they are written once more.
+    import_module("smarttouch.emulator.server")._WRITE_EVERY_NS = 10_000_000
     driver = import_module("smarttouch.emulator.emulated_boards")
     driver.subprocess, Forked._server = forked_boards(), _Itself()
     gc.collect()
