@@ -92,17 +92,13 @@ def shaped_text(
 ) -> ShapedText:
     """Return a document as cells, its emphasis marked where liblouis has the table; one that
     consists of cells stays as it is."""
+    text = [block for block in document.blocks if block.kind is not BlockKind.PAGE]
     shapes = list[Shape]()
-    listed, deepest = (BlockKind.ITEM, BlockKind.ROW), 0
-    for number, block in enumerate(document.blocks):
-        begins = block.kind in listed and (not shapes or shapes[-1].kind not in listed)
-        if begins:
-            group = itertools.takewhile(
-                lambda each: each.kind in (*listed, BlockKind.PAGE), document.blocks[number:]
-            )
-            deepest = max(each.level for each in group)
-        if block.kind is not BlockKind.PAGE:
-            shapes.append(shape_of(block, deepest))
+    for _, group in itertools.groupby(text, key=lambda block: block.kind):
+        # Of these, a list or a table has a deepest level.
+        alike = list(group)
+        deepest = max(block.level for block in alike)
+        shapes += [shape_of(block, deepest) for block in alike]
     remaining = iter(shapes)
     every = [
         Shape(block.kind) if block.kind is BlockKind.PAGE else next(remaining)

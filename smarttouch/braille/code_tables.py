@@ -26,6 +26,9 @@ _PLAINER = {
     "…": "...",
 }  # fmt: skip
 """Signs for those of print that a table does not have."""
+_TYPEFORM = re.compile("[⠨⠘⠸][⠂⠆⠶⠄]")
+"""Indicators of emphasis in Unified English Braille (Rules 9.1): no table translates them back."""
+_UNIFIED = ("en-1", "en-2")
 _TAG = re.compile(r"[a-z]{2,3}(-[A-Z]{2})?")  # tag of a language, with its country or without
 MISSING_NOTE = (
     f"liblouis is not installed: built-in English grade 1; for others and grade 2: {louis.INSTALL}"
@@ -87,13 +90,18 @@ class BrailleTable:
         lines = cells.split("\n")
         for line in lines:
             require_cells(line)
-        return "\n".join(self.code.decode(line) for line in lines)
+        return "\n".join(self.code.decode(self._plain(line)) for line in lines)
+
+    def _plain(self, cells: str) -> str:
+        """Return cells without indicators of emphasis."""
+        return _TYPEFORM.sub("", cells) if self.name in _UNIFIED else cells
 
     def doubt(self, cells: str, text: str) -> str | None:
         """Return a sentence on words of a text that is translated back from cells, and would make
         others; None if there are none."""
         given, again = (
-            re.split(f"[{BLANK}\n]+", each) for each in (cells, self.to_cells(text, leave_out=True))
+            re.split(f"[{BLANK}\n]+", each)
+            for each in (self._plain(cells), self.to_cells(text, leave_out=True))
         )
         wrong = [k for k, pair in enumerate(zip(given, again, strict=False)) if len(set(pair)) > 1]
         if not wrong:

@@ -176,7 +176,7 @@ class _Book:
             table = self._body.findall("table")[-1] if again else ET.SubElement(self._body, "table")
             row = ET.SubElement(table, "tr")
             for runs in _cells_of_row(block):
-                self._last = ET.SubElement(row, "td")
+                self._last = ET.SubElement(row, "th" if block.head else "td")
                 self._last.text = _spaced(self._text.cells_of(runs))
             return
         else:

@@ -32,8 +32,12 @@ _HTML = re.compile(
     re.IGNORECASE | re.DOTALL,
 )
 
+_ODT_TITLE = re.compile(rb'<text:p text:style-name="Title">(.*?)</text:p>', re.DOTALL)
 _XHTML = "{http://www.w3.org/1999/xhtml}"
+_NCX = "{http://www.daisy.org/z3986/2005/ncx/}"
+_LISTS = (".xhtml", ".html", ".ncx")
 _LISTS_PAGES = {("{http://www.idpf.org/2007/ops}type", "page-list")}
+_TITLE_WITHIN = 12  # blocks at the beginning, among which is the title if a text has one
 _MOST_LIST_BYTES = 5_000_000
 _DAMAGES = (
     OSError,
@@ -85,13 +89,15 @@ BETWEEN = Run("; ")  # what parts the cells of a row
 class Block:
     """Heading, paragraph, item or row; its level counts from 1 for headings, from 0 for items.
 
-    ``continued`` if it goes on with the block before a page of print.
+    ``continued`` if it goes on with the block before a page of print, ``head`` if it is a row of a
+    table's head.
     """
 
     kind: BlockKind
     level: int
     runs: tuple[Run, ...]
     continued: bool = False
+    head: bool = False
 
     @property
     def text(self) -> str:
@@ -140,7 +146,7 @@ def read_structured_text(path: Path) -> StructuredText:
         _require_modest(path, data)
     try:
         if kind == "odt":
-            data = _with_table_heads(data)
+            data = _with_heads(data)
         done = subprocess.run(
             [program, "+RTS", f"-M{_MEMORY}", "-RTS", "--sandbox", "-f", str(kind), "-t", "json"],
             input=data, capture_output=True, timeout=_TIMEOUT_S, check=False,
@@ -159,8 +165,17 @@ def read_structured_text(path: Path) -> StructuredText:
     except (*_DAMAGES, RecursionError) as error:
         raise PageError(f"{path} cannot be read: {error}", about="file") from None
     title, author = _said(about.get("title")), _said(about.get("author") or about.get("creator"))
-    language = _said(about.get("lang") or about.get("language"))
-    return StructuredText(blocks, title, author, language, _said(about.get("date")))
+    language, date = _said(about.get("lang") or about.get("language")), _said(about.get("date"))
+    if kind in ("docx", "gfm"):
+        blocks = (*_front(blocks, title, author, date if kind == "docx" else ""), *blocks)
+    return StructuredText(blocks, title, author, language, date)
+
+
+def _front(blocks: tuple[Block, ...], title: str, *others: str) -> Iterator[Block]:
+    """Yield the lines of a title that pandoc takes out of a text, if they are not in it."""
+    if title and title.casefold() not in (each.text.casefold() for each in blocks[:_TITLE_WITHIN]):
+        yield Block(BlockKind.HEADING, 1, (Run(title),))
+        yield from (Block(BlockKind.PARAGRAPH, 0, (Run(each),)) for each in others if each)
 
 
 def _text_of(blocks: Iterable[Block], between: str) -> str:
@@ -182,14 +197,16 @@ def _require_modest(path: Path, data: bytes) -> None:
         )
 
 
-def _with_table_heads(data: bytes) -> bytes:
-    """Return an ODT whose tables begin with their heads as usual rows: pandoc leaves out others."""
+def _with_heads(data: bytes) -> bytes:
+    """Return an ODT whose tables begin with their heads as usual rows, which pandoc leaves out
+    else, and whose title is a heading."""
     file = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(data)) as packed, zipfile.ZipFile(file, "w") as made:
         for each in packed.infolist():
             content = packed.read(each)
             if each.filename == "content.xml":
                 content = re.sub(rb"</?table:table-header-rows[^>]*>", b"", content)
+                content = _ODT_TITLE.sub(rb'<text:h text:outline-level="1">\1</text:h>', content)
             made.writestr(each, content)
     return file.getvalue()
 
@@ -265,8 +282,9 @@ def _numbers(attributes: Any) -> Iterator[str]:
 def _table(content: Any) -> Iterator[Block]:
     _, caption, _, head, bodies, foot = content
     yield from _blocks(caption[1])
-    rows = [*head[1], *(row for body in bodies for part in body[2:4] for row in part), *foot[1]]
-    for row in rows:
+    parts = [(body[k], k == 2) for body in bodies for k in (2, 3)]
+    parts = [(head[1], True), *parts, (foot[1], False)]
+    for row, is_head in ((row, is_head) for rows, is_head in parts for row in rows):
         runs: list[Run] = []
         for cell in row[1]:
             blocks = list(_blocks(cell[-1]))
@@ -276,7 +294,7 @@ def _table(content: Any) -> Iterator[Block]:
             inside = [run for each in kept for run in (*each, Run(" "))][:-1]
             runs += ([BETWEEN] if runs else []) + (inside or [Run("-")])
         if any(run.text.strip("-; ") for run in runs):
-            yield Block(BlockKind.ROW, 0, tuple(runs))
+            yield Block(BlockKind.ROW, 0, tuple(runs), head=is_head)
 
 
 def _lines(like: Block, runs: Iterable[Run]) -> Iterator[Block]:
@@ -322,16 +340,24 @@ def _page_list(data: bytes) -> dict[str, str]:
     found = {}
     with zipfile.ZipFile(io.BytesIO(data)) as packed:
         for each in packed.infolist():
-            if not each.filename.endswith((".xhtml", ".html")) or each.file_size > _MOST_LIST_BYTES:
+            if not each.filename.endswith(_LISTS) or each.file_size > _MOST_LIST_BYTES:
                 continue
             content = packed.read(each)
-            if b"page-list" not in content:
+            if b"page-list" not in content and b"pageTarget" not in content:
                 continue
-            lists = ET.fromstring(content).iter(f"{_XHTML}nav")
-            pages = (nav for nav in lists if set(nav.items()) >= _LISTS_PAGES)
-            for link in (each for nav in pages for each in nav.iter(f"{_XHTML}a")):
-                file, _, part = unquote(link.get("href", "")).rpartition("#")
-                found[f"{file.rpartition('/')[2]}#{part}"] = "".join(link.itertext()).strip()
+            try:
+                root = ET.fromstring(content)
+            except ET.ParseError:
+                continue
+            lists = (nav for nav in root.iter(f"{_XHTML}nav") if set(nav.items()) >= _LISTS_PAGES)
+            places = [(link, link.get("href")) for nav in lists for link in nav.iter(f"{_XHTML}a")]
+            for target in root.iter(f"{_NCX}pageTarget"):
+                label, place = target.find(f"{_NCX}navLabel"), target.find(f"{_NCX}content")
+                if label is not None and place is not None:
+                    places.append((label, place.get("src")))
+            for label, where in places:
+                name = unquote(where or "").rpartition("/")[2]
+                found[name] = "".join(label.itertext()).strip()
     return found
 
 
@@ -340,8 +366,16 @@ def _mark_pages(node: Any, numbers: dict[str, str]) -> None:
     for each in node.values() if isinstance(node, dict) else node:
         if isinstance(each, dict | list):
             _mark_pages(each, numbers)
-    if isinstance(node, dict) and node["t"] in ("Span", "Div") and node["c"][0][0] in numbers:
-        node["c"][0][2].append(["pagebreak", numbers[node["c"][0][0]]])
+    if not isinstance(node, dict) or node["t"] not in ("Span", "Div", "Header"):
+        return
+    about, inside = node["c"][-2:]
+    if about[0] in numbers:
+        mark = ["pagebreak", numbers[about[0]]]
+        if node["t"] != "Header" and _page_number(node):
+            about[2].append(mark)
+        else:
+            kind = "Div" if node["t"] == "Div" else "Span"
+            inside.insert(0, {"t": kind, "c": [["", [], [mark]], []]})
 
 
 def _page_number(node: Any) -> str:

@@ -25,6 +25,7 @@ _NARROW, _ALIGNED, _EXACT, _NEAR, _ALIKE = 0.5, 0.25, 0.1, 6, 2
 figures are, of how many rows, and how many of them."""
 _COLUMNS = 2  # fewest columns of figures in rows without a wide gap
 _CELL_WORDS, _TABLE_ROWS = 3.0, 2  # mean words of a table's cells at most, and rows at least
+_FARTHER = 1.6  # distance of rows, in usual ones, at which those of a table end
 _FEWEST = 40  # characters below which a page with a large picture is a scan with a stamp
 _PICTURE = 0.4  # part of the page that a large picture covers
 _MOST_UNKNOWN = 0.05  # part of a layer's characters that mean nothing
@@ -187,11 +188,9 @@ def _gaps(row: list[_Sign]) -> Iterator[tuple[_Sign, float]]:
 def _whole_tables(rows: list[list[list[_Sign]]]) -> list[list[list[_Sign]]]:
     """Return the rows with those of tables as one piece, their cells parted by semicolons."""
     found: list[list[list[_Sign]]] = []
-    for is_cut, group in itertools.groupby(rows, key=lambda row: len(row) > 1):
-        same = list(group)
-        cells = [cell for row in same for cell in row]
-        words = sum(len(_words(cell).split()) for cell in cells) / len(cells)
-        if not is_cut or len(same) < _TABLE_ROWS or words > _CELL_WORDS:
+    for are_cells, parts in itertools.groupby(_parts(rows), key=lambda part: part[0]):
+        same = [row for _, part in parts for row in part]
+        if not are_cells or len(same) < _TABLE_ROWS:
             found += same
             continue
         for row in same:
@@ -202,6 +201,20 @@ def _whole_tables(rows: list[list[list[_Sign]]]) -> list[list[list[_Sign]]]:
                 whole += cell
             found.append([whole])
     return found
+
+
+def _parts(rows: list[list[list[_Sign]]]) -> Iterator[tuple[bool, list[list[list[_Sign]]]]]:
+    """Yield rows at even distances, each with whether its pieces are as short as cells."""
+    for is_cut, group in itertools.groupby(rows, key=lambda row: len(row) > 1):
+        same = list(group)
+        steps = np.diff([row[0][0].y for row in same])
+        far = steps > _FARTHER * np.median(steps) if len(steps) else steps
+        ends = [0, *(np.flatnonzero(far) + 1).tolist(), len(same)]
+        for begin, end in itertools.pairwise(ends):
+            part = same[begin:end]
+            cells = [cell for row in part for cell in row]
+            words = sum(len(_words(cell).split()) for cell in cells) / len(cells)
+            yield is_cut and words <= _CELL_WORDS, part
 
 
 def _words(piece: list[_Sign]) -> str:
@@ -225,6 +238,7 @@ def _line(piece: list[_Sign], point_mm: float) -> TextLine:
         x_height_mm=_X_HEIGHT * size,
         ascent_mm=_ASCENT * size,
         descent_mm=_DESCENT * size,
+        cell=int(any(sign.left == sign.right for sign in piece)),
     )
 
 

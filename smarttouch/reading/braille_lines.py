@@ -270,14 +270,11 @@ class Braille:
                 text = texts[index] if len(texts) == len(loaded.paragraphs) else ""
                 yield cells, text, _place_on_paper(index, cells)
 
-    def page_paragraphs(self, source: ReadingMaterial, number: int, page: Page) -> list[str]:
-        """Return a page as cells, a line for each paragraph of print or line of raised dots."""
-        return self.page_cells(source, number, page)[0]
-
     def page_cells(
         self, source: ReadingMaterial, number: int, page: Page
     ) -> tuple[list[str], bool]:
-        """Return the same, and whether the page is print."""
+        """Return a page as cells, a line for each paragraph of print or line of raised dots, and
+        whether it is print."""
         if self._shows_dots(page):
             return self._decoded(source, number, page), False
         table = open_table(self.table)

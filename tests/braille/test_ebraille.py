@@ -28,9 +28,9 @@ DC = "{http://purl.org/dc/elements/1.1/}"
 XHTML = "{http://www.w3.org/1999/xhtml}"
 
 
-def block(kind, level, *texts, continued=False):
+def block(kind, level, *texts, continued=False, head=False):
     runs = [run for text in texts for run in (BETWEEN, Run(text))][1:]
-    return Block(BlockKind(kind), level, tuple(runs), continued)
+    return Block(BlockKind(kind), level, tuple(runs), continued, head)
 
 
 BOOK = StructuredText(
@@ -38,8 +38,9 @@ BOOK = StructuredText(
         block("page", 0, "iv"), block("heading", 1, "tea"), block("paragraph", 0, "first words"),
         block("page", 0, "5"), block("paragraph", 0, "go on", continued=True),
         block("item", 0, "one"), block("item", 1, "inner"), block("item", 0, "two"),
-        block("heading", 2, "cups"), block("row", 0, "name", "price"), block("page", 0, "6"),
-        block("row", 0, "cup", "3"), block("heading", 1, "rest"), block("paragraph", 0, "end"),
+        block("heading", 2, "cups"), block("row", 0, "name", "price", head=True),
+        block("page", 0, "6"), block("row", 0, "cup", "3"), block("heading", 1, "rest"),
+        block("paragraph", 0, "end"),
     ),
     "A <title> & more", "A. Writer", "en-US", "2004-05-01T00:00:00Z",
 )  # fmt: skip
@@ -92,6 +93,8 @@ def test_structure():
     assert (texts(one), texts(inner), texts(two)) == (["⠕⠝⠑", "⠊⠝⠝⠑⠗"], ["⠊⠝⠝⠑⠗"], ["⠞⠺⠕"])
     rows = [[texts(cell) for cell in row] for row in first.iter(f"{XHTML}tr")]
     assert rows == [[["⠝⠁⠍⠑"], ["⠏⠗⠊⠉⠑", "⠼⠋"]], [["⠉⠥⠏"], ["⠼⠉"]]]
+    kinds = [[cell.tag.removeprefix(XHTML) for cell in row] for row in first.iter(f"{XHTML}tr")]
+    assert kinds == [["th", "th"], ["td", "td"]]
     assert texts(second) == ["⠗⠑⠎⠞", "⠑⠝⠙"]
     contents, pages = files["index.html"].iter(f"{XHTML}nav")
     assert [(link.get("href"), link.text) for link in contents.iter(f"{XHTML}a")] == [

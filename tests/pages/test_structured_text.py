@@ -127,3 +127,36 @@ def test_what_has_no_structure(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.zip", "w") as packed:
         packed.writestr("words.txt", "words")
     assert format_of(tmp_path / "a.zip") is None
+
+
+PAGES = {
+    "epub2": """<pageList><pageTarget type="normal"><navLabel><text>7</text></navLabel>
+        <content src="text/ch001.xhtml#the-rest"/></pageTarget></pageList></ncx>""",
+    "epub3": """<nav xmlns:epub="http://www.idpf.org/2007/ops" epub:type="page-list"><ol><li>
+        <a href="text/ch001.xhtml#the-rest">7</a></li></ol></nav></body>""",
+}
+
+
+@needs_pandoc
+@pytest.mark.parametrize("kind", PAGES)
+def test_the_list_of_pages_of_an_epub(tmp_path, kind):
+    made = written(tmp_path, kind)
+    name, end = ("toc.ncx", "</ncx>") if kind == "epub2" else ("nav.xhtml", "</body>")
+    path = tmp_path / "paged.epub"
+    with zipfile.ZipFile(made) as before, zipfile.ZipFile(path, "w") as after:
+        for each in before.infolist():
+            content = before.read(each)
+            if each.filename.endswith(name):
+                assert end.encode() in content
+                content = content.replace(end.encode(), PAGES[kind].encode())
+            after.writestr(each, content)
+    blocks = [(block.kind.value, block.text) for block in read_structured_text(path).blocks]
+    assert blocks[blocks.index(("heading", "The rest")) - 1] == ("page", "7")
+    assert read_structured_text(made).text == read_structured_text(path).text
+
+
+@needs_pandoc
+def test_rows_of_heads_are_known(tmp_path):
+    heads = [block.text for block in read_structured_text(written(tmp_path, "html")).blocks
+             if block.head]  # fmt: skip
+    assert heads == ["Name; Price"]
