@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from smarttouch.base.command_options import argument, option
-from smarttouch.base.errors import BoardStoppedError, CalibrationError, not_offered, require_within
+from smarttouch.base.errors import BoardStoppedError, CalibrationError, require_within
 from smarttouch.cli.options import (
     MORE,
     Commands,
@@ -181,9 +181,6 @@ def registration(
             "Set the pitch of the target's dots; it is chosen to suit the field otherwise.", "MM"
         ),
     ] = None,
-    center: Annotated[
-        str, option("Choose what lies in the middle of the array.", "target|image")
-    ] = "target",
     frames: _Frames = 16,
     yes: _Yes = False,
     simulate: _Simulate = False,
@@ -196,8 +193,6 @@ def registration(
     from smarttouch.profile import load_profile
     from smarttouch.sources.preprocess import mean_image
 
-    if center not in ("target", "image"):
-        raise not_offered("center", center, ("target", "image"), CalibrationError)
     grid = target_for(load_profile(calibration.begun()), dot_pitch_mm)
     if target is not None:
         if target.exists() and not calibration.overwrite:
@@ -218,7 +213,7 @@ def registration(
         ask("Lay the target under the sensor, the L upright under the array's middle.", yes)
         mean = mean_image(images_of(source, file.profile, frames, corrected=True))
         image = mean.round().astype("uint8")
-    found = register(image, file.profile, grid, "target" if center == "target" else "image")
+    found = register(image, file.profile, grid)
     show_registration(found)
     file.set("optics.homography", [float(f"{each:.12g}") for each in found.homography.ravel()])
     file.set("optics.sensor_columns", found.shape[1])

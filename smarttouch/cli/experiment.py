@@ -1,11 +1,9 @@
 """``smarttouch experiment``: psychophysics with pulses, and ``experiment fit`` of its answers."""
 
-import contextlib
 import math
 import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -191,7 +189,6 @@ class _Parts:
     train_s: float | None = None
     gap_s: float = 0.5
     answer_s: float = 10.0
-    knob: str | None = None
 
     @classmethod
     def read(cls, text: str) -> "tuple[str, _Parts]":
@@ -220,8 +217,7 @@ def run_listed(
         argument(
             "An experiment, free, or a file of yours; all are listed without one. Options "
             "follow: 'frequency?standards=15,30&repetitions=5&procedure=constant&site=27', "
-            "also trials, letters=AEIOU, two_intervals, train_s, gap_s, answer_s, and "
-            "knob=URL of free.",
+            "also trials, letters=AEIOU, two_intervals, train_s, gap_s and answer_s.",
             "NAME|FILE.py",
         ),
     ] = None,
@@ -358,11 +354,9 @@ def _run_free(
     from smarttouch.experiments.psychophysics.free_stimulation import (
         FreeLog,
         FreeSource,
-        HandControls,
         up_to_the_ceiling,
     )
     from smarttouch.imaging.array_window import reading_force_n
-    from smarttouch.instruments.hand_motion import open_motion
     from smarttouch.kernels.bank import load_bank
     from smarttouch.views.progress import bank_progress
 
@@ -374,11 +368,9 @@ def _run_free(
         # Adjusted by hand, from zero here too.
         run = replace(run, intensity=0.0)
     raised = up_to_the_ceiling(run.load_profile())
-    with contextlib.ExitStack() as stack:
-        knob = None if parts.knob is None else stack.enter_context(open_motion(parts.knob))
-        with bank_progress(run.quiet) as progress:
-            offered = tuple(sorted(load_bank(raised, progress).weights))
-        log = stack.enter_context(FreeLog(output or numbered(Path("free.csv"))))
+    with bank_progress(run.quiet) as progress:
+        offered = tuple(sorted(load_bank(raised, progress).weights))
+    with FreeLog(output or numbered(Path("free.csv"))) as log:
         source = FreeSource(
             raised, offered, log, parse_afferent(mode), parts.site,
             50.0 if rate_hz is None else rate_hz, reading_force_n(raised),
@@ -387,7 +379,6 @@ def _run_free(
         run.start(
             source, raised, run.config(Mode.COLOR, scan="points"), keys=source.keys,
             keys_help="← → rate    [ ] site    1 to 9 mark    ",
-            controls=partial(HandControls, knob=knob),
         )  # fmt: skip
         if not run.quiet:
             typer.echo(f"every change is in {log.path}")

@@ -61,11 +61,11 @@ def simulate_letters(
     from smarttouch.profile import load_profile
     from smarttouch.reading import letter_responses
     from smarttouch.reading.letter_responses import bystander_margins
-    from smarttouch.reading.letter_shapes import ALPHABET
+    from smarttouch.reading.letter_shapes import parse_letters
     from smarttouch.views.progress import lines_progress
 
     chosen, driven = load_profile(profile), Mode(parse_afferent(mode).name)
-    drawn = ALPHABET if letters is None else letter_responses.require_letters(letters)
+    drawn = parse_letters(letters, 1)
     picture = None if plot_file is None else Path(plot_file)
     for output in (json_file, picture):
         require_folder(output)

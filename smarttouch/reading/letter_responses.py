@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.errors import ExperimentError
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.physiology.anatomy import Anatomy
 from smarttouch.physiology.finger import Finger
@@ -216,16 +215,6 @@ def error_at_board(
     """Return the part of letters that are read as another from the answers at the electrodes."""
     read = read_at_board(profile, bank, mode, letters)
     return fmean(letter != seen for letter, seen in read.items())
-
-
-def require_letters(text: str) -> str:
-    """Return letters from A to Z, each once."""
-    letters = "".join(dict.fromkeys(text.upper()))
-    if not letters or set(letters) - set(ALPHABET):
-        raise ExperimentError(
-            f"{text!r} must be letters from A to Z, as in T or AEIOU", about="LETTERS"
-        )
-    return letters
 
 
 def bystander_margins(

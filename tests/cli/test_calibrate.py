@@ -309,8 +309,6 @@ def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
     ("optics --source nothing: --yes", says(SourceError, about="source", value="nothing:")),
     ("optics --source frames:none --yes", says(SourceError, " none:")),
     ("registration", wrong(about="source", remedy="simulate")),
-    ("registration --center left",
-     wrong(about="center", value="left", allowed=("target", "image"))),
     ("registration --dot-pitch-mm 0", wrong("0.01", "5 mm", about="dot_pitch_mm", value=0)),
     ("force", wrong("hx711:PORT", about="cell", remedy="simulate")),
     ("force --simulate --seconds nan", wrong(about="seconds", value=math.nan)),

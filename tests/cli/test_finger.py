@@ -27,7 +27,7 @@ def test_a_letter_on_one_finger(figures_of, tmp_path):
 
 
 @pytest.mark.parametrize(("arguments", "kind", "says"), [
-    ("4", ExperimentError, {"about": "LETTERS", "value": "4"}),
+    ("4", ExperimentError, {"about": "letters", "value": "4"}),
     ("T --anatomy=none", ProfileError, {"about": "anatomy", "value": "none"}),
     ("T --profile=line-7", ExperimentError, {"about": "profile", "value": 1}),
     ("T --mode=SAII", SmartTouchError, {"about": "mode"}),

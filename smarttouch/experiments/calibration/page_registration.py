@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -17,8 +16,6 @@ MOST_RESIDUAL = 0.25  # largest residual of a dot, as a part of an electrode's p
 MOST_OUTSIDE = 0.25  # largest part of the electrodes outside the image
 _OUTLIER = 5.0  # factor of the median residual beyond which dots are dirt
 _ROUNDS = 4
-
-Center = Literal["target", "image"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,13 +66,11 @@ class RegistrationFound:
         )
 
 
-def register(
-    image: NDArray[np.uint8], profile: Profile, target: DotTarget, center: Center = "target"
-) -> RegistrationFound:
+def register(image: NDArray[np.uint8], profile: Profile, target: DotTarget) -> RegistrationFound:
     """Fit the place on the page of each pixel, from one image (H, W) of the target or a mean of
     several.
 
-    The center of the array is the middle of the L, or that of the image.
+    The center of the array is the middle of the L.
     """
     dots = find_dots(image)
     dots = _within(dots, target)
@@ -84,8 +79,6 @@ def register(
     expected = _seen_centers(homography, page_mm, target.radius_mm(*dots.cell[kept].T))
     back = np.linalg.inv(homography)
     residual_mm = np.linalg.norm(apply(back, measured) - apply(back, expected), axis=1)
-    if center == "image":
-        homography = _recentered(homography, image.shape)
     electrodes = profile.electrodes
     places_mm = electrodes.position_mm / profile.optics.magnification
     scale, mirrored = _linear(homography)
@@ -157,14 +150,6 @@ def _seen_centers(
     conic[:, 1, 1] -= radius_mm**2
     seen = homography @ conic @ homography.T
     return np.asarray(seen[:, :2, 2] / seen[:, 2:, 2])
-
-
-def _recentered(homography: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Move the page's origin to the middle of the image."""
-    middle = np.array([[(shape[1] - 1) / 2, (shape[0] - 1) / 2]])
-    x_mm, y_mm = apply(np.linalg.inv(homography), middle)[0]
-    moved = homography @ np.array([[1, 0, x_mm], [0, 1, y_mm], [0, 0, 1]])
-    return np.asarray(moved / moved[2, 2])
 
 
 def _linear(homography: NDArray[np.float64]) -> tuple[NDArray[np.float64], bool]:

@@ -9,35 +9,25 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
-from smarttouch.base.afferent import Afferent, Mode
+from smarttouch.base.afferent import Afferent
 from smarttouch.base.errors import ExperimentError, require_within
 from smarttouch.base.events import Note
 from smarttouch.base.files import owner_only, unwritable
 from smarttouch.base.stopping import Closing
 from smarttouch.experiments.psychophysics.trials import Stimuli, require_site
 from smarttouch.profile import Profile
-from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.listener import Listener
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Stimulus, StimulusSource
 
 SLOWEST_HZ, FASTEST_HZ = 10.0, 200.0  # range of the pulse rate (paper, Section III-B.1)
 _STEP_HZ = 5.0
-_STEP_MM = 50.0  # travel of a knob from zero to the ceiling
 COLUMNS = (
     "time_s", "what", "value", "amplitude_ma", "current_ma", "rate_hz", "mode", "site", "force_n",
 )  # fmt: skip
-
-
-class Knob(Protocol):
-    """Device moved by hand, such as a mouse."""
-
-    def read(self, time_ns: int) -> tuple[float, float] | None:
-        """Return its displacement since the start, x and y in mm; None at its end."""
 
 
 def up_to_the_ceiling(profile: Profile) -> Profile:
@@ -91,28 +81,6 @@ class FreeLog(Closing):
     def close(self) -> None:
         """Close the file."""
         self._file.close()
-
-
-class HandControls(Controls):
-    """Controls whose level a knob may move: up when it moves away from the user."""
-
-    def __init__(
-        self, state: ControlState, modes: tuple[Mode, ...] = (), *, knob: Knob | None = None
-    ) -> None:
-        super().__init__(state, modes)
-        self._knob, self._y_mm, self._read_ns = knob, 0.0, -1
-
-    def state(self, time_ns: int) -> ControlState:
-        """Return the state of the controls, with the knob's part added."""
-        # Screens ask too, from other threads: no movement may count twice.
-        with self._lock:
-            if self._knob is not None and time_ns > self._read_ns:
-                self._read_ns, moved = time_ns, self._knob.read(time_ns)
-                # The y axis of a page comes towards you.
-                if moved is not None and moved[1] != self._y_mm:
-                    self.change_level((self._y_mm - moved[1]) / _STEP_MM)
-                    self._y_mm = moved[1]
-            return super().state(time_ns)
 
 
 class FreeSource(StimulusSource, Listener):

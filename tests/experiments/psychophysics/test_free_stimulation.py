@@ -12,13 +12,12 @@ from smarttouch.emulator.emulated_boards import SimulatedBoard
 from smarttouch.experiments.psychophysics.free_stimulation import (
     FreeLog,
     FreeSource,
-    HandControls,
     up_to_the_ceiling,
 )
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
-from smarttouch.running.inputs import ControlState
+from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
@@ -37,11 +36,11 @@ def line():
 def play(line, tmp_path):
     """Return a runner: keys and levels by the second, to steps, rows and the board's report."""
 
-    def run_it(seconds, does, knob=None):
+    def run_it(seconds, does):
         steps, waiting = [], sorted(does.items())
         log = FreeLog(tmp_path / "free.csv")
         source = FreeSource(line, ALL, log, press_n=1.0)
-        controls = HandControls(ControlState(Mode.COLOR, 0.0), knob=knob)
+        controls = Controls(ControlState(Mode.COLOR, 0.0))
 
         def watch(sent):
             steps.append(sent.step)
@@ -124,18 +123,6 @@ def test_rate_and_site_are_turned_and_every_change_is_a_row(play):
     assert float(rows[-1]["time_s"]) == pytest.approx(2.5, abs=0.05)
 
 
-def test_a_knob_raises_the_amplitude_when_it_moves_away(play):
-    class Knob:
-        def read(self, time_ns):
-            return (3.0, -min(25.0, time_ns / 1e9 * 25)) if time_ns < 2e9 else None
-
-    steps, rows, _, _ = play(3, {}, knob=Knob())
-    assert steps[-1].level == pytest.approx(0.5, abs=1e-3)
-    levels = [step.level for step in steps]
-    assert levels == sorted(levels)
-    assert len([row for row in rows if row["what"] == "amplitude"]) > 20
-
-
 def test_rates_stay_within_the_paper_s_range(line, tmp_path):
     log = FreeLog(tmp_path / "free.csv")
     source = FreeSource(line, ALL, log, rate_hz=195, press_n=1.0)
@@ -172,20 +159,3 @@ def test_rows_are_on_disk_at_once(line, tmp_path):
 def test_what_cannot_be_asked_for(line, tmp_path, options, attributes):
     with FreeLog(tmp_path / "free.csv") as log, raises(ExperimentError, **attributes):
         FreeSource(line, (Afferent.RA,), log, **options)
-
-
-def test_a_movement_of_the_knob_counts_once():
-    class Knob:
-        reads = 0
-
-        def read(self, time_ns):
-            self.reads += 1
-            return 0.0, -1.0 * self.reads
-
-    knob = Knob()
-    controls = HandControls(ControlState(Mode.COLOR, 0.0), knob=knob)
-    level = controls.state(10**9).level
-    assert level > 0
-    # By whoever shows the run.
-    assert [controls.state(time_ns).level for time_ns in (10**9, 0)] == [level, level]
-    assert knob.reads == 1
