@@ -279,16 +279,19 @@ def thresholds(
 ) -> None:
     """Measure at each electrode the weakest current felt and the strongest comfortable one."""
     from smarttouch.cli.options import require_answers
-    from smarttouch.experiments.calibration.thresholds import ThresholdProcedure, parse_electrodes
+    from smarttouch.experiments.calibration.thresholds import ThresholdProcedure
+    from smarttouch.profile.profile import require_driven
     from smarttouch.views.keys_and_signals import keyboard_listener
 
     simulated = simulate or board.startswith("emulator:")
     file = calibration.file("thresholds", simulated, board)
-    sites = parse_electrodes(electrodes, file.profile)
+    sites = file.profile.driven
+    if electrodes is not None:
+        sites = require_driven(file.profile, electrodes, CalibrationError, "electrodes")
     require_answers(simulate, board, _SIMULATED, CalibrationError)
     procedure = ThresholdProcedure(
-        start=calibration.start(board), file=file, board_url=board, sites=sites, adaptive=adaptive,
-        repeats=repeats, seed=seed, simulate=simulate,
+        start=calibration.start(board), file=file, board_url=board, sites=sites.tolist(),
+        adaptive=adaptive, repeats=repeats, seed=seed, simulate=simulate,
     )  # fmt: skip
     with procedure.progress() as progress:
         try:

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.afferent import Afferent, Mode
-from smarttouch.base.electrodes import parse_ranges
 from smarttouch.base.errors import ScheduleError
 from smarttouch.instruments.receptor_responses import ReceptorResponse, split_trace
 from smarttouch.instruments.skin_trace import Trace
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.profile import Profile
+from smarttouch.profile.profile import require_driven
 from smarttouch.sources.source_contract import Stimulus
 from smarttouch.stimulation.point_slots import perceived_at
 from smarttouch.stimulation.pulse_rates import ScanTiming
@@ -46,33 +46,13 @@ def stimulated(profile: Profile, afferent: Afferent, sites: NDArray[np.intp]) ->
     return np.asarray(np.intersect1d(there, profile.driven))
 
 
-def chosen(profile: Profile, sites: Collection[int]) -> NDArray[np.intp]:
-    """Return the sites that were named, each once, (S,), ascending."""
-    if len(sites) == 0:
-        raise ScheduleError("no site is to pulse: choose at least one", about="site")
-    count, masked = len(profile.electrodes), profile.output.masked
-    for each in sites:
-        if not 0 <= each < count or each in masked:
-            without = f" without {', '.join(map(str, sorted(masked)))}" if masked else ""
-            raise ScheduleError(
-                f"site {each} cannot pulse: {profile.name} has sites 0 to {count - 1}{without}",
-                about="site",
-                electrode=each,
-            )
-    return np.unique(np.array(list(sites), np.intp))
-
-
-def parse_places(profile: Profile, sites: str | None) -> NDArray[np.intp] | list[int]:
+def parse_places(profile: Profile, sites: str | None) -> NDArray[np.intp]:
     """Return the electrodes that a list such as 27,28,35-36 names, or all, or a `disc`."""
     if sites is None:
         return disc(profile)
     if sites == "all":
         return profile.driven
-    named: list[int] = []
-    for low, high in parse_ranges(sites, "sites"):
-        # The first missing site is refused; those after it need no memory.
-        named += range(low, min(high, max(low, len(profile.electrodes))) + 1)
-    return named
+    return require_driven(profile, sites, ScheduleError, "sites")
 
 
 Times = NDArray[np.int64]
@@ -206,7 +186,9 @@ def mix_colors(
         trace, sai_full_n=profile.force.full_n, sai_rate_hz=profile.pulse.sai_rate_hz
     )
     timing = ScanTiming() if timing is None else timing
-    places = disc(profile) if sites is None else chosen(profile, sites)
+    places = (
+        disc(profile) if sites is None else require_driven(profile, sites, ScheduleError, "site")
+    )
     pulsing, left_out = _drivable(answers, profile, bank, places, vibrated)
     shaking = vibrated and Afferent.PC in pulsing
     electrical = [each for each in pulsing if not (shaking and each is Afferent.PC)]

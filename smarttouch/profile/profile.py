@@ -1,7 +1,7 @@
 """A profile: one device on one finger, checked as a whole, or narrowed to stricter limits."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationError, model_validator
 
-from smarttouch.base.electrodes import ElectrodeArray
-from smarttouch.base.errors import ProfileError
+from smarttouch.base.electrodes import ElectrodeArray, parse_ranges
+from smarttouch.base.errors import ProfileError, SmartTouchError
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA
 from smarttouch.profile.device import (
     Calibrated,
@@ -324,6 +324,32 @@ class Profile(Table):
     def _consistent(self) -> Self:
         raise_all(misfits(self))
         return self
+
+
+def require_driven(
+    profile: Profile, sites: str | Collection[int], error: type[SmartTouchError], about: str
+) -> NDArray[np.intp]:
+    """Return the electrodes that a list such as ``0-7,12`` or numbers name, each once, ascending;
+    raise the error unless all are there and not masked."""
+    if isinstance(sites, str):
+        ranges = parse_ranges(sites, about, error)
+    else:
+        ranges = [(each, each) for each in sites]
+    if not ranges:
+        raise error(f"no {about} is named: choose at least one", about=about)
+    count, masked = len(profile.electrodes), sorted(profile.output.masked)
+    for low, high in ranges:
+        there = 0 <= low <= high < count
+        bad = [each for each in masked if low <= each <= high] if there else [low]
+        if bad:
+            named = f"{low}-{high}" if high != low and not there else f"{bad[0]}"
+            without = f" without {', '.join(map(str, masked))}" if masked else ""
+            raise error(
+                f"{about} {named} cannot be driven: {profile.name} has 0 to {count - 1}{without}",
+                about=about,
+                electrode=int(bad[0]),
+            )
+    return np.unique(np.concatenate([np.arange(low, high + 1) for low, high in ranges]))
 
 
 _UPPER = (

@@ -12,7 +12,6 @@ from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.base.errors import ScheduleError
 from smarttouch.instruments.color_mix import (
     VIBRATION_US,
-    chosen,
     disc,
     merged,
     mix_colors,
@@ -145,17 +144,10 @@ def test_where_pc_is_felt_elsewhere_its_pulses_move(profile, bank):
         mix_colors(open_trace("tone:250Hz,1um", 0.3), profile, bank, sites=[59])
 
 
-@pytest.mark.parametrize(("sites", "site"), [([], None), ([64], 64), ([-1], -1)])
-def test_sites_that_cannot_pulse_are_refused(sites, site, profile):
-    with raises(ScheduleError, about="site", value=site, electrode=site):
-        chosen(profile, sites)
-
-
-def test_masked_sites_are_refused_and_not_in_the_disc(profile, changed):
-    broken = changed(profile, {"output.masked": (27,)})
-    with raises(ScheduleError, about="site", value=27, allowed=(0, 63)):
-        chosen(broken, [27, 28])
-    assert disc(broken).tolist() == [28, 35, 36]
+def test_masked_sites_are_not_in_the_disc(profile, changed):
+    assert disc(changed(profile, {"output.masked": (27,)})).tolist() == [28, 35, 36]
+    with raises(ScheduleError, about="site", value=64):
+        mix_colors(open_trace(ALL, 1.0), profile, load_bank(profile), sites=[64])
 
 
 def test_the_example_runs():

@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 
-from smarttouch.base.electrodes import parse_ranges
 from smarttouch.base.errors import CalibrationError
 from smarttouch.base.events import Advice, BoardRestarted, Event, FingerLifted
 from smarttouch.base.stopping import StopRequest
@@ -39,31 +38,6 @@ from smarttouch.running.step import StepResult
 Found = Mapping[int, Thresholds]
 Keys = Callable[[Callable[[str], None]], AbstractContextManager[None]]
 """Hands every key to a function while a block runs; an empty one is a terminal that is gone."""
-
-
-def parse_electrodes(text: str | None, profile: Profile) -> list[int]:
-    """Return the electrodes in a list such as ``0-7,12``; all that are not masked if None."""
-    count = len(profile.electrodes)
-    if text is None:
-        return [int(each) for each in profile.driven]
-    chosen: list[int] = []
-    for low, high in parse_ranges(text, "electrodes", CalibrationError):
-        if not low <= high < count:
-            named = f"{low}" if low == high else f"{low}-{high}"
-            raise CalibrationError(
-                f"electrode {named} is out of range: {profile.name} has electrodes 0 to "
-                f"{count - 1}",
-                about="electrodes",
-            )
-        chosen += range(low, high + 1)
-    masked = sorted(set(chosen) & set(profile.output.masked))
-    if masked:
-        raise CalibrationError(
-            f"electrode {masked[0]} is masked in {profile.name}: leave it out",
-            about="electrodes",
-            electrode=masked[0],
-        )
-    return sorted(set(chosen))
 
 
 def filled(profile: Profile, found: Found) -> tuple[list[float], list[float]]:

@@ -34,10 +34,11 @@ from smarttouch.experiments.psychophysics.tasks import (
     TwoPointTask,
     middle_discs,
 )
-from smarttouch.experiments.psychophysics.trials import Stimuli, Task, Trial, require_site
+from smarttouch.experiments.psychophysics.trials import Stimuli, Task, Trial
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.kernels.disc_banks import lone_discs
 from smarttouch.profile import Profile
+from smarttouch.profile.profile import require_driven
 
 GROUP = "smarttouch.experiments"  # entry points of other packages: each names an `Experiment`
 _MOST_BYTES = 10_000_000
@@ -185,7 +186,8 @@ def new_experiment(name: str, profile: Profile, wanted: ExperimentOptions) -> De
             f"the procedure {method!r} is not for {name}: choose {' or '.join(entry.methods)}",
             about="procedure",
         )
-    require_site(wanted.site, profile)
+    if wanted.site is not None:
+        require_driven(profile, [wanted.site], ExperimentError, "site")
     if name in _IN_MA and profile.pulse.carrier == "width":
         raise ExperimentError(
             f"{name} counts in mA, and intensity changes the width of this profile's pulses: set "

@@ -17,8 +17,9 @@ from smarttouch.base.errors import ExperimentError, require_within
 from smarttouch.base.events import Note
 from smarttouch.base.files import owner_only, unwritable
 from smarttouch.base.stopping import Closing
-from smarttouch.experiments.psychophysics.trials import Stimuli, require_site
+from smarttouch.experiments.psychophysics.trials import Stimuli
 from smarttouch.profile import Profile
+from smarttouch.profile.profile import require_driven
 from smarttouch.running.listener import Listener
 from smarttouch.running.step import StepResult
 from smarttouch.sources.source_contract import Stimulus, StimulusSource
@@ -107,7 +108,8 @@ class FreeSource(StimulusSource, Listener):
                 + " or ".join(each.name for each in offered),
                 about="mode",
             )
-        require_site(site, profile)
+        if site is not None:
+            require_driven(profile, [site], ExperimentError, "site")
         self.knows_force: bool = press_n is not None
         self.afferent: Afferent = afferent
         self.rate_hz: float = rate_hz

@@ -123,16 +123,6 @@ class Stimuli:
         return {far_mm: found[far_mm][1] for far_mm in sorted(found)}
 
 
-def require_site(site: int | None, profile: Profile) -> None:
-    """Raise an `ExperimentError` unless a site is driven; None is the middle."""
-    if site is not None and site not in profile.driven:
-        raise ExperimentError(
-            f"site {site} is masked or none of the {len(profile.electrodes)} sites of "
-            f"{profile.name}: leave it out for the middle",
-            about="site",
-        )
-
-
 FIRST_OR_SECOND = {"1": "1", "2": "2", "left": "1", "right": "2"}
 YES_OR_NO = {"y": "y", "n": "n"}
 LEFT_OR_RIGHT = {"left": "l", "right": "r", "1": "l", "2": "r"}

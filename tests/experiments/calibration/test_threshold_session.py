@@ -27,7 +27,6 @@ from smarttouch.experiments.calibration.thresholds import (
     STOP_KEYS,
     ThresholdProcedure,
     filled,
-    parse_electrodes,
     sentence,
 )
 from smarttouch.experiments.psychophysics.experiment_source import ExperimentSource
@@ -339,26 +338,6 @@ def test_what_was_not_measured_stays_as_it_was(profile, changed):
     assert "[1, 2]" in sentence(measured, adaptive=True)
     with raises(CalibrationError, about="thresholds"):
         filled(profile, {1: found(np.nan, np.nan)})
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"), [("0-3,12", [0, 1, 2, 3, 12]), (" 5 , 5-6", [5, 6]), ("63", [63])]
-)
-def test_electrodes_by_number_and_range(profile, text, expected):
-    assert parse_electrodes(text, profile) == expected
-
-
-@pytest.mark.parametrize("text", ["", "a", "3-", "-3", "1;2", "5-2", "64", "0-64"])
-def test_electrodes_that_are_none(profile, text):
-    with raises(CalibrationError, about="electrodes", value=text):
-        parse_electrodes(text, profile)
-
-
-def test_masked_electrodes_are_left_out(profile, changed):
-    masked = changed(profile, {"output.masked": (1, 2)})
-    assert parse_electrodes(None, masked)[:3] == [0, 3, 4]
-    with raises(CalibrationError, about="electrodes", value=2):
-        parse_electrodes("2-4", masked)
 
 
 def test_progress_is_read_back_and_its_settings_count(tmp_path, begun):
