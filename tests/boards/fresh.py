@@ -8,19 +8,12 @@ from pathlib import Path
 from smarttouch.emulator.firmware import STATE_FILE, read_state
 
 from ..forks import Forked
+from ..waiting import HANGS_S, until
 
-HANGS_S = 60.0
-"""Only what never comes takes that long."""
+__all__ = ["HANGS_S", "until"]
+
 ENDED_S = 1.0
 """Whoever writes nothing for that long has ended."""
-
-
-def until(condition, timeout_s=HANGS_S):
-    """Wait until a condition holds."""
-    deadline = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < deadline, "it never came true"
-        time.sleep(0.01)
 
 
 def alive(process_id):

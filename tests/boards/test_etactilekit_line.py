@@ -113,9 +113,12 @@ def meet(monkeypatch):
     return lambda *arguments, **more: Meeting(monkeypatch, *arguments, **more)
 
 
-@pytest.mark.parametrize("firmware", ["71adee2", "newest"])
-def test_each_is_distinguished(meet, firmware):
-    meeting = meet(firmware)
+@pytest.mark.parametrize(("firmware", "option"), [
+    ("71adee2", ""), ("newest", ""), ("71adee2", "?firmware=71adee2"),
+    ("newest", "?slow&firmware=newest"),
+])  # fmt: skip
+def test_each_is_distinguished_or_named(meet, firmware, option):
+    meeting = meet(firmware, option)
     meeting.driver._greet()
     can = meeting.driver.capabilities
     assert firmware in can.firmware
@@ -204,16 +207,6 @@ def test_another_board_gets_nothing_that_it_could_obey(meet, other):
 class Deaf(ETactileKitFirmware):
     def feed(self, data, now_ns):
         return b""
-
-
-@pytest.mark.parametrize(("firmware", "option"), [
-    ("71adee2", "?firmware=71adee2"), ("newest", "?slow&firmware=newest"),
-])  # fmt: skip
-def test_a_user_may_name_it(meet, firmware, option):
-    meeting = meet(firmware, option)
-    meeting.driver._greet()
-    assert firmware in meeting.driver.capabilities.firmware
-    assert (meeting.driver.capabilities.time_to_zero_ms is None) == (firmware != "newest")
 
 
 @pytest.mark.parametrize(("option", "about", "value"), [

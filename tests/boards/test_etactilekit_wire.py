@@ -46,21 +46,6 @@ def heights(*counts):
     return b"".join(count.to_bytes(2, "little") for count in counts)
 
 
-def test_a_pattern_to_the_byte():
-    # 220 counts at 9.99 µA, as in the board's own example.
-    assert payload(anodic(2200), WIRING, SCALE, LIMITS) == heights(0, 220, 0, 0)
-    assert (QUIET, LOAD, GO) == (b"\xfb\x02\xfb\x02", b"\xfb\x02\xfe", b"\xfb\0")
-
-
-def test_settings_come_twice_and_between_at_a_rate_that_fits_old_and_new():
-    commands = settings_commands(Settings(100, 50, 100, True), 40)
-    once = (
-        QUIET + END + b"\xf9\0" + END + b"\xf8\0" + END + b"\xf6\x28\0" + END
-        + b"\xfd\x01" + END + b"\xfa\x64\0" + END + b"\xf7\x32" + END
-    )  # fmt: skip
-    assert commands == once * 2 + (b"\xf6\x64\0" + END) * 2
-
-
 def test_wiring_puts_each_electrode_on_its_output():
     pattern = payload(anodic(1000), np.array([5, 3, 0, 1]), SCALE, LIMITS)
     assert pattern == heights(0, 0, 0, 100, 0, 0)

@@ -1,6 +1,7 @@
 """To the byte: what the 61-electrode kit receives, and what it never receives."""
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -72,19 +73,16 @@ def test_what_a_broken_line_may_have_carried_counts_as_a_range(script, monkeypat
     assert (report.pulses, report.most_pulses) == (61, 3 * 61)
 
 
-def test_the_scale_of_the_profile_counts(script):
-    output = Output(kind="one-against-all", polarities=("anodic",), ua_per_count=2.5)
-    script(*OPEN, (packet(), b""), (packet(e3=51), b""), *OPEN)
-    with Kajimoto61Board("x", LIMITS, output) as board:
-        deliver(board, anodic({}, 0), anodic({3: 2040}))
-
-
-def test_rounding_never_passes_the_limit(script):
-    limits = SafetyLimits(61, 3.9, 200, 0.5, 200, 0.8, 0.5, 3.9)
-    script(*OPEN, (packet(), b""), (packet(e3=99), b""), *OPEN)
-    with Kajimoto61Board("x", limits) as board:
-        # 99.84 steps of 39.0625 µA: the nearest, 100, are 3.906 mA and above the limit.
-        deliver(board, anodic({}, 0), anodic({3: 3900}))
+@pytest.mark.parametrize(("limits", "scale_ua", "level_ua", "steps"), [
+    (LIMITS, 2.5, 2040, 51),
+    # 99.84 steps of 39.0625 µA: the nearest, 100, are 3.906 mA and above the limit.
+    (SafetyLimits(61, 3.9, 200, 0.5, 200, 0.8, 0.5, 3.9), None, 3900, 99),
+])  # fmt: skip
+def test_the_scale_of_the_profile_and_its_limit_count(script, limits, scale_ua, level_ua, steps):
+    output = Output(kind="one-against-all", polarities=("anodic",), ua_per_count=scale_ua)
+    script(*OPEN, (packet(), b""), (packet(e3=steps), b""), *OPEN)
+    with Kajimoto61Board("x", limits, output) as board:
+        deliver(board, anodic({}, 0), anodic({3: level_ua}))
 
 
 @pytest.mark.parametrize(("sequence", "attributes"), [
@@ -93,6 +91,8 @@ def test_rounding_never_passes_the_limit(script):
     (anodic({3: 1000}, discharge=200), {"about": "width_us", "value": (50, 200)}),
     (anodic(dict.fromkeys(range(61), 1000), period_us=13_000),
      {"about": "period_us", "value": 13_000}),
+    (replace(anodic({3: 1000}), current_ua=np.int16([[-500] * 2 + [500] * 2 + [0] * 57])),
+     {"about": "current_ua", "slot": 0}),
 ])  # fmt: skip
 def test_what_it_cannot_do_is_refused_and_never_sent(script, sequence, attributes):
     script(*OPEN, (packet(), b""), *OPEN)
@@ -100,17 +100,6 @@ def test_what_it_cannot_do_is_refused_and_never_sent(script, sequence, attribute
         deliver(board, anodic({}, 0))
         with raises(BoardError, **attributes):
             board.send(sequence)
-
-
-def test_two_against_all_others_is_refused(script):
-    current = np.zeros((1, 61), np.int16)
-    current[0, :4] = [-500, -500, 500, 500]
-    one = np.ones(1, np.uint16)
-    script(*OPEN, (packet(), b""), *OPEN)
-    with Kajimoto61Board("x", LIMITS) as board:
-        deliver(board, anodic({}, 0))
-        with raises(BoardError, about="current_ua", slot=0):
-            board.send(ScanSequence(current, one * 50, one * 150, one, 20_000, 1.0, 10**9))
 
 
 def test_a_board_that_answers_a_pattern_is_another(script):

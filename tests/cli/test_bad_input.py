@@ -20,10 +20,7 @@ from smarttouch.base.errors import (
     ScheduleError,
     SourceError,
 )
-from smarttouch.boards.open import make_board
-from smarttouch.profile import load_profile
 from smarttouch.profile.toml_files import profile_path
-from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from .conftest import refused, says
 
@@ -142,19 +139,6 @@ def test_usage(program_here, arguments):
     done = program_here(*arguments.split(" "))
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
-
-
-def test_busy_port(program_here, start_emulator):
-    _, port, _ = start_emulator()
-    with make_board(f"link:{port}", SafetyLimits.of(load_profile("electric-mouse"))):
-        done = program_here("live --board", f"link:{port}", "--intensity", "1")
-    says(BoardError, port)(refused(done))
-
-
-def test_the_profile_of_another_board(program_here, start_emulator):
-    _, port, _ = start_emulator(electrodes=16)
-    done = program_here("live --board", f"link:{port}", "--intensity", "1")
-    says(BoardError, port, "16 electrodes", "profile 64")(refused(done))
 
 
 def test_help_imports_nothing_heavy():

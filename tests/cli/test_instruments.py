@@ -7,14 +7,8 @@ import pytest
 from PIL import Image
 from scipy.io import wavfile
 
-from smarttouch.base.afferent import Afferent, Mode
 from smarttouch.running.check_recording import check_recording
-from smarttouch.running.config import RunConfig
-from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.recording_reader import Recording
-from smarttouch.running.step import StepResult
-from smarttouch.sources.source_contract import Stimulus
-from smarttouch.stimulation.scan_sequence import SlotPolicy
 
 from ..views.test_lsl_markers import FakeLsl
 
@@ -66,18 +60,6 @@ def test_a_run_sends_markers(program_here, monkeypatch):
     # What ended it, and last of all what was delivered.
     assert any("1 s" in each for (each,) in events)
     assert events[-1][0].startswith("dose ")
-
-
-def test_the_screen_shows_every_point_of_a_slot(profile, bank):
-    pipeline = Pipeline(profile, bank, RunConfig(mode=Mode.RA, scan=SlotPolicy((Afferent.RA,))))
-    activation = np.zeros((3, 64), np.float32)
-    activation[Afferent.RA, [9, 11, 13, 27, 29]] = 1
-    for time_ns in range(0, 10**9, 20_000_000):
-        step = pipeline.process(Stimulus(activation, time_ns, 0.9, 20_000))
-    assert 0 < step.sequence.slots < 5
-    shown = StepResult(step, 1, 0.0).delivered_ma
-    assert np.flatnonzero(shown).tolist() == [9, 11, 13, 27, 29]
-    assert shown.max() > 2
 
 
 def test_a_replay_shares_slots_only_where_the_board_can(program_here, figures_of):

@@ -84,12 +84,6 @@ def test_reversed_scans_are_noted_with_what_they_do(step):
     assert all(name in note for name in ("SAI", "RA"))
 
 
-def test_without_balance_there_is_no_note(step):
-    regulator = Regulator()
-    assert regulator.regulate(step, MeasuredBoard()) is step
-    assert regulator.notes() == []
-
-
 @pytest.mark.parametrize(
     ("mode", "left_uc"),
     # Some scans of PC would need more than the largest phase: the next ones take the rest back.
