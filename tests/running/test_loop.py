@@ -382,20 +382,10 @@ class Pressing(ForceSource):
 
 def play(board, pipeline, sensor, listeners=(), **options):
     tally, told = RunStatistics(), []
+    note = OnEvent(lambda event: told.append((event.time_ns, str(event))))
+    options |= {"statistics": tally, "listeners": [*as_listeners(listeners), note]}
     with board:
-        run_loop(
-            sensor,
-            pipeline,
-            board,
-            stop=StopRequest(),
-            statistics=tally,
-            clock=FakeClock(),
-            listeners=[
-                *as_listeners(listeners),
-                OnEvent(lambda event: told.append((event.time_ns, str(event)))),
-            ],
-            **options,
-        )
+        loop(sensor, pipeline, board, **options)
     return tally, told
 
 
