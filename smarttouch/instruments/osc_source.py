@@ -13,7 +13,6 @@ import struct
 import time
 from collections import defaultdict
 from collections.abc import Sequence
-from enum import Enum, auto
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -37,14 +36,6 @@ STAMP = getattr(socket, "SO_TIMESTAMPNS", 35)  # Linux's ``asm-generic/socket.h`
 _STAMPED = struct.Struct("@ll")
 _MOST_BYTES = 65_536
 _MOST_AT_ONCE = 64
-
-
-class Verdict(Enum):
-    """Origin of a packet."""
-
-    OURS = auto()
-    NEW = auto()  # of a socket of ours that may be younger than the packet
-    FOREIGN = auto()  # of another user, or of a socket that is closed again
 
 
 class Packet(NamedTuple):
@@ -84,12 +75,13 @@ class OwnPrograms:
             known, since_ns = before.get(port, (None, now_ns))
             self._seen[port] = found, since_ns if known == found else now_ns
 
-    def verdict(self, packet: Packet) -> Verdict:
-        """Return the origin of a packet that came before the last look."""
+    def are_sending(self, packet: Packet) -> bool | None:
+        """Return whether a packet that came before the last look is of this user; None of a socket
+        that may be younger than the packet, False of another user or a socket that is closed."""
         sockets, since_ns = self._seen.get(packet.port, (frozenset(), 0))
         if {user for user, _ in sockets} != {self._user}:
-            return Verdict.FOREIGN
-        return Verdict.OURS if since_ns <= packet.received_ns else Verdict.NEW
+            return False
+        return True if since_ns <= packet.received_ns else None
 
 
 class Key:
@@ -217,9 +209,9 @@ class OscSource(PushedStimuli):
     def _admit(self, packet: Packet) -> None:
         """Take a packet from a program that may send."""
         if self._programs is not None:
-            verdict = self._programs.verdict(packet)
-            self.refused += verdict is Verdict.FOREIGN
-            if verdict is Verdict.OURS:
+            ours = self._programs.are_sending(packet)
+            self.refused += ours is False
+            if ours:
                 self._take(packet.data)
         elif self._key is not None:
             data = self._unsigned(packet.data)

@@ -22,6 +22,7 @@ from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board
 from smarttouch.experiments.calibration.profile_file import ProfileFile
 from smarttouch.experiments.calibration.thresholds import Keys, Prompts, present
+from smarttouch.experiments.psychophysics.adaptive_procedures import entropy
 from smarttouch.experiments.psychophysics.experiment_session import TrialSession
 from smarttouch.experiments.psychophysics.experiment_source import ExperimentSource
 from smarttouch.experiments.psychophysics.observers import SimulatedObserver
@@ -31,7 +32,7 @@ from smarttouch.experiments.psychophysics.polarity import (
     polarity_range,
     polarity_ratio,
 )
-from smarttouch.experiments.psychophysics.procedures import Condition
+from smarttouch.experiments.psychophysics.procedures import Condition, Procedure
 from smarttouch.experiments.psychophysics.simulated_subject import Subject
 from smarttouch.experiments.psychophysics.tasks import LetterTask, PolarityTask, middle_discs
 from smarttouch.experiments.psychophysics.trial_rows import About, RowFile
@@ -116,8 +117,8 @@ class LevelBelief:
     def next(self, highest: int) -> int:
         """Return the place in `SHOWN`, at most the highest, of the most informative level."""
         right = np.einsum("akj,akjl->l", self._weight, self._right)
-        sure = np.einsum("akj,akjl->l", self._weight, _entropy(self._right))
-        return int((_entropy(right) - sure)[: highest + 1].argmax())
+        sure = np.einsum("akj,akjl->l", self._weight, entropy(self._right))
+        return int((entropy(right) - sure)[: highest + 1].argmax())
 
     def take(self, shown: int, right: bool) -> None:
         """Take an answer at a place in `SHOWN`."""
@@ -136,12 +137,6 @@ class LevelBelief:
         read = 1 - self._wrong_at(levels)[:, :, None]
         lapse = _LAPSES[:, None]
         return np.asarray((1 - lapse) * read + lapse / len(ALPHABET))
-
-
-def _entropy(chance: Array) -> Array:
-    """Return the entropy of an answer, in nats."""
-    chance = np.clip(chance, 1e-12, 1 - 1e-12)
-    return np.asarray(-chance * np.log(chance) - (1 - chance) * np.log1p(-chance))
 
 
 @dataclass(frozen=True)
@@ -164,7 +159,7 @@ class LevelFound:
         )
 
 
-class LevelProcedure:
+class LevelProcedure(Procedure):
     """Procedure of at most sixty answers: the polarity test, then letters (see `Procedure`).
 
     Conditions of index 0 and 1 are currents of a lone disc, anodic and cathodic, in mA; those from
@@ -183,11 +178,6 @@ class LevelProcedure:
         self._answers = self._named = 0
         self._highest = _FIRST - 1
         self._shown: tuple[int, Condition] | None = None
-
-    @property
-    def total(self) -> int | None:
-        """None: the number of answers depends on them."""
-        return None
 
     @property
     def done(self) -> bool:
@@ -226,9 +216,6 @@ class LevelProcedure:
         self._highest = max(self._highest, at)
         if success is not None:
             self._belief.take(at, success)
-
-    def estimate(self) -> None:
-        """Return None: see `found`."""
 
     @staticmethod
     def letter_of(condition: Condition) -> str | None:

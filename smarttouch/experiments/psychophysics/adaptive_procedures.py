@@ -24,7 +24,7 @@ PINNED_TRIALS = 4
 
 
 @dataclass
-class WeightedStaircase:
+class WeightedStaircase(Procedure):
     """One staircase of one standard.
 
     Steps up are target / (1 - target) times as large as steps down, so that it comes to rest
@@ -74,11 +74,6 @@ class WeightedStaircase:
         self._pinned = 0
         self._answered = 0
         self._shown: Condition | None = None
-
-    @property
-    def total(self) -> int | None:
-        """None: the number of trials depends on the answers."""
-        return None
 
     @property
     def done(self) -> bool:
@@ -201,7 +196,7 @@ class QuestPlus:
         guess = lapse if self.model.guess == "equal" else np.full_like(lapse, self.model.guess)
         parameters = Parameters(threshold, log_spread, lapse, guess)
         self._likely = self.model.probability(self._places, parameters).T
-        self._unsure = _entropy(self._likely)
+        self._unsure = entropy(self._likely)
         self._posterior = np.full(len(threshold), 1 / len(threshold))
         self._intervals = IntervalOrder(self.two_intervals, self.seed)
         self._answered = 0
@@ -224,7 +219,7 @@ class QuestPlus:
         if self.done:
             raise ExperimentError("all trials are done: there is no next one", about="trial")
         if self._shown is None:
-            says = _entropy(self._likely @ self._posterior) - self._unsure @ self._posterior
+            says = entropy(self._likely @ self._posterior) - self._unsure @ self._posterior
             self._place = int(says.argmax())
             comparison = float(self.model.stimulus(self._places[self._place]))
             interval = self._intervals.next()
@@ -261,7 +256,7 @@ class QuestPlus:
         return float(np.sqrt(self._marginal @ (self._thresholds - mean) ** 2))
 
 
-def _entropy(likely: Array) -> Array:
+def entropy(likely: Array) -> Array:
     """Return the entropy of an answer, in nats."""
     likely = np.clip(likely, 1e-12, 1 - 1e-12)
     return np.asarray(-(likely * np.log(likely) + (1 - likely) * np.log1p(-likely)))

@@ -41,6 +41,7 @@ class Procedure(Protocol):
     @property
     def total(self) -> int | None:
         """Number of trials, as far as it is known; None if it depends on the answers."""
+        return None
 
     @property
     def done(self) -> bool:
@@ -53,7 +54,8 @@ class Procedure(Protocol):
         """Accept the result: judged higher, felt, or correct; None if there was no answer."""
 
     def estimate(self) -> Estimate | None:
-        """Return the threshold; None if it is not determined."""
+        """Return the threshold; None if it is not determined, or is not what was asked."""
+        return None
 
 
 class Interleaved:
@@ -125,7 +127,7 @@ class IntervalOrder:
         return self._block.pop()
 
 
-class Repeats:
+class Repeats(Procedure):
     """Repeated trials whose comparison is not a number but the result of the trial."""
 
     def __init__(self, repetitions: int) -> None:
@@ -155,10 +157,6 @@ class Repeats:
     def answer(self, success: bool | None) -> None:
         """Count the trial; its measurement is in the rows."""
         self._answers += 1
-
-    def estimate(self) -> Estimate | None:
-        """Return None; the measurements are in the rows."""
-        return None
 
 
 def middle_and_spread(values: Sequence[float] | NDArray[np.float64]) -> tuple[float, float]:
