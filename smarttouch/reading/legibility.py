@@ -265,7 +265,7 @@ def read_pictures(pictures: Sequence[LinePicture], languages: str) -> str:
     for index, strip in enumerate(strips):
         top = gap + index * (_LINE_PIXELS + gap)
         sheet[top : top + _LINE_PIXELS, gap : gap + strip.shape[1]] = strip
-    return recognize(sheet, languages=languages, layout=Layout.BLOCK).text
+    return recognize(sheet, languages=languages, layout=Layout.BLOCK)
 
 
 @dataclass(frozen=True)

@@ -80,7 +80,6 @@ def read_words(
     languages: str,
     layout: Layout,
     timeout_s: float,
-    dpi: float | None = None,
 ) -> Iterator[Word]:
     """Yield the words of images, (H_i, W_i) uint8, dark on bright, in reading order, by one call.
 
@@ -99,8 +98,6 @@ def read_words(
     if layout is Layout.LINE:
         # They are dark on white: a poor line is not read again as light on dark.
         options += ["-c", "tessedit_do_invert=0"]
-    if dpi is not None:
-        options += ["--dpi", f"{dpi:.0f}"]
     for row in _run([*options, "tsv"], [images[index] for index in shown], timeout_s):
         cells = row.rstrip("\n").split("\t", _COLUMNS - 1)
         if cells[0] != _WORD or not cells[-1].strip():
@@ -245,25 +242,6 @@ class RecognizedLine:
 
     text: str
     confidence: float  # in [0, 1], mean over its words, weighted by their lengths
-    paragraph: int = 0
-
-
-@dataclass(frozen=True)
-class Recognized:
-    """Recognized text of an image, its lines in reading order."""
-
-    lines: tuple[RecognizedLine, ...]
-
-    @property
-    def text(self) -> str:
-        """All lines, with an empty one between paragraphs."""
-        paragraphs = itertools.groupby(self.lines, key=lambda line: line.paragraph)
-        return "\n\n".join("\n".join(line.text for line in lines) for _, lines in paragraphs)
-
-    @property
-    def confidence(self) -> float:
-        """Mean over all lines, in [0, 1], weighted by their lengths; 0 without any."""
-        return _mean((line.confidence, line.text) for line in self.lines)
 
 
 def recognize(
@@ -271,23 +249,19 @@ def recognize(
     *,
     languages: str = "eng",
     layout: Layout = Layout.PAGE,
-    dpi: float | None = None,
     timeout_s: float = _USUAL_TIMEOUT_S,
-) -> Recognized:
-    """Recognize the text of an image, (H, W) uint8, dark on bright.
+) -> str:
+    """Return the text of an image, (H, W) uint8, dark on bright, an empty line between paragraphs.
 
     ``languages`` are codes as in ``eng+deu``. Tesseract does not correct an image: paper should be
     white and evenly lit, and an x about 20 pixels high. Below 10, enlarge it first, unless it is
     blurred.
     """
-    words = read_words([image], languages, layout, timeout_s, dpi)
-    lines: list[RecognizedLine] = []
-    paragraph, last = -1, None
-    for place, of_line in itertools.groupby(words, key=lambda word: word.line):
-        paragraph += place[:2] != last
-        last = place[:2]
-        lines.append(_line(list(of_line), paragraph))
-    return Recognized(tuple(lines))
+    words = read_words([image], languages, layout, timeout_s)
+    grouped = itertools.groupby(words, key=lambda word: word.line)
+    lines = ((place[:2], _line(list(of_line)).text) for place, of_line in grouped)
+    paragraphs = itertools.groupby(lines, key=lambda line: line[0])
+    return "\n\n".join("\n".join(text for _, text in part) for _, part in paragraphs)
 
 
 def recognize_lines(
@@ -356,13 +330,13 @@ def _busiest(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return image[top : top + height, left : left + width]
 
 
-def _line(words: Sequence[Word], paragraph: int = 0) -> RecognizedLine:
+def _line(words: Sequence[Word]) -> RecognizedLine:
     """Return words as a line, with spaces between them but for Chinese and Japanese."""
     text = ""
     for word in words:
         unspaced = not text or (_is_ideographic(text[-1]) and _is_ideographic(word.text[0]))
         text += word.text if unspaced else f" {word.text}"
-    return RecognizedLine(text, _mean((word.confidence, word.text) for word in words), paragraph)
+    return RecognizedLine(text, _mean((word.confidence, word.text) for word in words))
 
 
 def _is_ideographic(sign: str) -> bool:

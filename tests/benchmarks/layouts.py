@@ -31,7 +31,7 @@ def main() -> None:
             continue
         prepared = upright_page(1, page, options, quiet)
         ours = [text for _, text in recognized_lines(prepared, options, quiet)]
-        theirs = [line.text for line in recognize(prepared.page.grey, layout=Layout.PAGE).lines]
+        theirs = recognize(prepared.page.grey, layout=Layout.PAGE).replace("\n\n", "\n").split("\n")
         texts = {"ours": "\n".join(ours), "Tesseract's": "\n".join(theirs)}
         truth = path.with_suffix(".txt")
         told = [path.name]
