@@ -56,6 +56,7 @@ def read(
 
     from smarttouch.cli.options import parse_mode
     from smarttouch.imaging.array_window import profile_for_reading, reading_force_n
+    from smarttouch.reading.letter_shapes import UNKNOWN_LEVEL, Shapes
     from smarttouch.reading.line_feed import LineFeed
     from smarttouch.reading.line_source import (
         Cursor,
@@ -97,9 +98,9 @@ def read(
         reading = ReadingSource(text.title, chosen, feed, cursor)
         reading.url, reading.notes = source, notes
         keys_help = "← → line    r again    "
-        run.start(
-            reading, chosen, run.at_level(config, own), keys=reading.keys, keys_help=keys_help
-        )
+        level = UNKNOWN_LEVEL if isinstance(presentation, Shapes) else None
+        config = run.at_level(config, own, level)
+        run.start(reading, chosen, config, keys=reading.keys, keys_help=keys_help)
 
 
 @takes_options()

@@ -178,13 +178,24 @@ class RunOptionGroup(OptionGroup):
             settings |= read_options(RunConfig, f"?{each}", SmartTouchError, but=others)[1]
         return {name: value for name, value in settings.items() if name not in but}
 
-    def at_level(self, config: "RunConfig", profile: "Profile") -> "RunConfig":
+    def at_level(
+        self, config: "RunConfig", profile: "Profile", unknown: float | None = None
+    ) -> "RunConfig":
         """Return the configuration with the level that a profile has for RA, and say which level
-        counts; one found in simulation is none for a finger."""
+        counts; one found in simulation is none for a finger. A simulation without any has the level
+        of an ``unknown`` finger."""
         from smarttouch.base.afferent import Mode
 
         level, note = profile.perception.level, profile.calibrated.get("level")
-        if level is None or config.mode is not Mode.RA:
+        if config.mode is not Mode.RA:
+            return config
+        if level is None:
+            if unknown is None or config.intensity is not None or self.on_a_finger:
+                return config
+            config = replace(config, intensity=unknown)
+            words = f"{unknown:g}: {profile.name} has no level yet, see smarttouch calibrate level"
+            if not self.quiet:
+                typer.echo(f"intensity {words}")
             return config
         if config.intensity is not None:
             words = f"{config.intensity:g}, as asked for; the level of {profile.name} is {level:g}"

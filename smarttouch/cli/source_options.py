@@ -123,7 +123,7 @@ def table_of(table: str | None, language: str | None) -> str:
 class _Form:
     """Options that follow the name of a form in ``--as``."""
 
-    style: str = "graded"
+    style: str = "plain"
     table: str | None = None
     cells: str = "line"
     lines: int = 1

@@ -55,11 +55,16 @@ _TONES = {
 }
 
 
+UNKNOWN_LEVEL = 0.7
+"""Part of comfort at which lines are read best, at the worse of two anatomies, by simulated fingers
+whose level is not known: `examples/studies/reading_pages.py`."""
+
+
 @dataclass(frozen=True)
 class Shapes:
     """Letter-shape presentation: lines of print under the finger."""
 
-    style: Style = Style.GRADED
+    style: Style = Style.PLAIN
     named: bool = False
     """Whether lines come with their words, by Tesseract where these are not known."""
 

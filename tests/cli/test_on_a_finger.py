@@ -74,3 +74,6 @@ def test_a_run_begins_with_the_level_of_its_profile(
     said = capsys.readouterr().out
     assert (profile.name in said) is (level is not None)
     assert RunOptionGroup(board=board).at_level(config, profile) is config
+    unknown = RunOptionGroup(board=board).at_level(config, profile, 0.7).intensity
+    simulated_ra = board == "simulated:" and (mode, asked) == ("RA", None)
+    assert unknown == (0.7 if simulated_ra else asked)

@@ -1,0 +1,264 @@
+"""Pages at the nerve: level, size, style, scan and speed, and who knows where the finger is.
+
+``python examples/studies/reading_pages.py 8 pages.jsonl`` makes the tables of
+``docs/validation/finger.md`` on 8 held-out fingers of each anatomy. Pages of your own may
+follow. It keeps each answer in the file, and goes on there.
+"""
+
+import itertools
+import json
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, astuple, dataclass, replace
+from functools import cache
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import bootstrap
+from threadpoolctl import threadpool_limits
+
+from smarttouch.base.afferent import Mode
+from smarttouch.imaging.array_window import profile_for_reading
+from smarttouch.kernels.bank import load_bank
+from smarttouch.physiology.finger import Finger
+from smarttouch.profile import Profile, load_profile
+from smarttouch.reading.delivered_lines import (
+    DeliveredLine,
+    LineDelivery,
+    deliver_pulses,
+    read_at_nerve,
+)
+from smarttouch.reading.legibility import character_error_rate, read_pictures
+from smarttouch.reading.letter_shapes import Shapes, Style, shape_line
+from smarttouch.reading.line_feed import TouchLine
+from smarttouch.reading.line_source import LineMotion
+from smarttouch.reading.material import ReadingMaterial
+from smarttouch.reading.recognition import recognized_lines
+from smarttouch.running.config import RunConfig
+from smarttouch.running.delivered import LinePicture
+
+ANATOMIES = ("paper", "branched")
+TUNED, HELD_OUT = (1, 2), 101
+"""Seeds of the fingers on which a setting is chosen, and first of those that judge it."""
+MOST_LINES = 2  # of each page
+MOST_LAG = 24  # pulses, in which the finger moves by a pitch
+SAMPLE = "sample_images/page.png"
+OBSERVERS = ("knows the path", "spikes alone")
+JITTER_MM = (0.5, 1.0)
+"""Standard deviations of the position that an observer believes in, of each pulse by itself."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """How a page is put under a finger."""
+
+    level: float = 1.0  # of the strongest comfortable current
+    style: str = "graded"
+    scan: str = "auto"
+    speed: float = 1.0  # over the usual one, which gives each electrode four pulses a pitch
+    size: float = 1.0  # height of a line over that of the array
+
+
+BEFORE = Setting()
+LEVELS, STYLES = (1.0, 0.7, 0.5, 0.4), ("graded", "plain", "thinned")
+CHANGES: dict[str, tuple[Any, ...]] = {
+    "scan": ("points", "frame"), "speed": (0.5, 2.0), "size": (0.75,),
+}  # fmt: skip
+"""What is tried at the best level and style, each by itself."""
+
+
+@cache
+def profile() -> Profile:
+    """Return the array that reads."""
+    return profile_for_reading(load_profile("electric-mouse"))
+
+
+def smaller(line: TouchLine, size: float) -> TouchLine:
+    """Return a line in the middle of the array, at a part of its height."""
+    rows, columns = line.image.shape
+    shape = max(1, round(columns * size)), max(1, round(rows * size))
+    image = cv2.resize(line.image, shape, interpolation=cv2.INTER_AREA)
+    top = (rows - shape[1]) // 2
+    sides = top, rows - shape[1] - top, 0, 0
+    image = cv2.copyMakeBorder(image, *sides, cv2.BORDER_CONSTANT, value=255)
+    end_mm = line.end_mm - (columns - shape[0]) * (line.end_mm + line.start_mm) / columns
+    return replace(line, image=np.asarray(image, np.uint8), end_mm=end_mm)
+
+
+@cache
+def delivered(page: str, setting: Setting) -> tuple[tuple[DeliveredLine, ...], str]:
+    """Return the first lines of a page as the board delivers them, and their text."""
+    chosen, shapes = profile(), Shapes(Style(setting.style))
+    speed_mm_s = setting.speed * shapes.motion(chosen).speed_mm_s
+    reading = LineDelivery(
+        chosen, load_bank(chosen), shapes.tone, LineMotion(speed_mm_s), Mode.RA,
+        RunConfig(scan=setting.scan).sharing(chosen), setting.level,
+    )  # fmt: skip
+    source = ReadingMaterial(page)
+    sheet = next(iter(source.prepared()))
+    indices = range(min(MOST_LINES, len(sheet.lines)))
+    lines = [smaller(shape_line(sheet, k, chosen, shapes.style), setting.size) for k in indices]
+    words = itertools.islice(recognized_lines(sheet, source.options, source.note), len(lines))
+    truth = "\n".join(text for _, text in words)
+    return tuple(deliver_pulses(line, reading) for line in lines), truth
+
+
+def step_by_spikes(values: NDArray[np.float32]) -> float:
+    """Return how far a finger moves from pulse to pulse, mm, by the spikes around each electrode,
+    (N, E), alone: by the lag after which what one column has is most like what the next one had."""
+    places_mm = profile().electrodes.position_mm[:, 0]
+    columns = np.unique(places_mm.round(3))
+    by_column = np.stack([values[:, np.isclose(places_mm, x)] for x in columns], axis=1)
+    by_column -= by_column.mean(axis=(0, 2))[None, :, None]
+    lags = range(1, min(len(values) - 1, MOST_LAG) + 1)
+    alike = [float((by_column[:-lag, 1:] * by_column[lag:, :-1]).mean()) for lag in lags]
+    at = int(np.argmax(alike))
+    lag = 1.0 + at
+    if 0 < at < len(alike) - 1:
+        below, here, above = alike[at - 1 : at + 2]
+        lag += (below - above) / (2 * (below - 2 * here + above))
+    return float(columns[1] - columns[0]) / lag
+
+
+@dataclass(frozen=True)
+class PageRow:
+    """What one finger reads of one page."""
+
+    page: str
+    anatomy: str
+    seed: int
+    setting: Setting
+    errors: dict[str, float]  # share of wrong characters of each observer
+    silent_points: float
+    wrong_class: float
+    misplaced: float
+
+
+def read_page(page: str, anatomy: str, seed: int, setting: Setting) -> PageRow:
+    """Return what each observer reads of a page by the spikes of one finger."""
+    lines, truth = delivered(page, setting)
+    with threadpool_limits(limits=1, user_api="blas"):
+        found = read_at_nerve(lines, Finger(profile(), seed, anatomy), Mode.RA.afferents)
+    random = np.random.default_rng(seed)
+
+    def rate(places_mm: Sequence[NDArray[np.float64]]) -> float:
+        pictures = []
+        for line, shown, x_mm in zip(lines, found.shown, places_mm, strict=True):
+            longest_mm = max(line.length_mm, float(x_mm.max()) + 10)
+            picture = LinePicture(profile().electrodes, longest_mm)
+            for x, values in zip(x_mm, shown, strict=True):
+                picture.add(float(x), values)
+            pictures.append(picture)
+        return character_error_rate(truth, read_pictures(pictures, "eng"))
+
+    true_mm = [np.array([pose.x_mm for pose in line.poses.values()]) for line in lines]
+    errors = {OBSERVERS[0]: rate(true_mm)}
+    for spread in JITTER_MM if seed in TUNED else ():
+        off = [each + spread * random.standard_normal(len(each)) for each in true_mm]
+        errors[f"off by {spread:g} mm"] = rate(off)
+    guessed = []
+    for x_mm, shown in zip(true_mm, found.shown, strict=True):
+        # The finger rests until the point that marks a line's start is gone.
+        moving = x_mm > x_mm[0]
+        step_mm = step_by_spikes(np.array(shown)[moving])
+        guessed.append(x_mm[0] + step_mm * np.cumsum(moving))
+    errors[OBSERVERS[1]] = rate(guessed)
+    return PageRow(
+        Path(page).name, anatomy, seed, setting, errors,
+        found.silent_points, found.wrong_class, found.misplaced,
+    )  # fmt: skip
+
+
+def rows_of(
+    kept: Path, page: str, anatomy: str, seeds: Sequence[int], setting: Setting
+) -> list[PageRow]:
+    """Return the rows of fingers, from the file where it has them."""
+    lines = kept.read_text().splitlines() if kept.is_file() else []
+    known = [
+        PageRow(**row | {"setting": Setting(**row["setting"])}) for row in map(json.loads, lines)
+    ]
+    wanted = Path(page).name, anatomy, setting
+    found = {each.seed: each for each in known if (each.page, each.anatomy, each.setting) == wanted}
+    for seed in seeds:
+        if seed not in found:
+            found[seed] = read_page(page, anatomy, seed, setting)
+            with kept.open("a") as file:
+                file.write(json.dumps(asdict(found[seed])) + "\n")
+    return [found[seed] for seed in seeds]
+
+
+def with_interval(values: Sequence[float]) -> str:
+    """Return a median with 95 %, by resampling fingers."""
+    middle = f"{np.median(values):.2f}"
+    if len(values) < 3 or len(set(values)) == 1:
+        return middle
+    low, high = bootstrap((values,), np.median, method="percentile", rng=1).confidence_interval
+    return f"{middle} ({low:.2f}-{high:.2f})"
+
+
+def table(rows: Sequence[PageRow]) -> Iterator[str]:
+    """Yield a line for each page, anatomy and setting, with the errors of each observer."""
+    groups: dict[tuple[str, str, Setting], list[PageRow]] = {}
+    for row in rows:
+        groups.setdefault((row.page, row.anatomy, row.setting), []).append(row)
+    for (page, anatomy, setting), those in groups.items():
+        cells = [with_interval([row.errors[name] for row in those]) for name in those[0].errors]
+        cells.append(with_interval([row.misplaced for row in those]))
+        said = ", ".join(f"{each}" for each in astuple(setting))
+        yield f"| {page} | {anatomy} | {said} | " + " | ".join(cells) + " |"
+
+
+def worst(rows: Sequence[PageRow]) -> dict[Setting, float]:
+    """Return the mean error of each setting in the anatomy in which it is larger, of the observer
+    who knows the path."""
+    errors: dict[tuple[Setting, str], list[float]] = {}
+    for row in rows:
+        errors.setdefault((row.setting, row.anatomy), []).append(row.errors[OBSERVERS[0]])
+    found: dict[Setting, float] = {}
+    for (setting, _), those in errors.items():
+        found[setting] = max(found.get(setting, 0.0), fmean(those))
+    return found
+
+
+def chosen(kept: Path) -> tuple[Setting, list[PageRow]]:
+    """Return the best setting on the fingers that settings are chosen on, and what these read.
+
+    Levels and styles come first, then what improves the best of them, all together.
+    """
+    rows: list[PageRow] = []
+
+    def best_of(those: Iterable[Setting]) -> tuple[float, Setting]:
+        new = [rows_of(kept, SAMPLE, one, TUNED, each) for each in those for one in ANATOMIES]
+        rows.extend(row for them in new for row in them)
+        errors = worst([row for them in new for row in them])
+        least = min(errors, key=lambda each: errors[each])
+        return errors[least], least
+
+    grid = (Setting(level, style) for style in STYLES for level in LEVELS)
+    error, start = best_of(grid)
+    best = start
+    for name, values in CHANGES.items():
+        wrong, found = best_of(replace(start, **{name: value}) for value in values)
+        if wrong < error:
+            best = replace(best, **{name: getattr(found, name)})
+    return min((error, start), best_of([best]), key=lambda each: each[0])[1], rows
+
+
+def main(fingers: str, kept: str, *pages: str) -> None:
+    """Choose on two fingers of each anatomy by one page, then judge on others, by all pages."""
+    file = Path(kept)
+    best, rows = chosen(file)
+    print(*table(rows), sep="\n")
+    seeds = range(HELD_OUT, HELD_OUT + int(fingers))
+    asked = dict.fromkeys((BEFORE, replace(BEFORE, level=best.level), best))
+    for page in (SAMPLE, *pages):
+        judged = [rows_of(file, page, one, seeds, each) for one in ANATOMIES for each in asked]
+        print(*table([row for them in judged for row in them]), sep="\n")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
