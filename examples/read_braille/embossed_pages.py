@@ -38,6 +38,7 @@ def emboss(
     perspective: float = 0.0,
     curl_mm: float = 0.0,
     back_side: list[str] | None = None,
+    back_shift: tuple[float, float] = (0.5, 0.5),
     dent: float = 0.8,
     dot_mm: float = 2.34,
     cell_mm: float = 6.2,
@@ -56,8 +57,10 @@ def emboss(
     Light comes from the right at 0°, from the top at 90; ``shading`` is the part of it that the
     darkest corner lacks. ``noise`` is in grey levels, ``texture`` the roughness of ordinary
     Braille paper, ``perspective`` how much smaller the far edge is, ``dent`` the depth of a dot
-    seen from behind, of its height, ``uneven`` the spread of heights, and half of it, in mm, that
-    of places; ``lost`` is the share of dots that are worn flat. Each line is bent by ``curl_mm``.
+    seen from behind, of its height, ``back_shift`` how far the dots of the back are to the right of
+    and below those of the front, in distances of dots, ``uneven`` the spread of heights, and half
+    of it, in mm, that of places; ``lost`` is the share of dots that are worn flat. Each line is
+    bent by ``curl_mm``.
     Height and radius of dots are those of NLS 800; ``ambient`` is the part of the light that comes
     from everywhere, the rest from a lamp at ``elevation_deg``.
     """
@@ -76,8 +79,9 @@ def emboss(
     sphere_px = radius_mm * px_per_mm, height_mm * px_per_mm
     _stamp(height_px, front_px, sphere_px, rng.normal(1, uneven, len(front_px)))
     if back_side is not None:
-        back_mm = _dots_mm(back_side, dot_mm, cell_mm, line_mm) + MARGIN_MM + dot_mm / 2
-        back_mm[:, 0] = size_mm[0] - back_mm[:, 0] + dot_mm
+        back_mm = _dots_mm(back_side, dot_mm, cell_mm, line_mm) + MARGIN_MM
+        back_mm[:, 0] = size_mm[0] - back_mm[:, 0]
+        back_mm += dot_mm * np.array(back_shift)
         _stamp(height_px, to_px(back_mm), sphere_px, -dent * rng.normal(1, uneven, len(back_mm)))
     height_px = cv2.GaussianBlur(height_px, (0, 0), PAPER_BEND_MM * px_per_mm)
     height_px += _fibers(height_px.shape, px_per_mm, texture, rng)

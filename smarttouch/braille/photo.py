@@ -23,9 +23,9 @@ from smarttouch.pages.page_image import Page
 
 LEAST_CERTAINTY = 0.45
 """Least certainty of a page that is read."""
-CERTAIN = 0.6
+CERTAIN = 0.7
 """Least certainty of Braille on a page of unknown kind."""
-DISTURBED = 0.7
+DISTURBED = 0.83
 """Certainty below which the reader is warned."""
 FEWEST_CELLS = 4
 LEAST_SHARE = 0.03

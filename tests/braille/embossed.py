@@ -7,5 +7,6 @@ sys.path.append(str(Path(__file__).parents[2] / "examples" / "read_braille"))
 
 import train_network
 from embossed_pages import emboss, printed, random_lines
+from onnx_file import network_bytes
 
-__all__ = ["emboss", "printed", "random_lines", "train_network"]
+__all__ = ["emboss", "network_bytes", "printed", "random_lines", "train_network"]
