@@ -51,10 +51,10 @@ def looked_at(grey: NDArray[np.uint8]) -> tuple[Image, Image]:
     return even, _run(even)
 
 
-def cells_of(maps: Image) -> FoundCells:
-    """Return the cells at the peaks of the network's maps."""
+def cells_of(maps: Image, least: float = LEAST) -> FoundCells:
+    """Return the cells at the peaks of the network's maps, each at least so certain."""
     there = maps[0]
-    peaks = (there >= cv2.dilate(there, np.ones((3, 3), np.uint8))) & (there > LEAST)
+    peaks = (there >= cv2.dilate(there, np.ones((3, 3), np.uint8))) & (there > least)
     rows, columns = np.nonzero(peaks)
     strength, dots = there[rows, columns], maps[3:, rows, columns]
     px = np.column_stack([columns + maps[1, rows, columns], rows + maps[2, rows, columns]])
