@@ -118,11 +118,13 @@ def _made(
 def _by_processes(
     braille: Braille, source: ReadingMaterial, numbers: Sequence[int]
 ) -> Iterator[PageCells]:
-    from joblib import Parallel, delayed
+    from joblib import Parallel, delayed, parallel_config
 
     # What its notes are said to stays here.
     plain = ReadingMaterial(source.name, source.options)
-    many = Parallel(n_jobs=-1, return_as="generator_unordered", max_nbytes=None)
+    # Workers of a program that was killed end soon.
+    with parallel_config("loky", idle_worker_timeout=10):
+        many = Parallel(n_jobs=-1, return_as="generator_unordered", max_nbytes=None)
     made = many(delayed(_page)(braille, plain, number, alone=True) for number in numbers)
     try:
         yield from made
