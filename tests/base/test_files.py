@@ -247,8 +247,6 @@ def test_a_file_is_one_program_s_alone_until_it_ends(tmp_path, hold, killed):
     assert said == ""
     assert second.wait() == 1
     assert str(path) in second.stderr.read()
-    with raises(PageError, about="file", value=tmp_path / "b.json"):
-        open_alone(path, PageError, tmp_path / "b.json")
     for other in (tmp_path / "none" / "a", tmp_path):
         with raises(PageError, about="file", value=other):
             open_alone(other, PageError)
