@@ -58,7 +58,9 @@ def test_gap_to_the_optimum(row, quick, profile, bank, afferent):
                 start = time.perf_counter()
                 currents[way] = operator.currents(level)
                 spent[way] = time.perf_counter() - start
-            matrix, wish = ways["active only"].matrix, level * judge.wish_af
+            # One product for all frames, for which an inactive site requests 0.
+            matrix = ways["active only"].independent(np.arange(len(level))).T
+            wish = level * judge.wish_af
             start = time.perf_counter()
             currents["one matrix"] = matrix @ wish
             spent["one matrix"] = time.perf_counter() - start
