@@ -165,7 +165,9 @@ class ArrayCollector:
         sides = {"current_ua": (count,), "activation": (3, count), "recharge_ua": (count,)}
         for each in fields(RunArrays):
             values: Any = self._columns[each.name]
-            kind: Any = get_args(get_args(each.type)[1])[0]
+            # A dtype before NumPy 2.5, and its scalar from then on.
+            kind: Any = get_args(each.type)[-1]
+            kind = (get_args(kind) or (kind,))[0]
             if each.name in (*_SLOTS, "volts"):
                 values = np.concatenate([np.empty(0, kind), *map(np.ravel, values)])
             made[each.name] = np.array(values, kind).reshape(-1, *sides.get(each.name, ()))
