@@ -21,7 +21,7 @@ from smarttouch.braille.page_dots import look_again
 from smarttouch.braille.sides import SURE, unmirrored_odds
 from smarttouch.pages.page_image import Page
 
-LEAST_CERTAINTY = 0.45
+LEAST_CERTAINTY = 0.6
 """Least certainty of a page that is read."""
 CERTAIN = 0.7
 """Least certainty of Braille on a page of unknown kind."""
