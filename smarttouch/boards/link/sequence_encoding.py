@@ -1,7 +1,6 @@
 """Kernels, sequences and limits as payloads of ``link``: see ``docs/reference/link.md``."""
 
 import hashlib
-import itertools
 import math
 import struct
 from dataclasses import dataclass, replace
@@ -246,15 +245,14 @@ def _groups(
         ]
     rows = _rows(sequence, switched) if usual in kinds else None
     shapes = [0] * slots if shape is None else shape.tolist()
-    # Each sum stands alone.
-    keys = [
-        (kind, own, slot * (kind == SUM))
-        for slot, (kind, own) in enumerate(zip(kinds, shapes, strict=True))
-    ]
     parts: list[Any] = []
-    for (what, own, _), group in itertools.groupby(range(slots), keys.__getitem__):
-        start, *others = group
-        end = start + 1 + len(others)
+    end = 0
+    while end < slots:
+        start, what, own = end, kinds[end], shapes[end]
+        end += 1
+        # Each sum stands alone.
+        while what != SUM and end < slots and (kinds[end], shapes[end]) == (what, own):
+            end += 1
         body: Any
         if rows is not None and what >= CURRENTS:
             count, body = end - start, rows[start:end]
