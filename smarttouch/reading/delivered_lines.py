@@ -18,7 +18,7 @@ from smarttouch.imaging.registration import Registration
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.kernels.bank import KernelBank
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.response import ignore_nan, middle_90, response_quality
+from smarttouch.physiology.response import ignore_nan, middle_90, response_quality, worst_tenth
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import Profile
 from smarttouch.reading.line_feed import LineFeed, TouchLine
@@ -192,12 +192,11 @@ def read_at_nerve(
 def nerve_figures(readings: Sequence[NerveReading], errors: Sequence[float]) -> dict[str, Any]:
     """Return medians over fingers with the middle 90 % of them, and error rates at the nerve, for a
     JSON file."""
-    worst = fmean(sorted(errors)[-max(1, len(errors) // 10) :])
     names = ("wrong_class", "misplaced", "silent_points")
     every = {name: [getattr(each, name) for each in readings] for name in names}
     found = {name: middle_90(each) for name, each in (every | {"median": list(errors)}).items()}
     return {
-        "at_nerve": {"median": found["median"][0], "worst_tenth": worst},
+        "at_nerve": {"median": found["median"][0], "worst_tenth": worst_tenth(errors)},
         **{name: found[name][0] for name in names},
         "middle_90": {name: each[1:] for name, each in found.items()},
     }

@@ -22,6 +22,7 @@ from smarttouch.physiology.response import (
     ignore_nan,
     response_map,
     response_quality,
+    worst_tenth,
 )
 from smarttouch.physiology.spikes import (
     Bystanders,
@@ -162,10 +163,9 @@ def read_at_board(
 def summary(found: Sequence[LetterResponse]) -> dict[str, float]:
     """Return medians over fingers of the means over letters, and error rates at the nerve."""
     by_finger = finger_means(found)
-    errors = sorted(by_finger.pop("median"))
+    errors = by_finger.pop("median")
     figures = {name: ignore_nan(median, each) for name, each in by_finger.items()}
-    worst = fmean(errors[-max(1, len(errors) // 10) :])
-    return {**figures, "median": median(errors), "worst_tenth": worst}
+    return {**figures, "median": median(errors), "worst_tenth": worst_tenth(errors)}
 
 
 def finger_means(found: Sequence[LetterResponse]) -> dict[str, list[float]]:
