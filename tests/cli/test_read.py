@@ -59,6 +59,14 @@ def test_shapes_to_the_emulator(program_here):
     assert figures["frames"] == figures["sequences"]
 
 
+@pytest.mark.parametrize(("more", "level"), [
+    ("", 0.7), ("--intensity 0.9", 0.9), ("--as braille", 1.0), ("--mode SAI", 1.0),
+])  # fmt: skip
+def test_letters_begin_at_the_level_of_a_finger_of_unknown_level(program_here, more, level):
+    done = program_here(f"read text:i --board memory: --plain --pause 0 {more}").fine()
+    assert f"0.0 s: intensity {level:.2f}" in done.stdout.splitlines()
+
+
 def test_an_image_without_a_board(program_here, tmp_path):
     Image.fromarray(print_text("a\nbeam").grey).save(tmp_path / "small.png")
     kept = "--felt felt.png --finger paper --json f.json"
