@@ -1,16 +1,18 @@
 """What conducts below the dermis: polarity and letters, from fat alone to no border at all.
 
-``python examples/studies/below_the_skin.py 3`` takes three fingers of each anatomy.
+``python examples/studies/below_the_skin.py 10`` takes ten fingers of each anatomy, and prints
+medians with the middle 90 % of the fingers.
 """
 
 import sys
+from itertools import product
 from pathlib import Path
-from statistics import fmean, median
+from statistics import fmean
 
 import numpy as np
 
 sys.path.append(str(Path(__file__).parents[1]))
-from studies.finger_effects import against_all, inner_sites
+from studies.finger_effects import against_all, inner_sites, spread
 
 from smarttouch.base.afferent import Afferent
 from smarttouch.base.terminal import print_table
@@ -42,10 +44,10 @@ def first_ma(finger: Finger, cathodic: bool) -> float:
     return float(np.median(1 / drive[finger.classes == Afferent.RA].max(axis=0)))
 
 
-def polarity(profile: Profile, anatomy: Anatomy, fingers: int) -> float:
-    """Return RA's cathodic over anodic threshold, the median over fingers."""
-    every = (Finger(profile, seed, anatomy) for seed in range(1, fingers + 1))
-    return median(first_ma(each, True) / first_ma(each, False) for each in every)
+def polarity(profile: Profile, anatomy: Anatomy, fingers: int) -> str:
+    """Return RA's cathodic over anodic threshold over fingers, in words."""
+    every = [Finger(profile, seed, anatomy) for seed in range(1, fingers + 1)]
+    return spread((first_ma(each, True) / first_ma(each, False) for each in every), 2)
 
 
 def main(fingers: int) -> None:
@@ -57,18 +59,17 @@ def main(fingers: int) -> None:
     for name in ("paper", "branched"):
         cases = {f"{each:g}": with_below(name, each) for each in BELOW_S_PER_M}
         for below, anatomy in {"half space": load_anatomy(name), **cases}.items():
-            line = [name, below, f"{polarity(profile, anatomy, fingers):.2f}"]
-            rows = [
-                row
+            line = [name, below, polarity(profile, anatomy, fingers)]
+            every = [
+                rows_of_finger(profile, anatomy, name, seed, shown)
                 for seed in range(1, fingers + 1)
-                for row in rows_of_finger(profile, anatomy, name, seed, shown)
             ]
-            for mode in study.modes:
-                mine = [row for row in rows if row.mode == mode]
-                line += [
-                    f"{fmean(getattr(row, figure) for row in mine):.2f}"
-                    for figure in ("error", "wrong_class")
-                ]
+            for mode, figure in product(study.modes, ("error", "wrong_class")):
+                means = (
+                    fmean(getattr(row, figure) for row in rows if row.mode == mode)
+                    for rows in every
+                )
+                line.append(spread(means, 2))
             lines.append(line)
     heading = ["anatomy", "below, S/m", "cathodic / anodic", "RA errors", "wrong", "SAI errors"]
     print_table(lines, [*heading, "wrong"], left=2)

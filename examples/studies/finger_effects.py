@@ -3,11 +3,11 @@
 ``python examples/studies/finger_effects.py paper 10`` prints them for 10 fingers of an anatomy.
 Two assumptions make two of them: PC's threshold factor of 2 was chosen by the order of sensations
 (III-B.1), with 1 PC comes first; and how far PC is felt aside follows from the assumed length of
-its axons. Every figure is a median over fingers unless it says otherwise.
+its axons. Every figure is a median over fingers, with their middle 90 %.
 """
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from smarttouch.base.terminal import print_table
 from smarttouch.kernels.bank import KernelBank, load_bank
 from smarttouch.physiology.anatomy import Anatomy, load_anatomy
 from smarttouch.physiology.finger import Finger
+from smarttouch.physiology.response import middle_90
 from smarttouch.physiology.spikes import SpikeModel
 from smarttouch.profile import Profile, load_profile
 
@@ -151,20 +152,33 @@ def effects(
     return rows
 
 
+def spread(values: Iterable[float], digits: int = 1) -> str:
+    """Return a median over fingers with their middle 90 %, in words."""
+    middle, low, high = (f"{each:.{digits}f}" for each in middle_90(values))
+    return f"{middle} ({low}–{high})"
+
+
+def _counts(rows: Sequence[Array]) -> str:
+    """Return how many RA, SAI and PC fire in each finger, (3,), in words."""
+    columns = zip(Afferent, np.transpose(rows), strict=True)
+    return ", ".join(f"{each.name} {spread(column)}" for each, column in columns)
+
+
 def _stage_rows(
     anatomy: Anatomy, fingers: Sequence[Finger], bank: KernelBank, sites: Sequence[int]
 ) -> list[Row]:
-    first = {each: ma[0] for each, ma in stages(anatomy, [one.seed for one in fingers]).items()}
-    order = sorted(first, key=lambda each: float(first[each]))
-    least = first[order[0]]
-    shown = ", ".join(f"{each.name} {first[each] / least:.1f}" for each in order)
+    every = [stages(anatomy, [one.seed]) for one in fingers]
+    first_ma = {each: np.array([found[each][0] for found in every]) for each in Afferent}
+    order = sorted(first_ma, key=lambda each: float(np.median(first_ma[each])))
+    least_ma = first_ma[order[0]]
+    shown = ", ".join(f"{each.name} {spread(first_ma[each] / least_ma)}" for each in order[1:])
     return [
         (
             "SAI mode on lines: classes in the order in which they join, currents over the first",
             "pressure 1, vibration 1.5, masked 2.5",
-            shown,
+            f"{order[0].name} 1, {shown}",
         ),
-        ("SAI mode on lines: the first of them, mA", f"{STAGES_MA[0]:g}", f"{least:.1f}"),
+        ("SAI mode on lines: the first of them, mA", f"{STAGES_MA[0]:g}", spread(least_ma)),
     ]
 
 
@@ -174,8 +188,8 @@ def _blur_rows(
     away = {}
     for name, cathodic in (("anodic", False), ("cathodic", True)):
         current_ma = CLEAR_MA * against_all(fingers[0].profile, cathodic)
-        found = shift(fingers, current_ma, sites, list(Afferent))
-        away[name] = f"{name} {found.away_mm:.1f}"
+        found = [shift([one], current_ma, sites, list(Afferent)) for one in fingers]
+        away[name] = f"{name} {spread(each.away_mm for each in found)}"
     return [
         (
             f"one electrode, {CLEAR_MA:g} mA: receptors' distance from it, RMS, mm",
@@ -200,14 +214,15 @@ def _shift_rows(
             "pc": anatomy.pc.model_copy(update={"flat_mm": flat_mm, "density_per_cm2": 210.0}),
         }
         mine = anatomy.model_copy(update=alone)
-        found = shift(
-            [Finger(profile, one.seed, mine) for one in fingers], current_ma, sites, [Afferent.PC]
-        )
+        found = [
+            shift([Finger(profile, one.seed, mine)], current_ma, sites, [Afferent.PC])
+            for one in fingers
+        ]
         rows.append(
             (
                 f"PC mode: shift of PC toward the fingertip, axons {flat_mm:g} mm flat, mm",
                 "1 to 3",
-                f"{-found.y_mm:.1f}",
+                spread(-each.y_mm for each in found),
             )
         )
     return rows
@@ -223,17 +238,12 @@ def _selective_rows(
         (Afferent.PC, "PC, with RA above it"),
     ):
         current_ma = CLEAR_MA * kernel_ma(fingers[0].profile, bank, mode)[list(sites)]
-        counts = np.mean(
-            [
-                np.bincount(one.classes, fired(one, current_ma).sum(axis=1), len(Afferent))
-                for one in fingers
-            ],
-            axis=0,
-        )
-        shown = ", ".join(f"{each.name} {counts[each] / len(sites):.1f}" for each in Afferent)
-        rows.append(
-            (f"{mode.name} mode, {CLEAR_MA:g} mA at a point: afferents that fire", said, shown)
-        )
+        counts = [
+            np.bincount(one.classes, fired(one, current_ma).mean(axis=1), len(Afferent))
+            for one in fingers
+        ]
+        label = f"{mode.name} mode, {CLEAR_MA:g} mA at a point: afferents that fire"
+        rows.append((label, said, _counts(counts)))
     return rows
 
 
@@ -245,15 +255,9 @@ def _concentric_rows(
         ("anodic", -CLEAR_MA, "RA, no PC"),
         ("cathodic", CLEAR_MA, "–"),
     ):
-        counts = reached(profile, current_ma, anatomy, [one.seed for one in fingers])
-        shown = ", ".join(f"{each.name} {counts[each]:.1f}" for each in Afferent)
-        rows.append(
-            (
-                f"disc 1 mm in a ring from 6 mm, {CLEAR_MA:g} mA {name}: afferents that fire",
-                said,
-                shown,
-            )
-        )
+        counts = [reached(profile, current_ma, anatomy, [one.seed]) for one in fingers]
+        label = f"disc 1 mm in a ring from 6 mm, {CLEAR_MA:g} mA {name}: afferents that fire"
+        rows.append((label, said, _counts(counts)))
     return rows
 
 

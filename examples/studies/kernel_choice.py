@@ -1,7 +1,7 @@
 """Which kernels fire their own class alone, in whom, and after the finger has moved.
 
-``python examples/studies/kernel_choice.py 20 kernels.npz`` makes the tables of
-``docs/validation/kernels.md`` on 20 fingers of each anatomy that no kernel was designed on. Kernels
+``python examples/studies/kernel_choice.py 40 kernels.npz`` makes the tables of
+``docs/validation/kernels.md`` on 40 fingers of each anatomy that no kernel was designed on. Kernels
 designed on fingers are kept in the file.
 """
 
@@ -26,7 +26,7 @@ from smarttouch.kernels.design_problem import Problem
 from smarttouch.kernels.finger_kernels import FingerKernels
 from smarttouch.kernels.weighted_design import design_kernel
 from smarttouch.physiology.finger import Finger
-from smarttouch.physiology.spikes import SpikeModel
+from smarttouch.physiology.spikes import SlotCurrents, SpikeModel
 from smarttouch.profile import Profile, load_profile
 from smarttouch.profile.device import FINGER_PAD
 from smarttouch.reading.letter_responses import (
@@ -140,16 +140,17 @@ class Share(NamedTuple):
     """Shares of points of one kind of kernels in one anatomy, at its best level."""
 
     level: float
-    alone: list[float]  # of each finger
+    # of each finger
+    alone: list[float]
     moved: list[float]
-    off: float  # alone where all currents are a tenth lower or higher, the worse of both
-    layers: float  # alone in skin of layers, at the best level there
-    silent: float
-    wrong: float
+    off: list[float]  # alone where all currents are a tenth lower or higher, the worse of both
+    layers: list[float]  # alone in skin of layers, at the best level there
+    silent: list[float]
+    wrong: list[float]
 
     @property
     def least(self) -> float:
-        return min(np.mean(self.alone), np.mean(self.moved), self.off, self.layers)
+        return float(min(map(np.mean, self[1:5])))
 
 
 def share_of(fingers: Fingers, name: str, each: Afferent) -> Share:
@@ -160,12 +161,15 @@ def share_of(fingers: Fingers, name: str, each: Afferent) -> Share:
         return [float(one.alone(level).mean()) for one in where]
 
     level = max(LEVELS, key=lambda at: np.mean(alone(at, still)))
-    off = [float(np.mean(alone(level * (1 + sign * OFF), still))) for sign in (-1, 1)]
+    off = [alone(level * (1 + sign * OFF), still) for sign in (-1, 1)]
     silent, wrong = (
-        float(np.mean([getattr(one, what)(level) for one in still])) for what in ("silent", "wrong")
+        [float(getattr(one, what)(level).mean()) for one in still] for what in ("silent", "wrong")
     )
-    layers = max(float(np.mean(alone(at, layered))) for at in LEVELS)
-    return Share(level, alone(level, still), alone(level, moved), min(off), layers, silent, wrong)
+    layers = [alone(at, layered) for at in LEVELS]
+    return Share(
+        level, alone(level, still), alone(level, moved), min(off, key=np.mean),
+        max(layers, key=np.mean), silent, wrong,
+    )  # fmt: skip
 
 
 def choice_rows(found: Judged, kernels: Kernels) -> Iterator[str]:
@@ -178,8 +182,7 @@ def choice_rows(found: Judged, kernels: Kernels) -> Iterator[str]:
             shares = {anatomy: share_of(them, name, each) for anatomy, them in found.items()}
             least = min(one.least for one in shares.values())
             for anatomy, one in shares.items():
-                rest = (np.mean(one.moved), *one[3:])
-                shown = " | ".join([_shown(one.alone), *(f"{share:.2f}" for share in rest)])
+                shown = " | ".join(map(_shown, one[1:]))
                 last = f"{least:.2f}" if anatomy == ANATOMIES[-1] else ""
                 yield (f"| {each.name} | {name} | {anatomy}, {one.level:.2f} | {shown} | {last} |")
 
@@ -232,7 +235,7 @@ def _shown(values: Sequence[float]) -> str:
 
 
 def letter_rows(
-    profile: Profile, weights: Array, seeds: Sequence[int] = range(1, 7), letters: str = ALPHABET
+    profile: Profile, weights: Array, seeds: Sequence[int], letters: str = ALPHABET
 ) -> Iterator[str]:
     """Yield the share of letters that is read wrongly in SAI mode, from all spikes and from those
     of SAI alone; weights are kernels on fingers, (E, E), parts of full current."""
@@ -243,19 +246,24 @@ def letter_rows(
              for name, one in banks.items()}  # fmt: skip
     yield "| kernels, level | paper: all spikes | SAI alone | branched: all spikes | SAI alone |"
     yield "|" + "---|" * 5
-    wrong: dict[tuple[str, float], list[float]] = {}
+    wrong: dict[tuple[str, float], list[list[float]]] = {}
     for anatomy in ANATOMIES:
         models = [SpikeModel(Finger(profile, seed, anatomy), seed) for seed in seeds]
         for name, level in product(banks, LETTER_LEVELS):
-            misread = np.zeros((2, 0))
-            for model, (letter, (slots, _)) in product(models, shown[name].items()):
-                drive = np.float32(level) * model.drive(slots.current_ua, slots.width_us)
-                own = drive * (model.finger.classes == sai)[:, None]
-                read = [spikes_and_letter(model, slots, one, known, 2)[1] for one in (drive, own)]
-                misread = np.c_[misread, [one != letter for one in read]]
-            wrong.setdefault((name, level), []).extend(misread.mean(axis=1))
+            meant, sent = zip(*shown[name].items(), strict=True)
+            read = [[_read(one, slots, level, known) for slots, _ in sent] for one in models]
+            # (fingers, 2): from all spikes, and from those of SAI
+            shares = (np.array(read) != np.array(meant)[:, None]).mean(axis=1)
+            wrong.setdefault((name, level), []).extend(shares.T.tolist())
     for (name, level), shares in wrong.items():
-        yield f"| {name}, {level:g} | {' | '.join(f'{one:.2f}' for one in shares)} |"
+        yield f"| {name}, {level:g} | {' | '.join(map(_shown, shares))} |"
+
+
+def _read(model: SpikeModel, slots: SlotCurrents, level: float, known: Mapping) -> list[str]:
+    """Return what is read from all spikes, and from those of SAI alone."""
+    drive = np.float32(level) * model.drive(slots.current_ua, slots.width_us)
+    own = drive * (model.finger.classes == Afferent.SAI)[:, None]
+    return [spikes_and_letter(model, slots, one, known, 2)[1] for one in (drive, own)]
 
 
 def main(count: int, path: Path) -> None:
@@ -276,7 +284,7 @@ def main(count: int, path: Path) -> None:
     whole = kernels.pop(_WHOLE)[Afferent.SAI]
     found = judged(profile, kernels, sites, count)
     print(*choice_rows(found, kernels), "", *picked_rows(found, kernels), sep="\n")
-    print("", *letter_rows(profile, whole), sep="\n")
+    print("", *letter_rows(profile, whole, range(1, count + 1)), sep="\n")
 
 
 if __name__ == "__main__":

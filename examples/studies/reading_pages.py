@@ -1,14 +1,14 @@
 """Pages at the nerve: level, size, style, scan and speed, and who knows where the finger is.
 
-``python examples/studies/reading_pages.py 8 pages.jsonl`` makes the tables of
-``docs/validation/finger.md`` on 8 held-out fingers of each anatomy. Pages of your own may
-follow. It keeps each answer in the file, and goes on there.
+``python examples/studies/reading_pages.py 20 pages.jsonl`` makes the tables of
+``docs/validation/finger.md`` on 20 held-out fingers of each anatomy, in a half space and in
+skin of layers. Pages of your own may follow. It keeps each answer in the file, and goes on there.
 """
 
 import itertools
 import json
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, astuple, dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -42,9 +42,12 @@ from smarttouch.running.config import RunConfig
 from smarttouch.running.delivered import LinePicture
 
 ANATOMIES = ("paper", "branched")
+LAYERED = tuple(f"{each}-layered" for each in ANATOMIES)
 TUNED, HELD_OUT = (1, 2), 101
 """Seeds of the fingers on which a setting is chosen, and first of those that judge it."""
 MOST_LINES = 2  # of each page
+LEAST_LOWER = 16
+"""Small letters that a line of running text has at least: headings are another question."""
 MOST_LAG = 24  # pulses, in which the finger moves by a pitch
 SAMPLE = "sample_images/page.png"
 OBSERVERS = ("knows the path", "spikes alone")
@@ -65,6 +68,7 @@ class Setting:
 
 BEFORE = Setting()
 LEVELS, STYLES = (1.0, 0.7, 0.5, 0.4), ("graded", "plain", "thinned")
+LAYERED_LEVELS = (0.7, 0.5)
 CHANGES: dict[str, tuple[Any, ...]] = {
     "scan": ("points", "frame"), "speed": (0.5, 2.0), "size": (0.75,),
 }  # fmt: skip
@@ -91,7 +95,7 @@ def smaller(line: TouchLine, size: float) -> TouchLine:
 
 @cache
 def delivered(page: str, setting: Setting) -> tuple[tuple[DeliveredLine, ...], str]:
-    """Return the first lines of a page as the board delivers them, and their text."""
+    """Return the first lines of running text as the board delivers them, and what they say."""
     chosen, shapes = profile(), Shapes(Style(setting.style))
     speed_mm_s = setting.speed * shapes.motion(chosen).speed_mm_s
     reading = LineDelivery(
@@ -100,10 +104,14 @@ def delivered(page: str, setting: Setting) -> tuple[tuple[DeliveredLine, ...], s
     )  # fmt: skip
     source = ReadingMaterial(page)
     sheet = next(iter(source.prepared()))
-    indices = range(min(MOST_LINES, len(sheet.lines)))
+    read = recognized_lines(sheet, source.options, source.note)
+    running = (each for each in read if sum(map(str.islower, each[1])) >= LEAST_LOWER)
+    found = [*itertools.islice(running, MOST_LINES)]
+    if not found:
+        raise SystemExit(f"{page} has no line of at least {LEAST_LOWER} small letters")
+    indices, texts = zip(*found, strict=True)
     lines = [smaller(shape_line(sheet, k, chosen, shapes.style), setting.size) for k in indices]
-    words = itertools.islice(recognized_lines(sheet, source.options, source.note), len(lines))
-    truth = "\n".join(text for _, text in words)
+    truth = "\n".join(texts)
     return tuple(deliver_pulses(line, reading) for line in lines), truth
 
 
@@ -225,39 +233,29 @@ def worst(rows: Sequence[PageRow]) -> dict[Setting, float]:
 
 
 def chosen(kept: Path) -> tuple[Setting, list[PageRow]]:
-    """Return the best setting on the fingers that settings are chosen on, and what these read.
-
-    Levels and styles come first, then what improves the best of them, all together.
-    """
-    rows: list[PageRow] = []
-
-    def best_of(those: Iterable[Setting]) -> tuple[float, Setting]:
-        new = [rows_of(kept, SAMPLE, one, TUNED, each) for each in those for one in ANATOMIES]
-        rows.extend(row for them in new for row in them)
-        errors = worst([row for them in new for row in them])
-        least = min(errors, key=lambda each: errors[each])
-        return errors[least], least
-
-    grid = (Setting(level, style) for style in STYLES for level in LEVELS)
-    error, start = best_of(grid)
-    best = start
-    for name, values in CHANGES.items():
-        wrong, found = best_of(replace(start, **{name: value}) for value in values)
-        if wrong < error:
-            best = replace(best, **{name: getattr(found, name)})
-    return min((error, start), best_of([best]), key=lambda each: each[0])[1], rows
+    """Return the best level and style on the fingers they are chosen on, and what these read."""
+    grid = [Setting(level, style) for style in STYLES for level in LEVELS]
+    both = itertools.product(grid, ANATOMIES)
+    rows = [row for each, one in both for row in rows_of(kept, SAMPLE, one, TUNED, each)]
+    errors = worst(rows)
+    return min(errors, key=lambda each: errors[each]), rows
 
 
 def main(fingers: str, kept: str, *pages: str) -> None:
-    """Choose on two fingers of each anatomy by one page, then judge on others, by all pages."""
+    """Choose on two fingers of each anatomy by one page, then judge on others, with what may be
+    changed, in layers, and by other pages."""
     file = Path(kept)
     best, rows = chosen(file)
-    print(*table(rows), sep="\n")
+    print(*table(rows), sep="\n", flush=True)
     seeds = range(HELD_OUT, HELD_OUT + int(fingers))
-    asked = dict.fromkeys((BEFORE, replace(BEFORE, level=best.level), best))
-    for page in (SAMPLE, *pages):
-        judged = [rows_of(file, page, one, seeds, each) for one in ANATOMIES for each in asked]
-        print(*table([row for them in judged for row in them]), sep="\n")
+    changed = [replace(best, **{name: each}) for name, values in CHANGES.items() for each in values]
+    asked = [BEFORE, replace(BEFORE, level=best.level), best, *changed]
+    judged = [*itertools.product([SAMPLE], ANATOMIES, asked)]
+    in_layers = [replace(best, level=each) for each in LAYERED_LEVELS]
+    judged += itertools.product([SAMPLE], LAYERED, in_layers)
+    judged += itertools.product(pages, ANATOMIES, [BEFORE, best])
+    for page, anatomy, setting in judged:
+        print(*table(rows_of(file, page, anatomy, seeds, setting)), sep="\n", flush=True)
 
 
 if __name__ == "__main__":

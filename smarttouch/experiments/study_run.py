@@ -287,7 +287,7 @@ def study_figure(found: Sequence[Summed], names: Mapping[str, str], title: str) 
     panels[0].set_yticks(
         [index * (len(anatomies) + 0.6) + middle for index in range(len(labels))], labels
     )
-    panels[0].invert_yaxis()
+    panels[0].set_ylim(len(labels) * (len(anatomies) + 0.6) - 1, -0.6)
     for index, anatomy in enumerate(anatomies):
         color = SERIES_COLORS[index % len(SERIES_COLORS)]
         panels[0].scatter([], [], s=14, color=color, label=anatomy)

@@ -36,7 +36,7 @@ def test_the_speed_is_known_from_what_passes_from_column_to_column(step_mm):
 def test_a_page_is_read_and_kept(tmp_path):
     kept, setting = tmp_path / "pages.jsonl", replace(BEFORE, size=0.75)
     try:
-        rows = rows_of(kept, "text:it", "paper", (1,), setting)
+        rows = rows_of(kept, "text:a quiet place indeed", "paper", (1,), setting)
     except ReadingError as error:
         if error.about in ("tesseract", "language"):
             pytest.skip(str(error))
@@ -46,7 +46,8 @@ def test_a_page_is_read_and_kept(tmp_path):
     assert 0 <= rows[0].silent_points <= 1
     assert len(kept.read_text().splitlines()) == 1
     assert [
-        json.dumps(each.errors) for each in rows_of(kept, "text:it", "paper", (1,), setting)
+        json.dumps(each.errors)
+        for each in rows_of(kept, "text:a quiet place indeed", "paper", (1,), setting)
     ] == [json.dumps(rows[0].errors)]
     assert len(list(table(rows))) == 1
 

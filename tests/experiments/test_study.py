@@ -10,11 +10,13 @@ from smarttouch.base.errors import ProfileError, SmartTouchError
 from smarttouch.experiments import study_run
 from smarttouch.experiments.study_plan import Grid, Study, from_csv, load_study, rows_of_finger
 from smarttouch.experiments.study_run import STUDY_NAMES, study_figure, study_sums, study_table
+from smarttouch.experiments.uncertainty import study_report
 from smarttouch.physiology.anatomy import load_anatomy
 from smarttouch.profile import load_profile
 
 from ..raising import raises
 
+PLANS = sorted(Path(__file__).parents[2].glob("examples/studies/[!_]*.toml"))
 SMALL = Study(
     title="small", profiles=("smarttouch-4x4",), anatomies=("paper",), fingers=3, letters="LT",
     modes=("RA", "SAI"), intensities=(0.5, 1.0),
@@ -88,6 +90,16 @@ def test_the_summary_is_by_choice(rows):
     assert {len(line) for line in lines} == {len(heading)}
     figure = study_figure(found, STUDY_NAMES, "small")
     assert len(figure.axes) == len(STUDY_NAMES)
+
+
+@pytest.mark.parametrize("plan", PLANS, ids=lambda each: each.stem)
+def test_the_plans_of_the_documentation_s_tables_run(tmp_path, plan):
+    study = load_study(plan)
+    few = {"kernels": ("node",), "anatomies": study.anatomies[:2], "fingers": 1, "letters": "T"}
+    short = study.model_copy(update=few | {"uncertain": min(study.uncertain, 2)})
+    rows = study_run.run_study(short, plan.parent, tmp_path)
+    assert {row.anatomy.partition("#")[0] for row in rows} == set(short.anatomies)
+    assert study_report(short, plan.parent, rows).lines
 
 
 def test_a_page_is_read_on_fingers(tmp_path):
