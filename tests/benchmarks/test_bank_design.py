@@ -2,14 +2,16 @@
 
 import time
 
+import joblib
 import numpy as np
 import pytest
 
 from smarttouch.base.afferent import Afferent
+from smarttouch.kernels.bank import design_bank, write_bank
 from smarttouch.kernels.batch_design import design_sites
 from smarttouch.kernels.design_problem import Problem
 from smarttouch.kernels.weighted_design import GIVEN_UP, design_kernel
-from smarttouch.profile import load_profile
+from smarttouch.profile import list_profiles, load_profile
 
 
 @pytest.fixture
@@ -99,3 +101,25 @@ def test_chosen_sites_of_a_large_array(row, quick, square):
                 },
             )
             assert np.abs(kernel.weights.sum()) < 1e-9
+
+
+@pytest.mark.timeout(0)
+def test_shipped_profiles_by_spacing(row, quick, changed, tmp_path):
+    for name in ["smarttouch-4x4"] if quick else list_profiles():
+        for spacing_mm in (0.5, 0.2, 0.1):
+            profile = changed(load_profile(name), {"skin.node_spacing_mm": spacing_mm})
+            start, path = time.process_time(), tmp_path / f"{name}-{spacing_mm:g}.npz"
+            with joblib.parallel_config("threading", n_jobs=1):
+                bank = design_bank(profile)
+            seconds = time.process_time() - start
+            write_bank(path, profile, bank)
+            row(
+                "Banks by the distance of places that kernels are designed at",
+                {
+                    "profile": name,
+                    "mm": f"{spacing_mm:g}",
+                    "processor time, s": f"{seconds:.1f}",
+                    "file, kB": f"{path.stat().st_size / 1000:.1f}",
+                },
+            )
+            assert path.stat().st_size < 200_000
