@@ -1,6 +1,6 @@
 """What conducts below the dermis: polarity and letters, from fat alone to no border at all.
 
-``python examples/studies/below_the_skin.py 10`` takes ten fingers of each anatomy, and prints
+``python examples/studies/below_the_skin.py 20`` takes twenty fingers of each anatomy, and prints
 medians with the middle 90 % of the fingers.
 """
 

@@ -40,7 +40,8 @@ def test_frequency_and_detection(row, quick, profile, bank, anatomy):
             found.append(first_felt_ma(finger, bank.kernels(mode)[MIDDLE]))
     for mode, found in ratios.items():
         weber = {
-            hz: spread([weber_fraction(sense, hz, ratio) for ratio in found]) for hz in STANDARDS_HZ
+            f"{hz} Hz": spread([weber_fraction(sense, hz, ratio) for ratio in found])
+            for hz in STANDARDS_HZ
         }
         limits[mode] = np.median([sense.believable_hz(ratio) for ratio in found])
         row(
@@ -53,7 +54,7 @@ def test_frequency_and_detection(row, quick, profile, bank, anatomy):
                 ),
                 "believed up to, Hz": f"{limits[mode]:.0f}",
             }
-            | {f"{hz} Hz": each for hz, each in weber.items()},
+            | weber,
         )
     for mode, found in delivered_ma.items():
         felt = np.array(found)[np.isfinite(found)]
