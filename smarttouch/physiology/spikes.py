@@ -40,18 +40,13 @@ class NodeDrives:
         blocks = -(-np.diff(starts, append=len(rows)) // _BLOCK)
         self._owner = np.repeat(np.arange(len(starts)), blocks)
         within = np.arange(len(self._owner)) - np.repeat(np.cumsum(blocks) - blocks, blocks)
-        self._begins = starts[self._owner] + _BLOCK * within
-        self._blocks = np.split(rows, self._begins[1:]) if len(self._begins) else []
-        self._rows = rows
+        begins = starts[self._owner] + _BLOCK * within
+        self._blocks = np.split(rows, begins[1:]) if len(begins) else []
 
     @cached_property
     def _bounds(self) -> Floats:
         """Largest and smallest drives of each block, (B, 2 E) 1/mA; letters do without."""
-        if not len(self._begins):
-            return np.hstack([self._rows, self._rows])
-        return np.hstack(
-            [each.reduceat(self._rows, self._begins) for each in (np.maximum, np.minimum)]
-        )
+        return np.array([np.r_[each.max(axis=0), each.min(axis=0)] for each in self._blocks])
 
     def highest(self, current_ma: Floats) -> Floats:
         """Return the largest drive of each afferent, (A, S), for currents (S, E) in mA."""

@@ -1,5 +1,6 @@
 """The paper's qualitative effects come out of simulated fingers that were not fitted to them."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from studies.finger_effects import (
     CLEAR_MA,
     against_all,
+    effects,
     fired,
     inner_sites,
     kernel_ma,
@@ -99,6 +101,22 @@ def test_an_anodic_disc_in_a_ring_fires_ra_alone():
     counts = reached(load_profile("concentric"), -CLEAR_MA, "paper", SEEDS)
     assert counts[Afferent.RA] > 0
     assert counts[Afferent.SAI] == counts[Afferent.PC] == 0
+
+
+def test_the_table_counts_what_each_mode_fires(mouse):
+    found = {effect: shown for effect, _, shown in effects("paper", SEEDS[:2])}
+    assert len(found) == 11
+    for mode in Afferent:
+        (shown,) = (
+            each for effect, each in found.items() if effect.startswith(f"{mode.name} mode, 2")
+        )
+        counts = dict(re.findall(r"(RA|SAI|PC) ([\d.]+)", shown))
+        current_ma = CLEAR_MA * kernel_ma(mouse.profile, mouse.bank, mode)[mouse.sites]
+        every = [
+            np.bincount(one.classes, fired(one, current_ma).sum(axis=1), 3) / len(mouse.sites)
+            for one in mouse.fingers[:2]
+        ]
+        assert {each.name: f"{np.mean(every, axis=0)[each]:.1f}" for each in Afferent} == counts
 
 
 def test_far_points_are_distinguished_and_one_is_not(mouse):

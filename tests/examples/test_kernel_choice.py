@@ -31,6 +31,9 @@ def test_the_best_level_is_found_and_what_moves_is_lost():
     assert share.alone == [0.5, 0.5]
     assert share.moved == [0.0, 0.0]
     assert share.silent == [0.0, 0.0]
+    # A tenth less than the lowest such level, and nothing is left.
+    assert share.off == [0.0, 0.0]
+    assert share.layers == [0.5, 0.5]
     assert share.least == 0
     lines = list(choice_rows({"paper": [(still, moved, still)]}, {"nodes": {RA: np.zeros((2, 2))}}))
     assert len(lines) == 3
