@@ -185,7 +185,7 @@ def test_measuring_without_a_finger_is_reported(program_here, start_emulator):
 def test_a_walk_through_the_electrodes(program_here, kit):
     url, books = kit
     done = program_here(
-        f"devices test {url} --force fixed:1 --seconds 0.08 --current-ma 0.3"
+        f"devices test {url} --force fixed:1 --seconds 0.15 --current-ma 0.3"
     ).fine()
     assert "32 of 32 electrodes" in done.stdout
     state = state_of(books)
