@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import select
 import signal
 import stat
@@ -21,6 +22,7 @@ from smarttouch.base.stopping import RunStopped
 
 ENDED_WITHIN_S = 3.0  # of being asked by `stop_all`
 _STOP, _WAKE = b"\0", b"\1"  # bytes on the pipe: a request to stop, and the process's own end
+_NAME = re.compile(r"[0-9]+-[0-9]+\.run")
 _TOTAL_BYTES = 12
 _MARK = "stopped"
 _MARK_BYTES = 200
@@ -40,12 +42,13 @@ class Announcement:
 
     def __init__(self, on_request: Callable[[], None] | None = None) -> None:
         self._withdrawn, self._lock = False, threading.Lock()
-        self._path = _folder() / f"{os.getpid()}.run"
+        # A name of its own each time: whoever removes the file of a run that has ended must not
+        # remove that of the next one.
+        self._path = _folder() / f"{os.getpid()}-{now_ns()}.run"
         self._pipe = None if on_request is None else self._path.with_suffix(".stop")
         try:
             if self._pipe is not None:
                 # First: a process that finds the file must find the pipe.
-                self._pipe.unlink(missing_ok=True)
                 os.mkfifo(self._pipe, 0o600)
                 # For writing too: it never reaches its end, and `withdraw` can wake its reader.
                 flags = os.O_RDWR | O_NONBLOCK | O_NOFOLLOW | O_CLOEXEC
@@ -77,7 +80,7 @@ class Announcement:
 
     def others_ua(self) -> int:
         """Return the sum of what all other processes have declared, µA."""
-        return sum(total for process, total in _held().items() if process != os.getpid())
+        return sum(total for path, total in _held().items() if _process(path) != os.getpid())
 
     def withdraw(self) -> None:
         """Remove the file and the pipe."""
@@ -110,15 +113,19 @@ class Announcement:
 def running() -> list[int]:
     """Return the process ids of all runs; remove files of runs that were killed, and ignore other
     files."""
-    return list(_held())
+    return [_process(path) for path in _held()]
 
 
-def _held() -> dict[int, int]:
-    """Return the current that each announced process has declared, µA."""
+def _process(path: Path) -> int:
+    """Return the id of the process that a file announces."""
+    return int(path.name.partition("-")[0])
+
+
+def _held() -> dict[Path, int]:
+    """Return the files of announced processes, with the current that each has declared, µA."""
     found = {}
     for path in _listed():
-        process, dot, ending = path.name.partition(".")
-        if not (process.isascii() and process.isdigit() and dot + ending == ".run"):
+        if not _NAME.fullmatch(path.name):
             continue
         with _regular(path) as number:
             if number is None:
@@ -128,7 +135,7 @@ def _held() -> dict[int, int]:
                 fcntl.flock(number, fcntl.LOCK_SH | fcntl.LOCK_NB)
             except BlockingIOError:
                 declared = os.pread(number, _TOTAL_BYTES, 0).strip()
-                found[int(process)] = int(declared) if declared.isdigit() else 0
+                found[path] = int(declared) if declared.isdigit() else 0
             else:
                 for each in (path, path.with_suffix(".stop")):
                     with contextlib.suppress(OSError):
@@ -145,9 +152,9 @@ def stop_all() -> int:
         leave_mark()
     except SmartTouchError as error:
         no_mark = error
-    asked = running()
-    for process in asked:
-        _ask_to_stop(process)
+    asked = _held()
+    for path in asked:
+        _ask_to_stop(path)
     deadline = time.monotonic() + ENDED_WITHIN_S
     while (left := running()) and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -164,11 +171,11 @@ def stop_all() -> int:
     return len(asked)
 
 
-def _ask_to_stop(process: int) -> None:
-    """Ask a process to stop: on its pipe, or by a signal where it has none."""
+def _ask_to_stop(path: Path) -> None:
+    """Ask an announced process to stop: on its pipe, or by a signal where it has none."""
     try:
         flags = os.O_WRONLY | O_NONBLOCK | O_NOFOLLOW | O_CLOEXEC
-        number = os.open(_folder() / f"{process}.stop", flags)
+        number = os.open(path.with_suffix(".stop"), flags)
     except OSError:
         number = -1
     try:
@@ -178,7 +185,7 @@ def _ask_to_stop(process: int) -> None:
                 os.write(number, _STOP)
         else:
             with contextlib.suppress(ProcessLookupError):
-                os.kill(process, signal.SIGTERM)
+                os.kill(_process(path), signal.SIGTERM)
     finally:
         if number >= 0:
             os.close(number)

@@ -1,5 +1,7 @@
 """Runs are found by who wants to stop them, whatever lies beside them."""
 
+import errno
+import fcntl
 import os
 import signal
 import time
@@ -10,7 +12,13 @@ from smarttouch.base.clock import now_ns
 from smarttouch.base.errors import SmartTouchError
 from smarttouch.base.stopping import RunStopped
 from smarttouch.boards import announced as module
-from smarttouch.boards.announced import leave_mark, refuse_if_stopped, running, started_ns
+from smarttouch.boards.announced import (
+    Announcement,
+    leave_mark,
+    refuse_if_stopped,
+    running,
+    started_ns,
+)
 from smarttouch.boards.stoppable import announced
 
 from ..raising import raises
@@ -37,19 +45,20 @@ def litter(folder):
     """Leave whatever may lie there; return what must still be there."""
     (folder / "notes.txt").write_text("stray")
     (folder / "abc.run").write_text("no number")
-    (folder / "-1.run").write_text("no number")
-    (folder / "٣.run").write_text("a number of other digits")
-    (folder / "12.run.old").write_text("")
-    (folder / "13.run").mkdir()
-    os.mkfifo(folder / "14.run")
-    (folder / "15.run").symlink_to(folder / "14.run")
-    (folder / "16.run").symlink_to(folder / "nowhere")
-    (folder / "17.run").write_text("unreadable")
-    (folder / "17.run").chmod(0)
-    (folder / "18.run").symlink_to("/dev/zero")
+    (folder / "-1.run").write_text("no process")
+    (folder / "11.run").write_text("no time")
+    (folder / "٣-1.run").write_text("a number of other digits")
+    (folder / "12-1.run.old").write_text("")
+    (folder / "13-1.run").mkdir()
+    os.mkfifo(folder / "14-1.run")
+    (folder / "15-1.run").symlink_to(folder / "14-1.run")
+    (folder / "16-1.run").symlink_to(folder / "nowhere")
+    (folder / "17-1.run").write_text("unreadable")
+    (folder / "17-1.run").chmod(0)
+    (folder / "18-1.run").symlink_to("/dev/zero")
     os.mkfifo(folder / ".new")
     # Of a run that was killed, or readable all the same: nobody holds it.
-    return {each.name for each in folder.iterdir()} - {"17.run"}
+    return {each.name for each in folder.iterdir()} - {"17-1.run"}
 
 
 def test_whatever_lies_beside_them_is_passed_over(folder):
@@ -57,34 +66,40 @@ def test_whatever_lies_beside_them_is_passed_over(folder):
     with announced():
         assert running() == [os.getpid()]
         leave_mark()
-    assert {each.name for each in folder.iterdir()} - {"17.run"} == left | {"stopped"}
+    assert {each.name for each in folder.iterdir()} - {"17-1.run"} == left | {"stopped"}
 
 
 def test_files_of_runs_that_were_killed_are_removed(folder):
-    (folder / "4194305.run").write_text("")
+    (folder / "4194305-1.run").write_text("")
     assert running() == []
     assert list(folder.iterdir()) == []
 
 
-def test_what_stands_in_the_way_of_the_announcement_is_named(folder):
-    path = folder / f"{os.getpid()}.run"
-    path.mkdir()
-    with raises(SmartTouchError, about="file", value=path), announced():
-        pass
-    assert [each.name for each in folder.iterdir()] == [f"{os.getpid()}.run"]
+def test_removing_the_file_of_a_run_that_ended_leaves_the_next_of_that_process(monkeypatch):
+    before, after = Announcement(), []
+
+    def end_and_begin(number, how):
+        if how & fcntl.LOCK_SH and not after:
+            before.withdraw()
+            after.append(None)
+            after[0] = Announcement()
+        flock(number, how)
+
+    flock = fcntl.flock
+    monkeypatch.setattr(module.fcntl, "flock", end_and_begin)
+    running()
+    assert running() == [os.getpid()]
+    after[0].withdraw()
 
 
-@pytest.mark.parametrize("kind", ["fifo", "link", "file"])
-def test_an_announcement_replaces_what_has_its_name(folder, kind):
-    path = folder / f"{os.getpid()}.run"
-    if kind == "fifo":
-        os.mkfifo(path)
-    elif kind == "link":
-        path.symlink_to("/dev/null")
-    else:
-        path.write_text("left behind")
-    with announced():
-        assert running() == [os.getpid()]
+def test_a_run_that_cannot_be_announced_does_not_begin(folder, monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "no space left", str(folder / "1.stop"))
+
+    monkeypatch.setattr(os, "mkfifo", full)
+    with raises(SmartTouchError, about="file", value=folder / "1.stop"):
+        Announcement(lambda: None)
+    assert list(folder.iterdir()) == []
 
 
 def test_a_process_older_than_the_mark_does_not_begin(folder):
