@@ -112,6 +112,7 @@ ASKED = ("run", "record", "note")  # requests beside those of keys
 MOST_PAGES = 16
 MOST_HZ = 60
 MOST_MESSAGES_PER_S = 400  # limit for one page; one that sends more loses its connection
+_AT_ZERO = ("none", "pause")  # requests of `Steering` after which no current flows
 _BEAT_S = 0.2  # longest time without a message to a page: its answer shows that it is alive
 _INFORMED_WITHIN_S = 0.5
 
@@ -283,7 +284,9 @@ class Pages:
             # It may wait for the source's line, which must not block a stop.
             await asyncio.to_thread(steering.act, page.number, rest)
         elif verb == "do":
-            steering.act(page.number, rest)
+            if not steering.act(page.number, rest) and rest in _AT_ZERO:
+                # It may not have seen yet that another page steers: from here the run only stops.
+                await self._stop()
         elif verb in ASKED:
             # It may look for the driver of a board, open a file, or end the run that is on.
             await asyncio.to_thread(self._state.ask, page.number, verb, rest)

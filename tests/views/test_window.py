@@ -305,6 +305,17 @@ def update_where(socket, holds):
             return update
 
 
+@pytest.mark.parametrize("asked", ["pause", "none"])
+def test_what_asks_for_no_current_stops_where_another_page_steers(running, asked):
+    with running() as run, connect(run) as socket, connect(run) as other:
+        socket.send("do less")
+        update_where(socket, lambda each: each["state"]["steers"] == "you")
+        for ignored in ("less", "resume", asked):
+            assert run.thread.is_alive()
+            other.send(f"do {ignored}")
+        assert run.ended() == "the window"
+
+
 def test_a_page_records_and_marks(running, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with running() as run, connect(run) as socket, connect(run) as other:
