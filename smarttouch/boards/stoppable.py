@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Protocol
-from weakref import WeakKeyDictionary
 
 from smarttouch.base.errors import BoardError, BoardStoppedError, SmartTouchError
 from smarttouch.base.posix import fcntl, set_nonblocking
@@ -30,6 +29,7 @@ class _Stoppable(Protocol):
     """Interface of boards to this module."""
 
     _halted: bool
+    _opened: bool
     _stopped: threading.Event
 
     @property
@@ -56,7 +56,8 @@ class _Program:
     def __init__(self) -> None:
         self._changed = threading.Condition(threading.RLock())
         self._announcement: Announcement | None = None
-        self._boards: WeakKeyDictionary[_Stoppable, int] = WeakKeyDictionary()
+        # Also those that nothing else refers to any more: they may go on.
+        self._boards: dict[_Stoppable, int] = {}
         self._runs: list[StopRequest] = []
         self._commands = 0
         self._ended = ""
@@ -101,6 +102,11 @@ class _Program:
     def enter_board(self, board: _Stoppable) -> None:
         _require_posix()
         with self._changed:
+            if board in self._boards:
+                # The thread that fails would withdraw the board that the other has open.
+                raise BoardError(
+                    "another thread opens or closes the board: try again", about="board"
+                )
             self._boards[board] = board.budget_ua
             try:
                 self._announce()
@@ -150,7 +156,8 @@ class _Program:
     def leave_to_parent(self) -> None:
         """In a forked process, release the boards, which are the parent's."""
         for board in self._boards:
-            board._halted = True
+            # Not open here: closing one must not write to its line.
+            board._opened, board._halted = False, True
             board._stopped.set()
         if self._announcement is not None:
             self._announcement.close_inherited()

@@ -1,9 +1,11 @@
 """Boards that a finger may be on are announced by their opening, and share one budget."""
 
 import contextlib
+import gc
 import os
 import signal
 import stat
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -106,6 +108,73 @@ def test_one_that_no_finger_can_be_on_is_not(url, profile):
     limits = SafetyLimits.of(profile)
     with make_board(url, limits, profile.output):
         assert running() == []
+
+
+def test_a_board_that_two_threads_open_at_once_is_announced_and_opened_once(monkeypatch):
+    within, goes_on = threading.Event(), threading.Event()
+
+    def slow(board):
+        if within.is_set():
+            raise BoardError("as of a port that is in use", about="port")
+        board.opened += 1
+        within.set()
+        assert goes_on.wait(PATIENCE_S)
+
+    monkeypatch.setattr(Plain, "_open", slow)
+    board = Plain()
+    opening = threading.Thread(target=board.open, daemon=True)
+    opening.start()
+    assert within.wait(PATIENCE_S)
+    with raises(BoardError, about="board"):
+        board.open()
+    assert running() == [os.getpid()]
+    goes_on.set()
+    opening.join(PATIENCE_S)
+    assert (board.opened, running()) == (1, [os.getpid()])
+    board.close()
+
+
+def test_a_board_that_one_thread_closes_while_another_opens_it_is_announced(monkeypatch):
+    within, goes_on = threading.Event(), threading.Event()
+
+    def slow(_):
+        within.set()
+        assert goes_on.wait(PATIENCE_S)
+
+    monkeypatch.setattr(Plain, "_close", slow)
+    board = Plain()
+    board.open()
+    closing = threading.Thread(target=board.close, daemon=True)
+    closing.start()
+    assert within.wait(PATIENCE_S)
+    with contextlib.suppress(BoardError):
+        board.open()
+    goes_on.set()
+    closing.join(PATIENCE_S)
+    assert running() == [os.getpid()] * board._opened
+    board.close()
+
+
+def test_a_board_that_its_program_has_forgotten_is_counted_and_stopped():
+    """A driver without a thread, whose board goes on: nothing else refers to it."""
+
+    def work(say):
+        def stop(_):
+            os.write(stopped, b".")
+
+        Plain._stop = stop
+        Plain().open()
+        gc.collect()
+        assert sum(stoppable._program._boards.values()) == 1000 * CEILING_TOTAL_MA
+        say()
+        time.sleep(PATIENCE_S)
+
+    told, stopped = os.pipe()
+    with in_child(work):
+        assert stop_all() == 1
+        os.close(stopped)
+        assert os.read(told, 1) == b"."
+    os.close(told)
 
 
 @pytest.mark.parametrize("fails", ["open", "stopped"])
@@ -231,6 +300,19 @@ def test_a_forked_process_does_not_drive_the_boards_of_its_parent():
             assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
         assert running() == [os.getpid()]
         assert not board._stopped.is_set()
+
+
+def test_a_forked_process_that_closes_the_boards_of_its_parent_writes_nothing(monkeypatch):
+    told, writes = os.pipe()
+    monkeypatch.setattr(Plain, "_stop", lambda _: os.write(writes, b"."))
+    with Plain() as board:
+        with in_child(lambda say: (board.close(), say())) as child:
+            assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+        os.set_blocking(told, False)
+        with pytest.raises(BlockingIOError):
+            os.read(told, 1)
+    os.close(told)
+    os.close(writes)
 
 
 def test_handlers_of_signals_are_there_while_a_board_is_open():
