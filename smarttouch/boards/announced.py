@@ -215,15 +215,15 @@ def leave_mark() -> int:
 
 
 def refuse_if_stopped() -> None:
-    """Raise RunStopped if ``smarttouch stop`` came after this process was started."""
+    """Raise RunStopped if ``smarttouch stop`` came after this program was started."""
     if stopped_since_start():
         raise RunStopped(signal.SIGTERM, "smarttouch stop")
 
 
 def stopped_since_start() -> bool:
-    """Return whether ``smarttouch stop`` came after this process was started."""
+    """Return whether ``smarttouch stop`` came after this program was started."""
     mark_ns = _mark_ns()
-    return mark_ns is not None and started_ns() < mark_ns <= now_ns()
+    return mark_ns is not None and _begun_ns < mark_ns <= now_ns()
 
 
 def started_ns() -> int:
@@ -233,6 +233,9 @@ def started_ns() -> int:
         return int(fields[_STARTED]) * 1_000_000_000 // os.sysconf("SC_CLK_TCK")
     except (OSError, ValueError, IndexError):
         return _IMPORTED_NS
+
+
+_begun_ns = started_ns()  # of the program: what it forks after a stop is stopped as it is
 
 
 def _mark_ns() -> int | None:

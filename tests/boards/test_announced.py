@@ -4,6 +4,8 @@ import errno
 import fcntl
 import os
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
@@ -113,7 +115,21 @@ def test_a_process_older_than_the_mark_does_not_begin(folder):
 def test_a_process_younger_than_the_mark_begins(folder):
     leave_mark()
     time.sleep(0.03)
-    with in_child(lambda say: refuse_if_stopped() or say()) as child:
+    code = "from smarttouch.boards.announced import refuse_if_stopped; refuse_if_stopped()"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_what_a_program_older_than_the_mark_forks_does_not_begin(folder):
+    """As a worker of an experiment that was between two of them when it was stopped."""
+    leave_mark()
+    time.sleep(0.03)
+
+    def begin(say):
+        with pytest.raises(RunStopped):
+            refuse_if_stopped()
+        say()
+
+    with in_child(begin) as child:
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
