@@ -80,7 +80,7 @@ class Announcement:
 
     def others_ua(self) -> int:
         """Return the sum of what all other processes have declared, µA."""
-        return sum(total for path, total in _held().items() if _process(path) != os.getpid())
+        return sum(total for path, total in _held().items() if path != self._path)
 
     def withdraw(self) -> None:
         """Remove the file and the pipe."""
@@ -183,7 +183,8 @@ def _ask_to_stop(path: Path) -> None:
             # A full pipe holds enough requests.
             with contextlib.suppress(BlockingIOError, BrokenPipeError):
                 os.write(number, _STOP)
-        else:
+        elif path.exists():
+            # The pipe is withdrawn after the file: this one has none.
             with contextlib.suppress(ProcessLookupError):
                 os.kill(_process(path), signal.SIGTERM)
     finally:

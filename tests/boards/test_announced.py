@@ -94,6 +94,28 @@ def test_removing_the_file_of_a_run_that_ended_leaves_the_next_of_that_process(m
     after[0].withdraw()
 
 
+def test_who_has_ended_since_it_was_found_gets_no_signal(monkeypatch):
+    """It may be another program by now, or do what must not be cut short."""
+    signals, ask = [], module._ask_to_stop
+    monkeypatch.setattr(module.os, "kill", lambda *told: signals.append(told))
+    announcement = Announcement(lambda: None)
+    monkeypatch.setattr(module, "_ask_to_stop", lambda path: (announcement.withdraw(), ask(path)))
+    assert module.stop_all() == 1
+    assert signals == []
+
+
+def test_a_process_of_the_same_number_is_another(folder):
+    """As in another container that shares the folder."""
+    announcement = Announcement(lambda: None)
+    announcement.declare(5000)
+    with (folder / f"{os.getpid()}-1.run").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        file.write("7000")
+        file.flush()
+        assert announcement.others_ua() == 7000
+    announcement.withdraw()
+
+
 def test_a_run_that_cannot_be_announced_does_not_begin(folder, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "no space left", str(folder / "1.stop"))
