@@ -166,8 +166,9 @@ class _Program:
         if self._announcement is None and not self._ended and fcntl is not None:
             asked = None if self._commands else lambda: self.end("smarttouch stop")
             self._announcement = Announcement(asked)
-            if not self._commands:
-                _signals.install()
+        if self._announcement is not None and not self._commands:
+            # Again each time: only the main thread can.
+            _signals.install()
 
     def _withdraw_if_idle(self) -> None:
         if not (self._boards or self._runs or self._commands):

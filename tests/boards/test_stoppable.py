@@ -332,6 +332,24 @@ def test_handlers_of_signals_are_there_while_a_board_is_open():
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
+def test_they_are_there_for_the_main_thread_also_where_another_has_one_open():
+    def work(say):
+        opening = threading.Thread(target=Plain().open)
+        opening.start()
+        opening.join()
+        with Plain() as board:
+            say()
+            try:
+                time.sleep(PATIENCE_S)
+            finally:
+                until(lambda: board._halted)
+
+    with in_child(_ending(work)) as child:
+        os.kill(child, signal.SIGTERM)
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert code == 128 + signal.SIGTERM
+
+
 @pytest.mark.parametrize("loop_starts", [None, "before", "after"])
 def test_a_signal_ends_a_process_whatever_its_event_loop_does(loop_starts):
     def start_loop():
