@@ -24,6 +24,7 @@ ENDED_WITHIN_S = 3.0  # of being asked by `stop_all`
 _STOP, _WAKE = b"\0", b"\1"  # bytes on the pipe: a request to stop, and the process's own end
 _NAME = re.compile(r"[0-9]+-[0-9]+\.run")
 _TOTAL_BYTES = 12
+_LOST = b"lost"  # behind the total
 _MARK = "stopped"
 _MARK_BYTES = 200
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
@@ -77,6 +78,10 @@ class Announcement:
     def declare(self, total_ua: int) -> None:
         """State the largest total current of all boards that this process has open, µA."""
         os.pwrite(self._number, f"{total_ua:<{_TOTAL_BYTES}}".encode("ascii"), 0)
+
+    def report_lost(self) -> None:
+        """State that a board was closed that has not confirmed zero, for who stops this process."""
+        os.pwrite(self._number, _LOST, _TOTAL_BYTES)
 
     def others_ua(self) -> int:
         """Return the sum of what all other processes have declared, µA."""
@@ -153,15 +158,29 @@ def stop_all() -> int:
     except SmartTouchError as error:
         no_mark = error
     asked = _held()
-    for path in asked:
-        _ask_to_stop(path)
-    deadline = time.monotonic() + ENDED_WITHIN_S
-    while (left := running()) and time.monotonic() < deadline:
-        time.sleep(0.02)
+    with contextlib.ExitStack() as stack:
+        # Open, they can be read when they are withdrawn.
+        files = {path: stack.enter_context(_regular(path)) for path in asked}
+        for path in asked:
+            _ask_to_stop(path)
+        deadline = time.monotonic() + ENDED_WITHIN_S
+        while (left := running()) and time.monotonic() < deadline:
+            time.sleep(0.02)
+        lost = [
+            _process(path)
+            for path, number in files.items()
+            if number is not None and os.pread(number, len(_LOST), _TOTAL_BYTES) == _LOST
+        ]
     if left:
         raise SmartTouchError(
             f"{len(left)} of {len(asked)} runs have not ended within {ENDED_WITHIN_S:g} s (process "
             f"{left[0]}): switch the board off",
+            about="runs",
+        )
+    if lost:
+        raise SmartTouchError(
+            f"a board has not confirmed that it is at zero (of process {lost[0]}, which has "
+            "ended): switch it off",
             about="runs",
         )
     if no_mark is not None:

@@ -397,7 +397,7 @@ class Board(TimedBoard, ABC):
                 try:
                     self._close()
                 finally:
-                    leave(self)
+                    leave(self, at_zero=self._zeroed)
             if self._fault_found is not None:
                 raise self._fault_found
 

@@ -117,9 +117,11 @@ class _Program:
                 self.leave_board(board)
                 raise
 
-    def leave_board(self, board: _Stoppable) -> None:
+    def leave_board(self, board: _Stoppable, at_zero: bool = True) -> None:
         with self._changed:
             if self._boards.pop(board, None) is not None:
+                if self._announcement is not None and not at_zero:
+                    self._announcement.report_lost()
                 self._declare()
                 self._withdraw_if_idle()
 
@@ -315,9 +317,9 @@ def enter(board: _Stoppable) -> None:
         _program.enter_board(board)
 
 
-def leave(board: _Stoppable) -> None:
-    """Withdraw a board that is closed."""
-    _program.leave_board(board)
+def leave(board: _Stoppable, at_zero: bool = True) -> None:
+    """Withdraw a board that is closed; a stop reports one that has not confirmed zero."""
+    _program.leave_board(board, at_zero)
 
 
 @contextmanager

@@ -277,6 +277,24 @@ def test_stopping_a_board_that_confirms_no_zero_is_an_error():
         stop_all()
 
 
+def test_that_it_has_not_is_told_also_where_its_program_closes_it_and_ends():
+    class Deaf(Plain):
+        def _stop(self):
+            raise LineLostError("lost", about="board")
+
+    def work(say):
+        board = Deaf()
+        board.open()
+        say()
+        until(lambda: board._halted)
+        with pytest.raises(LineLostError):
+            board.close()
+
+    unconfirmed = {"about": "runs"}
+    with in_child(work) as child, raises(SmartTouchError, **unconfirmed, value=(child,)):
+        stop_all()
+
+
 def test_a_stop_is_for_good_in_a_process_that_goes_on():
     def work(say):
         board = Plain()
