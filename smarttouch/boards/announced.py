@@ -26,6 +26,7 @@ _NAME = re.compile(r"[0-9]+-[0-9]+\.run")
 _TOTAL_BYTES = 12
 _LOST = b"lost"  # behind the total
 _MARK = "stopped"
+_MARK_NAME = re.compile(rf"{_MARK}-[0-9]{{1,20}}")
 _MARK_BYTES = 200
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _OWN_STAT = Path("/proc/self/stat")
@@ -215,10 +216,11 @@ def leave_mark() -> int:
     """Keep all processes that have started by now from beginning current; return the time, ns."""
     time_ns = now_ns()
     try:
-        mark = _folder() / _MARK
+        # A file of its own: of two stops at once, the older could replace the newer one's.
+        mark = _folder() / f"{_MARK}-{time_ns}"
         number, hidden = _new_file()
         with os.fdopen(number, "w") as file:
-            file.write(f"{_boot()} {time_ns}")
+            file.write(_boot())
         try:
             hidden.replace(mark)
         except OSError:
@@ -231,6 +233,10 @@ def leave_mark() -> int:
             f"{error.strerror}; move what is there out of the way and stop again",
             about="file",
         ) from None
+    for path, earlier_ns in _marks().items():
+        if earlier_ns < time_ns:
+            with contextlib.suppress(OSError):
+                path.unlink()
     return time_ns
 
 
@@ -242,8 +248,7 @@ def refuse_if_stopped() -> None:
 
 def stopped_since_start() -> bool:
     """Return whether ``smarttouch stop`` came after this program was started."""
-    mark_ns = _mark_ns()
-    return mark_ns is not None and _begun_ns < mark_ns <= now_ns()
+    return _begun_ns < max(_marks().values(), default=-1)
 
 
 def started_ns() -> int:
@@ -258,15 +263,17 @@ def started_ns() -> int:
 _begun_ns = started_ns()  # of the program: what it forks after a stop is stopped as it is
 
 
-def _mark_ns() -> int | None:
-    """Return the time of the last stop since the machine booted; None if there was none."""
-    with _regular(_folder() / _MARK) as number:
-        if number is None:
-            return None
-        words = os.read(number, _MARK_BYTES).decode("ascii", "replace").split()
-    if len(words) != 2 or words[0] != _boot() or not words[1].isdecimal():
-        return None
-    return int(words[1])
+def _marks() -> dict[Path, int]:
+    """Return the marks of all stops with their times, ns; −1 for what is none since the machine
+    booted."""
+    found, boot = {}, _boot().encode()
+    for path in _listed():
+        if _MARK_NAME.fullmatch(path.name):
+            with _regular(path) as number:
+                counts = number is not None and os.read(number, _MARK_BYTES) == boot
+            time_ns = int(path.name.rpartition("-")[2])
+            found[path] = time_ns if counts and time_ns <= now_ns() else -1
+    return found
 
 
 def _boot() -> str:
