@@ -136,7 +136,11 @@ class Board(TimedBoard, ABC):
         try:
             self._open_announced()
         except BaseException:
-            leave(self)
+            # Ctrl-C may come when it is open already; and only whoever closes it withdraws it.
+            if self._opened:
+                self.close()
+            else:
+                leave(self)
             raise
 
     @final
@@ -151,15 +155,12 @@ class Board(TimedBoard, ABC):
         self._opened = True
         self._require_seal()
         if not isinstance(getattr(self, "capabilities", None), Capabilities):
-            self.close()
             raise BoardError(
                 f"{type(self).__name__} does not set capabilities: do so in __init__, or at the "
                 "latest in _open",
                 about="capabilities",
             )
-        if self._stopped.is_set():
-            self.close()
-            self._go_on_unless_stopped()
+        self._go_on_unless_stopped()
 
     def __repr__(self) -> str:
         electrodes, state = self._gate.limits.electrodes, "open" if self._opened else "closed"

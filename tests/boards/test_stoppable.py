@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from smarttouch.base.errors import BoardError, BoardStoppedError, LineLostError, SmartTouchError
+from smarttouch.boards import board as module
 from smarttouch.boards import stoppable
 from smarttouch.boards.announced import running, stop_all
 from smarttouch.boards.board import Board
@@ -175,6 +176,23 @@ def test_a_board_that_its_program_has_forgotten_is_counted_and_stopped():
         os.close(stopped)
         assert os.read(told, 1) == b"."
     os.close(told)
+
+
+def test_a_board_that_is_interrupted_when_it_is_open_is_closed(monkeypatch):
+    """As by Ctrl-C: it would be open, could drive, and be announced no more."""
+    looks, look = [], module.seal_fault
+
+    def interrupted(board):
+        looks.append(board._opened)
+        if board._opened and looks.count(True) == 1:
+            raise KeyboardInterrupt
+        return look(board)
+
+    monkeypatch.setattr(module, "seal_fault", interrupted)
+    board = Plain()
+    with pytest.raises(KeyboardInterrupt):
+        board.open()
+    assert (board._opened, running()) == (False, [])
 
 
 @pytest.mark.parametrize("fails", ["open", "stopped"])
