@@ -3,7 +3,6 @@
 import contextlib
 import os
 import re
-import select
 import signal
 import stat
 import tempfile
@@ -53,7 +52,7 @@ class Announcement:
                 # First: a process that finds the file must find the pipe.
                 os.mkfifo(self._pipe, 0o600)
                 # For writing too: it never reaches its end, and `withdraw` can wake its reader.
-                flags = os.O_RDWR | O_NONBLOCK | O_NOFOLLOW | O_CLOEXEC
+                flags = os.O_RDWR | O_NOFOLLOW | O_CLOEXEC
                 self._requests = os.open(self._pipe, flags)
             self._number, hidden = _new_file()
             try:
@@ -106,7 +105,6 @@ class Announcement:
 
     def _wait(self, on_request: Callable[[], None]) -> None:
         while True:
-            select.select([self._requests], [], [])
             asked = _STOP in os.read(self._requests, 64)
             with self._lock:
                 if self._withdrawn:

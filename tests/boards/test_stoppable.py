@@ -3,6 +3,7 @@
 import contextlib
 import gc
 import os
+import resource
 import signal
 import stat
 import threading
@@ -26,6 +27,7 @@ from ..raising import raises
 from .fresh import until
 
 PATIENCE_S = 20
+FILES = 1024  # as many as `select` knows
 LIMITS = SafetyLimits(
     electrodes=4, current_ma=2.0, pulse_us=200.0, charge_uc=0.4, rate_hz=50.0, duty=0.5,
     ramp_s=1.0, full_ma=2.0,
@@ -293,6 +295,22 @@ def test_stopping_a_board_that_confirms_no_zero_is_an_error():
     late = {"about": "runs"}
     with in_child(work) as child, raises(SmartTouchError, **late, value=(child,)):
         stop_all()
+
+
+def test_a_program_with_many_open_files_is_stopped():
+    def work(say):
+        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+        files = [os.open("/dev/null", os.O_RDONLY) for _ in range(FILES)]
+        with Plain() as board:
+            say()
+            until(lambda: board._halted)
+        for each in files:
+            os.close(each)
+
+    with in_child(work) as child:
+        assert stop_all() == 1
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
 def test_that_it_has_not_is_told_also_where_its_program_closes_it_and_ends():
