@@ -273,6 +273,13 @@ class StreamedBoard(Board):
             self._fail(error)
         except LINE_ERRORS as error:
             self._fail(self._lost(f"has vanished ({reason(error)})"))
+        except Exception as error:
+            # Its pattern would be shown on, and heartbeats sent, with nobody to end it.
+            fault = BoardError(f"the driver {self.kind} has failed ({error!r})", about="board")
+            fault.__cause__ = error
+            self._fail(fault)
+            with contextlib.suppress(BoardError), self._line:
+                self._zero()
 
     def _take(self, until_s: float | None = None) -> Job | None:
         """Return the newest sequence, or None at a time or when closing."""
