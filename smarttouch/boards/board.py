@@ -375,16 +375,20 @@ class Board(TimedBoard, ABC):
     @final
     def stop(self) -> None:
         """Put all electrodes at zero now, from any thread; nothing is sent or measured after."""
-        self._bar()
-        self._stop()
+        try:
+            self._bar()
+        finally:
+            self._stop()
         self._zeroed = True
 
     @final
     def halt(self) -> None:
         """Stop for good, from any thread; a board that is being opened fails to open."""
         self._halted = True
-        self._bar()
-        self._halt()
+        try:
+            self._bar()
+        finally:
+            self._halt()
         self._zeroed = True
 
     @final

@@ -297,6 +297,19 @@ def test_stopping_a_board_that_confirms_no_zero_is_an_error():
         stop_all()
 
 
+@pytest.mark.parametrize("how", ["stop", "halt", "close"])
+def test_a_stop_that_is_interrupted_while_it_waits_still_ends_in_zero(monkeypatch, how):
+    """As by a second Ctrl-C; a write under way is waited for."""
+    zeros = []
+    monkeypatch.setattr(Plain, "_stop", lambda _: zeros.append(how))
+    with Plain() as board:
+        with monkeypatch.context() as interrupted:
+            interrupted.setattr(Plain, "_interrupt", lambda _: signal.raise_signal(signal.SIGINT))
+            with pytest.raises(KeyboardInterrupt):
+                getattr(board, how)()
+        assert zeros == [how]
+
+
 def test_a_program_with_many_open_files_is_stopped():
     def work(say):
         _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
