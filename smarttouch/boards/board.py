@@ -15,6 +15,7 @@ from smarttouch.base.errors import (
     BoardError,
     BoardFaultError,
     BoardRestartedError,
+    BoardStoppedError,
     LineLostError,
     SequenceLateError,
     require_made,
@@ -111,6 +112,7 @@ class Board(TimedBoard, ABC):
             self.capabilities = Capabilities(**(known | capabilities))
         self._gate = make_gate(self, limits.on(output), self._time())
         self._opened = False
+        self._openings = 0
 
     @final
     def open(self) -> None:
@@ -146,6 +148,7 @@ class Board(TimedBoard, ABC):
     @final
     def _open_announced(self) -> None:
         # A new run starts from zero intensity, and its time may start again.
+        self._openings += 1
         self._gate.begin_session()
         self._begin_unless_halted()
         if self._stopped.wait(self._gate.net_rest_ns() / 1e9):
@@ -198,7 +201,7 @@ class Board(TimedBoard, ABC):
         BoardError
             If the board is closed, of another size, or gone.
         """
-        now_ns = self._clock.now_ns()
+        now_ns, opening = self._clock.now_ns(), self._openings
         self._due_ns = now_ns if due_ns is None else due_ns
         if not self._opened or self._stopped.is_set():
             self._require_open("sending")
@@ -215,6 +218,10 @@ class Board(TimedBoard, ABC):
             if timed:
                 self._refuse_late(self._due_ns)
             with self._driving() if self.drives_in_send else contextlib.nullcontext():
+                if opening != self._openings:
+                    raise BoardStoppedError(
+                        "the board was closed before this was sent: begin at zero", about="board"
+                    )
                 number = self._send(proved, times)
                 # Within: by the time that a stop returns, the report includes it.
                 if type(self).report is Board.report:

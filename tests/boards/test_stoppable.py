@@ -21,7 +21,7 @@ from smarttouch.boards.board import Board
 from smarttouch.boards.open import make_board
 from smarttouch.boards.vibrators.vibrator_board import HybridBoard, VibratorBoard
 from smarttouch.profile.ceilings import CEILING_TOTAL_MA, CEILING_USER_MA
-from smarttouch.stimulation.safety_gate import SafetyLimits
+from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
 from ..raising import raises
 from .fresh import until
@@ -295,6 +295,38 @@ def test_stopping_a_board_that_confirms_no_zero_is_an_error():
     late = {"about": "runs"}
     with in_child(work) as child, raises(SmartTouchError, **late, value=(child,)):
         stop_all()
+
+
+def test_what_was_proved_before_a_board_was_closed_is_not_sent_when_it_is_open_again(
+    monkeypatch, make_sequence
+):
+    """It may be strong, and what comes first must be weak."""
+    sent, raised, proved, goes_on = [], [], threading.Event(), threading.Event()
+    prove = SafetyGate.prove
+
+    def slow(gate, *given):
+        frozen = prove(gate, *given)
+        proved.set()
+        assert goes_on.wait(PATIENCE_S)
+        return frozen
+
+    def send(board):
+        try:
+            board.send(make_sequence(0, electrodes=4, period_us=20_000))
+        except BoardError as error:
+            raised.append(type(error))
+
+    monkeypatch.setattr(Plain, "_send", lambda *given: sent.append(given) or 1)
+    with Plain() as board:
+        monkeypatch.setattr(SafetyGate, "prove", slow)
+        sending = threading.Thread(target=send, args=(board,), daemon=True)
+        sending.start()
+        assert proved.wait(PATIENCE_S)
+        board.close()
+        board.open()
+        goes_on.set()
+        sending.join(PATIENCE_S)
+    assert (sent, raised) == ([], [BoardStoppedError])
 
 
 @pytest.mark.parametrize("how", ["stop", "halt", "close"])
