@@ -184,6 +184,8 @@ def _main_of(request):
 
 def _become(request, streams):
     """Let this process be as if it had just been started."""
+    announced = import_module("smarttouch.boards.announced")
+    announced._begun_ns = announced.started_ns()
     if request["session"]:
         os.setsid()
     Forked.changes = request["changes"]

@@ -59,12 +59,13 @@ class StopRequest:
         with self._lock:
             # The first reason is the true one: a second Ctrl-C changes nothing.
             self.reason = self.reason or reason
+            # Within: a function that is entered meanwhile is among these, or finds it set.
+            self.event.set()
             calls = self._on_stop.copy() if at_once else []
-        self.event.set()
-        for call in calls:
-            # A board that cannot be reached is reported by its own thread when it is closed.
-            with contextlib.suppress(SmartTouchError):
-                call()
+        with contextlib.ExitStack() as stack:
+            # All of them, whatever one raises.
+            for call in reversed(calls):
+                stack.callback(_call, call)
 
     def always_on_stop(self, tell: Callable[[], None]) -> None:
         """Call a function whenever the end is requested from now on, before earlier functions: a
@@ -83,6 +84,12 @@ class StopRequest:
         finally:
             with self._lock:
                 self._on_stop.remove(tell)
+
+
+def _call(tell: Callable[[], None]) -> None:
+    # A board that cannot be reached is reported by its own thread when it is closed.
+    with contextlib.suppress(SmartTouchError):
+        tell()
 
 
 class SignalWatch:

@@ -3,7 +3,6 @@
 import contextlib
 import os
 import re
-import select
 import signal
 import stat
 import tempfile
@@ -24,7 +23,9 @@ ENDED_WITHIN_S = 3.0  # of being asked by `stop_all`
 _STOP, _WAKE = b"\0", b"\1"  # bytes on the pipe: a request to stop, and the process's own end
 _NAME = re.compile(r"[0-9]+-[0-9]+\.run")
 _TOTAL_BYTES = 12
+_LOST = b"lost"  # behind the total
 _MARK = "stopped"
+_MARK_NAME = re.compile(rf"{_MARK}-[0-9]{{1,20}}")
 _MARK_BYTES = 200
 _BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 _OWN_STAT = Path("/proc/self/stat")
@@ -51,7 +52,7 @@ class Announcement:
                 # First: a process that finds the file must find the pipe.
                 os.mkfifo(self._pipe, 0o600)
                 # For writing too: it never reaches its end, and `withdraw` can wake its reader.
-                flags = os.O_RDWR | O_NONBLOCK | O_NOFOLLOW | O_CLOEXEC
+                flags = os.O_RDWR | O_NOFOLLOW | O_CLOEXEC
                 self._requests = os.open(self._pipe, flags)
             self._number, hidden = _new_file()
             try:
@@ -78,9 +79,13 @@ class Announcement:
         """State the largest total current of all boards that this process has open, µA."""
         os.pwrite(self._number, f"{total_ua:<{_TOTAL_BYTES}}".encode("ascii"), 0)
 
+    def report_lost(self) -> None:
+        """State that a board was closed that has not confirmed zero, for who stops this process."""
+        os.pwrite(self._number, _LOST, _TOTAL_BYTES)
+
     def others_ua(self) -> int:
         """Return the sum of what all other processes have declared, µA."""
-        return sum(total for path, total in _held().items() if _process(path) != os.getpid())
+        return sum(total for path, total in _held().items() if path != self._path)
 
     def withdraw(self) -> None:
         """Remove the file and the pipe."""
@@ -100,7 +105,6 @@ class Announcement:
 
     def _wait(self, on_request: Callable[[], None]) -> None:
         while True:
-            select.select([self._requests], [], [])
             asked = _STOP in os.read(self._requests, 64)
             with self._lock:
                 if self._withdrawn:
@@ -153,15 +157,29 @@ def stop_all() -> int:
     except SmartTouchError as error:
         no_mark = error
     asked = _held()
-    for path in asked:
-        _ask_to_stop(path)
-    deadline = time.monotonic() + ENDED_WITHIN_S
-    while (left := running()) and time.monotonic() < deadline:
-        time.sleep(0.02)
+    with contextlib.ExitStack() as stack:
+        # Open, they can be read when they are withdrawn.
+        files = {path: stack.enter_context(_regular(path)) for path in asked}
+        for path in asked:
+            _ask_to_stop(path)
+        deadline = time.monotonic() + ENDED_WITHIN_S
+        while (left := running()) and time.monotonic() < deadline:
+            time.sleep(0.02)
+        lost = [
+            _process(path)
+            for path, number in files.items()
+            if number is not None and os.pread(number, len(_LOST), _TOTAL_BYTES) == _LOST
+        ]
     if left:
         raise SmartTouchError(
             f"{len(left)} of {len(asked)} runs have not ended within {ENDED_WITHIN_S:g} s (process "
             f"{left[0]}): switch the board off",
+            about="runs",
+        )
+    if lost:
+        raise SmartTouchError(
+            f"a board has not confirmed that it is at zero (of process {lost[0]}, which has "
+            "ended): switch it off",
             about="runs",
         )
     if no_mark is not None:
@@ -183,7 +201,8 @@ def _ask_to_stop(path: Path) -> None:
             # A full pipe holds enough requests.
             with contextlib.suppress(BlockingIOError, BrokenPipeError):
                 os.write(number, _STOP)
-        else:
+        elif path.exists():
+            # The pipe is withdrawn after the file: this one has none.
             with contextlib.suppress(ProcessLookupError):
                 os.kill(_process(path), signal.SIGTERM)
     finally:
@@ -195,10 +214,11 @@ def leave_mark() -> int:
     """Keep all processes that have started by now from beginning current; return the time, ns."""
     time_ns = now_ns()
     try:
-        mark = _folder() / _MARK
+        # A file of its own: of two stops at once, the older could replace the newer one's.
+        mark = _folder() / f"{_MARK}-{time_ns}"
         number, hidden = _new_file()
         with os.fdopen(number, "w") as file:
-            file.write(f"{_boot()} {time_ns}")
+            file.write(_boot())
         try:
             hidden.replace(mark)
         except OSError:
@@ -211,19 +231,22 @@ def leave_mark() -> int:
             f"{error.strerror}; move what is there out of the way and stop again",
             about="file",
         ) from None
+    for path, earlier_ns in _marks().items():
+        if earlier_ns < time_ns:
+            with contextlib.suppress(OSError):
+                path.unlink()
     return time_ns
 
 
 def refuse_if_stopped() -> None:
-    """Raise RunStopped if ``smarttouch stop`` came after this process was started."""
+    """Raise RunStopped if ``smarttouch stop`` came after this program was started."""
     if stopped_since_start():
         raise RunStopped(signal.SIGTERM, "smarttouch stop")
 
 
 def stopped_since_start() -> bool:
-    """Return whether ``smarttouch stop`` came after this process was started."""
-    mark_ns = _mark_ns()
-    return mark_ns is not None and started_ns() < mark_ns <= now_ns()
+    """Return whether ``smarttouch stop`` came after this program was started."""
+    return _begun_ns < max(_marks().values(), default=-1)
 
 
 def started_ns() -> int:
@@ -235,15 +258,20 @@ def started_ns() -> int:
         return _IMPORTED_NS
 
 
-def _mark_ns() -> int | None:
-    """Return the time of the last stop since the machine booted; None if there was none."""
-    with _regular(_folder() / _MARK) as number:
-        if number is None:
-            return None
-        words = os.read(number, _MARK_BYTES).decode("ascii", "replace").split()
-    if len(words) != 2 or words[0] != _boot() or not words[1].isdecimal():
-        return None
-    return int(words[1])
+_begun_ns = started_ns()  # of the program: what it forks after a stop is stopped as it is
+
+
+def _marks() -> dict[Path, int]:
+    """Return the marks of all stops with their times, ns; −1 for what is none since the machine
+    booted."""
+    found, boot = {}, _boot().encode()
+    for path in _listed():
+        if _MARK_NAME.fullmatch(path.name):
+            with _regular(path) as number:
+                counts = number is not None and os.read(number, _MARK_BYTES) == boot
+            time_ns = int(path.name.rpartition("-")[2])
+            found[path] = time_ns if counts and time_ns <= now_ns() else -1
+    return found
 
 
 def _boot() -> str:

@@ -15,6 +15,7 @@ from smarttouch.base.errors import (
     BoardError,
     BoardFaultError,
     BoardRestartedError,
+    BoardStoppedError,
     LineLostError,
     SequenceLateError,
     require_made,
@@ -111,6 +112,7 @@ class Board(TimedBoard, ABC):
             self.capabilities = Capabilities(**(known | capabilities))
         self._gate = make_gate(self, limits.on(output), self._time())
         self._opened = False
+        self._openings = 0
 
     @final
     def open(self) -> None:
@@ -136,12 +138,17 @@ class Board(TimedBoard, ABC):
         try:
             self._open_announced()
         except BaseException:
-            leave(self)
+            # Ctrl-C may come when it is open already; and only whoever closes it withdraws it.
+            if self._opened:
+                self.close()
+            else:
+                leave(self)
             raise
 
     @final
     def _open_announced(self) -> None:
         # A new run starts from zero intensity, and its time may start again.
+        self._openings += 1
         self._gate.begin_session()
         self._begin_unless_halted()
         if self._stopped.wait(self._gate.net_rest_ns() / 1e9):
@@ -151,15 +158,12 @@ class Board(TimedBoard, ABC):
         self._opened = True
         self._require_seal()
         if not isinstance(getattr(self, "capabilities", None), Capabilities):
-            self.close()
             raise BoardError(
                 f"{type(self).__name__} does not set capabilities: do so in __init__, or at the "
                 "latest in _open",
                 about="capabilities",
             )
-        if self._stopped.is_set():
-            self.close()
-            self._go_on_unless_stopped()
+        self._go_on_unless_stopped()
 
     def __repr__(self) -> str:
         electrodes, state = self._gate.limits.electrodes, "open" if self._opened else "closed"
@@ -197,7 +201,7 @@ class Board(TimedBoard, ABC):
         BoardError
             If the board is closed, of another size, or gone.
         """
-        now_ns = self._clock.now_ns()
+        now_ns, opening = self._clock.now_ns(), self._openings
         self._due_ns = now_ns if due_ns is None else due_ns
         if not self._opened or self._stopped.is_set():
             self._require_open("sending")
@@ -214,6 +218,10 @@ class Board(TimedBoard, ABC):
             if timed:
                 self._refuse_late(self._due_ns)
             with self._driving() if self.drives_in_send else contextlib.nullcontext():
+                if opening != self._openings:
+                    raise BoardStoppedError(
+                        "the board was closed before this was sent: begin at zero", about="board"
+                    )
                 number = self._send(proved, times)
                 # Within: by the time that a stop returns, the report includes it.
                 if type(self).report is Board.report:
@@ -374,16 +382,20 @@ class Board(TimedBoard, ABC):
     @final
     def stop(self) -> None:
         """Put all electrodes at zero now, from any thread; nothing is sent or measured after."""
-        self._bar()
-        self._stop()
+        try:
+            self._bar()
+        finally:
+            self._stop()
         self._zeroed = True
 
     @final
     def halt(self) -> None:
         """Stop for good, from any thread; a board that is being opened fails to open."""
         self._halted = True
-        self._bar()
-        self._halt()
+        try:
+            self._bar()
+        finally:
+            self._halt()
         self._zeroed = True
 
     @final
@@ -397,7 +409,7 @@ class Board(TimedBoard, ABC):
                 try:
                     self._close()
                 finally:
-                    leave(self)
+                    leave(self, at_zero=self._zeroed)
             if self._fault_found is not None:
                 raise self._fault_found
 

@@ -254,9 +254,12 @@ class TimedBoard(Sealed):
     def _bar(self) -> None:
         """Refuse all current from now on, and wait for the end of the write under way."""
         self._stopped.set()
-        self._interrupt()
-        free = self._writing.acquire(timeout=WRITE_S)
-        self._overtaken = not free or self._writes > 0
+        free = False
+        try:
+            self._interrupt()
+            free = self._writing.acquire(timeout=WRITE_S)
+        finally:
+            self._overtaken = not free or self._writes > 0
         if free:
             self._writing.release()
 

@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 from typing import Protocol
-from weakref import WeakKeyDictionary
 
 from smarttouch.base.errors import BoardError, BoardStoppedError, SmartTouchError
 from smarttouch.base.posix import fcntl, set_nonblocking
@@ -30,6 +29,7 @@ class _Stoppable(Protocol):
     """Interface of boards to this module."""
 
     _halted: bool
+    _opened: bool
     _stopped: threading.Event
 
     @property
@@ -56,7 +56,8 @@ class _Program:
     def __init__(self) -> None:
         self._changed = threading.Condition(threading.RLock())
         self._announcement: Announcement | None = None
-        self._boards: WeakKeyDictionary[_Stoppable, int] = WeakKeyDictionary()
+        # Also those that nothing else refers to any more: they may go on.
+        self._boards: dict[_Stoppable, int] = {}
         self._runs: list[StopRequest] = []
         self._commands = 0
         self._ended = ""
@@ -101,6 +102,11 @@ class _Program:
     def enter_board(self, board: _Stoppable) -> None:
         _require_posix()
         with self._changed:
+            if board in self._boards:
+                # The thread that fails would withdraw the board that the other has open.
+                raise BoardError(
+                    "another thread opens or closes the board: try again", about="board"
+                )
             self._boards[board] = board.budget_ua
             try:
                 self._announce()
@@ -111,9 +117,11 @@ class _Program:
                 self.leave_board(board)
                 raise
 
-    def leave_board(self, board: _Stoppable) -> None:
+    def leave_board(self, board: _Stoppable, at_zero: bool = True) -> None:
         with self._changed:
             if self._boards.pop(board, None) is not None:
+                if self._announcement is not None and not at_zero:
+                    self._announcement.report_lost()
                 self._declare()
                 self._withdraw_if_idle()
 
@@ -150,7 +158,8 @@ class _Program:
     def leave_to_parent(self) -> None:
         """In a forked process, release the boards, which are the parent's."""
         for board in self._boards:
-            board._halted = True
+            # Not open here: closing one must not write to its line.
+            board._opened, board._halted = False, True
             board._stopped.set()
         if self._announcement is not None:
             self._announcement.close_inherited()
@@ -159,8 +168,9 @@ class _Program:
         if self._announcement is None and not self._ended and fcntl is not None:
             asked = None if self._commands else lambda: self.end("smarttouch stop")
             self._announcement = Announcement(asked)
-            if not self._commands:
-                _signals.install()
+        if self._announcement is not None and not self._commands:
+            # Again each time: only the main thread can.
+            _signals.install()
 
     def _withdraw_if_idle(self) -> None:
         if not (self._boards or self._runs or self._commands):
@@ -307,9 +317,9 @@ def enter(board: _Stoppable) -> None:
         _program.enter_board(board)
 
 
-def leave(board: _Stoppable) -> None:
-    """Withdraw a board that is closed."""
-    _program.leave_board(board)
+def leave(board: _Stoppable, at_zero: bool = True) -> None:
+    """Withdraw a board that is closed; a stop reports one that has not confirmed zero."""
+    _program.leave_board(board, at_zero)
 
 
 @contextmanager

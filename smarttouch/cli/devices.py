@@ -226,7 +226,9 @@ def try_out(
     with keyboard_listener(on_key):
         run_walk(walk, display, [OnEvent(say)], stop, partial(opened, display.board), force)
     count = len(display.profile.electrodes)
-    typer.echo(f"{walk.tried} of {count} electrodes tried; all are at zero.")
+    typer.echo(f"{len(walk.pulsed)} of {count} electrodes got pulses; all are at zero.")
+    if walk.missed:
+        typer.echo(f"No pulse came through: {', '.join(map(str, walk.missed))}.")
 
 
 def _print_impedance(found: "Impedance") -> None:

@@ -1,5 +1,6 @@
 """Pulses on one electrode after another, while someone feels or watches."""
 
+import contextlib
 import math
 from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import AbstractContextManager
@@ -8,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.base.errors import SmartTouchError, require_within
+from smarttouch.base.errors import BoardError, SmartTouchError, require_within
 from smarttouch.base.events import Note
 from smarttouch.base.stopping import StopRequest
 from smarttouch.boards.board import Board
@@ -16,7 +17,7 @@ from smarttouch.kernels.disc_banks import single_bank
 from smarttouch.profile import Profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import Display
-from smarttouch.running.listener import Listener
+from smarttouch.running.listener import Listener, RunContext
 from smarttouch.running.runner import Operation, Runner
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Stimulus, StimulusSource
@@ -26,11 +27,16 @@ class ElectrodeReached(Note):
     """The walk reached an electrode."""
 
 
-class Walk(StimulusSource):
+PATIENCE = 4
+"""Times the time for an electrode that one waits for a first pulse which the board has sent."""
+
+
+class Walk(StimulusSource, Listener):
     """Pulses on one electrode after another; on each, current rises from zero.
 
     Each electrode gets ``current_ma`` against all others, for ``seconds`` or until `go_on`; masked
-    ones are left out, ``tried`` counts.
+    ones are left out. By the board's report those in ``pulsed`` got a pulse, and those in
+    ``missed``, which it reached too, got none.
     """
 
     frames: int
@@ -52,12 +58,18 @@ class Walk(StimulusSource):
         full_ma = float(profile.full_ma.max())
         words = f"{current_ma:g} mA, where {full_ma:g} mA are the strongest comfortable current,"
         require_within(SmartTouchError, "current_ma", current_ma, 0, full_ma, words, above=True)
-        self.tried: int = 0
+        self.pulsed: list[int] = []
+        self.missed: list[int] = []
+        self._board: Board | None = None
+        self._delivered = 0
         self._profile, self._current_ma, self._seconds = profile, current_ma, seconds
         self._sites = range(len(profile.electrodes)) if sites is None else sites
         self._leaves = False
         self._now_ns = 0
         self._stimuli = self._walk()
+
+    def start(self, run: RunContext) -> None:
+        self._board = run.board
 
     def go_on(self) -> None:
         """Leave the present electrode; from any thread."""
@@ -77,15 +89,37 @@ class Walk(StimulusSource):
             # Not above what is comfortable there.
             most_ma = min(self._current_ma, float(self._profile.full_ma[site]))
             self._say(f"electrode {site}: up to {most_ma:.4g} mA ({how})")
-            self.tried += 1
+            self.missed.append(site)
             self._leaves, began_ns = False, self._now_ns
             # From zero: intensity rises no faster than the ramp.
             yield self._pulse(site, 0.0)
-            # By the time of what was sent: a computer that stood still has tried nothing.
-            while not self._leaves and (
-                self._seconds is None or self._now_ns - began_ns < self._seconds * 1e9
-            ):
+            # In that time all that was sent for the electrode before has flowed.
+            slots = self._slots()
+            while True:
+                if site in self.missed and self._slots() > slots:
+                    self.missed.remove(site)
+                    self.pulsed.append(site)
+                # A board that was switched off meanwhile counts from zero again.
+                slots = min(slots, self._delivered)
+                if self._leaves or self._is_over(site, began_ns):
+                    break
                 yield self._pulse(site, most_ma)
+
+    def _is_over(self, site: int, began_ns: int) -> bool:
+        """Return whether an electrode's time is over, which is longer until it got a pulse."""
+        if self._seconds is None:
+            return False
+        # By the time of what was sent: a computer that stood still has tried nothing.
+        most_s = self._seconds * (PATIENCE if site in self.missed else 1)
+        return self._now_ns - began_ns >= most_s * 1e9
+
+    def _slots(self) -> int:
+        """Return how many slots the board has delivered, as far as it has said so."""
+        # Whatever keeps it from that is raised by the next send.
+        with contextlib.suppress(BoardError):
+            if self._board is not None:
+                self._delivered = self._board.report().slots
+        return self._delivered
 
     def _pulse(self, site: int, current_ma: float) -> Stimulus:
         profile, number = self._profile, self.frames

@@ -71,7 +71,12 @@ def keyboard_listener(on_key: Callable[[str], None]) -> Iterator[None]:
                 on_key(LOST)
                 return
             for key in _keys(data.decode("utf-8", "replace")):
-                on_key(key)
+                try:
+                    on_key(key)
+                except BaseException:
+                    # No key would be heard any more, neither one that ends the run.
+                    on_key(LOST)
+                    raise
 
     with keyboard():
         thread = threading.Thread(target=listen, name="keyboard", daemon=True)

@@ -51,6 +51,35 @@ def test_one_that_fails_does_not_keep_others_from_being_called():
     assert told == [1]
 
 
+def test_one_that_fails_in_any_way_is_raised_once_all_were_called():
+    """As `Board.halt` does by a fault of a driver, while other boards still drive."""
+    stop, told = StopRequest(), []
+    with stop.on_stop(lambda: told.append(1)), stop.on_stop(lambda: 1 / 0):
+        with pytest.raises(ZeroDivisionError):
+            stop.ask("key q")
+        assert told == [1]
+
+
+def test_one_that_is_entered_while_the_end_is_requested_is_called():
+    stop, told, over = StopRequest(), [], threading.Event()
+
+    def enter():
+        with stop.on_stop(lambda: told.append(1)):
+            over.wait(PATIENCE_S)
+
+    class Slow(threading.Event):
+        def set(self):
+            entering.start()
+            entering.join(0.1)
+            super().set()
+
+    entering, stop.event = threading.Thread(target=enter, daemon=True), Slow()
+    stop.ask("key q")
+    over.set()
+    entering.join(PATIENCE_S)
+    assert told == [1]
+
+
 @pytest.mark.parametrize(("number", "name"), [
     (signal.SIGINT, "Ctrl-C"), (signal.SIGTERM, "SIGTERM"), (signal.SIGHUP, "SIGHUP"),
 ])  # fmt: skip

@@ -4,6 +4,8 @@ import errno
 import fcntl
 import os
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
@@ -65,8 +67,8 @@ def test_whatever_lies_beside_them_is_passed_over(folder):
     left = litter(folder)
     with announced():
         assert running() == [os.getpid()]
-        leave_mark()
-    assert {each.name for each in folder.iterdir()} - {"17-1.run"} == left | {"stopped"}
+        mark = f"stopped-{leave_mark()}"
+    assert {each.name for each in folder.iterdir()} - {"17-1.run"} == left | {mark}
 
 
 def test_files_of_runs_that_were_killed_are_removed(folder):
@@ -92,6 +94,28 @@ def test_removing_the_file_of_a_run_that_ended_leaves_the_next_of_that_process(m
     after[0].withdraw()
 
 
+def test_who_has_ended_since_it_was_found_gets_no_signal(monkeypatch):
+    """It may be another program by now, or do what must not be cut short."""
+    signals, ask = [], module._ask_to_stop
+    monkeypatch.setattr(module.os, "kill", lambda *told: signals.append(told))
+    announcement = Announcement(lambda: None)
+    monkeypatch.setattr(module, "_ask_to_stop", lambda path: (announcement.withdraw(), ask(path)))
+    assert module.stop_all() == 1
+    assert signals == []
+
+
+def test_a_process_of_the_same_number_is_another(folder):
+    """As in another container that shares the folder."""
+    announcement = Announcement(lambda: None)
+    announcement.declare(5000)
+    with (folder / f"{os.getpid()}-1.run").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        file.write("7000")
+        file.flush()
+        assert announcement.others_ua() == 7000
+    announcement.withdraw()
+
+
 def test_a_run_that_cannot_be_announced_does_not_begin(folder, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "no space left", str(folder / "1.stop"))
@@ -113,7 +137,21 @@ def test_a_process_older_than_the_mark_does_not_begin(folder):
 def test_a_process_younger_than_the_mark_begins(folder):
     leave_mark()
     time.sleep(0.03)
-    with in_child(lambda say: refuse_if_stopped() or say()) as child:
+    code = "from smarttouch.boards.announced import refuse_if_stopped; refuse_if_stopped()"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_what_a_program_older_than_the_mark_forks_does_not_begin(folder):
+    """As a worker of an experiment that was between two of them when it was stopped."""
+    leave_mark()
+    time.sleep(0.03)
+
+    def begin(say):
+        with pytest.raises(RunStopped):
+            refuse_if_stopped()
+        say()
+
+    with in_child(begin) as child:
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
 
 
@@ -135,28 +173,53 @@ def test_where_the_system_has_no_start_time_it_is_the_import(monkeypatch, tmp_pa
     assert started_ns() < now_ns()
 
 
-@pytest.mark.parametrize("text", ["", "x", "x y", "x -5", "x 1 2", "\udce4 5", "9" * 1000])
+@pytest.mark.parametrize("text", ["", "x", "\udce4 5", "9" * 1000])
 def test_an_empty_mark_is_none(folder, text):
-    (folder / "stopped").write_bytes(text.encode("utf-8", "surrogateescape"))
+    (folder / "stopped-5").write_bytes(text.encode("utf-8", "surrogateescape"))
+    refuse_if_stopped()
+
+
+@pytest.mark.parametrize("name", ["stopped", "stopped-", "stopped-x", "stopped--5", "stopped-٣"])
+def test_nor_is_one_without_a_time(folder, name):
+    (folder / name).write_text(module._boot())
     refuse_if_stopped()
 
 
 def test_marks_of_another_start_of_the_machine_and_of_the_future_do_not_count(folder):
-    (folder / "stopped").write_text(f"another {now_ns()}")
+    time_ns = now_ns()
+    (folder / f"stopped-{time_ns}").write_text("another")
+    (folder / f"stopped-{time_ns + 10**12}").write_text(module._boot())
     refuse_if_stopped()
-    (folder / "stopped").write_text(f"{module._boot()} {now_ns() + 10**12}")
-    refuse_if_stopped()
-    (folder / "stopped").write_text(f"{module._boot()} {now_ns()}")
+    (folder / f"stopped-{time_ns}").write_text(module._boot())
     with pytest.raises(RunStopped):
         refuse_if_stopped()
 
 
-@pytest.mark.parametrize("kind", ["fifo", "link"])
-def test_a_mark_replaces_what_has_its_name_and_is_read_from_no_such_thing(folder, kind):
+def test_one_mark_remains_and_it_is_the_newest_also_of_stops_at_once(folder, monkeypatch):
+    marks, new_file = [], module._new_file
+
+    def overtaken():
+        monkeypatch.setattr(module, "_new_file", new_file)
+        marks.append(leave_mark())
+        return new_file()
+
+    leave_mark()
+    monkeypatch.setattr(module, "_new_file", overtaken)
+    assert leave_mark() < marks[0]
+    assert max(module._marks().values()) == marks[0]
+    marks.append(leave_mark())
+    assert [each.name for each in folder.iterdir()] == [f"stopped-{marks[1]}"]
+
+
+@pytest.mark.parametrize("kind", ["fifo", "link", "folder"])
+def test_what_has_the_name_of_a_mark_is_none(folder, kind):
+    path = folder / "stopped-5"
     if kind == "fifo":
-        os.mkfifo(folder / "stopped")
+        os.mkfifo(path)
+    elif kind == "link":
+        path.symlink_to("/dev/zero")
     else:
-        (folder / "stopped").symlink_to("/dev/zero")
+        path.mkdir()
     refuse_if_stopped()
     leave_mark()
     with pytest.raises(RunStopped):

@@ -18,7 +18,7 @@ from smarttouch.boards.link.protocol import MessageKind
 from smarttouch.emulator.emulated_boards import EmulatorBoard
 from smarttouch.emulator.firmware import read_state
 from smarttouch.profile.device import Output
-from tests.boards.fresh import alive, deliver, until
+from tests.boards.fresh import HANGS_S, alive, deliver, until
 
 from ..raising import assert_says, raises
 
@@ -241,3 +241,25 @@ def test_heartbeats_keep_an_idle_board(make_limits, make_sequence):
         time.sleep(0.8)
         deliver(board, make_sequence(0))
         assert board.report().sequences == 1
+
+
+@pytest.mark.usefixtures("patient_boards")
+@pytest.mark.parametrize("hosted", ["etactilekit", "kajimoto61"], indirect=True)
+def test_a_driver_that_fails_while_a_pattern_is_shown_ends_it(hosted, monkeypatch):
+    failed = threading.Event()
+
+    def fail(*_):
+        failed.set()
+        return 1 / 0
+
+    with hosted.board as board:
+        hosted.send()
+        hosted.send()
+        monkeypatch.setattr(board, "_hold" if hosted.kind == "etactilekit" else "_peek", fail)
+        hosted.send()
+        assert failed.wait(HANGS_S)
+        until(lambda: not board._thread.is_alive())
+        hosted.assert_zero()
+        with raises(BoardError, about="board") as caught:
+            hosted.send()
+        assert isinstance(caught.value.__cause__, ZeroDivisionError)

@@ -197,6 +197,18 @@ def test_where_it_is_killed_this_program_writes_zero(board, promised):
     assert exit_code(promised) == -signal.SIGKILL
 
 
+def test_where_its_end_cannot_be_told_this_program_writes_zero(board, promised):
+    """As in a program that was started with SIGCHLD ignored: any process ends as with code 0."""
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        os.kill(promised.process_id, signal.SIGKILL)
+        assert board.read(len(ZERO)) == ZERO
+        assert not promised.at_zero
+        assert exit_code(promised) == 0
+    finally:
+        signal.signal(signal.SIGCHLD, before)
+
+
 def test_a_line_that_breaks_is_reported(board, promised):
     end = board.end
     board.end = os.open("/dev/null", os.O_RDONLY)

@@ -1,5 +1,6 @@
 """Faults of a line: the driver recovers or stops at zero, and reports which."""
 
+import contextlib
 import itertools
 import threading
 from types import SimpleNamespace
@@ -18,6 +19,7 @@ from smarttouch.boards.faults import TIMES, restart_lost_board
 
 from ..raising import raises
 from .conftest import FIRMWARES
+from .fresh import HANGS_S
 
 
 def once(change):
@@ -196,6 +198,42 @@ def test_a_board_that_is_back_gets_zero_first(hosted, known_by_usb, known):
         # Once before its keeper starts, which takes a while, and once by that.
         first = 2 * zero if known else b"\xf5" + zero
         assert b"".join(heard).startswith(first)
+
+
+@pytest.mark.parametrize("hosted", ["etactilekit", "kajimoto61"], indirect=True)
+def test_a_stop_of_a_board_that_is_away_says_whether_it_goes_on(hosted, known_by_usb, monkeypatch):
+    known_by_usb(hosted.line.path, True)
+    away, raised = threading.Event(), []
+
+    def reopen(_name, _within_s, _identity, pause):
+        away.set()
+        pause(HANGS_S)
+
+    def send():
+        try:
+            send_on(hosted, 30)
+        except BoardError as error:
+            raised.append(error)
+
+    monkeypatch.setattr("smarttouch.boards.kits.streamed.reopen_port", reopen)
+    goes_on = hosted.kind == "etactilekit"
+
+    def said():
+        lost = {"about": "board", "remedy": "switch it off"}
+        return raises(LineLostError, **lost) if goes_on else contextlib.nullcontext()
+
+    hosted.board.open()
+    send_on(hosted, 4)
+    sending = threading.Thread(target=send, daemon=True)
+    hosted.line.pull_out()
+    sending.start()
+    assert away.wait(HANGS_S)
+    with said():
+        hosted.board.halt()
+    sending.join(HANGS_S)
+    assert isinstance(raised[0], LineLostError if goes_on else BoardStoppedError)
+    with said():
+        hosted.board.close()
 
 
 LOST = LineLostError("the line broke")

@@ -1,9 +1,12 @@
 """Boards that a finger may be on are announced by their opening, and share one budget."""
 
 import contextlib
+import gc
 import os
+import resource
 import signal
 import stat
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +26,7 @@ from ..raising import raises
 from .fresh import until
 
 PATIENCE_S = 20
+FILES = 1024  # as many as `select` knows
 LIMITS = SafetyLimits(
     electrodes=4, current_ma=2.0, pulse_us=200.0, charge_uc=0.4, rate_hz=50.0, duty=0.5,
     ramp_s=1.0, full_ma=2.0,
@@ -106,6 +110,28 @@ def test_one_that_no_finger_can_be_on_is_not(url, profile):
     limits = SafetyLimits.of(profile)
     with make_board(url, limits, profile.output):
         assert running() == []
+
+
+def test_a_board_that_its_program_has_forgotten_is_counted_and_stopped():
+    """A driver without a thread, whose board goes on: nothing else refers to it."""
+
+    def work(say):
+        def stop(_):
+            os.write(stopped, b".")
+
+        Plain._stop = stop
+        Plain().open()
+        gc.collect()
+        assert sum(stoppable._program._boards.values()) == 1000 * CEILING_TOTAL_MA
+        say()
+        time.sleep(PATIENCE_S)
+
+    told, stopped = os.pipe()
+    with in_child(work):
+        assert stop_all() == 1
+        os.close(stopped)
+        assert os.read(told, 1) == b"."
+    os.close(told)
 
 
 @pytest.mark.parametrize("fails", ["open", "stopped"])
@@ -208,6 +234,40 @@ def test_stopping_a_board_that_confirms_no_zero_is_an_error():
         stop_all()
 
 
+def test_a_program_with_many_open_files_is_stopped():
+    def work(say):
+        _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+        files = [os.open("/dev/null", os.O_RDONLY) for _ in range(FILES)]
+        with Plain() as board:
+            say()
+            until(lambda: board._halted)
+        for each in files:
+            os.close(each)
+
+    with in_child(work) as child:
+        assert stop_all() == 1
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+def test_that_it_has_not_is_told_also_where_its_program_closes_it_and_ends():
+    class Deaf(Plain):
+        def _stop(self):
+            raise LineLostError("lost", about="board")
+
+    def work(say):
+        board = Deaf()
+        board.open()
+        say()
+        until(lambda: board._halted)
+        with pytest.raises(LineLostError):
+            board.close()
+
+    unconfirmed = {"about": "runs"}
+    with in_child(work) as child, raises(SmartTouchError, **unconfirmed, value=(child,)):
+        stop_all()
+
+
 def test_a_stop_is_for_good_in_a_process_that_goes_on():
     def work(say):
         board = Plain()
@@ -233,6 +293,19 @@ def test_a_forked_process_does_not_drive_the_boards_of_its_parent():
         assert not board._stopped.is_set()
 
 
+def test_a_forked_process_that_closes_the_boards_of_its_parent_writes_nothing(monkeypatch):
+    told, writes = os.pipe()
+    monkeypatch.setattr(Plain, "_stop", lambda _: os.write(writes, b"."))
+    with Plain() as board:
+        with in_child(lambda say: (board.close(), say())) as child:
+            assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+        os.set_blocking(told, False)
+        with pytest.raises(BlockingIOError):
+            os.read(told, 1)
+    os.close(told)
+    os.close(writes)
+
+
 def test_handlers_of_signals_are_there_while_a_board_is_open():
     def work(say):
         default = [signal.SIG_DFL] * 2
@@ -248,6 +321,24 @@ def test_handlers_of_signals_are_there_while_a_board_is_open():
 
     with in_child(work) as child:
         assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+def test_they_are_there_for_the_main_thread_also_where_another_has_one_open():
+    def work(say):
+        opening = threading.Thread(target=Plain().open)
+        opening.start()
+        opening.join()
+        with Plain() as board:
+            say()
+            try:
+                time.sleep(PATIENCE_S)
+            finally:
+                until(lambda: board._halted)
+
+    with in_child(_ending(work)) as child:
+        os.kill(child, signal.SIGTERM)
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert code == 128 + signal.SIGTERM
 
 
 @pytest.mark.parametrize("loop_starts", [None, "before", "after"])

@@ -123,10 +123,11 @@ def test_a_terminal_that_has_stopped_reading_keeps_nobody(
     assert (tmp_path / "run.json").exists()
 
 
-def test_without_a_place_for_the_mark_runs_are_stopped_and_it_is_reported(tmp_path, program_here):
-    folder = tmp_path / "state" / "smarttouch"
-    (folder / "stopped").mkdir(parents=True)
-    (folder / "stopped" / "full").write_text("")
+def test_without_a_place_for_the_mark_runs_are_stopped_and_it_is_reported(
+    tmp_path, monkeypatch, program_here
+):
+    folder = tmp_path / "state" / "smarttouch" / "nowhere"
+    monkeypatch.setattr("smarttouch.boards.announced._MARK", "nowhere/stopped")
     child = os.fork()
     if child == 0:
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -138,4 +139,4 @@ def test_without_a_place_for_the_mark_runs_are_stopped_and_it_is_reported(tmp_pa
     # Reaped, or it would be a run until we end.
     done = program_here("stop")
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGTERM
-    says(about="file", value=folder / "stopped")(refused(done))
+    says(about="file", value=folder)(refused(done))

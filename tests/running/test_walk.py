@@ -2,12 +2,15 @@
 
 from collections import Counter
 
+import numpy as np
 import pytest
 
 from smarttouch.base.stopping import StopRequest
+from smarttouch.boards.open import MemoryBoard
+from smarttouch.boards.reports import HostStatistics
 from smarttouch.running.display import open_display
 from smarttouch.running.listener import OnEvent, OnStep
-from smarttouch.running.walk import ElectrodeReached, Walk, run_walk
+from smarttouch.running.walk import PATIENCE, ElectrodeReached, Walk, run_walk
 
 
 class TwitchingClock:
@@ -25,9 +28,22 @@ class TwitchingClock:
         self.time_ns += self.pauses_ns.pop(0) if self.pauses_ns else 90_000_000
 
 
-def walked(clock, profile="etactilekit-32", **options):
+class Deaf(MemoryBoard):
+    """A board that loses what is for one electrode."""
+
+    def _send(self, sequence, times):
+        return 0 if 3 in sequence.site else super()._send(sequence, times)
+
+    def report(self):
+        delivered = HostStatistics(self.capabilities.electrodes)
+        for each in self.sequences:
+            delivered.add(each)
+        return delivered.report()
+
+
+def walked(clock, profile="etactilekit-32", board="memory:", **options):
     """Return the walk, its sequences, and where it said to be."""
-    display, events = open_display("memory:", profile), []
+    display, events = open_display(board, profile), []
     display.board._clock = clock
     walk = Walk(display.profile, 0.3, **options)
     run_walk(walk, display, [OnEvent(events.append)], StopRequest())
@@ -42,7 +58,7 @@ def peaks_ua(sequences):
 def test_a_computer_that_is_slow_skips_no_electrode():
     """Every step takes more than twice its time: an electrode's would be over before it pulsed."""
     walk, sequences, reached = walked(TwitchingClock([]), seconds=0.15)
-    assert walk.tried == len(reached) == 32
+    assert len(walk.pulsed) == len(reached) == 32
     pulses = Counter(int(site) for each in sequences if each.current_ua.any() for site in each.site)
     assert set(pulses) == set(range(32))
     assert min(pulses.values()) >= 4
@@ -69,10 +85,28 @@ def test_after_a_pause_the_current_rises_from_zero_again():
     assert peaks[9:16] == [300, 0, 96, 192, 288, 300, 300]
 
 
+def test_an_electrode_waits_for_its_first_pulse():
+    """A computer that stands still in each step begins each from zero."""
+    clock = TwitchingClock([10**9] * 15 + [0] * 1000)
+    walk, sequences, _ = walked(clock, seconds=0.1, sites=[0, 1])
+    assert (walk.pulsed, walk.missed) == ([0, 1], [])
+    assert {int(site) for each in sequences for site in each.site} == {0, 1}
+
+
+def test_one_that_no_pulse_reaches_is_left_after_a_while_and_named():
+    walk, sequences, reached = walked(TwitchingClock([0] * 1000), board=Deaf, seconds=0.1)
+    assert len(reached) == 32
+    assert walk.missed == [3]
+    assert walk.pulsed == [each for each in range(32) if each != 3]
+    silent = [each.time_ns for each in sequences if not each.slots]
+    between_ns = np.diff(silent)
+    assert between_ns[3] == PATIENCE * between_ns[2]
+
+
 def test_masked_electrodes_are_named_and_left_out(profile, changed):
     masked = changed(profile, {"output.masked": (0, 2)})
     walk, sequences, reached = walked(TwitchingClock([0] * 10**4), masked, seconds=0.1)
-    assert walk.tried == 62
+    assert len(walk.pulsed) == 62
     assert [each.partition(":")[0] for each in reached[:3]] == [f"electrode {i}" for i in range(3)]
     assert not {0, 2} & {int(site) for each in sequences for site in each.site}
     assert not any(each.current_ua[:, [0, 2]].any() for each in sequences)
@@ -89,7 +123,7 @@ def test_each_electrode_until_it_is_left():
             walk.go_on()
 
     run_walk(walk, display, [OnStep(leave)], StopRequest())
-    assert walk.tried == 32
+    assert walk.pulsed == list(range(32))
     assert len(steps) == 32 * 10
 
 

@@ -31,8 +31,9 @@ SILENCE_S = 0.09  # longest silence of the host: with the time to wake up and wr
 PRIORITY = 2  # real-time, where allowed: above the host's 1, so a hung host cannot block it
 STUCK_S = 0.4  # without a byte accepted while zero is written: the board is stuck
 PIECE, PAUSE_S = 8, 0.003  # what the USB of older firmware takes without losing bytes
-GONE, SILENT, LINE_LOST, BLOCKED, ENDED = 0, 3, 4, 5, 6
-"""Exit codes: the host has closed, or was silent; the line broke, or takes no bytes; SIGTERM."""
+GONE, SILENT, LINE_LOST, BLOCKED, ENDED = 7, 3, 4, 5, 6
+"""Exit codes: the host has closed, or was silent; the line broke, or takes no bytes; SIGTERM.
+None is 0, which a host that ignores SIGCHLD reads of any process, killed ones too."""
 HEARTBEAT, FLUSH, ZERO = b".", b"F", b"Z"
 ZERO_HEAD = 4
 _MOST = 65536

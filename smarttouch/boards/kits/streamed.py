@@ -85,6 +85,8 @@ class StreamedBoard(Board):
         self._over_s = 0.0
         self._last_begun = 0
         self._fault: BoardError | None = None
+        self._away: LineLostError | None = None
+        """How a board was lost that is not back, and goes on by itself."""
         self._closing = threading.Event()
         self._news = threading.Condition()
         self._line = threading.RLock()
@@ -101,7 +103,7 @@ class StreamedBoard(Board):
         return device_of(self._port_name)
 
     def _open(self) -> None:
-        self._books = HostStatistics(self._gate.limits.electrodes)
+        self._books, self._away = HostStatistics(self._gate.limits.electrodes), None
         port = open_port(self._port_name)
         self._identity = identity_of(port)
         self._start(port)
@@ -124,7 +126,7 @@ class StreamedBoard(Board):
                 self._pause(BOOT_S)
             self._greet()
             with self._news:
-                self._opening = False
+                self._opening, self._away = False, None
                 self._go_on_unless_stopped()
         except BaseException:
             self._opening = False
@@ -134,6 +136,8 @@ class StreamedBoard(Board):
         self._thread.start()
 
     def _recover(self, lost: LineLostError) -> None:
+        if self.capabilities.time_to_zero_ms is None and not self._at_zero():
+            self._away = lost
         self._close()
         if self._identity is None and not self.can_be_asked:
             raise BoardError(
@@ -141,7 +145,13 @@ class StreamedBoard(Board):
                 "nothing is sent to what comes back: check the cable, then start again",
                 about=lost.about,
             )
-        restart_lost_board(self._start_again, lost)
+        try:
+            restart_lost_board(self._start_again, lost)
+        except BoardStoppedError:
+            # Not at zero, whatever has stopped it.
+            if self._away is not None:
+                raise self._away from None
+            raise
 
     def _start_again(self) -> None:
         port = reopen_port(self._port_name, RECOVER_S, self._identity, self._pause)
@@ -177,6 +187,8 @@ class StreamedBoard(Board):
             self._waiting = None
             self._news.notify_all()
             opening = self._opening
+        if self._away is not None:
+            raise self._away
         if opening or self._serial is None or not self._serial.is_open:
             return
         with self._line:
@@ -261,6 +273,13 @@ class StreamedBoard(Board):
             self._fail(error)
         except LINE_ERRORS as error:
             self._fail(self._lost(f"has vanished ({reason(error)})"))
+        except Exception as error:
+            # Its pattern would be shown on, and heartbeats sent, with nobody to end it.
+            fault = BoardError(f"the driver {self.kind} has failed ({error!r})", about="board")
+            fault.__cause__ = error
+            self._fail(fault)
+            with contextlib.suppress(BoardError), self._line:
+                self._zero()
 
     def _take(self, until_s: float | None = None) -> Job | None:
         """Return the newest sequence, or None at a time or when closing."""
