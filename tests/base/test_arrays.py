@@ -12,7 +12,9 @@ import pytest
 
 from smarttouch.base.tables import read_array, read_arrays
 
-MUTANTS = int(os.environ.get("SMARTTOUCH_MUTANTS", "150"))
+from ..whole import WHOLE
+
+MUTANTS = int(os.environ.get("SMARTTOUCH_MUTANTS", "150" if WHOLE else "60"))
 KINDS = (np.float64, np.float32, np.int8, np.uint16, "<U9", "S3", bool)
 
 

@@ -31,6 +31,29 @@ pytestmark = pytest.mark.usefixtures("patient_boards")
 SECOND = 10**9
 
 
+def without_repeating(*names):
+    """Return a decorator of a contract over what differs from another contract in a part.
+
+    That is shown by the tests of these names and by those of its own; the others, which repeat
+    what the other one shows, are run in CI.
+    """
+
+    def of_its_own(kind):
+        kept = {*names, *vars(kind)}
+        for name in dir(kind):
+            if name.startswith("test_") and name not in kept and not WHOLE:
+                setattr(kind, name, None)
+        return kind
+
+    return of_its_own
+
+
+AT_ANY_LINE = "test_a_stop_at_any_line_of_the_driver"
+CLOSES = "test_closing_puts_it_at_zero"
+DELIVERED = "test_what_is_sent_is_delivered"
+SENT = "test_what_the_device_is_sent_is_what_was_proved"
+
+
 class Contract(BoardContract):
     """The contract of boards, judged by the books of an emulator.
 
@@ -117,16 +140,6 @@ class Contract(BoardContract):
         if kind == "weighted":
             np.testing.assert_array_equal(slots["current_ua"], planned)
 
-    def test_a_sequence_is_repeated(self, make_board):
-        with make_board() as board:
-            deliver(board, self.sequence(0))
-            board.send(self.sequence(1), times=5)
-            until(lambda: read_state(self.folder)["slots"] >= 20)
-            until(lambda: read_state(self.folder)["state"] == "shorted")
-            state = self.state()
-        assert state["slots"] == 20 or (not self.counts_passes and 20 < state["slots"] < 100)
-        assert state["state"] == "shorted"
-
     def test_a_newer_sequence_ends_a_repetition(self, make_board):
         with make_board() as board:
             deliver(board, self.sequence(0))
@@ -143,6 +156,7 @@ class TestEmulator(Contract):
         return "emulator:"
 
 
+@without_repeating(DELIVERED, CLOSES, "test_it_can_be_opened_again_and_begins_at_zero")
 class TestLink(Contract):
     @pytest.fixture
     def url(self, start_emulator, tmp_path):
@@ -213,6 +227,10 @@ class TestETactileKit(OneAgainstAll):
         assert set(slots["site"]) == set(range(4))
 
 
+@without_repeating(
+    "test_which_it_is_is_found_out", DELIVERED, SENT, AT_ANY_LINE, CLOSES,
+    "test_a_newer_sequence_ends_a_repetition",
+)  # fmt: skip
 class TestNewestETactileKitOverTcp(TestETactileKit):
     more = ("--tcp",)
     # On a busy computer it passes for the one before it.
@@ -236,12 +254,6 @@ class TestMemory(Contract):
 
     def assert_silent(self):
         assert len(self.board.sequences) <= 2
-
-    def test_a_sequence_is_repeated(self, make_board):
-        with make_board() as board:
-            board.send(self.sequence(0))
-            board.send(self.sequence(1), times=5)
-            assert board.report().slots == 20
 
     def test_a_newer_sequence_ends_a_repetition(self, make_board):
         with make_board() as board:

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from smarttouch.base.errors import BoardError, LineLostError
@@ -225,22 +224,3 @@ def test_slow_writes_are_pieces_of_eight(script, make, monkeypatch):
         pass
     assert max(sizes) == 8
     assert pauses.count(0.003) >= 4
-
-
-def test_the_account_is_of_what_was_scanned(monkeypatch):
-    """A silent sequence is none of the board's, and what could not be shown is not counted."""
-    limits = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
-    kit = ManualKit(monkeypatch, limits)
-    pulse, silence = (
-        one_each(
-            limits, level, 100, 0.5, 0, cathodic=False, sites=[1], discharge_us=50,
-            period_us=20_000,
-        )
-        for level in (1000, 0)
-    )  # fmt: skip
-    start = kit.clock.time_ns
-    report = kit.run([(start, silence, 1), (start, pulse, 4), (start, silence, 1)])
-    assert (report.sequences, report.slots, report.pulses) == (3, 4, 32)
-    assert (kit.books.slots, kit.books.pulses) == (4, 32)
-    assert report.max_net_charge_uc == pytest.approx(4 * 0.1)
-    assert np.abs(kit.driver._books._ledger.charge_uc).max() == pytest.approx(0.4)

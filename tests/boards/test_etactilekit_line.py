@@ -18,6 +18,7 @@ from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.boards.manual_kit import ManualClock, ManualPort
 
 from ..raising import raises
+from ..whole import WHOLE, sample
 
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
 # Left by hosts before: pulses of a milliampere on all electrodes, sense pulses, half commands.
@@ -143,7 +144,7 @@ def test_a_board_that_pulses_is_at_zero_and_its_parser_found(meet, firmware, hal
     assert meeting.books.max_current_ma <= 2.57
 
 
-@pytest.mark.parametrize("half", HALVES)
+@pytest.mark.parametrize("half", sample(HALVES))
 @pytest.mark.parametrize("firmware", OLD)
 def test_an_older_firmware_is_put_at_zero_and_refused(meet, firmware, half):
     size, pulsing = OLD[firmware]
@@ -156,7 +157,7 @@ def test_an_older_firmware_is_put_at_zero_and_refused(meet, firmware, half):
     assert meeting.board.set[0xFC] == 0
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100 if WHOLE else 25, deadline=None)
 @given(
     firmware=st.sampled_from([*PULSING, *OLD]),
     noise=st.binary(max_size=12),

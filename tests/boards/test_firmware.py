@@ -16,13 +16,24 @@ from smarttouch.emulator.firmware import read_slots, read_state
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.scan_sequence import KernelLists
 from tests.boards.fresh import deliver, fresh_state, until
-from tests.boards.test_contract import Contract
+from tests.boards.test_contract import (
+    AT_ANY_LINE,
+    CLOSES,
+    DELIVERED,
+    SENT,
+    Contract,
+    without_repeating,
+)
 from tests.firmware.build import WHOLE
 from tests.firmware.scenes import random_table, sequence_of
 
 from ..raising import raises
 
 
+@without_repeating(
+    DELIVERED, SENT, AT_ANY_LINE, CLOSES,
+    "test_a_newer_sequence_ends_a_repetition", "test_nothing_is_measured_after_a_stop",
+)  # fmt: skip
 @pytest.mark.usefixtures("patient_boards")
 class TestFirmware(Contract):
     @pytest.fixture

@@ -185,6 +185,10 @@ class TestOverMemory(Vibrated, test_contract.TestMemory):
         assert len(samples) < 1.02 * rate_hz
 
 
+@test_contract.without_repeating(
+    "test_each_gets_its_own", "test_a_recharge_phase_is_for_the_electrodes",
+    test_contract.AT_ANY_LINE, test_contract.SENT,
+)  # fmt: skip
 class TestOverSimulated(Vibrated, test_contract.TestSimulated): ...
 
 

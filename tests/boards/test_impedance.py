@@ -72,15 +72,6 @@ def test_limits_too_low_to_measure_are_named():
         next(probe_sequences(limits, None))
 
 
-@given(level=st.integers(0, 5000), electrodes=st.integers(2, 70))
-def test_one_against_all_others_sums_to_zero(level, electrodes):
-    limits = SafetyLimits(electrodes, 5.0, 200, 0.5, 200, 0.8, 0.5, 5.0)
-    sequence = one_each(limits, level, 50, 1.0, 0, cathodic=True)
-    assert not sequence.current_ua.sum(axis=1).any()
-    if level:
-        assert (sequence.current_ua[np.arange(electrodes), sequence.site] == level).all()
-
-
 @given(masked=st.sets(st.integers(0, 7), max_size=6), level=st.integers(1, 2000))
 def test_masked_electrodes_are_no_returns(masked, level):
     limits = SafetyLimits(8, 5.0, 200, 0.5, 200, 0.8, 0.5, 2.4)

@@ -17,7 +17,9 @@ from smarttouch.stimulation.safety_gate import SafetyLimits
 from tests.boards.fresh import until
 from tests.boards.manual_kit import MS, ManualKit
 
-PATTERNS = int(os.environ.get("SMARTTOUCH_PATTERNS", "150"))
+from ..whole import WHOLE
+
+PATTERNS = int(os.environ.get("SMARTTOUCH_PATTERNS", "150" if WHOLE else "50"))
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 200, 0.6, 0.5, 2.4)
 PERIOD_US = 20_000
 FIRMWARES = pytest.mark.parametrize("firmware", ["71adee2", "newest"])
@@ -65,9 +67,10 @@ def test_every_pattern_is_scanned_once(monkeypatch, firmware, phase_us, drift):
     assert report.most_pulses == report.pulses
     assert (kit.driver.acknowledged, kit.driver.refused, kit.driver.replaced) == (PATTERNS, 0, 0)
     assert kit.books.unsafe == 0
-    took = (kit.clock.time_ns - start) / (20 * MS * PATTERNS)
-    print(f"{firmware} {phase_us} {drift}: {took:.3f} periods a pattern")
-    assert took < 1.05
+    took = (kit.clock.time_ns - start) / (20 * MS)
+    print(f"{firmware} {phase_us} {drift}: {took:.1f} periods for {PATTERNS} patterns")
+    # A few until its scans are located.
+    assert took < PATTERNS + 7
 
 
 @FIRMWARES

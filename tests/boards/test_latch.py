@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from smarttouch.base.errors import BoardError, BoardFaultError, BoardLatchedError
+from smarttouch.base.errors import BoardFaultError, BoardLatchedError
 from smarttouch.boards.faults import clear_latch, find_latch, latch
 from smarttouch.boards.kits.etactilekit import ETactileKitBoard
 from smarttouch.boards.link.link_board import LinkBoard
@@ -110,13 +110,3 @@ def test_the_command_line_refuses_and_clears(start_emulator):
     assert "a fault" in run("clear")[1]
     assert run("show")[0] == 0
     assert "a fault" not in run("clear")[1]
-
-
-def test_a_fault_is_the_error_of_whatever_is_sent_after_it(
-    start_faulty, make_limits, make_sequence
-):
-    board = LinkBoard(start_faulty("volts", "link", 8), make_limits())
-    with pytest.raises(BoardFaultError):
-        deliver(board, make_sequence, 100)
-    with pytest.raises(BoardError):
-        board.send(make_sequence(200))

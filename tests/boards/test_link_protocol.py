@@ -142,13 +142,6 @@ def test_voltages_survive_the_wire(volts):
     np.testing.assert_allclose(decode_volts(encode_volts(volts)), volts, atol=0.006)
 
 
-@given(current=currents, times=st.integers(1, 65535), measure=st.booleans())
-def test_repetition_and_measuring_survive_the_wire(current, times, measure):
-    payload = sequence_payload("weighted", 9000, *columns(current), current, times, measure)
-    wire = decode_sequence(payload, current.shape[1])
-    assert (wire.times, wire.measure) == (times, measure)
-
-
 @given(current=currents, seed=st.integers(0, 9), width_us=st.integers(0, 65535))
 def test_a_recharge_phase_survives_the_wire(current, seed, width_us):
     recharge = np.random.default_rng(seed).integers(-500, 501, current.shape[1]).astype(np.int16)
@@ -164,28 +157,20 @@ def test_a_recharge_phase_survives_the_wire(current, seed, width_us):
             decode_sequence(wrong, current.shape[1])
 
 
-def test_the_bytes_are_those_of_the_page():
-    current = np.array([[300, -300]], np.int16)
-    payload = sequence_payload("weighted", 9000, [100], [50], [1], current, 3, True)
-    head = struct.pack("<IHHBBHH", 9000, 3, 0xFFFF, 1, 1, 100, 50)
-    assert payload == head + struct.pack("<BBHHhh", 2, 0, 1, 1, 300, -300)
-    assert decode_sequence(payload, 2).recharge_ua is None
-
-
-@given(current=currents, seed=st.integers(0, 9), shapes=st.integers(1, 3))
-def test_the_bytes_are_those_of_a_plain_encoder(current, seed, shapes):
+@given(current=currents, seed=st.integers(0, 9), shapes=st.integers(1, 3), measure=st.booleans())
+def test_the_bytes_are_those_of_a_plain_encoder(current, seed, shapes, measure):
     _, _, site = columns(current, seed)
     shape = np.random.default_rng(seed).integers(0, shapes, len(current)).tolist()
     # Shapes 0 and 1 differ by their rest alone.
     width, rest = [100 + each // 2 for each in shape], [50 + each for each in shape]
     used = sorted(set(shape))
-    plain = struct.pack("<IHHBB", 9000, 3, 0xFFFF, 0, len(used))
+    plain = struct.pack("<IHHBB", 9000, 3, 0xFFFF, measure, len(used))
     plain += b"".join(struct.pack("<HH", 100 + each // 2, 50 + each) for each in used)
     slots = zip(shape, site.tolist(), current.tolist(), strict=True)
     for each, group in itertools.groupby(slots, key=lambda slot: slot[0]):
         rows = [struct.pack(f"<H{len(row)}h", own, *row) for _, own, row in group]
         plain += struct.pack("<BBH", 2, used.index(each), len(rows)) + b"".join(rows)
-    assert sequence_payload("weighted", 9000, width, rest, site, current, 3) == plain
+    assert sequence_payload("weighted", 9000, width, rest, site, current, 3, measure) == plain
     body = struct.pack("<BBIBQII", protocol.VERSION, MessageKind.SEQUENCE, 7, 0, 5, 6, 4) + plain
     packet = encode(MessageKind.SEQUENCE, 5, 7, 6, 4, plain)
     assert cobs.decode(packet[:-1]) == body + struct.pack("<I", zlib.crc32(body))

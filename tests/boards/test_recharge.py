@@ -1,4 +1,4 @@
-"""Recharge phases on their way to boards: those that can make them do, others refuse."""
+"""Boards of one source refuse recharge phases."""
 
 from dataclasses import replace
 
@@ -7,11 +7,9 @@ import pytest
 
 from smarttouch.base.errors import BoardError
 from smarttouch.boards.open import make_board
-from smarttouch.emulator.firmware import read_recharges, read_slots, read_state
 from smarttouch.profile.device import Output
 from smarttouch.stimulation.pulse_rates import ScanTiming
 from smarttouch.stimulation.recharge import RechargeRules, add_recharge
-from tests.boards.fresh import deliver
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
 
@@ -28,29 +26,6 @@ def recharged(make_sequence):
         return add_recharge(scan, np.zeros(8, np.int64), RULES)
 
     return make
-
-
-@pytest.mark.parametrize("url", BOARDS)
-def test_a_board_of_weighted_outputs_makes_them(url, make_limits, recharged, tmp_path):
-    """The books of an emulator show what flowed."""
-    options = {"books": tmp_path} if url == "emulator:" else {}
-    with make_board(url, make_limits(), Output(kind="weighted"), **options) as board:
-        assert board.capabilities.recharges
-        deliver(board, *map(recharged, range(4)))
-        report = board.report()
-    assert (report.sequences, report.slots, report.violations) == (4, 9, 0)
-    assert report.max_charge_uc == pytest.approx(0.07, rel=0.01)
-    # Whole µA that take back no more than there is leave less than 2 µA times the width.
-    planned = recharged()
-    assert report.max_net_charge_uc <= 3 * 2e-6 * planned.recharge_us
-    if not options:
-        return
-    state, phases = read_state(tmp_path), read_recharges(tmp_path)
-    assert phases["current_ua"].tolist() == [planned.recharge_ua.tolist()] * 3
-    assert (state["recharges"], state["slots"], len(read_slots(tmp_path))) == (3, 9, 9)
-    assert np.abs(state["passed_uc"]).max() <= 3 * 2e-6 * planned.recharge_us < 0.003
-    without_uc = 3e-6 * 100 * planned.current_ua.sum(axis=0)
-    assert np.abs(without_uc).max() > 0.1
 
 
 @pytest.mark.parametrize("url", BOARDS)

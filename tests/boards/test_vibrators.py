@@ -15,7 +15,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import BoardError, BoardStoppedError
-from smarttouch.boards.open import make_board
 from smarttouch.boards.vibrators.vibrator_board import VibratorBoard, make_vibrators
 from smarttouch.boards.vibrators.vibrator_output import GLIDE_S, Waveform, vibrator_of
 from smarttouch.profile import load_profile
@@ -101,16 +100,6 @@ class TestTheFile:
         # Of a sinusoid that is sampled evenly over whole cycles.
         assert np.sqrt(2 * (level[: 32 * 240] ** 2).mean(axis=0)) == pytest.approx(0.6, rel=0.01)
         assert np.abs(level).max(axis=0) == pytest.approx(0.6, rel=0.01)
-
-    def test_nothing_clicks_where_levels_change(self, make, wav):
-        levels = np.random.default_rng(1).random(80)
-        with opened(make("?grid=1x1")) as board:
-            for index, level in enumerate(levels):
-                board.send(shaken(level, index * 7 * MS, 7000))
-        samples, rate_hz = wav()
-        # No steeper than the carrier at full scale and the glide together.
-        steepest = 2 * np.pi * 250 / rate_hz + np.pi / 2 / (GLIDE_S * rate_hz)
-        assert np.abs(np.diff(samples[:, 0], prepend=0, append=0)).max() < steepest
 
     def test_a_vibrator_shakes_as_the_strongest_of_its_sites(self, make, wav, profile):
         vibration = np.zeros(64, np.float32)
@@ -431,8 +420,3 @@ def test_without_vibration_it_is_still(make, wav):
     with opened(make()) as board:
         board.send(replace(shaken(1.0), vibration=None))
     assert not wav()[0].any()
-
-
-def test_the_url_of_the_registry_opens_it(tmp_path, profile):
-    board = make_board(f"vibrators:{tmp_path}/out.wav", SafetyLimits.of(profile), profile.output)
-    assert board.capabilities.vibrates

@@ -11,6 +11,8 @@ from smarttouch.emulator.etactilekit_firmware import ETactileKitFirmware
 from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.emulator.firmware import DeliveryLog, read_slots
 
+from ..whole import WHOLE
+
 MS = 1_000_000
 SECOND = 1000 * MS
 
@@ -326,7 +328,7 @@ BYTES = st.one_of(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60 if WHOLE else 20, deadline=None)
 @given(pieces=st.lists(BYTES, max_size=8), step_us=st.integers(0, 2000))
 def test_any_bytes_are_survived(pieces, step_us):
     books = DeliveryLog(4)

@@ -11,6 +11,8 @@ from smarttouch.emulator.finger_events import EmulatedFinger
 from smarttouch.emulator.firmware import DeliveryLog, read_slots
 from smarttouch.emulator.kajimoto61_firmware import BUFFER, ELECTRODES, Kajimoto61Firmware
 
+from ..whole import WHOLE, sample
+
 MS = 1_000_000
 ZERO = b"\xff" + bytes(ELECTRODES)
 SLOT_MS = 0.208
@@ -72,13 +74,6 @@ def test_electrodes_come_in_order_and_only_those_that_are_on(board, books):
     assert slots["slot"].tolist() == [0, 1, 2]
 
 
-def test_a_packet_is_one_scan(board, books):
-    play(board, 0, frame(e1=50, e2=50), 1000)
-    assert (books.slots, books.sequences) == (2, 2)
-    assert (books.state, books.reason) == ("shorted", "end")
-    assert not board.busy
-
-
 def test_a_scan_goes_slot_after_slot(board, books):
     board.feed(frame(e1=50, e2=50, e3=50), 0)
     for now_ms, slots in ((0, 1), (0.207, 1), (0.209, 2), (0.5, 3)):
@@ -86,7 +81,8 @@ def test_a_scan_goes_slot_after_slot(board, books):
         assert books.slots == slots
     assert books.state == "driving"
     board.advance(int(0.625 * MS))
-    assert books.state == "shorted"
+    assert (books.state, books.reason, books.sequences) == ("shorted", "end", 2)
+    assert not board.busy
 
 
 def test_a_packet_waits_until_the_scan_is_over(board, books):
@@ -189,7 +185,7 @@ def test_a_reading_wraps_and_never_looks_like_the_end():
     assert reply[5] == 71
     assert reply[6] < 10
     readings = set()
-    for percent in range(30, 100):
+    for percent in sample(range(30, 100), 3):
         event = f"0 peel 5 {percent / 100}"
         board = Kajimoto61Firmware(
             DeliveryLog(ELECTRODES), EmulatedFinger(ELECTRODES, [event]), 2000.0
@@ -197,7 +193,7 @@ def test_a_reading_wraps_and_never_looks_like_the_end():
         board.feed(ZERO + b"\xfe", 0)
         readings.add(board.advance(10 * MS)[5])
     assert 255 not in readings
-    assert len(readings) > 50
+    assert len(readings) > (50 if WHOLE else 20)
 
 
 def test_a_command_after_a_measurement_waits_for_it(board, books):
@@ -228,7 +224,7 @@ def test_from_129_on_a_byte_is_more_than_5_ma(board, books, value, unsafe):
     assert books.max_current_ma <= 7.8126
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60 if WHOLE else 20, deadline=None)
 @given(pieces=st.lists(st.binary(max_size=70) | st.sampled_from([b"\xff", b"\xfe"]), max_size=8))
 def test_any_bytes_are_survived_and_only_their_intensities_flow(pieces):
     books = DeliveryLog(ELECTRODES)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from smarttouch.boards.link import protocol as protocol
-from smarttouch.boards.link.protocol import Feature, MessageKind, Refusal, Rule, decode_volts
+from smarttouch.boards.link.protocol import Feature, MessageKind, Refusal, Rule
 from smarttouch.emulator.firmware import DeliveryLog, read_delivered, read_recharges, read_slots
 from smarttouch.emulator.skin import Delivered
 
@@ -53,14 +53,6 @@ def test_it_takes_back_what_the_slots_have_passed(tmp_path):
     # What is felt is made of slots alone.
     assert read_slots(tmp_path)["slot"].tolist() == [0, 1]
     assert read_delivered(tmp_path)[2].tolist() == SLOTS
-
-
-def test_it_comes_once_a_repetition_and_its_voltage_is_not_a_slots(rig):
-    rig.send(0, times=3, measure=True)
-    volts = [each for each in rig.advance(30) if each.kind == MessageKind.VOLTAGES]
-    assert [len(decode_volts(each.payload)) for each in volts] == [2, 2, 2]
-    assert (rig.books.slots, rig.books.recharges) == (6, 3)
-    np.testing.assert_allclose(rig.books.passed_uc, 0, atol=1e-12)
 
 
 @pytest.mark.parametrize(("at_ms", "share"), [(0.2, 0), (0.3, 0), (0.55, 0.25), (1.3, 1), (9, 1)])

@@ -115,16 +115,6 @@ def plain(current, width_us=100, discharge_us=50, **fields):
     return ScanSequence(**(values | fields))
 
 
-def test_kernels_are_kept_and_added_up(rig):
-    assert rig.give(rig.image.data) == (rig.image.identity, len(rig.image.data), 1)
-    sequence = listed(rig.table, [[(0, 4000)], [(1, 2001)], [(2, 1500), (3, 777), (0, 31)]])
-    payload = encode_lists(sequence, 1, False, False, rig.image, 10**6)
-    assert len(payload) == 10 + 4 + 4 + 2 * 4 + 4 + 3 * 4
-    assert rig.send(sequence, image=rig.image) is None
-    assert rig.flowed() == sequence.current_ua.tolist()
-    assert rig.books.kept[1] == [500, -500, 0, 0, 0, 0]
-
-
 def test_what_is_kept_outlives_a_session_and_is_resumed(rig):
     data, identity = rig.image.data, rig.image.identity
     assert rig.give(b"") == (identity, 0, 0)
@@ -254,16 +244,6 @@ def test_without_limits_and_without_kernels_nothing_flows():
     assert found == (Refusal.UNSAFE, Rule.SUM, 0, NOTHING, 200_000, 65_535)
 
 
-def test_recharge_phases_are_checked(rig):
-    back = np.array([-100, 100, 0, 0, 0, 0], np.int16)
-    assert rig.send(plain([GOOD], recharge_ua=back, recharge_us=500)) is None
-    over = 6 * back
-    found = rig.send(plain([GOOD], recharge_ua=over, recharge_us=500), 1, number=2)
-    assert found == (Refusal.UNSAFE, Rule.CURRENT, NOTHING, 0, 600, 500)
-    found = rig.send(plain([GOOD], recharge_ua=back, recharge_us=9900), 1, number=2)
-    assert found == (Refusal.UNSAFE, Rule.FIT, NOTHING, NOTHING, 10_070, 10_000)
-
-
 def test_a_proof_is_of_the_table_and_the_session():
     rig = furnished()
     assert rig.proof == rig.image.proof(rig.host.number) != NOBODY
@@ -338,16 +318,6 @@ def test_an_emergency_switch_ends_a_session_at_once(rig):
     rig.begin(9)
     rig.advance(20)
     assert rig.books.slots == flowed
-
-
-@pytest.mark.parametrize("output", ["three-state", "one-against-all"])
-def test_switched_boards_take_states(output):
-    rig = Rig(output, ramp_ms=0)
-    assert rig.send(plain([[500, -100, -100, -100, -100, -100]])) is None
-    (kept,) = rig.flowed()
-    assert kept[0] > 0 > max(kept[1:])
-    found = rig.send(plain([[0, 0, 0, 0, 0, 0]]), 12, number=2)
-    assert found[:3] == (Refusal.UNSAFE, Rule.STATES, 0)
 
 
 def test_every_cut_of_a_payload_is_malformed():

@@ -9,6 +9,8 @@ from scipy.integrate import solve_ivp, trapezoid
 
 from smarttouch.emulator.skin import CAPACITANCE_F, PARALLEL_OHM, SERIES_OHM, SkinCircuit
 
+from ..whole import sample
+
 
 def unequal(electrodes, seed, **options):
     skin = SkinCircuit(electrodes, **options)
@@ -51,7 +53,7 @@ def switched(skin, state, source_ua, shunt_ohm=np.inf):
     return currents
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", sample(range(6), 4))
 @pytest.mark.parametrize("width_us", [50, 200])
 @pytest.mark.parametrize(("compliance_v", "shunt_ohm"), [(300, np.inf), (60, np.inf), (300, 66e3)])
 def test_a_switched_pulse_divides_by_the_equations(seed, width_us, compliance_v, shunt_ohm):

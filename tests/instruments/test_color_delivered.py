@@ -44,7 +44,7 @@ def test_each_class_is_driven_alone(afferent, profile, bank):
     assert not source.error_us(afferent).any()
 
 
-@pytest.mark.parametrize("pair", sample(itertools.combinations(Afferent, 2)))
+@pytest.mark.parametrize("pair", sample(itertools.combinations(Afferent, 2), 3))
 def test_two_mixed_give_back_both(pair, profile, bank):
     got, source = feel("+".join(ALONE[each][0] for each in pair), profile, bank)
     assert set(got) == set(pair)
@@ -86,7 +86,7 @@ def test_only_the_sites_that_were_chosen_pulse(profile, bank):
 def test_more_vibration_is_more_current(profile, bank):
     medians = [
         np.median(feel(f"tone:30Hz,{um}um", profile, bank, seconds=1.0)[0][Afferent.RA].drive)
-        for um in (7, 8.5, 10)
+        for um in sample((7, 8.5, 10))
     ]
     assert medians == sorted(medians)
-    assert medians[0] < 0.25 < 0.6 < medians[2]
+    assert medians[0] < 0.25 < 0.6 < medians[-1]

@@ -13,7 +13,7 @@ from smarttouch.instruments.relief import open_texture
 
 from ..raising import raises
 from ..said import numbers_in
-from ..whole import WHOLE
+from ..whole import WHOLE, sample
 from .feeling import feel
 from .touched import FELT, grating_file, object_file, path_motion, stroke, touch
 
@@ -44,13 +44,13 @@ def pulses(source, step_us=10_000):
     return np.array(asked)
 
 
-@pytest.mark.parametrize(("speed", "want_hz"), [(40, 10), (80, 20)])
+@pytest.mark.parametrize(("speed", "want_hz"), sample([(80, 20), (40, 10)]))
 def test_each_electrode_pulses_spatial_frequency_times_speed(mouse, mouse_bank, speed, want_hz):
     pulses_hz, _ = stroke(GRATING, speed, mouse, mouse_bank)
     assert pulses_hz == pytest.approx([want_hz] * 64)
 
 
-@pytest.mark.parametrize("angle", [90, -60])
+@pytest.mark.parametrize("angle", sample([-60, 90]))
 def test_an_oblique_grating_pulses_by_the_cosine(mouse, mouse_bank, angle):
     texture = open_texture(f"grating:4mm,{angle}deg")
     pulses_hz, _ = stroke(texture, 80, mouse, mouse_bank)
@@ -60,9 +60,9 @@ def test_an_oblique_grating_pulses_by_the_cosine(mouse, mouse_bank, angle):
     assert np.abs(pulses_hz - want_hz).max() <= 80 / 60
 
 
-@pytest.mark.parametrize(("pitch", "angle", "kind", "noise"), [
-    (2, 60, "thin", 0), (4, 0, "square", 0), (4, 30, "faint", 5),
-])  # fmt: skip
+@pytest.mark.parametrize(("pitch", "angle", "kind", "noise"), sample([
+    (4, 30, "faint", 5), (4, 0, "square", 0), (2, 60, "thin", 0),
+], 3))  # fmt: skip
 def test_a_grating_in_an_image_pulses_as_often(
     tmp_path, mouse, mouse_bank, pitch, angle, kind, noise
 ):
@@ -90,7 +90,7 @@ WAYS = [("right", "disc"), ("to and fro", "disc"), ("left", "cross"), ("bent", "
         ("circle", "disc")]  # fmt: skip
 
 
-@pytest.mark.parametrize(("way", "kind"), WAYS if WHOLE else WAYS[1::2])
+@pytest.mark.parametrize(("way", "kind"), WAYS if WHOLE else WAYS[3:4])
 def test_an_object_stays_put_while_the_hand_moves(tmp_path, brief, mouse_bank, kind, way):
     """Put together from delivered pulses its middle is where it is, to half a frame of the way."""
     time_s = np.linspace(0, 2, 201)
@@ -224,7 +224,7 @@ def test_without_contact_nothing_flows(tmp_path, mouse, mouse_bank):
     assert touched.tally.frames > 100 * (START_S + 1)
 
 
-@pytest.mark.parametrize("mode", [Mode.SAI, Mode.PC])
+@pytest.mark.parametrize("mode", sample([Mode.SAI, Mode.PC]))
 def test_other_classes_respond_too(mouse, mouse_bank, mode):
     pulses_hz, _ = stroke(GRATING, 40, mouse, mouse_bank, mode=mode, length_mm=20)
     assert pulses_hz == pytest.approx([10] * 64)

@@ -385,14 +385,6 @@ def test_without_the_extra_it_says_which(profile, monkeypatch):
         st.open_source("osc:9000", profile)
 
 
-def test_a_point_comes_out_of_the_board(source, send, profile):
-    send(built("point", 0.4, 0.4).dgram)
-    results = []
-    display = st.open_display("simulated:", profile)
-    st.run(source, display, seconds=0.3, listeners=[results.append])
-    assert {each for result in results for each in result.sequence.site.tolist()} == {27}
-
-
 def test_classes_that_differ_come_out_of_the_board(source, send, profile):
     """Mode color drives all three, each with its own electrodes."""
     own = np.zeros((3, 64), np.float32)

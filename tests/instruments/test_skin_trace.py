@@ -89,14 +89,10 @@ def test_phases_that_a_spectrum_has_not_follow_the_seed(csv_file):
 
 
 @pytest.mark.parametrize(("text", "about", "value"), [
-    ("", "columns", ()),
     ("a,b\n1,2\n", "columns", ("a", "b")),
     ("time_s,amplitude_um\n1,2\n", "columns", ("time_s", "amplitude_um")),
     ("frequency_hz,phase_deg\n1,2\n", "columns", ("frequency_hz", "phase_deg")),
     ("time_s,force_n\n0,1\n", "rows", 1),
-    ("time_s,force_n\n0,1\n\n1,x\n", "line", 4),
-    ("time_s,force_n\n0,1\n1\n", "line", 3),
-    ("time_s,force_n\n0,1\n1,nan\n", "line", 3),
     ("time_s,force_n\n0,1\n\n2,1\n1.5,1\n", "line", 5),
     ("frequency_hz,amplitude_um\n30,1\n40,-1\n", "line", 3),
     ("frequency_hz,amplitude_um\n9000,1\n", "line", 2),
@@ -170,13 +166,6 @@ def test_a_sweep_passes_its_middle_at_half_time():
 def test_a_line_that_cannot_be_understood(spec, about, value):
     with raises(SmartTouchError, about=about, value=value):
         open_trace(spec)
-
-
-def test_what_a_line_may_be():
-    with raises(SmartTouchError, about="frequency", allowed=(0, 1000)):
-        open_trace("tone:0Hz,8um")
-    with raises(SmartTouchError, about="trace", allowed=(0, 2), remedy="seconds"):
-        open_trace("press:1N@0-9")
 
 
 @pytest.mark.parametrize("seconds", [0, -1, 601, float("nan")])

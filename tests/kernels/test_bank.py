@@ -29,8 +29,9 @@ from smarttouch.kernels.weighted_design import design_kernel
 from smarttouch.profile import list_profiles, load_profile
 
 from ..raising import raises
+from ..whole import WHOLE, sample
 
-MUTANTS = int(os.environ.get("SMARTTOUCH_MUTANTS", "100"))
+MUTANTS = int(os.environ.get("SMARTTOUCH_MUTANTS", "100" if WHOLE else "40"))
 PAIRS = int(os.environ.get("SMARTTOUCH_PAIRS", "1"))
 """Rounds in which three processes design one bank at once."""
 
@@ -86,21 +87,13 @@ def test_total_current_is_limited_in_every_kernel():
 
 
 @pytest.mark.parametrize(
-    ("afferent", "site"), [(Afferent.RA, 0), (Afferent.SAI, 27), (Afferent.PC, 9)]
+    ("afferent", "site"), sample([(Afferent.SAI, 27), (Afferent.RA, 0), (Afferent.PC, 9)], 3)
 )
 def test_shipped_kernels_can_be_reproduced(profile, bank, afferent, site):
     kernel = design_kernel(Problem(profile, afferent), site)
     strongest = np.abs(kernel.weights).max()
     assert bank.weights[afferent][site] == pytest.approx(kernel.weights, abs=1e-6 * strongest)
     assert bank.off_target[afferent][site] == pytest.approx(kernel.off_target, abs=1e-6)
-
-
-def test_three_states_share_one_source():
-    bank = load_bank(load_profile("smarttouch-4x4"))
-    for weights in bank.weights.values():
-        for row in weights:
-            assert row[row > 0] == pytest.approx(row.max())
-            assert row[row < 0] == pytest.approx(row.min())
 
 
 def test_one_against_all_offers_its_polarity_only():
@@ -138,7 +131,7 @@ def mine():
     table = profile.model_dump()
     table["name"] = "mine"
     table["array"] |= {"rows": 2, "columns": 3, "pitch_x_mm": 1.8}
-    table["skin"]["node_spacing_mm"] = 0.25
+    table["skin"]["node_spacing_mm"] = 0.6
     return type(profile).model_validate(table)
 
 
@@ -173,7 +166,7 @@ def test_an_interrupted_bank_goes_on_where_it_was(tmp_path, mine):
         assert bank.weights[afferent] == pytest.approx(whole.weights[afferent])
 
 
-@pytest.mark.parametrize("junk", [b"", b"PK\x03\x04 not really", b"\0" * 100])
+@pytest.mark.parametrize("junk", sample([b"PK\x03\x04 not really", b"", b"\0" * 100], 3))
 def test_a_broken_cache_is_designed_again(cache, mine, junk):
     cache.mkdir()
     path = cache / f"{problem_hash(mine)}.npz"
@@ -207,8 +200,8 @@ def test_masked_electrodes_matter_to_kernels_their_order_not(profile, changed):
 
 
 @pytest.mark.parametrize(("name", "keys"), [
-    ("smarttouch-4x4", {"array.rows": 2, "skin.node_spacing_mm": 0.25}), ("etactilekit-32", {}),
-    ("line-7", {}),
+    ("smarttouch-4x4", {"array.rows": 2, "skin.node_spacing_mm": 0.25}),
+    ("etactilekit-32", {"skin.node_spacing_mm": 0.5}), ("line-7", {}),
 ])  # fmt: skip
 def test_a_bank_around_masked_electrodes(name, keys, changed):
     masked = [1, 5]
@@ -275,8 +268,8 @@ def test_a_weighted_board_s_kernels_do_not_depend_on_impedances(changed):
 
 def test_kernels_around_one_electrode_stay_selective(profile, bank, changed):
     """The others make up for it: RA loses a sixth at its neighbors, SAI next to nothing."""
-    masked, near = changed(profile, {"output.masked": [27]}), [18, 19, 28]
-    for afferent, loss in ((Afferent.RA, 1.17), (Afferent.SAI, 1.01)):
+    masked, near = changed(profile, {"output.masked": [27]}), sample([18, 19, 28], 3)
+    for afferent, loss in sample(((Afferent.RA, 1.17), (Afferent.SAI, 1.01))):
         kernels = [
             kernel for kernel, _ in design_sites(Problem(masked, afferent), design_kernel, near)
         ]

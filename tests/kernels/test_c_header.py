@@ -15,6 +15,7 @@ from smarttouch.stimulation.scan_sequence import KernelLists
 
 from ..firmware.build import SOURCES
 from ..raising import raises
+from ..whole import sample
 
 PROGRAM = """
 #include <stdio.h>
@@ -68,7 +69,7 @@ int main(void)
 """
 
 
-@pytest.mark.parametrize("name", ["electric-mouse", "line-8"])
+@pytest.mark.parametrize("name", sample(["line-8", "electric-mouse"]))
 def test_the_firmware_makes_the_host_s_currents_of_it(name, tmp_path):
     compiler = shutil.which("cc")
     if compiler is None or not SOURCES.is_dir():

@@ -88,8 +88,11 @@ def test_they_are_better_on_their_sample(on_fingers, bank, designed):
 
 
 def test_a_bank_of_them_is_found_again_and_runs_point_by_point(
-    on_fingers, profile, bank, monkeypatch, tmp_path
+    profile, bank, changed, monkeypatch, tmp_path
 ):
+    one = {"objective": "finger", "anatomy": "paper", "fingers": 1}
+    coarse = changed(profile, {"skin.node_spacing_mm": 0.5})
+    on_fingers = coarse.model_copy(update={"kernels": one})
     monkeypatch.setattr("platformdirs.user_cache_path", lambda _: tmp_path)
 
     def weak(self, afferent, sites, progress=None, keep=None):

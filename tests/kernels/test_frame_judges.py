@@ -13,6 +13,7 @@ from smarttouch.kernels.frame_judges import FrameJudge, full_wish
 from smarttouch.profile import load_profile
 
 from ..raising import raises
+from ..whole import WHOLE
 
 
 @pytest.fixture(scope="module", params=[Afferent.RA, Afferent.SAI], ids=lambda each: each.name)
@@ -22,7 +23,7 @@ def judged(request, profile, changed, bank):
     return FrameJudge(coarse, afferent, wish), Problem(coarse, afferent)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25 if WHOLE else 10, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30))
 def test_figures_are_those_of_all_rows(judged, seed, points):
     judge, problem = judged

@@ -16,6 +16,7 @@ from smarttouch.physiology.activating_function import af_matrix, everywhere
 from smarttouch.profile import load_profile
 
 from ..raising import raises
+from ..whole import WHOLE
 
 LETTER_T = "........ .#####.. ...#.... ...#.... ...#.... ...#.... ...#.... ...#...."
 
@@ -30,7 +31,7 @@ def scattered(seed, points, sites=64):
     return level
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25 if WHOLE else 10, deadline=None)
 @given(
     st.sampled_from([Afferent.RA, Afferent.SAI]), st.integers(0, 2**32 - 1), st.integers(1, 30)
 )  # fmt: skip

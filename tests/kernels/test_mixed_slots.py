@@ -14,6 +14,7 @@ from smarttouch.kernels.frame_operator import FrameOperator, keeps
 from smarttouch.kernels.slot_plans import likely_slots, plan_slots
 
 from ..raising import raises
+from ..whole import WHOLE, sample
 
 BOTH = (Afferent.RA, Afferent.SAI)
 
@@ -50,7 +51,7 @@ def wished(seed, ra, sai):
     return level
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25 if WHOLE else 8, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 9), st.integers(0, 9))
 def test_figures_are_those_of_all_rows(operator, problems, seed, ra, sai):
     level = wished(seed, ra, sai)
@@ -93,7 +94,7 @@ def test_where_one_class_is_active_it_is_judged_as_alone(judges, operator, index
     assert operator.judge.judge(current, level) == alone
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20 if WHOLE else 8, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(0, 14), st.integers(0, 14))
 def test_every_point_once_and_every_slot_within_its_bounds(profile, bank, operator, seed, ra, sai):
     level, bounds = wished(seed, ra, sai), FrameBounds()
@@ -132,7 +133,7 @@ def test_one_class_carries_back_what_the_other_needs(judges, operator):
 def test_mixed_frames_take_fewer_slots(judges, operator):
     apart = [FrameOperator(judge) for judge in judges]
     mixed = separate = 0
-    for seed in range(8):
+    for seed in sample(range(8)):
         level = np.ceil(wished(seed, 16, 16))
         mixed += len(plan_slots(operator, level, FrameBounds()))
         separate += sum(
@@ -142,13 +143,6 @@ def test_mixed_frames_take_fewer_slots(judges, operator):
         assert likely_slots(operator, level, FrameBounds(), 10.0) <= 4
     # As many of each class in every slot: dealt without that, .71.
     assert mixed <= 0.66 * separate
-
-
-def test_targets_that_nothing_reaches_have_endless_ratios(operator):
-    level = wished(1, 2, 2)
-    for current in (np.zeros(64), -operator.currents(level)):
-        figures = operator.judge.judge(current, level)
-        assert figures.off_target == figures.spill == np.inf
 
 
 def test_a_class_cannot_be_mixed_with_itself(judges):

@@ -1,25 +1,23 @@
 """Slots of a frame: every point once, every slot within its bounds, few of them."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.kernels import slot_plans as module
 from smarttouch.kernels.bank import load_bank
-from smarttouch.kernels.frame_fields import FrameBounds, FrameFigures
+from smarttouch.kernels.frame_fields import FrameBounds
 from smarttouch.kernels.frame_judges import FrameJudge, full_wish
 from smarttouch.kernels.frame_operator import FrameOperator, keeps
-from smarttouch.kernels.slot_plans import FrameSlot, likely_slots, plan_slots
+from smarttouch.kernels.slot_plans import likely_slots, plan_slots
 from smarttouch.profile import load_profile
 
+from ..whole import WHOLE
 from .test_frame_operator import LETTER_T, drawn, scattered
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25 if WHOLE else 10, deadline=None)
 @given(
     st.sampled_from([Afferent.RA, Afferent.SAI]),
     st.integers(0, 2**32 - 1),
@@ -94,92 +92,3 @@ def test_points_join_slots_that_they_leave_within_bounds(changed):
         assert all(slot.kept or len(slot.sites) == 1 for slot in plan)
         slots += len(plan)
     assert slots <= 20
-
-
-class ToldSlots:
-    """Slots that are within their bounds where their points are far enough apart, and no skin.
-
-    All that were looked at, in order, are in ``asked``.
-    """
-
-    hopeless = (0, 1)
-    """Points that break a bound even alone."""
-
-    def __init__(self, monkeypatch, seed, total_ma):
-        self.position_mm = np.random.default_rng(seed).uniform(0, 8, (48, 2))
-        self.total_ma, self.asked = total_ma, []
-        profile = SimpleNamespace(
-            electrodes=SimpleNamespace(position_mm=self.position_mm),
-            limits=SimpleNamespace(total_ma=total_ma),
-        )
-        judge = SimpleNamespace(profile=profile, target=np.eye(48), wish_af=np.ones(48))
-        self.operator = SimpleNamespace(judge=judge)
-        monkeypatch.setattr(module, "_slot", self._slot)
-
-    def _slot(self, _operator, level, points, _bounds, total_ma, _points_ma):
-        place = self.position_mm[points]
-        apart = np.hypot(*(place[:, None] - place[None]).transpose(2, 0, 1))
-        near = (apart + 9 * np.eye(len(points))).min() < 1.2
-        current_ma = float(level[points].sum())
-        kept = not near and current_ma <= total_ma and not set(points) & set(self.hopeless)
-        figures = FrameFigures(0.1, 0.1, 1.0, 1.0, current_ma, 1.0)
-        self.asked.append(FrameSlot(np.asarray(points), np.zeros(48), figures, kept))
-        return self.asked[-1]
-
-    def plan(self):
-        return plan_slots(self.operator, np.ones(48), FrameBounds())
-
-    def joinings(self):
-        """Return, of each point that looked for a slot to join, those it asked, in order."""
-        slots, tried, found = [], [], []
-        for slot in self.asked:
-            old = next((each for each in slots if set(each.sites) < set(slot.sites)), None)
-            if old is not None and len(slot.sites) == len(old.sites) + 1:
-                tried.append((int(np.setdiff1d(slot.sites, old.sites)[0]), old, slot))
-                found.append(list(slots))
-            if slot.kept or len(slot.sites) == 1:
-                slots = [each for each in slots if not set(each.sites) <= set(slot.sites)]
-                slots.append(slot)
-        return tried, found
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_a_point_joins_the_farthest_slot_that_keeps_its_bounds(monkeypatch, seed):
-    told = ToldSlots(monkeypatch, seed, total_ma=30.0)
-    plan = told.plan()
-    sites = np.concatenate([slot.sites for slot in plan])
-    assert sorted(sites) == list(range(48)), "every point once"
-    assert all(slot.kept or len(slot.sites) == 1 for slot in plan)
-    assert {int(slot.sites[0]) for slot in plan if not slot.kept} == set(told.hopeless)
-    tried, slots = told.joinings()
-    by_point = {}
-    for (point, old, joined), there in zip(tried, slots, strict=True):
-        by_point.setdefault(point, []).append((old, joined, there))
-    assert by_point
-    for point, asked in by_point.items():
-        joins = [joined.kept for _, joined, _ in asked]
-        assert not any(joins[:-1]), "the first that can is joined"
-        assert len(joins) <= 5
-        assert all(old.kept for old, *_ in asked)
-        away = told.position_mm - told.position_mm[point]
-        push = 1 / np.maximum(np.hypot(*away.T), 1e-9) ** 3
-        order = [push[old.sites].sum() for old, *_ in asked]
-        assert order == sorted(order)
-        kept = [each for each in asked[0][2] if each.kept and point not in each.sites]
-        # All farther ones were asked before one that is nearer.
-        farthest = sorted(push[each.sites].sum() for each in kept)[: len(order)]
-        assert order == pytest.approx(farthest)
-        home = next(slot for slot in plan if point in slot.sites)
-        if joins[-1]:
-            assert set(asked[-1][1].sites) <= set(home.sites)
-        else:
-            assert len(joins) == min(5, len(kept))
-
-
-def test_a_slot_that_is_nearly_full_is_not_asked(monkeypatch):
-    told = ToldSlots(monkeypatch, 3, total_ma=5.0)
-    plan = told.plan()
-    tried, _ = told.joinings()
-    assert tried
-    assert max(old.figures.total_ma for _, old, _ in tried) <= 4
-    assert max(slot.figures.total_ma for slot in plan) <= 5

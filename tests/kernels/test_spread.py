@@ -6,7 +6,7 @@ import pytest
 from smarttouch.base.afferent import Afferent
 from smarttouch.kernels.design_problem import Problem
 
-from ..reference.spread import Worst, spread_judges, uneven_levels, with_gain_error
+from ..reference.spread import Worst, spread_judges
 from .test_frame_operator import scattered
 
 
@@ -39,21 +39,3 @@ def test_no_spread_is_the_nominal_finger(make_operator):
     tilted = [judge.judge(current, level) for judge in spread_judges(operator.judge, depth=False)]
     assert len(tilted) == 5
     assert Worst.of(tilted).off_target > tilted[0].off_target
-
-
-def test_channels_err_by_the_stated_amount():
-    current = np.linspace(-2, 2, 64)
-    drawn = np.array(list(with_gain_error(current, 0.05, 200, 1)))
-    apart = drawn[:, current != 0] / current[current != 0] - 1
-    assert apart.std() == pytest.approx(0.05, rel=0.05)
-    assert apart.mean() == pytest.approx(0, abs=0.005)
-    again = np.array(list(with_gain_error(current, 0.05, 200, 1)))
-    assert np.array_equal(drawn, again)
-
-
-def test_thresholds_differ_within_their_part():
-    levels = uneven_levels(np.ones(1000), 0.3, 1)
-    assert levels.min() >= 0.7 / 1.3
-    assert 0.95 < levels.max() <= 1
-    assert levels.std() > 0.1
-    assert not uneven_levels(np.zeros(5), 0.3, 1).any()

@@ -23,6 +23,7 @@ from smarttouch.kernels.weighted_design import design_kernel
 from smarttouch.profile import load_profile
 
 from ..raising import raises
+from ..whole import sample
 
 
 @pytest.fixture(scope="module")
@@ -94,22 +95,13 @@ def test_no_assignment_is_better(small, afferent, site, impedance_kohm, masked):
         assert kernel.weights[2] == 0
 
 
-@pytest.mark.parametrize("afferent", [Afferent.RA, Afferent.SAI])
+@pytest.mark.parametrize("afferent", sample([Afferent.RA, Afferent.SAI]))
 def test_no_assignment_is_better_on_the_worst_finger(small, afferent):
     nominal, spread = (Problem(small(), afferent, spread=each) for each in (False, True))
     kernel = design_three_state(spread, 1)
     assert kernel.gap == 0
     assert kernel.off_target == pytest.approx(by_trying_all(spread, 1), rel=1e-9)
     assert nominal.judge(kernel.weights, 1, kind="three-state").off_target < kernel.off_target
-
-
-def test_a_source_divides_by_admittance(small):
-    profile = small(IMPEDANCES[1])
-    kernel = design_three_state(Problem(profile, Afferent.SAI), 1)
-    for pole in (kernel.weights > 0, kernel.weights < 0):
-        share = kernel.weights[pole] / profile.admittance[pole]
-        assert share == pytest.approx(share[0])
-    assert abs(kernel.weights.sum()) < 1e-12 * np.abs(kernel.weights).max()
 
 
 def test_where_a_proof_is_too_much_the_gap_is_stated(small, monkeypatch):

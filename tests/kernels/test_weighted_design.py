@@ -15,6 +15,7 @@ from smarttouch.profile import load_profile
 
 from ..raising import raises
 from ..reference.kernel_optimum import activating, lattice, optima
+from ..whole import WHOLE, sample
 
 SPACING = "skin.node_spacing_mm"
 
@@ -66,7 +67,7 @@ METHODS = [
 ]
 
 
-@pytest.mark.parametrize("options", METHODS, ids=str)
+@pytest.mark.parametrize("options", sample(METHODS), ids=str)
 @pytest.mark.parametrize("afferent", list(Afferent))
 def test_no_method_of_the_solver_gives_another_kernel(line, afferent, options):
     problem = Problem(line, afferent)
@@ -79,24 +80,23 @@ def test_a_kernel_that_could_be_mirrored_is_not(profile, changed):
     """PC within 10 mA has equal kernels on either side of its site: the inner one is taken."""
     problem = Problem(changed(profile, {SPACING: 0.5}), Afferent.PC)
     usual = design_kernel(problem, 27).weights
-    for options in METHODS:
+    for options in sample(METHODS):
         other = design_kernel(problem, 27, options=options).weights
         assert other == pytest.approx(usual, abs=1e-6 * np.abs(usual).max()), options
 
 
-@pytest.mark.parametrize("method", ["highs", "highs-ds", "highs-ipm"])
 @pytest.mark.parametrize("site", [0, 2, 3])
 @pytest.mark.parametrize("afferent", list(Afferent))
-def test_linprog_finds_the_same_optimum(line, whole_programme, afferent, site, method):
+def test_linprog_finds_the_same_optimum(line, whole_programme, afferent, site):
     problem = Problem(line, afferent)
     kernel = design_kernel(problem, site, given_up=0)
     best = max(kernel.off_target, kernel.spill if kernel.spill > 0.2001 else 0)
     shuffled = np.random.default_rng(site).permutation
-    found = whole_programme(problem, site, method=method, order=shuffled)
+    found = whole_programme(problem, site, order=shuffled)
     assert best == pytest.approx(found, rel=1e-6)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10 if WHOLE else 4, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(list(Afferent)))
 def test_shuffled_rows_give_the_same_kernel(seed, afferent):
     problem = Problem(load_profile("line-7"), afferent)
@@ -114,7 +114,7 @@ def test_shuffled_rows_give_the_same_kernel(seed, afferent):
 @pytest.mark.parametrize("afferent", list(Afferent))
 def test_row_generation_misses_no_row(three_by_three, changed, whole_programme, afferent):
     problem = Problem(changed(three_by_three, {SPACING: 0.25}), afferent)
-    for site in (0, 1, 4):
+    for site in sample((0, 1, 4), 3):
         kernel = design_kernel(problem, site, given_up=0)
         best = max(kernel.off_target, kernel.spill if kernel.spill > 0.2001 else 0)
         assert best == pytest.approx(whole_programme(problem, site), rel=1e-6)

@@ -18,6 +18,7 @@ from smarttouch.profile import list_profiles, load_profile
 
 from ..close import assert_close
 from ..raising import raises
+from ..whole import sample
 
 LAYERS = [
     {"name": "stratum corneum", "thickness_mm": 0.3, "conductivity_s_per_m": 0.02},
@@ -59,6 +60,8 @@ def test_the_paper_s_own_matrix():
 
 
 def test_an_infinite_medium_has_half_the_field(profile, changed):
+    few = {"array.rows": 3, "array.columns": 4}
+    profile = changed(profile, few)
     infinite = changed(profile, {"skin.medium": "infinite"})
     nodes = everywhere(profile, Afferent.PC)
     half = af_matrix(profile, nodes) / 2
@@ -137,7 +140,7 @@ MIXED = {
 
 
 def test_an_array_of_several_shapes_has_the_fields_of_each(profile, changed):
-    mixed = changed(profile, {"array": MIXED})
+    mixed = changed(profile, {"array": MIXED, "skin.node_spacing_mm": 0.5})
     nodes = everywhere(mixed, Afferent.SAI)
     whole = af_matrix(mixed, nodes)
     for index, (shape, size) in enumerate(zip(MIXED["shapes"], MIXED["sizes_mm"], strict=True)):
@@ -150,7 +153,7 @@ def test_an_array_of_several_shapes_has_the_fields_of_each(profile, changed):
         assert whole[:, index] == pytest.approx(scale * expected)
 
 
-@pytest.mark.parametrize("depth_mm", [0.3, 0.9, 2.0])
+@pytest.mark.parametrize("depth_mm", sample([0.9, 0.3, 2.0], 3))
 def test_a_ring_s_potential_is_that_of_its_spectrum(profile, changed, depth_mm):
     array = {"layout": "free", "positions_mm": [[0, 0], [20, 0]], "shape": "annulus"}
     rings = changed(profile, {"array": array | {"size_mm": [8.0, 6.0]}})

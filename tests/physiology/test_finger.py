@@ -14,6 +14,7 @@ from smarttouch.profile import load_profile
 
 from ..close import assert_close
 from ..raising import raises
+from ..whole import sample
 
 ANATOMIES = ("branched", "paper")
 
@@ -157,7 +158,7 @@ def test_what_is_wrong_with_an_anatomy(tmp_path, small):
 LAYERS = [{"conductivity_s_per_m": 0.43, "thickness_mm": each} for each in (0.3, 1.2)]
 
 
-@pytest.mark.parametrize("anatomy", ANATOMIES)
+@pytest.mark.parametrize("anatomy", sample(ANATOMIES[::-1]))
 def test_layers_of_one_conductivity_are_the_half_space(small, layered, anatomy):
     layers = [*LAYERS, {"conductivity_s_per_m": 0.43}]
     own = load_anatomy(anatomy).model_copy(update={"layers": layers})

@@ -16,7 +16,7 @@ from smarttouch.physiology.potential import disc, disc_potential, point
 
 from ..raising import raises
 from ..reference import layered_field as reference
-from ..whole import sample
+from ..whole import WHOLE, sample
 
 HOMOGENEOUS = [(np.inf, 1.0)]
 SKIN = [(0.3, 0.02), (1.2, 0.43), (np.inf, 0.025)]
@@ -39,7 +39,7 @@ def by_images(x, depth, thickness, upper, lower, count=400):
 
 
 @pytest.mark.parametrize("depth", [0.1, 0.7, 0.9, 2.0])
-@pytest.mark.parametrize("k", [0.01, 0.3, 1.0, 4.0, 9.0])
+@pytest.mark.parametrize("k", sample([0.01, 0.3, 1.0, 4.0, 9.0], 4))
 def test_transfer_solves_the_boundary_values(depth, k):
     level, slope = transfer(np.array([k]), depth, SKIN)
     expected = reference.transfer(np.array([k]), depth, SKIN)
@@ -109,15 +109,6 @@ def test_an_annulus_is_rings_of_points():
             assert mine[index] == pytest.approx(expected, rel=1e-4, abs=1e-6)
 
 
-def test_insulating_fat_holds_the_current_in_the_skin():
-    x, y = axis(0.0, 2.0, 4.0)
-    open_, held = (
-        round_electrode(x, y, 0.7, 0.5, 0.0, [(1.5, 0.43), (np.inf, below)])
-        for below in (0.43, 0.025)
-    )
-    assert np.all(np.abs(held.potential) > np.abs(open_.potential))
-
-
 def second_differences(potential, places, depth, step=0.079):
     """Return what drives a fiber with nodes 79 µm apart: across and along the depth, (2, R)."""
     here = potential(places, depth)
@@ -129,7 +120,7 @@ def second_differences(potential, places, depth, step=0.079):
 LAYER = st.tuples(st.floats(0.02, 4.0), st.floats(0.002, 2.0))
 
 
-@settings(max_examples=3)
+@settings(max_examples=3 if WHOLE else 1)
 @given(
     stack=st.lists(LAYER, max_size=3),
     bottom=st.floats(0.002, 2.0),

@@ -8,6 +8,7 @@ from smarttouch.base.errors import DesignError
 from smarttouch.physiology.membrane import Axon, Fiber, threshold_ma, weiss_fit
 
 from ..raising import raises
+from ..whole import WHOLE, sample
 
 SPACING_MM = Fiber().internode_mm
 TRUNK = {"internode_mm": 0.33}  # 100 outer diameters
@@ -78,7 +79,7 @@ def fires_by_integration(potential, current_ma, width_us):
 def test_rest_stays_at_rest(end):
     axon = Axon(upright(), Fiber(end=end), 2.0)
     state = axon.rest(1)
-    for _ in range(500):
+    for _ in range(500 if WHOLE else 100):
         state = axon.advance(state, np.zeros((1, axon.push.size)))
     assert np.abs(state[0]).max() < 1e-9
 
@@ -106,7 +107,7 @@ def test_an_independent_integrator_finds_the_same_threshold():
     assert not fires_by_integration(potential, 0.99 * threshold, 200.0)
 
 
-@pytest.mark.parametrize(("end", "width_us"), [("passive", 50.0), ("active", 200.0)])
+@pytest.mark.parametrize(("end", "width_us"), sample([("passive", 50.0), ("active", 200.0)]))
 def test_halving_the_step_changes_little(end, width_us):
     fiber = Fiber(end=end)
     normal = polarities(upright(), fiber, width_us=width_us, step_us=2.0)
@@ -114,7 +115,7 @@ def test_halving_the_step_changes_little(end, width_us):
     assert normal == pytest.approx(halved, rel=0.01)
 
 
-@pytest.mark.parametrize("cathodic", [True, False])
+@pytest.mark.parametrize("cathodic", sample([True, False]))
 def test_charge_rises_linearly_with_width(cathodic):
     """Weiss' law within 3 %, from the shortest pulses to the customary 200 µs."""
     widths_us = np.array([20.0, 50.0, 100.0, 200.0])
@@ -135,14 +136,16 @@ def test_weiss_fit_recovers_an_exact_curve():
     assert weiss_fit(widths_us, 0.7 * (1 + 55 / widths_us)) == pytest.approx((0.7, 55.0))
 
 
-@pytest.mark.parametrize(("depth_mm", "source"), [(0.7, disc_mv_per_ma), (1.4, point_mv_per_ma)])
+@pytest.mark.parametrize(
+    ("depth_mm", "source"), sample([(0.7, disc_mv_per_ma), (1.4, point_mv_per_ma)])
+)
 def test_flat_fiber_prefers_the_cathode(depth_mm, source):
     cathodic, anodic = polarities(flat(depth_mm, source, 131), Fiber(end="through"))
     assert 3 < anodic / cathodic < 6
 
 
 def test_deeper_takes_more():
-    depths_mm = [0.5, 0.7, 0.9, 1.4, 2.0]
+    depths_mm = sample([0.5, 0.7, 0.9, 1.4, 2.0])
     fiber = Fiber(end="through")
     thresholds = [threshold_ma(flat(each), fiber, cathodic=True, step_us=5.0) for each in depths_mm]
     assert np.all(np.diff(thresholds) > 0)
@@ -155,9 +158,9 @@ def test_far_ends_do_not_matter_once_out_of_the_field():
     assert polarities(flat(0.9, nodes=151), Fiber()) == pytest.approx(long, rel=0.005)
 
 
-@pytest.mark.parametrize(("source", "geometry"), [
-    (point_mv_per_ma, {}), (disc_mv_per_ma, {}), (disc_mv_per_ma, TRUNK),
-])  # fmt: skip
+@pytest.mark.parametrize(("source", "geometry"), sample([
+    (disc_mv_per_ma, {}), (point_mv_per_ma, {}), (disc_mv_per_ma, TRUNK),
+], 3))  # fmt: skip
 def test_the_ending_decides_what_fires_an_upright_fiber(source, geometry):
     potential = upright(source, **geometry)
     cathodic, anodic = polarities(potential, Fiber(end="passive", **geometry))
@@ -177,15 +180,6 @@ def test_thicker_fibers_fire_first():
         for each in (2.0, 6.0)
     )
     assert thick < thin
-
-
-def test_scales_with_the_potential():
-    fiber = Fiber(end="through")
-    once, fifth = (
-        threshold_ma(scale * flat(0.9), fiber, cathodic=True, step_us=5.0) for scale in (1, 5)
-    )
-    assert fifth == pytest.approx(once / 5, rel=0.002)
-    assert threshold_ma(-flat(0.9), fiber, cathodic=False, step_us=5.0) == once
 
 
 @pytest.mark.parametrize("scale", [1e-4, 1e6])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.physiology.finger import Finger
@@ -10,6 +10,7 @@ from smarttouch.physiology.spikes import NodeDrives, SpikeModel
 from smarttouch.profile import load_profile
 
 from ..close import assert_close
+from ..whole import WHOLE
 
 
 @pytest.fixture(scope="module", params=["paper", "branched"])
@@ -26,6 +27,7 @@ def dense(rows, current_ma):
     return np.maximum.reduceat(rows[0] @ current_ma.T, rows[1], axis=0)
 
 
+@settings(max_examples=100 if WHOLE else 10)
 @given(
     seed=st.integers(0, 2**32 - 1), strongest_ma=st.floats(0.01, 8.0), least=st.floats(-0.5, 1.5)
 )

@@ -108,11 +108,6 @@ def test_far_electrodes_are_points():
         assert field.zz == pytest.approx(far.zz, rel=2e-2)
 
 
-def test_along_a_diagonal_is_along_the_turned_axis():
-    turned = at(CLOSED[2][0], 0.6, 0.6, 0.7).along(np.array([1, 1, 0]) / np.sqrt(2))
-    assert turned == pytest.approx(at(CLOSED[2][0], 0.6 * np.sqrt(2), 0.0, 0.7).xx)
-
-
 def test_along_a_slant_is_the_second_difference_along_it():
     direction = np.array([2, -1, 2]) / 3
     potential = disc_potential(0.5)

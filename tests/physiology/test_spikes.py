@@ -81,12 +81,6 @@ def test_a_shorter_pulse_does_less_by_weiss_s_law(finger):
     assert short == pytest.approx(expected * long, rel=1e-4)
 
 
-def test_the_same_seed_gives_the_same_spikes(finger):
-    weak = slots(finger, 5, 2.0)
-    one, again = (SpikeModel(finger, 7).fire(weak).fired for _ in range(2))
-    assert np.array_equal(one, again)
-
-
 def test_measures_of_what_was_felt(finger):
     places = finger.profile.electrodes.position_mm
     active = np.zeros(len(places), bool)

@@ -10,9 +10,10 @@ from smarttouch.base.files import data_folder
 from smarttouch.profile import load_profile
 
 from ..raising import assert_says
+from ..whole import WHOLE
 from .shipped import SHIPPED
 
-MUTANTS = int(os.environ.get("SMARTTOUCH_MUTANTS", "300"))
+MUTANTS = int(os.environ.get("SMARTTOUCH_MUTANTS", "300" if WHOLE else "100"))
 
 VALUES = (
     "nan", "inf", "-inf", "-1", "0", "1", "2", "65536", "1e30", "1e-30", "1e308", "9" * 30, '""',

@@ -150,10 +150,6 @@ def test_impossible_arrays(edited, positions, shape, size, attributes):
              ("perception.threshold_ma", 1, 64)],
         ),
         (
-            [("[optics]", "masked = [3, 3]\nwiring = [-1, 2]\n[optics]")],
-            [("output.masked", 3), ("output.wiring", -1, 0)],
-        ),
-        (
             [("comfort_ratio = 2.0", "comfort_ratio = 5.0"), ("pulse_us = 200", "pulse_us = 100")],
             [("limits.current_ma", "6.00", 5),
              ("limits.charge_uc", "1.2", 0.5),
@@ -163,10 +159,6 @@ def test_impossible_arrays(edited, positions, shape, size, attributes):
             [("threshold_ma = 1.2", 'threshold_ma = [1.2, "x", -1.0]')],
             [("perception.threshold_ma.1", "x"),
              ("perception.threshold_ma.2", -1.0, 0)],
-        ),
-        (
-            [('threshold_ma = 1.2', 'threshold_ma = "x"')],
-            [("perception.threshold_ma", "x")],
         ),
         (
             [("ra_depth_mm = 0.1", "ra_depth_mm = 0.8"),

@@ -1,9 +1,11 @@
-"""Small sequences and limits by hand, for four electrodes."""
+"""Small sequences and limits by hand: for the oracle of four electrodes, for gates of 64."""
 
 from fractions import Fraction
 
 import numpy as np
+import pytest
 
+from smarttouch.base.errors import SafetyError
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from .bounds import NS, Bounds
@@ -16,17 +18,10 @@ FULL = Bounds(
 )  # fmt: skip
 
 
-class Recharged(ScanSequence):
-    """A sequence with a recharge phase, for as long as sequences have none of their own."""
-
-    recharge_ua = None
-    recharge_us = 0
-
-
 def sequence(rows, *, width=100, discharge=50, period=20_000, intensity=1.0, time_ns=NS, **other):
     current = np.array(rows, np.int16).reshape(-1, 4)
     slots = len(current)
-    made = Recharged(
+    made = ScanSequence(
         current, np.broadcast_to(np.array(width, np.uint16), (slots,)),
         np.broadcast_to(np.array(discharge, np.uint16), (slots,)), np.zeros(slots, np.uint16),
         period, intensity, time_ns, other.pop("vibration", None),
@@ -39,3 +34,31 @@ def sequence(rows, *, width=100, discharge=50, period=20_000, intensity=1.0, tim
 def pair(first, count=1):
     """Slots in which one electrode drives, and another returns."""
     return [[first, -first, 0, 0]] * count
+
+
+def pulses(
+    slots,
+    *,
+    current_ua=2400,
+    width_us=200,
+    discharge_us=20,
+    period_us=20_000,
+    time_ns=NS,
+    twin=False,
+):
+    """One electrode against its neighbor, slot after slot; each other one reversed if twin."""
+    current = np.zeros((slots, 64), np.int16)
+    current[:, 27], current[:, 28] = current_ua, -current_ua
+    if twin:
+        current[1::2] *= -1
+    column = np.ones(slots, np.uint16)
+    return ScanSequence(
+        current, column * width_us, column * discharge_us, column * 27, period_us, 1.0, time_ns
+    )
+
+
+def refused(gate, sequence, times=1):
+    """Return the limit that a sequence breaks."""
+    with pytest.raises(SafetyError) as error:
+        gate.prove(sequence, times)
+    return error.value.limit

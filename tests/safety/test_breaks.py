@@ -19,28 +19,11 @@ from smarttouch.base.errors import BoardError, SafetyError
 from smarttouch.boards.open import make_board
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
-from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..rising import open_level
+from .by_hand import pulses, refused
 
 SECOND = 10**9
-
-
-def pulses(slots, *, current_ua=2400, discharge_us=100, period_us=20_000, time_ns=SECOND):
-    """One electrode against its neighbor, slot after slot."""
-    current = np.zeros((slots, 64), np.int16)
-    current[:, 27], current[:, 28] = current_ua, -current_ua
-    column = np.ones(slots, np.uint16)
-    return ScanSequence(
-        current, column * 200, column * discharge_us, column * 27, period_us, 1.0, time_ns
-    )
-
-
-def refused(gate, sequence):
-    """Return the limit that a sequence breaks."""
-    with pytest.raises(SafetyError) as error:
-        gate.prove(sequence)
-    return error.value.limit
 
 
 def test_one_endless_pulse(opened):

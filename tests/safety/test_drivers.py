@@ -15,6 +15,9 @@ from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..raising import raises
 
+# What is refused is so however long the computer pauses.
+pytestmark = pytest.mark.usefixtures("patient_boards")
+
 WIDE = SafetyLimits(8, 5.0, 200, 0.5, 100, 0.6, 0.5, 5.0)
 
 

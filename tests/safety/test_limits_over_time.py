@@ -9,31 +9,12 @@ from smarttouch.base.errors import BoardError, SafetyError, SequenceLateError
 from smarttouch.boards.open import make_board
 from smarttouch.profile import load_profile
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
-from smarttouch.stimulation.scan_sequence import ScanSequence
 
 from ..rising import open_level
+from .by_hand import pulses, refused
 from .gates import ManualClock
 
 SECOND = 10**9
-
-
-def pulses(slots, *, current_ua=2400, width_us=200, period_us=20_000, time_ns=SECOND, twin=False):
-    """One electrode against its neighbor, slot after slot; each other one reversed if twin."""
-    current = np.zeros((slots, 64), np.int16)
-    current[:, 27], current[:, 28] = current_ua, -current_ua
-    if twin:
-        current[1::2] *= -1
-    column = np.ones(slots, np.uint16)
-    return ScanSequence(
-        current, column * width_us, column * 20, column * 27, period_us, 1.0, time_ns
-    )
-
-
-def refused(gate, sequence, times=1):
-    """Return the limit that a sequence breaks."""
-    with pytest.raises(SafetyError) as error:
-        gate.prove(sequence, times)
-    return error.value.limit
 
 
 @pytest.mark.parametrize("times", [2.5, True, np.float64(2), "2"])

@@ -29,7 +29,7 @@ class OtherForm:
         return Answer(not first, limit=",".join(first))
 
 
-@pytest.mark.parametrize("name", sample(display_names(), 3))
+@pytest.mark.parametrize("name", sample(display_names(), 5))
 def test_both_forms_agree(name):
     tally = RunStatistics()
     for seed in range(STREAMS):

@@ -8,13 +8,14 @@ import pytest
 
 from smarttouch.stimulation.scan_sequence import ScanSequence
 
+from ..whole import WHOLE
 from .bounds import LATE_NS
 from .displays import display
 from .drafts import opening
 from .gates import GateUnderTest, faults_of_copy
 from .oracle import Oracle
 
-RACES = 200
+RACES = 200 if WHOLE else 50
 NS = 10**9
 PROFILE = display("line-7")
 

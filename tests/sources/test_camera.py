@@ -177,23 +177,6 @@ def test_what_cannot_be(profile, device, rest, options, about, value):
     assert device.opened == []
 
 
-def test_unplugged_and_plugged_in_again(profile, device):
-    with open_source("camera:0", profile) as sensor:
-        read = {sensor.read(0).number}
-        device.plugged = False
-        until(lambda: len(device.opened) > 3)
-        read.add(sensor.read(0).number)
-        pictures = device.pictures
-        device.plugged = True
-        until(lambda: device.pictures > pictures)
-        until(lambda: sensor.frames > max(read) + 1)
-        read.add(sensor.read(0).number)
-    (note,) = sensor.notes
-    number, seconds = numbers_in(note)
-    assert (number, seconds >= 0) == (0, True)
-    assert sensor.frames == len(read) + sensor.dropped_frames
-
-
 def test_gone_is_several_failures_in_a_row(device):
     source = CameraDevice("0")
     source.open()

@@ -143,15 +143,6 @@ def test_the_books_are_exact(profile, images, pauses, last_missed):
     assert sensor.read(0) is None
 
 
-def test_nothing_is_lost_where_the_reader_waits_for_the_end(profile):
-    with LiveSource(Script(*[shot(missed=2) for _ in range(5)]), profile) as sensor:
-        numbers = read_to_the_end(sensor)
-    assert sensor.frames == 15
-    assert numbers == sorted(numbers)
-    assert numbers[-1] == 14
-    assert sensor.dropped_frames == 15 - len(set(numbers))
-
-
 def test_the_newest_wins_and_may_be_read_again(profile):
     source = Handed(shot(0))
     with LiveSource(source, profile) as sensor:

@@ -42,12 +42,6 @@ def test_lines_that_report_no_reading(line):
     assert math.isnan(parse_line(line))
 
 
-@given(st.binary(max_size=100))
-def test_no_line_crashes(line):
-    reading = parse_line(line)
-    assert reading is None or math.isnan(reading) or abs(reading) <= 1e9
-
-
 @given(st.lists(st.binary(max_size=50), max_size=10), st.floats(-1e6, 1e6))
 def test_no_text_crashes_and_a_reading_after_it_is_found(pieces, value):
     readings = TextReadings()
@@ -55,14 +49,6 @@ def test_no_text_crashes_and_a_reading_after_it_is_found(pieces, value):
         readings.feed(piece)
     readings.feed(b"\r\n1\r\n")
     assert readings.feed(f"Reading: {value!r} g\r\n".encode()) == [value]
-
-
-@given(st.lists(st.binary(max_size=50), max_size=10))
-def test_no_packets_crash_and_a_reading_after_them_is_found(pieces):
-    readings = PacketReadings()
-    for piece in pieces:
-        readings.feed(piece)
-    assert readings.feed(b"\0" + encode_force(0, 0, -5))[-1:] == [-5.0]
 
 
 @given(st.lists(st.integers(-(2**23), 2**23), min_size=1, max_size=30), st.integers(1, 9))
@@ -247,7 +233,7 @@ def in_grams(profile, changed):
     ("hx711", lambda number: b"Reading: %d g\r\n" % (50 + number % 2)),
     ("loadcell", lambda number: encode_force(number, 0, 50 + number % 2)),
 ])  # fmt: skip
-def test_newtons_and_raw_readings_from_a_port(make_device, in_grams, kind, data):
+def test_newtons_and_raw_readings_from_a_port(make_device, in_grams, monkeypatch, kind, data):
     cell = make_device(data)
     url = f"{kind}:{cell.line.name}"
     with open_force(url, in_grams) as force:
@@ -261,7 +247,8 @@ def test_newtons_and_raw_readings_from_a_port(make_device, in_grams, kind, data)
         seen = set(came)
         until(lambda: seen.update(raw.collect(0.3)) or seen == {50, 51})
         cell.data = lambda number: b""
-        mute = {"value": cell.line.name, "allowed": load_cell.MUTE_S}
+        monkeypatch.setattr(load_cell, "MUTE_S", 0.3)
+        mute = {"value": cell.line.name, "allowed": 0.3}
         with raises(SourceError, about="port", **mute):
             [raw.collect(0.05) for _ in range(3)]
 

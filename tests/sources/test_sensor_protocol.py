@@ -128,28 +128,6 @@ def test_no_payload_crashes(kind, payload):
         assert message.image.size == len(payload) - 6
 
 
-@given(st.lists(st.binary(max_size=60), max_size=8))
-def test_no_bytes_crash_and_a_frame_after_them_is_found(pieces):
-    stream = MessageStream()
-    for piece in pieces:
-        stream.feed(piece)
-    found = stream.feed(b"\0" + encode_force(1, 2, 3))
-    assert found[-1:] == [CellReading(1, 2, 3)]
-    assert stream.broken >= 0
-
-
-@given(st.data())
-def test_a_stream_in_any_pieces(data):
-    sent = [CellReading(k, 7 * k, k - 5) for k in range(12)]
-    wire = b"".join(encode_force(each.number, each.time_us, each.reading) for each in sent)
-    cuts = sorted(data.draw(st.lists(st.integers(0, len(wire)), max_size=9)))
-    stream, came = MessageStream(), []
-    for start, end in zip([0, *cuts], [*cuts, len(wire)], strict=True):
-        came += stream.feed(wire[start:end])
-    assert came == sent
-    assert stream.broken == 0
-
-
 def test_the_piece_one_joins_in_is_not_broken_but_later_ones_are():
     good = encode_force(1, 2, 3)
     stream = MessageStream()

@@ -1,7 +1,6 @@
 """Frames from a serial array: every one that came is counted, whatever else comes."""
 
 import socket
-import threading
 import time
 
 import numpy as np
@@ -201,37 +200,6 @@ def test_frames_over_tcp():
         source.close()
     assert books(shots) == 50
     assert shots[-1].image[0, 0] == 49
-
-
-def test_the_books_of_the_live_sensor(line, profile):
-    sent = 150
-    with open_source(f"serial-array:{line.name}", profile, baud=115_200) as sensor:
-
-        def stream():
-            # The port is emptied when the first read begins to listen.
-            while not listening.is_set():
-                line.send(frame(255, 16, 16))
-                time.sleep(0.005)
-            for number in range(sent):
-                line.send(frame(256 + number, 16, 16))
-
-        listening = threading.Event()
-        device = threading.Thread(target=stream)
-        device.start()
-        read = {sensor.read(0).number}
-        before = sensor.frames
-        listening.set()
-
-        def last_came():
-            look = sensor.read(0)
-            read.add(look.number)
-            assert np.isnan(look.force_n)
-            return look.image[0, 0] == (sent - 1) % 256 and sensor.frames >= before + sent
-
-        until(last_came)
-        device.join()
-    assert sensor.frames == len(read) + sensor.dropped_frames
-    assert sensor.frames >= sent
 
 
 @pytest.mark.parametrize(("url", "baud", "about", "value"), [

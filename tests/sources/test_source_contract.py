@@ -74,13 +74,6 @@ class TestUnpacedVideo(Contract):
         self.url = f"video:{write_clip(tmp_path / 'clip.avi', images)}"
 
 
-class TestPacedVideo(TestUnpacedVideo):
-    unpaced = None
-
-    def pause(self):
-        time.sleep(0.005)
-
-
 class TestSerialArray(Contract):
     ends = False
     nowhere = "serial-array:/dev/nothing"

@@ -19,6 +19,7 @@ from smarttouch.sources.video import Clip, PacedClip
 
 from ..raising import raises
 from ..said import numbers_in
+from ..whole import WHOLE
 
 SECOND = 1_000_000_000
 
@@ -170,7 +171,7 @@ def test_a_video_that_breaks_off_ends_there(profile, write_video, capfd, unpaced
     assert capfd.readouterr().err == ""
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=25 if WHOLE else 8)
 @given(st.data())
 def test_no_damage_crashes(profile, tmp_path_factory, data):
     path = tmp_path_factory.mktemp("damage") / "clip.avi"

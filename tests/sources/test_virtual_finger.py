@@ -9,7 +9,6 @@ from smarttouch.base.files import data_folder
 from smarttouch.pages.page_image import Page
 from smarttouch.pages.prepared_page import print_text
 from smarttouch.sources import open_source
-from smarttouch.sources.source_contract import Source
 from smarttouch.sources.virtual_finger import AGAIN_S, PageSource, open_page
 
 from ..pages.printed import degrade, print_page, some_lines
@@ -97,13 +96,6 @@ def test_another_seed_another_noise(profile):
     assert not np.array_equal(opened(profile, 3).read(0).image, opened(profile, 4).read(0).image)
 
 
-def test_the_end(profile):
-    with opened(profile, 0) as sensor:
-        assert isinstance(sensor, Source)
-        assert sensor.read(int(sensor.duration_s * 1e9) - 1) is not None
-        assert sensor.read(int(sensor.duration_s * 1e9) + 1_000) is None
-
-
 @pytest.mark.parametrize("name", ["page.png", "photo.png", "light_on_dark.png"])
 def test_samples_state_their_size(profile, name):
     sensor = opened(profile, 0, name)
@@ -116,21 +108,6 @@ def test_the_finger_follows_light_print_by_itself(profile):
     assert len(found) == 4
     url = f"page:{data_folder('sample_images') / 'light_on_dark.png'}"
     assert found == open_source(url, profile, light_on_dark=True).path.lines
-
-
-def test_text(profile):
-    sensor = open_source("text:hello", profile, seed=0, dpi=None, page_width_mm=None)
-    assert sensor.read(1_000_000_000).image.min() < 60
-
-
-def test_a_page_image_of_one_s_own(profile, tmp_path):
-    Image.fromarray(spot(5, 5)).save(tmp_path / "a b.png")
-    assert open_source(f"page:{tmp_path / 'a b.png'}", profile, page_width_mm=20)
-
-
-def test_an_unknown_source(profile):
-    with raises(SourceError, about="source", value="nothing:x", allowed=("page", "text")):
-        open_source("nothing:x", profile)
 
 
 def test_a_page_without_a_scale_gets_a_guessed_one_with_a_note(tmp_path, profile):

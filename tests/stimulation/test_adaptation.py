@@ -255,7 +255,7 @@ def test_a_changed_sequence_has_no_proof():
 @pytest.mark.parametrize("profile", SAFE, ids=lambda profile: profile.name)
 @pytest.mark.parametrize("hold", ["charge", "energy"])
 @given(seed=st.integers(0, 2**32 - 1), density=st.floats(0, 1))
-@settings(max_examples=40 if WHOLE else 10)  # of six sequences each
+@settings(max_examples=40 if WHOLE else 5)  # of six sequences each
 def test_whatever_is_measured_the_result_is_safe(profile, hold, seed, density):
     rng, count = np.random.default_rng(seed), len(profile.electrodes)
     adaptation, gate = (

@@ -21,6 +21,7 @@ from smarttouch.stimulation.scan_sequence import SlotPolicy
 from smarttouch.stimulation.scheduler import ScanScheduler, SchedulerContext
 
 from ..raising import raises
+from ..whole import WHOLE
 
 _DRAWN = np.zeros((8, 8), np.bool_)
 _DRAWN[1, 1:7] = _DRAWN[2:, 3] = True
@@ -59,7 +60,7 @@ def image(activation, afferent=Afferent.RA):
     return TactileImage(rows, 0, 1.0)
 
 
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=25 if WHOLE else 10)
 @given(
     afferent=st.sampled_from([Afferent.RA, Afferent.SAI]),
     planned=st.booleans(),
@@ -139,7 +140,7 @@ def test_limits_of_electrodes_that_are_no_whole_microamperes(profile, changed):
             limited, bank, (afferent,), 10.0,
             common=SchedulerContext(SlotPolicy((afferent,), False)),
         )  # fmt: skip
-        for seed in range(20):
+        for seed in range(20 if WHOLE else 5):
             activation = np.zeros(64, np.float32)
             activation[np.random.default_rng(seed).choice(64, 20, replace=False)] = 1
             gate.prove_measurement(scan.schedule(image(activation, afferent), 1.0))
@@ -215,7 +216,7 @@ def test_kernels_that_are_added_up_need_hardly_more_slots_and_no_search(
     monkeypatch.setattr(module, "plan_slots", lambda *given: few.append(1) or plan(*given))
     plan, few = plan_slots, []
     slots = {True: 0, False: 0}
-    for seed in range(12):
+    for seed in range(12 if WHOLE else 4):
         random = np.random.default_rng(seed)
         activation = np.zeros((1, 64), np.float32)
         activation[0, random.choice(64, 30, replace=False)] = random.uniform(0.1, 1, 30)
@@ -329,7 +330,7 @@ def test_a_slot_above_the_total_is_shown_point_by_point(profile, bank, monkeypat
     # As if rounding added as much as half a milliampere.
     monkeypatch.setattr(slots, "_planned_ma", 10.5)
     split = 0
-    for seed in range(40):
+    for seed in range(40 if WHOLE else 12):
         activation = np.zeros((1, 64), np.float32)
         random = np.random.default_rng(seed)
         sites = random.choice(64, 5, replace=False)

@@ -13,6 +13,8 @@ from smarttouch.stimulation.kernel_sums import _parts
 from smarttouch.stimulation.scan_sequence import KernelTable
 from smarttouch.stimulation.slot_sums import round_charge_balanced
 
+from ..whole import WHOLE
+
 INTENSITIES = (1.0, 0.6, 0.3, 0.1, 0.03, 0.01, 0.003)
 
 
@@ -117,7 +119,7 @@ def by_definition(slots, level):
 
 
 def test_currents_are_those_by_definition(slots):
-    for activation in activations(30):
+    for activation in activations(30 if WHOLE else 10):
         level = np.where(activation[0] > 0, 0.5 + 0.5 * activation[0].astype(np.float64), 0)
         found = slots._sums.add_up(level)
         expected_ma = by_definition(slots, level)
@@ -130,6 +132,6 @@ def test_currents_are_those_by_definition(slots):
 def test_no_frame_exposes_an_electrode_more_than_all_points_can(slots, profile):
     """By this bound schedulers know that a period is long enough without adding up a frame."""
     for intensity in INTENSITIES:
-        for activation in [np.ones((1, 64), np.float32), *activations(30)]:
+        for activation in [np.ones((1, 64), np.float32), *activations(30 if WHOLE else 8)]:
             current_ua = slots.slots(activation, intensity).current_ua.astype(np.int64)
             assert (np.abs(current_ua).sum(axis=0) <= slots.most_ua).all()

@@ -61,10 +61,6 @@ def test_no_weight_is_above_the_peak_by_rounding(weights):
     assert np.abs(whole).max() in (0, PEAK)
 
 
-def test_a_peak_between_two_halves_is_no_more_than_the_peak():
-    assert quantized(np.array([[-0.5, 1, -0.5]])).tolist() == [[-16383, 32767, -16384]]
-
-
 @given(st.integers(0, 50), st.integers(100, 5000))
 def test_the_largest_amplitude_keeps_every_electrode_within_its_limit(seed, most_ua):
     table = random_table(seed, 6, 12)

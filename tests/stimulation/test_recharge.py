@@ -25,6 +25,7 @@ from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits, frozen
 from ..raising import raises
 from ..rising import open_level
 from ..scans import sequence
+from ..whole import WHOLE
 
 
 def rules(most_ua=120, electrodes=4, total_ua=10_000, timing=None):
@@ -158,7 +159,7 @@ def test_without_slots_there_is_none():
     assert add_recharge(still, np.array([9000, -9000, 0, 0]), rules()) is still
 
 
-@settings(deadline=None, max_examples=4)
+@settings(deadline=None, max_examples=4 if WHOLE else 2)
 @given(st.integers(0, 2**32 - 1))
 def test_over_a_thousand_scans_nothing_builds_up(seed):
     """Scans of the same sign all the time, as those of one class are."""

@@ -22,6 +22,7 @@ from smarttouch.stimulation.scheduler import ScanScheduler, SchedulerContext
 
 from ..raising import raises
 from ..rising import open_level
+from ..whole import sample
 
 
 def tactile(activation, time_ns=10**9, afferent=Afferent.RA):
@@ -46,7 +47,7 @@ def started(profile, bank):
     return gate
 
 
-@pytest.mark.parametrize("name", list_profiles())
+@pytest.mark.parametrize("name", sample(list_profiles()))
 @given(data=st.data())
 def test_every_sequence_of_every_profile_is_safe(name, data):
     profile, bank = shipped(name)

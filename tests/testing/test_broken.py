@@ -39,13 +39,6 @@ class TestNever(Boards):
         def _stop(self): ...
 
 
-class TestLater(Boards):
-    class kind(Device):
-        def _stop(self): ...
-        def _close(self):
-            self.pulses.append(ZERO)
-
-
 class TestUncounted(Boards):
     class kind(Device):
         def _send(self, sequence, times):
@@ -178,10 +171,6 @@ FOUND = {
         "a_stop_from_another_thread_ends_it", "closing_puts_it_at_zero",
         "an_exception_puts_it_at_zero", "a_driver_that_breaks_is_put_at_zero",
         "a_stop_at_any_line_of_the_driver", "nothing_is_measured_after_a_stop",
-    },
-    "Later": {
-        "a_stop_from_another_thread_ends_it", "a_stop_at_any_line_of_the_driver",
-        "nothing_is_measured_after_a_stop",
     },
     "Uncounted": {"what_is_sent_is_what_was_proved"},
     "Limits": {"its_driver_keeps_the_contract", "an_unsafe_sequence_never_leaves"},

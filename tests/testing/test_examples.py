@@ -8,6 +8,7 @@ import pytest
 
 from ..documented import ROOT, Reader
 from ..installed import install_project
+from ..whole import sample
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "plugins"
 
@@ -30,7 +31,7 @@ def program(tmp_path, monkeypatch):
     return run
 
 
-@pytest.mark.parametrize("name", ["board", "source", "stimulus"])
+@pytest.mark.parametrize("name", sample(["board", "source", "stimulus"], 3))
 def test_their_own_tests_pass(program, name):
     options = ("-q", "-W", "error", "-p", "no:cacheprovider", "-c", "pyproject.toml")
     done = program("-m", "pytest", *options, folder=EXAMPLES / name)
@@ -49,7 +50,7 @@ def test_a_run_with_both(program, tmp_path):
     assert sum(line.startswith("  ") for line in lines) > 5
 
 
-@pytest.mark.parametrize(("page", "commands"), [("own-board", 1), ("own-source", 2)])
+@pytest.mark.parametrize(("page", "commands"), sample([("own-board", 1), ("own-source", 2)]))
 def test_a_package_by_the_page_alone(page, commands, tmp_path):
     reader = Reader(tmp_path)
     reader.read(ROOT / "docs" / "how-to" / f"{page}.md")

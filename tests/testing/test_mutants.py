@@ -129,8 +129,7 @@ FOUND = {
     "StopsNot": STOPS | CLOSES | {ANY_LINE}, "StopsLater": STOPS | {ANY_LINE},
     "MeasuresOn": {MEASURED}, "ClosesWithCurrent": CLOSES,
 }  # fmt: skip
-DRAWN = ("FiftiethMore", "Backwards", "Undischarged", "Twice", "LooksTooEarly", "StopsLater",
-         "MeasuresOn", "ClosesWithCurrent")  # fmt: skip
+DRAWN = ("FiftiethMore", "LooksTooEarly", "StopsLater", "MeasuresOn", "ClosesWithCurrent")
 """One of each kind."""
 
 
