@@ -166,14 +166,6 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("side", "shape"), CASES)
-def test_ours(benchmark, make_bank, quick, side, shape):
-    weights = balanced_weights(side)
-    ours = Ours(grid_profile(side), make_bank(weights, weights), [letter(*shape)])
-    sent = benchmark.pedantic(ours, rounds=5) if quick else benchmark(ours)
-    assert len(sent) > 2 * ours.proved().current_ua.size
-
-
 @pytest.mark.parametrize("keeps", [False, True])
 @pytest.mark.parametrize(("side", "shape"), CASES)
 def test_ratio(benchmark, make_bank, quick, side, shape, keeps, capsys):

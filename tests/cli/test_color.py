@@ -62,10 +62,7 @@ def test_what_is_left_out_is_reported(mixed):
 
 @pytest.mark.parametrize(("arguments", "wrong"), [
     ("tone:250Hz,2um --profile kajimoto-61", says(ScheduleError, "PC", "kajimoto-61", " RA ")),
-    ("tone:30Hz,2um?sites=a-b", says(ScheduleError, about="sites", value="a-b")),
-    ("tone:30Hz,2um?sites=64", says(ScheduleError, "sites 64 ", " 0 to 63")),
     ("tone:30", says(SmartTouchError, "'tone:30'", "tone:30Hz,8um")),
-    ("none.csv", says(SmartTouchError, "'none.csv'", "tone:30Hz,8um")),
     ("tone:30Hz,9um --mode PC", says(SourceError, about="mode")),
     ("tone:30Hz,9um --json no/f.json", says(about="file", value=Path("no/f.json"))),
 ])  # fmt: skip

@@ -15,12 +15,6 @@ from ..views.test_lsl_markers import FakeLsl
 FAST = "live texture:grating:4mm?motion=sweep:?speed_mm_s=120 --board simulated: --quiet"
 
 
-def test_pulses_that_were_asked_for_are_asked_for_again_in_a_replay(figures_of):
-    was = figures_of(f"{FAST} --seconds 1.5 --record a.mcap")
-    now = figures_of("replay a.mcap --board simulated: --quiet")
-    assert was["slots"] == now["slots"] > 200
-
-
 def test_vibrators_shake_what_was_recorded(program_here, tmp_path, changed):
     mixed = "live vibration:tone:30Hz,8um+tone:250Hz,2um?seconds=1 --board simulated: --quiet"
     program_here(f"{mixed} --vibrators v.wav?grid=1x1 --record a.mcap").flawless()
@@ -60,11 +54,3 @@ def test_a_run_sends_markers(program_here, monkeypatch):
     # What ended it, and last of all what was delivered.
     assert any("1 s" in each for (each,) in events)
     assert events[-1][0].startswith("dose ")
-
-
-def test_a_replay_shares_slots_only_where_the_board_can(program_here, figures_of):
-    recorded = "live text:on?speed_mm_s=200 --board simulated: --quiet"
-    program_here(f"{recorded} --record run.mcap").fine()
-    figures = figures_of("replay run.mcap --profile kajimoto-61 --board simulated:")
-    assert figures["slots"] > 0
-    assert 0 < figures["worst_spill"] < figures["worst_other"] < 0.2

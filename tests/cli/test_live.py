@@ -120,7 +120,7 @@ def test_sai_and_light_on_dark(figures_of):
 
 
 def recorded(program_here, tmp_path, name, seed):
-    same = "live --board memory: text:same?speed_mm_s=200 --quiet"
+    same = "live --board simulated: text:same?speed_mm_s=200 --quiet"
     program_here(f"{same} --seed={seed} --record={name}").fine()
     sequences = messages(tmp_path / name, "/sequence")
     return [
@@ -157,12 +157,6 @@ def test_recorded_path(figures_of, tmp_path):
     assert figures["slots"] > 0
 
 
-def test_light_touch_no_current(figures_of, tmp_path):
-    figures = figures_of(along(tmp_path, "0,5,11,0,0.1\n1,40,11,0,0.1\n"))
-    assert figures["slots"] == 0
-    assert figures["active_fraction"] > 0.05
-
-
 def test_many_points_in_a_slot(program_here, tmp_path):
     page = "live text:on?speed_mm_s=100 --board simulated: --json f.json"
     done = program_here(f"{page} --set scan=points --record points.mcap").fine()
@@ -184,10 +178,3 @@ def test_many_points_in_a_slot(program_here, tmp_path):
     assert max(shared) == pytest.approx(frames["worst_other"])
     assert messages(tmp_path / "points.mcap", "/sequence")[-1]["worst_other"] is None
     program_here("replay auto.mcap --check").fine()
-
-
-def test_points_one_by_one_where_each_is_measured(figures_of):
-    page = "live text:on?speed_mm_s=100 --set hold=energy"
-    figures = figures_of(f"{page} --seconds 1.5 --quiet")
-    assert figures["slots"] > 0
-    assert 0 < figures["worst_other"] < 0.1

@@ -1,9 +1,7 @@
 """The electric mouse, through ``smarttouch live texture:``."""
 
 from importlib.util import find_spec
-from pathlib import Path
 
-import numpy as np
 import pytest
 from PIL import Image
 
@@ -48,25 +46,10 @@ def test_an_image_under_a_recorded_hand(stroke, tmp_path):
     assert stroke(f"o.png?{hand}", "--quiet --force fixed:0.1")["slots"] == 0
 
 
-def test_letters_and_height_maps(stroke, tmp_path):
-    np.save(tmp_path / "h.npy", np.kron(np.eye(2), np.ones((50, 100))))
-    for texture, more in (("text:i?", ""), ("h.npy?width_mm=20&", "--rate 200")):
-        assert stroke(f"{texture}motion=sweep:?speed_mm_s=100", more)["slots"] > 30
-
-
-def test_what_was_felt_replays_to_the_bit(stroke, program_here):
-    stroke("?motion=sweep:?speed_mm_s=90", "--record run.mcap")
-    program_here("replay run.mcap --check").fine()
-
-
 @pytest.mark.parametrize(("arguments", "wrong"), [
-    ("none.png", says(PageError, about="file", value=Path("none.png"))),
     ("grating:x", says(PageError, "'grating:x'", "grating:4mm,30deg")),
-    ("?motion=wheel:", says(SourceError, "'wheel:'", "evdev:", "sweep:", "window:")),
     ("?motion=evdev:/dev/null",
      says(SourceError, "/dev/null" if find_spec("evdev") else "smarttouch[mouse]")),
-    ("?motion=sweep:?cpi=400", says(SourceError, "cpi", "speed_mm_s")),
-    ("?motion=sweep:?speed_mm_s=0", says(SourceError, " 1000", about="speed_mm_s", value=0)),
     (" --rate 300", says(SourceError, about="rate_hz", value=300, allowed=(10, 200))),
     (" --mode natural",
      says(SourceError, about="mode", value="natural", allowed=("RA", "SAI", "PC"))),
