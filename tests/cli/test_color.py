@@ -35,14 +35,6 @@ def test_all_three_on_an_emulated_board(mixed, tmp_path):
     assert_replays(tmp_path / "r.mcap")
 
 
-def test_sites_are_a_list_or_all(mixed):
-    slots = [
-        mixed(f"tone:30Hz,8um?seconds=0.3&sites={sites}", "--quiet")["slots"]
-        for sites in ("0", "27,28,35-36", "all")
-    ]
-    assert slots[1:] == pytest.approx([4 * slots[0], 64 * slots[0]], rel=0.2)
-
-
 def test_a_file_keeps_its_own_time_and_can_be_cut(mixed, tmp_path):
     time_s = np.arange(0, 1, 0.001)
     moved = 8 * np.sin(60 * np.pi * time_s)
@@ -68,11 +60,3 @@ def test_what_is_left_out_is_reported(mixed):
 ])  # fmt: skip
 def test_what_cannot_be_done_is_one_sentence(program_here, arguments, wrong):
     wrong(refused(program_here(f"live vibration:{arguments} --board simulated:")))
-
-
-def test_without_force_there_is_no_current(mixed):
-    slots = [
-        mixed("tone:30Hz,9um?seconds=0.3", f"--quiet {more}")["slots"]
-        for more in ("", "--force fixed:0.9", "--force fixed:0")
-    ]
-    assert slots[0] == slots[1] > slots[2] == 0

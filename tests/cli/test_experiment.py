@@ -114,13 +114,6 @@ def test_recordings_of_a_session_are_numbered(program_here, tmp_path):
     )
 
 
-def test_useless_subjects_are_simulated_too(program_here):
-    one = f"{SMALL}&repetitions=1&gap_s=0.1&answer_s=0.1"
-    silent = program_here(f"{one} --simulate silent")
-    assert "20 of 20 trials, 20 of them" in silent.stdout
-    assert "experiment fit" not in silent.stdout
-
-
 def test_letters_end_with_who_was_taken_for_whom(program_here):
     letters = "experiment run letters?letters=LOX&train_s=0.1&repetitions=2 --simulate model"
     result = program_here(letters)

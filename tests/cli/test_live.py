@@ -88,14 +88,6 @@ def test_a_photographed_page(program_here, tmp_path):
     assert 0.1 < done.figures["active_fraction"] < 0.5
 
 
-def test_a_blank_page_is_silent(figures_of, tmp_path):
-    noise = np.random.default_rng(1).integers(0, 256, (90, 300), np.uint8)
-    Image.fromarray(np.kron(noise, np.ones((2, 2), np.uint8))).save(tmp_path / "blank.png")
-    page = "page:blank.png?dpi=300&speed_mm_s=360"
-    figures = figures_of(f"live --board simulated: {page} --quiet")
-    assert figures["active_fraction"] <= 0.02
-
-
 @pytest.mark.parametrize("name", sample(list_profiles(), 3))
 def test_every_profile_runs(figures_of, tmp_path, name):
     # Axons that branch take seconds beneath a large array.
@@ -133,14 +125,6 @@ def test_same_seed_same_sequences(program_here, tmp_path):
     first = recorded(program_here, tmp_path, "a.mcap", 5)
     assert first == recorded(program_here, tmp_path, "b.mcap", 5)
     assert first != recorded(program_here, tmp_path, "c.mcap", 6)
-
-
-def test_seconds(program_here):
-    done = program_here("live --board simulated: --seconds 1 --json run.json").fine()
-    figures = done.figures
-    assert f"({figures['ended']})" in done.stdout
-    assert "1 s" in figures["ended"]
-    assert figures["frames"] in (50, 51)
 
 
 def along(folder, rows):

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.base.errors import ReadingError
-from smarttouch.braille.cells import BLANK
 from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
@@ -139,7 +138,3 @@ def test_a_dot_that_was_not_delivered_is_missed():
 def test_arrays_without_room_are_named(name, options, attributes):
     with raises(ReadingError, **attributes):
         cell_layout(load_profile(name), **options)
-
-
-def test_a_blank_line_delivers_nothing():
-    assert delivered("electric-mouse", (BLANK * 3,), Presentation.LINE) == (BLANK * 3,)

@@ -166,19 +166,6 @@ def test_no_other_function_is_more_likely(model):
     assert fit(Counts(stimulus, n, k), model).log_likelihood >= -other.fun - 1e-5
 
 
-@pytest.mark.parametrize("shape", Shape)
-def test_large_samples_give_the_truth(shape):
-    model = Model(shape, guess=0.25)
-    truth = parameters_of(math.log(20), math.log(0.3), 0.03, 0.25)
-    stimulus = np.geomspace(5, 80, 15)
-    n = np.full(15, 100_000.0)
-    k = n * model.probability(model.axis(stimulus), truth)[0]
-    found = fit(Counts(stimulus, n, k), model)
-    assert found.threshold == pytest.approx(20, rel=1e-4)
-    assert found.spread == pytest.approx(0.3, rel=1e-3)
-    assert found.lapse == pytest.approx(0.03, abs=1e-4)
-
-
 def test_intervals_shrink_with_trials():
     stimulus = 30 * 2 ** (np.arange(-9, 10, 2) / 9)
     share = Subject(36.0, 0.25).probability(stimulus)
@@ -198,19 +185,6 @@ def test_separated_answers_have_most_of_the_gap_for_an_interval():
         at = found.bounded(part)
         assert 25 < at.low < 33
         assert 37 < at.high < 45
-
-
-def test_posterior_against_bootstrap():
-    model, stimulus, random = Model(), np.geomspace(10, 90, 9), np.random.default_rng(1)
-    share = Subject(30.0, 0.4).probability(stimulus)
-    found = fit(counts_of(stimulus, np.full(9, 120), np.round(120 * share)), model)
-    drawn = [
-        fit(counts_of(stimulus, np.full(9, 120), random.binomial(120, share)), model).threshold
-        for _ in range(40)
-    ]
-    value, low, high = found.bounded(model.level)
-    assert high - low == pytest.approx(3.92 * np.std(drawn, ddof=1), rel=0.3)
-    assert low < value < high
 
 
 def test_an_interval_without_an_end():
