@@ -36,10 +36,15 @@ def test_every_function_has_an_example_that_runs(name):
 
 
 def test_importing_it_imports_nothing_heavy():
-    heavy = "{'numpy', 'cv2', 'scipy', 'typer', 'pydantic', 'serial', 'rich'}"
-    code = f"import sys, smarttouch; print(len({heavy} & {{*sys.modules}}))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True)
-    assert int(done.stdout) == 0
+    """Nor does its command line, before a command is chosen, or what everyone's pytest loads."""
+    code = (
+        "import sys, smarttouch; print(*sys.modules); "
+        "import smarttouch.cli, smarttouch.testing.pytest_plugin; print(*sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    library, program = (set(line.split()) for line in done.stdout.splitlines())
+    heavy = {"numpy", "cv2", "scipy", "pydantic", "serial", "mcap", "skimage", "PIL", "matplotlib"}
+    assert library & (heavy | {"typer", "rich"}) == program & heavy == set()
 
 
 @pytest.mark.usefixtures("patient_boards")

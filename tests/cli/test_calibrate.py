@@ -24,7 +24,7 @@ from smarttouch.experiments.calibration.dot_target import target_for
 from smarttouch.experiments.calibration.page_registration import View
 from smarttouch.experiments.calibration.sensor_optics import SimulatedPatch
 from smarttouch.experiments.calibration.threshold_procedures import measuring_profile
-from smarttouch.experiments.calibration.threshold_session import Progress, simulated_finger
+from smarttouch.experiments.calibration.threshold_session import simulated_finger
 from smarttouch.experiments.psychophysics import polarity
 from smarttouch.experiments.psychophysics.trial_rows import RowFile, read_rows
 from smarttouch.profile import load_profile
@@ -180,15 +180,6 @@ def test_force_of_an_emulated_load_cell(run, tmp_path, load_cell):
     assert zero_n == pytest.approx(-1.6, rel=0.01)
 
 
-def test_a_load_cell_that_nothing_moves(run, tmp_path, load_cell):
-    stuck = f"force --cell {load_cell} --weights 0,50,100 --seconds 0.15 --yes"
-    error = run(f"{stuck} --output mine.toml").exception
-    wrong()(error)
-    moved, by_themselves = map(float, re.findall(r"\d[\d.]*", str(error)))
-    assert moved < 10 * by_themselves
-    assert not (tmp_path / "mine.toml").exists()
-
-
 def test_thresholds_of_a_simulated_subject(run, tmp_path):
     thresholds = "thresholds --simulate --repeats 1 --electrodes 9"
     shown = done(run(f"{thresholds} --output mine.toml"))
@@ -200,14 +191,6 @@ def test_thresholds_of_a_simulated_subject(run, tmp_path):
     assert {*threshold[:9], *threshold[10:]} == {1.2}
     assert {*comfort[:9], *comfort[10:]} == {2.4}
     assert not (tmp_path / "mine.thresholds.jsonl").exists()
-
-
-def test_a_second_session_for_the_same_profile_is_refused(run, tmp_path):
-    alone = "thresholds --simulate --board memory: --electrodes 0 --output mine.toml"
-    with Progress(tmp_path / "mine.thresholds.jsonl", {}):
-        error = run(alone).exception
-    wrong(about="file", value=Path("mine.thresholds.jsonl"))(error)
-    assert not list(tmp_path.glob("*mine*"))
 
 
 def test_a_simulated_subject_answers_trials_on_another_board(run, tmp_path):

@@ -54,15 +54,6 @@ def test_all_modes_of_all_sites(designed):
     assert named == [(mode.name, site) for mode in Afferent for site in range(7)]
 
 
-def test_three_states_on_a_weighted_board(designed):
-    _, table = designed("--profile=line-7", "--three-state", "--mode=RA")
-    for kernel in table["kernels"]:
-        assert kernel["kind"] == "three-state"
-        assert kernel["optimal"]
-        weights = np.array(kernel["weights"])
-        assert len(np.unique(np.round(weights, 9))) <= 3
-
-
 def test_robust_and_any_node(designed):
     _, robust = designed("--profile=line-7", "--robust", "--mode=SAI", "3")
     assert robust["kernels"][0]["worst_other"] > 0.31

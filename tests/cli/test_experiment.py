@@ -16,7 +16,6 @@ from rich.console import Console
 from smarttouch.base.afferent import Mode
 from smarttouch.base.errors import ExperimentError
 from smarttouch.base.events import FingerLifted, TrialEvent
-from smarttouch.base.files import open_alone
 from smarttouch.experiments.psychophysics.trial_rows import read_rows
 from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.recording_reader import Recording
@@ -69,32 +68,6 @@ def test_a_simulated_session_is_kept_and_gone_on_with(program_here, tmp_path):
     program_here(f"{one} --overwrite --quiet")
     assert shown(path) == shown(path)
     assert len(read_rows(path)) == 10
-
-
-def test_a_killed_session_goes_on_and_has_each_trial_once(start_program, program_here, tmp_path):
-    killed = tmp_path / "killed.csv"
-    # It is killed long before its end.
-    many = f"{SMALL}&repetitions=2&gap_s=0.3 --simulate model --output"
-    process = start_program(*many.split(), killed)
-    while process.poll() is None and not (killed.exists() and killed.read_bytes().count(b"\n") > 3):
-        time.sleep(0.01)
-    process.kill()
-    process.wait()
-    left = len(read_rows(killed))
-    rest = program_here(many, killed)
-    assert 3 <= left < 20
-    assert f" {left + 1} of 20" in rest.stdout.splitlines()[0]
-    assert [row.number for row in read_rows(killed)] == list(range(20))
-
-
-def test_a_second_run_on_the_same_answers_is_refused(program_here, tmp_path):
-    path = tmp_path / "answers.csv"
-    with open_alone(path, ExperimentError):
-        for more in ("", "--overwrite"):
-            second = program_here(f"{ONCE} {more} --output", path)
-            says(ExperimentError, about="file", value=path)(refused(second))
-            assert second.stdout == ""
-    assert path.read_bytes() == b""
 
 
 def test_recordings_of_a_session_are_numbered(program_here, tmp_path):

@@ -49,14 +49,6 @@ def page_file(tmp_path):
     return path
 
 
-def test_shapes_to_the_emulator(program_here):
-    figures = program_here("read text:it --json f.json --pause 0").flawless().figures
-    assert figures["ended"] == "end of the text"
-    assert figures["emulator_violations"] == 0
-    assert figures["slots"] > 0
-    assert figures["frames"] == figures["sequences"]
-
-
 @pytest.mark.parametrize(("more", "level"), [
     ("", 0.7), ("--intensity 0.9", 0.9), ("--as braille", 1.0), ("--mode SAI", 1.0),
 ])  # fmt: skip
@@ -83,15 +75,6 @@ def test_what_was_read_replays_to_the_bit_and_is_felt_once_more(program_here, fi
     read = figures_of("read text:ab --as braille --board simulated: --record run.mcap")
     program_here("replay run.mcap --check").fine()
     assert figures_of("replay run.mcap --board simulated:")["slots"] == read["slots"] > 0
-
-
-def test_files_of_cells_and_texts(program_here, figures_of, tmp_path):
-    (tmp_path / "note.txt").write_text("ab\n\nc\n")
-    (tmp_path / "note.brf").write_bytes(b"AB\r\nC\r\n")
-    for name in ("note.txt", "note.brf"):
-        assert figures_of(f"read {name} --as braille --board simulated:")["slots"] > 0
-    done = program_here("read note.brf")
-    says(ReadingError, "note.brf", about="kind", allowed="Braille")(refused(done))
 
 
 @needs_tesseract
