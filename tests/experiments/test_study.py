@@ -14,6 +14,7 @@ from smarttouch.physiology.anatomy import load_anatomy
 from smarttouch.profile import load_profile
 
 from ..raising import raises
+from ..whole import sample
 
 PLANS = sorted(Path(__file__).parents[2].glob("examples/studies/[!_]*.toml"))
 SMALL = Study(
@@ -91,7 +92,7 @@ def test_the_summary_is_by_choice(rows):
     assert len(figure.axes) == len(STUDY_NAMES)
 
 
-@pytest.mark.parametrize("plan", PLANS, ids=lambda each: each.stem)
+@pytest.mark.parametrize("plan", sample(PLANS), ids=lambda each: each.stem)
 def test_the_plans_of_the_documentation_s_tables_run(tmp_path, plan):
     study = load_study(plan)
     few = {"kernels": ("node",), "anatomies": study.anatomies[:2], "fingers": 1, "letters": "T"}
