@@ -226,19 +226,3 @@ def test_contradictions(arguments, about, value):
 def test_negative_stimuli_need_a_linear_axis():
     with raises(ExperimentError, about="stimulus", value=-1.0, remedy="linear"):
         Model().axis([-1.0])
-
-
-@pytest.mark.parametrize(("place", "lapse"), [(0.2, 0.02)])
-def test_against_psignifit(place, lapse):
-    """Its threshold is that of the largest posterior; ours lies within its own uncertainty."""
-    psignifit = pytest.importorskip("psignifit")
-    stimulus = np.linspace(-1.2, 1.2, 9)
-    truth = Subject(math.exp(place), 0.45, 0.5, lapse, guess=0.5)
-    k = np.round(60 * truth.probability(np.exp(stimulus)))
-    table = np.column_stack([stimulus, k, np.full(9, 60)])
-    theirs = psignifit.psignifit(table, experiment_type="2AFC", sigmoid="norm").parameter_estimate
-    ours = fit(Counts(stimulus, np.full(9, 60.0), k), Model(guess=0.5, logarithmic=False))
-    assert ours.threshold == pytest.approx(theirs["threshold"], abs=0.05)
-    # Its width is that from 5 to 95 %.
-    assert 2 * 1.6449 * ours.spread == pytest.approx(theirs["width"], rel=0.12)
-    assert ours.lapse == pytest.approx(theirs["lambda"], abs=0.02)
