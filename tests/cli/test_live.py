@@ -88,7 +88,7 @@ def test_a_photographed_page(program_here, tmp_path):
     assert 0.1 < done.figures["active_fraction"] < 0.5
 
 
-@pytest.mark.parametrize("name", sample(list_profiles(), 3))
+@pytest.mark.parametrize("name", sample(list_profiles(), 4))
 def test_every_profile_runs(figures_of, tmp_path, name):
     # Axons that branch take seconds beneath a large array.
     anatomy = "branched" if len(load_profile(name).electrodes) <= 32 else "paper"

@@ -22,7 +22,7 @@ from smarttouch.reading.braille_lines import (
 from smarttouch.reading.delivered_lines import LineDelivery, deliver_pulses
 
 from ..raising import raises
-from ..whole import WHOLE
+from ..whole import WHOLE, sample
 
 ARRAYS = ["electric-mouse", "etactilekit-32", "optacon-24x6", "smarttouch-4x4"]
 
@@ -94,7 +94,7 @@ def delivered(name, line_cells, presentation, at_once=1):
 
 
 @pytest.mark.parametrize("presentation", Presentation)
-@pytest.mark.parametrize("name", ARRAYS)
+@pytest.mark.parametrize("name", sample(ARRAYS))
 @settings(max_examples=4 if WHOLE else 2, deadline=None)
 @given(line=cells)
 def test_what_is_delivered_is_what_was_asked_for(name, presentation, line):

@@ -178,15 +178,6 @@ def test_intervals_shrink_with_trials():
     assert 3 < (few.high - few.low) / (many.high - many.low) < 5.5
 
 
-def test_separated_answers_have_most_of_the_gap_for_an_interval():
-    found = fit(counts_of([20, 25, 30, 40, 50], [10] * 5, [0, 0, 0, 10, 10]), Model())
-    assert found.sudden
-    for part in (0.75, 0.5):
-        at = found.bounded(part)
-        assert 25 < at.low < 33
-        assert 37 < at.high < 45
-
-
 def test_an_interval_without_an_end():
     counts = counts_of([20, 25, 30, 40, 50], [3] * 5, [0, 1, 1, 1, 2])
     low, high = credible_interval(Model(), counts, 0.75, 0.95)

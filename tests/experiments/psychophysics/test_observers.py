@@ -117,31 +117,12 @@ class TestNerve:
         assert spikes[-1][RA] > spikes[-1][PC] > 0
         assert found[-1].ratio > 0.5
 
-    def test_a_shorter_pulse_fires_fewer(self, finger, train):
-        nerve = Nerve(finger)
-        short, full, weak = (
-            nerve.of(train(50, PC, **how)).per_slot
-            for how in ({"width_us": 100}, {}, {"level": 0.5})
-        )
-        assert weak < short < full
-
     def test_the_frequency_is_that_of_ra_where_sai_pulses_between(self, finger, train):
         slow, fast = train(20), train(80, SAI, level=0.5)
         both = joined(slow, replace(fast, time_s=fast.time_s + 0.003))
         order = np.argsort(both.time_s)
         sorted_ = Interval(both.time_s[order], both.width_us[order], both.current_ua[order])
         assert Nerve(finger).of(sorted_).hz == pytest.approx(20)
-
-    def test_pulses_within_the_refractory_time_are_one(self, finger, train):
-        one = train(50)
-        twice = Interval(
-            np.repeat(one.time_s, 2) + np.tile([0, 0.001], len(one.time_s)),
-            np.repeat(one.width_us, 2),
-            np.repeat(one.current_ua, 2, axis=0),
-        )
-        alone, doubled = (Nerve(finger).of(each).counts for each in (one, twice))
-        assert np.abs(alone - doubled).max() <= 1
-        assert alone.max() == len(one.time_s)
 
     def test_silence_has_no_frequency_and_no_place(self, finger, train):
         for interval in (NOTHING, train(50, level=0.01)):
