@@ -114,6 +114,7 @@ def test_errors_are_public():
 
 def test_objects_show_themselves_in_a_line():
     profile, results = st.load_profile("electric-mouse"), []
+    kernel = st.design_kernel(st.load_profile("line-8"), "RA", 3)
     display = st.open_display("simulated:", profile)
     source = st.open_source("text:a", profile)
     statistics = st.run(source, display, seconds=0.1, listeners=[results.append])
@@ -121,7 +122,7 @@ def test_objects_show_themselves_in_a_line():
     with display.session() as touch:
         shown = touch.show(np.eye(64, dtype=np.float32)[27], 0.1)
     for each in (
-        profile, profile.electrodes, st.load_kernels(profile), st.design_kernel(st.load_profile("line-8"), "RA", 3),
+        profile, profile.electrodes, st.load_kernels(profile), kernel,
         display, display.board, source, statistics, result, result.step, result.sequence,
         result.tactile, result.input, touch, shown, st.SafetyLimits.of(profile), st.RunConfig(),
     ):  # fmt: skip

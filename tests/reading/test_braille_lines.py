@@ -102,14 +102,14 @@ def test_what_is_delivered_is_what_was_asked_for(name, presentation, line):
 
 
 @pytest.mark.parametrize("presentation", Presentation)
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=4 if WHOLE else 2, deadline=None)
 @given(line=eight_dot)
 def test_so_are_cells_with_eight_dots(presentation, line):
     for name in ("electric-mouse", "optacon-24x6"):
         assert delivered(name, (line,), presentation) == (line,)
 
 
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=4 if WHOLE else 2, deadline=None)
 @given(lines=st.tuples(cells, cells))
 def test_so_are_two_lines_at_once(lines):
     assert delivered("electric-mouse", lines, Presentation.LINE, 2) == lines
