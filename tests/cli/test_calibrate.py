@@ -32,6 +32,7 @@ from smarttouch.sources.preprocess import FlatField
 
 from ..boards.fresh import fresh_state, until
 from ..forks import EMULATOR, Forked
+from ..whole import WHOLE
 from .conftest import PRESSED, says
 
 pytestmark = pytest.mark.usefixtures("patient_boards")
@@ -193,6 +194,7 @@ def test_thresholds_of_a_simulated_subject(run, tmp_path):
     assert not (tmp_path / "mine.thresholds.jsonl").exists()
 
 
+@pytest.mark.skipif(not WHOLE, reason="long: with SMARTTOUCH_WHOLE=1, as in .ci/run")
 def test_a_simulated_subject_answers_trials_on_another_board(run, tmp_path):
     """Over 48 electrodes of the mouse: bias 0 %, spread 4 %; comfort -1 and 4 %."""
     trials = "thresholds --simulate --adaptive --electrodes 30 --board simulated:"

@@ -35,10 +35,6 @@ def wrong(*names, **attributes):
     return says(ExperimentError, *names, **attributes)
 
 
-def shown(path):
-    return [(row.number, row.comparison, row.comparison_interval) for row in read_rows(path)]
-
-
 def test_the_list_names_every_experiment(program_here):
     listed = program_here("experiment run").stdout
     for name in ("frequency", "detection", "discomfort", "two-point", "localization", "letters"):
@@ -64,9 +60,6 @@ def test_a_simulated_session_is_kept_and_gone_on_with(program_here, tmp_path):
     goes_on = " ".join(rest.stdout.splitlines()[:2])
     assert "10 of 10" in goes_on
     assert "ann-2-frequency-RA.csv" in goes_on
-    assert len(read_rows(path)) == 10
-    program_here(f"{one} --overwrite --quiet")
-    assert shown(path) == shown(path)
     assert len(read_rows(path)) == 10
 
 
@@ -96,7 +89,7 @@ def test_letters_end_with_who_was_taken_for_whom(program_here):
 
 
 def test_discomfort_ends_with_a_current(program_here, tmp_path):
-    result = program_here("experiment run discomfort?repetitions=2 --simulate model")
+    result = program_here("experiment run discomfort?repetitions=2&train_s=2 --simulate model")
     rows = read_rows(tmp_path / "discomfort-RA.csv")
     enough = [row.comparison for row in rows if row.success]
     assert len(rows) == 2
