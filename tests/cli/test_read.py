@@ -72,7 +72,7 @@ def test_an_image_without_a_board(program_here, tmp_path):
 
 
 def test_what_was_read_replays_to_the_bit_and_is_felt_once_more(program_here, figures_of):
-    read = figures_of("read text:ab --as braille --board simulated: --record run.mcap")
+    read = figures_of("read text:ab --as braille?cells=cell --board simulated: --record run.mcap")
     program_here("replay run.mcap --check").fine()
     assert figures_of("replay run.mcap --board simulated:")["slots"] == read["slots"] > 0
 

@@ -261,6 +261,14 @@ class TestTheTasks:
         nothing = share(200, lambda: subject.respond(task, [NOTHING], "yn"), "y")
         assert nothing == (pytest.approx(0.1, abs=0.08) if task == "felt" else 0)
 
+    def test_half_of_the_trials_at_the_criterion(self, observer):
+        subject = observer(guess=0.1, lapse=0.02, felt_afferents=2.0, enough_afferents=7.0)
+        assert subject.chance_felt(2.0) == pytest.approx(0.1 + 0.88 / 2)
+        assert subject.chance_felt(7.0, "enough") == pytest.approx(0.98 / 2)
+        assert subject.chance_felt(0.0) == pytest.approx(0.1)
+        assert subject.chance_felt(0.0, "enough") == 0
+        assert subject.chance_felt(50.0) == pytest.approx(0.98)
+
     def test_two_points_differ_from_one_by_their_distance(self, observer, points, finger):
         subject = observer(seed=6, lapse=0.0)
         one, near, far = points(27), points(27, 28), points(27, 30)
