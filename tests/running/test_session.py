@@ -179,7 +179,13 @@ def in_a_loop(coroutine):
 @pytest.mark.parametrize("url", ["memory:", "simulated:"])
 def test_the_displays_of_a_hand_begin_together(url, monkeypatch):
     profiles = sample(["electric-mouse", "electric-mouse", "smarttouch-4x4", "electric-mouse"])
-    hand, results = zip(*(session(url, profile=each) for each in profiles), strict=True)
+    pulsed_ns = [[] for _ in profiles]
+    notes = [
+        OnStep(lambda each, own=own: each.sequence.slots and own.append(time.monotonic_ns()))
+        for own in pulsed_ns
+    ]
+    hand = [session(url, profile=each, listeners=[note])[0]
+            for each, note in zip(profiles, notes, strict=True)]  # fmt: skip
     with contextlib.ExitStack() as stack:
         for each in hand:
             stack.enter_context(each)
@@ -194,8 +200,8 @@ def test_the_displays_of_a_hand_begin_together(url, monkeypatch):
     # They rise at the same time, too: each begins before any other has risen.
     if url == "memory:":
         rising = [
-            [each.clock_ns for each in own if each.sequence.slots and each.clock_ns < at.clock_ns]
-            for own, at in zip(results, shown.values(), strict=True)
+            [each for each in own if each < at.clock_ns]
+            for own, at in zip(pulsed_ns, shown.values(), strict=True)
         ]
         assert max(own[0] for own in rising) < min(own[-1] for own in rising)
 
