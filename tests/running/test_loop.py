@@ -31,6 +31,7 @@ from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.sources.force import ForceSource
 from smarttouch.sources.source_contract import Frame, OpticalSource, Pose
 from smarttouch.stimulation.adaptation import Adaptation
+from smarttouch.stimulation.recharge import ChargeBalance
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..raising import raises
@@ -309,6 +310,25 @@ def test_a_lifted_finger_stops_the_current_and_its_return_begins_at_zero(pipelin
     assert tally.lifts == 2
     assert max(np.diff(found)) <= 0.0401
     assert found[-1] > 0.5
+
+
+def test_what_was_measured_changes_what_is_sent(profile, pipeline, board, monkeypatch):
+    measured = []
+    monkeypatch.setattr(board, "take_volts", lambda: [measured.pop()] if measured else [])
+
+    def saturate(sent):
+        sequence = sent.step.sequence
+        if sequence.slots:
+            measured.append((sequence, np.full(sequence.slots, 100.0, np.float32)))
+
+    regulator = Regulator(Adaptation(profile, "energy", 300.0), ChargeBalance(64))
+    with board:
+        source, listeners = Bars(60, speed=0), as_listeners([saturate])
+        loop(source, pipeline, board, listeners=listeners, regulator=regulator)
+    # The same voltage at ever more current: impedance seems to fall, and energy holds.
+    late = [s for s in board.sequences[30:] if s.slots]
+    assert {bool(s.current_ua[0, s.site[0]] > 0) for s in late} == {True, False}
+    assert regulator.ledger.worst_uc < 1.0
 
 
 def test_what_could_not_be_held_is_reported(profile):
