@@ -350,6 +350,18 @@ def test_a_current_that_is_never_enough_stops_at_the_ceiling(profile, take):
     assert sat.figures["max_current_ma"] == pytest.approx(full_ma, abs=0.01)
 
 
+def test_every_stimulus_is_numbered_and_none_has_an_image(begin):
+    loop, trials = begin()
+    loop.until(lambda: loop.source.asking)
+    # A pattern has a number of its own, whatever follows it.
+    numbers = [each.number for each in loop.frames if each.activation.max() == 1]
+    assert numbers == sorted(numbers)
+    assert len(set(numbers)) == len(trials.trial.intervals) == 2
+    assert {each.image for each in loop.frames} == {None}
+    # Silence, pulses of threshold that open the level, and those of the trial.
+    assert len({each.activation.tobytes() for each in loop.frames}) == 3
+
+
 @pytest.mark.parametrize(
     "arguments", [{"gap_s": -1}, {"gap_s": float("nan")}, {"answer_s": 0}, {"answer_s": 1e9}]
 )
