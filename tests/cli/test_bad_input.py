@@ -63,6 +63,7 @@ def no_place(name):
     ("live --set scan=frame --profile kajimoto-61", says(ScheduleError, "one-against-all")),
     ("live --mode color", no_choice("mode", "color", "RA", "SAI", "PC", "natural")),
     ("live --rate 1000", says(ScheduleError, " 1000 Hz", "200 Hz")),
+    ("live --rate nan", says(ScheduleError, " nan Hz", "200 Hz")),
     ("live --seconds -1", says(about="seconds", value=-1, allowed=0)),
     ("live text:i?speed_mm_s=0",
      says(SourceError, about="speed_mm_s", value=0, allowed=(0.1, 500))),
