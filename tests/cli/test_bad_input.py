@@ -77,6 +77,7 @@ def no_place(name):
     ("devices emulate link?books=nowhere", says(about="books", value=Path("nowhere"))),
     ("devices emulate link?firmware=newest",
      says(about="firmware", value="link", allowed=("etactilekit",))),
+    ("devices emulate etactilekit?firmware=3", says(about="firmware", value="3")),
     ("devices show etactilekit:/dev/x?firmware=3", says(BoardError, "firmware '3'", "71adee2")),
     ("devices show kajimoto61:/dev/x --profile electric-mouse",
      says(BoardError, "weighted", "one-against-all", remedy="profile kajimoto-61")),
@@ -90,6 +91,8 @@ def no_place(name):
     ("calibrate scale memory: --volts -1", says(BoardError, "-1 V", "1000 ohm")),
     ("calibrate scale kajimoto61:x --volts 0.001",
      says(BoardError, "0.001 V", "0.001 times", "30 %", "kV", "µA")),
+    ("calibrate scale memory: --electrode 64", says(about="site", value=64, allowed=(0, 63))),
+    ("live --board memory: --set hold=charge", says(BoardError, about="hold")),
     ("live --board memory: --set hold=power",
      says(about="hold", value="power", allowed=("charge", "energy"))),
 ])  # fmt: skip

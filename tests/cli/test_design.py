@@ -79,7 +79,7 @@ def test_a_bank_is_made_again(program_here, tmp_path):
         assert bank["weights_RA"].shape == (7, 7)
 
 
-@pytest.mark.parametrize("asked", sample(["line-7", "kajimoto-61", "smarttouch-4x4 --mode=RA"], 3))
+@pytest.mark.parametrize("asked", sample(["smarttouch-4x4 --mode=RA", "kajimoto-61", "line-7"]))
 def test_a_site_is_drawn(program_here, tmp_path, asked):
     program_here(f"design --profile={asked} 5 --plot=k.png").fine()
     with Image.open(tmp_path / "k.png") as picture:
@@ -123,6 +123,7 @@ def test_an_array_and_a_skin_of_one_s_own(designed, tmp_path):
     ("--mode=PA", says(about="mode", value="PA", allowed=("RA", "SAI", "PC"))),
     ("--profile=kajimoto-61 --mode=SAI",
      says(DesignError, about="mode", value="SAI", allowed=("RA",))),
+    ("--any-node --three-state", says(value=("three_state", "any_node"))),
     ("--plot=k.jpg --profile=line-7", says(SmartTouchError, "k.jpg", "*.png")),
     ("--plot=no/k.png", says(about="file", value=Path("no/k.png"))),
 ])  # fmt: skip

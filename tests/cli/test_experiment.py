@@ -162,6 +162,7 @@ def test_free_stimulation_for_some_seconds(program_here, tmp_path):
      says(about="simulate", value="me", allowed=("model", "random", "first", "silent"))),
     ("experiment run sight --simulate model", wrong("'sight'", "frequency", "letters")),
     (f"{SIMULATED} --subject a/b", says(about="participant", value="a/b")),
+    (SIMULATED.replace("=30", "=30,x"), says(about="standards", value="30,x")),
     (f"{SIMULATED} --seed -1", says(about="seed", value=-1, allowed=0)),
     (f"{SIMULATED} --output a.txt", wrong("a.txt", ".csv")),
     ("experiment run free --simulate first", wrong(about="simulate")),
