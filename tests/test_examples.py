@@ -28,7 +28,7 @@ def cache(tmp_path_factory):
     return tmp_path_factory.mktemp("cache")
 
 
-@pytest.mark.parametrize("path", sample(SCRIPTS), ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", sample(SCRIPTS, 4), ids=lambda path: path.stem)
 def test_it_runs(path, cache, tmp_path, monkeypatch, capsys):
     if path.stem in LONG and "SMARTTOUCH_EXAMPLES" not in os.environ:
         pytest.skip("long: run where the pages are built, or with SMARTTOUCH_EXAMPLES=all")

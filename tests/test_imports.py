@@ -83,15 +83,6 @@ def test_no_module_and_no_simulated_run_needs_what_only_posix_has(tmp_path):
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
     names, sequences, *_ = done.stdout.splitlines()
-    assert {"smarttouch.cli", "smarttouch.base.wire.port"} <= {*names.split()}
+    assert {"smarttouch.cli", "smarttouch.emulator.__main__"} <= {*names.split()}
     assert int(sequences) > 5
     assert (tmp_path / "run.mcap").stat().st_size > 10_000
-
-
-def test_every_module_is_imported():
-    done = subprocess.run(
-        [sys.executable, "-W", "error", "-c", ALL_MODULES],
-        capture_output=True, text=True, timeout=100, check=False,
-    )  # fmt: skip
-    assert (done.returncode, done.stderr) == (0, "")
-    assert {"smarttouch.cli", "smarttouch.emulator.__main__"} <= {*done.stdout.split()}

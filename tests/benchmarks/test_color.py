@@ -6,18 +6,15 @@ Run with::
 
 Each class alone, every pair, and all three: rate and drive of every class, told from the
 currents that an emulated board delivered, beside what it had answered; how far pulses
-were from their own time. Then what a frame costs, and who answers where from 5 to 500 Hz.
+were from their own time. Then who answers where from 5 to 500 Hz.
 """
 
 import itertools
-import time
 
 import numpy as np
 import pytest
 
 from smarttouch.base.afferent import Afferent
-from smarttouch.instruments.color_mix import mix_colors
-from smarttouch.instruments.color_source import ColorSource
 from smarttouch.instruments.receptor_responses import split_trace
 from smarttouch.instruments.skin_trace import open_trace
 
@@ -69,27 +66,3 @@ def test_who_answers_where(row, quick):
             for each in Afferent:
                 cells[f"{um} µm: {each.name}"] = f"{np.median(answers[each].drive):.2f}"
         row("Who answers where", cells)
-
-
-def test_a_frame(profile, bank, row, quick, seconds):
-    spec = "tone:30Hz,9um+tone:250Hz,1.5um+press:0.45N"
-    mixture, spent = mix_colors(open_trace(spec, seconds), profile, bank), []
-    for _ in range(1 if quick else 50):
-        sensor, now_us, frames = ColorSource(spec, profile, mixture), 0, 0
-        start = time.perf_counter()
-        while (frame := sensor.read(1000 * now_us)) is not None:
-            now_us += frame.period_us
-            frames += 1
-        spent.append(time.perf_counter() - start)
-    assert frames
-    each_us = 1e6 * np.median(spent) / frames
-    row("Frames of colors", {"frames": frames, "µs a frame": f"{each_us:.1f}"})
-
-
-def test_splitting_and_mixing(profile, bank, row, quick, seconds):
-    trace, spent = open_trace("noise:5-400Hz,5um+press:0.5N", seconds), []
-    for _ in range(1 if quick else 50):
-        start = time.perf_counter()
-        mix_colors(trace, profile, bank)
-        spent.append(1e3 * (time.perf_counter() - start))
-    row("Splitting and mixing", {"trace, s": seconds, "ms": f"{np.median(spent):.1f}"})

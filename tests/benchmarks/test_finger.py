@@ -1,4 +1,4 @@
-"""From slots to the drive of every afferent of a finger, and from a seed to a finger.
+"""From slots to the drive of every afferent of a finger.
 
 Processor time, as docs/validation/finger.md has it: ``pytest tests/benchmarks/test_finger.py
 --benchmark-only -n0 --benchmark-timer=time.process_time --benchmark-columns=min,median``.
@@ -18,15 +18,6 @@ from smarttouch.profile import DEFAULT_PROFILE, load_profile
 SLOTS = (1, 16, 64)
 TIMES = (0.33, 1.3, 5.4)
 """Densities, relative to a finger's: some 300, 1,200 and 5,000 afferents."""
-
-
-@pytest.mark.parametrize("anatomy", ["paper", "branched"])
-@pytest.mark.parametrize("times", TIMES[:2])
-def test_a_finger_is_drawn(benchmark, quick, profile, anatomy, times):
-    if quick and times > TIMES[0]:
-        pytest.skip("the smallest finger only")
-    wanted = scaled(anatomy, times)
-    benchmark.pedantic(lambda: Finger(profile, 1, wanted).rows, rounds=3)
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["known", "new"])

@@ -2,13 +2,11 @@
 
 Run with::
 
-    pytest tests/benchmarks/test_frame_to_bytes.py --benchmark-only \
-        --benchmark-columns=median,iqr,rounds
+    pytest tests/benchmarks/test_frame_to_bytes.py --benchmark-only -n0
 
-Each figure is a time on the machine at hand; both chains take turns in one run. `test_ratio`
-prints a table of both as Markdown, and `test_scans` one of the ways to scan: p50 and p99 of frames
-that all differ, by themselves and in turn with one another, and what a frame allocates at once
-until it is proved, beside the size of its sequence.
+Each figure is a time on the machine at hand; both chains take turns in one run. `test_scans` has,
+of frames that all differ, p50 and p99 by themselves and in turn with one another, and what a frame
+allocates at once until it is proved, beside the size of its sequence.
 """
 
 import statistics
@@ -166,17 +164,9 @@ CASES = [
 ]
 
 
-@pytest.mark.parametrize(("side", "shape"), CASES)
-def test_ours(benchmark, make_bank, quick, side, shape):
-    weights = balanced_weights(side)
-    ours = Ours(grid_profile(side), make_bank(weights, weights), [letter(*shape)])
-    sent = benchmark.pedantic(ours, rounds=5) if quick else benchmark(ours)
-    assert len(sent) > 2 * ours.proved().current_ua.size
-
-
 @pytest.mark.parametrize("keeps", [False, True])
 @pytest.mark.parametrize(("side", "shape"), CASES)
-def test_ratio(benchmark, make_bank, quick, side, shape, keeps, capsys):
+def test_ratio(row, make_bank, quick, side, shape, keeps):
     image, weights = letter(*shape), balanced_weights(side)
     ours = Ours(grid_profile(side), make_bank(weights, weights), [image], keeps=keeps)
     # Lists have four bytes a point.
@@ -185,17 +175,20 @@ def test_ratio(benchmark, make_bank, quick, side, shape, keeps, capsys):
     alone = in_turn({"ours": ours}, 5 if quick else 1000)["ours"]
     took = in_turn({"ours": ours, "plain": plain}, 2 if quick else 15)
     ratio = statistics.median(p / o for o, p in zip(took["ours"], took["plain"], strict=True))
-    benchmark.extra_info["plain over ours"] = round(ratio, 1)
-    times = [*quantiles(alone), *(statistics.median(each) for each in took.values())]
-    cells = " | ".join(f"{each:,.0f}" for each in times)
-    kept = "yes" if keeps else "no"
-    with capsys.disabled():
-        print(
-            "\n| electrodes | frame | kernels kept | p50, µs | p99, µs | in turn, µs "
-            "| the plain chain, µs | over ours |\n|---|---|---|---|---|---|---|---|\n"
-            f"| {side * side:,} | {shape[1]} × {shape[0]} | {kept} | {cells} | {ratio:.0f} |"
-        )
-    benchmark.pedantic(ours, rounds=1)
+    p50, p99 = quantiles(alone)
+    row(
+        "Points one by one beside the slow plain chain, µs",
+        {
+            "electrodes": f"{side * side:,}",
+            "frame": f"{shape[1]} × {shape[0]}",
+            "kernels kept": "yes" if keeps else "no",
+            "p50": f"{p50:,.0f}",
+            "p99": f"{p99:,.0f}",
+            "in turn with the plain chain": f"{statistics.median(took['ours']):,.0f}",
+            "the plain chain": f"{statistics.median(took['plain']):,.0f}",
+            "over ours": f"{ratio:.0f}",
+        },
+    )
 
 
 @pytest.mark.timeout(1800)
@@ -236,7 +229,7 @@ def test_default_path(row, make_bank, quick, side, shape, frames):
 
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(("side", "frames"), [(8, 600), (16, 200), (32, 40)])
-def test_scans(benchmark, make_bank, quick, side, frames, capsys):
+def test_scans(row, make_bank, quick, side, frames):
     """Points one by one, kernels added up, frames planned again: in turn with the plain chain.
 
     More than `MOST_PROVED` electrodes have no proved sets, and planning for 1,024 takes seconds a
@@ -258,24 +251,26 @@ def test_scans(benchmark, make_bank, quick, side, frames, capsys):
     often = {name: chain for name, chain in scans.items() if name not in rare}
     took = in_turn(often, frames) | in_turn({name: scans[name] for name in rare}, 3)
     plain_us = statistics.median(in_turn({"plain": plain}, max(2, frames // 20))["plain"])
-    rows = []
     for name, chain in scans.items():
         at_once, size = allocated(chain)
         chain.images, chain.count = others, 0
-        alone = in_turn({name: chain}, 3 if name in rare else frames - 1)[name]
-        cells = [f"{each:,.0f}" for one in (alone, took[name]) for each in quantiles(one)]
-        cells += [f"{at_once / 1024:,.0f}", f"{size / 1024:,.1f}", f"{plain_us:,.0f}"]
-        p50, p99 = quantiles(alone)
-        rows.append(f"| {side * side:,} | {name} | {' | '.join(cells)} | {plain_us / p50:,.1f} |")
-        benchmark.extra_info[name] = {"p50 µs": round(p50), "p99 µs": round(p99)}
-    with capsys.disabled():
-        print(
-            "\n| electrodes | scan | p50, µs | p99, µs | p50 in turn, µs | p99 in turn, µs "
-            "| allocated at once, KiB | sequence, KiB | the plain chain, µs | over ours |"
+        p50, p99 = quantiles(in_turn({name: chain}, 3 if name in rare else frames - 1)[name])
+        beside_p50, beside_p99 = quantiles(took[name])
+        row(
+            "Ways to scan, µs",
+            {
+                "electrodes": f"{side * side:,}",
+                "scan": name,
+                "p50": f"{p50:,.0f}",
+                "p99": f"{p99:,.0f}",
+                "in turn: p50": f"{beside_p50:,.0f}",
+                "in turn: p99": f"{beside_p99:,.0f}",
+                "allocated at once, KiB": f"{at_once / 1024:,.0f}",
+                "sequence, KiB": f"{size / 1024:,.1f}",
+                "the plain chain": f"{plain_us:,.0f}",
+                "over ours": f"{plain_us / p50:,.1f}",
+            },
         )
-        print("|" + "---|" * 10)
-        print("\n".join(rows))
-    benchmark.pedantic(scans["points"], rounds=1)
 
 
 def quantiles(times):

@@ -1,4 +1,4 @@
-"""The electric mouse: frequencies, objects that stay put, and time per frame.
+"""The electric mouse: frequencies, and objects that stay put.
 
 Run with::
 
@@ -9,15 +9,12 @@ Measured on what a simulated board delivered: pulses of each electrode, where it
 
 import itertools
 import math
-import time
 
 import cv2
 import numpy as np
 import pytest
 
 from smarttouch.imaging.array_window import profile_for_reading
-from smarttouch.instruments.electric_mouse import MouseSource
-from smarttouch.instruments.hand_motion import SweepMotion
 from smarttouch.instruments.relief import open_texture
 from smarttouch.kernels.bank import load_bank
 from smarttouch.profile import load_profile
@@ -125,37 +122,5 @@ def test_objects_stay_put(row, quick, bank, tmp_path):
                     "centroid off by, mm": f"{middle[0]:+.2f}, {middle[1]:+.2f}",
                     "best shift, mm": f"{shift[0]:+.1f}, {shift[1]:+.1f}",
                     "pulses": len(touched.felt.number),
-                },
-            )
-
-
-def test_time_per_frame(row, quick, tmp_path):
-    def frame_us(spec, speed):
-        texture, motion = (
-            open_texture(spec),
-            SweepMotion(speed, (60.0, 0.0), rounds=1 if quick else 4),
-        )
-        motion.origin_mm = (15.0, 20.0)
-        sensor = MouseSource(texture, motion, PROFILE, press_n=1.0)
-        times = [int(each * 1e7) for each in range(int(motion.duration_s * 100))]
-        spent = []
-        for time_ns in times:
-            began = time.perf_counter()
-            sensor.read(time_ns)
-            spent.append(1e6 * (time.perf_counter() - began))
-        return np.percentile(spent, (50, 99))
-
-    image = str(grating_file(tmp_path / "g.png", 4, 30, "faint", noise=5.0))
-    disc = str(object_file(tmp_path / "o.png", "disc"))
-    for spec in ("grating:4mm,30deg", image, disc):
-        for speed in (40, 160):
-            median, late = frame_us(spec, speed)
-            row(
-                "A frame of the mouse",
-                {
-                    "texture": spec.rsplit("/")[-1],
-                    "mm/s": speed,
-                    "p50, µs": f"{median:.0f}",
-                    "p99, µs": f"{late:.0f}",
                 },
             )

@@ -1,67 +1,19 @@
-"""A run with a window beside one without: periods, the loop's own part, and how soon it stops.
+"""A window's part of the loop, and how soon a page stops a run.
 
 Run with::
 
     pytest tests/benchmarks/test_window.py --benchmark-only -n0
 """
 
-import json
-import subprocess
-import sys
 import threading
 import time
-from contextlib import ExitStack
 from urllib.parse import urlsplit
 
 import numpy as np
-import pytest
 
 import smarttouch as st
 from smarttouch.base.stopping import StopRequest
 from smarttouch.running.runner import Runner
-
-from ..views.browser import chromium, opened
-
-RATE_HZ = 60
-PROGRAM = "import sys; from smarttouch.cli import main; main()"
-
-
-def live(folder, seconds, *more):
-    source = f"text:{'touch what a sensor sees ' * 8}?speed_mm_s=8"
-    return subprocess.Popen(
-        [sys.executable, "-c", PROGRAM, "live", source, "--seconds", str(seconds),
-         "--rate", str(RATE_HZ), "--json", "run.json", "--quiet", *more],
-        cwd=folder, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-
-
-@pytest.mark.parametrize("pages", [None, 0, 1])
-def test_periods(pages, tmp_path, quick, row):
-    """None is a run without a window."""
-    seconds = 60 if not quick else 4 if pages else 1
-    with ExitStack() as stack:
-        browser = stack.enter_context(chromium()) if pages else None
-        window = () if pages is None else ("--window",)
-        run = stack.enter_context(live(tmp_path, seconds, *window))
-        if browser is not None:
-            address = run.stderr.readline().split()[1]
-            page = stack.enter_context(opened(browser, address))
-            page.wait_for_selector("#electrodes[data-number]")
-            page.wait_for_selector("#stop:disabled", timeout=1000 * (seconds + 60))
-            page.close()
-        assert run.wait() == 0
-    figures = json.loads((tmp_path / "run.json").read_text())
-    errors = figures["period_error_us"]
-    row(f"Periods at {RATE_HZ} Hz, {seconds} s", {
-        "window": "none" if pages is None else f"{pages} pages",
-        "sequences": figures["sequences"],
-        "late": figures["late_frames"],
-        "period off by, p50": f"{errors['p50']:.0f} µs",
-        "p99": f"{errors['p99'] / 1000:.2f} ms",
-        "most": f"{errors['max'] / 1000:.1f} ms",
-        "own work": f"{figures['work_share']:.1%}",
-    })  # fmt: skip
-    assert figures["emulator_violations"] == 0
 
 
 def test_part_of_the_loop(profile, quick, row):

@@ -1,14 +1,11 @@
 """Headings, lists, tables and page numbers stand where Braille Formats puts them."""
 
-import pytest
-
 from smarttouch.base.errors import BrailleError
-from smarttouch.braille import louis
 from smarttouch.braille.block_layout import lay_out_blocks, shaped_text
 from smarttouch.braille.cell_pages import write_cells
 from smarttouch.braille.cells import BLANK, format_brf, parse_pef
 from smarttouch.braille.code_tables import open_table
-from smarttouch.pages.structured_text import Block, BlockKind, Emphasis, Run, StructuredText
+from smarttouch.pages.structured_text import Block, BlockKind, Run, StructuredText
 
 from ..raising import raises
 
@@ -54,13 +51,6 @@ def test_a_long_heading_is_centered_line_by_line():
         left = len(line) - len(line.lstrip())
         assert left >= 3
         assert abs(20 - len(line) - left) <= 1
-
-
-@pytest.mark.skipif(louis.version() is None, reason="liblouis is not installed")
-def test_emphasis_is_marked():
-    runs = (Run("a "), Run("tiny", Emphasis.BOLD), Run(" cat"))
-    text = StructuredText((Block(BlockKind.PARAGRAPH, 0, runs),))
-    assert shaped_text(text, open_table("en-2")).cells == ["⠁⠀⠘⠂⠞⠔⠽⠀⠉⠁⠞"]
 
 
 def test_a_pef_names_its_document(tmp_path):

@@ -43,13 +43,6 @@ def test_without_liblouis_there_is_grade_1(no_liblouis):
 
 
 @needs_liblouis
-def test_any_table_of_liblouis():
-    table = open_table("es-g1.ctb")
-    assert table.to_cells("año") == "⠁⠻⠕"
-    assert table.to_text("⠁⠻⠕") == "año"
-
-
-@needs_liblouis
 @pytest.mark.parametrize(("name", "text", "wrong"), [
     ("en-2", "Words that come back", 0), ("it", "Gli umani", 2), ("ru", "Слово", 0),
 ])  # fmt: skip
@@ -123,12 +116,6 @@ def test_what_has_no_cells():
     table = open_table()
     assert table.missing("a中b\n😀中") == "中😀"
     assert table.to_cells("a中b\n😀c", leave_out=True) == "⠁⠃\n⠉"
-
-
-def test_letters_are_not_cells():
-    with raises(BrailleError, about="cell", value="x") as caught:
-        open_table().to_text("⠁\n⠁x")
-    assert "position 2" in str(caught.value)
 
 
 @needs_liblouis

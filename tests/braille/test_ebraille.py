@@ -21,6 +21,8 @@ from smarttouch.braille.code_tables import open_table
 from smarttouch.braille.ebraille import format_ebraille
 from smarttouch.pages.structured_text import BETWEEN, Block, BlockKind, Run, StructuredText
 
+from ..whole import WHOLE
+
 TABLE = open_table("en-1")
 EPUBCHECK = shutil.which("epubcheck")
 OPF = "{http://www.idpf.org/2007/opf}"
@@ -106,6 +108,7 @@ def test_structure():
     ]  # fmt: skip
 
 
+@pytest.mark.skipif(not WHOLE, reason="long: with SMARTTOUCH_WHOLE=1, as in .ci/run")
 @pytest.mark.skipif(EPUBCHECK is None, reason="needs EPUBCheck: apt install epubcheck")
 def test_epubcheck_reports_what_ebraille_requires_and_epub_does_not_know(tmp_path):
     path, report = tmp_path / "book.epub", tmp_path / "report.json"

@@ -2,8 +2,7 @@
 
 import pytest
 
-from smarttouch.braille.code_tables import BrailleTable, open_table
-from smarttouch.braille.grade1 import Grade1
+from smarttouch.braille.code_tables import open_table
 
 from .liblouis import needs_liblouis
 from .sentences import make_sentences
@@ -29,19 +28,6 @@ def quotes(text):
 def case(text):
     """Small and capital letters, too, are the same."""
     return quotes(text).lower()
-
-
-def hiragana(text):
-    """Katakana and hiragana are the same."""
-    return "".join(chr(ord(c) - 0x60) if "ァ" <= c <= "ヴ" else c for c in text)
-
-
-def test_english_as_built_in():
-    assert share_back(BrailleTable("en-1", "", Grade1()), "english", str) == 1
-
-
-def test_japanese():
-    assert share_back(open_table("ja"), "japanese", hiragana) == 1
 
 
 @needs_liblouis

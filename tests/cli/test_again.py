@@ -45,8 +45,3 @@ def test_on_a_screen_it_is_read_again(monkeypatch):
 def test_what_is_kept_or_not_seen_is_read_once(tmp_path, monkeypatch, options):
     monkeypatch.chdir(tmp_path)
     assert not lasts(*options, seconds=60)
-
-
-def test_through_a_pipe_it_is_read_once(program):
-    done = program("live", "text:i?speed_mm_s=400", "--board", "simulated:")
-    assert (done.returncode, done.stderr) == (0, "")

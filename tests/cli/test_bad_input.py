@@ -1,9 +1,6 @@
 """Bad input gets one clear sentence and exit 2, and never a traceback."""
 
-import math
 import struct
-import subprocess
-import sys
 import zlib
 from pathlib import Path
 
@@ -13,7 +10,6 @@ from PIL import Image
 
 from smarttouch.base.errors import (
     BoardError,
-    DesignError,
     PageError,
     ProfileError,
     RecordingError,
@@ -33,10 +29,7 @@ def png_header(width, height):
 
 @pytest.fixture
 def folder(tmp_path):
-    (tmp_path / "text.png").write_text("not an image")
     (tmp_path / "huge.png").write_bytes(png_header(60_000, 60_000))
-    (tmp_path / "none.png").write_bytes(png_header(0, 0))
-    Image.fromarray(np.zeros((1, 1), np.uint8)).save(tmp_path / "one.png")
     Image.fromarray(np.full((90, 90), 255, np.uint8)).save(tmp_path / "page.png")
     shipped = profile_path("line-7").read_text(encoding="utf-8")
     (tmp_path / "wrong.toml").write_text(f"foo = 1\n{shipped}")
@@ -58,32 +51,22 @@ def no_place(name):
 
 @pytest.mark.parametrize(("arguments", "wrong"), [
     ("live page:missing.png", no_file(PageError, "missing.png")),
-    ("live page:text.png?dpi=300", says(PageError, "text.png", "PNG")),
     ("live page:huge.png?dpi=300", says(PageError, "huge.png", "100 megapixels")),
-    ("live page:none.png?dpi=300", says(PageError, "none.png")),
-    ("live page:one.png?dpi=300", says(PageError, "one.png", "1 x 1 ", "8 x 8")),
-    ("live page:.", says(PageError, about="file", value=Path())),
-    ("live text:", says(PageError, "text:")),
     ("live radio:5", says(SourceError, about="source", value="radio:5")),
     ("live --profile nobody", says(ProfileError, "'nobody'", "electric-mouse")),
     ("live --profile wrong.toml", says(ProfileError, "wrong.toml", about="foo")),
     ("live --board nobody:", says(BoardError, about="board", value="nobody:")),
     ("live --board link: --intensity 1", says(BoardError, "link: ", "link:/dev/ttyACM0")),
     ("live --board link:/dev/nothing --intensity 1", says(BoardError, "/dev/nothing")),
-    ("live --board emulator:7", says(BoardError, "emulator:", "'7'")),
     ("live --board vibrators:x.wav", says(about="board", remedy="vibrators")),
-    ("live --set scan=frame --set hold=charge", says(about="scan", remedy="scan points")),
     ("live --set scan=all", no_choice("scan", "all", "auto", "points", "frame")),
     ("live --set scan=frame --profile kajimoto-61", says(ScheduleError, "one-against-all")),
-    ("live --set scan=frame --profile line-7", says(ScheduleError, "limits.total_ma")),
     ("live --mode color", no_choice("mode", "color", "RA", "SAI", "PC", "natural")),
-    ("live --rate 0", says(ScheduleError, " 0 Hz", "0.1 Hz", "200 Hz")),
     ("live --rate 1000", says(ScheduleError, " 1000 Hz", "200 Hz")),
     ("live --rate nan", says(ScheduleError, " nan Hz", "200 Hz")),
     ("live --seconds -1", says(about="seconds", value=-1, allowed=0)),
     ("live text:i?speed_mm_s=0",
      says(SourceError, about="speed_mm_s", value=0, allowed=(0.1, 500))),
-    ("live text:i?path=missing.csv", no_file(SourceError, "missing.csv")),
     ("live --record taken.mcap", says(RecordingError, "taken.mcap")),
     ("live --felt nowhere/felt.png", no_place("nowhere/felt.png")),
     ("live --json .", no_place(".")),
@@ -95,11 +78,7 @@ def no_place(name):
     ("devices emulate link?firmware=newest",
      says(about="firmware", value="link", allowed=("etactilekit",))),
     ("devices emulate etactilekit?firmware=3", says(about="firmware", value="3")),
-    ("devices emulate link?electrodes=0", says(about="electrodes", value=0, allowed=(1, 4096))),
     ("devices show etactilekit:/dev/x?firmware=3", says(BoardError, "firmware '3'", "71adee2")),
-    ("devices show kajimoto61:", says(BoardError, "kajimoto61:/dev/ttyUSB0")),
-    ("devices show kajimoto61:/dev/nowhere", says(BoardError, "/dev/nowhere")),
-    ("devices show etactilekit:/dev/x?fast", says(BoardError, "?fast", "?slow", "?firmware")),
     ("devices show kajimoto61:/dev/x --profile electric-mouse",
      says(BoardError, "weighted", "one-against-all", remedy="profile kajimoto-61")),
     ("devices test memory:", says(about="keyboard", remedy="seconds")),
@@ -109,23 +88,13 @@ def no_place(name):
      says(about="current_ma", value=9, allowed=pytest.approx(2.4))),
     ("devices measure memory:", says(BoardError, "measure")),
     ("calibrate scale memory: --ohm 0", says(BoardError, about="ohm", value=0)),
-    ("calibrate scale memory: --ohm inf", says(BoardError, about="ohm", value=math.inf)),
-    ("calibrate scale memory: --current-ma nan",
-     says(BoardError, about="current_ma", value=math.nan)),
     ("calibrate scale memory: --volts -1", says(BoardError, "-1 V", "1000 ohm")),
-    ("calibrate scale kajimoto61:x --volts inf", says(BoardError, "inf V", "1000 ohm")),
-    ("calibrate scale kajimoto61:x --volts nan", says(BoardError, "nan V", "1000 ohm")),
     ("calibrate scale kajimoto61:x --volts 0.001",
      says(BoardError, "0.001 V", "0.001 times", "30 %", "kV", "µA")),
-    ("calibrate scale etactilekit:x --volts 1000",
-     says(BoardError, "1000 V", "1e+03 times", "30 %", "mV", "kilohms")),
     ("calibrate scale memory: --electrode 64", says(about="site", value=64, allowed=(0, 63))),
+    ("live --board memory: --set hold=charge", says(BoardError, about="hold")),
     ("live --board memory: --set hold=power",
      says(about="hold", value="power", allowed=("charge", "energy"))),
-    ("live --board memory: --set hold=charge", says(BoardError, about="hold")),
-    ("live --board memory: --set measure", says(BoardError, "measure")),
-    ("live --profile kajimoto-61 --board memory: --mode SAI",
-     says(DesignError, "mode SAI", " RA ", " 0.1 ", " 0.0032")),
 ])  # fmt: skip
 def test_one_sentence(program_here, folder, arguments, wrong):
     wrong(refused(program_here(*arguments.split(" "))))
@@ -139,16 +108,6 @@ def test_usage(program_here, arguments):
     done = program_here(*arguments.split(" "))
     assert done.returncode == 2
     assert "Traceback" not in done.stderr
-
-
-def test_help_imports_nothing_heavy():
-    code = (
-        "import sys, smarttouch.cli;"
-        "print([m for m in ('numpy', 'cv2', 'scipy', 'pydantic', 'skimage', 'PIL', 'serial',"
-        " 'matplotlib') if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
 
 
 def test_help_names_every_command(program_here):

@@ -90,14 +90,10 @@ def test_without_liblouis(program_here, monkeypatch):
 @pytest.mark.parametrize(("arguments", "wrong"), [
     ("", says(BrailleError, about="text", remedy="tables")),
     ("none.brf", says(BrailleError, about="file", value=Path("none.brf"))),
-    ("a --table=xx", says(BrailleError, "'xx'", "en-1, en-2", "ja")),
     ("a中", says(BrailleError, "en-1", "'中'", "U+4E2D")),
     ("a --columns=1", says(BrailleError, " 1 x 25 cells", "2 columns")),
-    ("a --columns=0", says(BrailleError, " 0 x 25 cells", "2 columns")),
-    ("a --rows=-1", says(BrailleError, " 40 x -1 cells", "1 row")),
     ("a --output=a.doc", says(BrailleError, "a.doc", ".brf", ".pef", ".ebrl", ".txt")),
     ("a --output=none/a.brf", says(about="file", value=Path("none/a.brf"))),
-    ("⡀ --output=a.brf", says(BrailleError, "⡀", "cell 3", "dots 7 or 8", ".pef")),
     ("⠁ --back --output=a.brf",
      says(BrailleError, about="file", value=Path("a.brf"), allowed=(".txt",))),
 ])  # fmt: skip

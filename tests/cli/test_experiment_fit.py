@@ -110,10 +110,8 @@ def test_others_answers(program, tmp_path):
     ("a.csv --x hz",
      says(ExperimentError, "a.csv", "comparison or success", about="x", value="hz")),
     ("a.csv --guess half", says(ExperimentError, about="guess", value="half")),
-    ("a.csv --guess 1", says(ExperimentError, "guess", " 1 ")),
     ("a.csv --function cubic",
      says(about="function", value="cubic", allowed=("normal", "logistic", "weibull"))),
-    ("a.csv --function weibull --linear", says(ExperimentError, "Weibull", "normal", "logistic")),
     ("a.csv --plot a.doc", says(SmartTouchError, "a.doc", "*.png")),
     ("a.csv --plot none/a.png", says(about="file", value=Path("none/a.png"))),
 ])  # fmt: skip

@@ -4,7 +4,7 @@ import joblib
 import pytest
 from PIL import Image
 
-from smarttouch.base.errors import ExperimentError, ProfileError, SmartTouchError
+from smarttouch.base.errors import ProfileError
 from smarttouch.cli.simulate import study
 
 from ..raising import assert_says
@@ -24,18 +24,6 @@ def test_a_letter_on_one_finger(figures_of, tmp_path):
     with Image.open(tmp_path / "felt.png") as picture:
         assert min(picture.size) > 400
         assert len(picture.getcolors(1 << 22)) > 50
-
-
-@pytest.mark.parametrize(("arguments", "kind", "says"), [
-    ("4", ExperimentError, {"about": "letters", "value": "4"}),
-    ("T --anatomy=none", ProfileError, {"about": "anatomy", "value": "none"}),
-    ("T --profile=line-7", ExperimentError, {"about": "profile", "value": 1}),
-    ("T --mode=SAII", SmartTouchError, {"about": "mode"}),
-])  # fmt: skip
-def test_invalid_fingers(program_here, arguments, kind, says):
-    error = refused(program_here("simulate letters", *arguments.split()))
-    assert isinstance(error, kind)
-    assert_says(error, **says)
 
 
 PLAN = (

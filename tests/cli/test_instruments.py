@@ -1,24 +1,88 @@
-"""Recordings, pictures, markers and vibrators, which instruments share with every run."""
+"""Vibrations, textures, and what they share with every run: recordings, pictures, markers."""
 
 import sys
+from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 from scipy.io import wavfile
 
-from smarttouch.running.check_recording import check_recording
+from smarttouch.base.errors import PageError, ScheduleError, SmartTouchError, SourceError
+from smarttouch.running.check_recording import assert_replays, check_recording
 from smarttouch.running.recording_reader import Recording
 
+from ..instruments.touched import object_file
 from ..views.test_lsl_markers import FakeLsl
+from .conftest import refused, says
 
 FAST = "live texture:grating:4mm?motion=sweep:?speed_mm_s=120 --board simulated: --quiet"
 
 
-def test_pulses_that_were_asked_for_are_asked_for_again_in_a_replay(figures_of):
-    was = figures_of(f"{FAST} --seconds 1.5 --record a.mcap")
-    now = figures_of("replay a.mcap --board simulated: --quiet")
-    assert was["slots"] == now["slots"] > 200
+@pytest.fixture
+def played(program_here):
+    """Return a runner of a source that gives its figures, and all that was ``printed``."""
+
+    def run(spec, more=""):
+        done = program_here(f"live '{spec}' --board simulated: --json f.json {more}").flawless()
+        return done.figures | {"printed": done.stdout}
+
+    return run
+
+
+def test_all_three_on_an_emulated_board(played, tmp_path):
+    # At a level at which net current leaves every class its rate.
+    spec = "tone:30Hz,9um+tone:250Hz,1.5um+press:0.45N"
+    figures = played(f"vibration:{spec}?seconds=1", "--intensity 0.3 --record r.mcap")
+    assert figures["ended"] == "the end of the trace"
+    assert figures["emulator_violations"] == 0
+    # RA at 30 a second, PC at every second cycle, at four sites; SAI as its force has it.
+    assert figures["slots"] > 4 * (28 + 120)
+    assert " RA, " in " ".join(figures["printed"].split())
+    assert_replays(tmp_path / "r.mcap")
+
+
+def test_a_file_keeps_its_own_time_and_can_be_cut(played, tmp_path):
+    time_s = np.arange(0, 1, 0.001)
+    moved = 8 * np.sin(60 * np.pi * time_s)
+    lines = [f"{time:.3f},{um:.3f}" for time, um in zip(time_s, moved, strict=True)]
+    (tmp_path / "t.csv").write_text("\n".join(["time_s,displacement_um", *lines]))
+    for more, lasts in (("", 1.0), ("--seconds 0.4", 0.4)):
+        figures = played("vibration:t.csv", f"--quiet {more}")
+        assert figures["seconds"] == pytest.approx(lasts, abs=0.03)
+        assert figures["printed"] == ""
+
+
+def test_what_is_left_out_is_reported(played):
+    said = played("vibration:tone:30Hz,9um+press:1N?seconds=0.3", "--profile kajimoto-61")[
+        "printed"
+    ]
+    (left_out,) = (line for line in said.splitlines() if line.split()[:2] == ["SAI", "would"])
+    assert "PC" not in left_out
+
+
+def test_without_options_a_virtual_hand_strokes_a_grating(played, tmp_path):
+    figures = played("texture:", "--intensity 0.5 --felt felt.png --finger paper")
+    # 60 mm there and back over 4 mm: 15 ridges each, at all of 64 electrodes.
+    assert figures["slots"] == pytest.approx(2 * 15 * 64, abs=64)
+    assert figures["emulator_violations"] == 0
+    assert figures["ended"] == "the hand has stopped"
+    with Image.open(tmp_path / "felt.png") as picture:
+        assert picture.width > 900
+
+
+def test_an_image_under_a_recorded_hand(played, tmp_path):
+    object_file(tmp_path / "o.png", "disc")
+    (tmp_path / "way.csv").write_text(
+        "time_s,x_mm,y_mm,force_n\n0,20,20,1\n1,20,20,1\n2,60,20,1\n2.1,60,20,1\n"
+    )
+    hand = "motion=path:way.csv"
+    all_over = played(f"texture:o.png?{hand}", "--quiet")["slots"]
+    assert 100 < all_over < 250
+    twice = played(f"texture:o.png?grain_mm=1&{hand}", "--quiet --mode SAI")["slots"]
+    assert twice == pytest.approx(2 * all_over, rel=0.2)
+    assert played(f"texture:o.png?{hand}", "--quiet --force fixed:0.1")["slots"] == 0
 
 
 def test_vibrators_shake_what_was_recorded(program_here, tmp_path, changed):
@@ -62,9 +126,18 @@ def test_a_run_sends_markers(program_here, monkeypatch):
     assert events[-1][0].startswith("dose ")
 
 
-def test_a_replay_shares_slots_only_where_the_board_can(program_here, figures_of):
-    recorded = "live text:on?speed_mm_s=200 --board simulated: --quiet"
-    program_here(f"{recorded} --record run.mcap").fine()
-    figures = figures_of("replay run.mcap --profile kajimoto-61 --board simulated:")
-    assert figures["slots"] > 0
-    assert 0 < figures["worst_spill"] < figures["worst_other"] < 0.2
+@pytest.mark.parametrize(("arguments", "wrong"), [
+    ("vibration:tone:250Hz,2um --profile kajimoto-61",
+     says(ScheduleError, "PC", "kajimoto-61", " RA ")),
+    ("vibration:tone:30", says(SmartTouchError, "'tone:30'", "tone:30Hz,8um")),
+    ("vibration:tone:30Hz,9um --mode PC", says(SourceError, about="mode")),
+    ("vibration:tone:30Hz,9um --json no/f.json", says(about="file", value=Path("no/f.json"))),
+    ("texture:grating:x", says(PageError, "'grating:x'", "grating:4mm,30deg")),
+    ("texture:?motion=evdev:/dev/null",
+     says(SourceError, "/dev/null" if find_spec("evdev") else "smarttouch[mouse]")),
+    ("texture: --rate 300", says(SourceError, about="rate_hz", value=300, allowed=(10, 200))),
+    ("texture: --mode natural",
+     says(SourceError, about="mode", value="natural", allowed=("RA", "SAI", "PC"))),
+])  # fmt: skip
+def test_what_cannot_be_played_is_one_sentence(program_here, arguments, wrong):
+    wrong(refused(program_here(f"live {arguments} --board simulated:")))

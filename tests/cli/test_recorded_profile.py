@@ -71,7 +71,7 @@ def into():
     return run
 
 
-@pytest.mark.parametrize("scale", [0.00244, 2440.0, 1.0, 9.99])
+@pytest.mark.parametrize("scale", [0.00244, 2440.0])
 def test_a_misread_unit_in_a_recording_reaches_no_board(forge, port, into, monkeypatch, scale):
     """The outputs of a board with a finger on it are described by its user's profile."""
     outputs = []
@@ -87,11 +87,9 @@ def test_a_misread_unit_in_a_recording_reaches_no_board(forge, port, into, monke
 
 
 NONSENSE = [
-    ("output.ua_per_count", float("nan")), ("output.ua_per_count", float("inf")),
-    ("output.ua_per_count", -2.44), ("limits.current_ma", 50.0), ("limits.pulse_us", 2000.0),
-    ("limits.charge_uc", 5.0), ("limits.duty", float("nan")), ("limits.rate_hz", float("nan")),
-    ("limits.ramp_s", 0.0), ("limits.total_ma", float("inf")), ("limits.unknown", 1.0),
-    ("perception.threshold_ma", float("nan")),
+    ("output.ua_per_count", float("nan")), ("limits.current_ma", 50.0),
+    ("limits.charge_uc", 5.0), ("limits.duty", float("nan")), ("limits.ramp_s", 0.0),
+    ("limits.unknown", 1.0),
 ]  # fmt: skip
 
 

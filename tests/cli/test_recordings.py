@@ -87,16 +87,3 @@ def test_a_check_that_holds_and_one_that_does_not(call, recording, tmp_path):
     assert head.startswith("38 ")
     assert len(differences) > 1
     assert differences[0].startswith("frame 0 at ")
-
-
-def test_what_is_none_of_ours(call, tmp_path):
-    path = tmp_path / "letter.txt"
-    path.write_text("precious")
-    for arguments in (
-        ("recordings", "info", path),
-        ("recordings", "repair", path),
-        ("recordings", "export", path, tmp_path / "out"),
-        ("replay", path, "--check"),
-    ):
-        done = call(*arguments)
-        says(RecordingError, str(path), "MCAP")(done.exception)

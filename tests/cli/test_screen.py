@@ -20,7 +20,7 @@ from smarttouch.running.inputs import Controls, ControlState
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.run_statistics import RunStatistics
 from smarttouch.running.step import StepResult
-from smarttouch.sources.source_contract import Stimulus
+from smarttouch.sources.source_contract import Frame, Stimulus
 from smarttouch.stimulation.scan_sequence import NO_SHARING, SlotPolicy
 from smarttouch.views.character_pictures import ArrayPicture, image_text
 from smarttouch.views.screen import Screen, _beside
@@ -37,11 +37,11 @@ def printed(paper=255, ink=0):
     return image
 
 
-@pytest.fixture(params=[NO_SHARING, SlotPolicy((Afferent.RA,), planned=False)])
-def sent(request, make_frame, profile, bank):
+@pytest.fixture(scope="module", params=[NO_SHARING, SlotPolicy((Afferent.RA,), planned=False)])
+def sent(request, profile, bank):
     pipeline = Pipeline(profile, bank, RunConfig(scan=request.param))
     for time_ns in range(10**9, 2 * 10**9, 20_000_000):
-        step = pipeline.process(make_frame(printed(), time_ns))
+        step = pipeline.process(Frame(printed(), time_ns, force_n=1.0))
     assert step.sequence.intensity == 1
     return StepResult(step, 1, 0.0)
 

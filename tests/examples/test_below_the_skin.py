@@ -2,10 +2,13 @@
 
 import re
 
+import pytest
 from studies import below_the_skin
 from studies.below_the_skin import first_ma, with_below
 
 from smarttouch.physiology.finger import Finger
+
+from ..whole import WHOLE
 
 
 def test_with_fat_alone_below_cathodes_fire_first(profile):
@@ -16,6 +19,7 @@ def test_with_fat_alone_below_cathodes_fire_first(profile):
     assert ratio(0.022) < 1 < 1.3 < ratio(0.2)
 
 
+@pytest.mark.skipif(not WHOLE, reason="long: with SMARTTOUCH_WHOLE=1, as in .ci/run")
 def test_the_table_has_letters_of_both_anatomies(monkeypatch, capsys):
     monkeypatch.setattr(below_the_skin, "BELOW_S_PER_M", ())
     below_the_skin.main(1)

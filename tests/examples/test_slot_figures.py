@@ -12,6 +12,7 @@ from smarttouch.stimulation.frame_slots import FrameSlots
 from smarttouch.views.figure_style import save
 
 from ..said import numbers_in
+from ..whole import sample
 
 RA, SAI = Afferent.RA, Afferent.SAI
 
@@ -200,7 +201,8 @@ def test_text_does_not_overlap_and_the_file_is_written(figure, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "slots"), [("limits.total_ma", 5.0, 7), ("perception.threshold_ma", 0.2, 1)]
+    ("key", "value", "slots"),
+    sample([("limits.total_ma", 5.0, 7), ("perception.threshold_ma", 0.2, 1)]),
 )
 def test_as_many_slots_as_total_current_requires(profile, bank, changed, key, value, slots):
     other = changed(profile, {key: value})

@@ -13,6 +13,7 @@ from smarttouch.experiments.study_plan import Study
 from smarttouch.experiments.study_run import run_study
 
 from ..raising import raises
+from ..whole import WHOLE
 
 distributed = pytest.importorskip("distributed")
 
@@ -26,6 +27,7 @@ STUDY = Study(
 )
 
 
+@pytest.mark.skipif(not WHOLE, reason="long: with SMARTTOUCH_WHOLE=1, as in .ci/run")
 def test_rows_are_the_same_when_a_worker_is_killed(tmp_path):
     with joblib.parallel_config("threading", n_jobs=1):
         here = run_study(STUDY, Path(), tmp_path / "here")

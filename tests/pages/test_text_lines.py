@@ -99,11 +99,6 @@ def test_marks_and_short_lines_stay_whole(lines):
     assert_found(page, find_lines(page.page))
 
 
-@pytest.mark.parametrize("letter", ["a", "I", "5"])
-def test_a_single_letter_is_a_line(letter):
-    assert len(find_lines(print_page([letter], size_pt=12, dpi=150).page)) == 1
-
-
 def test_lines_of_one_print_have_one_height():
     page = print_page(["one ran so", "happy pigs", "tilted bill", "MORE 1984"], size_pt=12, dpi=150)
     lines = find_lines(page.page)

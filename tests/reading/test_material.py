@@ -51,14 +51,6 @@ def test_a_text_is_printed_and_found_again(source_of, reading):
         assert line.end_mm > 40
 
 
-def test_lines_of_one_print_are_equally_large(source_of, reading):
-    scales = {
-        round(line.place.scale, 2)
-        for line in Shapes().lines(source_of("text:with gaps high\nno such one\nTOP Lid"), reading)
-    }
-    assert max(scales) / min(scales) < 1.05
-
-
 @pytest.mark.parametrize("words", ["I", "HHH", "o", ".", "1 + 1 = 2"])
 def test_nothing_is_too_short_to_be_felt(source_of, reading, words):
     (line,) = Shapes().lines(source_of(f"text:{words}"), reading)
@@ -131,14 +123,6 @@ def test_where_nothing_is_found_that_is_the_error(source_of, reading):
             list(kind.lines(source_of("two.tif", "", ""), reading))
 
 
-def test_a_picture_is_no_text(tmp_path, reading):
-    from skimage import data
-
-    Image.fromarray(data.astronaut()).save(tmp_path / "who.png")
-    with raises(ReadingError, about="page"):
-        list(Shapes().lines(ReadingMaterial(str(tmp_path / "who.png")), reading))
-
-
 def test_empty_pages_count_only_where_others_are_not(notes):
     empty = EmptyPages(notes.append)
     empty.add(1, False)
@@ -147,18 +131,6 @@ def test_empty_pages_count_only_where_others_are_not(notes):
     empty.conclude()
     (note,) = notes
     assert note.endswith("page 1, 3")
-
-
-def test_light_print_is_felt_as_print(tmp_path, reading):
-    dark = print_text("light words")
-    Image.fromarray(255 - dark.grey).save(tmp_path / "light.png")
-    Image.fromarray(dark.grey).save(tmp_path / "dark.png")
-    light_line, dark_line = (
-        next(Shapes().lines(ReadingMaterial(str(tmp_path / name)), reading))
-        for name in ("light.png", "dark.png")
-    )
-    assert light_line.image.shape == dark_line.image.shape
-    assert np.abs(light_line.image.astype(int) - dark_line.image).mean() < 12
 
 
 def test_thinned_strokes_are_as_wide_as_the_nib(source_of, reading):

@@ -18,9 +18,10 @@ from smarttouch.running.recording_reader import Recording
 from smarttouch.stimulation.sequence_limits import LONGEST_PERIOD_US
 
 from ..raising import raises
+from ..whole import WHOLE
 from .forged_recordings import damage, forge, put_together, take_apart
 
-MUTANTS = int(os.environ.get("SMARTTOUCH_MUTANTS", "25"))
+MUTANTS = int(os.environ.get("SMARTTOUCH_MUTANTS", "25" if WHOLE else "12"))
 
 
 def play(path):

@@ -1,7 +1,6 @@
 """Frame in, safe sequence out, and nothing remembered that should not be."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -116,11 +115,3 @@ def test_modes_that_a_board_offers(profile, bank):
     assert Pipeline(
         kit, load_bank(kit), RunConfig(scan="points"), Kajimoto61Board.timing
     ).offered() == (Mode.RA,)
-
-
-def test_the_user_s_level_scales_intensity(profile, bank, make_frame, patch):
-    pipeline = Pipeline(profile, bank, RunConfig(scan="points"))
-    for step in range(60):
-        sequence = pipeline.process(make_frame(patch(), step * 20_000_000), 0.3).sequence
-    assert sequence.intensity == pytest.approx(0.3)
-    assert pipeline.process(make_frame(patch(), 1_200_000_000), 0.0).sequence.slots == 0

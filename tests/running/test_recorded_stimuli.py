@@ -17,7 +17,7 @@ from smarttouch.running.display import open_display
 from smarttouch.running.pipeline import Pipeline
 from smarttouch.running.recorded_source import open_recording
 from smarttouch.running.recorder import Recorder
-from smarttouch.running.recording_files import describe, export, is_sound, repair
+from smarttouch.running.recording_files import describe, export
 from smarttouch.running.recording_reader import Recording
 from smarttouch.running.runner import Runner
 from smarttouch.running.step import StepResult
@@ -88,18 +88,6 @@ def test_they_are_played_once_more(run, profile):
         last = results[-1]
         assert source.read(last.input.time_ns + 1000 * last.sequence.period_us) is None
     assert (source.frames, source.dropped_frames) == (len(results), 0)
-
-
-def test_a_cut_one_is_repaired(run, tmp_path):
-    path, results = run
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(path.read_bytes()[:-3000])
-    mended = repair(cut)
-    assert is_sound(mended.path)
-    steps = list(Recording(mended.path).steps())
-    assert len(steps) == mended.steps > 10
-    assert all(np.array_equal(each.step.input.activation, sent.input.activation)
-               for each, sent in zip(steps, results, strict=False))  # fmt: skip
 
 
 def test_an_export_names_no_image(run, tmp_path):

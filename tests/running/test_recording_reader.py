@@ -10,9 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
 
-from smarttouch.base.errors import RecordingError, SmartTouchError
-from smarttouch.running.check_recording import check_recording
-from smarttouch.running.recording_files import describe
+from smarttouch.base.errors import RecordingError
 from smarttouch.running.recording_reader import Recording
 
 from ..raising import raises
@@ -56,17 +54,6 @@ def test_a_whole_recording(recording, steps, profile, settings):
     assert list(found.events()) == [(5_000_000, "paused"), (5_000_000, "goes on")]
 
 
-def test_voltages_come_back_with_what_they_were_measured_of(tmp_path, steps, record, with_volts):
-    one, other = steps[30], steps[32]
-    volts = np.linspace(1, 2, one.step.sequence.slots, dtype=np.float32)
-    volts[0] = np.nan
-    path = record(tmp_path / "run.mcap", [one, with_volts(other, (one.step.sequence, volts))])
-    first, second = Recording(path).steps()
-    ((sequence, found),) = second.step.observed
-    assert sequence is first.step.sequence
-    assert np.array_equal(found, volts, equal_nan=True)
-
-
 def cuts(content):
     places = {content.index(b"smarttouch"), len(content) // 3, len(content) // 2}
     return sorted(places | {len(content) - back for back in (1, 8, 9, 40, 400, 3000)})
@@ -89,16 +76,6 @@ def test_wherever_it_is_cut_what_came_before_is_kept(content, broken_path):
     assert kept[-1] == 40
 
 
-def test_a_damaged_chunk_is_left_out_and_the_rest_kept(damaged, broken_path):
-    broken_path.write_bytes(damaged)
-    found = Recording(broken_path)
-    indexes = [each.index for each in found.steps()]
-    assert not found.whole
-    assert found.damaged_chunks == 1
-    assert 10 < len(indexes) < 40
-    assert (indexes[0], indexes[-1]) == (0, 39)
-
-
 @settings(suppress_health_check=[HealthCheck.too_slow], deadline=None)
 @given(st.data())
 def test_no_change_of_a_file_crashes_the_reader(content, broken_path, data):
@@ -109,27 +86,6 @@ def test_no_change_of_a_file_crashes_the_reader(content, broken_path, data):
     broken_path.write_bytes(broken)
     with contextlib.suppress(RecordingError):
         assert len(read_all(broken_path)) <= 40
-
-
-@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None, max_examples=40)
-@given(st.data())
-def test_no_change_of_the_beginning_crashes_what_builds_on_it(content, broken_path, data):
-    """There the settings and the profile are."""
-    broken = bytearray(content)
-    for _ in range(data.draw(st.integers(1, 3))):
-        broken[data.draw(st.integers(0, 4000))] = data.draw(st.integers(0, 255))
-    broken_path.write_bytes(broken)
-    for use in (describe, check_recording):
-        with contextlib.suppress(SmartTouchError):
-            assert use(broken_path)
-
-
-@settings(deadline=None)
-@given(st.binary(max_size=200))
-def test_no_bytes_crash_the_reader(broken_path, data):
-    broken_path.write_bytes(b"\x89MCAP0\r\n" + data)
-    with pytest.raises(RecordingError):
-        Recording(broken_path)
 
 
 def test_what_is_none_of_ours(broken_path, tmp_path):

@@ -13,7 +13,6 @@ from smarttouch.base.errors import (
     BoardStoppedError,
     ProfileError,
     SmartTouchError,
-    SourceError,
 )
 from smarttouch.base.events import Advice, IntensityChanged, ModeChanged, RunEnded
 from smarttouch.boards.reports import judge
@@ -22,7 +21,6 @@ from smarttouch.profile import load_profile
 from smarttouch.running.config import RunConfig
 from smarttouch.running.display import open_display
 from smarttouch.running.listener import Listener
-from smarttouch.running.recorder import Recorder
 from smarttouch.running.runner import Runner
 from smarttouch.sources import open_source
 from smarttouch.sources.force import open_force
@@ -93,13 +91,6 @@ def test_a_run_from_its_source_to_its_statistics(source, display, bank):
     assert RunEnded in kinds
 
 
-def test_plain_functions_are_given_each_step(source, display):
-    seen = []
-    statistics = Runner(source, display, RunConfig(), listeners=[seen.append]).run()
-    assert [each.number for each in seen] == list(range(1, statistics.frames + 1))
-    assert seen[-1].tactile.activation.shape == (3, 64)
-
-
 def test_a_stimulus_source_chooses_the_classes(profile, display):
     class Taps(StimulusSource):
         knows_force = True
@@ -118,12 +109,6 @@ def test_a_stimulus_source_chooses_the_classes(profile, display):
     assert controls.state(0).mode is Mode.RA
     assert {each.sequence.period_us for each in noting.results} == {25_000}
     assert noting.results[-1].input is noting.results[-1].tactile
-
-
-def test_a_display_is_run_many_times(profile, display):
-    for text in ("a", "b"):
-        source = open_source(f"text:{text}", profile, speed_mm_s=400)
-        assert Runner(source, display, RunConfig()).run().frames > 0
 
 
 @pytest.mark.parametrize("stage", ["prepare", "start", "step", "event", "finish", "close"])
@@ -170,12 +155,6 @@ def test_on_a_finger_an_intensity_is_required(profile, source):
         Runner(source, display, RunConfig(intensity=0.3)).run()
 
 
-def test_without_force_there_is_no_run(profile, source, monkeypatch):
-    monkeypatch.setattr(type(source), "knows_force", False)
-    with raises(SourceError, about="force"):
-        Runner(source, open_display("memory:", profile), RunConfig()).run()
-
-
 def test_a_simulated_calibration_is_no_finger_s(profile, source, monkeypatch):
     from smarttouch.profile.device import Calibrated
 
@@ -217,17 +196,6 @@ def test_broken_electrodes_are_planned_around(monkeypatch):
     assert noting.context.profile.output.masked == (2,)
     assert any(each.sequence.slots for each in noting.results)
     assert not any(each.sequence.current_ua[:, 2].any() for each in noting.results)
-
-
-def test_outputs_are_listeners(profile, source, display, tmp_path):
-    paths = [tmp_path / name for name in ("felt.png", "run.mcap")]
-    listeners = [DeliveredPicture(paths[0], anatomy="paper"), Recorder(paths[1])]
-    Runner(source, display, RunConfig(mode=Mode.RA), listeners=listeners).run()
-    assert all(path.stat().st_size > 1000 for path in paths)
-    with raises(SmartTouchError, about="file", value=paths[1]):
-        Runner(
-            open_source("text:a", profile), display, RunConfig(), listeners=[Recorder(paths[1])]
-        ).run()
 
 
 def test_a_picture_of_what_was_felt_needs_every_pulse(profile, source, tmp_path):

@@ -22,6 +22,7 @@ from smarttouch.stimulation.point_slots import perceived_at
 from smarttouch.stimulation.safety_gate import SafetyGate, SafetyLimits
 
 from ..raising import raises
+from ..whole import sample
 
 FULL_N = 0.9
 BLANK = np.full((64, 64), 255, np.uint8)
@@ -195,7 +196,7 @@ class Brighter(StimulusSource):
 
 @pytest.mark.usefixtures("patient_boards")
 @pytest.mark.parametrize("url", ["memory:", "emulator:"])
-@pytest.mark.parametrize("period_us", [20_000, 120_000])
+@pytest.mark.parametrize("period_us", sample([20_000, 120_000]))
 def test_strong_pulses_after_weak_ones_rise_by_the_ramp(url, period_us, profile, changed):
     """Thresholds of an eighth: pulses of .17 of a full one open .68, and nothing is refused."""
     sensitive = changed(profile, {"perception.threshold_ma": 0.3, "perception.comfort_ratio": 8.0})

@@ -74,7 +74,7 @@ def flows(monkeypatch, profile, bank):
             board._clock, board.force_n = SimulatedClock(), on_board_n
             board.capabilities = replace(board.capabilities, force=on_board_n is not None)
             Runner(
-                source, display, RunConfig(intensity=1.0, seconds=2.0), force=force,
+                source, display, RunConfig(intensity=1.0, seconds=0.6), force=force,
                 load_kernels=lambda _: bank,
             ).run()  # fmt: skip
         return any(each.current_ua.any() for each in board.sequences)

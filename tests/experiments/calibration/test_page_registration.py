@@ -106,16 +106,6 @@ def test_dirt_and_lost_dots_do_not_count(profile):
     assert found.electrode_pixel == pytest.approx(clean.electrode_pixel, abs=0.1)
 
 
-def test_dots_are_named_as_they_were_printed(profile):
-    target = target_for(profile)
-    view = View(tilt_deg=22, toward_deg=70, turn_deg=-100, zoom=0.7)
-    dots = find_dots(view.render(target, profile.optics, FINE))
-    expected = apply(view.homography(profile.optics, FINE), dots.cell * target.pitch_mm)
-    assert len(dots.cell) > 30
-    assert len({tuple(each) for each in dots.cell}) == len(dots.cell)
-    assert np.abs(dots.pixel - expected).max() < 3
-
-
 @pytest.mark.parametrize("name", [n for n in list_profiles() if n != "smarttouch-4x4"])
 def test_every_sensor_that_is_fine_enough_has_a_target(name):
     profile = load_profile(name)

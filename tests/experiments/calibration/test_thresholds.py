@@ -147,14 +147,6 @@ def test_a_key_held_down_ends_the_run_at_zero_and_is_believed_in_the_end():
     assert not procedure.result().usable
 
 
-def test_an_interrupted_run_begins_at_zero():
-    procedure = AscendingLimits(5.0, 1.2)
-    until(procedure, 1.0)
-    procedure.restart()
-    assert procedure.next() == 0
-    assert procedure.runs == []
-
-
 @given(
     ceiling=st.floats(0.05, 5),
     expected=st.floats(0.05, 5),

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from smarttouch.experiments.fitting.answers import Answers, usual_model
-from smarttouch.experiments.fitting.findings import POOR, estimate, judge_answers
+from smarttouch.experiments.fitting.findings import POOR, judge_answers
 from smarttouch.experiments.fitting.psychometric import Model, Shape
 from smarttouch.experiments.psychophysics.procedures import ConstantStimuli, ratio_pairs
 
@@ -187,12 +187,3 @@ def test_which_model():
     chosen = usual_model([frequency], Shape.WEIBULL, 0.5, None, 0.8, 0.02)
     assert chosen == Model(Shape.WEIBULL, True, 0.5, 0.8, 0.02)
     assert not usual_model([frequency], logarithmic=False).logarithmic
-
-
-def test_estimate():
-    answers = of_counts(30 * RATIO, [20] * 10, [0, 0, 1, 3, 6, 11, 16, 18, 20, 20], standard=30.0)
-    found = estimate(answers)
-    assert found.trials == 200
-    assert 33 < found.threshold < 40
-    assert 0.5 < found.spread < 4
-    assert estimate(of_counts([1, 2], [20, 20], [0, 0])) is None

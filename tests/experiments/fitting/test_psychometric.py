@@ -166,19 +166,6 @@ def test_no_other_function_is_more_likely(model):
     assert fit(Counts(stimulus, n, k), model).log_likelihood >= -other.fun - 1e-5
 
 
-@pytest.mark.parametrize("shape", Shape)
-def test_large_samples_give_the_truth(shape):
-    model = Model(shape, guess=0.25)
-    truth = parameters_of(math.log(20), math.log(0.3), 0.03, 0.25)
-    stimulus = np.geomspace(5, 80, 15)
-    n = np.full(15, 100_000.0)
-    k = n * model.probability(model.axis(stimulus), truth)[0]
-    found = fit(Counts(stimulus, n, k), model)
-    assert found.threshold == pytest.approx(20, rel=1e-4)
-    assert found.spread == pytest.approx(0.3, rel=1e-3)
-    assert found.lapse == pytest.approx(0.03, abs=1e-4)
-
-
 def test_intervals_shrink_with_trials():
     stimulus = 30 * 2 ** (np.arange(-9, 10, 2) / 9)
     share = Subject(36.0, 0.25).probability(stimulus)
@@ -189,28 +176,6 @@ def test_intervals_shrink_with_trials():
     assert few.low < few.value < few.high
     # Sixteen times the trials, a quarter of the interval.
     assert 3 < (few.high - few.low) / (many.high - many.low) < 5.5
-
-
-def test_separated_answers_have_most_of_the_gap_for_an_interval():
-    found = fit(counts_of([20, 25, 30, 40, 50], [10] * 5, [0, 0, 0, 10, 10]), Model())
-    assert found.sudden
-    for part in (0.75, 0.5):
-        at = found.bounded(part)
-        assert 25 < at.low < 33
-        assert 37 < at.high < 45
-
-
-def test_posterior_against_bootstrap():
-    model, stimulus, random = Model(), np.geomspace(10, 90, 9), np.random.default_rng(1)
-    share = Subject(30.0, 0.4).probability(stimulus)
-    found = fit(counts_of(stimulus, np.full(9, 120), np.round(120 * share)), model)
-    drawn = [
-        fit(counts_of(stimulus, np.full(9, 120), random.binomial(120, share)), model).threshold
-        for _ in range(40)
-    ]
-    value, low, high = found.bounded(model.level)
-    assert high - low == pytest.approx(3.92 * np.std(drawn, ddof=1), rel=0.3)
-    assert low < value < high
 
 
 def test_an_interval_without_an_end():
@@ -252,19 +217,3 @@ def test_contradictions(arguments, about, value):
 def test_negative_stimuli_need_a_linear_axis():
     with raises(ExperimentError, about="stimulus", value=-1.0, remedy="linear"):
         Model().axis([-1.0])
-
-
-@pytest.mark.parametrize(("place", "lapse"), [(0.2, 0.02)])
-def test_against_psignifit(place, lapse):
-    """Its threshold is that of the largest posterior; ours lies within its own uncertainty."""
-    psignifit = pytest.importorskip("psignifit")
-    stimulus = np.linspace(-1.2, 1.2, 9)
-    truth = Subject(math.exp(place), 0.45, 0.5, lapse, guess=0.5)
-    k = np.round(60 * truth.probability(np.exp(stimulus)))
-    table = np.column_stack([stimulus, k, np.full(9, 60)])
-    theirs = psignifit.psignifit(table, experiment_type="2AFC", sigmoid="norm").parameter_estimate
-    ours = fit(Counts(stimulus, np.full(9, 60.0), k), Model(guess=0.5, logarithmic=False))
-    assert ours.threshold == pytest.approx(theirs["threshold"], abs=0.05)
-    # Its width is that from 5 to 95 %.
-    assert 2 * 1.6449 * ours.spread == pytest.approx(theirs["width"], rel=0.12)
-    assert ours.lapse == pytest.approx(theirs["lambda"], abs=0.02)

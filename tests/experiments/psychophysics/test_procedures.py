@@ -79,14 +79,6 @@ def test_unanswered_trials_come_again_once(missed, missed_again):
     assert shown[24:] == [shown[n - 1] for n in sorted(missed)]
 
 
-def test_too_high_comparisons_are_not_there():
-    pairs = ratio_pairs([100.0], highest=150.0)
-    assert max(comparison for _, comparison in pairs) <= 150
-    assert len(pairs) == 8
-    with raises(ExperimentError, about="standards", allowed=200.0):
-        ratio_pairs([300.0], highest=200.0)
-
-
 def test_errors():
     with raises(ExperimentError, about="conditions", value=0):
         ConstantStimuli([])

@@ -31,19 +31,6 @@ def test_least_expected_entropy():
         procedure.answer(bool(random.random() < 0.7))
 
 
-@pytest.mark.parametrize(("model", "subject"), [
-    (Model(guess=0.5), Subject(20.0, 0.3, 0.5, 0.02, guess=0.5)),
-    (Model(guess=0.0), Subject(20.0, 0.2, 0.5, 0.02, guess=0.0)),
-    (Model(), Subject(20.0, 0.3, 0.75, 0.02)),
-])  # fmt: skip
-def test_finds_the_threshold(model, subject):
-    procedure = QuestPlus(5.0, 80.0, model, most_trials=200)
-    answers = answer_all(procedure, subject.probability, seed=6)
-    found = procedure.estimate()
-    assert answers.answered == found.trials == 200
-    assert abs(found.threshold - 20) < 3 * found.spread < 6
-
-
 def test_ends_when_certain():
     procedure = QuestPlus(5.0, 80.0, Model(guess=0.0), enough_spread=0.1, most_trials=500)
     assert procedure.total is None

@@ -103,7 +103,7 @@ def test_two_looks_make_a_choice():
 EXPERIMENTS = ["detection", "two-point", "localization", "discomfort"]
 
 
-@pytest.mark.parametrize("name", EXPERIMENTS if WHOLE else EXPERIMENTS[2:])
+@pytest.mark.parametrize("name", EXPERIMENTS if WHOLE else EXPERIMENTS[3:])
 def test_the_model_sits_every_experiment(profile, bank, tmp_path, name):
     wanted = ExperimentOptions(repetitions=2, train_s=1.0 if name == "discomfort" else 0.1)
     made = new_experiment(name, profile, wanted)

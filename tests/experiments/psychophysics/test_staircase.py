@@ -12,7 +12,7 @@ from smarttouch.experiments.psychophysics.adaptive_procedures import QuestPlus, 
 from smarttouch.experiments.psychophysics.procedures import Interleaved
 
 from ...raising import raises
-from .simulated import Subject, answer_all
+from .simulated import answer_all
 
 
 def levels(procedure, answers):
@@ -43,15 +43,6 @@ def test_estimate_by_hand():
     found = procedure.estimate()
     assert (found.threshold, found.trials) == (26.5, 8)
     assert found.spread == pytest.approx(np.std([25.5, 27.5], ddof=1) / math.sqrt(2))
-
-
-def test_rests_where_three_of_four_say_so():
-    """The mean of the steps is 0 there: 0.75 of down against 0.25 of three times up."""
-    procedure = WeightedStaircase(2.0, 0.5, 4.0, 0.05, reversals=10**6, most_trials=4000)
-    subject = Subject(1.2, 0.2)
-    answers = answer_all(procedure, subject.probability, seed=4)
-    assert answers.success[100:].mean() == pytest.approx(0.75, abs=0.02)
-    assert procedure.estimate().threshold == pytest.approx(1.2, rel=0.05)
 
 
 @settings(deadline=None)
@@ -139,22 +130,6 @@ def test_interleaved_mixes_them_all():
     assert procedure.total is None
     with raises(ExperimentError, about="trial"):
         procedure.next()
-
-
-def test_interleaved_is_the_seeds():
-    def order(seed):
-        procedure = interleaved(seed)
-        return list(iter(lambda: step(procedure), None))
-
-    def step(procedure):
-        if procedure.done:
-            return None
-        condition = procedure.next()
-        procedure.answer(condition.repetition % 3 != 0)
-        return condition
-
-    assert order(1) == order(1)
-    assert order(1) != order(2)
 
 
 def test_interleaved_of_one_and_of_known_length():

@@ -2,8 +2,6 @@
 
 import dataclasses
 import os
-import subprocess
-import sys
 
 import pytest
 from hypothesis import given, settings
@@ -18,7 +16,6 @@ from smarttouch.experiments.psychophysics.trial_rows import (
     read_rows,
 )
 
-from ...forks import Forked
 from ...raising import raises
 
 ABOUT = About("frequency", "constant", "p1", "1", 7)
@@ -154,65 +151,12 @@ def test_what_no_cell_can_hold(tmp_path, change):
     assert read_rows(path) == [ROW]
 
 
-WRITER = """
-import dataclasses, sys
-from pathlib import Path
-from smarttouch.base.errors import ExperimentError
-from smarttouch.experiments.psychophysics.trial_rows import About, RowFile, TrialRow
-
-path, about, row, overwrite = (eval(each) for each in sys.argv[1:])
-try:
-    with RowFile(Path(path), About(*about), overwrite) as file:
-        print(len(file.rows), flush=True)
-        for line in sys.stdin:
-            file.append(dataclasses.replace(TrialRow(*row), number=int(line)))
-            print("kept", flush=True)
-except ExperimentError as error:
-    print(error, flush=True)
-    sys.exit(2)
-"""
-
-
-@pytest.fixture
-def start_writer(tmp_path):
-    """Return a starter of processes that add a row for each number they read."""
-    started, program = [], tmp_path / "writer.py"
-    program.write_text(WRITER)
-
-    def start(path, overwrite=False):
-        told = [str(path), dataclasses.astuple(ABOUT), dataclasses.astuple(ROW), overwrite]
-        process = Forked(
-            [sys.executable, str(program), *map(repr, told)],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        )  # fmt: skip
-        started.append(process)
-        return process, process.stdout.readline().strip()
-
-    yield start
-    for process in started:
-        process.kill()
-        process.communicate()
-
-
-def test_two_programs_do_not_write_one_file(tmp_path, start_writer):
+def test_nobody_else_writes_a_file_meanwhile(tmp_path):
+    """Neither going on nor beginning anew touches what is being written."""
     path = written(tmp_path / "a.csv", [ROW])
-    first, count = start_writer(path)
-    assert count == "1"
-    for number in (1, 2):
-        print(number, file=first.stdin, flush=True)
-        assert first.stdout.readline() == "kept\n"
-        # Neither going on nor beginning anew touches what the first one writes.
+    with RowFile(path, ABOUT) as file:
+        file.append(ROW)
         for overwrite in (False, True):
-            second, said = start_writer(path, overwrite)
-            assert second.wait() == 2
-            assert str(path) in said
-    with raises(ExperimentError, about="file", value=path):
-        RowFile(path, ABOUT, overwrite=True)
-    assert [row.number for row in read_rows(path)] == [3, 1, 2]
-    first.kill()
-    first.wait()
-    third, count = start_writer(path)
-    assert count == "3"
-    print(4, file=third.stdin, flush=True)
-    third.communicate()
-    assert [row.number for row in read_rows(path)] == [3, 1, 2, 4]
+            with raises(ExperimentError, about="file", value=path):
+                RowFile(path, ABOUT, overwrite)
+    assert read_rows(path) == [ROW, ROW]
