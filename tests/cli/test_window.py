@@ -87,6 +87,7 @@ def ask(page, source, board="emulator:", confirmed=False):
     page.send("run " + json.dumps({"source": source, "board": board, "confirmed": confirmed}))
 
 
+@pytest.mark.realtime
 def test_a_window_waits_for_its_page_and_runs_again_until_that_is_closed(start_program):
     run = start_program(
         "live", "text:a?passes=1", "--window", "--quiet",
