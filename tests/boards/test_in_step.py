@@ -155,6 +155,7 @@ def test_another_polarity_and_rate_are_set_in_between(monkeypatch, firmware):
     assert kit.books.sequences < 50
 
 
+@pytest.mark.realtime
 @pytest.mark.usefixtures("patient_boards")
 @FIRMWARES
 def test_over_a_line_too_none_is_left_out(start_emulator, tmp_path, monkeypatch, firmware):
