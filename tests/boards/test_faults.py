@@ -117,8 +117,8 @@ def test_a_killed_board_can_be_closed(make_limits):
 def test_a_board_that_hangs_is_reported(make_limits, make_sequence):
     with EmulatorBoard("", make_limits()) as board:
         board._line.silence_s = SILENCE_S
-        board._line.answer_s = 1.0
         deliver(board, make_sequence(0))
+        board._line.answer_s = 0.3
         os.kill(board.process_id, signal.SIGSTOP)
         try:
             with raises(LineLostError, about="board"):

@@ -50,15 +50,14 @@ def state_of(books):
     return read_state(books)
 
 
-@pytest.mark.realtime
 @on(*KITS)
 def test_live_end_to_end_ends_in_zero(program_here, kit):
     url, books = kit
-    done = program_here(f"live --board {url} {FULL} --seconds 1.7 --json run.json").fine()
+    done = program_here(f"live --board {url} {FULL} --seconds 1.2 --json run.json").fine()
     # That one goes on by itself if its line breaks, and who runs it is warned.
     assert done.stderr.count("\n") == url.startswith("etactilekit")
     figures = done.figures
-    assert "1.7 s" in figures["ended"]
+    assert "1.2 s" in figures["ended"]
     assert figures["frames"] > 2
     assert figures["acknowledged"] >= 0.5 * figures["frames"]
     assert figures["pulses"] <= figures["pulses_at_most"]
@@ -147,7 +146,6 @@ def test_info(program_here, kit):
     assert state_of(kit[1])["slots"] == 0
 
 
-@pytest.mark.realtime
 def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(program_here, start_emulator):
     events = ("--event=0 open 5", "--event=0 short 9")
     _, port, books = start_emulator(32, "etactilekit", *events)
@@ -170,7 +168,6 @@ def test_measuring_finds_bad_electrodes_and_a_run_plans_around_them(program_here
     assert not {5, 9} & set(run["site"].tolist())
 
 
-@pytest.mark.realtime
 def test_measuring_without_a_finger_is_reported(program_here, start_emulator):
     _, port, _ = start_emulator(16, "link", "--output=three-state", "--event=0 lift")
     small = f"link:{port} --profile smarttouch-4x4"

@@ -236,7 +236,6 @@ def test_level_of_a_simulated_person_goes_on_where_it_was_stopped(run, tmp_path,
     assert not (tmp_path / "mine.level.csv").exists()
 
 
-@pytest.mark.realtime
 def test_thresholds_stop_at_once(start_at_a_terminal, start_emulator, tmp_path):
     _, port, books = start_emulator()
     arguments = ("calibrate", "thresholds", "--board", f"link:{port}", *PRESSED)
@@ -253,7 +252,6 @@ def test_thresholds_stop_at_once(start_at_a_terminal, start_emulator, tmp_path):
     assert not (tmp_path / "mine.toml").exists()
 
 
-@pytest.mark.realtime
 def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkeypatch):
     monkeypatch.setattr("smarttouch.boards.kits.streamed.BOOT_S", 0.0)
     events = ("--event=0 open 5", "--event=0 short 9")
@@ -270,7 +268,6 @@ def test_contact_masks_what_does_not_touch(run, start_emulator, tmp_path, monkey
     assert "[5, 9]" in shown
 
 
-@pytest.mark.realtime
 def test_a_lifted_finger_writes_nothing(run, start_emulator, tmp_path):
     _, port, _ = start_emulator(16, "link", "--output=three-state", "--event=0 lift")
     small = f"contact --board link:{port} --profile smarttouch-4x4"

@@ -117,7 +117,6 @@ def forge_a_strong_one(path, comfort_ma):
     put_together(path, about | {"profile": json.dumps(profile)}, messages)
 
 
-@pytest.mark.realtime
 @pytest.mark.parametrize(
     ("comfort_ma", "events", "most_ma"),
     # Above what the user's profile allows, below it, and on a board that measures no force.

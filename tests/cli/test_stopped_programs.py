@@ -14,12 +14,13 @@ from smarttouch.emulator.firmware import read_state
 from smarttouch.running.recording_reader import Recording
 
 from ..boards.fresh import starter, until
+from ..whole import WHOLE
 
-pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("patient_boards")]
+pytestmark = pytest.mark.usefixtures("patient_boards")
 
 PATIENCE_S = 60
 SOURCE = Path(__file__).with_name("programs.py")
-ROUNDS = int(os.environ.get("SMARTTOUCH_STOP_ROUNDS", "3"))
+ROUNDS = int(os.environ.get("SMARTTOUCH_STOP_ROUNDS", "3" if WHOLE else "1"))
 REFUSED = dict.fromkeys(("again", "another", "another run"), "BoardStoppedError")
 
 
@@ -84,8 +85,10 @@ def test_a_display_that_is_stopped_stops_what_drives_its_board(start):
     assert read_state(books)["state"] == "shorted"
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-@pytest.mark.parametrize("kind", ["run", "session", "thread", "board"])
+@pytest.mark.parametrize(("kind", "number"), [
+    ("run", signal.SIGTERM), ("session", signal.SIGHUP), ("thread", signal.SIGTERM),
+    ("board", signal.SIGHUP),
+])  # fmt: skip
 def test_a_signal_ends_a_program_at_zero_with_its_recording(start, tmp_path, kind, number):
     process, books = start(kind)
     until(lambda: read_state(books)["slots"] > 50)

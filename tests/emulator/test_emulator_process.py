@@ -203,7 +203,6 @@ def test_every_frame_of_an_array_is_read_dropped_or_lost(start, profile, tmp_pat
     assert 0 < sensor.frames <= 300
 
 
-@pytest.mark.realtime
 def test_a_cell_with_all_faults_and_orders(start, profile, changed):
     arguments = ("--force=0.6", "--counts-per-n=1000", "--event=0 unplug 0")
     process, name = start("sensor", "hx711", *arguments)

@@ -20,8 +20,6 @@ from tests.firmware.rig import Talk
 from tests.firmware.test_qemu import OverSocket
 from tests.forks import PROGRAM, Forked
 
-pytestmark = pytest.mark.realtime
-
 KITS = {"st_kajimoto61": (61, 2.442), "st_etactilekit64": (64, 9.99)}
 """Electrodes, and µA of a count of the converter."""
 
@@ -71,7 +69,7 @@ def test_what_is_sent_is_what_registers_and_converter_get(start, kit):
     with socket.create_connection(("127.0.0.1", machine.port)) as line:
         talk = Host(OverSocket(line)).begin()
         talk.until(MessageKind.LIMITED, MessageKind.LIMITS, payload=encode_limits(limits))
-        for step in range(12):
+        for step in range(6):
             # Intensity rises while current is scheduled: the first has none.
             slots, share = (10, 2 * step) if step else (0, 0)
             each, sign = rng.integers(0, electrodes, slots), rng.choice([1, -1], (slots, 1))

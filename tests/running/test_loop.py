@@ -346,16 +346,15 @@ def test_what_could_not_be_held_is_reported(profile):
 
 
 @pytest.mark.usefixtures("patient_boards")
-@pytest.mark.realtime
 def test_a_finger_lifted_from_the_emulated_skin(profile, pipeline):
     """By the voltages and the force that the board reports; it comes back from zero."""
     sent = []
     board = EmulatorBoard(
-        "", SafetyLimits.of(profile), profile.output, events=["1.5 lift", "2.1 touch"]
+        "", SafetyLimits.of(profile), profile.output, events=["0.9 lift", "1.5 touch"]
     )
     with board:
         run_loop(
-            Bars(240), pipeline, board, stop=StopRequest(), statistics=RunStatistics(),
+            Bars(140), pipeline, board, stop=StopRequest(), statistics=RunStatistics(),
             listeners=as_listeners([lambda each: sent.append(each.step.sequence)]),
         )  # fmt: skip
     found = np.array([each.intensity for each in sent])

@@ -16,10 +16,10 @@ from smarttouch.running.check_recording import check_recording
 from smarttouch.running.recording_files import repair
 from smarttouch.running.recording_reader import Recording
 
-pytestmark = pytest.mark.realtime
+from ..whole import WHOLE
 
 CHILD = Path(__file__).with_name("recorded_child.py")
-KILLS = int(os.environ.get("SMARTTOUCH_KILLS", "2"))
+KILLS = int(os.environ.get("SMARTTOUCH_KILLS", "2" if WHOLE else "1"))
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from forked import KINDS, Emulated, spread, start_host, wait_for_end
 
 AT_ONCE = 2
 """Runs that start against one stop: as many as the budget of a user lets open."""
-WITHIN_S = 3.0
+WITHIN_S = 2.0
 IMPORTING_S = 0.8
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from ..forks import Forked
+from ..whole import sample
 
 KILLS = int(os.environ.get("SMARTTOUCH_KILLS", "2"))
 LONG = "SMARTTOUCH_KILLS" in os.environ
@@ -26,10 +27,10 @@ STEP_MS = 10
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="it collects orphans as only Linux lets it")
-@pytest.mark.parametrize(("kind", "how", "option"), [
-    ("link", "kill", ""), ("kajimoto61", "kill", ""), ("etactilekit", "kill", ""),
-    ("etactilekit", "stop", ""), ("etactilekit", "kill", "?slow"),
-])  # fmt: skip
+@pytest.mark.parametrize(("kind", "how", "option"), sample([
+    ("link", "kill", ""), ("etactilekit", "kill", ""), ("etactilekit", "stop", ""),
+    ("kajimoto61", "kill", ""), ("etactilekit", "kill", "?slow"),
+]))  # fmt: skip
 def test_a_board_whose_host_is_gone_is_at_zero(kind, how, option):
     script = Path(__file__).with_name("kill_host.py")
     with Forked(

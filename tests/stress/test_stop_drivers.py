@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,7 @@ from smarttouch.boards.vibrators.vibrator_board import HybridBoard, VibratorBoar
 from smarttouch.stimulation.safety_gate import SafetyLimits
 
 from ..forks import Forked
+from ..whole import sample
 
 ROUNDS = int(os.environ.get("SMARTTOUCH_STOP_ROUNDS", "2"))
 LIMITS = SafetyLimits(8, 3.0, 200, 0.5, 100, 0.6, 0.5, 2.8)
@@ -33,8 +35,9 @@ pytestmark = pytest.mark.timeout(120 + 30 * ROUNDS)
 
 @pytest.mark.realtime
 @pytest.mark.skipif(sys.platform != "linux", reason="it collects orphans as only Linux lets it")
-@pytest.mark.parametrize("action", ["measuring", "rising", "repeating"])
-@pytest.mark.parametrize("kind", ["link", "kajimoto61", *KITS])
+@pytest.mark.parametrize(("kind", "action"), sample(
+    product(["link", "kajimoto61", *KITS], ["measuring", "rising", "repeating"])
+))  # fmt: skip
 def test_no_slot_starts_after_a_stop(kind, action, record_property):
     command = [sys.executable, Path(__file__).with_name("stop_drivers.py"), kind, action]
     with Forked([*command, str(ROUNDS)], stdout=subprocess.PIPE) as process:

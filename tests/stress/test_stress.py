@@ -45,8 +45,8 @@ def test_signals_end_runs_with_the_board_at_zero():
 
 
 def test_no_starting_run_survives_a_stop():
-    runs = stress("stops.py", max(5, COUNT), WORKERS, SEED)
-    assert len(runs) >= min(COUNT, 5)
+    runs = stress("stops.py", max(4, COUNT), WORKERS, SEED)
+    assert len(runs) >= max(COUNT, 4)
     for run in runs:
         assert run["stop"] == 0, run
         assert run["code"] in (0, 143, -15), run

@@ -50,7 +50,7 @@ def tape(recorded):
         yield made
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def address(recorded):
     """Address of a page with the same recording twice."""
     with RecordingsPage([recorded[0]] * 2) as page:
@@ -82,7 +82,6 @@ def test_what_is_cut_is_shown_as_far_as_it_goes(recorded, tmp_path):
         assert tape.message()["wrong"]
 
 
-@pytest.mark.realtime
 def test_an_hour_is_loaded(address, browser):
     def long(route):
         told = route.fetch().json()
@@ -97,7 +96,6 @@ def test_an_hour_is_loaded(address, browser):
     page.close()
 
 
-@pytest.mark.realtime
 def test_frame_100_is_as_it_was(recorded, profile, address, browser):
     step = recorded[1][100].step
     with opened(browser, address) as page:

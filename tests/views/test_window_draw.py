@@ -11,7 +11,7 @@ from smarttouch.instruments.drawing_source import DrawSource
 from ..waiting import until
 from .browser import opened, violations
 
-pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("patient_boards")]
+pytestmark = pytest.mark.usefixtures("patient_boards")
 
 
 def stroke(page, *places):
@@ -90,7 +90,9 @@ def test_lists_letters_and_keys(browser, running, profile, tmp_path, monkeypatch
         assert violations(page) == []
 
 
-def test_who_does_not_steer_does_not_draw(browser, running, profile):
+def test_what_is_felt_while_pressed_ends_with_the_stroke_of_whoever_steers(
+    browser, running, profile
+):
     source = DrawSource(profile)
     with running(source, rate_hz=20) as run, opened(browser, run.address) as page:
         page.wait_for_selector("#draw-card:not([hidden])")
@@ -101,12 +103,8 @@ def test_who_does_not_steer_does_not_draw(browser, running, profile):
         page.wait_for_timeout(300)
         assert not source.read(0).activation.any()
         assert page.get_attribute("#sketch", "data-level") == before
-
-
-def test_what_is_felt_while_pressed_ends_with_the_stroke(browser, running, profile):
-    source = DrawSource(profile)
-    with running(source, rate_hz=20) as run, opened(browser, run.address) as page:
-        page.wait_for_selector("#draw-card:not([hidden])")
+        run.window.steering.leave(0)
+        page.wait_for_selector("#draw-card:not([inert])")
         page.click("#draw-fleeting")
         box = page.locator("#sketch").bounding_box()
         page.mouse.move(box["x"] + 3.5 * box["width"] / 8, box["y"] + 3.5 * box["height"] / 8)

@@ -17,7 +17,7 @@ from ..waiting import until
 from .browser import opened, violations
 from .conftest import colors, drawn, strongest
 
-pytestmark = [pytest.mark.realtime, pytest.mark.usefixtures("patient_boards")]
+pytestmark = pytest.mark.usefixtures("patient_boards")
 
 
 @pytest.fixture
@@ -63,23 +63,14 @@ def test_pixels_are_the_delivered_sequence(on_page, profile):
         assert "12 by 8" in words
 
 
-@pytest.mark.parametrize("how", ["button", "Escape"])
-def test_stop_is_always_there(on_page, how):
-    with on_page(360, 640) as (run, page):
-        page.evaluate("scrollTo(0, document.body.scrollHeight)")
-        if how == "button":
-            page.click("#stop")
-        else:
-            page.focus("#more")
-            page.keyboard.press(how)
-        assert run.ended() == "the window"
-        assert run.state().level == 1
-        page.wait_for_selector("#stop:disabled")
-        # What was to be drawn when it ended is not drawn any more.
-        page.evaluate(
-            "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
-        )
-        assert page.is_disabled("#less")
+def assert_stopped(run, page, level=1):
+    """Wait for the end of a run; check that a page neither steers it nor draws any more."""
+    assert run.ended() == "the window"
+    assert run.state().level == level
+    page.wait_for_selector("#stop:disabled")
+    # What was to be drawn when it ended is not drawn any more.
+    page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    assert page.is_disabled("#less")
 
 
 def test_a_keyboard_is_enough(on_page):
@@ -98,6 +89,17 @@ def test_a_keyboard_is_enough(on_page):
         until(lambda: run.source.pressed)
         page.keyboard.press("0")
         until(lambda: not run.state().level)
+        page.focus("#slider")
+        page.keyboard.press("End")
+        until(lambda: run.state().level == 1)
+        page.keyboard.press("Home")
+        until(lambda: not run.state().level)
+        for _ in range(3):
+            page.keyboard.press("ArrowRight")
+        until(lambda: run.state().level == 0.03)
+        page.fill("#note", "here")
+        page.click("#mark")
+        page.wait_for_selector("#events :text('mark: here')")
         reached = set()
         for _ in range(40):
             page.keyboard.press("Tab")
@@ -107,9 +109,12 @@ def test_a_keyboard_is_enough(on_page):
             ".filter(each => each.offsetParent).map(each => each.id)"
         )
         assert {*buttons} <= reached
+        page.focus("#more")
+        page.keyboard.press("Escape")
+        assert_stopped(run, page, 0.03)
 
 
-def test_a_second_page_takes_over_when_the_first_is_closed(on_page, browser):
+def test_a_second_page_takes_over_when_the_first_is_closed_and_can_always_stop(on_page, browser):
     with on_page() as (run, page):
         with opened(browser, run.address) as first:
             first.wait_for_selector("#status.runs")
@@ -121,16 +126,12 @@ def test_a_second_page_takes_over_when_the_first_is_closed(on_page, browser):
         page.click("#pause")
         until(lambda: not run.state().paused)
         page.wait_for_selector("#steer[aria-pressed=true]")
-
-
-def test_space_stops_where_another_page_steers(on_page, browser):
-    with on_page() as (run, page), opened(browser, run.address) as first:
-        first.wait_for_selector("#status.runs")
-        first.keyboard.press("-")
-        # At full level it could not be turned up by the page that steers either.
-        page.wait_for_selector("#less:disabled")
-        page.keyboard.press("Space")
-        assert run.ended() == "the window"
+        # Space pauses where a page steers, and stops where another one does.
+        with opened(browser, run.address) as other:
+            # At full level the page that steers could not turn it up either.
+            other.wait_for_selector("#less:disabled")
+            other.keyboard.press("Space")
+            assert run.ended() == "the window"
 
 
 def test_axe_finds_nothing(on_page):
@@ -145,7 +146,7 @@ def test_axe_finds_nothing(on_page):
 
 
 def test_it_fits_a_phone_and_respects_reduced_motion(on_page):
-    with on_page(360, 740, media={"reduced_motion": "reduce"}) as (_, page):
+    with on_page(360, 640, media={"reduced_motion": "reduce"}) as (run, page):
         page.click("#slow")
         slot = page.inner_text("#slot")
         page.wait_for_timeout(400)
@@ -156,6 +157,8 @@ def test_it_fits_a_phone_and_respects_reduced_motion(on_page):
         box = page.locator("#stop").bounding_box()
         assert box["y"] >= 0
         assert box["height"] >= 44
+        page.click("#stop")
+        assert_stopped(run, page)
 
 
 def test_nothing_that_matters_is_below_the_fold(on_page, profile):
@@ -173,19 +176,6 @@ def test_nothing_that_matters_is_below_the_fold(on_page, profile):
         assert page.inner_text("#words-read") == "on"
         page.hover("#electrodes")
         assert "electrode" in page.get_attribute("#electrodes", "title")
-
-
-def test_the_slider_sets_intensity(on_page):
-    with on_page(1440, 900) as (run, page):
-        page.focus("#slider")
-        page.keyboard.press("Home")
-        until(lambda: not run.state().level)
-        for _ in range(3):
-            page.keyboard.press("ArrowRight")
-        until(lambda: run.state().level == 0.03)
-        page.fill("#note", "here")
-        page.click("#mark")
-        page.wait_for_selector("#events :text('mark: here')")
 
 
 def test_a_blind_participant_is_shown_nothing(on_page, running, browser):
