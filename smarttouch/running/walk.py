@@ -27,8 +27,7 @@ class ElectrodeReached(Note):
     """The walk reached an electrode."""
 
 
-PATIENCE = 4
-"""Times the time for an electrode that one waits for a first pulse which the board has sent."""
+PATIENCE = 4  # longest wait at an electrode for its first pulse, in units of the time for each
 
 
 class Walk(StimulusSource, Listener):
@@ -93,7 +92,7 @@ class Walk(StimulusSource, Listener):
             self._leaves, began_ns = False, self._now_ns
             # From zero: intensity rises no faster than the ramp.
             yield self._pulse(site, 0.0)
-            # In that time all that was sent for the electrode before has flowed.
+            # By now all that was sent for the electrode before has flowed.
             slots = self._slots()
             while True:
                 if site in self.missed and self._slots() > slots:
