@@ -329,16 +329,9 @@ def test_they_are_there_for_the_main_thread_also_where_another_has_one_open():
         opening.start()
         opening.join()
         with Plain() as board:
-            say()
-            try:
-                time.sleep(PATIENCE_S)
-            finally:
-                until(lambda: board._halted)
+            _sleep(say, board)
 
-    with in_child(_ending(work)) as child:
-        os.kill(child, signal.SIGTERM)
-        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    assert code == 128 + signal.SIGTERM
+    assert _code_at_sigterm(work) == 128 + signal.SIGTERM
 
 
 @pytest.mark.parametrize("loop_starts", [None, "before", "after"])
@@ -354,16 +347,25 @@ def test_a_signal_ends_a_process_whatever_its_event_loop_does(loop_starts):
         with Plain() as board:
             if loop_starts == "after":
                 start_loop()
-            say()
-            try:
-                time.sleep(PATIENCE_S)
-            finally:
-                until(lambda: board._halted)
+            _sleep(say, board)
 
+    assert _code_at_sigterm(work) == 128 + signal.SIGTERM
+
+
+def _sleep(say, board):
+    """Say that a board is open, and sleep; however that ends, wait for the board's end."""
+    say()
+    try:
+        time.sleep(PATIENCE_S)
+    finally:
+        until(lambda: board._halted)
+
+
+def _code_at_sigterm(work):
+    """Return the exit code of a forked process that gets SIGTERM while it works."""
     with in_child(_ending(work)) as child:
         os.kill(child, signal.SIGTERM)
-        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-    assert code == 128 + signal.SIGTERM
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
 def _ending(work):
