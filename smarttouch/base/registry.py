@@ -8,6 +8,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any, NamedTuple, TypeVar
 
 from smarttouch.base.errors import SmartTouchError
+from smarttouch.base.removed import URLS, instead_of
 
 _OWN = {
     "smarttouch.sources": {
@@ -113,6 +114,8 @@ def unknown(
 ) -> SmartTouchError:
     """Return the error of a URL that begins with no known name."""
     name, colon, _ = url.partition(":")
+    if colon and (sentence := instead_of(URLS, name)):
+        return error(sentence, about=kind)
     close = [name] if name in known else get_close_matches(name.lower(), known, 1, 0.75)
     meant = close[0] if close else ""
     if meant:
