@@ -56,35 +56,6 @@ def export(
         print(path)
 
 
-@recordings.command()
-def view(
-    files: Annotated[
-        list[Path], argument("One recording, or two to show side by side.", "FILE [OTHER]")
-    ],
-    save: Annotated[
-        Path | None, option("Write .png, .svg or .mp4, and show nothing.", "FILE")
-    ] = None,
-    step: Annotated[
-        int, option("Choose the step of a picture, or the first of a film.", "N", min=0)
-    ] = 0,
-) -> None:
-    """Show recordings in a browser: time line, steps, slots, events (needs the extra window)."""
-    if save is None:
-        from smarttouch.views.recordings_page import show_recordings
-
-        show_recordings(files)
-        return
-    from smarttouch.base.errors import RecordingError
-    from smarttouch.views.recordings_page import save_view
-
-    if len(files) > 1:
-        raise RecordingError(
-            f"a view is saved of one recording, not of {len(files)}: give one", about="files"
-        )
-    save_view(files[0], save, step, None)
-    print(save)
-
-
 @drives_a_board
 @takes_options()
 def replay(

@@ -11,7 +11,6 @@ COMMANDS = {
         (*LIVE, "--record", "run.mcap", "--json", "run.json"),
         ("recordings", "export", "run.mcap", "exports/out"),
         ("recordings", "repair", "run.mcap"),
-        ("recordings", "view", "run.mcap", "--save", "view.svg"),
         ("report", "run.mcap"),
     ),
     "felt": ((*LIVE, "--felt", "felt.png"),),
