@@ -1,6 +1,7 @@
 """A recording as a source, with the user's modes and levels."""
 
 import bisect
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,6 @@ from smarttouch.base.errors import RecordingError, SourceError
 from smarttouch.profile import Profile
 from smarttouch.profile.profile import stricter
 from smarttouch.running.inputs import Controls, ControlState
-from smarttouch.running.mcap_file import parse_message
 from smarttouch.running.recording_reader import Recording
 from smarttouch.running.step_decoder import RecordedStep
 from smarttouch.sources.source_contract import Input, Source, Stimulus
@@ -133,7 +133,7 @@ class RecordedControls(Controls):
             if topic != "/sequence":
                 continue
             try:
-                step = parse_message(message.data)
+                step = json.loads(message.data)
                 recorded = ControlState(Mode(step["mode"]), float(step["level"]))
                 time_ns = int(step["time_ns"])
             except (ValueError, KeyError, TypeError, OverflowError):

@@ -124,7 +124,6 @@ def test_a_run_that_fills_the_disk_keeps_what_it_took(shell, tmp_path):
     recording = Recording(tmp_path / "r.mcap")
     indexes = [recorded.index for recorded in recording.steps()]
     assert indexes == list(range(len(indexes)))
-    assert len(indexes) > 3
     assert not recording.whole
 
 

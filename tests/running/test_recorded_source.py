@@ -15,6 +15,7 @@ from smarttouch.running.recorded_source import open_recording
 from smarttouch.running.step import StepResult
 
 from ..raising import raises
+from .forged_recordings import put_together, take_apart
 
 
 def test_at_the_recorded_times_all_comes_again(recording, steps, profile, bank):
@@ -101,3 +102,39 @@ def test_on_a_finger_the_profile_is_narrowed_and_stimuli_stay_on_their_array(
             assert source.narrowed(profile) is profile
             with raises(RecordingError, about="electrodes", value=64):
                 source.narrowed(load_profile(other))
+
+
+@pytest.fixture
+def forge(golden, tmp_path):
+    """Return a maker of recordings with changed messages."""
+
+    def make(change):
+        about, messages = take_apart(golden("ra"))
+        put_together(path := tmp_path / "forged.mcap", about, change(messages))
+        return path
+
+    return make
+
+
+@pytest.mark.parametrize(("topic", "key", "value"), [
+    ("/sequence", "period_us", 0), ("/sequence", "period_us", 2**63), ("/finger", "time_ns", 2**62),
+])  # fmt: skip
+def test_a_recording_does_not_wait_for_ever(forge, profile, topic, key, value):
+    def change(messages):
+        at = max(index for index, message in enumerate(messages) if message[0] == topic)
+        messages[at][1][key] = value
+        return messages
+
+    with (
+        open_recording(str(forge(change)), profile, unpaced=True) as source,
+        pytest.raises(RecordingError, match="an impossible step"),
+    ):
+        list(iter(lambda: source.read(0), None))
+
+
+def test_where_steps_are_missing_there_is_no_current(forge, profile):
+    # A step every 50 ms.
+    path = forge(lambda messages: [each for each in messages if not 5 <= each[3] <= 12])
+    with open_recording(str(path), profile) as source:
+        stale = [source.read(time_ms * 10**6).stale for time_ms in (240, 345, 355, 640, 655)]
+    assert stale == [False, False, True, True, False]
