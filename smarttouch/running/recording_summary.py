@@ -1,10 +1,10 @@
 """Summary of a recording as names and values."""
 
+import json
 from collections import Counter
 from pathlib import Path
 
-import numpy as np
-
+from smarttouch.running.recording_format import LAST
 from smarttouch.running.recording_reader import Recording
 
 
@@ -32,32 +32,31 @@ def describe(path: Path) -> list[tuple[str, str]]:
 
 def _delivered(recording: Recording) -> list[tuple[str, str]]:
     modes: Counter[str] = Counter()
-    slots = lost = acknowledged = refused = strongest_ua = 0
-    for recorded in recording.steps():
-        sequence = recorded.step.sequence
-        modes[recorded.step.mode.value] += 1
-        slots += sequence.slots
-        lost += recorded.sent.number is None
-        acknowledged, refused = recorded.acknowledged, recorded.refused
-        magnitude_ua = np.abs(sequence.current_ua.astype(np.int32))
-        strongest_ua = max(strongest_ua, int(magnitude_ua.max(initial=0)))
+    slots = lost = strongest_ma = 0
+    last = {"acknowledged": 0, "refused": 0}
+    for topic, message in recording.messages():
+        if topic == "/sequence":
+            sequence = json.loads(message.data)
+            modes[sequence["mode"]] += 1
+            slots += sequence["slots"]
+            lost += sequence["number"] is None
+            strongest_ma = max(strongest_ma, sequence["strongest_ma"])
+        elif topic == LAST:
+            last = json.loads(message.data)
     return [
         ("mode", ", ".join(f"{mode} {count:,}" for mode, count in modes.items()) or "none"),
         (
             "sequences",
-            f"{modes.total():,}, {slots:,} slots; {acknowledged:,} acknowledged, "
-            f"{refused:,} refused, {lost:,} lost with the board",
+            f"{modes.total():,}, {slots:,} slots; {last['acknowledged']:,} acknowledged, "
+            f"{last['refused']:,} refused, {lost:,} lost with the board",
         ),
-        ("strongest", f"{strongest_ua / 1000:.2f} mA through one electrode"),
+        ("strongest", f"{strongest_ma:.2f} mA through one electrode"),
     ]
 
 
 def _state(recording: Recording) -> str:
     if recording.whole:
         return "whole"
-    if recording.damaged_chunks or recording.broken_steps:
-        return (
-            f"damaged: {recording.damaged_chunks} chunks and {recording.broken_steps} steps "
-            "cannot be read"
-        )
+    if recording.damaged_chunks:
+        return f"damaged: {recording.damaged_chunks} chunks cannot be read"
     return "cut: the program that wrote it did not end in order"

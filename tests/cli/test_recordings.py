@@ -42,13 +42,16 @@ def test_info_has_what_an_ethics_board_asks(call, recording):
         assert told in done.stdout
 
 
-def test_a_cut_recording_is_reported(call, recording):
-    assert call("recordings", "info", recording).stdout.split()[:2] == ["state", "whole"]
-    recording.write_bytes(recording.read_bytes()[:-200])
-    cut = call("recordings", "info", recording)
-    assert cut.exit_code == 0
-    assert cut.stdout.split()[:2] == ["state", "cut:"]
-    assert "SAI 38" in cut.stdout
+def test_damage_is_reported(call, recording):
+    content = recording.read_bytes()
+    flipped = bytearray(content)
+    flipped[len(content) // 2] ^= 1
+    for broken, state in ((content, "whole"), (content[:-200], "cut:"), (flipped, "damaged:")):
+        recording.write_bytes(broken)
+        done = call("recordings", "info", recording)
+        assert done.exit_code == 0
+        assert done.stdout.split()[:2] == ["state", state]
+        assert "electric-mouse" in done.stdout
 
 
 def test_a_check_that_holds_and_one_that_does_not(call, recording, tmp_path):
