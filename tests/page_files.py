@@ -64,12 +64,6 @@ def _recording(path: Path) -> None:
         run(source, display, seconds=0.3, listeners=[Recorder(path)])
 
 
-def _cut(path: Path) -> None:
-    whole = path.with_name("whole.mcap")
-    _recording(whole)
-    path.write_bytes(whole.read_bytes()[:-2000])
-
-
 def _array(path: Path) -> None:
     places = [f"{2 * (at % 8)},{2 * (at // 8)}" for at in range(64)]
     path.write_text("\n".join(["x_mm,y_mm", *places]) + "\n", "utf-8")
@@ -88,5 +82,4 @@ FILES = {
     "clip.mp4": _clip,
     "recorded.csv": _motion,
     "recordings/line-1.mcap": _recording,
-    "cut.mcap": _cut,
 }

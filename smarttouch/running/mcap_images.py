@@ -1,6 +1,7 @@
 """``mcap:``: images of other programs' MCAP files and ROS 2 bags, at their messages' times."""
 
 import base64
+import json
 from collections import deque
 from collections.abc import Callable, Iterator
 from io import BytesIO
@@ -17,7 +18,7 @@ from PIL import Image
 from smarttouch.base.errors import SourceError
 from smarttouch.base.lazy_names import import_extra
 from smarttouch.profile import Profile
-from smarttouch.running.mcap_file import McapFile, parse_message
+from smarttouch.running.mcap_file import McapFile
 from smarttouch.sources.camera import to_grey
 from smarttouch.sources.source_contract import OpticalSource
 from smarttouch.sources.video import FASTEST_HZ, Clip, open_clip, require_frame_size
@@ -198,7 +199,7 @@ def _from_package(module: str, encoding: str, schema: Schema) -> Decode:
 
 
 def _of_json(data: bytes) -> SimpleNamespace:
-    values = parse_message(data)
+    values = json.loads(data)
     return SimpleNamespace(**values | {"data": base64.b64decode(values["data"], validate=True)})
 
 

@@ -6,12 +6,11 @@ import signal
 import sys
 import time
 from urllib.parse import urlsplit
-from urllib.request import urlopen
 
 import pytest
 from websockets.sync.client import connect
 
-from smarttouch.base.errors import RecordingError, SmartTouchError
+from smarttouch.base.errors import SmartTouchError
 from smarttouch.cli.options import with_ports
 from smarttouch.running.recording_reader import Recording
 
@@ -46,21 +45,6 @@ def test_without_the_extra_it_says_which(program_here, monkeypatch, library):
         monkeypatch.setitem(sys.modules, name, None)
     done = program_here("live --window --board simulated:")
     says(SmartTouchError, "smarttouch[window]", about="extra")(refused(done))
-
-
-def test_recordings_are_shown_until_ctrl_c(start_program, program_here, tmp_path):
-    program_here("live --board simulated: text:a --record run.mcap --quiet").fine()
-    done = program_here("recordings view run.mcap --save a.svg --step 5")
-    assert (done.returncode, done.stdout) == (0, "a.svg\n")
-    assert (tmp_path / "a.svg").read_text().count("<circle") == 64
-    done = program_here("recordings view run.mcap run.mcap --save b.svg")
-    says(RecordingError, about="files", value=2)(refused(done))
-    view = start_program("recordings", "view", "run.mcap", "run.mcap")
-    address = re.match("window: (http://[^ ]+) ", view.stderr.readline())[1]
-    with urlopen(address, timeout=20) as answer:
-        assert answer.status == 200
-    view.send_signal(signal.SIGINT)
-    assert view.wait(60) == 0
 
 
 FIRST = re.compile("window: (http://[^ ]+) ")

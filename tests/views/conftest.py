@@ -113,7 +113,7 @@ def running(profile, monkeypatch):
 
 
 PIXELS = """array => {
-  const canvas = document.querySelector(array.canvas);
+  const canvas = document.querySelector('#electrodes');
   const paint = canvas.getContext('2d');
   const longest = Math.max(canvas.width, canvas.height);
   const scale = longest / Math.max(...array.extent);
@@ -127,11 +127,10 @@ PIXELS = """array => {
 }"""
 
 
-def drawn(page, profile, canvas="#electrodes"):
-    """Return the color of each electrode on a canvas, and what it says it shows."""
+def drawn(page, profile):
+    """Return the color of each electrode on the canvas, and what it says it shows."""
     electrodes = profile.electrodes
     return page.evaluate(PIXELS, {
-        "canvas": canvas,
         "extent": [each + 2 * MARGIN_MM for each in electrodes.extent_mm],
         "places": electrodes.position_mm.tolist(),
         "radius": 0.42 * electrodes.pitch_mm,
