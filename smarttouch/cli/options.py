@@ -170,7 +170,7 @@ ClusterOption = Annotated[
 ]
 QuietOption = Annotated[bool, option("Print errors only.", None, "--quiet", panel=MORE)]
 ScanOption = Annotated[
-    str | None, option("Choose how points share slots: points, frame or auto.", "HOW", panel=BOARD)
+    str | None, option("Choose how points share slots: points or auto.", "HOW", panel=BOARD)
 ]
 
 

@@ -53,7 +53,7 @@ class RunOptionGroup(OptionGroup):
     set_: Annotated[
         list[str] | None,
         option(
-            "Change a setting of the run: scan=points (or frame, auto), hold=charge (or "
+            "Change a setting of the run: scan=points (or auto), hold=charge (or "
             "energy), softness=0..1, measure, balance.",
             "NAME=VALUE",
             "--set",

@@ -25,7 +25,6 @@ from smarttouch.base.files import (
     open_file,
     require_replaceable,
     unwritable,
-    write_bytes,
 )
 from smarttouch.profile import Profile, list_profiles, load_profile
 from smarttouch.profile.device import Kernels
@@ -83,29 +82,6 @@ class KernelBank:
         peak = np.abs(weights).max(axis=1, keepdims=True)
         return np.asarray(weights / np.where(peak > 0, peak, 1.0), np.float32)
 
-    def to_c(self, path: str | Path) -> None:
-        """Write a C header of all kernels in the whole numbers that boards get.
-
-        `st_table_weight` has a row for each class and electrode, `st_table_image` the same as the
-        firmware keeps it; the header's first lines say how currents come of them.
-
-        Raises
-        ------
-        DesignError
-            If the file cannot be written.
-
-        Examples
-        --------
-        >>> import smarttouch as st, tempfile
-        >>> with tempfile.NamedTemporaryFile("r") as file:
-        ...     st.load_kernels(st.load_profile("line-8")).to_c(file.name)
-        ...     print(file.readline().strip().replace(st.__version__, "…"))
-        /* Kernels as SmartTouch … gives them to boards. Positive is cathodic.
-        """
-        from smarttouch.kernels.c_header import c_header
-
-        write_bytes(Path(path), c_header(self.weights).encode(), DesignError)
-
     def kernel(self, afferent: Afferent, site: int, kind: "KernelKind") -> "Kernel":
         """Return one kernel; DesignError if the board has no such mode or the site is masked."""
         from smarttouch.kernels.design_problem import Kernel, masked_site
@@ -143,7 +119,7 @@ def _array_problem(profile: Profile) -> dict[str, Any]:
         "version": DESIGN_VERSION,
         # What is not given is left out, so that keys that came later change no hash.
         "array": profile.array.model_dump(exclude_none=True),
-        "skin": profile.skin.model_dump(exclude={"spread"}),
+        "skin": profile.skin.model_dump(),
         "output": _by_sources(profile).output.model_dump(
             exclude={"masked", "wiring", "ua_per_count"}
         ),
@@ -163,7 +139,7 @@ def problem_hash(profile: Profile) -> str:
     """Return the hash of everything that the kernels of a profile depend on."""
     limits, problem = profile.limits, _array_problem(profile)
     if profile.output.kind == "three-state":
-        problem["poles"] = "one is single"
+        problem["poles"] = "one against its ring or all"
     if profile.output.masked:
         problem["masked"] = sorted(profile.output.masked)
     if profile.kernels.objective == "finger":
@@ -277,7 +253,7 @@ def design_bank(
     if known is not None and problem_hash(known[0]) != problem_hash(profile):
         design = kept_or(design, known[0], known[1].kernel)
     columns: dict[str, Any] = {name: {} for name in _IN_FILE}
-    made: dict[tuple[int, Afferent], Array] = {}
+    made: dict[Afferent, Array] = {}
     for index, afferent in enumerate(modes):
         problem = Problem(profile, afferent, made=made)
         timed = design_sites(problem, design, None, part_of(progress, index, len(modes)), keep)

@@ -269,22 +269,6 @@ def layer_misfits(layers: Sequence[SkinLayer], about: str) -> Iterator[UnfitErro
         yield UnfitError(f"each of {about} but the last needs its thickness_mm", about=about)
 
 
-class Spread(Table):
-    """Largest deviation of a true finger from the nominal one; robust kernels keep their bounds
-    within it."""
-
-    ra_depth_mm: float = Field(default=0.1, ge=0)
-    """Largest error of the depth of RA, each way."""
-    sai_depth_mm: float = Field(default=0.1, ge=0)
-    """Largest error of the depth of SAI, each way."""
-    pc_depth_mm: float = Field(default=0.3, ge=0)
-    """Largest error of the depth of PC, each way."""
-    angle_deg: float = Field(default=10.0, ge=0, le=45)
-    """Largest turn of flat axons in the plane, and tilt of rising ones from the vertical."""
-    conductivity_factor: float = Field(default=1.5, ge=1, le=100)
-    """Factor by which the conductivity of each layer may be off, up and down."""
-
-
 class Skin(Table):
     """The conducting medium and the afferents in it (paper, Section II-D)."""
 
@@ -311,7 +295,6 @@ class Skin(Table):
     internode_mm: Positive = 0.079
     """Distance between the nodes of Ranvier of an axon near its ending; 79 µm by Nolano et al.
     2003."""
-    spread: Spread = Spread()
 
     @property
     def conductivity(self) -> float:
@@ -340,14 +323,6 @@ class Skin(Table):
                 remedy="skin.layers" if layered else "skin.conductivity_s_per_m",
             )
         yield from layer_misfits(self.layers, "skin.layers")
-        for name in ("ra", "sai", "pc"):
-            depth, spread = (getattr(each, f"{name}_depth_mm") for each in (self, self.spread))
-            if depth - spread <= 0:
-                yield UnfitError(
-                    f"spread.{name}_depth_mm {spread:g} reaches the surface from {name}_depth_mm "
-                    f"{depth:g}: no fiber lies outside the skin; lower it",
-                    about=f"skin.spread.{name}_depth_mm",
-                )
 
 
 def _listed(given: Any) -> Any:

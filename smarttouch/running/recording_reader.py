@@ -11,6 +11,7 @@ from mcap.records import Message
 from pydantic import ValidationError
 
 from smarttouch.base.errors import ProfileError, RecordingError
+from smarttouch.base.removed import without_removed
 from smarttouch.profile import Profile
 from smarttouch.running.mcap_file import McapFile
 from smarttouch.running.recording_format import FORMAT, METADATA, RecordedSettings, read_settings
@@ -74,8 +75,10 @@ class Recording(McapFile):
     def profile(self) -> Profile:
         """Device and finger of the run."""
         try:
-            return Profile.model_validate_json(self.about.get("profile", ""))
-        except (ValidationError, ProfileError) as error:
+            return Profile.model_validate(
+                without_removed(json.loads(self.about.get("profile", "")))
+            )
+        except (ValueError, AttributeError, ProfileError) as error:
             first = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
             message = f"the profile in {self.path} is not one of this version's: {first}"
             raise RecordingError(message, about="profile") from None
