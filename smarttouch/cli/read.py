@@ -29,7 +29,7 @@ def read(
     source: Annotated[
         str,
         argument(
-            "A page (image, PDF), a text, Braille (.brf, .pef, photo), words, or - for "
+            "A page (image, PDF), a text, Braille (.brf, .pef), words, or - for "
             "standard input. Options follow: 'book.pdf?pages=3-5&dpi=300'.",
             "FILE",
             callback=or_standard_input,
@@ -109,8 +109,8 @@ def braille(
     source: Annotated[
         str | None,
         argument(
-            "A file of text (HTML, EPUB, DOCX …), cells (.brf, .pef), print or Braille (image, "
-            "PDF); a text, or text:WORDS where it could be a file; - for standard input.",
+            "A file of text (HTML, EPUB, DOCX …), cells (.brf, .pef) or print (image, PDF); "
+            "a text, or text:WORDS where it could be a file; - for standard input.",
             "TEXT|FILE|-",
             callback=or_standard_input,
         ),

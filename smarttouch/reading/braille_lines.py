@@ -19,11 +19,9 @@ from smarttouch.braille.cells import (
     pattern,
 )
 from smarttouch.braille.code_tables import DEFAULT_TABLE, BrailleTable, open_table
-from smarttouch.braille.photo import looks_like_braille, read_braille
 from smarttouch.imaging.array_window import pixel_pitch_mm, usual_speed_mm_s
 from smarttouch.imaging.tactile_mapper import Tone
 from smarttouch.pages.page_image import Page
-from smarttouch.pages.text_layer import LayeredPage
 from smarttouch.pages.text_lines import TextLine
 from smarttouch.profile import Profile
 from smarttouch.reading.line_feed import Place, TouchLine
@@ -189,16 +187,11 @@ class Presentation(StrEnum):
 
 @dataclass(frozen=True)
 class Braille:
-    """Braille presentation: cells under the finger, by a table of `open_table`.
-
-    Whether images show raised dots, and where their light comes from, is detected if not given.
-    """
+    """Braille presentation: cells under the finger, by a table of `open_table`."""
 
     table: str = DEFAULT_TABLE
     presentation: Presentation = Presentation.LINE
     at_once: int = 1
-    embossed: bool | None = None
-    light_from_deg: float | None = None
 
     @property
     def tone(self) -> Tone:
@@ -270,26 +263,16 @@ class Braille:
                 text = texts[index] if len(texts) == len(loaded.paragraphs) else ""
                 yield cells, text, _place_on_paper(index, cells)
 
-    def page_cells(
-        self, source: ReadingMaterial, number: int, page: Page
-    ) -> tuple[list[str], bool]:
-        """Return a page as cells, a line for each paragraph of print or line of raised dots, and
-        whether it is print."""
-        if self._shows_dots(page):
-            return self._decoded(source, number, page), False
+    def page_cells(self, source: ReadingMaterial, number: int, page: Page) -> list[str]:
+        """Return a page of print as cells, a line for each paragraph."""
         table = open_table(self.table)
         prepared = upright_page(number, page, source.options, source.note)
         text = recognized_text(prepared, source.options, source.note)
         _note_missing(source, number, table, table.missing(text))
-        return table.to_cells(text, leave_out=True).split("\n"), True
+        return table.to_cells(text, leave_out=True).split("\n")
 
     def _seen(self, source: ReadingMaterial, number: int, page: Page) -> Iterator[Cells]:
-        """Yield the cells of a page, whether it shows Braille or print."""
-        if self._shows_dots(page):
-            for index, cells in enumerate(self._decoded(source, number, page)):
-                if cells.strip(BLANK):
-                    yield cells, "", _place_on_paper(index, cells)
-            return
+        """Yield the cells of a page of print."""
         table = open_table(self.table)
         prepared = upright_page(number, page, source.options, source.note)
         missing = ""
@@ -299,17 +282,6 @@ class Braille:
             if cells.strip(BLANK):
                 yield cells, text, _place_on_page(prepared.lines[index], cells)
         _note_missing(source, number, table, missing)
-
-    def _shows_dots(self, page: Page) -> bool:
-        if self.embossed is None:
-            return not isinstance(page, LayeredPage) and looks_like_braille(page)
-        return self.embossed
-
-    def _decoded(self, source: ReadingMaterial, number: int, page: Page) -> list[str]:
-        found = read_braille(page, self.light_from_deg)
-        for note in found.notes:
-            source.note(f"page {number}: {note}")
-        return found.lines
 
 
 def _note_missing(source: ReadingMaterial, number: int, table: BrailleTable, missing: str) -> None:

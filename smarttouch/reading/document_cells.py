@@ -30,12 +30,11 @@ Progress = Callable[[str], None]
 
 @dataclass(frozen=True)
 class PageCells:
-    """A page as cells, a line for each paragraph of print or line of Braille, and what was said."""
+    """A page as cells, a line for each paragraph, and what was said."""
 
     number: int
     paragraphs: list[str]
     notes: list[str]
-    printed: bool
 
 
 def load_material(
@@ -60,7 +59,7 @@ def document_cells(
 ) -> Loaded:
     """Return a document as cells; ``progress`` is called as pages are done.
 
-    Several pages of print keep their numbers; pages of Braille keep their lines.
+    Several pages of print keep their numbers.
 
     With an ``output``, finished pages are kept in a folder beside it until `forget_pages`, and are
     used again by another run with the same document and options.
@@ -86,12 +85,10 @@ def document_cells(
         for words in page.notes:
             source.note(words)
         empty.add(page.number, any(each.strip(BLANK) for each in page.paragraphs))
-        if page.printed and page.number in printed:
+        if page.number in printed:
             begins[len(paragraphs)] = printed[page.number]
         paragraphs += page.paragraphs
     empty.conclude()
-    if not any(page.printed for page in pages):
-        return Loaded(paragraphs, [page.paragraphs for page in pages], [])
     shaped = text_of_cells(paragraphs, open_table(braille.table), begins, about)
     return Loaded(paragraphs, None, [], shaped)
 
@@ -107,9 +104,9 @@ def _made(
     """Yield pages as they are done: by this process where they take little time."""
     start = time.monotonic()
     for done, number in enumerate(numbers):
-        if not done:
+        if not done and len(numbers) > 1:
             progress(f"page {number} is being read")
-        elif (time.monotonic() - start) / done > _SLOW_S:
+        elif done and (time.monotonic() - start) / done > _SLOW_S:
             yield from _by_processes(braille, source, numbers[done:])
             return
         yield _page(braille, source, number)
@@ -145,8 +142,7 @@ def _page(braille: Braille, source: ReadingMaterial, number: int, alone: bool = 
     options = replace(source.options, pages=str(number))
     material = ReadingMaterial(source.name, options, notes.append)
     ((_, page),) = material.pages()
-    paragraphs, printed = braille.page_cells(material, number, page)
-    return PageCells(number, paragraphs, notes, printed)
+    return PageCells(number, braille.page_cells(material, number, page), notes)
 
 
 def _files(
@@ -176,6 +172,6 @@ def _keep(page: PageCells, path: Path) -> None:
 def _kept(path: Path) -> PageCells | None:
     try:
         kept = json.loads(path.read_bytes())
-        return PageCells(kept["number"], kept["paragraphs"], kept["notes"], kept["printed"])
+        return PageCells(kept["number"], kept["paragraphs"], kept["notes"])
     except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -118,7 +118,7 @@ def test_blank_pages_are_reported(source_of, reading, notes):
 
 
 def test_where_nothing_is_found_that_is_the_error(source_of, reading):
-    for kind in (Shapes(), Braille(embossed=False)):
+    for kind in (Shapes(), Braille()):
         with raises(ReadingError, about="page"):
             list(kind.lines(source_of("two.tif", "", ""), reading))
 
