@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from smarttouch.base.errors import ReadingError, SmartTouchError
+from smarttouch.base.errors import BrailleError, ReadingError, SmartTouchError
 from smarttouch.braille.cells import BLANK
 from smarttouch.imaging.array_window import profile_for_reading
 from smarttouch.pages.prepared_page import print_text
@@ -199,7 +199,7 @@ def test_a_cell_stays_as_long_as_a_line_takes_to_move_on_by_one(reading):
 
 
 def test_blank_cells_alone_are_nothing_to_read(source_of, reading):
-    with raises(SmartTouchError, about="text"):
+    with raises(BrailleError):
         list(Braille().lines(source_of(f"text:{BLANK}"), reading))
 
 
