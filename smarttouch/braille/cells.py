@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from smarttouch.base.errors import BrailleError
-from smarttouch.base.files import read_bytes, write_bytes
+from smarttouch.base.files import read_bytes
 
 Pages: TypeAlias = list[list[str]]  # pages of lines of cells
 
@@ -72,13 +72,8 @@ def read_brf(path: Path) -> Pages:
     return parse_brf(read_bytes(path, BrailleError, MOST_BYTES), str(path))
 
 
-def write_brf(path: Path, pages: Pages) -> None:
-    """Write a BRF file; raise if a cell has dots 7 or 8, which BRF cannot hold."""
-    write_bytes(path, format_brf(pages), BrailleError)
-
-
 def format_brf(pages: Pages) -> bytes:
-    """Return pages in BRF."""
+    """Return pages in BRF; raise if a cell has dots 7 or 8, which it cannot hold."""
     sheets = []
     for number, page in enumerate(pages, 1):
         lines = [_codes(line, f"page {number}, line {k}") for k, line in enumerate(page, 1)]

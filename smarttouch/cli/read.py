@@ -129,9 +129,11 @@ def braille(
     tables: Annotated[bool, option("List the Braille tables.", None, "--tables")] = False,
 ) -> None:
     """Translate text into Braille, or Braille into text."""
+    from functools import partial
+
     from smarttouch.base.errors import BrailleError
-    from smarttouch.base.files import require_folder
-    from smarttouch.braille.cells import write_brf
+    from smarttouch.base.files import require_folder, write_bytes
+    from smarttouch.braille.cells import format_brf
     from smarttouch.braille.code_tables import open_table
     from smarttouch.reading.document_cells import document_cells, forget_pages
     from smarttouch.reading.material import ReadingMaterial
@@ -140,19 +142,15 @@ def braille(
         _print_tables()
         return
     if source is None:
-        raise BrailleError("nothing to read is given: give a text or a file, or list the tables")
+        raise BrailleError("nothing to read is given: give a text or a file, or --tables")
     if output is not None:
         require_folder(output)
         if back or output.suffix.lower() != ".brf":
-            what = "a text" if back else f"cells as {output}"
-            way = "as in --back > book.txt" if back else "or give a name that ends in .brf"
-            raise BrailleError(f"cannot write {what}: redirect what is printed, {way}")
+            message = "only cells are written, to a .brf file: redirect what is printed instead"
+            raise BrailleError(f"cannot write {output}: {message}")
         if output.exists():
             raise BrailleError(f"{output} is there already: give another name, or remove it")
-
-    def say(words: str) -> None:
-        typer.echo(words, err=True)
-
+    say = partial(typer.echo, err=True)
     code = open_table(table_of(table, document.languages))
     material = ReadingMaterial(*document.recognition(source), say)
     if code.note and not material.holds_cells:
@@ -168,7 +166,7 @@ def braille(
         print("\n".join(line for page in cells.laid_out(columns, rows, 0) for line in page))
     else:
         pages = cells.laid_out(columns, rows)
-        write_brf(output, pages)
+        write_bytes(output, format_brf(pages), BrailleError)
         print(f"{output}: pages {len(pages)}, lines {sum(map(len, pages))}")
         forget_pages(output)
 

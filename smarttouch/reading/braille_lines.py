@@ -26,7 +26,7 @@ from smarttouch.profile import Profile
 from smarttouch.reading.document_cells import document_cells
 from smarttouch.reading.line_feed import Place, TouchLine
 from smarttouch.reading.line_source import LineMotion
-from smarttouch.reading.material import EmptyPages, ReadingMaterial
+from smarttouch.reading.material import ReadingMaterial, report_empty_pages
 from smarttouch.reading.recognition import recognized_lines, upright_page
 from smarttouch.running.delivered import LinePicture
 
@@ -246,14 +246,13 @@ class Braille:
                     text = texts[index] if len(texts) == len(paragraphs) else ""
                     yield cells, text, _place_on_paper(index, cells)
             return
-        empty = EmptyPages(source.note)
+        found: dict[int, bool] = {}
         for number, page in source.pages():
-            found = False
+            found[number] = False
             for each in self._seen(source, number, page, table):
-                found = True
+                found[number] = True
                 yield each
-            empty.add(number, found)
-        empty.conclude()
+        report_empty_pages(found, source.note)
 
     def _seen(
         self, source: ReadingMaterial, number: int, page: Page, table: BrailleTable

@@ -6,7 +6,7 @@ import os
 import shutil
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -16,13 +16,11 @@ from smarttouch.base.version import __version__
 from smarttouch.braille.cells import BLANK, Pages, read_brf
 from smarttouch.braille.code_tables import BrailleTable, open_table
 from smarttouch.braille.page_layout import COLUMNS, INDENT, ROWS, join, lay_out
-from smarttouch.reading.material import EmptyPages, ReadingMaterial, recognized_text
-from smarttouch.reading.recognition import upright_page
+from smarttouch.reading.material import ReadingMaterial, recognized_text, report_empty_pages
+from smarttouch.reading.recognition import Note, upright_page
 
 _SLOW_S = 0.5  # time of the first page from which the others are worth processes of their own
 _PARTS = ".pages"  # ending of the folder of finished pages, beside the output
-
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -50,7 +48,7 @@ class PageCells:
 
 
 def document_cells(
-    source: ReadingMaterial, table: BrailleTable, progress: Progress, output: Path | None = None
+    source: ReadingMaterial, table: BrailleTable, progress: Note, output: Path | None = None
 ) -> DocumentCells:
     """Return a text, a file of cells or a document as cells.
 
@@ -71,7 +69,7 @@ def document_cells(
 
 
 def _paragraphs_of_pages(
-    source: ReadingMaterial, table: BrailleTable, progress: Progress, output: Path | None
+    source: ReadingMaterial, table: BrailleTable, progress: Note, output: Path | None
 ) -> list[str]:
     numbers = source.numbers()
     files: dict[int, Path] = {}
@@ -81,20 +79,19 @@ def _paragraphs_of_pages(
     if done:
         progress(f"{len(done)} of {len(numbers)} pages were done before")
     missing = [number for number in dict.fromkeys(numbers) if number not in done]
-    for page in _made(table.name, source, missing, progress):
+    for page in _made(table.name, source, missing):
         if page.number in files:
             _keep(page, files[page.number])
         done[page.number] = page
         if len(numbers) > 1:
             progress(f"page {page.number} done, {len(done)} of {len(numbers)}")
-    empty, paragraphs = EmptyPages(source.note), list[str]()
-    for page in (done[number] for number in numbers):
-        for words in page.notes:
+    for number in numbers:
+        for words in done[number].notes:
             source.note(words)
-        empty.add(page.number, any(each.strip(BLANK) for each in page.paragraphs))
-        paragraphs += page.paragraphs
-    empty.conclude()
-    return paragraphs
+    paragraphs = {number: done[number].paragraphs for number in numbers}
+    found = {number: "".join(each).strip(BLANK) != "" for number, each in paragraphs.items()}
+    report_empty_pages(found, source.note)
+    return [paragraph for number in numbers for paragraph in paragraphs[number]]
 
 
 def forget_pages(output: Path) -> None:
@@ -102,15 +99,11 @@ def forget_pages(output: Path) -> None:
     shutil.rmtree(output.with_name(output.name + _PARTS), ignore_errors=True)
 
 
-def _made(
-    table: str, source: ReadingMaterial, numbers: Sequence[int], progress: Progress
-) -> Iterator[PageCells]:
+def _made(table: str, source: ReadingMaterial, numbers: Sequence[int]) -> Iterator[PageCells]:
     """Yield pages as they are done: by this process where they take little time."""
     start = time.monotonic()
     for done, number in enumerate(numbers):
-        if not done and len(numbers) > 1:
-            progress(f"page {number} is being read")
-        elif done and (time.monotonic() - start) / done > _SLOW_S:
+        if done and (time.monotonic() - start) / done > _SLOW_S:
             yield from _by_processes(table, source, numbers[done:])
             return
         yield _page(table, source, number)
@@ -180,7 +173,6 @@ def _keep(page: PageCells, path: Path) -> None:
 
 def _kept(path: Path) -> PageCells | None:
     try:
-        kept = json.loads(path.read_bytes())
-        return PageCells(kept["number"], kept["paragraphs"], kept["notes"])
-    except (OSError, ValueError, KeyError, TypeError):
+        return PageCells(**json.loads(path.read_bytes()))
+    except (OSError, ValueError, TypeError):
         return None

@@ -163,43 +163,28 @@ def document_pages(
             yield index + 1, page
 
 
-class EmptyPages:
-    """List of pages without anything readable, reported by a note at the end."""
-
-    def __init__(self, note: Note) -> None:
-        self._note = note
-        self._found = False
-        self._empty: list[int] = []
-
-    def add(self, number: int, found: bool) -> None:
-        """Add the result of a page."""
-        self._found |= found
-        if not found:
-            self._empty.append(number)
-
-    def conclude(self) -> None:
-        """Report the empty pages; raise if all are."""
-        if not self._found:
-            raise ReadingError(
-                "no line of text was found: is it a page of print, sharp, and large enough "
-                "(letters of 6 pixels and more)?",
-                about="page",
-            )
-        if self._empty:
-            self._note(f"no line of text on page {', '.join(map(str, self._empty))}")
+def report_empty_pages(found: dict[int, bool], note: Note) -> None:
+    """Report pages by number on which no text was found; raise if it was found on none."""
+    if not any(found.values()):
+        raise ReadingError(
+            "no line of text was found: is it a page of print, sharp, and large enough "
+            "(letters of 6 pixels and more)?"
+        )
+    if empty := [str(number) for number, has_text in found.items() if not has_text]:
+        note(f"no line of text on page {', '.join(empty)}")
 
 
 def prepared_pages(
     pages: Iterator[tuple[int, Page]], options: RecognitionOptions, note: Note
 ) -> Iterator[PreparedPage]:
     """Yield the pages that carry text, see `upright_page`; raise if none does."""
-    empty = EmptyPages(note)
+    found: dict[int, bool] = {}
     for number, page in pages:
         prepared = upright_page(number, page, options, note)
-        empty.add(number, bool(prepared.lines))
+        found[number] = bool(prepared.lines)
         if prepared.lines:
             yield prepared
-    empty.conclude()
+    report_empty_pages(found, note)
 
 
 def recognized_text(prepared: PreparedPage, options: RecognitionOptions, note: Note) -> str:

@@ -3,7 +3,7 @@
 import pytest
 
 from smarttouch.base.errors import BrailleError
-from smarttouch.braille.cells import write_brf
+from smarttouch.braille.cells import format_brf
 from smarttouch.braille.code_tables import open_table
 from smarttouch.reading.document_cells import document_cells
 from smarttouch.reading.material import ReadingMaterial
@@ -41,7 +41,7 @@ def test_a_text_file_is_read_whatever_its_name(load, tmp_path, name, data, parag
 
 def test_a_brf_file_keeps_its_pages_until_it_is_laid_out_anew(load, tmp_path):
     pages = [["⠀⠀⠁⠃", "⠉"], ["⠀⠀⠙"]]
-    write_brf(tmp_path / "a.brf", pages)
+    (tmp_path / "a.brf").write_bytes(format_brf(pages))
     cells = load(tmp_path / "a.brf")
     assert cells.paragraphs == ["⠁⠃⠀⠉", "⠙"]
     assert cells.laid_out(None, None) == pages

@@ -11,7 +11,7 @@ from smarttouch.pages.prepared_page import print_text
 from smarttouch.profile import load_profile
 from smarttouch.reading.braille_lines import Braille, Presentation
 from smarttouch.reading.letter_shapes import Shapes, Style, thin
-from smarttouch.reading.material import EmptyPages, ReadingMaterial
+from smarttouch.reading.material import ReadingMaterial
 from smarttouch.reading.recognition import RecognitionOptions
 
 from ..raising import raises
@@ -111,26 +111,16 @@ def test_pages_come_in_the_order_asked_for(source_of, reading):
 
 
 def test_blank_pages_are_reported(source_of, reading, notes):
-    source = source_of("three.tif", "some words", "", "and more")
+    source = source_of("four.tif", "", "some words", "", "and more")
     assert len(list(Shapes().lines(source, reading))) == 2
     (note,) = notes
-    assert note.endswith("page 2")
+    assert note.endswith("page 1, 3")
 
 
 def test_where_nothing_is_found_that_is_the_error(source_of, reading):
     for kind in (Shapes(), Braille()):
-        with raises(ReadingError, about="page"):
+        with pytest.raises(ReadingError, match="no line of text"):
             list(kind.lines(source_of("two.tif", "", ""), reading))
-
-
-def test_empty_pages_count_only_where_others_are_not(notes):
-    empty = EmptyPages(notes.append)
-    empty.add(1, False)
-    empty.add(2, True)
-    empty.add(3, False)
-    empty.conclude()
-    (note,) = notes
-    assert note.endswith("page 1, 3")
 
 
 def test_thinned_strokes_are_as_wide_as_the_nib(source_of, reading):
