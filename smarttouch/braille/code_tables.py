@@ -60,7 +60,7 @@ class BrailleTable:
             others = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
             raise BrailleError(
                 f"table {self.name} has no cells for {missing[0]!r} (U+{ord(missing[0]):04X})"
-                f"{others}: {self.code.remedy}",
+                f"{others}: leave them out, or choose another table",
                 about="text",
             )
         tidy = tidy.translate(dict.fromkeys(map(ord, missing)))

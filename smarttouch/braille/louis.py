@@ -46,8 +46,6 @@ class LouisCode:
     Whether its cells can be translated back is read from the table if not given.
     """
 
-    remedy = "leave them out, or choose another table"
-
     def __init__(self, table: str, goes_back: bool | None = None) -> None:
         if not has_table(table):
             raise BrailleError(
