@@ -44,7 +44,6 @@ class BrailleTable:
     """A Braille code under the name that a user gave."""
 
     name: str
-    title: str
     code: BrailleCode
     note: str | None = None  # warning for the user
 
@@ -180,7 +179,7 @@ def open_table(name: str = DEFAULT_TABLE) -> BrailleTable:
     known = _KNOWN.get(name)
     if known is None:
         if "." in name and louis.has_table(name):
-            return BrailleTable(name, louis.title_of(name), LouisCode(name))
+            return BrailleTable(name, LouisCode(name))
         raise BrailleError(
             f"unknown table {name!r}: choose one of {', '.join(_KNOWN)}, or give the tag of a "
             "language (pt), or the file name of a table of liblouis",
@@ -188,14 +187,14 @@ def open_table(name: str = DEFAULT_TABLE) -> BrailleTable:
         )
     if known.file is not None and louis.has_table(known.file):
         code = _EnglishLouis if known.built_in is Grade1 else LouisCode
-        return BrailleTable(name, known.title, code(known.file, known.goes_back))
+        return BrailleTable(name, code(known.file, known.goes_back))
     if known.built_in is None:
         raise BrailleError(
             f"table {name} ({known.title}) needs liblouis: {louis.INSTALL}",
             about="liblouis",
             remedy=louis.INSTALL,
         )
-    return BrailleTable(name, known.title, known.built_in(), MISSING_NOTE if known.file else None)
+    return BrailleTable(name, known.built_in(), MISSING_NOTE if known.file else None)
 
 
 def _tidy(text: str, code: BrailleCode) -> str:

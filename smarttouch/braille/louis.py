@@ -140,11 +140,6 @@ def find_table(language: str) -> str | None:
     return next(candidates, None)
 
 
-def title_of(table: str) -> str:
-    """Return the name that a table gives itself; that of its file if none."""
-    return _query("lou_getTableInfo", table.encode(), b"display-name") or f"liblouis table {table}"
-
-
 def language_of(table: str) -> str:
     """Return the tag of the language that a table gives itself; empty if none."""
     return _query("lou_getTableInfo", table.encode(), b"language")
