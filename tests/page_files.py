@@ -10,8 +10,6 @@ from PIL import Image
 from smarttouch import Recorder, load_profile, open_display, open_source, run
 from smarttouch.base.files import data_folder
 
-from .braille.embossed import emboss
-
 WORDS = "A few words, to be read."
 
 
@@ -27,10 +25,6 @@ def make_named(text: str, folder: Path) -> None:
 def _page(path: Path) -> None:
     grey = cv2.imread(str(data_folder("sample_images") / "photo.png"), cv2.IMREAD_GRAYSCALE)
     Image.fromarray(grey).save(path, dpi=(300, 300))
-
-
-def _braille(path: Path) -> None:
-    Image.fromarray(emboss(["⠓⠑⠇⠇⠕⠀⠺⠕⠗⠇⠙", "⠞⠓⠑⠀⠟⠥⠊⠉⠅⠀⠋⠕⠭"]).page.grey).save(path, dpi=(200, 200))
 
 
 def _experiment(path: Path) -> None:
@@ -72,7 +66,6 @@ def _array(path: Path) -> None:
 FILES = {
     "array.csv": _array,
     "gap.py": _experiment,
-    "braille-photo.jpg": _braille,
     "photo.jpg": _page,
     "scan.png": _page,
     "scan.tif": _page,
