@@ -97,7 +97,6 @@ from smarttouch.running.step import Step as Step
 from smarttouch.sources.force import ForceSource as ForceSource
 from smarttouch.sources.given_sources import Given as Given
 from smarttouch.sources.given_sources import Imaging as Imaging
-from smarttouch.sources.source_contract import Canvas as Canvas
 from smarttouch.sources.source_contract import Device as Device
 from smarttouch.sources.source_contract import Input as Input
 from smarttouch.sources.source_contract import Pose as Pose

@@ -13,7 +13,6 @@ _OWN = {
     "smarttouch.sources": {
         "brltty": "smarttouch.reading.brltty_source:open_brltty",
         "camera": "smarttouch.sources.camera:open_camera",
-        "draw": "smarttouch.instruments.drawing_source:open_draw",
         "frames": "smarttouch.sources.video:open_frames",
         "lsl": "smarttouch.instruments.lsl_source:open_lsl",
         "mcap": "smarttouch.running.mcap_images:open_mcap",

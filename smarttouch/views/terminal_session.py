@@ -108,12 +108,10 @@ def run_in_terminal(
     typed = sys.stdin.isatty()
     # Before the window, which takes a port, as an output may be impossible.
     followers = list(outputs.listeners())
-    # A drawing source needs a page.
-    port = 0 if outputs.window is None and source.canvas is not None else outputs.window
     with contextlib.ExitStack() as closing:
-        if window is None and port is not None:
+        if window is None and outputs.window is not None:
             blind = issubclass(screen, BlindScreen)
-            window = _window(port, stop, outputs, config.seconds, blind=blind)
+            window = _window(outputs.window, stop, outputs, config.seconds, blind=blind)
             window.offered = offered
             closing.callback(window.shut)
         if window is not None:

@@ -130,7 +130,6 @@ class Window(Listener):
         hello: dict[str, Any] = {
             "type": "hello",
             "blind": self._blind,
-            "draws": run.source.canvas is not None,
             "board": str(run.settings.get("board", "")),
             "modes": [str(each) for each in run.controls.modes],
             "keys": list(self._keys),
@@ -361,11 +360,6 @@ class Window(Listener):
         if page.refused:
             parts.append(f'"refused":{json.dumps(page.refused)}')
             page.refused = ""
-        canvas = self.source.canvas
-        if canvas is not None and canvas.changes != page.drawn:
-            drawn = canvas.message()
-            page.drawn = drawn["changes"]
-            parts.append(f'"drawn":{json.dumps(drawn)}')
         page.shown, page.events = latest, count
         return "{" + ",".join(parts) + "}"
 

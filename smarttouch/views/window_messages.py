@@ -179,7 +179,7 @@ class RunChoices:
         with contextlib.suppress(OSError):  # a folder that cannot be read offers nothing
             files = sorted(each for each in folder.iterdir() if each.suffix.lower() in _PAGES)
             pages += [f"page:{each.name}" for each in files[:_MOST_FILES] if each.is_file()]
-        return cls(first, tuple(dict.fromkeys((first.source, *pages, "draw:"))))
+        return cls(first, tuple(dict.fromkeys((first.source, *pages))))
 
     @property
     def boards(self) -> list[str]:

@@ -2,7 +2,6 @@
 
 import { ElectrodesView, FeltView, PageView, SensorView, SeriesView, SumView, bytes, calm, latencyOf } from "./views.js";
 import { SlotPlayer } from "./slots.js";
-import { Drawing } from "./draw.js";
 
 const find = (id) => document.getElementById(id);
 const FELT_AS = { RA: "flutter", SAI: "pressure", PC: "vibration" };
@@ -18,7 +17,6 @@ let array;
 let keys = [];
 let state;
 let newest = null;
-let drawing = null;
 let asked = false;
 let drawnAt = 0;
 let saidAt = 0;
@@ -75,10 +73,7 @@ function greet(hello) {
   find("full").textContent = `+${array.full_ma.toFixed(1)} mA`;
   find("full-anodic").textContent = `−${array.full_ma.toFixed(1)} mA`;
   for (const id of ["electrodes-card", "page-card", "series-card", "table-card"]) find(id).hidden = hello.blind;
-  find("draw-card").hidden = !hello.draws;
-  find("page-card").hidden = hello.blind || hello.draws;
-  if (hello.draws) drawing ??= new Drawing(find, say, array);
-  for (const id of ["felt-card", "sum-card"]) find(id).hidden = !hello.finger || (id === "sum-card" && hello.draws);
+  for (const id of ["felt-card", "sum-card"]) find(id).hidden = !hello.finger;
   views = {
     electrodes: new ElectrodesView(find("electrodes"), array),
     sensor: new SensorView(find("sensor")),
@@ -112,7 +107,6 @@ function greet(hello) {
 function disable(off) {
   for (const id of ["less", "more", "slider", "none", "pause", "steer", "record", "mark"]) find(id).disabled = off;
   for (const each of find("modes").children) each.disabled = off;
-  find("draw-card").inert = off;
 }
 
 function update(message) {
@@ -120,7 +114,6 @@ function update(message) {
   state = message.state;
   state.events.forEach(note);
   if (message.picture) newest = message.picture;
-  if (message.drawn) drawing.take(message.drawn);
   if (message.sheet !== undefined) views.page.lay(message.sheet, `sheet.png?n=${message.sheet?.number}-${Date.now()}`);
   if (message.picture && !views.blind) views.series.take(message.picture);
   if (message.felt) {
@@ -322,7 +315,7 @@ document.addEventListener("keydown", (event) => {
     else if (!event.repeat) find("pause").click();
     return;
   }
-  if (typing || event.ctrlKey || event.altKey || event.metaKey || event.target.matches?.("select, #sketch, #slider")) return;
+  if (typing || event.ctrlKey || event.altKey || event.metaKey || event.target.matches?.("select, #slider")) return;
   if (event.key === "Enter" && event.target !== document.body) return;
   const key = ARROWS[event.key] ?? event.key;
   const own = { "+": "do more", "=": "do more", "-": "do less", "_": "do less", 0: "do none" };
