@@ -4,18 +4,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
-from smarttouch.base.lazy_names import import_extra
 from smarttouch.profile import Profile
 from smarttouch.running.recording_reader import Recording
 from smarttouch.running.step_decoder import RecordedStep
-
-if TYPE_CHECKING:
-    import pandas
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,15 +224,6 @@ class RecordedRun:
         """Yield the image of each step, (H, W) uint8; None where there is none."""
         for each in self._recording.steps():
             yield each.step.input.image
-
-    def to_dataframe(self) -> "pandas.DataFrame":
-        """Return a table with a row for each step, and its slots and strongest current, µA.
-
-        Needs pandas, the extra ``data``.
-        """
-        made: Any = import_extra("pandas", "a table", "data").DataFrame
-        frame: pandas.DataFrame = made(self.arrays.by_step())
-        return frame
 
     def compare(self, other: "RecordedRun") -> dict[str, float]:
         """Return the largest difference of each array that differs; empty if they are the same.

@@ -42,14 +42,13 @@ def test_its_arrays_are_those_of_its_steps(recorded):
 
 
 def test_as_a_table(recorded):
-    pytest.importorskip("pandas")
     run = st.load_recording(str(recorded))
-    table = run.to_dataframe()
-    assert len(table) == len(run.arrays.step)
-    assert {"time_ns", "force_n", "intensity", "slots", "strongest_ua"} <= set(table.columns)
-    assert table.slots.sum() == len(run.arrays.site)
-    assert table.strongest_ua.max() == np.abs(run.arrays.current_ua.astype(int)).max()
-    assert not table[table.slots == 0].strongest_ua.any()
+    table = run.arrays.by_step()
+    assert {len(each) for each in table.values()} == {len(run.arrays.step)}
+    assert {"time_ns", "force_n", "intensity", "slots", "strongest_ua"} <= table.keys()
+    assert table["slots"].sum() == len(run.arrays.site)
+    assert table["strongest_ua"].max() == np.abs(run.arrays.current_ua.astype(int)).max()
+    assert not table["strongest_ua"][table["slots"] == 0].any()
 
 
 def test_two_are_compared(recorded, tmp_path):
